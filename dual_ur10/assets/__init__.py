@@ -1,0 +1,1 @@
+"""The robot, the table and how they are composed into one MuJoCo model."""

@@ -1,0 +1,66 @@
+"""Every exception this package raises on purpose.
+
+All derive from [DualUR10Error][dual_ur10.errors.DualUR10Error]. A message says what was found, what is allowed and
+what to do. Each also derives from the built-in exception a caller would expect (``ValueError`` for a bad value, ...),
+so that generic handlers work too.
+"""
+
+from __future__ import annotations
+
+
+class DualUR10Error(Exception):
+    """Base of all errors of this package."""
+
+
+class SettingsError(DualUR10Error, ValueError):
+    """A setting (keyword, cell, profile or limit) is not legal."""
+
+
+class UnknownNameError(DualUR10Error, ValueError):
+    """A name (keyword, id, policy, camera, ...) is not one of those that exist."""
+
+    def __init__(self, kind: str, found: str, allowed: tuple[str, ...] | list[str]) -> None:
+        super().__init__(f"unknown {kind} {found!r}: use one of {', '.join(map(repr, allowed))}")
+        self.kind, self.found, self.allowed = kind, found, tuple(allowed)
+
+    def __reduce__(self) -> tuple[type, tuple[str, str, tuple[str, ...]]]:
+        return type(self), (self.kind, self.found, self.allowed)
+
+
+class ActionError(DualUR10Error, ValueError):
+    """An action has the wrong shape or type, or holds NaN or infinity."""
+
+
+class RateError(SettingsError):
+    """A policy rate is no whole number of controller ticks, or a timestep does not divide the tick."""
+
+
+class WorkspaceError(SettingsError):
+    """A task asks for poses or speeds that the arms cannot reach."""
+
+
+class CollisionAtStartError(SettingsError):
+    """The arms are in contact, or closer than the safety gate allows, in the posture they would start from."""
+
+
+class UnreachableError(DualUR10Error, ValueError):
+    """A flange pose has no inverse kinematics solution inside the joint range."""
+
+
+class ClosedError(DualUR10Error, RuntimeError):
+    """The object was closed and cannot be used any more."""
+
+
+class ResetNeededError(DualUR10Error, RuntimeError):
+    """A step was asked for before the first reset."""
+
+
+class MissingExtraError(DualUR10Error, ImportError):
+    """An optional dependency is not installed."""
+
+    def __init__(self, package: str, extra: str, purpose: str) -> None:
+        super().__init__(f'{purpose} needs {package}: pip install "dual-ur10[{extra}]"')
+
+
+class RenderError(DualUR10Error, RuntimeError):
+    """No OpenGL backend was found for drawing."""

@@ -1,3 +1,28 @@
-"""Dual UR10 environments for learned and scripted two-arm policies, in MuJoCo and on real arms."""
+"""Dual-UR10 environments for learned and scripted policies, in MuJoCo, with the lag of real UR arms.
+
+Importing the package registers the environments with Gymnasium and loads nothing heavy:
+
+    import gymnasium as gym
+    import dual_ur10
+
+    env = gym.make("DualUR10/SineTracking-v0")
+"""
+
+from gymnasium.envs.registration import register, registry
 
 __version__ = "0.1.0"
+
+ENV_IDS = ("DualUR10/SineTracking-v0",)
+"""All registered ids. An id is a promise: what changes a result gets a new version."""
+
+for _id in ENV_IDS:
+    if _id not in registry:
+        register(
+            _id,
+            entry_point="dual_ur10.envs.dual_arm_env:DualArmEnv",
+            vector_entry_point="dual_ur10.envs.vector_env:DualArmVectorEnv",
+            kwargs={"task": _id.split("/")[1].rsplit("-", 1)[0]},
+        )
+del _id
+
+__all__ = ["ENV_IDS", "__version__"]

@@ -1,0 +1,1 @@
+"""Tasks, the simulated cell, and the environments made of both."""

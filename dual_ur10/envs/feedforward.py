@@ -1,0 +1,80 @@
+"""Feed-forward of the joint servos: the torque that the wanted motion takes, by the controller's model of the arm."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.assets.scene import GAINS, SceneSettings, build_clearance_model
+from dual_ur10.envs.payload import write_masses
+
+Array = NDArray[np.float64]
+
+STEPS_PER_EVALUATION = 20
+"""Physics steps over which inertia and velocity terms are taken as constant, evaluated in the middle."""
+
+
+class FeedForward:
+    """Turns a wanted motion into the position servos' controls.
+
+    `ctrl = q + (kv v + M(q) a + c(q, v)) / kp`, with v after the step, as MuJoCo's implicit integrator applies it.
+    Gravity is left out: the model compensates it. Inertia and velocity terms come from a batch of the nominal arm,
+    which knows of a payload only what was declared.
+
+    Args:
+        settings: The scene.
+        n: Number of cells.
+        threads: Threads to compute on.
+    """
+
+    def __init__(self, settings: SceneSettings, n: int, threads: int) -> None:
+        import mujoco
+        from mujoco.batch import Batch
+
+        model = build_clearance_model(settings)
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+        self._batch: Any = Batch(model, n, threads)
+        self._stage = int(mujoco.mjtStage.mjSTAGE_VEL)
+        self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
+        self._inertia, self._bias = self._batch.bind("M"), self._batch.bind("qfrc_bias")
+        self._entries = _dense_entries(model)
+        kp, kv = (np.tile(gains, 2) for gains in GAINS[settings.gains])
+        self._compliance, self._damping = 1.0 / kp, kv / kp
+        self.n = n
+
+    def declare_payload(self, mass_kg: Array) -> None:
+        """Tell the controller of a mass at each flange, (n, 2)."""
+        write_masses(self._batch, np.ones_like(mass_kg), mass_kg)
+
+    def __call__(self, q: Array, v: Array, a: Array) -> Array:
+        """Controls of every physics step, (n, steps, 12), from the motion wanted, (n, steps, 12) each."""
+        control = v * self._damping
+        control += q
+        for start in range(0, q.shape[1], STEPS_PER_EVALUATION):
+            part = slice(start, start + STEPS_PER_EVALUATION)
+            control[:, part] += self._torque(q[:, part], v[:, part], a[:, part]) * self._compliance
+        return control
+
+    def _torque(self, q: Array, v: Array, a: Array) -> Array:
+        middle = q.shape[1] // 2
+        self._qpos[:], self._qvel[:] = q[:, middle], v[:, middle]
+        self._batch.forward(stage=self._stage)
+        inertia = self._inertia[:, self._entries]
+        torque = np.empty(a.shape)
+        for arm, joints in enumerate((slice(0, 6), slice(6, 12))):
+            np.matmul(a[:, :, joints], inertia[:, arm], out=torque[:, :, joints])
+        torque += self._bias[:, None]
+        return torque
+
+
+def _dense_entries(model: Any) -> NDArray[np.intp]:
+    """(2, 6, 6) indices into MuJoCo's sparse inertia matrix that make each arm's dense one."""
+    entries = np.zeros((12, 12), dtype=np.intp)
+    for i in range(12):
+        start = int(model.M_rowadr[i])
+        for k in range(int(model.M_rownnz[i])):
+            j = int(model.M_colind[start + k])
+            entries[i, j] = entries[j, i] = start + k
+    return np.stack([entries[:6, :6], entries[6:, 6:]])

@@ -1,0 +1,120 @@
+"""Drawing a cell: images, and a window. OpenGL is loaded with the first picture, never before."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.assets.scene import CAMERAS
+from dual_ur10.errors import RenderError, SettingsError, UnknownNameError
+
+RENDER_MODES = ("rgb_array", "human")
+
+_MAX_PIXELS = (1920, 1080)  # the offscreen buffer of the scene
+
+_NO_GL = (
+    "no OpenGL backend was found for drawing. On Debian or Ubuntu: apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri "
+    "(or libosmesa6, with MUJOCO_GL=osmesa)"
+)
+
+
+class Renderer:
+    """Draws MuJoCo's model and data.
+
+    Args:
+        camera: One of `dual_ur10.assets.scene.CAMERAS`.
+        width, height: Size of images in pixels, at most 1920 × 1080.
+        shadows: Shadows and reflections; without a GPU they cost five to seven times the rest of a picture.
+
+    Raises:
+        UnknownNameError: No such camera.
+        SettingsError: A size is not possible.
+    """
+
+    def __init__(self, camera: str = "perspective", width: int = 640, height: int = 480, shadows: bool = False) -> None:
+        if camera not in CAMERAS:
+            raise UnknownNameError("camera", str(camera), CAMERAS)
+        for name, value, most in (("width", width, _MAX_PIXELS[0]), ("height", height, _MAX_PIXELS[1])):
+            if not (isinstance(value, int) and 1 <= value <= most):
+                raise SettingsError(f"{name} is {value!r}: it must be a whole number of pixels, 1 to {most}")
+        self.camera, self.width, self.height, self.shadows = camera, width, height, shadows
+        self._offscreen: Any = None
+        self._window: Any = None
+
+    def draw(self, mode: str, model: Any, data: Any) -> NDArray[np.uint8] | None:
+        """An image with "rgb_array"; with "human", None, and the window shows the data."""
+        if mode == "rgb_array":
+            return self.image(model, data)
+        self._show(model, data)
+        return None
+
+    def image(self, model: Any, data: Any) -> NDArray[np.uint8]:
+        """An image, (height, width, 3).
+
+        Raises:
+            RenderError: No OpenGL backend was found; the message says which package to install.
+        """
+        if self._offscreen is None:
+            self._offscreen = _offscreen(model, self.height, self.width)
+        self._offscreen.update_scene(data, camera=self.camera)
+        flags = self._offscreen.scene.flags
+        import mujoco
+
+        for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+            flags[flag] = self.shadows
+        pixels: NDArray[np.uint8] = self._offscreen.render()
+        return pixels
+
+    def _show(self, model: Any, data: Any) -> None:
+        if self._window is None:
+            if sys.platform.startswith("linux") and not _has_display():
+                raise RenderError(
+                    "render_mode='human' needs a display and found none: use 'rgb_array', or `python -m dual_ur10 view`, "
+                    "which serves a viewer to a browser on this machine"
+                )
+            import mujoco.viewer
+
+            self._window = (mujoco.viewer.launch_passive(model, data), data)
+        window, shown = self._window
+        if window.is_running():
+            with window.lock():
+                shown.qpos[:], shown.qvel[:], shown.time = data.qpos, data.qvel, data.time
+            import mujoco
+
+            mujoco.mj_forward(model, shown)
+            window.sync()
+
+    def close(self) -> None:
+        """Release window and OpenGL. May be called twice."""
+        if self._offscreen is not None:
+            self._offscreen.close()
+        if self._window is not None:
+            self._window[0].close()
+        self._offscreen = self._window = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_offscreen": None, "_window": None}
+
+
+def _offscreen(model: Any, height: int, width: int) -> Any:
+    """MuJoCo's offscreen renderer; on a Linux machine without a display by EGL, unless MUJOCO_GL says otherwise."""
+    import mujoco
+
+    try:
+        if sys.platform.startswith("linux") and not _has_display() and not os.environ.get("MUJOCO_GL"):
+            # MuJoCo chose a backend that needs a display when it was imported, before anything was to be drawn.
+            from mujoco.egl import GLContext
+            from mujoco.rendering.classic import gl_context
+
+            gl_context.GLContext = GLContext
+        return mujoco.Renderer(model, height, width)
+    except Exception as error:  # each backend fails in its own way: ImportError, AttributeError, FatalError, ...
+        raise RenderError(f"{_NO_GL}. MuJoCo said: {error}") from error
+
+
+def _has_display() -> bool:
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

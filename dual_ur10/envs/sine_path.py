@@ -1,0 +1,158 @@
+"""The reference of the sine task, and whether two arms can follow it."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from functools import lru_cache
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.assets.scene import HOME_Q_RAD, ArmMount
+from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError
+from dual_ur10.kinematics import BASE_TO_BASE_LINK, try_nearest
+from dual_ur10.rotations import quat_from_rotvec, quat_to_matrix
+from dual_ur10.sim2real.limits import MotionLimits
+from dual_ur10.ur10 import ARMS, JOINTS
+
+Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+Axis = Literal["x", "y", "z"]
+Arms = Literal["both", "left", "right"]
+
+TOOL_DOWN_QUAT: Array = quat_from_rotvec(np.array([np.pi, 0.0, 0.0]))
+"""Orientation of the flange in the arm's own `base` frame: its axis straight down."""
+
+CENTER_RANGE_M = 0.05
+"""Largest shift of the centre along each axis of the cell frame when an episode is randomised."""
+
+_SAMPLES = 25
+_ROOM = 0.9  # share of a speed limit that a reference may need: correcting an error takes the rest
+
+
+@dataclasses.dataclass(frozen=True)
+class SineSettings:
+    """What may be set of `SineTracking`. See there.
+
+    Raises:
+        SettingsError: A value is not legal.
+    """
+
+    axis: Axis | Vector = "y"
+    amplitude_m: float = 0.1
+    frequency_hz: float = 0.5
+    duration_s: float = 30.0
+    soft_start_s: float = 2.0
+    phase_rad: float = 0.0
+    center_m: tuple[Vector, Vector] = ((0.0, 0.6, 0.4), (0.0, -0.6, 0.4))
+    randomize: bool = True
+    arms: Arms = "both"
+    success_rms_m: float = 0.003
+
+    def __post_init__(self) -> None:
+        if isinstance(self.axis, str) and self.axis not in get_args(Axis):
+            raise UnknownNameError("axis", self.axis, [*get_args(Axis), "(x, y, z)"])
+        if self.arms not in get_args(Arms):
+            raise UnknownNameError("arms", str(self.arms), get_args(Arms))
+        for name, low, high in (
+            ("amplitude_m", 0.0, 1.0),
+            ("frequency_hz", 0.0, 5.0),
+            ("duration_s", 0.1, 3600.0),
+            ("soft_start_s", 0.1, 60.0),
+            ("phase_rad", -100.0, 100.0),
+            ("success_rms_m", 1e-6, 1.0),
+        ):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+                raise SettingsError(f"{name} is {value!r}: it must be a number, {low:g} to {high:g}")
+        center = np.asarray(self.center_m, dtype=np.float64)
+        if center.shape != (2, 3) or not np.isfinite(center).all():
+            raise SettingsError(f"center_m is {self.center_m!r}: it must be a position (x, y, z) for each arm")
+        left, right = (tuple(row) for row in center.tolist())
+        object.__setattr__(self, "center_m", (left, right))
+        if not isinstance(self.axis, str):
+            axis = np.asarray(self.axis, dtype=np.float64)
+            if axis.shape != (3,) or not np.isfinite(axis).all() or not np.linalg.norm(axis) > 0:
+                raise SettingsError(f"axis is {self.axis!r}: it must be 'x', 'y', 'z' or a vector (x, y, z)")
+            object.__setattr__(self, "axis", tuple((axis / np.linalg.norm(axis)).tolist()))
+
+    @property
+    def direction(self) -> Array:
+        """(3,) unit vector of the axis in the cell frame."""
+        if isinstance(self.axis, str):
+            return np.eye(3)[get_args(Axis).index(self.axis)]
+        return np.array(self.axis)
+
+    @property
+    def tracking(self) -> Array:
+        """(2,) 1 for each arm that follows the sine, 0 for one that holds its centre."""
+        return np.array([float(self.arms in ("both", arm)) for arm in ARMS])
+
+    @property
+    def peak_speed_m_s(self) -> float:
+        """Largest speed of the reference at any phase, its soft start included."""
+        time_s = np.linspace(0.0, self.soft_start_s, 200)
+        x = time_s / self.soft_start_s
+        growth, omega = x**3 * (10 - 15 * x + 6 * x * x), 2 * np.pi * self.frequency_hz
+        rate = 30 * x * x * (1 - x) ** 2 / self.soft_start_s
+        return float(self.amplitude_m * np.hypot(rate, growth * omega).max())
+
+    def displacement_m(self, time_s: Array, phase_rad: Array) -> Array:
+        """Displacement along the axis. It begins at rest and without acceleration.
+
+        Args:
+            time_s: Times since the start.
+            phase_rad: Phases, of a shape that broadcasts to that of `time_s`.
+        """
+        x = np.minimum(time_s * (1.0 / self.soft_start_s), 1.0)
+        amplitude = self.amplitude_m * (x * x * x * (10.0 + x * (6.0 * x - 15.0)))
+        result: Array = amplitude * np.sin(time_s * (2 * np.pi * self.frequency_hz) + phase_rad)
+        return result
+
+
+def to_base(mounts: tuple[ArmMount, ArmMount]) -> tuple[Array, Array]:
+    """Position, (2, 3), and rotation, (2, 3, 3), that turn cell frame vectors into each arm's own `base` frame."""
+    turns = quat_to_matrix(quat_from_rotvec(np.array([[0.0, 0.0, mount.yaw_rad] for mount in mounts])))
+    rotation = (turns @ BASE_TO_BASE_LINK).swapaxes(-1, -2)
+    return np.array([mount.position_m for mount in mounts]), rotation
+
+
+@lru_cache(maxsize=64)
+def check_path(settings: SineSettings, mounts: tuple[ArmMount, ArmMount], limits: MotionLimits) -> None:
+    """Refuse a sine that an arm cannot follow, at any centre that an episode may draw.
+
+    Raises:
+        WorkspaceError: The path leaves the workspace, or needs a joint faster than the task's limit allows.
+    """
+    shifts = list(itertools.product((-CENTER_RANGE_M, CENTER_RANGE_M), repeat=3)) if settings.randomize else [(0, 0, 0)]
+    centers = np.asarray(settings.center_m)[None] + np.array(shifts)[:, None]
+    position, rotation = to_base(mounts)
+    down = quat_to_matrix(TOOL_DOWN_QUAT)
+    speed_limit = _ROOM * np.asarray(limits.speed_rad_s)
+    for arm, mount in enumerate(mounts):
+        reach = settings.amplitude_m * settings.tracking[arm]
+        offsets = np.linspace(-reach, reach, _SAMPLES)
+        q, path = np.broadcast_to(HOME_Q_RAD[arm], (len(centers), 6)), []
+        for offset in [0.0, *offsets]:
+            world = centers[:, arm] + offset * settings.direction
+            local = (world - position[arm]) @ rotation[arm].T
+            q, reached = try_nearest(local, np.broadcast_to(down, (len(local), 3, 3)), q, mount.dh)
+            if not reached.all():
+                x, y, z = world[~reached][0]
+                raise WorkspaceError(
+                    f"the {ARMS[arm]} arm cannot reach ({x:.3f}, {y:.3f}, {z:.3f}) m with its tool down: choose a "
+                    "smaller amplitude_m, another center_m, or move the base"
+                )
+            path.append(q)
+        if reach == 0:
+            continue
+        per_metre = np.abs(np.diff(np.array(path[1:]), axis=0)).max(axis=(0, 1)) / (offsets[1] - offsets[0])
+        speed = per_metre * settings.peak_speed_m_s
+        if (speed > speed_limit).any():
+            joint = int((speed / speed_limit).argmax())
+            raise WorkspaceError(
+                f"the sine needs {speed[joint]:.3g} rad/s of {ARMS[arm]}/{JOINTS[joint]}, allowed are "
+                f"{speed_limit[joint]:.3g} rad/s: choose a smaller amplitude_m or frequency_hz, or another center_m"
+            )

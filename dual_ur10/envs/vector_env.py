@@ -1,0 +1,230 @@
+"""The vector environment: many cells in one batch, on a thread pool inside MuJoCo."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from dual_ur10.envs.core import DEFAULT_RATE_HZ, PHYSICS_ERROR, Core, Step
+from dual_ur10.envs.rendering import Renderer
+from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.sim2real.adapter import ActionMode
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Rows = NDArray[np.intp]
+
+
+class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
+    """n cells behind Gymnasium's vector interface. Row k with seed s is bit for bit the single env with seed s + k.
+
+    `gym.make_vec` forbids `vector_kwargs` and wrappers with an environment of this kind: everything is a keyword.
+
+    Args:
+        num_envs: Number of cells.
+        task: Name of the task; set by the id.
+        autoreset_mode: `gymnasium.vector.AutoresetMode` or its value: "NextStep" (default), "SameStep", "Disabled".
+        max_episode_steps: Truncate episodes after so many steps; None: only where the task ends.
+        threads: Threads to step on; None: as many as there are processors.
+        render_mode: None or "rgb_array": one image per cell.
+        cell, policy_rate_hz, action_mode, action_latency_ticks, compensate_lag, camera, width, height, shadows,
+            **settings: As for `dual_ur10.envs.dual_arm_env.DualArmEnv`.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": ["rgb_array"],
+        "render_fps": round(DEFAULT_RATE_HZ),
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int,
+        task: str,
+        *,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        threads: int | None = None,
+        render_mode: str | None = None,
+        cell: object = "mujoco",
+        policy_rate_hz: float = DEFAULT_RATE_HZ,
+        action_mode: ActionMode = "joint_delta",
+        action_latency_ticks: int = 0,
+        compensate_lag: bool = True,
+        camera: str = "perspective",
+        width: int = 640,
+        height: int = 480,
+        shadows: bool = False,
+        **settings: Any,
+    ) -> None:
+        if not (isinstance(num_envs, int) and num_envs >= 1):
+            raise SettingsError(f"num_envs is {num_envs!r}: it must be a whole number, 1 or more")
+        if max_episode_steps is not None and max_episode_steps < 1:
+            raise SettingsError(f"max_episode_steps is {max_episode_steps!r}: it must be 1 or more, or None")
+        if render_mode not in (None, "rgb_array"):
+            raise UnknownNameError("render mode of a vector env", str(render_mode), ["rgb_array", "None"])
+        values = [mode.value for mode in AutoresetMode]
+        if not isinstance(autoreset_mode, AutoresetMode) and autoreset_mode not in values:
+            raise UnknownNameError("autoreset mode", str(autoreset_mode), values)
+        self.num_envs, self.render_mode = num_envs, render_mode
+        self.autoreset_mode, self._max_steps = AutoresetMode(autoreset_mode), max_episode_steps
+        self._renderer = Renderer(camera, width, height, shadows)
+        self.core = Core(
+            task,
+            settings,
+            n=num_envs,
+            threads=threads,
+            cell=cell,
+            policy_rate_hz=policy_rate_hz,
+            action_mode=action_mode,
+            action_latency_ticks=action_latency_ticks,
+            compensate_lag=compensate_lag,
+        )
+        self.single_action_space, self.single_observation_space = self.core.action_space, self.core.observation_space
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.metadata = {  # type: ignore[misc]
+            **type(self).metadata,
+            "render_fps": round(1 / self.core.timing.period_s),
+            "autoreset_mode": self.autoreset_mode,
+        }
+        self._rngs: list[np.random.Generator] = []
+        self._steps = np.zeros(num_envs, dtype=np.int64)
+        self._done = np.zeros(num_envs, dtype=bool)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Array, dict[str, Any]]:
+        """Begin new episodes.
+
+        Args:
+            seed: As for `gymnasium.vector.SyncVectorEnv`: s gives row k the seed s + k; or one per row.
+            options: `{"reset_mask": mask}` resets only the rows of a boolean mask, (num_envs,).
+        """
+        seeds: list[int | None] = [None] * self.num_envs
+        if seed is not None:
+            seeds = [seed + k for k in range(self.num_envs)] if isinstance(seed, int) else list(seed)
+        if len(seeds) != self.num_envs:
+            raise SettingsError(f"{len(seeds)} seeds for {self.num_envs} environments: pass one per row, or one number")
+        rows = self._masked_rows(dict(options or {}))
+        if not self._rngs:
+            self._rngs = [seeding.np_random(each)[0] for each in seeds]
+        else:
+            for row in rows.tolist():
+                if seeds[row] is not None:
+                    self._rngs[row] = seeding.np_random(seeds[row])[0]
+        observation, info = self._begin(rows)
+        mask = np.zeros(self.num_envs, dtype=bool)
+        mask[rows] = True
+        return observation, _masked(info, mask)
+
+    def _masked_rows(self, options: dict[str, Any]) -> Rows:
+        mask = options.pop("reset_mask", None)
+        if options:
+            raise UnknownNameError("reset option", str(next(iter(options))), ["reset_mask"])
+        if mask is None:
+            return np.arange(self.num_envs)
+        if not (isinstance(mask, np.ndarray) and mask.dtype == bool and mask.shape == (self.num_envs,) and mask.any()):
+            raise SettingsError(
+                f"reset_mask must be a boolean array of shape ({self.num_envs},) with at least one True, found {mask!r}"
+            )
+        return np.flatnonzero(mask)
+
+    def _begin(self, rows: Rows) -> tuple[Array, dict[str, Array]]:
+        self._steps[rows] = 0
+        self._done[rows] = False
+        return self.core.reset([self._rngs[row] for row in rows.tolist()], rows)
+
+    def step(self, actions: Array) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
+        """One control period of all cells; see `gymnasium.vector.VectorEnv.step`.
+
+        Raises:
+            ActionError: The actions are malformed. Nothing has moved.
+            SettingsError: With "Disabled", a row that ended was not reset.
+        """
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():
+            ended = np.flatnonzero(self._done).tolist()
+            raise SettingsError(f"rows {ended} have ended: reset them with options={{'reset_mask': ...}} first")
+        step = self.core.step(actions)
+        self._steps += 1
+        observation, reward, terminated, truncated = step.observation, step.reward, step.terminated, step.truncated
+        if self._max_steps is not None:
+            truncated = truncated | (self._steps >= self._max_steps)
+        info = self._info(step)
+        if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._done.any():
+            fresh = self._done.copy()
+            observation, begun = self._begin(np.flatnonzero(fresh))
+            reward[fresh], terminated[fresh], truncated[fresh] = 0.0, False, False
+            info = _restarted(info, fresh, begun)
+        self._done = terminated | truncated
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
+            ended = self._done.copy()
+            final = np.full(self.num_envs, None, dtype=object)
+            for row in np.flatnonzero(ended).tolist():
+                final[row] = observation[row].copy()
+            final_info = {name: value & ended if name.startswith("_") else value for name, value in info.items()}
+            observation, begun = self._begin(np.flatnonzero(ended))
+            info = _restarted(info, ended, begun)
+            info.update({"final_obs": final, "_final_obs": ended, "final_info": final_info, "_final_info": ended})
+            self._done = np.zeros(self.num_envs, dtype=bool)
+        return observation, reward, terminated, truncated, info
+
+    def _info(self, step: Step) -> dict[str, Any]:
+        everyone = np.ones(self.num_envs, dtype=bool)
+        info = _masked(step.info, everyone)
+        for name, rows, values in (
+            ("safety", sorted(step.verdicts), step.verdicts),
+            ("physics_error", np.flatnonzero(step.diverged).tolist(), None),
+        ):
+            if rows:
+                column, mask = np.full(self.num_envs, None, dtype=object), np.zeros(self.num_envs, dtype=bool)
+                for row in rows:
+                    column[row] = values[row] if values else PHYSICS_ERROR
+                    mask[row] = True
+                info.update({name: column, "_" + name: mask})
+        return info
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
+        """One image per cell, (height, width, 3) each, or None without a render mode.
+
+        Raises:
+            RenderError: No OpenGL backend was found.
+        """
+        if self.render_mode is None:
+            return None
+        return tuple(self._renderer.image(*self.core.cell_data(row)) for row in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Release simulation and images."""
+        self._renderer.close()
+        self.core.close()
+
+
+def _masked(info: dict[str, Array], mask: Mask) -> dict[str, Any]:
+    """Gymnasium's form of a vector env's info: each array with a mask of the rows that it is for."""
+    result: dict[str, Any] = {}
+    for name, value in info.items():
+        result[name], result["_" + name] = value, mask
+    return result
+
+
+def _restarted(info: dict[str, Any], rows: Mask, begun: dict[str, Array]) -> dict[str, Any]:
+    """`info` with that of a reset in the masked rows."""
+    result = dict(info)
+    for name in info:
+        if name.startswith("_"):
+            continue
+        if name in begun:
+            result[name] = begun[name]
+        else:
+            result["_" + name] = info["_" + name] & ~rows
+    return result

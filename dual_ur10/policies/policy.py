@@ -1,0 +1,24 @@
+"""What a policy is."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """Turns observations into actions. It sees arrays of the observation space and nothing else.
+
+    It cannot know which kind of cell it moves. A policy may keep what it has seen since `reset`.
+    """
+
+    def reset(self) -> None:
+        """Forget everything: an episode begins."""
+
+    def __call__(self, observation: Array) -> Array:
+        """The action for an observation, or one for each row of a batch of observations."""

@@ -1,0 +1,118 @@
+"""Scripted policy for SineTracking."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.envs.sine_tracking import SineTracking
+from dual_ur10.envs.task import Timing
+from dual_ur10.errors import ActionError, SettingsError
+from dual_ur10.kinematics import nearest
+from dual_ur10.policies.lag_model import DeviationModel
+from dual_ur10.rotations import quat_multiply, quat_to_matrix
+from dual_ur10.ur10 import NOMINAL_DH, DHParameters
+
+Array = NDArray[np.float64]
+
+# Where the parts of one arm's 34 numbers are; see the table of `SineTracking`.
+_Q, _COMMANDED, _FLANGE_QUAT = slice(0, 6), slice(12, 18), slice(21, 25)
+_REFERENCE, _AHEAD, _TURN = slice(25, 28), slice(28, 31), slice(31, 34)
+_SIZE = 34
+
+
+class SineTrackingPolicy:
+    """Inverse kinematics of the reference at the end of the next motion, less what the arm is expected to deviate.
+
+    Args:
+        timing: Rate and latency of actions.
+        action_mode: "joint_delta" or "joint_position".
+        dh: Kinematics of the arms.
+        learn: Whether to learn the deviation while moving. Without it the policy commands the reference as it is.
+    """
+
+    def __init__(
+        self,
+        timing: Timing,
+        action_mode: str = "joint_delta",
+        dh: Sequence[DHParameters] = (NOMINAL_DH, NOMINAL_DH),
+        *,
+        learn: bool = True,
+    ) -> None:
+        if action_mode not in ("joint_delta", "joint_position"):
+            raise SettingsError(f"the scripted policy commands joints: action_mode {action_mode!r} is not for it")
+        self.timing, self.action_mode, self.dh, self.learn = timing, action_mode, tuple(dh), learn
+        self._step = np.tile(SineTracking.limits.speed_rad_s, 2) * timing.period_s
+        # Derivatives of the parabola through the wanted positions one period ago, now and ahead, at the latter two.
+        h, ahead = timing.period_s, timing.ahead_s
+        times = np.array([-h, 0.0, ahead])
+        fit = np.linalg.inv(np.vander(times, 3, increasing=True))
+        self._speeds = np.array([fit[1], fit[1] + 2 * ahead * fit[2]])
+        self._acceleration = 2 * fit[2]
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was learned: an episode begins."""
+        self._model: DeviationModel | None = None
+        self._before: Array | None = None
+        self._expected: Array | None = None
+        self._added: list[Array] = []
+
+    def __call__(self, observation: Array) -> Array:
+        """Action, (12,), for an observation, (68,), or (n, 12) for (n, 68).
+
+        Raises:
+            ActionError: Not an observation of SineTracking.
+            UnreachableError: The reference cannot be reached.
+        """
+        observation = np.asarray(observation, dtype=np.float64)
+        if observation.shape[-1:] != (2 * _SIZE,) or observation.ndim > 2:
+            raise ActionError(f"an observation of SineTracking has shape (68,) or (n, 68), found {observation.shape}")
+        arms = observation.reshape(-1, 2, _SIZE)
+        n = len(arms)
+        commanded = arms[..., _COMMANDED].reshape(n, 12)
+        now, ahead = self._wanted(arms)
+        before = (
+            now - (ahead - now) * (self.timing.period_s / self.timing.ahead_s) if self._before is None else self._before
+        )
+        self._before = now
+        points = np.stack([before, now, ahead])
+        speed_now, speed_ahead = np.tensordot(self._speeds, points, axes=1)
+        acceleration = np.tensordot(self._acceleration, points, axes=1)
+        goal = ahead
+        if self.learn:
+            if self._model is None or self._expected is None:
+                self._model, self._expected = DeviationModel((n, 12)), commanded
+            # What the last motion ended with beyond what was wanted there: a limit may have kept it from the rest.
+            self._added.append(commanded - self._expected)
+            measured = arms[..., _Q].reshape(n, 12)
+            self._model.learn(speed_now, acceleration, measured - now - self._in_force())
+            self._expected = ahead
+            goal = ahead - self._model.predict(speed_ahead, acceleration)
+        action = goal if self.action_mode == "joint_position" else (goal - commanded) / self._step
+        return action.reshape(*observation.shape[:-1], 12)
+
+    def _in_force(self) -> Array:
+        """What was added to the command that is in force now, which the action latency has held back since."""
+        back = self.timing.ahead_s / self.timing.period_s - 1.0
+        whole = int(back + 1e-9)
+        part = back - whole
+        del self._added[: -(whole + 2)]
+        history = [self._added[0]] * (whole + 2) + self._added
+        return history[-1 - whole] * (1.0 - part) + history[-2 - whole] * part
+
+    def _wanted(self, arms: Array) -> tuple[Array, Array]:
+        """Joint positions, (n, 12) each, that put the flanges on the reference now and ahead."""
+        turn = arms[..., _TURN]
+        half = turn / 2
+        scalar = np.sqrt(np.maximum(1.0 - (half * half).sum(axis=-1, keepdims=True), 0.0))
+        reference = quat_to_matrix(quat_multiply(np.concatenate([scalar, half], axis=-1), arms[..., _FLANGE_QUAT]))
+        wanted = np.empty((2, len(arms), 2, 6))
+        for arm, dh in enumerate(self.dh):
+            for k, position in enumerate((_REFERENCE, _AHEAD)):
+                near = arms[:, arm, _COMMANDED]
+                wanted[k, :, arm] = nearest(arms[:, arm, position], reference[:, arm], near, dh)
+        now, ahead = wanted.reshape(2, len(arms), 12)
+        return now, ahead

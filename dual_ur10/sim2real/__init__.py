@@ -1,0 +1,1 @@
+"""From an action to the motion of two arms: cell, servoj adapter, safety gate."""

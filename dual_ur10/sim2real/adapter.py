@@ -1,0 +1,263 @@
+"""From an action to the servoj targets of one control period.
+
+    interpolate (C²)  ->  compensate the lag  ->  limit
+
+The first two are linear in the values that an arm's motion is made of, and so are the limits: a period of all cells is
+one matrix product as long as no limit binds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.errors import UnknownNameError
+from dual_ur10.kinematics import flange_pose, try_nearest
+from dual_ur10.rotations import quat_from_rotvec, quat_to_matrix
+from dual_ur10.sim2real import path
+from dual_ur10.sim2real.limiter import Limiter
+from dual_ur10.sim2real.limits import HISTORY, Envelope, MotionLimits
+from dual_ur10.sim2real.servoj import ServojLaw, ServojProfile
+from dual_ur10.ur10 import NOMINAL_DH, DHParameters
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+ActionMode = Literal["joint_delta", "joint_position", "tcp_delta"]
+
+JOINT_MARGIN_RAD = 0.01
+"""The adapter brakes this far inside the range that the gate enforces."""
+
+GRIPPER_OPENING_M = 0.085
+"""Full opening of the gripper, Robotiq 2F-85 data sheet."""
+
+TCP_STEP_M_S = 0.25
+"""Speed of the flange at action 1 of `tcp_delta`: the reduced speed of ISO 10218-1."""
+
+TCP_TURN_RAD_S = 0.5
+"""Turning speed of the flange at action 1 of `tcp_delta`: the first speed that is safe to try on a real arm."""
+
+_GOAL_MARGIN_RAD = 1e-3  # goals stay this far inside the range that the limiter enforces
+
+# Rows of the adapter's state, (n, rows, 12): the last three targets, then what a path is made of.
+_GOALS = slice(HISTORY + path.GOALS.start, HISTORY + path.GOALS.stop)
+_GOAL, _NOW, _SPEED, _ACCELERATION = (
+    HISTORY + row for row in (path.GOAL, path.POSITION, path.SPEED, path.ACCELERATION)
+)
+_PATH = slice(HISTORY + path.STATE.start, HISTORY + path.STATE.stop)
+
+
+class Command(NamedTuple):
+    """What one control period sends to the arms.
+
+    Attributes:
+        targets_rad: (n, ticks, 2, 6) servoj targets.
+        gripper_m: (n, 2) opening of each gripper, or None where there is none.
+    """
+
+    targets_rad: Array
+    gripper_m: Array | None = None
+
+
+class ServojAdapter:
+    """Turns one action per cell into the servoj targets of one control period.
+
+    The adapter goes on from its own last command, never from measured joints: the same actions give the same targets
+    in simulation and on a robot. It has no clock and does no I/O.
+
+    Args:
+        profile: The controllers' family and servoj settings; their lag is what is compensated.
+        limits: Limits of motion; the joint range is narrowed by `JOINT_MARGIN_RAD`.
+        ticks: Controller ticks per action.
+        n: Number of cells.
+        mode: Meaning of an action's six numbers per arm. "joint_delta": steps of the six joints from the last
+            command, in shares of the speed limit times the period, -1 to 1. "joint_position": six positions, rad.
+            "tcp_delta": step and turn (rotation vector) of the flange from its last command, along the axes of the
+            cell frame, in shares of 0.25 m/s and 0.5 rad/s; a step out of reach leaves that arm where it is.
+        gripper: Whether an action has a seventh number per arm, the gripper's opening: -1 closed, 1 open.
+        compensate_lag: Send targets ahead by the law's inverse, so that the arms do not lag.
+        latency_ticks: Ticks by which the targets are held back afterwards. A gate behind that sees other periods than
+            the adapter makes, and wants to be able to stop at the end of its own.
+        dh: The arms' kinematics, for "tcp_delta".
+        yaw_rad: Turn of each base about the vertical, for "tcp_delta".
+    """
+
+    def __init__(
+        self,
+        profile: ServojProfile,
+        limits: MotionLimits,
+        ticks: int,
+        *,
+        n: int = 1,
+        mode: ActionMode = "joint_delta",
+        gripper: bool = False,
+        compensate_lag: bool = True,
+        latency_ticks: int = 0,
+        dh: Sequence[DHParameters] = (NOMINAL_DH, NOMINAL_DH),
+        yaw_rad: Sequence[float] = (0.0, 0.0),
+    ) -> None:
+        goals: dict[str, Callable[[Array], Array]] = {
+            "joint_delta": self._joint_delta,
+            "joint_position": self._joint_position,
+            "tcp_delta": self._tcp_delta,
+        }
+        if mode not in goals:
+            raise UnknownNameError("action mode", str(mode), get_args(ActionMode))
+        self.profile, self.limits, self.ticks, self.n = profile, limits.narrowed(JOINT_MARGIN_RAD), ticks, n
+        self.mode, self.gripper, self.compensate_lag, self.dh = mode, gripper, compensate_lag, tuple(dh)
+        self.period_s = ticks * profile.tick_s
+        stops = (ticks - latency_ticks % ticks, ticks)
+        self.envelope = Envelope(self.limits, profile.tick_s, ticks, stops)
+        self._limiter = Limiter(self.envelope)
+        self._goal = goals[mode]
+        # Towards a joint's limit an action may go a share of the way that is left: an approach that the brake can
+        # always follow, so that one joint at its limit does not hold the other eleven.
+        self._approach = min(0.3, self.envelope.brake_rate * self.period_s / 10)
+        self._lower = self._approach * (np.tile(self.limits.lower_rad, 2) + _GOAL_MARGIN_RAD)
+        self._upper = self._approach * (np.tile(self.limits.upper_rad, 2) - _GOAL_MARGIN_RAD)
+        self._joint_step = np.tile(self.limits.speed_rad_s, 2) * self.period_s
+        # Turns vectors of the cell frame into each arm's `base`, which is half a turn from base_link.
+        turns = np.array([[0.0, 0.0, -np.pi - yaw] for yaw in yaw_rad])
+        self._to_base = quat_to_matrix(quat_from_rotvec(turns))
+        self._plans = [self._plan(meeting) for meeting in path.MEETINGS]
+        self._resume = self._resume_matrix()
+        self._state: Array = np.zeros((n, HISTORY + path.VALUES, 12))
+
+    def _plan(self, meeting: path.Meeting) -> Array:
+        """A period as a matrix on the state: targets, where the path then is, and the limited quantities."""
+        profile, ticks, tick_s = self.profile, self.ticks, self.profile.tick_s
+        # Held for a tick, a target acts half a tick late on average: it is taken half a tick ahead.
+        lead_s = tick_s / 2 if self.compensate_lag else 0.0
+        rows = path.path(self.period_s, np.arange(ticks) * tick_s + lead_s, meeting)
+        targets = rows.position
+        if self.compensate_lag:
+            targets = targets + profile.lookahead_s * rows.speed + rows.acceleration / profile.gain
+        window = np.zeros((HISTORY + ticks, HISTORY + path.VALUES))
+        window[:HISTORY, :HISTORY] = np.eye(HISTORY)
+        window[HISTORY:, HISTORY:] = targets
+        end = np.zeros((4, HISTORY + path.VALUES))
+        end[:, HISTORY:] = rows.end
+        return np.vstack([window[HISTORY:], end, self.envelope.rows @ window])
+
+    def _resume_matrix(self) -> Array:
+        """Where the path is after a limited period: (4, ...) on the window of targets, and position and speed before.
+
+        With compensation that is where the law leads the arm, without it where the targets are. Acceleration and jerk
+        are those with which the next targets continue the last ones.
+        """
+        profile, ticks, tick_s = self.profile, self.ticks, self.profile.tick_s
+        width = HISTORY + ticks
+        reached = np.zeros((4, width + 2))
+        if self.compensate_lag:
+            response = ServojLaw(profile.lookahead_s, profile.gain).response(tick_s, ticks, 1)[-1]
+            reached[:2, HISTORY:width], reached[:2, width:] = response[:, 2:], response[:, :2]
+            # The last target was taken half a tick before the end of its tick: go on from it by a parabola.
+            last = slice(width - 3, width)
+            reached[2, last] = np.array([3.0, -10.0, 15.0]) * (profile.gain / 8)
+            reached[2] -= profile.gain * (reached[0] + profile.lookahead_s * reached[1])
+            reached[3, last] = np.array([1.0, -3.0, 2.0]) * (profile.gain / tick_s)
+            reached[3] -= profile.gain * (reached[1] + profile.lookahead_s * reached[2])
+        else:
+            reached[0, width - 1] = 1.0
+            reached[1, width - 2 : width] = np.array([-1.0, 1.0]) / tick_s
+            reached[2, width - 3 : width] = np.array([1.0, -2.0, 1.0]) / tick_s**2
+        return reached
+
+    @property
+    def action_size(self) -> int:
+        """Numbers of an action per arm."""
+        return 7 if self.gripper else 6
+
+    @property
+    def action_bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest action, (2, action_size) each."""
+        low, high = np.full((2, self.action_size), -1.0), np.full((2, self.action_size), 1.0)
+        if self.mode == "joint_position":
+            low[:, :6], high[:, :6] = self.limits.lower_rad, self.limits.upper_rad
+        return low, high
+
+    @property
+    def commanded_q_rad(self) -> Array:
+        """(n, 2, 6) joint positions that the motion commanded so far leads to: where the next action starts from."""
+        return self._state[:, _NOW].reshape(self.n, 2, 6)
+
+    def reset(self, q_rad: Array, rows: Rows | None = None) -> None:
+        """Start from rest at `q_rad`, (n, 2, 6), in all cells or in `rows` of them (then (len(rows), 2, 6))."""
+        index = slice(None) if rows is None else rows
+        self._state[index] = np.asarray(q_rad).reshape(-1, 1, 12)
+        self._state[index, _SPEED:] = 0.0
+
+    def __call__(self, action: Array) -> Command:
+        """Targets of the next period.
+
+        Args:
+            action: (n, 2, action_size), finite. Values outside the bounds are clipped to them.
+        """
+        state, ticks = self._state, self.ticks
+        state[:, _GOAL] = self._goal(action[..., :6] if self.gripper else action)
+        plan = self._plans[0] @ state
+        targets = plan[:, :ticks]
+        use = self.envelope.signed_use(plan[:, ticks + 4 :])
+        legal = self._limiter.is_legal(use, state[:, :HISTORY], targets)
+        if not legal.all():
+            rows = np.flatnonzero(~legal)
+            plan[rows, : ticks + 4] = self._limited(state[rows])
+        state[:, _GOALS.start : _GOAL] = state[:, _GOALS.start + 1 : _GOAL + 1]
+        state[:, _PATH] = plan[:, ticks : ticks + 4]
+        keep = max(HISTORY - ticks, 0)
+        state[:, :keep] = state[:, ticks : ticks + keep]
+        state[:, keep:HISTORY] = targets[:, -HISTORY:]
+        return Command(targets.reshape(self.n, ticks, 2, 6), self._opening(action))
+
+    def _limited(self, state: Array) -> Array:
+        """Targets of a period and where the path then is, (rows, ticks + 4, 12), for cells whose plan is not legal."""
+        ticks, past = self.ticks, state[:, :HISTORY]
+        result = np.empty((len(state), ticks + 4, 12))
+        left = np.arange(len(state))
+        for later in self._plans[1:]:
+            plan = later @ state[left]
+            targets = plan[:, :ticks]
+            use = self.envelope.signed_use(plan[:, ticks + 4 :])
+            legal = self._limiter.is_legal(use, past[left], targets)
+            result[left[legal]] = plan[legal, : ticks + 4]
+            left, use, targets = left[~legal], use[~legal], targets[~legal]
+            if not left.size:
+                return result
+        limited = self._limiter.limit(use, past[left], targets)
+        window = np.concatenate([past[left], limited, state[left, _NOW : _SPEED + 1]], axis=1)
+        result[left] = np.concatenate([limited, self._resume @ window], axis=1)
+        return result
+
+    def _joint_delta(self, action: Array) -> Array:
+        step = np.minimum(np.maximum(action.reshape(self.n, 12), -1.0), 1.0)
+        return self._inside(self._state[:, _NOW] + step * self._joint_step)
+
+    def _joint_position(self, action: Array) -> Array:
+        return self._inside(action.reshape(self.n, 12))
+
+    def _inside(self, goal: Array) -> Array:
+        now = (1.0 - self._approach) * self._state[:, _NOW]
+        return np.minimum(np.maximum(goal, now + self._lower), now + self._upper)
+
+    def _tcp_delta(self, action: Array) -> Array:
+        now = self.commanded_q_rad
+        share = np.clip(action, -1.0, 1.0)
+        goal = now.copy()
+        for arm, dh in enumerate(self.dh):
+            position, rotation = flange_pose(now[:, arm], dh)
+            step = share[:, arm, :3] * (TCP_STEP_M_S * self.period_s) @ self._to_base[arm].T
+            turn = share[:, arm, 3:] * (TCP_TURN_RAD_S * self.period_s) @ self._to_base[arm].T
+            wanted = quat_to_matrix(quat_from_rotvec(turn)) @ rotation
+            q, reached = try_nearest(position + step, wanted, now[:, arm], dh)
+            goal[reached, arm] = q[reached]
+        return self._inside(goal.reshape(self.n, 12))
+
+    def _opening(self, action: Array) -> Array | None:
+        """Opening of each gripper, (n, 2), in m."""
+        if not self.gripper:
+            return None
+        opening: Array = (np.clip(action[..., 6], -1.0, 1.0) + 1.0) * (GRIPPER_OPENING_M / 2)
+        return opening

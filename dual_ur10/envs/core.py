@@ -49,7 +49,7 @@ class Step(NamedTuple):
     reward: Array
     terminated: Mask
     truncated: Mask
-    info: dict[str, Array]
+    info: dict[str, NDArray[Any]]
     verdicts: dict[int, Verdict]
     diverged: Mask
 
@@ -138,7 +138,7 @@ class Core:
         """Rate and latency of actions."""
         return self.task.timing
 
-    def reset(self, rngs: Sequence[np.random.Generator], rows: Rows | None = None) -> tuple[Array, dict[str, Array]]:
+    def reset(self, rngs: Sequence[np.random.Generator], rows: Rows | None = None) -> tuple[Array, dict[str, NDArray[Any]]]:
         """Begin new episodes.
 
         Args:
@@ -177,9 +177,12 @@ class Core:
         measured = self.task.measure(state)
         outcome = self.task.evaluate(state, measured)
         weights, terms = self.task.weights, outcome.terms
-        reward = sum(weights[name] * term for name, term in terms.items())
+        reward: Array = np.zeros(self.n)
+        for name, term in terms.items():
+            reward += weights[name] * term
         terminated = state.failed.copy()
-        terminated[list(verdicts)] = True
+        if verdicts:
+            terminated[list(verdicts)] = True
         info = self._measurements(state)
         info.update(outcome.info)
         info["is_success"] = outcome.success & ~terminated
@@ -188,7 +191,7 @@ class Core:
         observation = self.task.observe(state, measured, self.pipeline.adapter.commanded_q_rad)
         return Step(observation, reward, terminated, outcome.over, info, verdicts, state.failed)
 
-    def _measurements(self, state: CellState) -> dict[str, Array]:
+    def _measurements(self, state: CellState) -> dict[str, NDArray[Any]]:
         return {"q_rad": state.q_rad.copy(), "flange_m": state.flange_m.copy()}
 
     def cell_data(self, row: int) -> tuple[Any, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -38,7 +38,10 @@ class DualArmEnv(gym.Env[Array, Array]):
     `dual_ur10.sim2real.gate.Verdict`) or `physics_error` (a message).
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": round(DEFAULT_RATE_HZ)}
+    metadata: dict[str, Any] = {  # noqa: RUF012  # as Gymnasium declares it
+        "render_modes": list(RENDER_MODES),
+        "render_fps": round(DEFAULT_RATE_HZ),
+    }
 
     def __init__(
         self,
@@ -69,9 +72,10 @@ class DualArmEnv(gym.Env[Array, Array]):
             action_latency_ticks=action_latency_ticks,
             compensate_lag=compensate_lag,
         )
-        self.action_space, self.observation_space = self.core.action_space, self.core.observation_space
+        self.action_space: Any = self.core.action_space
+        self.observation_space: Any = self.core.observation_space
         # A class attribute in Gymnasium; an environment with another rate gets its own.
-        self.metadata = {**type(self).metadata, "render_fps": round(1 / self.core.timing.period_s)}  # type: ignore[misc]
+        self.metadata = {**type(self).metadata, "render_fps": round(1 / self.core.timing.period_s)}
 
     @property
     def task(self) -> Any:
@@ -105,7 +109,7 @@ class DualArmEnv(gym.Env[Array, Array]):
             self.render()
         return step.observation[0], float(step.reward[0]), bool(step.terminated[0]), bool(step.truncated[0]), info
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """An image, (height, width, 3), with "rgb_array"; None with "human", which shows a window.
 
         Raises:

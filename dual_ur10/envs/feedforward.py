@@ -42,6 +42,8 @@ class FeedForward:
         self._entries = _dense_entries(model)
         kp, kv = (np.tile(gains, 2) for gains in GAINS[settings.gains])
         self._compliance, self._damping = 1.0 / kp, kv / kp
+        # One factor per torque, which is a column where accelerations stand on the left.
+        self._compliance_of_inertia = self._compliance.reshape(2, 1, 6)
         self.n = n
 
     def declare_payload(self, mass_kg: Array) -> None:
@@ -50,23 +52,25 @@ class FeedForward:
 
     def __call__(self, q: Array, v: Array, a: Array) -> Array:
         """Controls of every physics step, (n, steps, 12), from the motion wanted, (n, steps, 12) each."""
-        control = v * self._damping
+        control: Array = v * self._damping
         control += q
         for start in range(0, q.shape[1], STEPS_PER_EVALUATION):
             part = slice(start, start + STEPS_PER_EVALUATION)
-            control[:, part] += self._torque(q[:, part], v[:, part], a[:, part]) * self._compliance
+            control[:, part] += self._shift(q[:, part], v[:, part], a[:, part])
         return control
 
-    def _torque(self, q: Array, v: Array, a: Array) -> Array:
+    def _shift(self, q: Array, v: Array, a: Array) -> Array:
+        """By how much the controls must lead for the servos to give the torque of this motion, (n, steps, 12)."""
         middle = q.shape[1] // 2
         self._qpos[:], self._qvel[:] = q[:, middle], v[:, middle]
         self._batch.forward(stage=self._stage)
-        inertia = self._inertia[:, self._entries]
-        torque = np.empty(a.shape)
+        per_acceleration = self._inertia[:, self._entries]
+        per_acceleration *= self._compliance_of_inertia
+        shift: Array = np.empty(a.shape)
         for arm, joints in enumerate((slice(0, 6), slice(6, 12))):
-            np.matmul(a[:, :, joints], inertia[:, arm], out=torque[:, :, joints])
-        torque += self._bias[:, None]
-        return torque
+            np.matmul(a[:, :, joints], per_acceleration[:, arm], out=shift[:, :, joints])
+        shift += (self._bias * self._compliance)[:, None]
+        return shift
 
 
 def _dense_entries(model: Any) -> NDArray[np.intp]:

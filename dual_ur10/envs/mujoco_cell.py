@@ -20,6 +20,9 @@ from dual_ur10.sim2real.cell import CellConfig, CellState, Perturbation
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
+# What belongs to MuJoCo: built anew by unpickling, dropped by close.
+_LIVE = ("_batch", "_qpos", "_qvel", "_flange", "_feedforward", "_drawn")
+
 _ARM = slice(0, 12)  # joints of both arms come first in the model, which `assets.scene` checks
 
 
@@ -122,7 +125,7 @@ class MujocoCell:
     def _state(self) -> CellState:
         base_m, base_quat, flange_m = self._flange
         return CellState(
-            time_s=self._elapsed * self.config.servoj.tick_s,
+            time_s=np.multiply(self._elapsed, self.config.servoj.tick_s, dtype=np.float64),
             q_rad=self._qpos[:, _ARM].reshape(self.n, 2, 6),
             qd_rad_s=self._qvel[:, _ARM].reshape(self.n, 2, 6),
             flange_base_m=base_m,
@@ -132,7 +135,7 @@ class MujocoCell:
         )
 
     def model_and_data(self, row: int) -> tuple[Any, Any]:
-        """MuJoCo's model and data of one cell, ready to be drawn. The same objects at every call, brought up to date."""
+        """MuJoCo's model and data of one cell, to be drawn: the same objects at every call, brought up to date."""
         import mujoco
 
         self._check_open()
@@ -148,7 +151,8 @@ class MujocoCell:
     def close(self) -> None:
         """Release the simulation. May be called twice."""
         self._closed = True
-        self._batch = self._feedforward = self._qpos = self._qvel = self._flange = None
+        for name in _LIVE:
+            setattr(self, name, None)
 
     def _check_open(self) -> None:
         if self._closed:
@@ -156,8 +160,8 @@ class MujocoCell:
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()
-        for key in ("_batch", "_qpos", "_qvel", "_flange", "_feedforward", "_drawn"):
-            del state[key]
+        for name in _LIVE:
+            del state[name]
         state["integration"] = None if self._closed else self._batch.state.copy()
         return state
 
@@ -168,8 +172,6 @@ class MujocoCell:
             self.close()
             return
         self._build()
-        matrices = self._reference
         self.perturb(self.perturbation)
-        self._reference = matrices
         self._batch.state[:] = integration
         self._batch.forward(stage=self._stage)

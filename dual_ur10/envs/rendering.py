@@ -1,15 +1,15 @@
-"""Drawing a cell: images, and a window. OpenGL is loaded with the first picture, never before."""
+"""Drawing a cell: images, and a viewer. OpenGL is loaded with the first picture, never before."""
 
 from __future__ import annotations
 
 import os
-import sys
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.scene import CAMERAS
+from dual_ur10.envs.viewer import Viewer, has_display
 from dual_ur10.errors import RenderError, SettingsError, UnknownNameError
 
 RENDER_MODES = ("rgb_array", "human")
@@ -42,14 +42,14 @@ class Renderer:
             if not (isinstance(value, int) and 1 <= value <= most):
                 raise SettingsError(f"{name} is {value!r}: it must be a whole number of pixels, 1 to {most}")
         self.camera, self.width, self.height, self.shadows = camera, width, height, shadows
+        self.viewer = Viewer()
         self._offscreen: Any = None
-        self._window: Any = None
 
     def draw(self, mode: str, model: Any, data: Any) -> NDArray[np.uint8] | None:
-        """An image with "rgb_array"; with "human", None, and the window shows the data."""
+        """An image with "rgb_array"; with "human", None, and the viewer shows the data."""
         if mode == "rgb_array":
             return self.image(model, data)
-        self._show(model, data)
+        self.viewer.show(model, data)
         return None
 
     def image(self, model: Any, data: Any) -> NDArray[np.uint8]:
@@ -69,35 +69,15 @@ class Renderer:
         pixels: NDArray[np.uint8] = self._offscreen.render()
         return pixels
 
-    def _show(self, model: Any, data: Any) -> None:
-        if self._window is None:
-            if sys.platform.startswith("linux") and not _has_display():
-                raise RenderError(
-                    "render_mode='human' needs a display and found none: use 'rgb_array', or `python -m dual_ur10 view`, "
-                    "which serves a viewer to a browser on this machine"
-                )
-            import mujoco.viewer
-
-            self._window = (mujoco.viewer.launch_passive(model, data), data)
-        window, shown = self._window
-        if window.is_running():
-            with window.lock():
-                shown.qpos[:], shown.qvel[:], shown.time = data.qpos, data.qvel, data.time
-            import mujoco
-
-            mujoco.mj_forward(model, shown)
-            window.sync()
-
     def close(self) -> None:
-        """Release window and OpenGL. May be called twice."""
+        """Release viewer and OpenGL. May be called twice."""
         if self._offscreen is not None:
             self._offscreen.close()
-        if self._window is not None:
-            self._window[0].close()
-        self._offscreen = self._window = None
+        self._offscreen = None
+        self.viewer.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_offscreen": None, "_window": None}
+        return {**self.__dict__, "_offscreen": None, "viewer": Viewer()}
 
 
 def _offscreen(model: Any, height: int, width: int) -> Any:
@@ -105,7 +85,7 @@ def _offscreen(model: Any, height: int, width: int) -> Any:
     import mujoco
 
     try:
-        if sys.platform.startswith("linux") and not _has_display() and not os.environ.get("MUJOCO_GL"):
+        if not has_display() and not os.environ.get("MUJOCO_GL"):
             # MuJoCo chose a backend that needs a display when it was imported, before anything was to be drawn.
             from mujoco.egl import GLContext
             from mujoco.rendering.classic import gl_context
@@ -114,7 +94,3 @@ def _offscreen(model: Any, height: int, width: int) -> Any:
         return mujoco.Renderer(model, height, width)
     except Exception as error:  # each backend fails in its own way: ImportError, AttributeError, FatalError, ...
         raise RenderError(f"{_NO_GL}. MuJoCo said: {error}") from error
-
-
-def _has_display() -> bool:
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -82,7 +82,8 @@ class SineSettings:
     def direction(self) -> Array:
         """(3,) unit vector of the axis in the cell frame."""
         if isinstance(self.axis, str):
-            return np.eye(3)[get_args(Axis).index(self.axis)]
+            unit: Array = np.eye(3)[get_args(Axis).index(self.axis)]
+            return unit
         return np.array(self.axis)
 
     @property
@@ -106,9 +107,10 @@ class SineSettings:
             time_s: Times since the start.
             phase_rad: Phases, of a shape that broadcasts to that of `time_s`.
         """
-        x = np.minimum(time_s * (1.0 / self.soft_start_s), 1.0)
-        amplitude = self.amplitude_m * (x * x * x * (10.0 + x * (6.0 * x - 15.0)))
-        result: Array = amplitude * np.sin(time_s * (2 * np.pi * self.frequency_hz) + phase_rad)
+        result: Array = self.amplitude_m * np.sin(time_s * (2 * np.pi * self.frequency_hz) + phase_rad)
+        if time_s.min() < self.soft_start_s:
+            x = np.minimum(time_s * (1.0 / self.soft_start_s), 1.0)
+            result *= x * x * x * (10.0 + x * (6.0 * x - 15.0))
         return result
 
 

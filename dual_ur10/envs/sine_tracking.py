@@ -20,23 +20,27 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 
+# Distance at which a term is 0.1: errors of both flanges, turns of both, error of the vector between them.
+_MARGINS = np.array([0.01, 0.01, 0.02, 0.02, 0.005])
+
+
 class SineMeasured(NamedTuple):
-    """Reference and errors at one instant, in each arm's own `base` frame.
+    """Reference and errors at one instant.
 
     Attributes:
-        reference_m: (n, 2, 3) where the flanges should be.
-        ahead_m: (n, 2, 3) where they should be when the motion of the next action ends.
-        error_m: (n, 2, 3) reference minus flange.
-        turn: (n, 2, 3) rotation from flange to reference: twice the vector part of its quaternion, which is the
-            rotation vector as long as it is small.
-        displacement_m: (n,) displacement of the reference along the axis.
+        reference_base_m: (n, 2, 3) where the flanges should be, in each arm's own `base` frame.
+        ahead_base_m: (n, 2, 3) where they should be when the motion of the next action ends, in that frame.
+        turn: (n, 2, 3) rotation from flange to reference in that frame: twice the vector part of its quaternion,
+            which is the rotation vector as long as it is small.
+        reference_m: (n, 2, 3) where the flanges should be, in the cell frame.
+        error_m: (n, 2, 3) reference minus flange, in the cell frame.
     """
 
-    reference_m: Array
-    ahead_m: Array
-    error_m: Array
+    reference_base_m: Array
+    ahead_base_m: Array
     turn: Array
-    displacement_m: Array
+    reference_m: Array
+    error_m: Array
 
 
 class SineTracking(Task[SineSettings, SineMeasured]):
@@ -70,8 +74,8 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     ## Observation Space
 
-    The observation space is a `Box((68,), float64)`, with the bounds of the table: 34 numbers of the left arm, then the same 34 of the
-    right arm. It holds only what a real cell can measure. Poses are in the arm's own `base` frame, the one in which
+    The observation space is a `Box(low, high, (68,), float64)` with the bounds of the table: 34 numbers of the left
+    arm, then the same 34 of the right arm. It holds only what a real cell can measure. Poses are in the arm's own `base` frame, the one in which
     UR's controller reports its TCP; quaternions are (w, x, y, z).
 
     | Num | Observation | Min | Max | Name (in XML file) | Type (Unit) |
@@ -80,18 +84,18 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     | 6-11 | joint speeds of the left arm | -10 | 10 | left/shoulder_pan_joint ... left/wrist_3_joint | speed (rad/s) |
     | 12-17 | commanded joint positions of the left arm | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
     | 18-20 | position of the left flange | -2 | 2 | left/flange | position (m) |
-    | 21-24 | orientation of the left flange | -1 | 1 | left/flange | quaternion |
+    | 21-24 | orientation of the left flange | -1.01 | 1.01 | left/flange | quaternion |
     | 25-27 | reference of the left flange now | -10 | 10 | - | position (m) |
     | 28-30 | reference of the left flange at the end of the next action's motion | -10 | 10 | - | position (m) |
-    | 31-33 | turn from the left flange to its reference, rotation vector for small turns | -2 | 2 | - | angle (rad) |
+    | 31-33 | turn from the left flange to its reference, rotation vector for small turns | -2.01 | 2.01 | - | angle (rad) |
     | 34-39 | joint positions of the right arm | -6.5 | 6.5 | right/shoulder_pan_joint ... right/wrist_3_joint | angle (rad) |
     | 40-45 | joint speeds of the right arm | -10 | 10 | right/shoulder_pan_joint ... right/wrist_3_joint | speed (rad/s) |
     | 46-51 | commanded joint positions of the right arm | -6.5 | 6.5 | right/shoulder_pan_joint ... right/wrist_3_joint | angle (rad) |
     | 52-54 | position of the right flange | -2 | 2 | right/flange | position (m) |
-    | 55-58 | orientation of the right flange | -1 | 1 | right/flange | quaternion |
+    | 55-58 | orientation of the right flange | -1.01 | 1.01 | right/flange | quaternion |
     | 59-61 | reference of the right flange now | -10 | 10 | - | position (m) |
     | 62-64 | reference of the right flange at the end of the next action's motion | -10 | 10 | - | position (m) |
-    | 65-67 | turn from the right flange to its reference, rotation vector for small turns | -2 | 2 | - | angle (rad) |
+    | 65-67 | turn from the right flange to its reference, rotation vector for small turns | -2.01 | 2.01 | - | angle (rad) |
 
     ## Rewards
 
@@ -150,18 +154,21 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     def __init__(self, settings: SineSettings, cell: CellConfig, timing: Timing, n: int) -> None:
         super().__init__(settings, cell, timing, n)
-        arm = np.repeat([6.5, 10.0, 6.5, 2.0, 1.0, 10.0, 10.0, 2.0], [6, 6, 6, 3, 4, 3, 3, 3])
+        arm = np.repeat([6.5, 10.0, 6.5, 2.0, 1.01, 10.0, 10.0, 2.01], [6, 6, 6, 3, 4, 3, 3, 3])
         self.observation_bound = np.tile(arm, 2)
         mounts = (cell.left, cell.right)
         check_path(settings, mounts, self.limits)
         self._base_m, self._to_base = to_base(mounts)
-        self._axis = (self._to_base @ settings.direction) * settings.tracking[:, None]
+        self._axis_base = (self._to_base @ settings.direction) * settings.tracking[:, None]
+        self._axis = settings.direction * settings.tracking[:, None]
         # Quaternion of the turn from flange to reference = this matrix times the flange's quaternion.
         unit = np.eye(4)
         columns = [quat_multiply(TOOL_DOWN_QUAT, quat_conjugate(unit[k])) for k in range(4)]
         self._turn: Array = np.ascontiguousarray(np.array(columns))
         self._steps = round(settings.duration_s / timing.period_s)
         self._center: Array = np.zeros((n, 2, 3))
+        self._center_base: Array = np.zeros((n, 2, 3))
+        self._when = np.array([0.0, timing.ahead_s])
         self._phase: Array = np.zeros((n, 1))
         self._squares: Array = np.zeros((n, 2))
         self._count = np.zeros(n, dtype=np.int64)
@@ -174,26 +181,32 @@ class SineTracking(Task[SineSettings, SineMeasured]):
             if settings.randomize:
                 shift, phase = rng.uniform(-CENTER_RANGE_M, CENTER_RANGE_M, 3), rng.uniform(-np.pi, np.pi)
             world = np.asarray(settings.center_m) + shift
-            self._center[row] = ((world - self._base_m)[:, None] @ self._to_base.swapaxes(-1, -2))[:, 0]
+            self._center[row] = world
+            self._center_base[row] = (self._to_base @ (world - self._base_m)[..., None])[..., 0]
             self._phase[row] = phase
         self._squares[rows] = 0.0
         self._count[rows] = 0
         down = quat_to_matrix(TOOL_DOWN_QUAT)
         postures = [
-            nearest(self._center[rows, arm], np.broadcast_to(down, (len(rows), 3, 3)), HOME_Q_RAD[arm], mount.dh)
+            nearest(self._center_base[rows, arm], np.broadcast_to(down, (len(rows), 3, 3)), HOME_Q_RAD[arm], mount.dh)
             for arm, mount in enumerate((self.cell.left, self.cell.right))
         ]
         return np.stack(postures, axis=1)
 
     def measure(self, state: CellState) -> SineMeasured:
         """Reference and errors of all cells."""
-        times = state.time_s[:, None] + np.array([0.0, self.timing.ahead_s])
-        displacement = self.settings.displacement_m(times, self._phase)
-        along = displacement[:, :, None, None] * self._axis
-        reference, ahead = self._center + along[:, 0], self._center + along[:, 1]
+        displacement = self.settings.displacement_m(state.time_s[:, None] + self._when, self._phase)[..., None, None]
+        now, ahead = displacement[:, 0], displacement[:, 1]
+        reference = self._center + now * self._axis
         turn = state.flange_base_quat @ self._turn
         turn *= np.copysign(2.0, turn[..., :1])
-        return SineMeasured(reference, ahead, reference - state.flange_base_m, turn[..., 1:], displacement[:, 0])
+        return SineMeasured(
+            self._center_base + now * self._axis_base,
+            self._center_base + ahead * self._axis_base,
+            turn[..., 1:],
+            reference,
+            reference - state.flange_m,
+        )
 
     def observe(self, state: CellState, measured: SineMeasured, commanded_q_rad: Array) -> Array:
         """Observations, (n, 68)."""
@@ -203,33 +216,31 @@ class SineTracking(Task[SineSettings, SineMeasured]):
             commanded_q_rad,
             state.flange_base_m,
             state.flange_base_quat,
-            measured.reference_m,
-            measured.ahead_m,
+            measured.reference_base_m,
+            measured.ahead_base_m,
             measured.turn,
         )
         return np.concatenate(parts, axis=2).reshape(self.n, -1)
 
     def evaluate(self, state: CellState, measured: SineMeasured) -> Outcome:
         """Reward terms, and success at the end."""
-        error, turn = measured.error_m, measured.turn
-        square = (error * error).sum(axis=2)
-        # Of vectors in two frames: compare them in one.
-        world = (error[:, :, None] @ self._to_base)[:, :, 0]
-        relative = world[:, 0] - world[:, 1]
-        distance = np.sqrt(square)
-        angle = np.sqrt((turn * turn).sum(axis=2))
+        error = measured.error_m
+        vectors = np.concatenate([error, measured.turn, error[:, :1] - error[:, 1:]], axis=1)
+        squares = (vectors * vectors).sum(axis=2)
+        sizes = np.sqrt(squares)
+        scores = gaussian(sizes, _MARGINS)
         terms = {
-            "position": gaussian(distance, 0.01).sum(axis=1) * 0.5,
-            "orientation": gaussian(angle, 0.02).sum(axis=1) * 0.5,
-            "synchrony": gaussian(np.sqrt((relative * relative).sum(axis=1)), 0.005),
+            "position": (scores[:, 0] + scores[:, 1]) * 0.5,
+            "orientation": (scores[:, 2] + scores[:, 3]) * 0.5,
+            "synchrony": scores[:, 4],
         }
-        self._squares += square
+        self._squares += squares[:, :2]
         self._count += 1
         over = self._count >= self._steps
         success = over & (self._squares.max(axis=1) <= self.settings.success_rms_m**2 * self._count)
         info = {
-            "flange_error_m": distance,
-            "orientation_error_rad": angle,
-            "reference_m": state.flange_m + world,
+            "flange_error_m": sizes[:, :2],
+            "orientation_error_rad": sizes[:, 2:4],
+            "reference_m": measured.reference_m,
         }
         return Outcome(terms, success, over, info)

@@ -123,8 +123,11 @@ ENV_KEYWORDS = (
 """Keywords of every environment, beside those of its task."""
 
 
-def gaussian(distance: Array, margin: float) -> Array:
+_LOG_TENTH = float(np.log(0.1))
+
+
+def gaussian(distance: Array, margin: float | Array) -> Array:
     """1 at distance 0, 0.1 at `margin`: dm_control's `tolerance` with bounds (0, 0) and its gaussian sigmoid."""
-    scaled = distance * (1.0 / margin)
-    result: Array = np.exp(-np.log(10.0) * scaled * scaled)
+    scaled = distance / margin
+    result: Array = np.exp(scaled * scaled * _LOG_TENTH)
     return result

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from gymnasium.utils import seeding
@@ -37,7 +37,7 @@ class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
             **settings: As for `dual_ur10.envs.dual_arm_env.DualArmEnv`.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {  # noqa: RUF012  # as Gymnasium declares it
         "render_modes": ["rgb_array"],
         "render_fps": round(DEFAULT_RATE_HZ),
         "autoreset_mode": AutoresetMode.NEXT_STEP,
@@ -89,7 +89,7 @@ class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
         self.single_action_space, self.single_observation_space = self.core.action_space, self.core.observation_space
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.metadata = {  # type: ignore[misc]
+        self.metadata = {
             **type(self).metadata,
             "render_fps": round(1 / self.core.timing.period_s),
             "autoreset_mode": self.autoreset_mode,
@@ -139,12 +139,14 @@ class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
             )
         return np.flatnonzero(mask)
 
-    def _begin(self, rows: Rows) -> tuple[Array, dict[str, Array]]:
+    def _begin(self, rows: Rows) -> tuple[Array, dict[str, NDArray[Any]]]:
         self._steps[rows] = 0
         self._done[rows] = False
         return self.core.reset([self._rngs[row] for row in rows.tolist()], rows)
 
-    def step(self, actions: Array) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
+    def step(  # type: ignore[override]  # Gymnasium types the flags as it types rewards
+        self, actions: Array
+    ) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
         """One control period of all cells; see `gymnasium.vector.VectorEnv.step`.
 
         Raises:
@@ -152,8 +154,8 @@ class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
             SettingsError: With "Disabled", a row that ended was not reset.
         """
         if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():
-            ended = np.flatnonzero(self._done).tolist()
-            raise SettingsError(f"rows {ended} have ended: reset them with options={{'reset_mask': ...}} first")
+            rows = np.flatnonzero(self._done).tolist()
+            raise SettingsError(f"rows {rows} have ended: reset them with options={{'reset_mask': ...}} first")
         step = self.core.step(actions)
         self._steps += 1
         observation, reward, terminated, truncated = step.observation, step.reward, step.terminated, step.truncated
@@ -193,7 +195,7 @@ class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
                 info.update({name: column, "_" + name: mask})
         return info
 
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """One image per cell, (height, width, 3) each, or None without a render mode.
 
         Raises:
@@ -209,7 +211,7 @@ class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
         self.core.close()
 
 
-def _masked(info: dict[str, Array], mask: Mask) -> dict[str, Any]:
+def _masked(info: dict[str, NDArray[Any]], mask: Mask) -> dict[str, Any]:
     """Gymnasium's form of a vector env's info: each array with a mask of the rows that it is for."""
     result: dict[str, Any] = {}
     for name, value in info.items():
@@ -217,7 +219,7 @@ def _masked(info: dict[str, Array], mask: Mask) -> dict[str, Any]:
     return result
 
 
-def _restarted(info: dict[str, Any], rows: Mask, begun: dict[str, Array]) -> dict[str, Any]:
+def _restarted(info: dict[str, Any], rows: Mask, begun: dict[str, NDArray[Any]]) -> dict[str, Any]:
     """`info` with that of a reset in the masked rows."""
     result = dict(info)
     for name in info:

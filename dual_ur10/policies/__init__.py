@@ -33,8 +33,11 @@ def load(
     Args:
         name: "scripted".
         env_id: Id of the environment.
-        cell, policy_rate_hz, action_mode, action_latency_ticks: As given to `gym.make`; other keywords of the
-            environment do not matter to a policy and may be passed on as they are.
+        cell: As given to `gym.make`, like all that follow.
+        policy_rate_hz: Actions per second.
+        action_mode: What an action means.
+        action_latency_ticks: Ticks from an observation to the first target of its action.
+        **_: Other keywords of the environment do not matter to a policy and may be passed on as they are.
 
     Raises:
         UnknownNameError: No such policy, or no such task.

@@ -161,7 +161,8 @@ class Envelope:
         self.brake: Array = self._brake(ticks)
         self.coast: Array = self._coast(ticks)
         self._centred = not self.middle.any()
-        self._speed_rows = np.flatnonzero([kind == "joint speed" for kind in self.kinds])
+        # Speeds come first.
+        self._speed_rows = slice(0, self.kinds.count("joint speed"))
         # Share of the tip speed limit that each joint uses at its own full speed, at most.
         self._lever = np.asarray(limits.speed_rad_s) * REACH_FROM_JOINT_M / limits.tcp_speed_m_s
         self._brake_samples = self._sampled_brake()

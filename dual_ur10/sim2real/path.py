@@ -39,9 +39,11 @@ class Meeting(NamedTuple):
     points: int
 
 
-MEETINGS = (Meeting(1, 4), Meeting(3, 3), Meeting(8, 2))
-"""Tried in this order. The first follows a smooth motion within micrometres; each later one takes a jump about 27 times
-larger for the same acceleration, and expects less of the commands' smoothness."""
+MEETINGS = (Meeting(1, 4), Meeting(4, 3), Meeting(8, 2))
+"""Tried in this order. The first follows a smooth motion within micrometres; the later ones take larger jumps for the
+same acceleration, and expect less of the commands' smoothness. Chosen by the eigenvalues of the map from one period to
+the next: a disturbance shrinks per period to at most 0.79 and 0.94 of itself when every command is the path's own
+position (steps of zero), and to 0.54 and 0.75 when it is a fixed one. Meeting after three periods would ring (0.98)."""
 
 
 class PathRows(NamedTuple):

@@ -37,7 +37,8 @@ LINKS: Final = (
 )
 
 
-def _constant(values: object) -> Array:
+def constant(values: object) -> Array:
+    """Return an array of floats that nobody can change."""
     array = np.array(values, dtype=np.float64)
     array.setflags(write=False)
     return array
@@ -46,16 +47,16 @@ def _constant(values: object) -> Array:
 # Denavit-Hartenberg parameters: Universal_Robots_ROS2_Description, config/ur10/default_kinematics.yaml, and Universal
 # Robots' article "DH Parameters for calculations of kinematics and dynamics". The table in the CB3 manual ("UR10
 # series 1": d1 0.118, a2 -0.6127, a3 -0.5716) describes other hardware and is 10.7 mm off.
-DH_A_M: Final = _constant([0.0, -0.612, -0.5723, 0.0, 0.0, 0.0])
-DH_D_M: Final = _constant([0.1273, 0.0, 0.0, 0.163941, 0.1157, 0.0922])
-DH_ALPHA_RAD: Final = _constant([np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0])
+DH_A_M: Final = constant([0.0, -0.612, -0.5723, 0.0, 0.0, 0.0])
+DH_D_M: Final = constant([0.1273, 0.0, 0.0, 0.163941, 0.1157, 0.0922])
+DH_ALPHA_RAD: Final = constant([np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0])
 
 # Masses, centres of mass and inertias about the centre of mass, in the distal DH frame of each link: the same article;
 # Universal_Robots_ROS2_Description, config/ur10/physical_parameters.yaml, holds the same figures ("extracted from
 # URSim") with the centres of mass turned into link frames. The base's mass is marked there as doubtful; it never moves.
 BASE_MASS_KG: Final = 4.0
-LINK_MASS_KG: Final = _constant([7.1, 12.7, 4.27, 2.0, 2.0, 0.365])
-LINK_COM_M: Final = _constant(
+LINK_MASS_KG: Final = constant([7.1, 12.7, 4.27, 2.0, 2.0, 0.365])
+LINK_COM_M: Final = constant(
     [
         [0.021, 0.0, 0.027],
         [0.38, 0.0, 0.158],
@@ -66,7 +67,7 @@ LINK_COM_M: Final = _constant(
     ]
 )
 # ixx, iyy, izz, ixy, ixz, iyz
-LINK_INERTIA_KG_M2: Final = _constant(
+LINK_INERTIA_KG_M2: Final = constant(
     [
         [0.03408, 0.03529, 0.02156, 0.00002, -0.00425, 0.00008],
         [0.02814, 0.77068, 0.76943, 0.00005, -0.01561, 0.00002],
@@ -79,9 +80,9 @@ LINK_INERTIA_KG_M2: Final = _constant(
 
 # Joint limits: config/ur10/joint_limits.yaml. The elbow turns ±360° on paper and is blocked by the arm itself; like
 # that file, this project keeps it within ±180°.
-JOINT_RANGE_RAD: Final = _constant([2 * np.pi, 2 * np.pi, np.pi, 2 * np.pi, 2 * np.pi, 2 * np.pi])
-JOINT_SPEED_RAD_S: Final = _constant(np.deg2rad([120.0, 120.0, 180.0, 180.0, 180.0, 180.0]))
-JOINT_TORQUE_NM: Final = _constant([330.0, 330.0, 150.0, 56.0, 56.0, 56.0])
+JOINT_RANGE_RAD: Final = constant([2 * np.pi, 2 * np.pi, np.pi, 2 * np.pi, 2 * np.pi, 2 * np.pi])
+JOINT_SPEED_RAD_S: Final = constant(np.deg2rad([120.0, 120.0, 180.0, 180.0, 180.0, 180.0]))
+JOINT_TORQUE_NM: Final = constant([330.0, 330.0, 150.0, 56.0, 56.0, 56.0])
 
 PAYLOAD_KG: Final = 10.0  # UR10 data sheet
 REACH_M: Final = 1.3  # UR10 data sheet
@@ -92,7 +93,7 @@ ARMATURE_KG_M2: Final = 0.1
 # This project's hard limits on what goes on the wire: 80 % of the data sheet's speeds; acceleration as UR's and
 # Franka's client libraries use it; no public figure exists for a UR10's acceleration or jerk. 1.5 m/s is UR's own
 # default safety limit for the tool speed of a CB3.
-HARD_SPEED_RAD_S: Final = _constant([1.68, 1.68, 2.51, 2.51, 2.51, 2.51])
+HARD_SPEED_RAD_S: Final = constant([1.68, 1.68, 2.51, 2.51, 2.51, 2.51])
 HARD_ACCELERATION_RAD_S2: Final = 10.0
 HARD_JERK_RAD_S3: Final = 2000.0
 HARD_TCP_SPEED_M_S: Final = 1.5
@@ -137,8 +138,9 @@ class DHParameters:
             if (off > tolerance).any():
                 row = int(off.argmax())
                 raise SettingsError(
-                    f"DH parameter {name}[{row}] is {values[row]:.6g}, {off[row]:.3g} from the UR10's {nominal[row]:.6g}; "
-                    f"a calibration differs by at most {tolerance}. These may be the parameters of another robot"
+                    f"DH parameter {name}[{row}] is {values[row]:.6g}, {off[row]:.3g} from the UR10's "
+                    f"{nominal[row]:.6g}; a calibration differs by at most {tolerance}. These may be the parameters "
+                    f"of another robot"
                 )
 
     @property

@@ -1,20 +1,14 @@
-"""The model is a UR10: kinematics, masses and limits of the tables, contacts where they belong, honest distances."""
+"""The model is a UR10: kinematics, masses, limits and dynamics of the tables."""
 
-import itertools
-import os
-import subprocess
-import sys
-import xml.etree.ElementTree as ET
 from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
-from mujoco import batch
 
-from dual_ur10.assets import scene
+from dual_ur10.assets import cell_tree, scene
 from dual_ur10.assets.scene import HOME_Q_RAD, ArmMount, SceneSettings
-from dual_ur10.errors import DualUR10Error, MissingExtraError, SettingsError, UnknownNameError
+from dual_ur10.errors import DualUR10Error
 from dual_ur10.ur10 import (
     ARMS,
     DH_A_M,
@@ -28,73 +22,13 @@ from dual_ur10.ur10 import (
     LINK_MASS_KG,
     LINKS,
     NOMINAL_DH,
-    DHParameters,
 )
-
-CALIBRATED = DHParameters(
-    a_m=(0.0003, -0.6111, -0.5731, 0.0002, -0.0001, 0.0),
-    d_m=(0.1281, 0.004, -0.0035, 0.1632, 0.1163, 0.0919),
-    alpha_rad=(1.5712, 0.0011, -0.0007, 1.5699, -1.5715, 0.0004),
-    theta_rad=(0.001, -0.012, 0.02, -0.009, 0.0004, -0.0007),
-)
-# Only d2 + d3 + d4 can be observed, so a calibration may move the frames by metres.
-SHIFTED = DHParameters(
-    d_m=(0.1273, 2.0, -1.9985, 0.1624, 0.1157, 0.0922), alpha_rad=(np.pi / 2, 0.001, 0, np.pi / 2, -np.pi / 2, 0)
-)
-CROSSING = (-0.9, 0.9)
-UNEQUAL = SceneSettings(
-    left=ArmMount((-0.75, 0.6, 0.0), 0.3, CALIBRATED), right=ArmMount((-0.92, -0.45, 0.08), -2.1, NOMINAL_DH)
-)
-
-
-def dh_product(q, dh=NOMINAL_DH):
-    """Textbook product of standard DH matrices: flange in UR's base frame, (4, 4)."""
-    T = np.eye(4)
-    for theta, a, d, alpha in zip(np.add(q, dh.theta_rad), dh.a_m, dh.d_m, dh.alpha_rad, strict=True):
-        ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
-        T = T @ [[ct, -st * ca, st * sa, a * ct], [st, ct * ca, -ct * sa, a * st], [0, sa, ca, d], [0, 0, 0, 1]]
-    return T
-
-
-def planar(position, yaw):
-    """Pose of a frame turned about z only, (4, 4)."""
-    T = np.eye(4)
-    T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-    T[:3, 3] = position
-    return T
-
-
-def angle(a, b):
-    """Angle between two rotation matrices; exact near zero, unlike the arc cosine of the trace."""
-    return 2 * np.arcsin(min(1.0, np.linalg.norm(a - b) / np.sqrt(8)))
-
-
-def site_pose(data, name):
-    T = np.eye(4)
-    T[:3, 3], T[:3, :3] = data.site(name).xpos, data.site(name).xmat.reshape(3, 3)
-    return T
-
-
-def random_q(rng, n):
-    return rng.uniform(-1, 1, (n, 2, 6)) * JOINT_RANGE_RAD
-
-
-def contacts(model, q):
-    """Pairs of geom names in contact at (2, 6) joint positions."""
-    data = mujoco.MjData(model)
-    data.qpos[:12] = np.ravel(q)
-    mujoco.mj_forward(model, data)
-    return {tuple(sorted((model.geom(c.geom1).name, model.geom(c.geom2).name))) for c in data.contact if c.dist < 0.0}
+from tests.reference_cell import CALIBRATED, SHIFTED, UNEQUAL, angle, dh_product, planar, random_q, site_pose
 
 
 @pytest.fixture(scope="module")
 def model():
     return scene.build_model(SceneSettings())
-
-
-@pytest.fixture(scope="module")
-def clearance():
-    return scene.build_clearance_model(SceneSettings())
 
 
 @pytest.mark.parametrize(
@@ -153,7 +87,7 @@ def test_order_of_joints_and_actuators(model):
 
 
 def test_a_foreign_order_is_refused(monkeypatch):
-    monkeypatch.setattr(scene, "JOINTS", JOINTS[::-1])
+    monkeypatch.setattr(cell_tree, "JOINTS", JOINTS[::-1])
     with pytest.raises(DualUR10Error, match="expected"):
         scene.build_model(SceneSettings())
 
@@ -236,143 +170,6 @@ def test_a_diverged_simulation_does_not_start_again(model):
     assert data.time > 1.0
 
 
-def test_one_collision_capsule_per_link(model):
-    for arm in ARMS:
-        for link in ("base_link", *LINKS):
-            geoms = np.flatnonzero(model.geom_bodyid == model.body(f"{arm}/{link}").id)
-            solid = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
-            assert [model.geom(g).name for g in solid] == [f"{arm}/{link}"]
-            assert model.geom_type[solid[0]] == mujoco.mjtGeom.mjGEOM_CAPSULE
-            assert model.geom_group[solid[0]] == 3
-            assert (model.geom_group[np.setdiff1d(geoms, solid)] == 2).all()
-
-
-def test_capsules_hug_the_drawn_arm(model):
-    # Every drawn part lies within 2 cm of some capsule of its arm: points on the parts' rims, at home.
-    data = mujoco.MjData(model)
-    data.qpos[:] = HOME_Q_RAD.ravel()
-    mujoco.mj_forward(model, data)
-    capsules = [model.geom(f"left/{link}").id for link in ("base_link", *LINKS)]
-    turns = np.linspace(0, 2 * np.pi, 24)
-    for geom in range(model.ngeom):
-        name = model.body(model.geom_bodyid[geom]).name
-        if name.startswith("left/") and model.geom_group[geom] == 2 and model.geom_type[geom] == 5:
-            radius, half = model.geom_size[geom, :2]
-            rim = np.concatenate(
-                [np.stack([radius * np.cos(turns), radius * np.sin(turns), 0 * turns + z], 1) for z in (-half, half)]
-            )
-            points = data.geom_xpos[geom] + rim @ data.geom_xmat[geom].reshape(3, 3).T
-            outside = np.min([point_to_capsule(model, data, c, points) for c in capsules], axis=0)
-            assert outside.max() < 0.02, (name, geom)
-
-
-def segment(model, data, geom, n=2):
-    half = model.geom_size[geom, 1]
-    axis = data.geom_xmat[geom].reshape(3, 3)[:, 2]
-    return data.geom_xpos[geom] + np.linspace(-half, half, n)[:, None] * axis
-
-
-def point_to_capsule(model, data, geom, points):
-    a, b = segment(model, data, geom)
-    t = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
-    return np.linalg.norm(points - a - t[:, None] * (b - a), axis=1) - model.geom_size[geom, 0]
-
-
-def test_neighbours_never_touch(model):
-    """Nor do parts that the arm's build keeps apart in every posture."""
-    chain = ("base_link", *LINKS)
-    filtered = {frozenset(pair) for pair in itertools.pairwise(chain)}
-    filtered |= {
-        frozenset(pair)
-        for pair in (
-            ("wrist_1_link", "wrist_3_link"),
-            ("forearm_link", "wrist_2_link"),
-            ("base_link", "upper_arm_link"),
-            ("base_link", "wrist_1_link"),
-            ("base_link", "wrist_2_link"),
-            ("shoulder_link", "wrist_1_link"),
-            ("shoulder_link", "wrist_2_link"),
-        )
-    }
-    own = set()
-    for q in random_q(np.random.default_rng(1), 1500):
-        for a, b in contacts(model, q):
-            if a.split("/")[0] == b.split("/")[0]:
-                own.add(frozenset((a.split("/")[1], b.split("/")[1])))
-    assert not own & filtered
-    assert frozenset(("wrist_3_link", "shoulder_link")) in own  # the filter does not hide real self-collision
-
-
-@pytest.mark.parametrize("apart_m", [1.2, 0.3])
-def test_every_possible_contact_is_measured(apart_m):
-    settings = SceneSettings(left=ArmMount((-0.75, apart_m / 2, 0.0)), right=ArmMount((-0.75, -apart_m / 2, -0.5)))
-    model = scene.build_model(settings)
-    measured = {tuple(sorted(pair)) for pair in scene.clearance_pairs()}
-    seen = set()
-    for q in random_q(np.random.default_rng(2), 1500):
-        seen |= contacts(model, q)
-    assert seen <= measured
-    assert len(seen) > len(measured) / 3
-
-
-def test_arms_meet(model):
-    q = HOME_Q_RAD.copy()
-    q[:, 0] += CROSSING  # the left arm swings right, the right arm left, until the wrists meet midway
-    assert any({a.split("/")[0], b.split("/")[0]} == set(ARMS) for a, b in contacts(model, q))
-    assert not contacts(model, HOME_Q_RAD)
-
-
-@pytest.mark.parametrize("arm", [0, 1])
-def test_arm_meets_table_and_floor(model, arm):
-    q = HOME_Q_RAD.copy()
-    q[arm, 1] += 0.75  # shoulder forward: the wrist goes down on the table
-    assert any("table" in pair and ARMS[arm] in pair[0] for pair in contacts(model, q))
-    q = HOME_Q_RAD.copy()
-    q[arm] = [np.pi, 0.8, 0.0, 0.0, 0.0, 0.0]  # straight out and down, behind the base
-    assert any("floor" in pair and ARMS[arm] in pair[-1] for pair in contacts(model, q))
-
-
-def test_clearance_is_the_distance_of_the_capsules(model, clearance):
-    pairs = scene.clearance_pairs()
-    assert clearance.nsensor == clearance.nsensordata == len(pairs) == len(set(pairs))
-    assert (clearance.ngeom, clearance.nu) == (16, 0)
-    data, twin = mujoco.MjData(model), mujoco.MjData(clearance)
-    rng = np.random.default_rng(3)
-    close = np.zeros(len(pairs), dtype=int)
-    for _ in range(300):
-        q = HOME_Q_RAD + rng.uniform(-1.5, 1.5, (2, 6))
-        data.qpos[:] = twin.qpos[:] = q.ravel()
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_forward(clearance, twin)
-        assert twin.ncon == 0
-        for i, pair in enumerate(pairs):
-            a, b = (model.geom(name).id for name in pair)
-            expected = mujoco.mj_geomDistance(model, data, a, b, scene.CLEARANCE_CUTOFF_M, np.zeros(6))
-            assert twin.sensordata[i] == pytest.approx(expected, abs=1e-6)
-            if pair[1] == "floor":
-                by_hand = segment(model, data, a)[:, 2].min() - model.geom_size[a, 0] - scene.FLOOR_Z_M
-            elif pair[1] != "table":
-                by_hand = point_to_capsule(model, data, b, segment(model, data, a, 200)).min() - model.geom_size[a, 0]
-            else:
-                continue
-            by_hand = min(by_hand, scene.CLEARANCE_CUTOFF_M)
-            if by_hand > 0.0:
-                assert twin.sensordata[i] == pytest.approx(by_hand, abs=2e-3)
-            close[i] += expected < scene.CLEARANCE_CUTOFF_M
-    assert (close > 0).sum() > len(pairs) / 2  # the comparison was not one of cut-off with cut-off
-
-
-def test_clearance_in_a_batch(clearance):
-    cells = batch.Batch(clearance, 2, 1)
-    q, distances = cells.bind("qpos"), cells.bind("sensordata")
-    q[0] = HOME_Q_RAD.ravel()
-    q[1] = HOME_Q_RAD.ravel()
-    q[1, [0, 6]] += CROSSING
-    cells.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
-    assert distances[0].min() > 0.04
-    assert distances[1].min() < 0.0
-
-
 def arm_alone(arm, settings, q, v):
     """Mass matrix and gravity torque of one arm in the cell, armature taken off."""
     model = scene.build_model(settings)
@@ -430,78 +227,3 @@ def test_inertials_stand_in_the_distal_frames(dh):
         ixx, iyy, izz, ixy, ixz, iyz = LINK_INERTIA_KG_M2[i]
         expected = R @ np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]) @ R.T
         assert np.abs(found - expected).max() < 1e-9
-
-
-def test_texts_are_cached_and_models_are_not():
-    assert scene.compose(SceneSettings()) is scene.compose(SceneSettings())
-    assert scene.compose_clearance(SceneSettings()) is scene.compose_clearance(SceneSettings())
-    assert scene.compose(SceneSettings()) != scene.compose(SceneSettings(timestep_s=0.001))
-    model = scene.build_model(SceneSettings())
-    model.body_mass[:] = 0
-    assert scene.build_model(SceneSettings()).body_mass.sum() > 50
-
-
-def test_lists_will_do_as_positions():
-    settings = SceneSettings(left=ArmMount([-0.75, 0.6, 0]))
-    assert settings == SceneSettings()
-    assert scene.compose(settings) is scene.compose(SceneSettings())
-
-
-def test_import_is_light_and_quiet():
-    code = (
-        "import sys, dual_ur10.assets.scene as s;"
-        "heavy = {'mujoco', 'dm_control', 'glfw', 'OpenGL'} & set(sys.modules);"
-        "assert not heavy, heavy;"
-        "s.build_model(s.SceneSettings())"
-    )
-    env = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "DISPLAY", "PYOPENGL_PLATFORM")}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-
-
-@pytest.mark.parametrize(
-    ("make", "error", "match"),
-    [
-        (lambda: ArmMount((0.0, np.nan, 0.0)), SettingsError, "finite"),
-        (lambda: ArmMount((0.0, 0.0)), SettingsError, "3 finite"),
-        (lambda: ArmMount("abc"), SettingsError, "finite"),
-        (lambda: ArmMount((0.0, 5.0, 0.0)), SettingsError, "within"),
-        (lambda: ArmMount((-1.0, 0.0, -0.8)), SettingsError, "floor"),
-        (lambda: ArmMount((-1.0, 0.0, 0.0), 90.0), SettingsError, "rad"),
-        (lambda: ArmMount((-1.0, 0.0, 0.0), np.inf), SettingsError, "finite"),
-        (lambda: ArmMount((-1.0, 0.0, 0.0), 0.0, None), SettingsError, "DHParameters"),
-        (lambda: SceneSettings(left=None), SettingsError, "ArmMount"),
-        (lambda: SceneSettings(timestep_s=0.0), SettingsError, "timestep_s"),
-        (lambda: SceneSettings(timestep_s=np.nan), SettingsError, "timestep_s"),
-        (lambda: SceneSettings(gains="soft"), UnknownNameError, "stiff"),
-        (lambda: SceneSettings(gains=[20000.0]), UnknownNameError, "stiff"),
-        (lambda: SceneSettings(table_size_m=(0.0, 1.0)), SettingsError, "table"),
-        (lambda: SceneSettings(left=ArmMount((-0.75, -0.4, 0.0))), SettingsError, "apart"),
-        (lambda: SceneSettings(left=ArmMount((-0.45, 0.6, -0.1))), SettingsError, "inside the table"),
-    ],
-)
-def test_bad_settings(make, error, match):
-    with pytest.raises(error, match=match):
-        make()
-
-
-def test_a_base_may_stand_on_the_table():
-    model = scene.build_model(SceneSettings(left=ArmMount((-0.3, 0.6, 0.0))))
-    assert not contacts(model, HOME_Q_RAD)
-
-
-def test_meshes_are_looks_only():
-    settings = SceneSettings(meshes=True)
-    try:
-        model = scene.build_model(settings)
-    except MissingExtraError as error:
-        assert "example-robot-data" in str(error)  # noqa: PT017 - either outcome is a pass
-        return
-    assert model.nmesh == 7
-    plain = scene.build_model(SceneSettings())
-    assert np.array_equal(model.body_mass, plain.body_mass)
-    assert (model.geom_contype > 0).sum() == (plain.geom_contype > 0).sum()
-
-
-def test_text_names_no_file():
-    assert not list(ET.fromstring(scene.compose(SceneSettings())).iterfind(".//*[@file]"))

@@ -121,6 +121,8 @@ class Core:
         timing = Timing(period_s, period_s + action_latency_ticks * config.servoj.tick_s)
         self.task = task_type(task_settings(task_type, settings), config, timing, n)
         self._clearance = clearance
+        self._weights = np.array(list(task_type.weights.values()))
+        self._terms = [f"reward/{name}" for name in task_type.weights]
         rows = np.arange(n)
         clearance.check_start(self.task.start(rows, [np.random.default_rng(0) for _ in rows]), rows)
         self.cell: MujocoCell | None = MujocoCell(config, ticks, n=n, threads=threads)
@@ -176,18 +178,17 @@ class Core:
         self._state = state = cell.advance(command)
         measured = self.task.measure(state)
         outcome = self.task.evaluate(state, measured)
-        weights, terms = self.task.weights, outcome.terms
-        reward: Array = np.zeros(self.n)
-        for name, term in terms.items():
-            reward += weights[name] * term
-        terminated = state.failed.copy()
+        reward: Array = (outcome.terms * self._weights).sum(axis=1)
+        terminated, success = state.failed.copy(), outcome.success
         if verdicts:
             terminated[list(verdicts)] = True
+        if terminated.any():
+            success = success & ~terminated
         info = self._measurements(state)
         info.update(outcome.info)
-        info["is_success"] = outcome.success & ~terminated
-        for name, term in terms.items():
-            info["reward/" + name] = term
+        info["is_success"] = success
+        for k, name in enumerate(self._terms):
+            info[name] = outcome.terms[:, k]
         observation = self.task.observe(state, measured, self.pipeline.adapter.commanded_q_rad)
         return Step(observation, reward, terminated, outcome.over, info, verdicts, state.failed)
 

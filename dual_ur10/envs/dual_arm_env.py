@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.envs.core import DEFAULT_RATE_HZ, PHYSICS_ERROR, Core
 from dual_ur10.envs.rendering import RENDER_MODES, Renderer
+from dual_ur10.envs.viewer import Viewer
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.sim2real.adapter import ActionMode
 
@@ -82,6 +83,11 @@ class DualArmEnv(gym.Env[Array, Array]):
         """The task object."""
         return self.core.task
 
+    @property
+    def viewer(self) -> Viewer:
+        """What `render_mode="human"` shows: a window, or a page at `viewer.url` where there is no display."""
+        return self._renderer.viewer
+
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin an episode; see `gymnasium.Env.reset`."""
         super().reset(seed=seed)
@@ -110,10 +116,10 @@ class DualArmEnv(gym.Env[Array, Array]):
         return step.observation[0], float(step.reward[0]), bool(step.terminated[0]), bool(step.truncated[0]), info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """An image, (height, width, 3), with "rgb_array"; None with "human", which shows a window.
+        """An image, (height, width, 3), with "rgb_array"; None with "human", which shows a viewer.
 
         Raises:
-            RenderError: No OpenGL backend was found, or "human" has no display.
+            RenderError: No OpenGL backend was found, or for "human" neither a display nor MuJoCo's web viewer.
         """
         if self.render_mode is None:
             gym.logger.warn("render() needs a render_mode: pass render_mode='rgb_array' or 'human' to gym.make")
@@ -122,6 +128,6 @@ class DualArmEnv(gym.Env[Array, Array]):
         return self._renderer.draw(self.render_mode, model, data)
 
     def close(self) -> None:
-        """Release simulation and window. May be called twice."""
+        """Release simulation and viewer. May be called twice."""
         self._renderer.close()
         self.core.close()

@@ -42,8 +42,8 @@ class FeedForward:
         self._entries = _dense_entries(model)
         kp, kv = (np.tile(gains, 2) for gains in GAINS[settings.gains])
         self._compliance, self._damping = 1.0 / kp, kv / kp
-        # One factor per torque, which is a column where accelerations stand on the left.
-        self._compliance_of_inertia = self._compliance.reshape(2, 1, 6)
+        # Torques are columns where accelerations stand on the left. One arm's inertia does not concern the other.
+        self._weight_of_entries = np.kron(np.eye(2), np.ones((6, 6))) * self._compliance
         self.n = n
 
     def declare_payload(self, mass_kg: Array) -> None:
@@ -64,21 +64,19 @@ class FeedForward:
         middle = q.shape[1] // 2
         self._qpos[:], self._qvel[:] = q[:, middle], v[:, middle]
         self._batch.forward(stage=self._stage)
-        per_acceleration = self._inertia[:, self._entries]
-        per_acceleration *= self._compliance_of_inertia
-        shift: Array = np.empty(a.shape)
-        for arm, joints in enumerate((slice(0, 6), slice(6, 12))):
-            np.matmul(a[:, :, joints], per_acceleration[:, arm], out=shift[:, :, joints])
+        per_acceleration = self._inertia.take(self._entries, axis=1)
+        per_acceleration *= self._weight_of_entries
+        shift: Array = a @ per_acceleration
         shift += (self._bias * self._compliance)[:, None]
         return shift
 
 
 def _dense_entries(model: Any) -> NDArray[np.intp]:
-    """(2, 6, 6) indices into MuJoCo's sparse inertia matrix that make each arm's dense one."""
+    """(12, 12) indices into MuJoCo's sparse inertia matrix; 0 where the dense one has no entry."""
     entries = np.zeros((12, 12), dtype=np.intp)
     for i in range(12):
         start = int(model.M_rowadr[i])
         for k in range(int(model.M_rownnz[i])):
             j = int(model.M_colind[start + k])
             entries[i, j] = entries[j, i] = start + k
-    return np.stack([entries[:6, :6], entries[6:, 6:]])
+    return entries

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 # What belongs to MuJoCo: built anew by unpickling, dropped by close.
-_LIVE = ("_batch", "_qpos", "_qvel", "_flange", "_feedforward", "_drawn")
+_LIVE = ("_batch", "_warnings", "_qpos", "_qvel", "_flange", "_feedforward", "_drawn")
 
 _ARM = slice(0, 12)  # joints of both arms come first in the model, which `assets.scene` checks
 
@@ -47,6 +47,8 @@ class MujocoCell:
         self._reference = ServojReference(config.servoj, n, config.substeps, ticks)
         self._elapsed = np.zeros(n, dtype=np.int64)
         self._failed = np.zeros(n, dtype=bool)
+        self._good: Array = np.zeros((n, 0))
+        self._tick_s = np.float64(config.servoj.tick_s)
         self._build()
         self.perturb(config.perturbation)
 
@@ -55,8 +57,10 @@ class MujocoCell:
         from mujoco.batch import Batch
 
         scene = self.config.scene
-        self._stage = int(mujoco.mjtStage.mjSTAGE_VEL)
+        # Everything measured is of positions, or part of the state.
+        self._stage = int(mujoco.mjtStage.mjSTAGE_POS)
         self._batch: Any = Batch(build_model(scene, drawn=False), self.n, self.threads)
+        self._warnings = self._batch.warning[:, :, 1]
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         sensors: Array = self._batch.bind("sensordata")
         # Views of the flange sensors, in the order that `assets.scene` documents.
@@ -100,6 +104,7 @@ class MujocoCell:
         self._batch.forward(ids=rows, stage=self._stage)
         self._delay.reset(q, rows, [0] * len(rows) if seeds is None else seeds)
         self._reference.reset(q, rows)
+        self._good = self._batch.state.copy()
         self._elapsed[rows] = 0
         self._failed[rows] = False
         return self._state()
@@ -113,19 +118,19 @@ class MujocoCell:
         batch, targets = self._batch, command.targets_rad
         if not self._delay.is_none:
             targets = self._delay(targets)
-        good = batch.state.copy()
         batch.rollout(self.steps, self._feedforward(*self._reference(targets)), record=())
         self._elapsed += self.ticks
-        if batch.warning[:, :, 1].any():
-            self._failed |= batch.warning[:, :, 1].any(axis=1)
-            batch.state[self._failed] = good[self._failed]
+        if self._warnings.any():
+            self._failed |= self._warnings.any(axis=1)
+            batch.state[self._failed] = self._good[self._failed]
+        self._good = batch.state.copy()
         batch.forward(stage=self._stage)
         return self._state()
 
     def _state(self) -> CellState:
         base_m, base_quat, flange_m = self._flange
         return CellState(
-            time_s=np.multiply(self._elapsed, self.config.servoj.tick_s, dtype=np.float64),
+            time_s=self._elapsed * self._tick_s,
             q_rad=self._qpos[:, _ARM].reshape(self.n, 2, 6),
             qd_rad_s=self._qvel[:, _ARM].reshape(self.n, 2, 6),
             flange_base_m=base_m,

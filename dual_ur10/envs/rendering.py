@@ -17,8 +17,8 @@ RENDER_MODES = ("rgb_array", "human")
 _MAX_PIXELS = (1920, 1080)  # the offscreen buffer of the scene
 
 _NO_GL = (
-    "no OpenGL backend was found for drawing. On Debian or Ubuntu: apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri "
-    "(or libosmesa6, with MUJOCO_GL=osmesa)"
+    "no OpenGL backend was found for drawing. On Debian or Ubuntu: apt-get install libegl1 libegl-mesa0 "
+    "libgl1-mesa-dri (or libosmesa6, with MUJOCO_GL=osmesa)"
 )
 
 

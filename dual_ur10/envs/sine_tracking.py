@@ -22,6 +22,8 @@ Rows = NDArray[np.intp]
 
 # Distance at which a term is 0.1: errors of both flanges, turns of both, error of the vector between them.
 _MARGINS = np.array([0.01, 0.01, 0.02, 0.02, 0.005])
+# The terms in the order of the weights: means over the arms.
+_MEANS = np.array([[0.5, 0.5, 0.0, 0.0, 0.0], [0.0, 0.0, 0.5, 0.5, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0]]).T
 
 
 class SineMeasured(NamedTuple):
@@ -159,16 +161,16 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         mounts = (cell.left, cell.right)
         check_path(settings, mounts, self.limits)
         self._base_m, self._to_base = to_base(mounts)
-        self._axis_base = (self._to_base @ settings.direction) * settings.tracking[:, None]
-        self._axis = settings.direction * settings.tracking[:, None]
+        along_base = (self._to_base @ settings.direction) * settings.tracking[:, None]
+        # What follows the sine: the reference in `base` now and ahead, and in the cell frame now.
+        self._along = np.stack([along_base, along_base, settings.direction * settings.tracking[:, None]])
         # Quaternion of the turn from flange to reference = this matrix times the flange's quaternion.
         unit = np.eye(4)
         columns = [quat_multiply(TOOL_DOWN_QUAT, quat_conjugate(unit[k])) for k in range(4)]
         self._turn: Array = np.ascontiguousarray(np.array(columns))
         self._steps = round(settings.duration_s / timing.period_s)
-        self._center: Array = np.zeros((n, 2, 3))
-        self._center_base: Array = np.zeros((n, 2, 3))
-        self._when = np.array([0.0, timing.ahead_s])
+        self._center: Array = np.zeros((n, 3, 2, 3))
+        self._when = np.array([0.0, timing.ahead_s, 0.0])
         self._phase: Array = np.zeros((n, 1))
         self._squares: Array = np.zeros((n, 2))
         self._count = np.zeros(n, dtype=np.int64)
@@ -181,28 +183,28 @@ class SineTracking(Task[SineSettings, SineMeasured]):
             if settings.randomize:
                 shift, phase = rng.uniform(-CENTER_RANGE_M, CENTER_RANGE_M, 3), rng.uniform(-np.pi, np.pi)
             world = np.asarray(settings.center_m) + shift
-            self._center[row] = world
-            self._center_base[row] = (self._to_base @ (world - self._base_m)[..., None])[..., 0]
+            self._center[row, :2] = (self._to_base @ (world - self._base_m)[..., None])[..., 0]
+            self._center[row, 2] = world
             self._phase[row] = phase
         self._squares[rows] = 0.0
         self._count[rows] = 0
         down = quat_to_matrix(TOOL_DOWN_QUAT)
         postures = [
-            nearest(self._center_base[rows, arm], np.broadcast_to(down, (len(rows), 3, 3)), HOME_Q_RAD[arm], mount.dh)
+            nearest(self._center[rows, 0, arm], np.broadcast_to(down, (len(rows), 3, 3)), HOME_Q_RAD[arm], mount.dh)
             for arm, mount in enumerate((self.cell.left, self.cell.right))
         ]
         return np.stack(postures, axis=1)
 
     def measure(self, state: CellState) -> SineMeasured:
         """Reference and errors of all cells."""
-        displacement = self.settings.displacement_m(state.time_s[:, None] + self._when, self._phase)[..., None, None]
-        now, ahead = displacement[:, 0], displacement[:, 1]
-        reference = self._center + now * self._axis
+        displacement = self.settings.displacement_m(state.time_s[:, None] + self._when, self._phase)
+        references = self._center + displacement[..., None, None] * self._along
+        reference = references[:, 2]
         turn = state.flange_base_quat @ self._turn
         turn *= np.copysign(2.0, turn[..., :1])
         return SineMeasured(
-            self._center_base + now * self._axis_base,
-            self._center_base + ahead * self._axis_base,
+            references[:, 0],
+            references[:, 1],
             turn[..., 1:],
             reference,
             reference - state.flange_m,
@@ -228,16 +230,13 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         vectors = np.concatenate([error, measured.turn, error[:, :1] - error[:, 1:]], axis=1)
         squares = (vectors * vectors).sum(axis=2)
         sizes = np.sqrt(squares)
-        scores = gaussian(sizes, _MARGINS)
-        terms = {
-            "position": (scores[:, 0] + scores[:, 1]) * 0.5,
-            "orientation": (scores[:, 2] + scores[:, 3]) * 0.5,
-            "synchrony": scores[:, 4],
-        }
+        terms = (gaussian(sizes, _MARGINS)[:, None] @ _MEANS)[:, 0]
         self._squares += squares[:, :2]
         self._count += 1
         over = self._count >= self._steps
-        success = over & (self._squares.max(axis=1) <= self.settings.success_rms_m**2 * self._count)
+        success = over
+        if over.any():
+            success = over & (self._squares.max(axis=1) <= self.settings.success_rms_m**2 * self._count)
         info = {
             "flange_error_m": sizes[:, :2],
             "orientation_error_rad": sizes[:, 2:4],

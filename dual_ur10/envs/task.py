@@ -23,13 +23,13 @@ class Outcome(NamedTuple):
     """What a task says of n cells after a step.
 
     Attributes:
-        terms: Raw reward terms by name, (n,) each; the reward is their sum weighted by `Task.weights`.
+        terms: (n, terms) raw reward terms in the order of `Task.weights`; the reward is their weighted sum.
         success: (n,) whether the task is done well. True only where `over` is.
         over: (n,) whether the episode has come to its natural end.
         info: Values for `info` by name, (n, ...) each.
     """
 
-    terms: dict[str, Array]
+    terms: Array
     success: Mask
     over: Mask
     info: dict[str, Array]
@@ -58,7 +58,7 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
     Attributes:
         name: As in the id.
         limits: What the arms may do in this task, in simulation and in reality.
-        weights: Weight of each reward term.
+        weights: Weight of each reward term, by its name.
         settings_type: Dataclass of what the user may set.
         observation_bound: (size,) largest magnitude of each number of an observation.
 

@@ -220,13 +220,12 @@ def _masked(info: dict[str, NDArray[Any]], mask: Mask) -> dict[str, Any]:
 
 
 def _restarted(info: dict[str, Any], rows: Mask, begun: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """`info` with that of a reset in the masked rows."""
-    result = dict(info)
-    for name in info:
+    """`info` with that of a reset in the masked rows; without what then concerns no row."""
+    result: dict[str, Any] = {}
+    for name, value in info.items():
         if name.startswith("_"):
             continue
-        if name in begun:
-            result[name] = begun[name]
-        else:
-            result["_" + name] = info["_" + name] & ~rows
+        mask = info["_" + name] if name in begun else info["_" + name] & ~rows
+        if mask.any():
+            result[name], result["_" + name] = begun.get(name, value), mask
     return result

@@ -28,10 +28,14 @@ class DeviationModel:
     _NOISE_RAD = 1e-4
     _MEMORY = 0.99
     _SPEED_RAD_S, _ACCELERATION_RAD_S2 = 0.5, 2.0
-    _REVERSAL_RAD_S = 0.15
+    # A step of the correction at a reversal would be more acceleration than the adapter may command: it is spread over
+    # some periods, and what is learned is put to use gradually, for the same reason.
+    _REVERSAL_RAD_S = 0.25
+    _TRUST = 0.4
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         self._weights: Array = np.zeros((*shape, _FEATURES))
+        self._trusted: Array = self._weights.copy()
         prior = (self._PRIOR_RAD / self._NOISE_RAD) ** 2
         self._limit = prior
         self._covariance: Array = np.broadcast_to(prior * np.eye(_FEATURES), (*shape, _FEATURES, _FEATURES)).copy()
@@ -53,6 +57,7 @@ class DeviationModel:
         spread = (self._covariance @ feature[..., None])[..., 0]
         gain = spread / (self._MEMORY + (feature * spread).sum(axis=-1, keepdims=True))
         self._weights += gain * (deviation - (self._weights * feature).sum(axis=-1))[..., None]
+        self._trusted += self._TRUST * (self._weights - self._trusted)
         covariance = (self._covariance - gain[..., None] * spread[..., None, :]) / self._MEMORY
         # What is not excited must not grow without bound.
         trace = np.trace(covariance, axis1=-2, axis2=-1)[..., None, None]
@@ -60,5 +65,5 @@ class DeviationModel:
 
     def predict(self, speed: Array, acceleration: Array) -> Array:
         """The deviation to expect while moving so."""
-        prediction: Array = (self._weights * self._features(speed, acceleration)).sum(axis=-1)
+        prediction: Array = (self._trusted * self._features(speed, acceleration)).sum(axis=-1)
         return prediction

@@ -110,9 +110,13 @@ class SineTrackingPolicy:
         scalar = np.sqrt(np.maximum(1.0 - (half * half).sum(axis=-1, keepdims=True), 0.0))
         reference = quat_to_matrix(quat_multiply(np.concatenate([scalar, half], axis=-1), arms[..., _FLANGE_QUAT]))
         wanted = np.empty((2, len(arms), 2, 6))
-        for arm, dh in enumerate(self.dh):
-            for k, position in enumerate((_REFERENCE, _AHEAD)):
-                near = arms[:, arm, _COMMANDED]
-                wanted[k, :, arm] = nearest(arms[:, arm, position], reference[:, arm], near, dh)
+        positions = np.stack([arms[..., _REFERENCE], arms[..., _AHEAD]])
+        references = np.broadcast_to(reference, (2, *reference.shape))
+        near = np.broadcast_to(arms[..., _COMMANDED], wanted.shape)
+        # One call for arms with the same kinematics: it costs little more than for a single pose.
+        for group in ([0, 1],) if self.dh[0] == self.dh[1] else ([0], [1]):
+            wanted[:, :, group] = nearest(
+                positions[:, :, group], references[:, :, group], near[:, :, group], self.dh[group[0]]
+            )
         now, ahead = wanted.reshape(2, len(arms), 12)
         return now, ahead

@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.errors import UnknownNameError
+from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics import flange_pose, try_nearest
 from dual_ur10.rotations import quat_from_rotvec, quat_to_matrix
 from dual_ur10.sim2real import path
@@ -106,6 +106,8 @@ class ServojAdapter:
         }
         if mode not in goals:
             raise UnknownNameError("action mode", str(mode), get_args(ActionMode))
+        if not (isinstance(latency_ticks, int | np.integer) and latency_ticks >= 0):
+            raise SettingsError(f"action_latency_ticks is {latency_ticks!r}: a whole number, 0 or more")
         self.profile, self.limits, self.ticks, self.n = profile, limits.narrowed(JOINT_MARGIN_RAD), ticks, n
         self.mode, self.gripper, self.compensate_lag, self.dh = mode, gripper, compensate_lag, tuple(dh)
         self.period_s = ticks * profile.tick_s
@@ -118,6 +120,8 @@ class ServojAdapter:
         self._approach = min(0.3, self.envelope.brake_rate * self.period_s / 10)
         self._lower = self._approach * (np.tile(self.limits.lower_rad, 2) + _GOAL_MARGIN_RAD)
         self._upper = self._approach * (np.tile(self.limits.upper_rad, 2) - _GOAL_MARGIN_RAD)
+        speed = np.tile(self.limits.speed_rad_s, 2)
+        self._leash = speed * (speed / (2 * self.limits.acceleration_rad_s2) + self.period_s)
         self._joint_step = np.tile(self.limits.speed_rad_s, 2) * self.period_s
         # Turns vectors of the cell frame into each arm's `base`, which is half a turn from base_link.
         turns = np.array([[0.0, 0.0, -np.pi - yaw] for yaw in yaw_rad])
@@ -125,13 +129,15 @@ class ServojAdapter:
         self._plans = [self._plan(meeting) for meeting in path.MEETINGS]
         self._resume = self._resume_matrix()
         self._state: Array = np.zeros((n, HISTORY + path.VALUES, 12))
+        self._commanded: Array = self._state[:, _GOAL].copy()
 
     def _plan(self, meeting: path.Meeting) -> Array:
         """A period as a matrix on the state: targets, where the path then is, and the limited quantities."""
         profile, ticks, tick_s = self.profile, self.ticks, self.profile.tick_s
         # Held for a tick, a target acts half a tick late on average: it is taken half a tick ahead.
         lead_s = tick_s / 2 if self.compensate_lag else 0.0
-        rows = path.path(self.period_s, np.arange(ticks) * tick_s + lead_s, meeting)
+        times_s = np.arange(ticks, dtype=np.float64) * tick_s + lead_s
+        rows = path.path(self.period_s, times_s, meeting)
         targets = rows.position
         if self.compensate_lag:
             targets = targets + profile.lookahead_s * rows.speed + rows.acceleration / profile.gain
@@ -145,8 +151,8 @@ class ServojAdapter:
     def _resume_matrix(self) -> Array:
         """Where the path is after a limited period: (4, ...) on the window of targets, and position and speed before.
 
-        With compensation that is where the law leads the arm, without it where the targets are. Acceleration and jerk
-        are those with which the next targets continue the last ones.
+        With compensation that is where the law leads the arm, without it where the next target would be. Acceleration
+        and jerk are those with which the next targets continue the last ones.
         """
         profile, ticks, tick_s = self.profile, self.ticks, self.profile.tick_s
         width = HISTORY + ticks
@@ -161,9 +167,11 @@ class ServojAdapter:
             reached[3, last] = np.array([1.0, -3.0, 2.0]) * (profile.gain / tick_s)
             reached[3] -= profile.gain * (reached[1] + profile.lookahead_s * reached[2])
         else:
-            reached[0, width - 1] = 1.0
-            reached[1, width - 2 : width] = np.array([-1.0, 1.0]) / tick_s
-            reached[2, width - 3 : width] = np.array([1.0, -2.0, 1.0]) / tick_s**2
+            # The last target was taken a whole tick before the end of the period: go on from it by a parabola.
+            last = slice(width - 3, width)
+            reached[0, last] = 1.0, -3.0, 3.0
+            reached[1, last] = np.array([1.5, -4.0, 2.5]) / tick_s
+            reached[2, last] = np.array([1.0, -2.0, 1.0]) / tick_s**2
         return reached
 
     @property
@@ -181,14 +189,18 @@ class ServojAdapter:
 
     @property
     def commanded_q_rad(self) -> Array:
-        """(n, 2, 6) joint positions that the motion commanded so far leads to: where the next action starts from."""
-        return self._state[:, _NOW].reshape(self.n, 2, 6)
+        """(n, 2, 6) joint positions that were commanded last: where the steps of the next action start from.
+
+        Where a limit keeps the arms from following, it stays within a braking distance of where they are led.
+        """
+        return self._commanded.reshape(self.n, 2, 6)
 
     def reset(self, q_rad: Array, rows: Rows | None = None) -> None:
         """Start from rest at `q_rad`, (n, 2, 6), in all cells or in `rows` of them (then (len(rows), 2, 6))."""
         index = slice(None) if rows is None else rows
         self._state[index] = np.asarray(q_rad).reshape(-1, 1, 12)
         self._state[index, _SPEED:] = 0.0
+        self._commanded[index] = self._state[index, _GOAL]
 
     def __call__(self, action: Array) -> Command:
         """Targets of the next period.
@@ -210,6 +222,8 @@ class ServojAdapter:
         keep = max(HISTORY - ticks, 0)
         state[:, :keep] = state[:, ticks : ticks + keep]
         state[:, keep:HISTORY] = targets[:, -HISTORY:]
+        led = state[:, _NOW]
+        self._commanded = np.minimum(np.maximum(state[:, _GOAL], led - self._leash), led + self._leash)
         return Command(targets.reshape(self.n, ticks, 2, 6), self._opening(action))
 
     def _limited(self, state: Array) -> Array:
@@ -233,7 +247,7 @@ class ServojAdapter:
 
     def _joint_delta(self, action: Array) -> Array:
         step = np.minimum(np.maximum(action.reshape(self.n, 12), -1.0), 1.0)
-        return self._inside(self._state[:, _NOW] + step * self._joint_step)
+        return self._inside(self._commanded + step * self._joint_step)
 
     def _joint_position(self, action: Array) -> Array:
         return self._inside(action.reshape(self.n, 12))
@@ -248,8 +262,9 @@ class ServojAdapter:
         goal = now.copy()
         for arm, dh in enumerate(self.dh):
             position, rotation = flange_pose(now[:, arm], dh)
-            step = share[:, arm, :3] * (TCP_STEP_M_S * self.period_s) @ self._to_base[arm].T
-            turn = share[:, arm, 3:] * (TCP_TURN_RAD_S * self.period_s) @ self._to_base[arm].T
+            # One small product per cell, so that its last bit does not depend on how many others there are.
+            vectors = share[:, arm].reshape(-1, 2, 3) @ self._to_base[arm].T
+            step, turn = vectors[:, 0] * (TCP_STEP_M_S * self.period_s), vectors[:, 1] * (TCP_TURN_RAD_S * self.period_s)
             wanted = quat_to_matrix(quat_from_rotvec(turn)) @ rotation
             q, reached = try_nearest(position + step, wanted, now[:, arm], dh)
             goal[reached, arm] = q[reached]

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Literal, NamedTuple, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.assets.scene import ArmMount, SceneSettings
+from dual_ur10.assets.scene import CLEARANCE_CUTOFF_M, ArmMount, SceneSettings
 from dual_ur10.errors import RateError, SettingsError, UnknownNameError
 from dual_ur10.sim2real.adapter import Command
 from dual_ur10.sim2real.clearance import MINIMUM_M
@@ -21,11 +21,12 @@ from dual_ur10.sim2real.servoj import ServojProfile
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
+Numbers = float | Array | tuple[Any, ...]
+
 CellKind = Literal["mujoco"]
 
 
-@dataclass(frozen=True)
-class CellState:
+class CellState(NamedTuple):
     """What can be measured of n cells at one instant. Only what a real cell can measure, too.
 
     The arrays are the cell's own and change with its next call: copy what is to be kept.
@@ -68,7 +69,8 @@ class Cell(Protocol):
 class Perturbation:
     """How a simulated plant differs from what the adapter and the controller believe of it.
 
-    Each value is one number for all, or an array that broadcasts to the shape given. The defaults change nothing.
+    Each value is one number for all, or an array that broadcasts to the shape given; arrays are kept as nested tuples,
+    so that equal perturbations are equal and hash alike. The defaults change nothing.
 
     Attributes:
         mass_scale: (n, 2) factor on all link masses and inertias. The controller goes on compensating the gravity of
@@ -82,14 +84,14 @@ class Perturbation:
         declared_payload_kg: (n, 2) what the controller was told of it, as with `set_payload`.
     """
 
-    mass_scale: float | Array = 1.0
-    friction_nm: float | Array = 0.0
-    lookahead_scale: float | Array = 1.0
-    latency_s: float | Array = 0.0
-    jitter_s: float | Array = 0.0
-    loss: float | Array = 0.0
-    payload_kg: float | Array = 0.0
-    declared_payload_kg: float | Array = 0.0
+    mass_scale: Numbers = 1.0
+    friction_nm: Numbers = 0.0
+    lookahead_scale: Numbers = 1.0
+    latency_s: Numbers = 0.0
+    jitter_s: Numbers = 0.0
+    loss: Numbers = 0.0
+    payload_kg: Numbers = 0.0
+    declared_payload_kg: Numbers = 0.0
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -102,9 +104,13 @@ class Perturbation:
             ("payload_kg", 0.0, 10.0),
             ("declared_payload_kg", 0.0, 10.0),
         ):
-            value = np.asarray(getattr(self, name), dtype=np.float64)
+            try:
+                value = np.asarray(getattr(self, name), dtype=np.float64)
+            except (TypeError, ValueError):
+                raise SettingsError(f"perturbation {name} is {getattr(self, name)!r}: it must be numbers") from None
             if not ((value >= low) & (value <= high)).all():
                 raise SettingsError(f"perturbation {name} is {getattr(self, name)!r}: allowed are {low} to {high}")
+            object.__setattr__(self, name, _plain(value.tolist()))
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> Perturbation:
@@ -132,6 +138,11 @@ class Perturbation:
                 raise SettingsError(f"perturbation {each.name} has shape {found}: it must fit {shape}") from None
             result[each.name] = value.copy()
         return result
+
+
+def _plain(values: Any) -> Any:
+    """Numbers as they are, nested lists as nested tuples."""
+    return tuple(map(_plain, values)) if isinstance(values, list) else values
 
 
 TYPICAL_PERTURBATION = Perturbation(
@@ -176,8 +187,11 @@ class CellConfig:
     def __post_init__(self) -> None:
         if self.kind not in get_args(CellKind):
             raise UnknownNameError("cell kind", str(self.kind), get_args(CellKind))
-        if not (np.isfinite(self.minimum_clearance_m) and self.minimum_clearance_m >= 0.005):
-            raise SettingsError(f"minimum_clearance_m is {self.minimum_clearance_m!r}: it must be at least 0.005 m")
+        if not 0.005 <= self.minimum_clearance_m < CLEARANCE_CUTOFF_M:
+            raise SettingsError(
+                f"minimum_clearance_m is {self.minimum_clearance_m!r}: it must be at least 0.005 m and below "
+                f"{CLEARANCE_CUTOFF_M} m, beyond which distances are not measured"
+            )
         _ = self.scene, self.substeps
 
     @property

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.scene import SceneSettings, build_clearance_model, clearance_pairs
-from dual_ur10.errors import CollisionAtStartError, UnknownNameError
+from dual_ur10.errors import CollisionAtStartError, SettingsError, UnknownNameError
 
 Array = NDArray[np.float64]
 Pair = tuple[str, str]
@@ -71,14 +71,17 @@ class Clearance:
         self._build()
 
     def distances_m(self, q_rad: Array) -> Array:
-        """(n, pairs) distances at the postures `q_rad`, (n, 12); those beyond 0.2 m are given as 0.2 m."""
+        """(n, pairs) distances at the postures `q_rad`, (n, 12); those beyond 0.2 m are given as 0.2 m.
+
+        The array is this object's own and changes with its next call.
+        """
         self._qpos[:] = q_rad
         self._batch.forward(stage=self._stage)
         return self._distance
 
     def is_clear(self, q_rad: Array) -> NDArray[np.bool_]:
         """(n,) mask of the postures, (n, 12), at which no pair is closer than allowed."""
-        clear: NDArray[np.bool_] = (self.distances_m(q_rad) >= self._threshold).all(axis=1)
+        clear: NDArray[np.bool_] = np.all(self.distances_m(q_rad) >= self._threshold, axis=1)
         return clear
 
     def worst(self, q_rad: Array) -> tuple[str, float, float]:
@@ -95,8 +98,11 @@ class Clearance:
         """Refuse postures, (len(rows), 2, 6), that episodes in `rows` must not start from.
 
         Raises:
+            SettingsError: A posture is not finite; MuJoCo would measure the distances at another one.
             CollisionAtStartError: A pair is closer than allowed.
         """
+        if not np.isfinite(q_rad).all():
+            raise SettingsError(f"a start posture must be finite, found {np.asarray(q_rad).tolist()}")
         postures = self._qpos.copy()
         postures[rows] = np.asarray(q_rad).reshape(-1, 12)
         for row in rows[~self.is_clear(postures)[rows]]:

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from dual_ur10.errors import ActionError
 from dual_ur10.sim2real.clearance import Clearance
-from dual_ur10.sim2real.limits import HISTORY, REST_SPEED_RAD_S, Envelope, MotionLimits
+from dual_ur10.sim2real.limits import HISTORY, Envelope, MotionLimits
 from dual_ur10.ur10 import ARMS, JOINTS
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
+Mask = NDArray[np.bool_]
 
 _TOLERANCE = 1.0 + 1e-9  # rounding of a third difference of positions
 
@@ -124,41 +125,42 @@ class SafetyGate:
         quantities = envelope.rows @ window
         share = envelope.use(quantities)
         # Every check asks "is it within", which NaN and infinity are not.
-        legal = share.reshape(n, -1).max(axis=1) <= _TOLERANCE
-        legal &= envelope.tip_bound(share) <= 1.0
-        if not legal.all():
-            if not np.isfinite(targets_rad).all():
-                raise ActionError(_not_finite(targets_rad))
-            legal = self._in_detail(window, share)
-        legal &= self._clearance.is_clear(quantities[:, envelope.rest_row])
+        kept = share.max() <= _TOLERANCE and envelope.tip_bound(share).max() <= 1.0
+        if not kept and not np.isfinite(targets_rad).all():
+            raise ActionError(_not_finite(targets_rad))
+        legal = self._clearance.is_clear(quantities[:, envelope.rest_row])
+        if not kept:
+            legal &= self._in_detail(window, share)
         if self._verdicts or not legal.all():
-            targets_rad = self._refuse(np.flatnonzero(~legal), window, quantities, share)
+            self._refuse(np.flatnonzero(~legal), window, quantities, share)
         self._past = window[:, -HISTORY:]
         self._sent += ticks
-        return GateResult(targets_rad, self._verdicts)
+        # Copies: what leaves is what was checked, and nobody outside holds the gate's own record.
+        leaving = window[:, HISTORY:].copy().reshape(n, ticks, 2, 6)
+        return GateResult(leaving, dict(self._verdicts))
 
-    def _in_detail(self, window: Array, share: Array) -> Array:
+    def _in_detail(self, window: Array, share: Array) -> Mask:
         """(n,) mask of rows within all limits, with the tip speed computed where its bound is not enough."""
-        legal: Array = share.reshape(self.n, -1).max(axis=1) <= _TOLERANCE
+        legal: Mask = share.reshape(self.n, -1).max(axis=1) <= _TOLERANCE
         rows = np.flatnonzero(legal & (self.envelope.tip_bound(share) > 1.0))
         if rows.size:
             fastest, _ = self.envelope.tip_share(window[rows])
             legal[rows] = fastest.max(axis=1) <= _TOLERANCE
         return legal
 
-    def _refuse(self, rows: Rows, window: Array, quantities: Array, share: Array) -> Array:
-        """Write the brake into the refused rows of `window`, note why, and return the targets that may leave."""
-        verdicts = dict(self._verdicts)
+    def _refuse(self, rows: Rows, window: Array, quantities: Array, share: Array) -> None:
+        """Write the brake into the refused rows of `window`, and note why."""
         for row in rows.tolist():
-            if row not in verdicts:
-                verdicts[row] = self._explain(row, window, quantities, share)
-        self._verdicts = verdicts
-        stopping = np.array(sorted(verdicts), dtype=np.intp)
+            if row not in self._verdicts:
+                self._verdicts[row] = self._explain(row, window, quantities, share)
+        stopping = np.array(sorted(self._verdicts), dtype=np.intp)
         past = self._past[stopping]
-        brake = self.envelope.brake @ past
+        # Relative to the last target: rounding of the brake is then far below that of a third difference.
+        last = past[:, -1:]
+        brake = last + self.envelope.brake @ (past - last)
         speed = np.abs(np.diff(past, axis=1)).max(axis=(1, 2)) / self.envelope.tick_s
-        window[stopping, HISTORY:] = np.where((speed < REST_SPEED_RAD_S)[:, None, None], past[:, -1:], brake)
-        return window[:, HISTORY:].reshape(self.n, self.ticks, 2, 6)
+        resting = speed < self.envelope.rest_speed_rad_s
+        window[stopping, HISTORY:] = np.where(resting[:, None, None], last, brake)
 
     def _explain(self, row: int, window: Array, quantities: Array, share: Array) -> Verdict:
         """The worst violation of one row."""
@@ -186,6 +188,6 @@ class SafetyGate:
 def _not_finite(targets_rad: Array) -> str:
     row, tick, arm, joint = np.argwhere(~np.isfinite(targets_rad))[0]
     return (
-        f"target of {ARMS[arm]}/{JOINTS[joint]} is {targets_rad[row, tick, arm, joint]} (cell {row}, tick {tick} of the "
-        "period): targets must be finite. Nothing was sent"
+        f"target of {ARMS[arm]}/{JOINTS[joint]} is {targets_rad[row, tick, arm, joint]} (cell {row}, tick {tick} of "
+        "the period): targets must be finite. Nothing was sent"
     )

@@ -16,8 +16,11 @@ from dual_ur10.sim2real.limits import HISTORY, Envelope
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_FULL = 1.0 - 1e-7
+_FULL = 1.0 - 1e-6
 """Share of a limit that may be used: the rest is left so that rounding never meets the safety gate."""
+
+_TIP_FULL = 0.993
+"""The same for the tip speed. Along the brake it is sampled: the gate, with other samples, must not find more."""
 
 _TINY = 1e-200
 
@@ -49,10 +52,13 @@ class Limiter:
             targets: (n, ticks, 12) planned targets.
         """
         share = np.abs(use)
+        bound = self.envelope.tip_bound(share)
+        if share.max() <= _FULL and bound.max() <= _TIP_FULL:
+            return np.ones(len(share), dtype=bool)
         legal: Mask = share.reshape(len(share), -1).max(axis=1) <= _FULL
-        rows = np.flatnonzero((self.envelope.tip_bound(share) > 1.0) & legal)
+        rows = np.flatnonzero((bound > _TIP_FULL) & legal)
         if rows.size:
-            legal[rows] = self._tip_share(past[rows], targets[rows]) <= _FULL
+            legal[rows] = self._tip_share(past[rows], targets[rows]) <= _TIP_FULL
         return legal
 
     def _tip_share(self, past: Array, targets: Array) -> Array:
@@ -82,19 +88,23 @@ class Limiter:
         way = targets - base
         for _ in range(_TRIES):
             limited: Array = base + share * way
-            if (envelope.tip_bound(np.abs(used + share * gained)) <= 1.0).all():
+            if (envelope.tip_bound(np.abs(used + share * gained)) <= _TIP_FULL).all():
                 return limited
             fastest = self._tip_share(past, limited)
-            fast = fastest > _FULL
+            fast = fastest > _TIP_FULL
             if not fast.any():
                 return limited
             share[fast] *= 0.9 / fastest[fast, None, None]
         share[fast] = 0.0
-        limited = base + share * way
-        return limited
+        stopped: Array = base + share * way
+        return stopped
 
     def _continued(self, rows: Array, past: Array) -> tuple[Array, Array]:
         """Targets, (n, ticks, 12), and the signed share of each limit, (n, m, 12), of coast or brake."""
-        continued = rows @ past
-        ticks = self.envelope.ticks
-        return continued[:, :ticks], self.envelope.signed_use(continued[:, ticks:])
+        ticks, last = self.envelope.ticks, past[:, -1:]
+        # Relative to the last target: what a third difference is made of is then small, and so is its rounding.
+        continued = rows @ (past - last)
+        continued[:, :ticks] += last
+        quantities = continued[:, ticks:]
+        quantities[:, self.envelope.position_rows] += last
+        return continued[:, :ticks], self.envelope.signed_use(quantities)

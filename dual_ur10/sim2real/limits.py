@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +31,14 @@ HISTORY = 3
 """Targets that stand before the first one of a window: a third difference reaches back that far."""
 
 REST_SPEED_RAD_S = 1e-4
-"""Below this speed the brake holds its position: the step to zero is far inside every limit."""
+"""Below this speed the brake holds its position, unless tight limits ask for less."""
 
-_BRAKE_SAMPLES = 8
-"""Instants along the brake at which the tip speed is computed. Between them it differs by less than 1 %."""
+_BRAKE_GAP, _BRAKE_PEAK, _BRAKE_LAST = 0.2, 2.0, 3.0
+"""Instants along the brake, in units of 1 / w, at which the tip speed is looked at: the gap between two, and the last.
+It can rise at first, where the joints were still accelerating, and is over its peak before 2 / w."""
+
+_BETWEEN_INSTANTS = 1.006
+"""By how much a peak between two of them can be higher: its curvature is at most w², half a gap is 0.1 / w."""
 
 # Largest distance of the flange from each joint's axis, by the lengths between them; the elbow is always nearer.
 _ARM_M = abs(ur10.DH_A_M[1]) + abs(ur10.DH_A_M[2]) + ur10.DH_D_M[4] + ur10.DH_D_M[5]
@@ -49,9 +54,18 @@ REACH_FROM_JOINT_M: Array = np.array(
 )
 
 
-def _six(values: object) -> Six:
-    array = np.broadcast_to(np.asarray(values, dtype=np.float64), (6,))
-    return (*array.tolist(),)  # type: ignore[return-value]  # the broadcast above makes it six
+def _six(values: Any) -> Six:
+    try:
+        array = np.broadcast_to(np.asarray(values, dtype=np.float64), (6,))
+    except (TypeError, ValueError):
+        raise SettingsError(f"a limit must be one number or six, found {values!r}") from None
+    return (*array.tolist(),)
+
+
+# Defaults of MotionLimits.
+_SPEED_RAD_S = _six(ur10.HARD_SPEED_RAD_S)
+_LOWER_RAD = _six(-ur10.JOINT_RANGE_RAD)
+_UPPER_RAD = _six(ur10.JOINT_RANGE_RAD)
 
 
 @dataclass(frozen=True)
@@ -62,19 +76,20 @@ class MotionLimits:
         speed_rad_s: Six joint speeds, or one for all.
         acceleration_rad_s2: Second difference of the targets.
         jerk_rad_s3: Third difference of the targets.
-        tcp_speed_m_s: Speed of the flange and of the elbow.
+        tcp_speed_m_s: Speed of the flange and of the elbow of a nominal arm; a calibrated one differs by its
+            deviation in length.
         lower_rad, upper_rad: Joint positions; the arm must also be able to stop inside them.
 
     Raises:
         SettingsError: A limit is not positive and finite, or wider than the hard limits of `dual_ur10.ur10`.
     """
 
-    speed_rad_s: Six = _six(ur10.HARD_SPEED_RAD_S)
+    speed_rad_s: Six = _SPEED_RAD_S
     acceleration_rad_s2: float = ur10.HARD_ACCELERATION_RAD_S2
     jerk_rad_s3: float = ur10.HARD_JERK_RAD_S3
     tcp_speed_m_s: float = ur10.HARD_TCP_SPEED_M_S
-    lower_rad: Six = _six(-ur10.JOINT_RANGE_RAD)
-    upper_rad: Six = _six(ur10.JOINT_RANGE_RAD)
+    lower_rad: Six = _LOWER_RAD
+    upper_rad: Six = _UPPER_RAD
 
     def __post_init__(self) -> None:
         for name in ("speed_rad_s", "lower_rad", "upper_rad"):
@@ -131,6 +146,10 @@ class Envelope:
         self.limits, self.tick_s, self.ticks = limits, tick_s, ticks
         self.brake_rate = limits.brake_rate()
         self.ratio = math.exp(-self.brake_rate * tick_s)
+        # Stopping dead from this speed takes at most half the acceleration and three quarters of the jerk.
+        self.rest_speed_rad_s = min(
+            REST_SPEED_RAD_S, limits.acceleration_rad_s2 * tick_s / 2, limits.jerk_rad_s3 * tick_s**2 / 4
+        )
         width = HISTORY + ticks
         identity = np.eye(width)
         speed = (identity[1:] - identity[:-1]) / tick_s
@@ -143,7 +162,8 @@ class Envelope:
             "joint position": [identity[HISTORY:]],
         }
         ahead, r = self._brake_derivatives(), self.ratio
-        for stop in sorted({ticks} if stops is None else set(stops)):
+        self._stops = sorted({ticks} if stops is None else {*stops, ticks})
+        for stop in self._stops:
             last = HISTORY - 1 + stop
             speeds = speed[[last - 1, last - 2]]
             for kind, rows in ahead.items():
@@ -157,6 +177,7 @@ class Envelope:
         self.rows: Array = np.ascontiguousarray(np.vstack(list(stacked.values())))
         self.kinds = [kind for kind, block in stacked.items() for _ in block]
         self.rest_row = len(self.rows) - 1
+        self.position_rows = slice(len(self.rows) - self.kinds.count("joint position"), None)
         self.middle, self.half = self._bounds()
         self.brake: Array = self._brake(ticks)
         self.coast: Array = self._coast(ticks)
@@ -164,7 +185,8 @@ class Envelope:
         # Speeds come first.
         self._speed_rows = slice(0, self.kinds.count("joint speed"))
         # Share of the tip speed limit that each joint uses at its own full speed, at most.
-        self._lever = np.asarray(limits.speed_rad_s) * REACH_FROM_JOINT_M / limits.tcp_speed_m_s
+        lever = np.asarray(limits.speed_rad_s) * REACH_FROM_JOINT_M * (_BETWEEN_INSTANTS / limits.tcp_speed_m_s)
+        self._lever = np.kron(np.eye(2), lever[:, None])
         self._brake_samples = self._sampled_brake()
         self._middle = np.tile(self.middle, 2)
         self.scale: Array = 1.0 / np.tile(self.half, 2)
@@ -187,6 +209,8 @@ class Envelope:
             owner = [(kind, i) for kind, rows in scaled.items() for i in range(len(rows))]
             for corner in _hull_corners(np.vstack(list(scaled.values()))):
                 keep[owner[corner][0]].add(owner[corner][1])
+        # The bound of the tip speed takes the brake's speeds from these rows, so none of its peaks may be missing.
+        keep["joint speed"].update(self._brake_ticks().tolist())
         return {kind: ahead[kind][sorted(keep[kind])].reshape(-1, 2) for kind in ahead}
 
     def _brake(self, ticks: int) -> Array:
@@ -204,12 +228,17 @@ class Envelope:
             rows.append(rows[-1] + speed + self.ratio * (speed - before))
         return np.array(rows[HISTORY:])
 
+    def _brake_ticks(self) -> NDArray[np.intp]:
+        """Ticks along the brake, 0 the first, at which the tip speed is looked at."""
+        tick = self.brake_rate * self.tick_s
+        gap, peak, last = max(int(_BRAKE_GAP / tick), 1), math.ceil(_BRAKE_PEAK / tick), math.ceil(_BRAKE_LAST / tick)
+        return np.append(np.arange(0, peak + 1, gap), max(last, peak + 1))
+
     def _sampled_brake(self) -> Array:
-        """Rows (2 samples, 3): ticks along the brake until its speed has died away, then the tick after each."""
-        ticks = math.ceil(4.0 / (-math.log(self.ratio)))
-        first = np.unique(np.linspace(0, ticks - 2, _BRAKE_SAMPLES).astype(int))
-        brake = self._brake(ticks)
-        return np.concatenate([brake[first], brake[first + 1]])
+        """Rows (2 samples, 3): targets before some ticks of the brake, then those at these ticks."""
+        at = self._brake_ticks()
+        positions = np.vstack([np.eye(HISTORY)[-1:], self._brake(int(at[-1]) + 1)])
+        return np.concatenate([positions[at], positions[at + 1]])
 
     def _bounds(self) -> tuple[Array, Array]:
         """Middle and half width of every row's range, (m, 6) each."""
@@ -248,8 +277,8 @@ class Envelope:
         Args:
             share: (n, m, 12) as `use` gives it.
         """
-        peak = share[:, self._speed_rows].max(axis=1).reshape(-1, 2, 6)
-        bound: Array = (peak * self._lever).sum(axis=2).max(axis=1)
+        peak = share[:, self._speed_rows].max(axis=1, keepdims=True)
+        bound: Array = (peak @ self._lever).max(axis=(1, 2))
         return bound
 
     def tip_share(self, window: Array) -> tuple[Array, Array]:
@@ -261,11 +290,14 @@ class Envelope:
         Returns:
             (n, 2) share of each arm, and (n, 2) whether the elbow is the faster point.
         """
-        n = len(window)
-        brake = self._brake_samples @ window[:, -HISTORY:]
-        half = brake.shape[1] // 2
-        before = np.concatenate([window[:, HISTORY - 1 : -1], brake[:, :half]], axis=1)
-        after = np.concatenate([window[:, HISTORY:], brake[:, half:]], axis=1)
+        n, half = len(window), len(self._brake_samples) // 2
+        starts, ends = [window[:, HISTORY - 1 : -1]], [window[:, HISTORY:]]
+        for stop in self._stops:
+            brake = self._brake_samples @ window[:, stop : stop + HISTORY]
+            start = brake[:, :half]
+            starts.append(start)
+            ends.append(start + _BETWEEN_INSTANTS * (brake[:, half:] - start))
+        before, after = np.concatenate(starts, axis=1), np.concatenate(ends, axis=1)
         elbow, flange = elbow_and_flange_position(np.stack([before, after]).reshape(2, n, -1, 2, 6))
         moved = np.stack([elbow[1] - elbow[0], flange[1] - flange[0]])
         fastest = np.sqrt((moved * moved).sum(axis=-1).max(axis=2)) / (self.tick_s * self.limits.tcp_speed_m_s)

@@ -65,7 +65,10 @@ class ServojPipeline:
         Raises:
             ActionError: See `__call__`.
         """
-        array = np.asarray(action)
+        try:
+            array = np.asarray(action)
+        except (TypeError, ValueError) as error:
+            raise ActionError(f"an action must be numbers, found {type(action).__name__}: {error}") from None
         if array.dtype.kind not in "fiu":
             raise ActionError(f"an action must be numbers, found {array.dtype} from {type(action).__name__}")
         size = self._shape[0] * self._shape[1] * self._shape[2]

@@ -1,0 +1,5 @@
+"""`python -m dual_ur10`."""
+
+from dual_ur10.cli import main
+
+main()

@@ -1,0 +1,134 @@
+"""One arm's tree: ``ur10.xml``, corrected to the arm's own Denavit-Hartenberg parameters."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from dual_ur10.assets.settings import GAINS
+from dual_ur10.ur10 import JOINTS, LINKS, NOMINAL_DH, Array, DHParameters
+
+_ARM_FILE: Final = Path(__file__).with_name("ur10") / "ur10.xml"
+
+_Quat = tuple[float, float, float, float]
+_Pose = tuple[Array, _Quat]
+
+
+def composer() -> Any:
+    """dm_control's composer, imported late: it is heavy and tries every OpenGL backend."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # GLFW complains where there is no display; nothing is drawn here
+        from dm_control import mjcf  # type: ignore[import-untyped, unused-ignore]
+    return mjcf
+
+
+def arm_tree(name: str, dh: DHParameters, gains: str) -> Any:
+    """dm_control tree of one arm.
+
+    Args:
+        name: of the arm; prefixes its names once it is attached.
+        dh: its kinematics.
+        gains: of its joint servos, a key of `GAINS`.
+    """
+    arm = composer().from_path(str(_ARM_FILE))
+    arm.model = name
+    _apply_dh(arm, dh)
+    for joint, kp, kv in zip(JOINTS, *GAINS[gains], strict=True):
+        actuator = arm.find("actuator", joint)
+        actuator.kp, actuator.kv = kp, kv
+    return arm
+
+
+def strip(frame: Any) -> None:
+    """Take the drawn parts off one arm."""
+    for geom in frame.find_all("geom"):
+        if geom.dclass is not None and geom.dclass.dclass == "visual":
+            geom.remove()
+
+
+def quat_z(angle_rad: float) -> _Quat:
+    """Quaternion w, x, y, z of a turn about z."""
+    return math.cos(angle_rad / 2), 0.0, 0.0, math.sin(angle_rad / 2)
+
+
+def _apply_dh(arm: Any, dh: DHParameters) -> None:
+    """Move the bodies of one arm to the frames of its own DH parameters, exactly.
+
+    A calibration may shift d2, d3 and d4 by metres against each other, for joints 2 to 4 are nearly parallel. Sliding
+    the frames of forearm and wrist 1 along their own joint axes back to where the links are leaves the kinematics as
+    they are.
+    """
+    if dh.is_nominal:
+        return  # the file holds the nominal arm
+    slide = np.zeros(7)
+    slide[2] = -dh.d_m[1] / math.cos(dh.alpha_rad[1])
+    slide[3] = (slide[2] - dh.d_m[2]) / math.cos(dh.alpha_rad[2])
+    nominal, corrected = _link_ends(NOMINAL_DH, np.zeros(7)), _link_ends(dh, slide)
+    shoulder = arm.find("body", LINKS[0])
+    shoulder.quat = _quat_product((0.0, 0.0, 0.0, 1.0), quat_z(dh.theta_rad[0]))
+    for i, link in enumerate(LINKS):
+        body = arm.find("body", link)
+        position, twist = corrected[i]
+        if i < 5:
+            child = arm.find("body", LINKS[i + 1])
+            child.pos, child.quat = position, _quat_product(twist, quat_z(dh.theta_rad[i + 1]))
+        else:
+            site = arm.find("site", "flange")
+            site.pos, site.quat = position, twist
+        _move_inertia(body.inertial, nominal[i], corrected[i])
+
+
+def _link_ends(dh: DHParameters, slide: Array) -> list[_Pose]:
+    """Pose of each link's distal frame in its body frame: position in m, quaternion w, x, y, z.
+
+    Args:
+        dh: kinematics of the arm.
+        slide: (7,) m, how far each body frame is moved along its own joint axis.
+    """
+    poses: list[_Pose] = []
+    for i in range(6):
+        alpha = dh.alpha_rad[i]
+        position = np.array(
+            [
+                dh.a_m[i],
+                -math.sin(alpha) * slide[i + 1],
+                dh.d_m[i] - slide[i] + math.cos(alpha) * slide[i + 1],
+            ]
+        )
+        poses.append((position, (math.cos(alpha / 2), math.sin(alpha / 2), 0.0, 0.0)))
+    return poses
+
+
+def _move_inertia(inertial: Any, old: _Pose, new: _Pose) -> None:
+    """Carry an inertia along with the distal frame it is given in."""
+    rotation = _matrix(new[1]) @ _matrix(old[1]).T
+    ixx, iyy, izz, ixy, ixz, iyz = inertial.fullinertia
+    inertia = rotation @ np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]) @ rotation.T
+    inertial.pos = new[0] + rotation @ (inertial.pos - old[0])
+    inertial.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+
+
+def _quat_product(a: _Quat, b: _Quat) -> _Quat:
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+def _matrix(quat: _Quat) -> Array:
+    w, x, y, z = quat
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )

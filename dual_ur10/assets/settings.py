@@ -1,0 +1,153 @@
+"""What stands in the cell and where: settings and constants of the scene.
+
+Import them from [scene][dual_ur10.assets.scene].
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.ur10 import ARMS, NOMINAL_DH, DHParameters, constant
+
+GAINS: Final[dict[str, tuple[tuple[float, ...], tuple[float, ...]]]] = {
+    "stiff": ((20000.0, 20000.0, 10000.0, 3000.0, 3000.0, 3000.0), (1000.0, 1000.0, 500.0, 60.0, 60.0, 60.0)),
+    "compliant": ((4000.0, 4000.0, 3500.0, 3200.0, 3200.0, 3200.0), (350.0, 350.0, 200.0, 30.0, 30.0, 30.0)),
+}
+"""kp in N·m/rad and kv in N·m·s/rad per joint: "stiff" for free motion, "compliant" where both arms hold one thing."""
+
+TABLE_THICKNESS_M: Final = 0.06
+FLOOR_Z_M: Final = -0.75
+BASE_RADIUS_M: Final = 0.15
+"""Room around a base's axis that its turning shoulder takes."""
+
+MIN_BASE_DISTANCE_M: Final = 0.3
+
+_MAX_MOUNT_M: Final = 3.0
+
+# Elbow up, tool z straight down, flange x towards the base: the rotation vector (pi, 0, 0) in UR's base frame.
+_HOME: Final = (-0.22036724, -1.4126697, 1.84438035, -2.00250698, -math.pi / 2, 1.35042908)
+
+HOME_Q_RAD: Final = constant([_HOME, _HOME])
+"""(2, 6) rad: flanges 0.75 m in front of the bases and 0.4 m above them, at (0, ±0.6, 0.4) with default mounts."""
+
+
+@dataclass(frozen=True)
+class ArmMount:
+    """Where one arm stands.
+
+    Attributes:
+        position_m: (3,) position of `base_link` in the cell frame.
+        yaw_rad: turn of `base_link` about the cell's z axis; 0 looks along +x.
+        dh: kinematics of this arm, nominal or as calibrated.
+
+    Raises:
+        SettingsError: A number is not finite, more than 3 m from the cell's origin, below the floor, or beyond ±2π.
+    """
+
+    position_m: tuple[float, float, float]
+    yaw_rad: float = 0.0
+    dh: DHParameters = NOMINAL_DH
+
+    def __post_init__(self) -> None:
+        position = _numbers("mount position_m", self.position_m, 3)
+        (yaw,) = _numbers("mount yaw_rad", (self.yaw_rad,), 1)
+        if max(map(abs, position)) > _MAX_MOUNT_M or position[2] < FLOOR_Z_M:
+            raise SettingsError(
+                f"mount position_m is {position}: each coordinate must be within ±{_MAX_MOUNT_M} m and z not below "
+                f"the floor at {FLOOR_Z_M} m"
+            )
+        if abs(yaw) > 2 * math.pi:
+            raise SettingsError(f"mount yaw_rad is {yaw:.6g}: must be within ±2π (radians, not degrees)")
+        if not isinstance(self.dh, DHParameters):
+            raise SettingsError(f"mount dh must be DHParameters, found {type(self.dh).__name__}")
+        object.__setattr__(self, "position_m", position)
+        object.__setattr__(self, "yaw_rad", yaw)
+
+
+@dataclass(frozen=True)
+class SceneSettings:
+    """What stands in the cell and how it is simulated.
+
+    Attributes:
+        left: mount of the left arm.
+        right: mount of the right arm.
+        timestep_s: physics timestep.
+        gains: one of [GAINS][dual_ur10.assets.scene.GAINS].
+        meshes: draw the meshes of the optional package `example-robot-data` in place of primitives. Looks only.
+        table_center_m: (2,) x, y of the table's centre; its top is at z = 0.
+        table_size_m: (2,) length along x and width along y.
+
+    Raises:
+        SettingsError: A number is not finite or out of range, the bases stand closer than 0.3 m to each other, or a
+            base stands inside the table.
+        UnknownNameError: `gains` is no name of a gain set.
+    """
+
+    left: ArmMount = field(default_factory=lambda: ArmMount((-0.75, 0.6, 0.0)))
+    right: ArmMount = field(default_factory=lambda: ArmMount((-0.75, -0.6, 0.0)))
+    timestep_s: float = 0.002
+    gains: str = "stiff"
+    meshes: bool = False
+    table_center_m: tuple[float, float] = (0.0, 0.0)
+    table_size_m: tuple[float, float] = (1.0, 1.8)
+
+    def __post_init__(self) -> None:
+        (timestep,) = _numbers("timestep_s", (self.timestep_s,), 1)
+        if not 0.0 < timestep <= 0.02:
+            raise SettingsError(f"timestep_s is {timestep:.6g}: must be above 0 and at most 0.02 s")
+        if self.gains not in tuple(GAINS):
+            raise UnknownNameError("gains", str(self.gains), tuple(GAINS))
+        center = _numbers("table_center_m", self.table_center_m, 2)
+        size = _numbers("table_size_m", self.table_size_m, 2)
+        if min(size) < 0.1 or max(size) > 2 * _MAX_MOUNT_M or max(map(abs, center)) > _MAX_MOUNT_M:
+            raise SettingsError(
+                f"table of {size} m at {center} m: sides must be 0.1 to {2 * _MAX_MOUNT_M} m long and the centre "
+                f"within ±{_MAX_MOUNT_M} m"
+            )
+        object.__setattr__(self, "timestep_s", timestep)
+        object.__setattr__(self, "table_center_m", center)
+        object.__setattr__(self, "table_size_m", size)
+        self._check_bases()
+
+    @property
+    def mounts(self) -> tuple[ArmMount, ArmMount]:
+        """Both mounts in the order of [ARMS][dual_ur10.ur10.ARMS]."""
+        return self.left, self.right
+
+    def _check_bases(self) -> None:
+        for arm, mount in zip(ARMS, self.mounts, strict=True):
+            if not isinstance(mount, ArmMount):
+                raise SettingsError(f"{arm} must be an ArmMount, found {type(mount).__name__}")
+        distance = math.dist(self.left.position_m, self.right.position_m)
+        if distance < MIN_BASE_DISTANCE_M:
+            raise SettingsError(
+                f"the bases are {distance:.3f} m apart: two UR10s need at least {MIN_BASE_DISTANCE_M} m between them"
+            )
+        for arm, mount in zip(ARMS, self.mounts, strict=True):
+            if self._inside_table(mount):
+                raise SettingsError(
+                    f"the {arm} base at {mount.position_m} m stands inside the table: move it, shrink the table, "
+                    f"or put it on the table top (z >= 0)"
+                )
+
+    def _inside_table(self, mount: ArmMount) -> bool:
+        outside = [
+            max(0.0, abs(p - c) - s / 2)
+            for p, c, s in zip(mount.position_m, self.table_center_m, self.table_size_m, strict=False)
+        ]
+        # An arm mounted below the top would have to grow through the table, so all heights below it count.
+        return math.hypot(*outside) < BASE_RADIUS_M and mount.position_m[2] < 0.0
+
+
+def _numbers(name: str, values: Any, length: int) -> tuple[Any, ...]:
+    """Plain finite floats, so that equal settings hash alike."""
+    try:
+        numbers = tuple(float(value) for value in values)
+    except (TypeError, ValueError):
+        numbers = ()
+    if len(numbers) != length or not all(map(math.isfinite, numbers)):
+        raise SettingsError(f"{name} must be {length} finite number{'s' * (length > 1)}, found {values!r}")
+    return numbers

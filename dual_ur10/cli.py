@@ -1,0 +1,315 @@
+"""The command line: `python -m dual_ur10`, or `dual-ur10`."""
+
+from __future__ import annotations
+
+import ast
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import gymnasium as gym
+import numpy as np
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from dual_ur10 import ENV_IDS, __version__, policies
+from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
+
+console = Console()
+errors = Console(stderr=True)
+
+USAGE_ERROR = 2
+"""Exit code of every error of this package."""
+
+
+class _Commands(typer.core.TyperGroup):
+    """Turns this package's errors into one red line each."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except (DualUR10Error, gym.error.Error) as error:
+            errors.print(f"[bold red]error:[/] [red]{escape(' '.join(str(error).split()))}[/]", soft_wrap=True)
+            raise typer.Exit(USAGE_ERROR) from None
+
+
+app = typer.Typer(
+    cls=_Commands,
+    help="Two UR10s in MuJoCo: run policies, measure them, look at them.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+EnvName = Annotated[
+    str, typer.Argument(metavar="ENV", help="An id, such as DualUR10/SineTracking-v0; SineTracking will do.")
+]
+PolicyName = Annotated[str, typer.Option("--policy", "-p", help="scripted, random or zero.")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="A keyword of the environment, such as amplitude_m=0.05. May be repeated."
+    ),
+]
+Perturbed = Annotated[
+    bool, typer.Option("--perturbed", help="A plant that differs from what the controller believes of it.")
+]
+Seed = Annotated[int, typer.Option("--seed", "-s", min=0, help="Seed of the first episode; the next ones count on.")]
+
+
+@app.callback(invoke_without_command=True)
+def _options(
+    ctx: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
+) -> None:
+    if version:
+        console.print(__version__, highlight=False)
+        raise typer.Exit
+
+
+@app.command("list")
+def list_environments() -> None:
+    """List the environments, their rates and sizes, and the policies for them."""
+    table = Table(box=None, header_style="bold", padding=(0, 3, 0, 0))
+    for header, justify in (("environment", "left"), ("rate", "right"), ("action", "right"), ("observation", "right")):
+        table.add_column(header, justify=justify)  # type: ignore[arg-type]
+    table.add_column("policies")
+    for env_id in ENV_IDS:
+        env = gym.make(env_id)
+        try:
+            core = env.unwrapped.core  # type: ignore[attr-defined]
+            sizes = [" × ".join(map(str, space.shape or ())) for space in (env.action_space, env.observation_space)]
+            names = ", ".join((*policies.NAMES, *_SIMPLE))
+            table.add_row(f"[cyan]{env_id}[/]", f"{1 / core.timing.period_s:g} Hz", *sizes, names)
+        finally:
+            env.close()
+    console.print(table)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for report.html and sine_tracking.mp4.")],
+    quick: Annotated[bool, typer.Option("--quick", help="Shorter episodes and a shorter video.")] = False,
+) -> None:
+    """Run the sine on both arms, nominal and perturbed, and write a report and a video."""
+    from dual_ur10.demo import run_demo
+
+    columns = (TextColumn("{task.description:40}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task("starting", total=None)
+
+        def show(text: str, done: float, total: float) -> None:
+            progress.update(task, description=text, completed=done, total=total)
+
+        results, missing = run_demo(out, quick=quick, progress=show)
+    from dual_ur10.report import HEADERS, figures_of
+
+    table = Table(box=SIMPLE_HEAD, header_style="bold", padding=0, collapse_padding=True)
+    table.add_column("worse arm of", min_width=18)
+    for name, unit in HEADERS:
+        table.add_column(f"{name}\n[dim]{unit}[/]", justify="right")
+    for result in results:
+        style = "dim" if "nominal" in result.run.title else ""
+        table.add_row(result.run.title, *figures_of(result), style=style)
+    console.print(table)
+    console.print(
+        "Dim rows are those of an exact model: an artefact. No real arm was measured; L is 0 unless a row says so.",
+        style="dim",
+    )
+    console.print(f"report  {out / 'report.html'}", soft_wrap=True, highlight=False)
+    if missing:
+        console.print(f"[yellow]no video:[/] {escape(missing)}", soft_wrap=True, highlight=False)
+    else:
+        console.print(f"video   {out / 'sine_tracking.mp4'}", soft_wrap=True, highlight=False)
+
+
+@app.command()
+def rollout(
+    env: EnvName,
+    policy: PolicyName = "scripted",
+    episodes: Annotated[int, typer.Option("--episodes", "-n", min=1, help="Number of episodes.")] = 5,
+    seed: Seed = 0,
+    settings: Settings = None,
+    perturbed: Perturbed = False,
+) -> None:
+    """Run episodes of a policy, and print a row for each."""
+    from dual_ur10.policies.rollout import rollout as run_episode
+
+    keywords = _keywords(settings, perturbed)
+    made, actor = _make(env, policy, keywords, seed)
+    table = Table(header_style="bold")
+    for header in ("episode", "seed", "steps", "return", "success", "RMS error\n[dim]mm[/]", "largest\n[dim]mm[/]"):
+        table.add_column(header, justify="center" if header == "success" else "right")
+    table.add_column("ended by")
+    returns, successes = [], 0
+    try:
+        with console.status("running") as status:
+            for episode in range(episodes):
+                status.update(f"episode {episode + 1} of {episodes}")
+                record = run_episode(made, actor, seed=seed + episode)
+                figures = ["—", "—"]
+                if record.flange_error_m is not None:
+                    squares = (record.flange_error_m**2).mean(axis=0)
+                    figures = [f"{1e3 * np.sqrt(squares.max()):.4f}", f"{1e3 * record.flange_error_m.max():.4f}"]
+                total = float(record.reward.sum())
+                returns.append(total)
+                successes += record.success
+                mark = "[green]yes[/]" if record.success else "[red]no[/]"
+                row = (str(episode), str(seed + episode), str(record.steps), f"{total:.2f}", mark, *figures)
+                table.add_row(*row, escape(record.ended_by))
+    finally:
+        made.close()
+    console.print(table)
+    spread = f" ± {np.std(returns):.2f}" if episodes > 1 else ""
+    plant = "perturbed plant" if perturbed else "nominal plant: errors near zero are those of an exact model"
+    console.print(
+        f"success {successes} of {episodes}, return {np.mean(returns):.2f}{spread} ({plant})", highlight=False
+    )
+
+
+@app.command()
+def view(
+    env: EnvName,
+    policy: PolicyName = "scripted",
+    seconds: Annotated[float | None, typer.Option("--seconds", min=0.1, help="Stop after so long.")] = None,
+    seed: Seed = 0,
+    settings: Settings = None,
+    perturbed: Perturbed = False,
+) -> None:
+    """Watch a policy in real time, in a window or, without a display, in a browser on this machine."""
+    keywords = _keywords(settings, perturbed)
+    made, actor = _make(env, policy, {**keywords, "render_mode": "human"}, seed)
+    period_s = made.unwrapped.core.timing.period_s
+    try:
+        observation, _ = made.reset(seed=seed)
+        actor.reset()
+        viewer = made.unwrapped.viewer
+        if viewer.url:
+            console.print(f"the viewer is at [bold cyan]{viewer.url}[/] for browsers on this machine", soft_wrap=True)
+        console.print("Ctrl-C ends it", style="dim")
+        begun = due = time.monotonic()
+        while viewer.is_running() and (seconds is None or due - begun < seconds):
+            action = np.asarray(actor(observation), dtype=made.action_space.dtype)
+            observation, _, terminated, truncated, _ = made.step(action)
+            if terminated or truncated:
+                observation, _ = made.reset()
+                actor.reset()
+            # Against the clock, not from step to step: delays do not add up. What is late by much is let go.
+            due = max(due + period_s, time.monotonic() - 0.5)
+            time.sleep(max(0.0, due - time.monotonic()))
+    except KeyboardInterrupt:
+        console.print("closed")
+    finally:
+        made.close()
+
+
+class _Random:
+    """Uniform random actions."""
+
+    def __init__(self, space: Any, seed: int) -> None:
+        self._space, self._seed = space, seed
+        self.reset()
+
+    def reset(self) -> None:
+        self._space.seed(self._seed)
+        self._seed += 1
+
+    def __call__(self, observation: Any) -> Any:
+        return self._space.sample()
+
+
+class _Zero:
+    """Always zero."""
+
+    def __init__(self, space: Any, seed: int) -> None:
+        self._action = np.zeros(space.shape, space.dtype)
+
+    def reset(self) -> None:
+        """There is nothing to forget."""
+
+    def __call__(self, observation: Any) -> Any:
+        return self._action
+
+
+_SIMPLE: dict[str, Any] = {"random": _Random, "zero": _Zero}
+
+
+def _env_id(name: str) -> str:
+    """The id that a short name stands for.
+
+    Raises:
+        UnknownNameError: None does.
+    """
+    known = {short: env_id for env_id in ENV_IDS for short in _short_names(env_id)}
+    if name not in known:
+        raise UnknownNameError("environment", name, list(ENV_IDS))
+    return known[name]
+
+
+def _short_names(env_id: str) -> tuple[str, str, str]:
+    task = env_id.split("/")[-1]
+    return env_id, task, task.rsplit("-v", 1)[0]
+
+
+def _keywords(settings: list[str] | None, perturbed: bool) -> dict[str, Any]:
+    """Keywords of the environment from `KEY=VALUE` texts; values are Python literals, or else text.
+
+    Raises:
+        SettingsError: A text has no "=", or a key is given twice.
+    """
+    keywords: dict[str, Any] = {}
+    if perturbed:
+        from dual_ur10.sim2real.cell import TYPICAL_PERTURBATION, CellConfig
+
+        keywords["cell"] = CellConfig(perturbation=TYPICAL_PERTURBATION)
+    for text in settings or ():
+        key, sign, value = text.partition("=")
+        key = key.strip()
+        if not sign or not key.isidentifier():
+            raise SettingsError(f"--set {text!r}: write it as KEY=VALUE, such as --set amplitude_m=0.05")
+        if key in keywords:
+            raise SettingsError(f"{key} is set twice" + (": --perturbed sets it" if key == "cell" else ""))
+        try:
+            keywords[key] = ast.literal_eval(value.strip())
+        except (ValueError, SyntaxError):
+            keywords[key] = value
+    return keywords
+
+
+def _make(env: str, policy: str, keywords: dict[str, Any], seed: int) -> tuple[Any, Any]:
+    """Environment and policy.
+
+    Raises:
+        DualUR10Error: A name or a value is not legal.
+    """
+    env_id = _env_id(env)
+    names = (*policies.NAMES, *_SIMPLE)
+    if policy not in names:
+        raise UnknownNameError("policy", policy, names)
+    try:
+        made = gym.make(env_id, **keywords)
+    except TypeError as error:
+        # Gymnasium appends where it was raised and all keywords.
+        reason = str(error).split(" was raised from the environment creator")[0]
+        raise SettingsError(f"a value of --set has the wrong type: {reason}") from error
+    try:
+        if policy in _SIMPLE:
+            return made, _SIMPLE[policy](made.action_space, seed)
+        return made, policies.load(policy, env_id, **keywords)
+    except DualUR10Error:
+        made.close()
+        raise
+
+
+def main() -> None:
+    """Run the command line."""
+    app(prog_name="dual-ur10")
+
+
+if __name__ == "__main__":
+    main()

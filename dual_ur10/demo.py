@@ -1,0 +1,239 @@
+"""The demonstration: SineTracking by the scripted policy, nominal and perturbed, as figures, a report and a video."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from dual_ur10 import ENV_IDS
+from dual_ur10.assets.scene import ArmMount
+from dual_ur10.errors import DualUR10Error, MissingExtraError, RenderError
+from dual_ur10.policies import SineTrackingPolicy
+from dual_ur10.policies.accuracy import Accuracy, accuracy, lag_s, skew_s
+from dual_ur10.policies.rollout import Info, Record, rollout
+from dual_ur10.sim2real.cell import TYPICAL_PERTURBATION, CellConfig
+
+ENV_ID = ENV_IDS[0]
+
+ASYMMETRIC_CELL = CellConfig(left=ArmMount((-0.75, 0.6, 0.0)), right=ArmMount((-0.92, -0.45, 0.08)))
+"""Where accuracy is measured. In a symmetric cell both arms make the same errors, and the distance between them is
+exactly right whatever the controller does."""
+
+PERTURBED_CELL = replace(ASYMMETRIC_CELL, perturbation=TYPICAL_PERTURBATION)
+
+LATENCY_TICKS = 5
+SETTLED_S = 5.0
+
+_STEP_COST, _FRAME_COST, _DRAWING_COST = 1.0, 90.0, 4000.0  # in steps, so that the time left is estimated well
+_FPS, _WIDTH, _HEIGHT = 25, 960, 540
+_INK, _PAPER = (38, 50, 56), (255, 255, 255)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One way to run the sine.
+
+    Attributes:
+        name: Short name.
+        title: For people.
+        cell: Plant and bases.
+        learn: Whether the policy learns the arms' deviation.
+        compensate_lag: Whether the adapter takes the lag of `servoj` out.
+        arms: Which arms follow the sine.
+        latency_ticks: Ticks between an observation and the first target of its action.
+        axis: Direction of the sine; y is the line between the flanges.
+    """
+
+    name: str
+    title: str
+    cell: CellConfig = ASYMMETRIC_CELL
+    learn: bool = True
+    compensate_lag: bool = True
+    arms: str = "both"
+    latency_ticks: int = 0
+    axis: str = "y"
+
+
+RUNS = (
+    Run("nominal", "nominal"),
+    Run("perturbed", "perturbed", PERTURBED_CELL),
+    Run("perturbed_fixed", "perturbed, without learning", PERTURBED_CELL, learn=False),
+    Run("perturbed_late", f"perturbed, L = {LATENCY_TICKS} ticks", PERTURBED_CELL, latency_ticks=LATENCY_TICKS),
+    Run("single", "single arm, nominal", arms="left"),
+    Run("single_perturbed", "single arm, perturbed", PERTURBED_CELL, arms="left"),
+    Run("lagging", "nominal, lag not compensated", learn=False, compensate_lag=False),
+)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came of a run.
+
+    Attributes:
+        run: How it was run.
+        record: What was measured.
+        accuracy: Figures of the whole episode.
+        settled: Figures from `SETTLED_S` on.
+        lag_s: How far the slower of the tracking arms is behind its reference.
+        skew_s: How far the left arm is behind the right one; NaN if only one moves.
+    """
+
+    run: Run
+    record: Record
+    accuracy: Accuracy
+    settled: Accuracy
+    lag_s: float
+    skew_s: float
+
+
+Progress = Callable[[str, float, float], None]
+"""Told what is being done, how much of it is done, and how much there is in all."""
+
+
+def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: None) -> tuple[list[Result], str]:
+    """Run everything, and write `report.html` and `sine_tracking.mp4`.
+
+    Args:
+        out: Folder to write into; made if it does not exist.
+        quick: Episodes of 10 s instead of 30 s, and a video of 5 s instead of 10 s.
+        progress: Told how far it has got.
+
+    Returns:
+        The results, in the order of `RUNS`, and why there is no video ("" if there is one).
+
+    Raises:
+        MissingExtraError: matplotlib or imageio is not installed. Nothing has been run.
+        DualUR10Error: `out` cannot be written to.
+    """
+    check_extra()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DualUR10Error(f"cannot write to {out}: {error}") from error
+    duration_s, video_s = (10.0, 5.0) if quick else (30.0, 10.0)
+    steps, frames = round(duration_s * 25), round(video_s * _FPS)
+    total = len(RUNS) * steps * _STEP_COST + frames * _FRAME_COST + _DRAWING_COST
+    done = 0.0
+
+    def advance(text: str, cost: float) -> None:
+        nonlocal done
+        done += cost
+        progress(text, done, total)
+
+    def step_of(run: Run) -> Callable[[Info], None]:
+        return lambda _: advance(f"running: {run.title}", _STEP_COST)
+
+    results = [measure(run, duration_s, step_of(run)) for run in RUNS]
+    missing = ""
+    try:
+        record_video(out / "sine_tracking.mp4", video_s, lambda: advance("drawing the video", _FRAME_COST))
+    except RenderError as error:
+        missing = str(error)
+    advance("writing the report", 0.0)
+    from dual_ur10.report import write_report
+
+    write_report(out / "report.html", results, None if missing else out / "sine_tracking.mp4", missing)
+    advance("done", total - done)
+    return results, missing
+
+
+def check_extra() -> None:
+    """Make sure that what draws is installed.
+
+    Raises:
+        MissingExtraError: It is not.
+    """
+    for package in ("matplotlib", "imageio", "imageio_ffmpeg"):
+        try:
+            __import__(package)
+        except ImportError:
+            raise MissingExtraError(package.replace("_", "-"), "plot", "the demonstration's report") from None
+
+
+def make(run: Run, duration_s: float, **keywords: Any) -> tuple[Any, SineTrackingPolicy]:
+    """Environment and policy of a run."""
+    env = gym.make(
+        ENV_ID,
+        cell=run.cell,
+        axis=run.axis,
+        duration_s=duration_s,
+        randomize=False,
+        arms=run.arms,
+        compensate_lag=run.compensate_lag,
+        action_latency_ticks=run.latency_ticks,
+        **keywords,
+    )
+    dh = (run.cell.left.dh, run.cell.right.dh)
+    return env, SineTrackingPolicy(env.unwrapped.core.timing, dh=dh, learn=run.learn)  # type: ignore[attr-defined]
+
+
+def measure(run: Run, duration_s: float, on_step: Callable[[Info], None] | None = None) -> Result:
+    """Run one episode and compute its figures.
+
+    Raises:
+        DualUR10Error: The episode was cut short: its figures would mean nothing.
+    """
+    env, policy = make(run, duration_s)
+    try:
+        record = rollout(env, policy, seed=0, on_step=on_step)
+    finally:
+        env.close()
+    if record.ended_by:
+        raise DualUR10Error(f"the run '{run.title}' ended after {record.time_s[-1]:g} s: {record.ended_by}")
+    lag = lag_s(record)
+    return Result(
+        run=run,
+        record=record,
+        accuracy=accuracy(record),
+        settled=accuracy(record, after_s=min(SETTLED_S, duration_s / 2)),
+        lag_s=float(lag[~np.isnan(lag)].max()),
+        skew_s=skew_s(record),
+    )
+
+
+def record_video(path: Path, duration_s: float, on_frame: Callable[[], None] = lambda: None) -> None:
+    """Draw the perturbed run, in real time.
+
+    Raises:
+        RenderError: No OpenGL backend was found; there is no file then.
+    """
+    import imageio.v2 as imageio
+
+    run = RUNS[1]
+    env, policy = make(run, duration_s, render_mode="rgb_array", width=_WIDTH, height=_HEIGHT, shadows=True)
+    frames: list[Any] = []
+
+    def draw(info: Info) -> None:
+        error_mm = 1e3 * np.asarray(info["flange_error_m"])
+        text = (
+            f"SineTracking, {run.title} plant     t = {len(frames) / _FPS + 1 / _FPS:5.2f} s     "
+            f"flange error  left {error_mm[0]:.2f} mm   right {error_mm[1]:.2f} mm"
+        )
+        frames.append(_captioned(env.render(), text))
+        on_frame()
+
+    try:
+        rollout(env, policy, seed=0, on_step=draw)
+    finally:
+        env.close()
+    with imageio.get_writer(
+        path, fps=_FPS, codec="libx264", quality=8, macro_block_size=2, ffmpeg_log_level="error"
+    ) as writer:
+        for frame in frames:
+            writer.append_data(frame)  # type: ignore[attr-defined]
+
+
+def _captioned(image: Any, text: str) -> Any:
+    """The image with a line of text at its foot."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    picture = Image.fromarray(image)
+    draw = ImageDraw.Draw(picture)
+    draw.rectangle((0, _HEIGHT - 34, _WIDTH, _HEIGHT), fill=_INK)
+    draw.text((16, _HEIGHT - 17), text, fill=_PAPER, font=ImageFont.load_default(17), anchor="lm")
+    return np.asarray(picture)

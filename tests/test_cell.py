@@ -1,0 +1,127 @@
+"""Configuration of a cell: what is refused, what is equal, and how perturbations get their shapes."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+from dual_ur10.assets.scene import ArmMount
+from dual_ur10.errors import RateError, SettingsError, UnknownNameError
+from dual_ur10.sim2real.cell import TYPICAL_PERTURBATION, CellConfig, Perturbation, resolve_cell
+from dual_ur10.sim2real.servoj import ServojProfile
+
+
+@pytest.mark.parametrize(
+    ("family", "timestep_s", "substeps"),
+    [("cb3", 0.002, 4), ("cb3", 0.001, 8), ("cb3", 0.008, 1), ("e-series", 0.002, 1), ("e-series", 0.0005, 4)],
+)
+def test_the_timestep_divides_the_tick(family: str, timestep_s: float, substeps: int) -> None:
+    assert CellConfig(servoj=ServojProfile(family=family), timestep_s=timestep_s).substeps == substeps
+
+
+@pytest.mark.parametrize(("family", "timestep_s"), [("cb3", 0.003), ("cb3", 0.005), ("cb3", 0.016), ("e-series", 0.004)])
+def test_a_timestep_that_does_not_divide_the_tick_is_refused_with_some_that_do(family: str, timestep_s: float) -> None:
+    with pytest.raises(RateError, match="divide") as caught:
+        CellConfig(servoj=ServojProfile(family=family), timestep_s=timestep_s)
+    assert ("0.004, 0.002, 0.001" if family == "cb3" else "0.001, 0.0005") in str(caught.value)
+
+
+@pytest.mark.parametrize("timestep_s", [0.0, -0.002, float("nan"), float("inf")])
+def test_a_timestep_that_is_none_is_refused(timestep_s: float) -> None:
+    with pytest.raises(SettingsError):
+        CellConfig(timestep_s=timestep_s)
+
+
+@pytest.mark.parametrize("clearance_m", [0.0049, 0.0, -0.02, float("nan"), float("inf"), 0.2, 0.3])
+def test_a_clearance_that_cannot_be_kept_is_refused(clearance_m: float) -> None:
+    with pytest.raises(SettingsError, match="minimum_clearance_m"):
+        CellConfig(minimum_clearance_m=clearance_m)
+
+
+def test_an_unknown_kind_is_refused() -> None:
+    with pytest.raises(UnknownNameError, match="cell kind"):
+        CellConfig(kind="gazebo")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("make", [CellConfig, lambda: CellConfig(perturbation=TYPICAL_PERTURBATION)])
+def test_equal_configurations_are_equal_and_hash_alike(make) -> None:
+    assert make() == make()
+    assert hash(make()) == hash(make())
+    assert pickle.loads(pickle.dumps(make())) == make()
+    assert make() != CellConfig(left=ArmMount((-0.9, 0.6, 0.0)))
+
+
+def test_equal_perturbations_are_equal_whatever_they_were_made_of() -> None:
+    friction = np.array([5.0, 5.0, 3.0, 1.0, 1.0, 1.0])
+    made = Perturbation(friction_nm=friction)
+    same = Perturbation(friction_nm=[5, 5, 3, 1, 1, 1])  # type: ignore[arg-type]
+    assert made == same
+    assert hash(made) == hash(same)
+    assert made != Perturbation(friction_nm=friction + 1.0)
+    friction[:] = 0.0  # what it was made of is not held on to
+    assert made == same
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("mass_scale", 0.0),
+        ("mass_scale", 11.0),
+        ("friction_nm", -1.0),
+        ("lookahead_scale", 0.05),
+        ("latency_s", 0.21),
+        ("jitter_s", -0.001),
+        ("loss", 0.95),
+        ("payload_kg", 11.0),
+        ("declared_payload_kg", -1.0),
+        ("latency_s", float("nan")),
+        ("friction_nm", np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.inf])),
+        ("loss", "often"),
+        ("loss", [[0.0], [0.0, 0.0]]),
+        ("loss", None),
+    ],
+)
+def test_a_perturbation_out_of_range_is_refused_by_name(name: str, value: object) -> None:
+    with pytest.raises(SettingsError, match=name):
+        Perturbation(**{name: value})
+
+
+def test_an_unknown_perturbation_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(UnknownNameError, match="friction_nm"):
+        Perturbation.from_mapping({"friktion": 1.0})
+    with pytest.raises(UnknownNameError, match="gravity"):
+        CellConfig().with_perturbation(gravity=1.0)
+
+
+def test_with_perturbation_changes_only_what_is_named() -> None:
+    config = CellConfig(perturbation=TYPICAL_PERTURBATION, timestep_s=0.001).with_perturbation(loss=0.1)
+    assert config.perturbation.loss == 0.1
+    assert config.perturbation.mass_scale == 1.05
+    assert config.timestep_s == 0.001
+
+
+def test_perturbations_expand_to_their_full_shape() -> None:
+    values = Perturbation(friction_nm=np.arange(6.0), latency_s=[0.0, 0.01]).expanded(3)  # type: ignore[arg-type]
+    assert values["friction_nm"].shape == (3, 2, 6)
+    np.testing.assert_array_equal(values["friction_nm"][2, 1], np.arange(6.0))
+    np.testing.assert_array_equal(values["latency_s"], [[0.0, 0.01]] * 3)
+    assert all(value.shape == (3, 2) for name, value in values.items() if name != "friction_nm")
+    values["loss"][0] = 0.5  # each is its own array
+    assert values["loss"][1, 0] == 0.0
+
+
+@pytest.mark.parametrize(("name", "shape"), [("mass_scale", (3,)), ("friction_nm", (2,)), ("loss", (4, 2))])
+def test_a_perturbation_of_the_wrong_shape_is_refused(name: str, shape: tuple[int, ...]) -> None:
+    with pytest.raises(SettingsError, match=name):
+        Perturbation(**{name: np.full(shape, 0.5)}).expanded(3)
+
+
+def test_resolve_cell() -> None:
+    config = CellConfig(timestep_s=0.001)
+    assert resolve_cell(config) is config
+    assert resolve_cell("mujoco") == CellConfig()
+    for unknown in ("gazebo", None, 3, {"kind": "mujoco"}):
+        with pytest.raises(UnknownNameError, match="mujoco"):
+            resolve_cell(unknown)

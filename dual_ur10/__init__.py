@@ -10,6 +10,11 @@ Importing the package registers the environments with Gymnasium and loads nothin
 
 from gymnasium.envs.registration import register, registry
 
+from dual_ur10.assets.scene import ArmMount
+from dual_ur10.sim2real.cell import TYPICAL_PERTURBATION, CellConfig, Perturbation
+from dual_ur10.sim2real.servoj import ServojProfile
+from dual_ur10.ur10 import DHParameters
+
 __version__ = "0.1.0"
 
 ENV_IDS = ("DualUR10/SineTracking-v0",)
@@ -25,4 +30,13 @@ for _id in ENV_IDS:
         )
 del _id
 
-__all__ = ["ENV_IDS", "__version__"]
+__all__ = [
+    "ENV_IDS",
+    "TYPICAL_PERTURBATION",
+    "ArmMount",
+    "CellConfig",
+    "DHParameters",
+    "Perturbation",
+    "ServojProfile",
+    "__version__",
+]

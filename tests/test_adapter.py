@@ -55,12 +55,13 @@ def sine_error(profile: ServojProfile, compensate_lag: bool) -> float:
     amplitude = 0.25 * np.tile([-1.0, 0.0, 0.0, 1.0, -1.0, 1.0], 2)
     for k in range(1, 150):
         time = k * 0.04
-        smooth = min(time, 1.0) ** 3
+        ramp = min(time / 2.0, 1.0)  # from rest without meeting a limit
+        smooth = ramp**4 * (35 - 84 * ramp + 70 * ramp**2 - 20 * ramp**3)
         wanted = start + amplitude * smooth * np.sin(2 * np.pi * 0.5 * time + phase)
         for target in adapter(wanted.reshape(1, 2, 6)).targets_rad[0].reshape(ticks, 12):
             offset = np.stack([target, np.zeros(12)])
             state = offset + transition @ (state - offset)
-        if time > 2.0:
+        if time > 3.0:
             worst = max(worst, float(np.abs(state[0] - wanted).max()))
     return worst
 

@@ -22,7 +22,7 @@ def clearance() -> Clearance:
     return Clearance(SceneSettings(), n=4)
 
 
-def test_distances_are_those_of_mujoco(clearance: Clearance) -> None:
+def test_distances_are_never_longer_than_they_are(clearance: Clearance) -> None:
     model = build_clearance_model(SceneSettings())
     data, points = mujoco.MjData(model), np.zeros(6)
     rng = np.random.default_rng(0)

@@ -7,6 +7,7 @@ import urllib.error
 import urllib.request
 import warnings
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -17,6 +18,7 @@ from gymnasium.utils.env_checker import check_env
 import dual_ur10  # noqa: F401 - registers the ids
 from dual_ur10.assets.scene import SceneSettings, build_model
 from dual_ur10.envs import viewer as module
+from dual_ur10.envs import web_viewer
 from dual_ur10.envs.viewer import Viewer
 from dual_ur10.errors import RenderError
 
@@ -39,7 +41,6 @@ def scene() -> tuple[Any, Any]:
 
 @pytest.fixture
 def opened(scene: tuple[Any, Any]) -> Iterator[Viewer]:
-    pytest.importorskip("mujoco.studio", reason="this MuJoCo has no web viewer")
     viewer = Viewer()
     viewer.show(*scene)
     yield viewer
@@ -47,12 +48,13 @@ def opened(scene: tuple[Any, Any]) -> Iterator[Viewer]:
 
 
 def listening() -> set[tuple[str, int]]:
-    connections = psutil.Process().net_connections(kind="inet")
-    return {tuple(each.laddr) for each in connections if each.status == psutil.CONN_LISTEN}
+    """What this process and the viewers that it started listen on."""
+    me = psutil.Process()
+    found = [each for process in (me, *me.children()) for each in process.net_connections(kind="inet")]
+    return {tuple(each.laddr) for each in found if each.status == psutil.CONN_LISTEN}
 
 
 def test_it_listens_on_the_loopback_interface_only(scene: tuple[Any, Any]) -> None:
-    pytest.importorskip("mujoco.studio")
     before, viewer = listening(), Viewer()
     assert viewer.url is None
     viewer.show(*scene)
@@ -63,6 +65,37 @@ def test_it_listens_on_the_loopback_interface_only(scene: tuple[Any, Any]) -> No
     finally:
         viewer.close()
     assert not (listening() & new)
+
+
+def test_two_viewers_at_once_and_another_afterwards(scene: tuple[Any, Any]) -> None:
+    first, second = Viewer(), Viewer()
+    try:
+        for viewer in (first, second):
+            viewer.show(*scene)
+        assert first.url != second.url
+        first.close()
+        second.show(*scene)
+        assert second.is_running()
+        first.show(*scene)
+        assert first.is_running()
+    finally:
+        first.close()
+        second.close()
+
+
+def test_a_viewer_that_ended_by_itself_stops_nothing(opened: Viewer, scene: tuple[Any, Any]) -> None:
+    opened._shown.process.kill()
+    opened._shown.process.wait(WAIT_S)
+    opened.show(*scene)
+    assert not opened.is_running()
+
+
+def test_the_server_ends_with_the_program_that_opened_it(scene: tuple[Any, Any]) -> None:
+    viewer = Viewer()
+    viewer.show(*scene)
+    viewer._shown.process.stdin.close()  # as when the program is killed
+    assert viewer._shown.process.wait(WAIT_S) == 0
+    viewer.close()
 
 
 def test_it_serves_the_page_and_the_model(opened: Viewer) -> None:
@@ -123,23 +156,28 @@ def test_a_later_mujoco_that_ignores_the_host_is_refused_before_it_listens() -> 
             super().__init__()
 
     with pytest.raises(RenderError, match="network"):
-        module._on_loopback(Kept)()
+        web_viewer.on_loopback(Kept)()
     assert not made[0].started
     made[0]._http_sock.close()
 
 
 def test_without_any_viewer_the_error_says_what_to_do(
-    scene: tuple[Any, Any], monkeypatch: pytest.MonkeyPatch
+    scene: tuple[Any, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(module, "_STUDIOS", (("no_such_package", "app", "App", ""),))
+    # Python runs this file when the viewer's process starts: a MuJoCo without a web viewer.
+    (tmp_path / "sitecustomize.py").write_text(
+        "import sys\nfor name in ('mujoco.studio', 'mujoco.experimental'):\n    sys.modules[name] = None\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    viewer = Viewer()
     with pytest.raises(RenderError, match="rgb_array"):
-        Viewer().show(*scene)
+        viewer.show(*scene)
+    assert not viewer.is_running()
 
 
 def test_a_display_out_of_reach_leads_to_the_web_viewer(
     scene: tuple[Any, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("mujoco.studio")
 
     def fail(*_: Any) -> None:
         raise RuntimeError("no such display")
@@ -155,7 +193,6 @@ def test_a_display_out_of_reach_leads_to_the_web_viewer(
 
 
 def test_render_mode_human_works_without_a_display() -> None:
-    pytest.importorskip("mujoco.studio")
     env = gym.make(ENV_ID, render_mode="human")
     try:
         env.reset(seed=0)
@@ -168,7 +205,6 @@ def test_render_mode_human_works_without_a_display() -> None:
 
 
 def test_gymnasium_checks_the_human_mode_without_a_warning() -> None:
-    pytest.importorskip("mujoco.studio")
     env = gym.make(ENV_ID, render_mode="human")
     env.unwrapped.metadata = {**env.unwrapped.metadata, "render_modes": ["human"]}
     with warnings.catch_warnings():

@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import copy
-import importlib
-import io
+import json
 import logging
 import os
+import subprocess
 import sys
-import threading
 from typing import Any
 
+import numpy as np
+
+from dual_ur10.envs.web_viewer import AZIMUTH_DEG, ELEVATION_DEG, LENGTH
 from dual_ur10.errors import RenderError
 
-LOOPBACK = "127.0.0.1"
-"""The only address that the web viewer listens on: it has neither passwords nor encryption."""
-
-_STUDIOS = (("mujoco.studio", "app", "App", "Config"), ("mujoco.experimental.studio", "viewer_app", "ViewerApp", ""))
-"""Where MuJoCo keeps its web viewer since 4.0, and where it was in 3.17."""
-
-_AZIMUTH_DEG, _ELEVATION_DEG = 136.0, -24.0  # of the camera "perspective" of `dual_ur10.assets.scene`
-_START_S = 30.0
+_END_S = 10.0
 
 logger = logging.getLogger(__name__)
 
@@ -87,114 +81,63 @@ def _window(model: Any, data: Any) -> Any:
     window = mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
     with window.lock():
         window.cam.lookat, window.cam.distance = model.stat.center, 1.5 * model.stat.extent
-        window.cam.azimuth, window.cam.elevation = _AZIMUTH_DEG, _ELEVATION_DEG
+        window.cam.azimuth, window.cam.elevation = AZIMUTH_DEG, ELEVATION_DEG
     return window
 
 
 class _WebViewer:
-    """MuJoCo's web viewer in a thread, on the loopback interface."""
+    """The process of `dual_ur10.envs.web_viewer`, and what it is to show."""
 
     def __init__(self, model: Any, data: Any) -> None:
-        studio, app = _studio()
-        drawn = copy.deepcopy(model)
-        drawn.vis.global_.azimuth, drawn.vis.global_.elevation = _AZIMUTH_DEG, _ELEVATION_DEG
-        config = studio["viewer_protocol"].ViewerConfig(title="dual-ur10", gfx="web")
-        kind = _on_loopback(studio["web_viewer"].WebViewer)
-        started = threading.Event()
-        self.url = ""
+        import mujoco
 
-        def target(endpoint: Any) -> None:
-            try:
-                viewer = kind(config, endpoint, model=drawn, plugins=[app])
-                self.url = viewer.loopback_url
-            finally:
-                started.set()
-            studio["viewer_protocol"].run_viewer_loop(viewer)
+        self._model, self._data = model, data
+        self._kind = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+        self._state = np.empty(mujoco.mj_stateSize(model, self._kind))
+        binary = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+        mujoco.mj_saveModel(model, None, binary)
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "dual_ur10.envs.web_viewer"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            # It finds what this program finds, and Ctrl-C is for this program alone.
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            start_new_session=True,
+        )
+        self._send(binary.tobytes())
+        reply = json.loads(self._answer() or '{"error": "its process ended"}')
+        if "error" in reply:
+            self.close()
+            raise RenderError(f"there is no display, and the web viewer did not start: {reply['error']}")
+        self.url: str = reply["url"]
 
-        # MuJoCo prints a banner about an address for everybody; this program says itself where its viewer is.
-        logging.getLogger("WebServer").setLevel(logging.WARNING)
-        with contextlib.redirect_stdout(io.StringIO()):
-            self._handle = studio["launch_thread"].launch_thread(target)
-            started.wait(_START_S)
-        if not self.url:
-            try:
-                self._handle.close()
-            except Exception as error:
-                raise RenderError(f"MuJoCo's web viewer did not start: {error}") from error
-            raise RenderError(f"MuJoCo's web viewer did not start within {_START_S:g} s")
-        # The viewer has this model already: what it would be told of a new one makes every browser load it again.
-        self._handle.model, self._handle.data = model, data
-        self._own = model, data
+    def _answer(self) -> bytes:
+        return self.process.stdout.readline() if self.process.stdout is not None else b""
+
+    def _send(self, frame: bytes) -> None:
+        if self.process.stdin is None:
+            return
+        # It may have been closed by hand at this moment, which `is_running` tells.
+        with contextlib.suppress(BrokenPipeError):
+            self.process.stdin.write(LENGTH.pack(len(frame)) + frame)
+            self.process.stdin.flush()
 
     def sync(self) -> None:
-        self._handle.sync(*self._own)
+        import mujoco
+
+        mujoco.mj_getState(self._model, self._data, self._state, self._kind)
+        self._send(self._state.tobytes())
 
     def is_running(self) -> bool:
-        try:
-            return bool(self._handle.is_running())
-        except Exception as error:  # what ended the viewer's thread comes out here
-            logger.warning("the web viewer ended: %s", error)
-            return False
+        return self.process.poll() is None
 
     def close(self) -> None:
-        with contextlib.suppress(Exception):  # what ended the viewer's thread; there is nothing left to close
-            self._handle.close()
-
-
-def _studio() -> tuple[dict[str, Any], Any]:
-    """The modules of MuJoCo's web viewer, and its user interface.
-
-    Raises:
-        RenderError: This MuJoCo has none.
-    """
-    for package, app_module, app_class, config_class in _STUDIOS:
+        for pipe in (self.process.stdin, self.process.stdout):
+            if pipe is not None:
+                with contextlib.suppress(BrokenPipeError):
+                    pipe.close()
         try:
-            names = ("viewer_protocol", "web_viewer", "launch_thread")
-            modules = {name: importlib.import_module(f"{package}.{name}") for name in names}
-            app = importlib.import_module(f"{package}.{app_module}")
-        except ImportError as error:
-            logger.debug("%s: %s", package, error)
-            continue
-        settings = () if not config_class else (getattr(app, config_class)(show_options=False, show_inspector=False),)
-        return modules, getattr(app, app_class)(*settings)
-    raise RenderError(
-        "render_mode='human' needs a display or MuJoCo's web viewer, and found neither: use 'rgb_array', or install "
-        "MuJoCo 4.0 or later, which brings the web viewer"
-    )
-
-
-def _on_loopback(web_viewer: Any) -> Any:
-    """MuJoCo's web viewer, kept to the loopback interface.
-
-    MuJoCo listens on all interfaces and offers no setting for it. This narrows the host that it takes its socket
-    from, looks at the socket before anything listens on it, and refuses to go on if a later MuJoCo does otherwise.
-    """
-
-    class LoopbackWebViewer(web_viewer):  # type: ignore[misc]
-        @property
-        def _host(self) -> str:
-            return LOOPBACK
-
-        @_host.setter
-        def _host(self, host: str) -> None:
-            """MuJoCo sets "::" here."""
-
-        def _start_server(self) -> None:
-            self._check()
-            super()._start_server()
-
-        def _check(self) -> tuple[str, int]:
-            address: tuple[str, int] = self._http_sock.getsockname()[:2]
-            if address[0] != LOOPBACK:
-                raise RenderError(
-                    f"this version of MuJoCo would open its web viewer to the network, at {address[0]}: it was not "
-                    "started. Use a machine with a display, or render_mode='rgb_array'"
-                )
-            return address
-
-        @property
-        def loopback_url(self) -> str:
-            host, port = self._check()
-            return f"http://{host}:{port}/"
-
-    return LoopbackWebViewer
+            self.process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()

@@ -1,0 +1,80 @@
+# Two commands do everything on a machine with Python 3.11 or 3.12: `make demo` and `make test`.
+# All that is installed goes to .venv and .venv-oldest beside this file. No sudo.
+
+SHELL := /bin/sh
+PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v python3)
+VENV := .venv
+OLDEST := .venv-oldest
+PIP_FLAGS := --quiet --disable-pip-version-check
+# Small matrices gain nothing from BLAS threads, which would compete with the simulation's own.
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+.PHONY: help demo test test-oldest soak bench install lint format clean check-python
+
+help:  ## this list
+	@sed -n 's/^\([a-z-]*\):.*  ## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
+
+check-python:
+	@test -n "$(PYTHON)" || { echo "No python3 was found. On Debian or Ubuntu: apt-get install python3 python3-venv"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))' || { \
+	  echo "$(PYTHON) is $$($(PYTHON) --version 2>&1): Python 3.11 or 3.12 is needed (dm-control has no wheels for later ones)."; \
+	  echo "On Debian 12: apt-get install python3.11 python3.11-venv. Or name one: make $(MAKECMDGOALS) PYTHON=/path/to/python3.11"; exit 1; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { \
+	  echo "$(PYTHON) cannot make virtual environments. On Debian or Ubuntu: apt-get install python3-venv"; exit 1; }
+
+$(VENV)/bin/python: | check-python
+	@$(PYTHON) -m venv $(VENV)
+
+# What the demo needs: the package and its plots. No torch.
+$(VENV)/.demo: pyproject.toml constraints.txt $(VENV)/bin/python
+	@echo "Installing dual-ur10 with its plots into $(VENV) ..."
+	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e '.[plot]'
+	@touch $@
+
+# What the tests need, too.
+$(VENV)/.dev: pyproject.toml constraints.txt $(VENV)/bin/python
+	@echo "Installing dual-ur10 with all that its tests need into $(VENV) ..."
+	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e '.[dev]'
+	@touch $@ $(VENV)/.demo
+
+$(OLDEST)/.dev: pyproject.toml constraints-oldest.txt | check-python
+	@echo "Installing the oldest supported versions into $(OLDEST) ..."
+	@test -x $(OLDEST)/bin/python || $(PYTHON) -m venv $(OLDEST)
+	@$(OLDEST)/bin/python -m pip install $(PIP_FLAGS) -c constraints-oldest.txt -e '.[plot,test]'
+	@touch $@
+
+install: $(VENV)/.dev  ## set up .venv for the tests
+
+demo: $(VENV)/.demo  ## install, run the scripted policy, write out/report.html and a video
+	@$(VENV)/bin/python -m dual_ur10 demo --out out
+
+test: $(VENV)/.dev  ## install, lint, type-check and run all tests
+	@$(VENV)/bin/ruff check .
+	@$(VENV)/bin/ruff format --check .
+	@$(VENV)/bin/mypy
+	@$(VENV)/bin/python -m pytest -n 2
+
+test-oldest: $(OLDEST)/.dev  ## the tests again with MuJoCo 3.17 and Gymnasium 1.2.2
+	@$(OLDEST)/bin/python -m pytest -n 2
+
+soak: $(VENV)/.dev  ## the tests with their full counts (about twenty times as long)
+	@DUAL_UR10_SOAK=1 $(VENV)/bin/python -m pytest -n 2 --durations=15
+
+bench: $(VENV)/.dev  ## all benchmarks, figures to out/*.json
+	@mkdir -p out
+	@$(VENV)/bin/python benchmarks/kinematics.py --json out/kinematics.json
+	@$(VENV)/bin/python benchmarks/accuracy.py --json out/accuracy.json
+	@$(VENV)/bin/python benchmarks/throughput.py --json out/throughput.json
+
+lint: $(VENV)/.dev  ## ruff and mypy alone
+	@$(VENV)/bin/ruff check .
+	@$(VENV)/bin/ruff format --check .
+	@$(VENV)/bin/mypy
+
+format: $(VENV)/.dev  ## ruff's formatter and its safe fixes
+	@$(VENV)/bin/ruff check --fix .
+	@$(VENV)/bin/ruff format .
+
+clean:  ## remove what make built
+	rm -rf $(VENV) $(OLDEST) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

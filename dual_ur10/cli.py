@@ -10,7 +10,6 @@ from typing import Annotated, Any
 import gymnasium as gym
 import numpy as np
 import typer
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -42,6 +41,7 @@ app = typer.Typer(
     help="Two UR10s in MuJoCo: run policies, measure them, look at them.",
     no_args_is_help=True,
     add_completion=False,
+    pretty_exceptions_enable=False,  # what is not an error of this package is a bug: its traceback is to be copied
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -109,10 +109,10 @@ def demo(
         results, missing = run_demo(out, quick=quick, progress=show)
     from dual_ur10.report import HEADERS, figures_of
 
-    table = Table(box=SIMPLE_HEAD, header_style="bold", padding=0, collapse_padding=True)
-    table.add_column("worse arm of", min_width=18)
+    table = Table(box=None, header_style="bold", padding=(0, 0, 0, 1), pad_edge=False)
+    table.add_column("\n\nworse arm of", min_width=18)
     for name, unit in HEADERS:
-        table.add_column(f"{name}\n[dim]{unit}[/]", justify="right")
+        table.add_column(name.replace(" ", "\n") + f"\n[dim]{unit}[/]", justify="right", no_wrap=True)
     for result in results:
         style = "dim" if "nominal" in result.run.title else ""
         table.add_row(result.run.title, *figures_of(result), style=style)

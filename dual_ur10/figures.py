@@ -131,7 +131,10 @@ def joint_speeds(results: Results, limit_rad_s: float) -> str:
         for arm, axis in enumerate(axes[0]):
             for joint, name in enumerate(JOINTS):
                 label = name.removesuffix("_joint").replace("_", " ")
-                axis.plot(record.time_s, speed[:, arm, joint], color=JOINT_COLORS[joint], label=label, linewidth=1.1)
+                # The last wrist turns as the pan does, to keep the tool's heading: both are to be seen.
+                line = (0, (4, 4)) if joint == 5 else "-"
+                color = JOINT_COLORS[joint]
+                axis.plot(record.time_s, speed[:, arm, joint], color=color, label=label, linestyle=line)
             for sign in (-1, 1):
                 axis.axhline(sign * limit_rad_s, color="#b71c1c", linestyle="--", linewidth=1.1)
             axis.text(0.2, limit_rad_s, f"limit of the task {limit_rad_s:g} rad/s", color="#b71c1c", va="bottom")

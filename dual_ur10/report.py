@@ -110,8 +110,8 @@ def write_report(path: Path, results: Sequence[Result], video: Path | None, miss
                 f"both arms are up to {lagging.accuracy.flange_max_mm:.1f} mm behind their references, and the "
                 f"distance is still right to {1e3 * lagging.accuracy.distance_max_mm:.1f} µm: lag that both arms "
                 "share shows in neither distance nor vector, but only in the absolute error above. On the left the "
-                "vector is some times worse than the distance, which hardly changes with errors across the line "
-                "between the flanges."
+                "vector is worse than the distance, which hardly changes with errors across the line between the "
+                "flanges."
             ),
             "<h2>Lag, with and without compensation</h2>",
             _image(figures.lag(named), "Displacement and error with and without compensation of the lag"),

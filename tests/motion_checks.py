@@ -1,4 +1,4 @@
-"""What the safety tests share: adversarial actions, and limits checked from the definition, without the package's own."""
+"""What the safety tests share: adversarial actions, and limits checked from their definition."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ def test_a_distance_hides_an_error_across_the_line_and_the_vector_does_not() -> 
 
 
 def test_a_common_error_shows_in_the_flange_error_alone() -> None:
-    figures = accuracy(made(still() + [3e-3, 0.0, 4e-3], still()))
+    figures = accuracy(made(still() + np.array([3e-3, 0.0, 4e-3]), still()))
     assert figures.flange_max_mm == pytest.approx(5.0, abs=1e-6)
     assert figures.distance_max_mm < 1e-6
     assert figures.vector_max_mm < 1e-6

@@ -21,7 +21,9 @@ def test_the_timestep_divides_the_tick(family: str, timestep_s: float, substeps:
     assert CellConfig(servoj=ServojProfile(family=family), timestep_s=timestep_s).substeps == substeps
 
 
-@pytest.mark.parametrize(("family", "timestep_s"), [("cb3", 0.003), ("cb3", 0.005), ("cb3", 0.016), ("e-series", 0.004)])
+@pytest.mark.parametrize(
+    ("family", "timestep_s"), [("cb3", 0.003), ("cb3", 0.005), ("cb3", 0.016), ("e-series", 0.004)]
+)
 def test_a_timestep_that_does_not_divide_the_tick_is_refused_with_some_that_do(family: str, timestep_s: float) -> None:
     with pytest.raises(RateError, match="divide") as caught:
         CellConfig(servoj=ServojProfile(family=family), timestep_s=timestep_s)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from motion_checks import HARD, NARROW, TIGHT, assert_within, braked, tip_speed
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.sim2real.limits import HISTORY, REACH_FROM_JOINT_M, Envelope, MotionLimits
 from dual_ur10.ur10 import HARD_SPEED_RAD_S, JOINT_RANGE_RAD
+from tests.motion_checks import HARD, NARROW, TIGHT, assert_within, braked, tip_speed
 
 SLUGGISH = MotionLimits(speed_rad_s=1.0, acceleration_rad_s2=0.5, jerk_rad_s3=2.0)
 LIMITS = (HARD, TIGHT, NARROW, SLUGGISH)
@@ -97,8 +97,10 @@ def test_every_accepted_window_can_be_braked_within_all_joint_limits(limits: Mot
     still = (np.asarray(limits.lower_rad) + limits.upper_rad) / 2
     sent = np.where(accepted[:, None, :], windows, np.tile(still, 2))
     assert 0.01 < accepted.mean() < 0.9
-    motion = np.concatenate([sent, braked(sent[:, -HISTORY:].reshape(-1, 3, 2, 6), limits, tick_s).reshape(
-        len(sent), -1, 12)[:, HISTORY:]], axis=1).reshape(len(sent), -1, 2, 6)
+    motion = np.concatenate(
+        [sent, braked(sent[:, -HISTORY:].reshape(-1, 3, 2, 6), limits, tick_s).reshape(len(sent), -1, 12)[:, HISTORY:]],
+        axis=1,
+    ).reshape(len(sent), -1, 2, 6)
     speed = np.diff(motion[:, HISTORY - 1 :], axis=1) / tick_s
     acceleration = np.diff(motion[:, HISTORY - 2 :], n=2, axis=1) / tick_s**2
     jerk = np.diff(motion, n=3, axis=1) / tick_s**3
@@ -161,8 +163,13 @@ def test_the_tip_speed_of_window_and_brake_is_never_underestimated(
     use = envelope.use(envelope.rows @ windows)
     windows, use = windows[use.max(axis=(1, 2)) <= 2.0], use[use.max(axis=(1, 2)) <= 2.0]
     motion = np.concatenate(
-        [windows[:, HISTORY - 1 :], braked(windows[:, -HISTORY:].reshape(-1, 3, 2, 6), limits, tick_s).reshape(
-            len(windows), -1, 12)[:, HISTORY:]], axis=1
+        [
+            windows[:, HISTORY - 1 :],
+            braked(windows[:, -HISTORY:].reshape(-1, 3, 2, 6), limits, tick_s).reshape(len(windows), -1, 12)[
+                :, HISTORY:
+            ],
+        ],
+        axis=1,
     ).reshape(len(windows), -1, 2, 6)
     peak = tip_speed(motion, tick_s).max(axis=1) / limits.tcp_speed_m_s
     share = envelope.tip_share(windows)[0].max(axis=1)

@@ -86,6 +86,8 @@ def test_two_viewers_at_once_and_another_afterwards(scene: tuple[Any, Any]) -> N
 def test_a_viewer_that_ended_by_itself_stops_nothing(opened: Viewer, scene: tuple[Any, Any]) -> None:
     opened._shown.process.kill()
     opened._shown.process.wait(WAIT_S)
+    for _ in range(3):
+        opened._shown.sync()  # as when it ends between the question and the sending
     opened.show(*scene)
     assert not opened.is_running()
 

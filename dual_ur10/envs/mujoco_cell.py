@@ -69,6 +69,8 @@ class MujocoCell:
         )
         self._feedforward = FeedForward(scene, self.n, self.threads)
         self._drawn: tuple[Any, Any] | None = None
+        # Whether the batch has values of its own for each cell, which cost a little and are then kept up.
+        self._own_masses = self._own_friction = False
         self._closed = False
 
     def perturb(self, perturbation: Perturbation) -> None:
@@ -82,10 +84,12 @@ class MujocoCell:
         self._reference.set_lookahead(values["lookahead_scale"], delayed=not self._delay.is_none)
         nominal = Perturbation().expanded(self.n)
         masses = ("mass_scale", "payload_kg", "declared_payload_kg")
-        if any((values[key] != nominal[key]).any() for key in masses) or self._batch.expanded("body_mass") is not None:
+        if self._own_masses or any((values[key] != nominal[key]).any() for key in masses):
+            self._own_masses = True
             write_masses(self._batch, *(values[key] for key in masses))
             self._feedforward.declare_payload(values["declared_payload_kg"])
-        if values["friction_nm"].any() or self._batch.expanded("dof_frictionloss") is not None:
+        if self._own_friction or values["friction_nm"].any():
+            self._own_friction = True
             self._batch.expand("dof_frictionloss")[:, _ARM] = values["friction_nm"].reshape(self.n, 12)
 
     def reset(self, q_rad: Array, rows: Rows | None = None, *, seeds: Sequence[int] | None = None) -> CellState:

@@ -63,6 +63,7 @@ class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
         shadows: bool = False,
         **settings: Any,
     ) -> None:
+        self.closed = True  # until there is something to close: Gymnasium closes what a failed construction left
         if not (isinstance(num_envs, int) and num_envs >= 1):
             raise SettingsError(f"num_envs is {num_envs!r}: it must be a whole number, 1 or more")
         if max_episode_steps is not None and max_episode_steps < 1:
@@ -97,6 +98,7 @@ class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
         self._rngs: list[np.random.Generator] = []
         self._steps = np.zeros(num_envs, dtype=np.int64)
         self._done = np.zeros(num_envs, dtype=bool)
+        self.closed = False
 
     def reset(
         self,

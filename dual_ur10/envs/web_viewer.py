@@ -13,6 +13,7 @@ import io
 import json
 import logging
 import os
+import socket
 import struct
 import sys
 import threading
@@ -71,6 +72,8 @@ def on_loopback(web_viewer: Any) -> Any:
     """
 
     class LoopbackWebViewer(web_viewer):  # type: ignore[misc]
+        _http_sock: socket.socket
+
         @property
         def _host(self) -> str:
             return LOOPBACK
@@ -81,6 +84,11 @@ def on_loopback(web_viewer: Any) -> Any:
 
         def _start_server(self) -> None:
             self._check()
+            try:
+                self._http_sock.listen()
+            except OSError:  # another viewer took the same port at the same moment: any other will do
+                self._http_sock.close()
+                self._http_sock = socket.create_server((LOOPBACK, 0))
             super()._start_server()
 
         def _check(self) -> tuple[str, int]:
@@ -174,6 +182,9 @@ def serve(stream: BinaryIO, answer: io.TextIOBase) -> None:
         return
     model = mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": binary})
     model.vis.global_.azimuth, model.vis.global_.elevation = AZIMUTH_DEG, ELEVATION_DEG
+    # The browser's renderer makes a darker picture of the same lights.
+    model.vis.headlight.ambient, model.vis.headlight.diffuse = (0.6,) * 3, (0.7,) * 3
+    model.light_diffuse *= 2.0
     data = mujoco.MjData(model)
     kind = int(mujoco.mjtState.mjSTATE_INTEGRATION)
     try:

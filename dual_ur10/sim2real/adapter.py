@@ -264,7 +264,8 @@ class ServojAdapter:
             position, rotation = flange_pose(now[:, arm], dh)
             # One small product per cell, so that its last bit does not depend on how many others there are.
             vectors = share[:, arm].reshape(-1, 2, 3) @ self._to_base[arm].T
-            step, turn = vectors[:, 0] * (TCP_STEP_M_S * self.period_s), vectors[:, 1] * (TCP_TURN_RAD_S * self.period_s)
+            step = vectors[:, 0] * (TCP_STEP_M_S * self.period_s)
+            turn = vectors[:, 1] * (TCP_TURN_RAD_S * self.period_s)
             wanted = quat_to_matrix(quat_from_rotvec(turn[:, None]))[:, 0] @ rotation
             q, reached = try_nearest(position + step, wanted, now[:, arm], dh)
             goal[reached, arm] = q[reached]

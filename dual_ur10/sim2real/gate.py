@@ -106,6 +106,7 @@ class SafetyGate:
         for row in index.tolist():
             self._verdicts.pop(row, None)
 
+    @np.errstate(over="ignore", invalid="ignore")  # huge and infinite targets are for the checks to find
     def __call__(self, targets_rad: Array) -> GateResult:
         """Let targets pass, or replace them by the brake.
 

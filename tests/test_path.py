@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from dual_ur10.sim2real import path
-from dual_ur10.sim2real.path import MEETINGS, Meeting
+from dual_ur10.sim2real.path import Meeting, meetings
+
+MEETINGS = meetings(0.04)
 
 PERIOD_S = 0.04
 

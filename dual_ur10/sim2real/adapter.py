@@ -40,6 +40,8 @@ TCP_STEP_M_S = 0.25
 TCP_TURN_RAD_S = 0.5
 """Turning speed of the flange at action 1 of `tcp_delta`: the first speed that is safe to try on a real arm."""
 
+_MANY_TICKS = 5  # from so many targets per period on, they show what the path does
+
 _GOAL_MARGIN_RAD = 1e-3  # goals stay this far inside the range that the limiter enforces
 
 # Rows of the adapter's state, (n, rows, 12): the last three targets, then what a path is made of.
@@ -126,7 +128,10 @@ class ServojAdapter:
         # Turns vectors of the cell frame into each arm's `base`, which is half a turn from base_link.
         turns = np.array([[0.0, 0.0, -np.pi - yaw] for yaw in yaw_rad])
         self._to_base = quat_to_matrix(quat_from_rotvec(turns))
-        self._plans = [self._plan(meeting) for meeting in path.MEETINGS]
+        meetings = path.meetings(self.period_s)
+        self._plans = [self._plan(meeting) for meeting in meetings]
+        # A few targets per period can look legal on a path that is not.
+        self._between = [self._acceleration(meeting) for meeting in meetings] if ticks < _MANY_TICKS else []
         self._resume = self._resume_matrix()
         self._state: Array = np.zeros((n, HISTORY + path.VALUES, 12))
         self._commanded: Array = self._state[:, _GOAL].copy()
@@ -147,6 +152,16 @@ class ServojAdapter:
         end = np.zeros((4, HISTORY + path.VALUES))
         end[:, HISTORY:] = rows.end
         return np.vstack([window[HISTORY:], end, self.envelope.rows @ window])
+
+    def _acceleration(self, meeting: path.Meeting) -> Array:
+        """Share of the acceleration limit that the path itself uses between targets, as a matrix on the state."""
+        lookahead_s = self.profile.lookahead_s if self.compensate_lag else 0.0
+        step_s = self.period_s / 8
+        rows = path.path(self.period_s, np.arange(9) * step_s, meeting)
+        acceleration = rows.acceleration[:-1] + lookahead_s * np.diff(rows.acceleration, axis=0) / step_s
+        result = np.zeros((len(acceleration), HISTORY + path.VALUES))
+        result[:, HISTORY:] = acceleration / self.limits.acceleration_rad_s2
+        return result
 
     def _resume_matrix(self) -> Array:
         """Where the path is after a limited period: (4, ...) on the window of targets, and position and speed before.
@@ -214,6 +229,8 @@ class ServojAdapter:
         targets = plan[:, :ticks]
         use = self.envelope.signed_use(plan[:, ticks + 4 :])
         legal = self._limiter.is_legal(use, state[:, :HISTORY], targets)
+        if self._between:
+            legal &= np.abs(self._between[0] @ state).max(axis=(1, 2)) <= 1.0
         if not legal.all():
             rows = np.flatnonzero(~legal)
             plan[rows, : ticks + 4] = self._limited(state[rows])
@@ -231,11 +248,13 @@ class ServojAdapter:
         ticks, past = self.ticks, state[:, :HISTORY]
         result = np.empty((len(state), ticks + 4, 12))
         left = np.arange(len(state))
-        for later in self._plans[1:]:
+        for k, later in enumerate(self._plans[1:], start=1):
             plan = later @ state[left]
             targets = plan[:, :ticks]
             use = self.envelope.signed_use(plan[:, ticks + 4 :])
             legal = self._limiter.is_legal(use, past[left], targets)
+            if self._between:
+                legal &= np.abs(self._between[k] @ state[left]).max(axis=(1, 2)) <= 1.0
             result[left[legal]] = plan[legal, : ticks + 4]
             left, use, targets = left[~legal], use[~legal], targets[~legal]
             if not left.size:

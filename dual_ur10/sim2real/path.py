@@ -39,11 +39,16 @@ class Meeting(NamedTuple):
     points: int
 
 
-MEETINGS = (Meeting(1, 4), Meeting(4, 3), Meeting(8, 2))
-"""Tried in this order. The first follows a smooth motion within micrometres; the later ones take larger jumps for the
-same acceleration, and expect less of the commands' smoothness. Chosen by the eigenvalues of the map from one period to
-the next: a disturbance shrinks per period to at most 0.79 and 0.94 of itself when every command is the path's own
-position (steps of zero), and to 0.54 and 0.75 when it is a fixed one. Meeting after three periods would ring (0.98)."""
+def meetings(period_s: float) -> tuple[Meeting, ...]:
+    """When a path may meet the commands again, in the order in which it is tried.
+
+    The first follows a smooth motion within micrometres; the later ones take larger jumps for the same acceleration. At
+    25 Hz they are 5 and 10 periods; what counts is the time that the limits leave, so it is as long at other rates.
+    Chosen so that a disturbance dies away under each of them (0.91 and 0.96 per period at 25 Hz when every command is
+    the path's own position, 0.61 and 0.79 when it is a fixed one), and so that what the last leaves of a following error
+    is small enough for the second, and likewise for the first.
+    """
+    return (Meeting(1, 4), Meeting(max(5, round(0.2 / period_s)), 4), Meeting(max(10, round(0.4 / period_s)), 2))
 
 
 class PathRows(NamedTuple):

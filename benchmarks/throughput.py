@@ -42,6 +42,7 @@ class Recorder:
         self.recorded: list[tuple[np.ndarray, np.ndarray]] = []
 
     def __call__(self, *motion: np.ndarray) -> np.ndarray:
+        """The feed-forward, noted on the way."""
         control = self._feedforward(*motion)
         self.recorded.append((self.cell._batch.state.copy(), control.copy()))
         return control

@@ -78,8 +78,8 @@ def test_state_environments_load_no_opengl():
     code = (
         "import sys, gymnasium, dual_ur10; e = gymnasium.make('DualUR10/SineTracking-v0'); e.reset(seed=0); "
         "e.step(e.action_space.sample()); "
-        "loaded = [m for m in ('mujoco.egl', 'mujoco.osmesa', 'OpenGL.GL') if m in sys.modules]; sys.exit(str(loaded) if "
-        "loaded else 0)"
+        "loaded = [m for m in ('mujoco.egl', 'mujoco.osmesa', 'OpenGL.GL') if m in sys.modules]; "
+        "sys.exit(str(loaded) if loaded else 0)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 
@@ -267,13 +267,19 @@ def test_observation_is_what_the_table_says():
     assert np.allclose(arms[:, 18:21], position, atol=1e-9)
     for arm, mount in enumerate((cell.left, cell.right)):
         turn = np.array(
-            [[np.cos(mount.yaw_rad), -np.sin(mount.yaw_rad), 0], [np.sin(mount.yaw_rad), np.cos(mount.yaw_rad), 0], [0, 0, 1]]
+            [
+                [np.cos(mount.yaw_rad), -np.sin(mount.yaw_rad), 0],
+                [np.sin(mount.yaw_rad), np.cos(mount.yaw_rad), 0],
+                [0, 0, 1],
+            ]
         ) @ np.diag([-1, -1, 1])
         assert np.allclose(turn @ arms[arm, 18:21] + mount.position_m, info["flange_m"][arm], atol=1e-9)
         assert np.allclose(turn @ arms[arm, 25:28] + mount.position_m, info["reference_m"][arm], atol=1e-9)
         # The turn observed leads from the flange to the tool pointing straight down.
         w, x, y, z = arms[arm, 21:25]
-        assert np.allclose(rotation[arm][2], [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], atol=1e-9)
+        assert np.allclose(
+            rotation[arm][2], [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], atol=1e-9
+        )
         down = np.diag([1.0, -1.0, -1.0]) @ rotation[arm].T
         vector = np.array([down[2, 1] - down[1, 2], down[0, 2] - down[2, 0], down[1, 0] - down[0, 1]]) / 2
         assert np.allclose(arms[arm, 31:34], vector, atol=1e-3)

@@ -77,7 +77,6 @@ def test_the_state_is_of_this_instant():
 
 
 def droop(**perturbation):
-    trace, _ = run(Perturbation(**perturbation), periods=1)
     cell = MujocoCell(CellConfig(perturbation=Perturbation(**perturbation)), TICKS)
     cell.reset(home())
     for _ in range(40):
@@ -114,7 +113,7 @@ def test_payload_masses_and_inertia_are_those_of_a_welded_ball():
     bodies = [model.body(f"left/{link}").id for link in LINKS]
     expected = LINK_MASS_KG * 1.1
     expected[-1] += 4.0
-    assert np.allclose(batch.body_mass[0, bodies] if False else batch.expand("body_mass")[0, bodies], expected)
+    assert np.allclose(batch.expand("body_mass")[0, bodies], expected)
     # Inertia about the flange axis does not change, across it it grows by the reduced mass times the distance squared.
     inertia = np.sort(batch.expand("body_inertia")[0, bodies[-1]])
     distance = 0.026  # flange to the centre of mass of the last link

@@ -33,7 +33,18 @@ def test_the_wheel_holds_the_package_and_nothing_else(wheel):
 
 def test_the_installed_wheel_works(wheel, tmp_path):
     target = tmp_path / "site"
-    install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", str(target), str(wheel)]
+    install = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--no-deps",
+        "--no-index",
+        "--target",
+        str(target),
+        str(wheel),
+    ]
     subprocess.run(install, check=True, timeout=120, capture_output=True)
     code = (
         "import pathlib, dual_ur10\n"
@@ -57,7 +68,13 @@ def test_readme_and_module_say_the_same_version():
 
 
 def test_imports_run_downwards():
-    floors = [["ur10", "errors", "rotations"], ["assets", "kinematics", "dynamics"], ["sim2real"], ["envs"], ["policies"]]
+    floors = [
+        ["ur10", "errors", "rotations"],
+        ["assets", "kinematics", "dynamics"],
+        ["sim2real"],
+        ["envs"],
+        ["policies"],
+    ]
     floors.append(["figures", "report", "demo", "cli", "__main__"])
     level = {name: height for height, names in enumerate(floors) for name in names}
     level |= dict.fromkeys(("forward_kinematics", "inverse_kinematics", "closed_form"), level["kinematics"])

@@ -63,7 +63,9 @@ def test_success_over_random_episodes():
 
 
 def test_calibrated_arms_are_tracked_as_well():
-    measured = DHParameters(a_m=tuple(DH_A_M + [0, 0.001, -0.0015, 0, 0, 0]), theta_rad=(0.001, -0.002, 0.001, 0, 0.002, 0))
+    measured = DHParameters(
+        a_m=tuple(np.add(DH_A_M, (0, 0.001, -0.0015, 0, 0, 0))), theta_rad=(0.001, -0.002, 0.001, 0, 0.002, 0)
+    )
     cell = CellConfig(left=ArmMount((-0.75, 0.6, 0.0), dh=measured))
     env = gym.make(SINE, cell=cell, duration_s=3.0)
     for believed, close in ((cell, True), ("mujoco", False)):

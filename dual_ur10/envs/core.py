@@ -140,7 +140,9 @@ class Core:
         """Rate and latency of actions."""
         return self.task.timing
 
-    def reset(self, rngs: Sequence[np.random.Generator], rows: Rows | None = None) -> tuple[Array, dict[str, NDArray[Any]]]:
+    def reset(
+        self, rngs: Sequence[np.random.Generator], rows: Rows | None = None
+    ) -> tuple[Array, dict[str, NDArray[Any]]]:
         """Begin new episodes.
 
         Args:

@@ -157,7 +157,8 @@ class ServojAdapter:
         """Share of the acceleration limit that the path itself uses between targets, as a matrix on the state."""
         lookahead_s = self.profile.lookahead_s if self.compensate_lag else 0.0
         step_s = self.period_s / 8
-        rows = path.path(self.period_s, np.arange(9) * step_s, meeting)
+        times: Array = np.arange(9.0) * step_s
+        rows = path.path(self.period_s, times, meeting)
         acceleration = rows.acceleration[:-1] + lookahead_s * np.diff(rows.acceleration, axis=0) / step_s
         result = np.zeros((len(acceleration), HISTORY + path.VALUES))
         result[:, HISTORY:] = acceleration / self.limits.acceleration_rad_s2

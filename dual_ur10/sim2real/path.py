@@ -45,7 +45,7 @@ def meetings(period_s: float) -> tuple[Meeting, ...]:
     The first follows a smooth motion within micrometres; the later ones take larger jumps for the same acceleration. At
     25 Hz they are 5 and 10 periods; what counts is the time that the limits leave, so it is as long at other rates.
     Chosen so that a disturbance dies away under each of them (0.91 and 0.96 per period at 25 Hz when every command is
-    the path's own position, 0.61 and 0.79 when it is a fixed one), and so that what the last leaves of a following error
+    the path's own position, 0.61 and 0.79 when it is a fixed one), and so that the following error that the last leaves
     is small enough for the second, and likewise for the first.
     """
     return (Meeting(1, 4), Meeting(max(5, round(0.2 / period_s)), 4), Meeting(max(10, round(0.4 / period_s)), 2))

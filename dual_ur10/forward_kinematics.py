@@ -183,7 +183,7 @@ _TURNS, _PHASE, _WEIGHTS = _position_terms()
 
 
 def elbow_and_flange_position(q_rad: ArrayLike) -> tuple[Array, Array]:
-    """Return where the elbow and the flange of a nominal arm are, in ``base``; four numpy calls.
+    """Return where the elbow and the flange of a nominal arm are, in ``base``.
 
     Args:
         q_rad: (..., 6) joint angles.
@@ -194,8 +194,16 @@ def elbow_and_flange_position(q_rad: ArrayLike) -> tuple[Array, Array]:
     Raises:
         SettingsError: Not six joints.
     """
-    q = checked_joints(q_rad)
-    angles = q.reshape(-1, 6) @ _TURNS
-    angles += _PHASE
-    positions = (np.sin(angles, out=angles) @ _WEIGHTS).reshape(q.shape)
+    positions = elbow_and_flange(checked_joints(q_rad))
     return positions[..., :3], positions[..., 3:]
+
+
+def elbow_and_flange(q_rad: Array) -> Array:
+    """As `elbow_and_flange_position`, unchecked and in four numpy calls: both positions, (..., 6), in m.
+
+    The last two axes are one matrix product, so that a row of an (n, m, 6) batch does not depend on n to the last bit.
+    """
+    angles: Array = q_rad @ _TURNS
+    angles += _PHASE
+    positions: Array = np.sin(angles, out=angles) @ _WEIGHTS
+    return positions

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -114,7 +115,8 @@ class Core:
             yaw_rad=[mount.yaw_rad for mount in mounts],
         )
         self.n, self.config, self.task_name = n, config, task
-        clearance = Clearance(config.scene, n=n, minimum_m=config.minimum_clearance_m)
+        threads = threads or min(n, os.cpu_count() or 1)
+        clearance = Clearance(config.scene, n=n, threads=threads, minimum_m=config.minimum_clearance_m)
         gate = SafetyGate(task_type.limits, config.servoj.tick_s, ticks, clearance, n=n)
         self.pipeline = ServojPipeline(adapter, gate, action_latency_ticks)
         period_s = adapter.period_s
@@ -180,11 +182,11 @@ class Core:
         self._state = state = cell.advance(command)
         measured = self.task.measure(state)
         outcome = self.task.evaluate(state, measured)
-        reward: Array = (outcome.terms * self._weights).sum(axis=1)
+        reward: Array = np.add.reduce(outcome.terms * self._weights, axis=1)
         terminated, success = state.failed.copy(), outcome.success
         if verdicts:
             terminated[list(verdicts)] = True
-        if terminated.any():
+        if np.logical_or.reduce(terminated):
             success = success & ~terminated
         info = self._measurements(state)
         info.update(outcome.info)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -36,12 +35,12 @@ class MujocoCell:
         config: The cell.
         ticks: Controller ticks per call of `advance`.
         n: Number of cells.
-        threads: Threads to step on; None: as many as there are processors, at most n.
+        threads: Threads to step on.
     """
 
-    def __init__(self, config: CellConfig, ticks: int, *, n: int = 1, threads: int | None = None) -> None:
+    def __init__(self, config: CellConfig, ticks: int, *, n: int = 1, threads: int = 1) -> None:
         self.config, self.ticks, self.n = config, ticks, n
-        self.threads = threads or min(n, os.cpu_count() or 1)
+        self.threads = threads
         self.steps = ticks * config.substeps
         self._delay = TargetDelay(n, config.substeps)
         self._reference = ServojReference(config.servoj, n, config.substeps, ticks)
@@ -124,7 +123,7 @@ class MujocoCell:
             targets = self._delay(targets)
         batch.rollout(self.steps, self._feedforward(*self._reference(targets)), record=())
         self._elapsed += self.ticks
-        if self._warnings.any():
+        if np.logical_or.reduce(self._warnings, axis=None):
             self._failed |= self._warnings.any(axis=1)
             batch.state[self._failed] = self._good[self._failed]
         self._good = batch.state.copy()

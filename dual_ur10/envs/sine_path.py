@@ -108,7 +108,7 @@ class SineSettings:
             phase_rad: Phases, of a shape that broadcasts to that of `time_s`.
         """
         result: Array = self.amplitude_m * np.sin(time_s * (2 * np.pi * self.frequency_hz) + phase_rad)
-        if time_s.min() < self.soft_start_s:
+        if np.minimum.reduce(time_s, axis=None) < self.soft_start_s:
             x = np.minimum(time_s * (1.0 / self.soft_start_s), 1.0)
             result *= x * x * x * (10.0 + x * (6.0 * x - 15.0))
         return result

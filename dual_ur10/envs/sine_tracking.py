@@ -228,14 +228,14 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         """Reward terms, and success at the end."""
         error = measured.error_m
         vectors = np.concatenate([error, measured.turn, error[:, :1] - error[:, 1:]], axis=1)
-        squares = (vectors * vectors).sum(axis=2)
+        squares = np.add.reduce(vectors * vectors, axis=2)
         sizes = np.sqrt(squares)
         terms = (gaussian(sizes, _MARGINS)[:, None] @ _MEANS)[:, 0]
         self._squares += squares[:, :2]
         self._count += 1
         over = self._count >= self._steps
         success = over
-        if over.any():
+        if np.logical_or.reduce(over):
             success = over & (self._squares.max(axis=1) <= self.settings.success_rms_m**2 * self._count)
         info = {
             "flange_error_m": sizes[:, :2],

@@ -232,7 +232,7 @@ class ServojAdapter:
         legal = self._limiter.is_legal(use, state[:, :HISTORY], targets)
         if self._between:
             legal &= np.abs(self._between[0] @ state).max(axis=(1, 2)) <= 1.0
-        if not legal.all():
+        if not np.logical_and.reduce(legal):
             rows = np.flatnonzero(~legal)
             plan[rows, : ticks + 4] = self._limited(state[rows])
         state[:, _GOALS.start : _GOAL] = state[:, _GOALS.start + 1 : _GOAL + 1]
@@ -250,7 +250,7 @@ class ServojAdapter:
         result = np.empty((len(state), ticks + 4, 12))
         left = np.arange(len(state))
         for k, later in enumerate(self._plans[1:], start=1):
-            plan = later @ state[left]
+            plan = later @ (state if len(left) == len(state) else state[left])
             targets = plan[:, :ticks]
             use = self.envelope.signed_use(plan[:, ticks + 4 :])
             legal = self._limiter.is_legal(use, past[left], targets)

@@ -126,13 +126,13 @@ class SafetyGate:
         quantities = envelope.rows @ window
         share = envelope.use(quantities)
         # Every check asks "is it within", which NaN and infinity are not.
-        kept = share.max() <= _TOLERANCE and envelope.tip_bound(share).max() <= 1.0
+        kept = envelope.within(share, _TOLERANCE, 1.0)
         if not kept and not np.isfinite(targets_rad).all():
             raise ActionError(_not_finite(targets_rad))
         legal = self._clearance.is_clear(quantities[:, envelope.rest_row])
         if not kept:
-            legal &= self._in_detail(window, share)
-        if self._verdicts or not legal.all():
+            legal = legal & self._in_detail(window, share)
+        if self._verdicts or not np.logical_and.reduce(legal):
             self._refuse(np.flatnonzero(~legal), window, quantities, share)
         self._past = window[:, -HISTORY:]
         self._sent += ticks

@@ -52,9 +52,9 @@ class Limiter:
             targets: (n, ticks, 12) planned targets.
         """
         share = np.abs(use)
-        bound = self.envelope.tip_bound(share)
-        if share.max() <= _FULL and bound.max() <= _TIP_FULL:
+        if self.envelope.within(share, _FULL, _TIP_FULL):
             return np.ones(len(share), dtype=bool)
+        bound = self.envelope.tip_bound(share)
         legal: Mask = share.reshape(len(share), -1).max(axis=1) <= _FULL
         rows = np.flatnonzero((bound > _TIP_FULL) & legal)
         if rows.size:

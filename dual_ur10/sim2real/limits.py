@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from dual_ur10 import ur10
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics import elbow_and_flange_position
+from dual_ur10.forward_kinematics import elbow_and_flange
 
 Array = NDArray[np.float64]
 Six = tuple[float, float, float, float, float, float]
@@ -271,6 +271,21 @@ class Envelope:
             quantities = quantities - self._middle
         return quantities * self.scale
 
+    def within(self, share: Array, full: float, tip_full: float) -> bool:
+        """Whether all cells use at most `full` of each limit, and by its bound `tip_full` of the tip speed; quickly.
+
+        False for NaN.
+
+        Args:
+            share: (n, m, 12) as `use` gives it.
+            full: Largest share of a limit of the joints.
+            tip_full: Largest share of the tip speed limit.
+        """
+        if not np.maximum.reduce(share, axis=None) <= full:
+            return False
+        peak = np.maximum.reduce(share[:, self._speed_rows], axis=1, keepdims=True)
+        return bool(np.maximum.reduce(peak @ self._lever, axis=None) <= tip_full)
+
     def tip_bound(self, share: Array) -> Array:
         """Upper bound of the used share of the tip speed limit, (n,), from the joint speeds alone.
 
@@ -297,11 +312,12 @@ class Envelope:
             start = brake[:, :half]
             starts.append(start)
             ends.append(start + _BETWEEN_INSTANTS * (brake[:, half:] - start))
-        before, after = np.concatenate(starts, axis=1), np.concatenate(ends, axis=1)
-        elbow, flange = elbow_and_flange_position(np.stack([before, after]).reshape(2, n, -1, 2, 6))
-        moved = np.stack([elbow[1] - elbow[0], flange[1] - flange[0]])
-        fastest = np.sqrt((moved * moved).sum(axis=-1).max(axis=2)) / (self.tick_s * self.limits.tcp_speed_m_s)
-        return fastest.max(axis=0), fastest[0] > fastest[1]
+        positions = elbow_and_flange(np.concatenate(starts + ends, axis=1).reshape(n, -1, 6))
+        # Start or end, instant, arm, elbow or flange, x y z.
+        positions = positions.reshape(n, 2, -1, 2, 2, 3)
+        moved = positions[:, 1] - positions[:, 0]
+        fastest = np.sqrt(np.add.reduce(moved * moved, axis=-1).max(axis=1)) / (self.tick_s * self.limits.tcp_speed_m_s)
+        return fastest.max(axis=-1), fastest[..., 0] > fastest[..., 1]
 
 
 def _hull_corners(points: Array) -> list[int]:

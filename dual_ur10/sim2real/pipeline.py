@@ -76,7 +76,7 @@ class ServojPipeline:
             allowed = " or ".join(map(str, _shapes(self._shape)))
             raise ActionError(f"an action must have shape {allowed}, found {array.shape}")
         checked: Array = array.astype(np.float64).reshape(self._shape)
-        if not np.isfinite(checked).all():
+        if not np.logical_and.reduce(np.isfinite(checked), axis=None):
             row, arm, number = np.argwhere(~np.isfinite(checked))[0]
             raise ActionError(
                 f"number {number} of the {ARMS[arm]} arm's action is {checked[row, arm, number]} (cell {row}): actions "

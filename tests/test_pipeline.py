@@ -307,3 +307,11 @@ def test_random_actions_meet_the_gate_only_for_distances(mode: str) -> None:
     found = Counter(verdict.kind for verdict in verdicts.values())
     assert set(found) == {"distance"}, found
     assert_within(np.concatenate(sent, axis=1), limits, 0.008)
+
+
+def test_adapter_and_queue_must_agree_on_the_latency() -> None:
+    profile = ServojProfile()
+    adapter = ServojAdapter(profile, MotionLimits(), 5, latency_ticks=3)
+    gate = SafetyGate(MotionLimits(), profile.tick_s, 5, Clearance(SceneSettings()))
+    with pytest.raises(SettingsError, match="3 ticks"):
+        ServojPipeline(adapter, gate, 5)

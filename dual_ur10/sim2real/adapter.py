@@ -113,7 +113,8 @@ class ServojAdapter:
         self.profile, self.limits, self.ticks, self.n = profile, limits.narrowed(JOINT_MARGIN_RAD), ticks, n
         self.mode, self.gripper, self.compensate_lag, self.dh = mode, gripper, compensate_lag, tuple(dh)
         self.period_s = ticks * profile.tick_s
-        stops = (ticks - latency_ticks % ticks, ticks)
+        self.latency_ticks = int(latency_ticks)
+        stops = (ticks - self.latency_ticks % ticks, ticks)
         self.envelope = Envelope(self.limits, profile.tick_s, ticks, stops)
         self._limiter = Limiter(self.envelope)
         self._goal = goals[mode]

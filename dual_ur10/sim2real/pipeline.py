@@ -30,6 +30,11 @@ class ServojPipeline:
     def __init__(self, adapter: ServojAdapter, gate: SafetyGate, latency_ticks: int = 0) -> None:
         if not (isinstance(latency_ticks, int | np.integer) and 0 <= latency_ticks <= MAX_LATENCY_TICKS):
             raise SettingsError(f"action_latency_ticks is {latency_ticks!r}: a whole number, 0 to {MAX_LATENCY_TICKS}")
+        if latency_ticks != adapter.latency_ticks:
+            raise SettingsError(
+                f"the adapter was made for a latency of {adapter.latency_ticks} ticks and the queue has {latency_ticks}: "
+                "they must be equal, for the gate's periods depend on it"
+            )
         self.adapter, self.gate, self.latency_ticks = adapter, gate, int(latency_ticks)
         self._shape = (adapter.n, 2, adapter.action_size)
         self._waiting: Array = np.zeros((adapter.n, self.latency_ticks, 2, 6))

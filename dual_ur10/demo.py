@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,84 +10,18 @@ import gymnasium as gym
 import numpy as np
 
 from dual_ur10 import ENV_IDS
-from dual_ur10.assets.scene import ArmMount
 from dual_ur10.errors import DualUR10Error, MissingExtraError, RenderError
 from dual_ur10.policies import SineTrackingPolicy
-from dual_ur10.policies.accuracy import Accuracy, accuracy, lag_s, skew_s
-from dual_ur10.policies.rollout import Info, Record, rollout
-from dual_ur10.sim2real.cell import TYPICAL_PERTURBATION, CellConfig
+from dual_ur10.policies.accuracy import accuracy, lag_s, skew_s
+from dual_ur10.policies.rollout import Info, rollout
+from dual_ur10.report import write_report
+from dual_ur10.runs import RUNS, SETTLED_S, Result, Run
 
 ENV_ID = ENV_IDS[0]
-
-ASYMMETRIC_CELL = CellConfig(left=ArmMount((-0.75, 0.6, 0.0)), right=ArmMount((-0.92, -0.45, 0.08)))
-"""Where accuracy is measured. In a symmetric cell both arms make the same errors, and the distance between them is
-exactly right whatever the controller does."""
-
-PERTURBED_CELL = replace(ASYMMETRIC_CELL, perturbation=TYPICAL_PERTURBATION)
-
-LATENCY_TICKS = 5
-SETTLED_S = 5.0
 
 _STEP_COST, _FRAME_COST, _DRAWING_COST = 1.0, 90.0, 4000.0  # in steps, so that the time left is estimated well
 _FPS, _WIDTH, _HEIGHT = 25, 960, 540
 _INK, _PAPER = (38, 50, 56), (255, 255, 255)
-
-
-@dataclass(frozen=True)
-class Run:
-    """One way to run the sine.
-
-    Attributes:
-        name: Short name.
-        title: For people.
-        cell: Plant and bases.
-        learn: Whether the policy learns the arms' deviation.
-        compensate_lag: Whether the adapter takes the lag of `servoj` out.
-        arms: Which arms follow the sine.
-        latency_ticks: Ticks between an observation and the first target of its action.
-        axis: Direction of the sine; y is the line between the flanges.
-    """
-
-    name: str
-    title: str
-    cell: CellConfig = ASYMMETRIC_CELL
-    learn: bool = True
-    compensate_lag: bool = True
-    arms: str = "both"
-    latency_ticks: int = 0
-    axis: str = "y"
-
-
-RUNS = (
-    Run("nominal", "nominal"),
-    Run("perturbed", "perturbed", PERTURBED_CELL),
-    Run("perturbed_fixed", "perturbed, without learning", PERTURBED_CELL, learn=False),
-    Run("perturbed_late", f"perturbed, L = {LATENCY_TICKS} ticks", PERTURBED_CELL, latency_ticks=LATENCY_TICKS),
-    Run("single", "single arm, nominal", arms="left"),
-    Run("single_perturbed", "single arm, perturbed", PERTURBED_CELL, arms="left"),
-    Run("lagging", "nominal, lag not compensated", learn=False, compensate_lag=False),
-)
-
-
-@dataclass(frozen=True)
-class Result:
-    """What came of a run.
-
-    Attributes:
-        run: How it was run.
-        record: What was measured.
-        accuracy: Figures of the whole episode.
-        settled: Figures from `SETTLED_S` on.
-        lag_s: How far the slower of the tracking arms is behind its reference.
-        skew_s: How far the left arm is behind the right one; NaN if only one moves.
-    """
-
-    run: Run
-    record: Record
-    accuracy: Accuracy
-    settled: Accuracy
-    lag_s: float
-    skew_s: float
 
 
 Progress = Callable[[str, float, float], None]
@@ -135,8 +68,6 @@ def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: 
     except RenderError as error:
         missing = str(error)
     advance("writing the report", 0.0)
-    from dual_ur10.report import write_report
-
     write_report(out / "report.html", results, None if missing else out / "sine_tracking.mp4", missing)
     advance("done", total - done)
     return results, missing

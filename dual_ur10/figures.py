@@ -15,7 +15,7 @@ from dual_ur10.policies.accuracy import along_axis, correlation, errors
 from dual_ur10.ur10 import ARMS, JOINTS
 
 if TYPE_CHECKING:
-    from dual_ur10.demo import Result
+    from dual_ur10.runs import Result
 
 Array = NDArray[np.float64]
 Results = Mapping[str, "Result"]

@@ -14,7 +14,7 @@ from dual_ur10.envs.sine_tracking import SineTracking
 from dual_ur10.errors import DualUR10Error
 
 if TYPE_CHECKING:
-    from dual_ur10.demo import Result
+    from dual_ur10.runs import Result
 
 HEADERS = (
     ("flange max", "mm"),

@@ -75,7 +75,7 @@ def test_imports_run_downwards():
         ["envs"],
         ["policies"],
     ]
-    floors.append(["figures", "report", "demo", "cli", "__main__"])
+    floors += [["runs"], ["figures"], ["report"], ["demo"], ["cli"], ["__main__"]]
     level = {name: height for height, names in enumerate(floors) for name in names}
     level |= dict.fromkeys(("forward_kinematics", "inverse_kinematics", "closed_form"), level["kinematics"])
     for path in (ROOT / "dual_ur10").rglob("*.py"):

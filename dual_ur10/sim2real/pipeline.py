@@ -32,7 +32,7 @@ class ServojPipeline:
             raise SettingsError(f"action_latency_ticks is {latency_ticks!r}: a whole number, 0 to {MAX_LATENCY_TICKS}")
         if latency_ticks != adapter.latency_ticks:
             raise SettingsError(
-                f"the adapter was made for a latency of {adapter.latency_ticks} ticks and the queue has {latency_ticks}: "
+                f"the adapter was made for a latency of {adapter.latency_ticks} ticks, the queue for {latency_ticks}: "
                 "they must be equal, for the gate's periods depend on it"
             )
         self.adapter, self.gate, self.latency_ticks = adapter, gate, int(latency_ticks)

@@ -75,10 +75,12 @@ def _options(
 @app.command("list")
 def list_environments() -> None:
     """List the environments, their rates and sizes, and the policies for them."""
-    table = Table(box=None, header_style="bold", padding=(0, 3, 0, 0))
+    table = Table(box=None, header_style="bold", padding=(0, 2, 0, 0))
     for header, justify in (("environment", "left"), ("rate", "right"), ("action", "right"), ("observation", "right")):
-        table.add_column(header, justify=justify)  # type: ignore[arg-type]
+        # An id is there to be copied: it is never cut.
+        table.add_column(header, justify=justify, no_wrap=True, min_width=len(header))  # type: ignore[arg-type]
     table.add_column("policies")
+    table.columns[0].min_width = max(map(len, ENV_IDS))
     for env_id in ENV_IDS:
         env = gym.make(env_id)
         try:

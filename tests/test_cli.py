@@ -107,7 +107,7 @@ def test_random_actions_depend_on_the_seed_alone() -> None:
         (("rollout", "SineTracking", "--set", "axis=w"), "unknown axis 'w'"),
         (("rollout", "SineTracking", "--set", "amplitude_m=much"), "amplitude_m is 'much': it must be a number"),
         (("rollout", "SineTracking", "--set", "policy_rate_hz=30"), "The neighbours are 25 Hz"),
-        (("rollout", "SineTracking", "--set", "policy_rate_hz='x'"), "a value of --set has the wrong type"),
+        (("rollout", "SineTracking", "--set", "policy_rate_hz='x'"), "policy rate is 'x': it must be a number"),
         (("rollout", "SineTracking", "--set", "amplitude_m"), "write it as KEY=VALUE"),
         (("rollout", "SineTracking", "--set", "arms=left", "--set", "arms=both"), "arms is set twice"),
         (("rollout", "SineTracking", "--perturbed", "--set", "cell=mujoco"), "--perturbed sets it"),

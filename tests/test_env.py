@@ -393,10 +393,22 @@ def test_malformed_actions_are_refused_and_nothing_moves(kind):
     assert np.array_equal(env.step(action)[0], control.step(action)[0])
 
 
+LOW = {"axis": "z", "center_m": ((0, 0.6, 0.15), (0, -0.6, 0.15))}
 BAD_KEYWORDS = [
     ({"amplitud_m": 0.1}, errors.UnknownNameError, "amplitude_m"),
     ({"amplitude_m": 0.9}, errors.WorkspaceError, "cannot reach"),
     ({"frequency_hz": 2.0}, errors.WorkspaceError, "rad/s"),
+    (
+        {**LOW, "amplitude_m": 0.15, "frequency_hz": 0.3},
+        errors.WorkspaceError,
+        "table",
+    ),
+    ({"center_m": ((0, 0.6, 0.066), (0, -0.6, 0.066)), "amplitude_m": 0.01}, errors.WorkspaceError, "table"),
+    ({"center_m": "abc"}, errors.SettingsError, "center_m"),
+    ({"axis": ("a", "b", "c")}, errors.SettingsError, "axis"),
+    ({"randomize": "no"}, errors.SettingsError, "randomize"),
+    ({"policy_rate_hz": 0.01}, errors.RateError, "0.5"),
+    ({"policy_rate_hz": "25"}, errors.RateError, "number"),
     ({"amplitude_m": float("nan")}, errors.SettingsError, "amplitude_m"),
     ({"amplitude_m": "0.1"}, errors.SettingsError, "amplitude_m"),
     ({"axis": "w"}, errors.UnknownNameError, "'x'"),
@@ -427,7 +439,7 @@ def test_bad_cells_are_refused():
         CellConfig(left=ArmMount((-0.75, 0.1, 0.0)), right=ArmMount((-0.75, -0.1, 0.0)))
     crossed = CellConfig(left=ArmMount((-0.75, 0.25, 0.0)), right=ArmMount((-0.75, -0.25, 0.0)))
     center = ((0.0, -0.02, 0.4), (0.0, 0.02, 0.4))
-    with pytest.raises(errors.CollisionAtStartError, match="apart"):
+    with pytest.raises(errors.WorkspaceError, match=r"left/.* and right/"):
         gym.make(SINE, cell=crossed, center_m=center, randomize=False, amplitude_m=0.01)
 
 

@@ -74,7 +74,7 @@ def test_the_named_neighbours_are_legal() -> None:
 
 @pytest.mark.parametrize("rate_hz", [0.0, -25.0, 126.0, float("nan"), float("inf")])
 def test_a_rate_beyond_the_controllers_is_refused(rate_hz: float) -> None:
-    with pytest.raises(RateError, match="at most 125 Hz"):
+    with pytest.raises(RateError, match=r"0\.5 to 125 Hz"):
         ServojProfile().ticks_per_action(rate_hz)
 
 

@@ -156,6 +156,7 @@ class Core:
         """
         cell = self._open()
         rows = np.arange(self.n) if rows is None else rows
+        self._state = None  # should anything fail from here on, the episode must be begun again
         q = self.task.start(rows, rngs)
         seeds = [int(rng.integers(2**31)) for rng in rngs]
         self._clearance.check_start(q, rows)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dual_ur10.envs.core import DEFAULT_RATE_HZ, PHYSICS_ERROR, Core
 from dual_ur10.envs.rendering import RENDER_MODES, Renderer
 from dual_ur10.envs.viewer import Viewer
-from dual_ur10.errors import UnknownNameError
+from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.sim2real.adapter import ActionMode
 
 Array = NDArray[np.float64]
@@ -90,9 +90,9 @@ class DualArmEnv(gym.Env[Array, Array]):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin an episode; see `gymnasium.Env.reset`."""
-        super().reset(seed=seed)
         if options:
-            raise UnknownNameError("reset option", str(next(iter(options))), ["none: set keywords at gym.make"])
+            raise SettingsError(f"reset takes no options, found {sorted(options)}: set keywords at gym.make")
+        super().reset(seed=seed)
         observation, info = self.core.reset([self.np_random])
         if self.render_mode == "human":
             self.render()

@@ -73,7 +73,7 @@ class MujocoCell:
         self._closed = False
 
     def perturb(self, perturbation: Perturbation) -> None:
-        """Let the plant differ from what is believed of it. Takes effect with the next reset."""
+        """Let the plant differ from what is believed of it. To be followed by a reset of all rows."""
         self.perturbation = perturbation
         values = perturbation.expanded(self.n)
         step_s = self.config.timestep_s
@@ -122,10 +122,10 @@ class MujocoCell:
         if not self._delay.is_none:
             targets = self._delay(targets)
         batch.rollout(self.steps, self._feedforward(*self._reference(targets)), record=())
-        self._elapsed += self.ticks
-        if np.logical_or.reduce(self._warnings, axis=None):
+        if np.logical_or.reduce(self._warnings, axis=None) or np.logical_or.reduce(self._failed):
             self._failed |= self._warnings.any(axis=1)
             batch.state[self._failed] = self._good[self._failed]
+        self._elapsed += self.ticks * ~self._failed
         self._good = batch.state.copy()
         batch.forward(stage=self._stage)
         return self._state()

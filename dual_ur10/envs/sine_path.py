@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import numbers
 from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.assets.scene import HOME_Q_RAD, ArmMount
+from dual_ur10.assets.scene import HOME_Q_RAD, ArmMount, SceneSettings
 from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError
 from dual_ur10.kinematics import BASE_TO_BASE_LINK, try_nearest
 from dual_ur10.rotations import quat_from_rotvec, quat_to_matrix
+from dual_ur10.sim2real.clearance import Clearance
 from dual_ur10.sim2real.limits import MotionLimits
 from dual_ur10.ur10 import ARMS, JOINTS
 
@@ -29,6 +31,7 @@ CENTER_RANGE_M = 0.05
 """Largest shift of the centre along each axis of the cell frame when an episode is randomised."""
 
 _SAMPLES = 25
+_OVERSHOOT = 0.2  # share of the amplitude by which a stop may end beyond a turning point
 _ROOM = 0.9  # share of a speed limit that a reference may need: correcting an error takes the rest
 
 
@@ -65,15 +68,18 @@ class SineSettings:
             ("success_rms_m", 1e-6, 1.0),
         ):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+            if isinstance(value, bool) or not isinstance(value, numbers.Real) or not low <= float(value) <= high:
                 raise SettingsError(f"{name} is {value!r}: it must be a number, {low:g} to {high:g}")
-        center = np.asarray(self.center_m, dtype=np.float64)
+            object.__setattr__(self, name, float(value))
+        if not isinstance(self.randomize, bool | np.bool_):
+            raise SettingsError(f"randomize is {self.randomize!r}: it must be True or False")
+        center = _vectors(self.center_m)
         if center.shape != (2, 3) or not np.isfinite(center).all():
             raise SettingsError(f"center_m is {self.center_m!r}: it must be a position (x, y, z) for each arm")
         left, right = (tuple(row) for row in center.tolist())
         object.__setattr__(self, "center_m", (left, right))
         if not isinstance(self.axis, str):
-            axis = np.asarray(self.axis, dtype=np.float64)
+            axis = _vectors(self.axis)
             if axis.shape != (3,) or not np.isfinite(axis).all() or not np.linalg.norm(axis) > 0:
                 raise SettingsError(f"axis is {self.axis!r}: it must be 'x', 'y', 'z' or a vector (x, y, z)")
             object.__setattr__(self, "axis", tuple((axis / np.linalg.norm(axis)).tolist()))
@@ -109,9 +115,17 @@ class SineSettings:
         """
         result: Array = self.amplitude_m * np.sin(time_s * (2 * np.pi * self.frequency_hz) + phase_rad)
         if np.minimum.reduce(time_s, axis=None) < self.soft_start_s:
-            x = np.minimum(time_s * (1.0 / self.soft_start_s), 1.0)
+            x = np.minimum(time_s / self.soft_start_s, 1.0)  # exactly 1 at the end and after it
             result *= x * x * x * (10.0 + x * (6.0 * x - 15.0))
         return result
+
+
+def _vectors(values: object) -> Array:
+    """As an array; of no size if they are no numbers."""
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        return np.zeros(0)
 
 
 def to_base(mounts: tuple[ArmMount, ArmMount]) -> tuple[Array, Array]:
@@ -122,39 +136,56 @@ def to_base(mounts: tuple[ArmMount, ArmMount]) -> tuple[Array, Array]:
 
 
 @lru_cache(maxsize=64)
-def check_path(settings: SineSettings, mounts: tuple[ArmMount, ArmMount], limits: MotionLimits) -> None:
-    """Refuse a sine that an arm cannot follow, at any centre that an episode may draw.
+def check_path(settings: SineSettings, scene: SceneSettings, limits: MotionLimits, minimum_clearance_m: float) -> None:
+    """Refuse a sine that the arms cannot follow, at any centre that an episode may draw.
 
     Raises:
-        WorkspaceError: The path leaves the workspace, or needs a joint faster than the task's limit allows.
+        WorkspaceError: The path leaves the workspace, needs a joint faster than the task's limit allows, or comes
+            closer to something than the safety gate lets it.
     """
     shifts = list(itertools.product((-CENTER_RANGE_M, CENTER_RANGE_M), repeat=3)) if settings.randomize else [(0, 0, 0)]
     centers = np.asarray(settings.center_m)[None] + np.array(shifts)[:, None]
-    position, rotation = to_base(mounts)
-    down = quat_to_matrix(TOOL_DOWN_QUAT)
+    paths = [_joint_path(settings, scene, arm, centers[:, arm]) for arm in range(2)]
     speed_limit = _ROOM * np.asarray(limits.speed_rad_s)
-    for arm, mount in enumerate(mounts):
-        reach = settings.amplitude_m * settings.tracking[arm]
-        offsets = np.linspace(-reach, reach, _SAMPLES)
-        q, path = np.broadcast_to(HOME_Q_RAD[arm], (len(centers), 6)), []
-        for offset in [0.0, *offsets]:
-            world = centers[:, arm] + offset * settings.direction
-            local = (world - position[arm]) @ rotation[arm].T
-            q, reached = try_nearest(local, np.broadcast_to(down, (len(local), 3, 3)), q, mount.dh)
-            if not reached.all():
-                x, y, z = world[~reached][0]
-                raise WorkspaceError(
-                    f"the {ARMS[arm]} arm cannot reach ({x:.3f}, {y:.3f}, {z:.3f}) m with its tool down: choose a "
-                    "smaller amplitude_m, another center_m, or move the base"
-                )
-            path.append(q)
-        if reach == 0:
-            continue
-        per_metre = np.abs(np.diff(np.array(path[1:]), axis=0)).max(axis=(0, 1)) / (offsets[1] - offsets[0])
-        speed = per_metre * settings.peak_speed_m_s
+    for arm, path in enumerate(paths):
+        # Steps of the path are steps of the displacement; an arm that holds its centre makes none.
+        step_m = 2 * settings.amplitude_m / (_SAMPLES - 1)
+        speed = np.abs(np.diff(path, axis=0)).max(axis=(0, 1)) / max(step_m, 1e-12) * settings.peak_speed_m_s
         if (speed > speed_limit).any():
             joint = int((speed / speed_limit).argmax())
             raise WorkspaceError(
                 f"the sine needs {speed[joint]:.3g} rad/s of {ARMS[arm]}/{JOINTS[joint]}, allowed are "
                 f"{speed_limit[joint]:.3g} rad/s: choose a smaller amplitude_m or frequency_hz, or another center_m"
             )
+    postures = np.stack(paths, axis=2)
+    # The gate looks at where a stop would end, which is beyond the turning points.
+    beyond = _OVERSHOOT * (_SAMPLES - 1) / 2
+    ends = [postures[k] + beyond * (postures[k] - postures[inner]) for k, inner in ((0, 1), (-1, -2))]
+    flat = np.concatenate([postures, np.stack(ends)]).reshape(-1, 12)
+    clearance = Clearance(scene, n=len(flat), minimum_m=minimum_clearance_m)
+    close = np.flatnonzero(~clearance.is_clear(flat))
+    if close.size:
+        pair, distance, allowed = clearance.worst(flat[close[0]])
+        raise WorkspaceError(
+            f"on the sine's path {pair} come as close as {distance * 1e3:.1f} mm, allowed are {allowed * 1e3:.1f} mm: "
+            "choose a smaller amplitude_m, another center_m, or move the bases"
+        )
+
+
+def _joint_path(settings: SineSettings, scene: SceneSettings, arm: int, centers: Array) -> Array:
+    """Joint positions along the sine about every centre, (samples, centres, 6)."""
+    mount, (position, rotation) = scene.mounts[arm], to_base(scene.mounts)
+    reach = settings.amplitude_m * settings.tracking[arm]
+    down = np.broadcast_to(quat_to_matrix(TOOL_DOWN_QUAT), (len(centers), 3, 3))
+    q, path = np.broadcast_to(HOME_Q_RAD[arm], (len(centers), 6)), []
+    for offset in [0.0, *np.linspace(-reach, reach, _SAMPLES)]:
+        world = centers + offset * settings.direction
+        q, reached = try_nearest((world - position[arm]) @ rotation[arm].T, down, q, mount.dh)
+        if not reached.all():
+            x, y, z = world[~reached][0]
+            raise WorkspaceError(
+                f"the {ARMS[arm]} arm cannot reach ({x:.3f}, {y:.3f}, {z:.3f}) m with its tool down: choose a "
+                "smaller amplitude_m, another center_m, or move the base"
+            )
+        path.append(q)
+    return np.array(path[1:])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
@@ -159,7 +160,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         arm = np.repeat([6.5, 10.0, 6.5, 2.0, 1.01, 10.0, 10.0, 2.01], [6, 6, 6, 3, 4, 3, 3, 3])
         self.observation_bound = np.tile(arm, 2)
         mounts = (cell.left, cell.right)
-        check_path(settings, mounts, self.limits)
+        check_path(settings, cell.scene, self.limits, cell.minimum_clearance_m)
         self._base_m, self._to_base = to_base(mounts)
         along_base = (self._to_base @ settings.direction) * settings.tracking[:, None]
         # What follows the sine: the reference in `base` now and ahead, and in the cell frame now.
@@ -168,7 +169,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         unit = np.eye(4)
         columns = [quat_multiply(TOOL_DOWN_QUAT, quat_conjugate(unit[k])) for k in range(4)]
         self._turn: Array = np.ascontiguousarray(np.array(columns))
-        self._steps = round(settings.duration_s / timing.period_s)
+        self._steps = max(1, math.ceil(settings.duration_s / timing.period_s - 1e-9))
         self._center: Array = np.zeros((n, 3, 2, 3))
         self._when = np.array([0.0, timing.ahead_s, 0.0])
         self._phase: Array = np.zeros((n, 1))
@@ -234,7 +235,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         self._squares += squares[:, :2]
         self._count += 1
         over = self._count >= self._steps
-        success = over
+        success = over.copy()
         if np.logical_or.reduce(over):
             success = over & (self._squares.max(axis=1) <= self.settings.success_rms_m**2 * self._count)
         info = {

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.envs.core import DEFAULT_RATE_HZ, PHYSICS_ERROR, Core, Step
 from dual_ur10.envs.rendering import Renderer
-from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.errors import ResetNeededError, SettingsError, UnknownNameError
 from dual_ur10.sim2real.adapter import ActionMode
 
 Array = NDArray[np.float64]
@@ -64,10 +64,11 @@ class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
         **settings: Any,
     ) -> None:
         self.closed = True  # until there is something to close: Gymnasium closes what a failed construction left
-        if not (isinstance(num_envs, int) and num_envs >= 1):
+        if not (isinstance(num_envs, int | np.integer) and not isinstance(num_envs, bool) and num_envs >= 1):
             raise SettingsError(f"num_envs is {num_envs!r}: it must be a whole number, 1 or more")
-        if max_episode_steps is not None and max_episode_steps < 1:
-            raise SettingsError(f"max_episode_steps is {max_episode_steps!r}: it must be 1 or more, or None")
+        for name, value in (("max_episode_steps", max_episode_steps), ("threads", threads)):
+            if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
+                raise SettingsError(f"{name} is {value!r}: it must be a whole number, 1 or more, or None")
         if render_mode not in (None, "rgb_array"):
             raise UnknownNameError("render mode of a vector env", str(render_mode), ["rgb_array", "None"])
         values = [mode.value for mode in AutoresetMode]
@@ -114,16 +115,17 @@ class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
         """
         seeds: list[int | None] = [None] * self.num_envs
         if seed is not None:
-            seeds = [seed + k for k in range(self.num_envs)] if isinstance(seed, int) else list(seed)
+            seeds = [int(seed) + k for k in range(self.num_envs)] if isinstance(seed, int | np.integer) else list(seed)
         if len(seeds) != self.num_envs:
             raise SettingsError(f"{len(seeds)} seeds for {self.num_envs} environments: pass one per row, or one number")
         rows = self._masked_rows(dict(options or {}))
         if not self._rngs:
+            if len(rows) < self.num_envs:
+                raise ResetNeededError("the first reset must be of all rows: call reset() without a reset_mask first")
             self._rngs = [seeding.np_random(each)[0] for each in seeds]
         else:
-            for row in rows.tolist():
-                if seeds[row] is not None:
-                    self._rngs[row] = seeding.np_random(seeds[row])[0]
+            drawn = {row: seeding.np_random(seeds[row])[0] for row in rows.tolist() if seeds[row] is not None}
+            self._rngs = [drawn.get(row, rng) for row, rng in enumerate(self._rngs)]
         observation, info = self._begin(rows)
         mask = np.zeros(self.num_envs, dtype=bool)
         mask[rows] = True
@@ -158,6 +160,10 @@ class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
         if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():
             rows = np.flatnonzero(self._done).tolist()
             raise SettingsError(f"rows {rows} have ended: reset them with options={{'reset_mask': ...}} first")
+        if self._done.any() and self.autoreset_mode is AutoresetMode.NEXT_STEP:
+            actions = np.array(actions)
+            if actions.shape[:1] == (self.num_envs,):
+                actions[self._done] = 0  # these rows begin anew, whatever their action says
         step = self.core.step(actions)
         self._steps += 1
         observation, reward, terminated, truncated = step.observation, step.reward, step.terminated, step.truncated

@@ -40,6 +40,11 @@ class DeviationModel:
         self._limit = prior
         self._covariance: Array = np.broadcast_to(prior * np.eye(_FEATURES), (*shape, _FEATURES, _FEATURES)).copy()
 
+    def forget(self, rows: NDArray[np.bool_]) -> None:
+        """Know nothing any more of the masked rows of the first axis."""
+        self._weights[rows] = self._trusted[rows] = 0.0
+        self._covariance[rows] = self._limit * np.eye(_FEATURES)
+
     def _features(self, speed: Array, acceleration: Array) -> Array:
         return np.stack(
             [

@@ -22,6 +22,8 @@ _Q, _COMMANDED, _FLANGE_QUAT = slice(0, 6), slice(12, 18), slice(21, 25)
 _REFERENCE, _AHEAD, _TURN = slice(25, 28), slice(28, 31), slice(31, 34)
 _SIZE = 34
 
+_RESTART_RAD = 2e-3  # a reference that is so far from where it was going belongs to another episode
+
 
 class SineTrackingPolicy:
     """Inverse kinematics of the reference at the end of the next motion, less what the arm is expected to deviate.
@@ -51,17 +53,19 @@ class SineTrackingPolicy:
         fit = np.linalg.inv(np.vander(times, 3, increasing=True))
         self._speeds = np.array([fit[1], fit[1] + 2 * ahead * fit[2]])
         self._acceleration = 2 * fit[2]
+        self._next = fit[0] + h * fit[1] + h * h * fit[2]
         self.reset()
 
     def reset(self) -> None:
         """Forget what was learned: an episode begins."""
         self._model: DeviationModel | None = None
         self._before: Array | None = None
+        self._predicted: Array | None = None
         self._expected: Array | None = None
         self._added: list[Array] = []
 
     def __call__(self, observation: Array) -> Array:
-        """Action, (12,), for an observation, (68,), or (n, 12) for (n, 68).
+        """Action, (12,) of float32, for an observation, (68,), or (n, 12) for (n, 68).
 
         Raises:
             ActionError: Not an observation of SineTracking.
@@ -74,11 +78,9 @@ class SineTrackingPolicy:
         n = len(arms)
         commanded = arms[..., _COMMANDED].reshape(n, 12)
         now, ahead = self._wanted(arms)
-        before = (
-            now - (ahead - now) * (self.timing.period_s / self.timing.ahead_s) if self._before is None else self._before
-        )
-        self._before = now
+        before = self._continued(now, ahead, commanded)
         points = np.stack([before, now, ahead])
+        self._before, self._predicted = now, np.tensordot(self._next, points, axes=1)
         speed_now, speed_ahead = np.tensordot(self._speeds, points, axes=1)
         acceleration = np.tensordot(self._acceleration, points, axes=1)
         goal = ahead
@@ -92,7 +94,26 @@ class SineTrackingPolicy:
             self._expected = ahead
             goal = ahead - self._model.predict(speed_ahead, acceleration)
         action = goal if self.action_mode == "joint_position" else (goal - commanded) / self._step
-        return action.reshape(*observation.shape[:-1], 12)
+        return action.reshape(*observation.shape[:-1], 12).astype(np.float32)
+
+    def _continued(self, now: Array, ahead: Array, commanded: Array) -> Array:
+        """Where the wanted motion was one period ago; forgets the rows whose reference is not where it was to be.
+
+        So a vector environment's rows may begin new episodes by themselves.
+        """
+        linear = now - (ahead - now) * (self.timing.period_s / self.timing.ahead_s)
+        if self._before is None or self._predicted is None:
+            return linear
+        if self._before.shape != now.shape:
+            raise ActionError(f"{len(now)} observations after {len(self._before)}: call reset() before another number")
+        fresh = np.abs(now - self._predicted).max(axis=1) > _RESTART_RAD
+        if fresh.any():
+            self._before = np.where(fresh[:, None], linear, self._before)
+            if self._model is not None and self._expected is not None:
+                self._model.forget(fresh)
+                self._expected = np.where(fresh[:, None], commanded, self._expected)
+                self._added = [np.where(fresh[:, None], 0.0, added) for added in self._added]
+        return self._before
 
     def _in_force(self) -> Array:
         """What was added to the command that is in force now, which the action latency has held back since."""

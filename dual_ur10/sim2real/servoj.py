@@ -12,6 +12,7 @@ about `lookahead`; measured on UR arms at lookahead 0.03 s are 34-35 ms, this la
 from __future__ import annotations
 
 import cmath
+import numbers
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
@@ -26,6 +27,9 @@ Family = Literal["cb3", "e-series"]
 
 TICK_S: Final[dict[str, float]] = {"cb3": 0.008, "e-series": 0.002}
 """Control period of each controller family: UR's real-time client guide."""
+
+MAX_PERIOD_S: Final = 2.0
+"""Longest policy period: distances are checked once in it."""
 
 # Ranges of the arguments of servoj: UR's article "Servoj command", and the argument checks of ur_rtde 1.6.5.
 LOOKAHEAD_RANGE_S: Final = (0.03, 0.2)
@@ -71,8 +75,9 @@ class ServojProfile:
             RateError: The period is no whole number of ticks; the message names the nearest rates that are.
         """
         rate = 1.0 / self.tick_s
-        if not (np.isfinite(policy_rate_hz) and 0 < policy_rate_hz <= rate * (1 + 1e-9)):
-            raise RateError(f"policy rate {policy_rate_hz!r} Hz: it must be above 0 and at most {rate:g} Hz")
+        slowest = 1.0 / MAX_PERIOD_S
+        if not (isinstance(policy_rate_hz, numbers.Real) and slowest <= policy_rate_hz <= rate * (1 + 1e-9)):
+            raise RateError(f"policy rate is {policy_rate_hz!r}: it must be a number, {slowest:g} to {rate:g} Hz")
         ticks = rate / policy_rate_hz
         whole = round(ticks)
         if abs(ticks - whole) > 1e-6 * ticks:

@@ -95,7 +95,9 @@ def list_environments() -> None:
 
 @app.command()
 def demo(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for report.html and sine_tracking.mp4.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for report.html and sine_tracking.mp4.")] = Path(
+        "out"
+    ),
     quick: Annotated[bool, typer.Option("--quick", help="Shorter episodes and a shorter video.")] = False,
 ) -> None:
     """Run the sine on both arms, nominal and perturbed, and write a report and a video."""

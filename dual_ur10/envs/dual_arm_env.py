@@ -24,7 +24,7 @@ class DualArmEnv(gym.Env[Array, Array]):
 
     Args:
         task: Name of the task; set by the id.
-        render_mode: None, "rgb_array" or "human". Without it, nothing of OpenGL is loaded.
+        render_mode: None, "rgb_array" or "human". Without it, no OpenGL is needed.
         cell: "mujoco" or a `dual_ur10.sim2real.cell.CellConfig`.
         policy_rate_hz: Actions per second. The period must be a whole number of controller ticks (8 ms on a CB3).
         action_mode: "joint_delta", "joint_position" or "tcp_delta"; see `dual_ur10.sim2real.adapter.ServojAdapter`.

@@ -14,7 +14,8 @@ Array = NDArray[np.float64]
 class Policy(Protocol):
     """Turns observations into actions. It sees arrays of the observation space and nothing else.
 
-    It cannot know which kind of cell it moves. A policy may keep what it has seen since `reset`.
+    It cannot know which kind of cell it moves. A policy may keep what it has seen since `reset`; the scripted one
+    notices by itself when a row of a batch begins another episode.
     """
 
     def reset(self) -> None:

@@ -84,7 +84,7 @@ def list_environments() -> None:
     for env_id in ENV_IDS:
         env = gym.make(env_id)
         try:
-            core = env.unwrapped.core  # type: ignore[attr-defined]
+            core = env.unwrapped.core  # type: ignore[attr-defined]  # Gymnasium knows only Env
             sizes = [" × ".join(map(str, space.shape or ())) for space in (env.action_space, env.observation_space)]
             names = ", ".join((*policies.NAMES, *_SIMPLE))
             table.add_row(f"[cyan]{env_id}[/]", f"{1 / core.timing.period_s:g} Hz", *sizes, names)

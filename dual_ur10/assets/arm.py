@@ -22,7 +22,7 @@ def composer() -> Any:
     """dm_control's composer, imported late: it is heavy and tries every OpenGL backend."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # GLFW complains where there is no display; nothing is drawn here
-        from dm_control import mjcf  # type: ignore[import-untyped, unused-ignore]
+        from dm_control import mjcf  # type: ignore[import-untyped, unused-ignore]  # untyped
     return mjcf
 
 

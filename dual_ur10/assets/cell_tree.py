@@ -11,7 +11,7 @@ from dual_ur10.errors import DualUR10Error
 from dual_ur10.ur10 import ARMS, JOINTS
 
 if TYPE_CHECKING:
-    import mujoco  # type: ignore[import-untyped, unused-ignore]
+    import mujoco  # type: ignore[import-untyped, unused-ignore]  # has no types of its own
 
 
 def cell_tree(settings: SceneSettings) -> Any:

@@ -14,7 +14,7 @@ from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.ur10 import ARMS, LINKS
 
 if TYPE_CHECKING:
-    import mujoco  # type: ignore[import-untyped, unused-ignore]
+    import mujoco  # type: ignore[import-untyped, unused-ignore]  # has no types of its own
 
 CLEARANCE_CUTOFF_M: Final = 0.2
 """Distances beyond this read as this."""

@@ -40,7 +40,7 @@ from dual_ur10.assets.surroundings import CAMERAS, add_surroundings
 from dual_ur10.ur10 import ARMS
 
 if TYPE_CHECKING:
-    import mujoco  # type: ignore[import-untyped, unused-ignore]
+    import mujoco  # type: ignore[import-untyped, unused-ignore]  # has no types of its own
 
 __all__ = [
     "BASE_RADIUS_M",

@@ -114,7 +114,7 @@ class Core:
             dh=[mount.dh for mount in mounts],
             yaw_rad=[mount.yaw_rad for mount in mounts],
         )
-        self.n, self.config, self.task_name = n, config, task
+        self.n, self.config = n, config
         threads = threads or min(n, os.cpu_count() or 1)
         clearance = Clearance(config.scene, n=n, threads=threads, minimum_m=config.minimum_clearance_m)
         gate = SafetyGate(task_type.limits, config.servoj.tick_s, ticks, clearance, n=n)

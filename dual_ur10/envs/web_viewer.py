@@ -71,7 +71,7 @@ def on_loopback(web_viewer: Any) -> Any:
         web_viewer: The class `WebViewer` of MuJoCo.
     """
 
-    class LoopbackWebViewer(web_viewer):  # type: ignore[misc]
+    class LoopbackWebViewer(web_viewer):  # type: ignore[misc]  # the base is known at run time only
         _http_sock: socket.socket
 
         @property

@@ -90,7 +90,7 @@ def rollout(
         reward=np.array(rewards),
         success=bool(info.get("is_success", False)),
         ended_by=str(info.get("safety", info.get("physics_error", ""))),
-        **arrays,  # type: ignore[arg-type]
+        **arrays,  # type: ignore[arg-type]  # the keys are the fields
     )
 
 

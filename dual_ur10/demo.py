@@ -15,7 +15,7 @@ from dual_ur10.policies import SineTrackingPolicy
 from dual_ur10.policies.accuracy import accuracy, lag_s, skew_s
 from dual_ur10.policies.rollout import Info, rollout
 from dual_ur10.report import write_report
-from dual_ur10.runs import RUNS, SETTLED_S, Result, Run
+from dual_ur10.runs import RUNS, Result, Run
 
 ENV_ID = ENV_IDS[0]
 
@@ -121,7 +121,6 @@ def measure(run: Run, duration_s: float, on_step: Callable[[Info], None] | None 
         run=run,
         record=record,
         accuracy=accuracy(record),
-        settled=accuracy(record, after_s=min(SETTLED_S, duration_s / 2)),
         lag_s=float(lag[~np.isnan(lag)].max()),
         skew_s=skew_s(record),
     )

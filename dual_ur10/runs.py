@@ -16,7 +16,6 @@ exactly right whatever the controller does."""
 PERTURBED_CELL = replace(ASYMMETRIC_CELL, perturbation=TYPICAL_PERTURBATION)
 
 LATENCY_TICKS = 5
-SETTLED_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,6 @@ class Result:
         run: How it was run.
         record: What was measured.
         accuracy: Figures of the whole episode.
-        settled: Figures from `SETTLED_S` on.
         lag_s: How far the slower of the tracking arms is behind its reference.
         skew_s: How far the left arm is behind the right one; NaN if only one moves.
     """
@@ -71,6 +69,5 @@ class Result:
     run: Run
     record: Record
     accuracy: Accuracy
-    settled: Accuracy
     lag_s: float
     skew_s: float

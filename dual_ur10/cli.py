@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,16 +9,24 @@ from typing import Annotated, Any
 import gymnasium as gym
 import numpy as np
 import typer
-from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from dual_ur10 import ENV_IDS, __version__, policies
+from dual_ur10.cli_evaluate import evaluate
+from dual_ur10.cli_options import (
+    EnvName,
+    Perturbed,
+    PolicyName,
+    Seed,
+    Settings,
+    console,
+    env_id_of,
+    errors,
+    keywords_of,
+)
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
-
-console = Console()
-errors = Console(stderr=True)
 
 USAGE_ERROR = 2
 """Exit code of every error of this package."""
@@ -45,21 +52,6 @@ app = typer.Typer(
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-EnvName = Annotated[
-    str, typer.Argument(metavar="ENV", help="An id, such as DualUR10/SineTracking-v0; SineTracking will do.")
-]
-PolicyName = Annotated[str, typer.Option("--policy", "-p", help="scripted, random or zero.")]
-Settings = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set", metavar="KEY=VALUE", help="A keyword of the environment, such as amplitude_m=0.05. May be repeated."
-    ),
-]
-Perturbed = Annotated[
-    bool, typer.Option("--perturbed", help="A plant that differs from what the controller believes of it.")
-]
-Seed = Annotated[int, typer.Option("--seed", "-s", min=0, help="Seed of the first episode; the next ones count on.")]
 
 
 @app.callback(invoke_without_command=True)
@@ -144,7 +136,7 @@ def rollout(
     """Run episodes of a policy, and print a row for each."""
     from dual_ur10.policies.rollout import rollout as run_episode
 
-    keywords = _keywords(settings, perturbed)
+    keywords = keywords_of(settings, perturbed)
     made, actor = _make(env, policy, keywords, seed)
     table = Table(header_style="bold")
     for header in ("episode", "seed", "steps", "return", "success", "RMS error\n[dim]mm[/]", "largest\n[dim]mm[/]"):
@@ -186,7 +178,7 @@ def view(
     perturbed: Perturbed = False,
 ) -> None:
     """Watch a policy in real time, in a window or, without a display, in a browser on this machine."""
-    keywords = _keywords(settings, perturbed)
+    keywords = keywords_of(settings, perturbed)
     made, actor = _make(env, policy, {**keywords, "render_mode": "human"}, seed)
     period_s = made.unwrapped.core.timing.period_s
     try:
@@ -210,6 +202,9 @@ def view(
         console.print("closed")
     finally:
         made.close()
+
+
+app.command()(evaluate)
 
 
 class _Random:
@@ -243,55 +238,13 @@ class _Zero:
 _SIMPLE: dict[str, Any] = {"random": _Random, "zero": _Zero}
 
 
-def _env_id(name: str) -> str:
-    """The id that a short name stands for.
-
-    Raises:
-        UnknownNameError: None does.
-    """
-    known = {short: env_id for env_id in ENV_IDS for short in _short_names(env_id)}
-    if name not in known:
-        raise UnknownNameError("environment", name, list(ENV_IDS))
-    return known[name]
-
-
-def _short_names(env_id: str) -> tuple[str, str, str]:
-    task = env_id.split("/")[-1]
-    return env_id, task, task.rsplit("-v", 1)[0]
-
-
-def _keywords(settings: list[str] | None, perturbed: bool) -> dict[str, Any]:
-    """Keywords of the environment from `KEY=VALUE` texts; values are Python literals, or else text.
-
-    Raises:
-        SettingsError: A text has no "=", or a key is given twice.
-    """
-    keywords: dict[str, Any] = {}
-    if perturbed:
-        from dual_ur10.sim2real.cell import TYPICAL_PERTURBATION, CellConfig
-
-        keywords["cell"] = CellConfig(perturbation=TYPICAL_PERTURBATION)
-    for text in settings or ():
-        key, sign, value = text.partition("=")
-        key = key.strip()
-        if not sign or not key.isidentifier():
-            raise SettingsError(f"--set {text!r}: write it as KEY=VALUE, such as --set amplitude_m=0.05")
-        if key in keywords:
-            raise SettingsError(f"{key} is set twice" + (": --perturbed sets it" if key == "cell" else ""))
-        try:
-            keywords[key] = ast.literal_eval(value.strip())
-        except (ValueError, SyntaxError):
-            keywords[key] = value
-    return keywords
-
-
 def _make(env: str, policy: str, keywords: dict[str, Any], seed: int) -> tuple[Any, Any]:
     """Environment and policy.
 
     Raises:
         DualUR10Error: A name or a value is not legal.
     """
-    env_id = _env_id(env)
+    env_id = env_id_of(env)
     names = (*policies.NAMES, *_SIMPLE)
     if policy not in names:
         raise UnknownNameError("policy", policy, names)

@@ -11,9 +11,9 @@ import numpy as np
 
 from dual_ur10 import ENV_IDS
 from dual_ur10.errors import DualUR10Error, MissingExtraError, RenderError
-from dual_ur10.policies import SineTrackingPolicy
 from dual_ur10.policies.accuracy import accuracy, lag_s, skew_s
 from dual_ur10.policies.rollout import Info, rollout
+from dual_ur10.policies.sine_tracking import SineTrackingPolicy
 from dual_ur10.report import write_report
 from dual_ur10.runs import RUNS, Result, Run
 
@@ -99,8 +99,8 @@ def make(run: Run, duration_s: float, **keywords: Any) -> tuple[Any, SineTrackin
         action_latency_ticks=run.latency_ticks,
         **keywords,
     )
-    dh = (run.cell.left.dh, run.cell.right.dh)
-    return env, SineTrackingPolicy(env.unwrapped.core.timing, dh=dh, learn=run.learn)  # type: ignore[attr-defined]
+    mounts = (run.cell.left, run.cell.right)
+    return env, SineTrackingPolicy(env.unwrapped.core.timing, mounts=mounts, learn=run.learn)  # type: ignore[attr-defined]
 
 
 def measure(run: Run, duration_s: float, on_step: Callable[[Info], None] | None = None) -> Result:

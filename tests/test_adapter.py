@@ -170,7 +170,10 @@ def test_the_gripper_opens_with_the_seventh_number() -> None:
     action = np.zeros((2, 2, 7))
     action[..., 6] = [[-1.0, 1.0], [0.0, 9.0]]
     opening = adapter(action).gripper_m
-    np.testing.assert_allclose(opening, [[0.0, GRIPPER_OPENING_M], [GRIPPER_OPENING_M / 2, GRIPPER_OPENING_M]])
+    wanted = np.array([[0.0, GRIPPER_OPENING_M], [GRIPPER_OPENING_M / 2, GRIPPER_OPENING_M]])
+    assert opening is not None
+    assert opening.shape == (2, adapter.ticks, 2)
+    np.testing.assert_allclose(opening - wanted[:, None], 0.0, atol=1e-15)
     assert at_home()(np.zeros((1, 2, 6))).gripper_m is None
 
 

@@ -158,6 +158,7 @@ def test_options(model):
     assert model.opt.timestep == 0.002
     assert model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     assert model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
+    assert model.opt.impratio == 1.0
     assert model.opt.disableflags == mujoco.mjtDisableBit.mjDSBL_AUTORESET
     assert (model.vis.global_.offwidth, model.vis.global_.offheight) == (1920, 1080)
     assert [model.camera(i).name for i in range(model.ncam)] == list(scene.CAMERAS)

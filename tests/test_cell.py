@@ -109,7 +109,10 @@ def test_perturbations_expand_to_their_full_shape() -> None:
     assert values["friction_nm"].shape == (3, 2, 6)
     np.testing.assert_array_equal(values["friction_nm"][2, 1], np.arange(6.0))
     np.testing.assert_array_equal(values["latency_s"], [[0.0, 0.01]] * 3)
-    assert all(value.shape == (3, 2) for name, value in values.items() if name != "friction_nm")
+    others = {"friction_nm", "base_shift_m", "object_mass_scale"}
+    assert all(value.shape == (3, 2) for name, value in values.items() if name not in others)
+    assert values["base_shift_m"].shape == (3, 2, 3)
+    assert values["object_mass_scale"].shape == (3,)
     values["loss"][0] = 0.5  # each is its own array
     assert values["loss"][1, 0] == 0.0
 

@@ -8,12 +8,20 @@ import mujoco
 import numpy as np
 import pytest
 
-from dual_ur10.assets.scene import CLEARANCE_CUTOFF_M, HOME_Q_RAD, SceneSettings, build_clearance_model, clearance_pairs
+from dual_ur10.assets.scene import (
+    CLEARANCE_CUTOFF_M,
+    HOME_Q_RAD,
+    Equipment,
+    SceneSettings,
+    build_clearance_model,
+    clearance_pairs,
+)
 from dual_ur10.errors import CollisionAtStartError, SettingsError, UnknownNameError
 from dual_ur10.sim2real.clearance import MINIMUM_M, Clearance
 
 HOME = HOME_Q_RAD.reshape(12)
 ON_TABLE = HOME + np.eye(12)[1] * 0.6  # the left arm reaches down
+NEAR_TABLE = HOME + np.eye(12)[1] * 0.505
 CROSSED = HOME + np.eye(12)[0] * -0.9 + np.eye(12)[6] * 0.9  # the arms meet in the middle
 
 
@@ -28,11 +36,11 @@ def test_distances_are_never_longer_than_they_are(clearance: Clearance) -> None:
     rng = np.random.default_rng(0)
     postures = np.stack([HOME, ON_TABLE, CROSSED, rng.uniform(-3, 3, 12)])
     found = clearance.distances_m(postures).copy()
-    assert found.shape == (4, len(clearance_pairs()))
+    assert found.shape == (4, len(clearance_pairs(SceneSettings())))
     for row, posture in enumerate(postures):
         data.qpos[:] = posture
         mujoco.mj_kinematics(model, data)
-        for pair, (first, second) in enumerate(clearance_pairs()):
+        for pair, (first, second) in enumerate(clearance_pairs(SceneSettings())):
             expected = mujoco.mj_geomDistance(
                 model, data, model.geom(first).id, model.geom(second).id, CLEARANCE_CUTOFF_M, points
             )
@@ -82,33 +90,69 @@ def test_a_larger_minimum_refuses_more() -> None:
     assert not Clearance(SceneSettings(), minimum_m=nearest * 1.01).is_clear(HOME[None])[0]
 
 
-def test_allowed_pairs_may_touch_and_others_may_not() -> None:
-    distances = Clearance(SceneSettings()).distances_m(ON_TABLE[None])[0]
-    touching = [pair for pair, distance in zip(clearance_pairs(), distances, strict=True) if distance < MINIMUM_M]
-    assert touching
-    allowing = Clearance(SceneSettings(), allowed=touching)
-    assert allowing.is_clear(ON_TABLE[None])[0]
-    assert not allowing.is_clear(CROSSED[None])[0]
-    assert allowing.worst(ON_TABLE)[1] >= MINIMUM_M
-    assert not Clearance(SceneSettings(), allowed=touching[1:]).is_clear(ON_TABLE[None])[0]
+def test_pairs_with_a_limit_of_their_own_may_come_as_close_as_that() -> None:
+    distances = Clearance(SceneSettings()).distances_m(NEAR_TABLE[None])[0]
+    pairs = clearance_pairs(SceneSettings())
+    near = {pair: float(d) for pair, d in zip(pairs, distances, strict=True) if d < MINIMUM_M}
+    assert near
+    assert min(near.values()) > 0.0
+    assert not Clearance(SceneSettings()).is_clear(NEAR_TABLE[None])[0]
+    closer = {pair: 0.99 * distance for pair, distance in near.items()}
+    assert Clearance(SceneSettings(), closer=closer).is_clear(NEAR_TABLE[None])[0]
+    assert not Clearance(SceneSettings(), closer=closer).is_clear(CROSSED[None])[0]
+    assert not Clearance(SceneSettings(), closer=closer).is_clear(ON_TABLE[None])[0]
+    for pair, distance in near.items():
+        too_far = closer | {pair: 1.01 * distance}
+        refusing = Clearance(SceneSettings(), closer=too_far)
+        assert not refusing.is_clear(NEAR_TABLE[None])[0]
+        assert refusing.worst(NEAR_TABLE) == (" and ".join(pair), distance, too_far[pair])
 
 
-def test_what_is_allowed_is_frozen_at_construction() -> None:
-    allowed: list[tuple[str, str]] = []
-    clearance = Clearance(SceneSettings(), allowed=allowed)
-    allowed.extend(clearance_pairs())
-    assert not clearance.is_clear(ON_TABLE[None])[0]
-    assert not pickle.loads(pickle.dumps(clearance)).is_clear(ON_TABLE[None])[0]
+def test_a_pair_may_have_a_larger_limit_than_the_others() -> None:
+    pairs = clearance_pairs(SceneSettings())
+    distances = Clearance(SceneSettings()).distances_m(HOME[None])[0]
+    nearest = int(distances.argmin())
+    limit = float(distances[nearest]) + 0.001
+    further = Clearance(SceneSettings(), closer={pairs[nearest]: limit})
+    assert not further.is_clear(HOME[None])[0]
+    with pytest.raises(CollisionAtStartError, match=f"allowed are {limit * 1e3:.1f} mm"):
+        further.check_start(HOME.reshape(1, 2, 6), np.array([0]))
+
+
+@pytest.mark.parametrize("distance", [-1e-9, np.nan, np.inf, -np.inf])
+def test_a_limit_that_is_none_is_refused(distance: float) -> None:
+    with pytest.raises(SettingsError, match="left/forearm_link and table"):
+        Clearance(SceneSettings(), closer={("left/forearm_link", "table"): distance})
+
+
+def test_limits_are_frozen_at_construction() -> None:
+    closer: dict[tuple[str, str], float] = {}
+    clearance = Clearance(SceneSettings(), closer=closer)
+    closer.update(dict.fromkeys(clearance_pairs(SceneSettings()), 0.0))
+    assert not clearance.is_clear(NEAR_TABLE[None])[0]
+    assert not pickle.loads(pickle.dumps(clearance)).is_clear(NEAR_TABLE[None])[0]
+
+
+def test_grippers_are_measured() -> None:
+    settings = SceneSettings(equipment=Equipment(grippers=True))
+    bare, with_grippers = Clearance(SceneSettings()), Clearance(settings)
+    assert with_grippers.pairs == clearance_pairs(settings)
+    low = HOME + np.eye(12)[1] * 0.3  # the flange 0.2 m above the table
+    assert bare.is_clear(low[None])[0]
+    assert not with_grippers.is_clear(low[None])[0]
+    assert with_grippers.worst(low)[0] == "left/fingers and table"
+    with pytest.raises(UnknownNameError, match="contact pair"):
+        Clearance(SceneSettings(), closer={("left/fingers", "table"): 0.0005})
 
 
 @pytest.mark.parametrize("pair", [("left/forearm_link", "tabel"), ("table", "left/forearm_link")])
 def test_an_unknown_pair_is_refused_at_construction(pair: tuple[str, str]) -> None:
     with pytest.raises(UnknownNameError, match="contact pair"):
-        Clearance(SceneSettings(), allowed=[pair])
+        Clearance(SceneSettings(), closer={pair: 0.01})
 
 
 def test_pickling_keeps_everything() -> None:
-    first = Clearance(SceneSettings(), n=2, minimum_m=0.05, allowed=clearance_pairs()[:3])
+    first = Clearance(SceneSettings(), n=2, minimum_m=0.05, closer={clearance_pairs(SceneSettings())[0]: 0.01})
     second = pickle.loads(pickle.dumps(first))
     postures = np.stack([HOME, ON_TABLE])
     np.testing.assert_array_equal(first.distances_m(postures), second.distances_m(postures))

@@ -84,7 +84,7 @@ def test_neighbours_never_touch(model):
 def test_every_possible_contact_is_measured(apart_m):
     settings = SceneSettings(left=ArmMount((-0.75, apart_m / 2, 0.0)), right=ArmMount((-0.75, -apart_m / 2, -0.5)))
     model = scene.build_model(settings)
-    measured = {tuple(sorted(pair)) for pair in scene.clearance_pairs()}
+    measured = {tuple(sorted(pair)) for pair in scene.clearance_pairs(SceneSettings())}
     seen = set()
     for q in random_q(np.random.default_rng(2), 1500):
         seen |= contacts(model, q)
@@ -110,7 +110,7 @@ def test_arm_meets_table_and_floor(model, arm):
 
 
 def test_clearance_is_the_distance_of_the_capsules(model, clearance):
-    pairs = scene.clearance_pairs()
+    pairs = scene.clearance_pairs(SceneSettings())
     assert clearance.nsensor == clearance.nsensordata == len(pairs) == len(set(pairs))
     assert (clearance.ngeom, clearance.nu) == (22, 0)  # capsules, the wrists' spheres, table, floor
     data, twin = mujoco.MjData(model), mujoco.MjData(clearance)
@@ -157,7 +157,7 @@ def test_clearance_in_a_batch(clearance):
 
 def test_spheres_stand_in_at_the_table_only(clearance):
     # They hold the capsules, so that the table is never nearer than measured; all other pairs are the capsules' own.
-    for i, (moving, other) in enumerate(scene.clearance_pairs()):
+    for i, (moving, other) in enumerate(scene.clearance_pairs(SceneSettings())):
         measured = clearance.sensor(i).objid[0]
         if other != "table" or "wrist" not in moving:
             assert clearance.geom(measured).name == moving

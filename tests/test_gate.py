@@ -328,12 +328,13 @@ def test_an_arm_stops_before_it_comes_too_near(action: np.ndarray, other: str) -
     assert_within(sent, MotionLimits(speed_rad_s=1.0), 0.008)
 
 
-def test_an_allowed_pair_may_come_near() -> None:
-    tables = [pair for pair in clearance_pairs() if pair[1] == "table"]
-    near, verdict = drive(Clearance(SceneSettings(), allowed=tables), DOWN)
+def test_a_pair_may_come_as_near_as_it_is_allowed_to() -> None:
+    tables = {pair: 0.0 for pair in clearance_pairs(SceneSettings()) if pair[1] == "table"}
+    near, verdict = drive(Clearance(SceneSettings(), closer=tables), DOWN)
     far, _ = drive(Clearance(SceneSettings()), DOWN)
-    assert near[0, -1, 0, 1] > far[0, -1, 0, 1] + 0.05
-    assert verdict is None or "table" not in verdict.subject
+    assert near[0, -1, 0, 1] > far[0, -1, 0, 1] + 0.015
+    assert verdict is not None
+    assert verdict.allowed == 0.0
 
 
 def test_a_wild_target_in_one_cell_does_not_blind_the_others() -> None:

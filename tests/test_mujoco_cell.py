@@ -8,7 +8,7 @@ from dual_ur10.envs.reference import ServojReference, TargetDelay
 from dual_ur10.errors import ClosedError, SettingsError
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.sim2real.adapter import Command
-from dual_ur10.sim2real.cell import CellConfig, Perturbation
+from dual_ur10.sim2real.cell import CellConfig, Perturbation, Start
 from dual_ur10.sim2real.servoj import ServojLaw, ServojProfile
 from dual_ur10.ur10 import ARMATURE_KG_M2, LINK_MASS_KG, LINKS
 
@@ -31,7 +31,7 @@ def wave(period, n=1, size=0.05):
 def run(perturbation=None, periods=50, n=1, **keywords):
     config = CellConfig(perturbation=perturbation or Perturbation(), **keywords)
     cell = MujocoCell(config, TICKS, n=n)
-    cell.reset(home(n))
+    cell.reset(Start(home(n)))
     trace = [cell.advance(Command(wave(k, n))).q_rad.copy() for k in range(periods)]
     return np.array(trace), cell
 
@@ -78,7 +78,7 @@ def test_the_state_is_of_this_instant():
 
 def droop(**perturbation):
     cell = MujocoCell(CellConfig(perturbation=Perturbation(**perturbation)), TICKS)
-    cell.reset(home())
+    cell.reset(Start(home()))
     for _ in range(40):
         state = cell.advance(Command(np.repeat(home()[:, None], TICKS, axis=1)))
     return state.q_rad[0] - HOME_Q_RAD
@@ -142,8 +142,7 @@ def test_perturbations_are_per_cell():
 def test_perturbing_back_to_nominal_restores_it():
     nominal, _ = run()
     _, cell = run(Perturbation(mass_scale=1.2, friction_nm=3.0, latency_s=0.01, lookahead_scale=1.1, payload_kg=2.0))
-    cell.perturb(Perturbation())
-    cell.reset(home())
+    cell.reset(Start(home()), perturbation=Perturbation().expanded(1))
     trace = np.array([cell.advance(Command(wave(k))).q_rad.copy() for k in range(50)])
     assert np.abs(trace - nominal).max() < 1e-12
 
@@ -160,7 +159,7 @@ def test_jitter_and_loss_repeat_with_the_seed_and_only_hold_back():
 
     def once(seed):
         cell = MujocoCell(CellConfig(perturbation=wild), TICKS)
-        cell.reset(home(), seeds=[seed])
+        cell.reset(Start(home()), seeds=[seed])
         return np.array([cell.advance(Command(wave(k))).q_rad.copy() for k in range(30)])
 
     first, again, other = once(1), once(1), once(2)
@@ -232,7 +231,7 @@ def test_feed_forward_is_inverse_dynamics_of_the_nominal_arm():
 def test_bases_where_they_were_put():
     config = CellConfig(left=ArmMount((-0.6, 0.7, 0.1), 0.4))
     cell = MujocoCell(config, TICKS)
-    state = cell.reset(home())
+    state = cell.reset(Start(home()))
     position, _ = flange_pose(HOME_Q_RAD[0])
     turn = np.array([[np.cos(0.4), -np.sin(0.4), 0], [np.sin(0.4), np.cos(0.4), 0], [0, 0, 1]]) @ np.diag([-1, -1, 1])
     assert np.allclose(state.flange_m[0, 0], turn @ position + (-0.6, 0.7, 0.1), atol=1e-9)

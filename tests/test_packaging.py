@@ -69,13 +69,13 @@ def test_readme_and_module_say_the_same_version():
 
 def test_imports_run_downwards():
     floors = [
-        ["ur10", "errors", "rotations"],
+        ["ur10", "errors", "files", "rotations"],
         ["assets", "kinematics", "dynamics"],
         ["sim2real"],
         ["envs"],
         ["policies"],
     ]
-    floors += [["runs"], ["figures"], ["report"], ["demo"], ["cli"], ["__main__"]]
+    floors += [["runs"], ["figures"], ["report"], ["demo"], ["cli_options"], ["cli_evaluate"], ["cli"], ["__main__"]]
     level = {name: height for height, names in enumerate(floors) for name in names}
     level |= dict.fromkeys(("forward_kinematics", "inverse_kinematics", "closed_form"), level["kinematics"])
     for path in (ROOT / "dual_ur10").rglob("*.py"):

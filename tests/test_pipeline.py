@@ -315,3 +315,59 @@ def test_adapter_and_queue_must_agree_on_the_latency() -> None:
     gate = SafetyGate(MotionLimits(), profile.tick_s, 5, Clearance(SceneSettings()))
     with pytest.raises(SettingsError, match="3 ticks"):
         ServojPipeline(adapter, gate, 5)
+
+
+# ------------------------------------------------------------------------------------------------ grippers
+
+
+def with_grippers(openings: np.ndarray) -> np.ndarray:
+    """Actions that hold the arms still and ask for openings between -1 and 1, (n, 2)."""
+    action = np.zeros((len(openings), 2, 7))
+    action[..., 6] = openings
+    return action
+
+
+@pytest.mark.parametrize("latency", [0, 3, 5, 12])
+def test_openings_come_later_by_exactly_the_latency(latency: int) -> None:
+    direct, late = pipeline_at_home(2, gripper=True), pipeline_at_home(2, latency, gripper=True)
+    rng = np.random.default_rng(0)
+    sent, held = [], []
+    for _ in range(8):
+        action = with_grippers(rng.uniform(-1, 1, (2, 2)))
+        sent.append(direct(action)[0].gripper_m)
+        held.append(late(action)[0].gripper_m)
+    now, then = np.concatenate(sent, axis=1), np.concatenate(held, axis=1)
+    assert now.shape == (2, 40, 2)
+    np.testing.assert_array_equal(then[:, latency:], now[:, : 40 - latency])
+    np.testing.assert_allclose(then[:, :latency], 0.085)  # open until the first command acts
+
+
+@pytest.mark.parametrize("latency", [0, 7])
+def test_a_refused_row_keeps_its_openings(latency: int) -> None:
+    class Closed(AlwaysClear):
+        """Nothing is clear in row 1 from the third period on."""
+
+        calls = 0
+
+        def is_clear(self, q_rad):
+            self.calls += 1
+            return np.array([True, self.calls < 3])
+
+        def worst(self, q_rad):
+            return "left/palm and table", 0.0, 0.02
+
+    pipeline = pipeline_at_home(2, latency, gripper=True, clearance=Closed())
+    both = [pipeline(with_grippers(np.full((2, 2), value))) for value in (0.5, -0.2, 0.9, -1.0, 1.0, 1.0)]
+    openings = np.concatenate([command.gripper_m for command, _ in both], axis=1)
+    assert 1 in both[2][1]
+    last = openings[1, 9]  # what was sent last before the refusal
+    np.testing.assert_array_equal(openings[1, 10:], np.broadcast_to(last, (20, 2)))
+    assert np.ptp(openings[0, 10:, 0]) > 0.01  # the other row goes on
+
+
+def test_grippers_start_as_they_are_told() -> None:
+    pipeline = pipeline_at_home(2, 5, gripper=True)
+    pipeline.reset(np.tile(HOME_Q_RAD, (1, 1, 1)), np.array([1]), np.array([[0.01, 0.03]]))
+    command, _ = pipeline(with_grippers(np.ones((2, 2))))
+    np.testing.assert_allclose(command.gripper_m[0], 0.085)
+    np.testing.assert_allclose(command.gripper_m[1], np.broadcast_to([0.01, 0.03], (5, 2)))

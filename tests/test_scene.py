@@ -1,5 +1,6 @@
 """Settings of the scene, and what makes a scene: texts, models, looks."""
 
+import dataclasses
 import os
 import subprocess
 import sys
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from dual_ur10.assets import scene
-from dual_ur10.assets.scene import HOME_Q_RAD, ArmMount, SceneSettings
+from dual_ur10.assets.scene import HOME_Q_RAD, ArmMount, Equipment, SceneSettings
 from dual_ur10.errors import MissingExtraError, SettingsError, UnknownNameError
 from tests.reference_cell import UNEQUAL, contacts, random_q
 
@@ -59,6 +60,15 @@ def test_import_is_light_and_quiet():
         (lambda: SceneSettings(gains="soft"), UnknownNameError, "stiff"),
         (lambda: SceneSettings(gains=[20000.0]), UnknownNameError, "stiff"),
         (lambda: SceneSettings(table_size_m=(0.0, 1.0)), SettingsError, "table"),
+        (lambda: SceneSettings(equipment=None), SettingsError, "Equipment"),
+        (lambda: Equipment(prop="ball"), UnknownNameError, "'bar', 'block'"),
+        (lambda: Equipment(prop=["bar"]), UnknownNameError, "'bar', 'block'"),
+        (lambda: Equipment(grippers="yes"), SettingsError, "grippers must be True or False, found 'yes'"),
+        (lambda: Equipment(grippers=True, prop="block", welded=True), SettingsError, "prop='block'"),
+        (lambda: Equipment(prop="bar", welded=True), SettingsError, "grippers=False"),
+        (lambda: Equipment(grip_force_n=19.9), SettingsError, "19.9: must be within 20 to 235 N"),
+        (lambda: Equipment(grip_force_n=236), SettingsError, "236: must be within 20 to 235 N"),
+        (lambda: Equipment(grip_force_n=np.nan), SettingsError, "finite"),
         (lambda: SceneSettings(left=ArmMount((-0.75, -0.4, 0.0))), SettingsError, "apart"),
         (lambda: SceneSettings(left=ArmMount((-0.45, 0.6, -0.1))), SettingsError, "inside the table"),
     ],
@@ -90,7 +100,35 @@ def test_text_names_no_file():
     assert not list(ET.fromstring(scene.compose(SceneSettings())).iterfind(".//*[@file]"))
 
 
-@pytest.fixture(scope="module", params=[SceneSettings(), UNEQUAL], ids=["default", "unequal"])
+def equipped(**keywords):
+    return SceneSettings(equipment=Equipment(grippers=True, **keywords))
+
+
+def test_equal_equipment_hashes_alike():
+    assert equipped(prop="bar", grip_force_n=60) == equipped(prop="bar", grip_force_n=np.float64(60.0))
+    assert scene.compose(equipped(grip_force_n=60)) is scene.compose(equipped(grip_force_n=np.float32(60.0)))
+    assert hash(Equipment(grip_force_n=np.array(60))) == hash(Equipment())
+    assert SceneSettings() == SceneSettings(equipment=Equipment())
+
+
+def test_without_equipment_there_is_nothing_of_it():
+    for text in (scene.compose(SceneSettings()), scene.compose_clearance(SceneSettings())):
+        for word in ("gripper", "finger", "wrench", "tendon", "equality", "impratio", "freejoint", "mocap"):
+            assert word not in text
+
+
+CELLS = {
+    "default": SceneSettings(),
+    "unequal": UNEQUAL,
+    "grippers": dataclasses.replace(UNEQUAL, equipment=Equipment(grippers=True)),
+    "bar": equipped(prop="bar"),
+    "block": equipped(prop="block"),
+    "welded": equipped(prop="bar", welded=True),
+    "bar alone": SceneSettings(equipment=Equipment(prop="bar")),
+}
+
+
+@pytest.fixture(scope="module", params=CELLS.values(), ids=list(CELLS))
 def drawn_and_undrawn(request):
     return scene.build_model(request.param), scene.build_model(request.param, drawn=False)
 
@@ -108,7 +146,7 @@ def test_an_undrawn_model_has_the_same_state(drawn_and_undrawn):
     drawn, undrawn = drawn_and_undrawn
     full = mujoco.mjtState.mjSTATE_INTEGRATION
     assert mujoco.mj_stateSize(drawn, full) == mujoco.mj_stateSize(undrawn, full)
-    for size in ("nq", "nv", "na", "nu", "nbody", "nsensordata"):
+    for size in ("nq", "nv", "na", "nu", "nbody", "nsensordata", "nmocap", "neq", "ntendon"):
         assert getattr(drawn, size) == getattr(undrawn, size)
     assert scene.sensor_slices(drawn) == scene.sensor_slices(undrawn)
 
@@ -125,11 +163,15 @@ def test_an_undrawn_model_has_the_same_dynamics(drawn_and_undrawn):
     rng = np.random.default_rng(6)
     touched = 0
     for q in random_q(rng, 200):
-        v, goal = rng.normal(size=12), q.ravel() + rng.normal(0, 0.01, 12)
+        first = drawn_and_undrawn[0]
+        v, goal = rng.normal(size=first.nv), rng.normal(0, 0.01, first.nu)
         found = []
         for model in drawn_and_undrawn:
             data = mujoco.MjData(model)
-            data.qpos[:], data.qvel[:], data.ctrl[:] = q.ravel(), v, goal
+            fingers = (model.nu - 12) // 2 * 2
+            data.qpos[: 12 + 2 * fingers] = np.pad(q, ((0, 0), (0, fingers)), constant_values=0.02).ravel()
+            data.qvel[:] = v
+            data.ctrl[:] = np.pad(q, ((0, 0), (0, fingers // 2)), constant_values=0.05).ravel() + goal
             mujoco.mj_forward(model, data)
             forces = (data.qfrc_bias, data.qfrc_gravcomp, data.qfrc_actuator, data.qfrc_constraint, data.qacc)
             found.append((data.M.copy(), *(force.copy() for force in forces), data.sensordata.copy()))

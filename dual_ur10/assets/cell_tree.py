@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ET
 from typing import TYPE_CHECKING, Any
 
 from dual_ur10.assets.arm import arm_tree, composer, quat_z
+from dual_ur10.assets.gripper import FINGER_JOINTS, add_gripper
 from dual_ur10.assets.settings import FLOOR_Z_M, TABLE_THICKNESS_M, SceneSettings
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.ur10 import ARMS, JOINTS
@@ -14,18 +15,28 @@ if TYPE_CHECKING:
     import mujoco  # type: ignore[import-untyped, unused-ignore]  # has no types of its own
 
 
-def cell_tree(settings: SceneSettings) -> Any:
-    """dm_control tree with what all models share: options, floor, table and both arms."""
+def cell_tree(settings: SceneSettings, *, rigid: bool = False) -> Any:
+    """dm_control tree with what all models share: options, floor, table and both arms with their grippers.
+
+    Args:
+        settings: the cell.
+        rigid: the grippers have no joints of their own.
+    """
     root = composer().RootElement(model="cell")
     root.compiler.angle = "radian"
     root.option.timestep = settings.timestep_s
     root.option.integrator = "implicitfast"
     root.option.cone = "elliptic"
+    if settings.equipment.grippers or settings.equipment.prop:
+        root.option.impratio = 100  # what is held by friction creeps at a rate that this divides
     # A diverged simulation must be seen by the caller, not silently start again from t = 0.
     root.option.flag.autoreset = "disable"
     _add_ground(root, settings)
     for name, mount in zip(ARMS, settings.mounts, strict=True):
-        frame = root.attach(arm_tree(name, mount.dh, settings.gains))
+        arm = arm_tree(name, mount.dh, settings.gains)
+        if settings.equipment.grippers:
+            add_gripper(arm, settings, rigid=rigid)
+        frame = root.attach(arm)
         frame.pos = mount.position_m
         frame.quat = quat_z(mount.yaw_rad)
     return root
@@ -60,8 +71,21 @@ def text_of(document: ET.Element) -> str:
     return ET.tostring(document, encoding="unicode")
 
 
-def compiled(text: str) -> mujoco.MjModel:
-    """A fresh model, its joints and actuators, if any, in the order that all arrays of this package have.
+def joint_names(settings: SceneSettings) -> tuple[str, ...]:
+    """Joints of the cell in the order of `qpos`: left arm, left fingers, right arm, right fingers, prop."""
+    each = (*JOINTS, *FINGER_JOINTS) if settings.equipment.grippers else JOINTS
+    prop = (settings.equipment.prop,) if settings.equipment.prop else ()
+    return (*(f"{arm}/{joint}" for arm in ARMS for joint in each), *prop)
+
+
+def actuator_names(settings: SceneSettings) -> tuple[str, ...]:
+    """Actuators of the cell in the order of `ctrl`: left arm, left gripper, right arm, right gripper."""
+    each = (*JOINTS, "gripper") if settings.equipment.grippers else JOINTS
+    return tuple(f"{arm}/{actuator}" for arm in ARMS for actuator in each)
+
+
+def compiled(text: str, joints: tuple[str, ...], actuators: tuple[str, ...]) -> mujoco.MjModel:
+    """A fresh model, its joints and actuators in the order that all arrays of this package have.
 
     Raises:
         DualUR10Error: They are not.
@@ -69,10 +93,11 @@ def compiled(text: str) -> mujoco.MjModel:
     import mujoco
 
     model = mujoco.MjModel.from_xml_string(text)
-    expected = [f"{arm}/{joint}" for arm in ARMS for joint in JOINTS]
-    joints = [model.joint(i).name for i in range(model.njnt)]
-    actuators = [model.actuator(i).name for i in range(model.nu)]
-    for kind, names in (("joints", joints), ("actuators", actuators or expected)):
-        if names != expected:
-            raise DualUR10Error(f"the model's {kind} are {names}, expected {expected}: ur10.xml and ur10.py disagree")
+    found_joints = tuple(model.joint(i).name for i in range(model.njnt))
+    found_actuators = tuple(model.actuator(i).name for i in range(model.nu))
+    for kind, found, expected in (("joints", found_joints, joints), ("actuators", found_actuators, actuators)):
+        if found != expected:
+            raise DualUR10Error(
+                f"the model's {kind} are {list(found)}, expected {list(expected)}: the trees and the names disagree"
+            )
     return model

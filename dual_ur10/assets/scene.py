@@ -17,7 +17,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from dual_ur10.assets.arm import strip
-from dual_ur10.assets.cell_tree import cell_tree, child_of, compiled, document_of, text_of
+from dual_ur10.assets.cell_tree import actuator_names, cell_tree, child_of, compiled, document_of, joint_names, text_of
 from dual_ur10.assets.clearance_model import (
     CLEARANCE_CUTOFF_M,
     CLEARANCE_PAIRS,
@@ -25,40 +25,81 @@ from dual_ur10.assets.clearance_model import (
     clearance_pairs,
     compose_clearance,
 )
+from dual_ur10.assets.gripper import FORCE_N, MASS_KG, OPENING_M, SPEED_M_S, TCP_M
+from dual_ur10.assets.gripper_looks import draw_grippers
 from dual_ur10.assets.meshes import use_meshes
+from dual_ur10.assets.prop_looks import draw_prop
+from dual_ur10.assets.props import (
+    BAR_LENGTH_M,
+    BAR_MASS_KG,
+    BAR_WIDTH_M,
+    BLOCK_GRIP_QUAT,
+    BLOCK_MASS_KG,
+    BLOCK_SIZE_M,
+    GRIP_DISTANCE_M,
+    GRIP_QUAT,
+    add_prop,
+    prop_size_m,
+    prop_width_m,
+    weld_bar,
+)
 from dual_ur10.assets.settings import (
     BASE_RADIUS_M,
     FLOOR_Z_M,
     GAINS,
+    GRIP_FORCE_N,
     HOME_Q_RAD,
     MIN_BASE_DISTANCE_M,
+    PROPS,
     TABLE_THICKNESS_M,
     ArmMount,
+    Equipment,
     SceneSettings,
 )
-from dual_ur10.assets.surroundings import CAMERAS, add_surroundings
+from dual_ur10.assets.surroundings import CAMERAS, add_surroundings, cameras
 from dual_ur10.ur10 import ARMS
 
 if TYPE_CHECKING:
     import mujoco  # type: ignore[import-untyped, unused-ignore]  # has no types of its own
 
 __all__ = [
+    "BAR_LENGTH_M",
+    "BAR_MASS_KG",
+    "BAR_WIDTH_M",
     "BASE_RADIUS_M",
+    "BLOCK_GRIP_QUAT",
+    "BLOCK_MASS_KG",
+    "BLOCK_SIZE_M",
     "CAMERAS",
     "CLEARANCE_CUTOFF_M",
     "CLEARANCE_PAIRS",
     "FLOOR_Z_M",
+    "FORCE_N",
     "GAINS",
+    "GRIP_DISTANCE_M",
+    "GRIP_FORCE_N",
+    "GRIP_QUAT",
     "HOME_Q_RAD",
+    "MASS_KG",
     "MIN_BASE_DISTANCE_M",
+    "OPENING_M",
+    "PROPS",
+    "SPEED_M_S",
     "TABLE_THICKNESS_M",
+    "TCP_M",
     "ArmMount",
+    "Equipment",
     "SceneSettings",
+    "actuator_names",
     "build_clearance_model",
     "build_model",
+    "cameras",
     "clearance_pairs",
     "compose",
     "compose_clearance",
+    "joint_names",
+    "prop_size_m",
+    "prop_width_m",
     "sensor_slices",
 ]
 
@@ -67,9 +108,12 @@ __all__ = [
 def compose(settings: SceneSettings, *, drawn: bool = True) -> str:
     """MJCF text of the whole cell.
 
-    Joints, actuators and degrees of freedom come as the left arm's six, then the right arm's six. The sensors are, for
-    left and then right each time: `<arm>/flange_base_pos` and `<arm>/flange_base_quat` (flange in the arm's own UR
-    `base` frame, m and w, x, y, z) and `<arm>/flange_pos` (flange in the cell frame, m).
+    Joints, actuators and degrees of freedom come as the left arm's six, then the right arm's six; with grippers, each
+    arm's are followed by its gripper's (two finger joints, one actuator: the opening in m); a prop's free joint is the
+    last. The sensors are, for left and then right each time: `<arm>/flange_base_pos` and `<arm>/flange_base_quat`
+    (flange in the arm's own UR `base` frame, m and w, x, y, z) and `<arm>/flange_pos` (flange in the cell frame, m);
+    with grippers also `<arm>/wrench_force` and `<arm>/wrench_torque` (N and N·m at the flange, in its axes, that the
+    wrist exerts on the gripper: a gripper at rest that points down reads minus its weight along z).
 
     Args:
         settings: the cell.
@@ -83,13 +127,22 @@ def compose(settings: SceneSettings, *, drawn: bool = True) -> str:
         MissingExtraError: `settings.meshes` is set and `example-robot-data` is not installed.
     """
     root = cell_tree(settings)
+    add_prop(root, settings)
     if drawn:
         add_surroundings(root, settings)
+        if settings.equipment.prop:
+            draw_prop(root, settings.equipment.prop)
+        if settings.equipment.grippers:
+            draw_grippers(root)
     else:
         for arm in ARMS:
             strip(root.find("attachment_frame", arm))
     document = document_of(root)
     _add_flange_sensors(document)
+    if settings.equipment.grippers:
+        _add_wrench_sensors(document)
+    if settings.equipment.welded:
+        weld_bar(document)
     if settings.meshes and drawn:
         use_meshes(document)
     return text_of(document)
@@ -108,7 +161,7 @@ def build_model(settings: SceneSettings, *, drawn: bool = True) -> mujoco.MjMode
     Raises:
         MissingExtraError: `settings.meshes` is set and `example-robot-data` is not installed.
     """
-    return compiled(compose(settings, drawn=drawn))
+    return compiled(compose(settings, drawn=drawn), joint_names(settings), actuator_names(settings))
 
 
 def sensor_slices(model: mujoco.MjModel) -> dict[str, slice]:
@@ -132,3 +185,10 @@ def _add_flange_sensors(document: ET.Element) -> None:
             if relative:
                 attributes |= {"reftype": "site", "refname": f"{arm}/base"}
             ET.SubElement(sensors, tag, attributes)
+
+
+def _add_wrench_sensors(document: ET.Element) -> None:
+    sensors = child_of(document, "sensor")
+    for kind in ("force", "torque"):
+        for arm in ARMS:
+            ET.SubElement(sensors, kind, name=f"{arm}/wrench_{kind}", site=f"{arm}/wrench")

@@ -25,6 +25,12 @@ BASE_RADIUS_M: Final = 0.15
 
 MIN_BASE_DISTANCE_M: Final = 0.3
 
+PROPS: Final = ("bar", "block")
+"""Things to handle: see [props][dual_ur10.assets.props]."""
+
+GRIP_FORCE_N: Final = (20.0, 235.0)
+"""Least and largest grip force that can be set on a Robotiq 2F-85, by its data sheet."""
+
 _MAX_MOUNT_M: Final = 3.0
 
 # Elbow up, tool z straight down, flange x towards the base: the rotation vector (pi, 0, 0) in UR's base frame.
@@ -32,6 +38,17 @@ _HOME: Final = (-0.22036724, -1.4126697, 1.84438035, -2.00250698, -math.pi / 2, 
 
 HOME_Q_RAD: Final = constant([_HOME, _HOME])
 """(2, 6) rad: flanges 0.75 m in front of the bases and 0.4 m above them, at (0, ±0.6, 0.4) with default mounts."""
+
+
+def _numbers(name: str, values: Any, length: int) -> tuple[Any, ...]:
+    """Plain finite floats, so that equal settings hash alike."""
+    try:
+        numbers = tuple(float(value) for value in values)
+    except (TypeError, ValueError):
+        numbers = ()
+    if len(numbers) != length or not all(map(math.isfinite, numbers)):
+        raise SettingsError(f"{name} must be {length} finite number{'s' * (length > 1)}, found {values!r}")
+    return numbers
 
 
 @dataclass(frozen=True)
@@ -68,6 +85,46 @@ class ArmMount:
 
 
 @dataclass(frozen=True)
+class Equipment:
+    """What the arms hold and handle.
+
+    Attributes:
+        grippers: a parallel-jaw gripper on each flange.
+        prop: one of [PROPS][dual_ur10.assets.scene.PROPS] on the table, or None.
+        welded: both grippers are welded to the bar, instead of holding it by friction.
+        grip_force_n: force with which each finger presses.
+
+    Raises:
+        UnknownNameError: `prop` is no name of a prop.
+        SettingsError: A switch is not True or False, there is nothing to weld, or `grip_force_n` is not within
+            [GRIP_FORCE_N][dual_ur10.assets.scene.GRIP_FORCE_N].
+    """
+
+    grippers: bool = False
+    prop: str | None = None
+    welded: bool = False
+    grip_force_n: float = 60.0
+
+    def __post_init__(self) -> None:
+        for name in ("grippers", "welded"):
+            if not isinstance(getattr(self, name), bool):
+                raise SettingsError(f"{name} must be True or False, found {getattr(self, name)!r}")
+        if self.prop is not None and self.prop not in tuple(PROPS):
+            raise UnknownNameError("prop", str(self.prop), PROPS)
+        if self.welded and not (self.grippers and self.prop == "bar"):
+            raise SettingsError(
+                f"welded=True with grippers={self.grippers} and prop={self.prop!r}: only grippers that hold the bar "
+                "can be welded, so set grippers=True and prop='bar'"
+            )
+        (force,) = _numbers("grip_force_n", (self.grip_force_n,), 1)
+        if not GRIP_FORCE_N[0] <= force <= GRIP_FORCE_N[1]:
+            raise SettingsError(
+                f"grip_force_n is {force:.6g}: must be within {GRIP_FORCE_N[0]:.0f} to {GRIP_FORCE_N[1]:.0f} N"
+            )
+        object.__setattr__(self, "grip_force_n", force)
+
+
+@dataclass(frozen=True)
 class SceneSettings:
     """What stands in the cell and how it is simulated.
 
@@ -79,6 +136,7 @@ class SceneSettings:
         meshes: draw the meshes of the optional package `example-robot-data` in place of primitives. Looks only.
         table_center_m: (2,) x, y of the table's centre; its top is at z = 0.
         table_size_m: (2,) length along x and width along y.
+        equipment: grippers, and what there is to handle.
 
     Raises:
         SettingsError: A number is not finite or out of range, the bases stand closer than 0.3 m to each other, or a
@@ -93,6 +151,7 @@ class SceneSettings:
     meshes: bool = False
     table_center_m: tuple[float, float] = (0.0, 0.0)
     table_size_m: tuple[float, float] = (1.0, 1.8)
+    equipment: Equipment = Equipment()
 
     def __post_init__(self) -> None:
         (timestep,) = _numbers("timestep_s", (self.timestep_s,), 1)
@@ -107,6 +166,8 @@ class SceneSettings:
                 f"table of {size} m at {center} m: sides must be 0.1 to {2 * _MAX_MOUNT_M} m long and the centre "
                 f"within ±{_MAX_MOUNT_M} m"
             )
+        if not isinstance(self.equipment, Equipment):
+            raise SettingsError(f"equipment must be Equipment, found {type(self.equipment).__name__}")
         object.__setattr__(self, "timestep_s", timestep)
         object.__setattr__(self, "table_center_m", center)
         object.__setattr__(self, "table_size_m", size)
@@ -140,14 +201,3 @@ class SceneSettings:
         ]
         # An arm mounted below the top would have to grow through the table, so all heights below it count.
         return math.hypot(*outside) < BASE_RADIUS_M and mount.position_m[2] < 0.0
-
-
-def _numbers(name: str, values: Any, length: int) -> tuple[Any, ...]:
-    """Plain finite floats, so that equal settings hash alike."""
-    try:
-        numbers = tuple(float(value) for value in values)
-    except (TypeError, ValueError):
-        numbers = ()
-    if len(numbers) != length or not all(map(math.isfinite, numbers)):
-        raise SettingsError(f"{name} must be {length} finite number{'s' * (length > 1)}, found {values!r}")
-    return numbers

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.assets.settings import FLOOR_Z_M, TABLE_THICKNESS_M, SceneSettings
+from dual_ur10.ur10 import ARMS
 
 _Point = tuple[float, float, float]
 
@@ -19,6 +20,11 @@ _CAMERAS: Final[dict[str, tuple[_Point, _Point]]] = {
 
 CAMERAS: Final = tuple(_CAMERAS)
 """Names of the fixed cameras; each shows both arms."""
+
+
+def cameras(settings: SceneSettings) -> tuple[str, ...]:
+    """Names of all cameras of a drawn scene: the fixed ones and, with grippers, `left/wrist` and `right/wrist`."""
+    return (*CAMERAS, *(f"{arm}/wrist" for arm in ARMS)) if settings.equipment.grippers else CAMERAS
 
 
 def add_surroundings(root: Any, settings: SceneSettings) -> None:

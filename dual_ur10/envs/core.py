@@ -12,9 +12,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from dual_ur10.envs.mujoco_cell import MujocoCell
+from dual_ur10.envs.options import split_keywords
+from dual_ur10.envs.randomization import on_top, resolve_randomization
+from dual_ur10.envs.sensing import Sensing
 from dual_ur10.envs.task import Task, Timing, task_settings
 from dual_ur10.errors import ClosedError, ResetNeededError, UnknownNameError
-from dual_ur10.sim2real.adapter import ActionMode, ServojAdapter
+from dual_ur10.sim2real.adapter import ServojAdapter
 from dual_ur10.sim2real.cell import CellState, resolve_cell
 from dual_ur10.sim2real.clearance import Clearance
 from dual_ur10.sim2real.gate import SafetyGate, Verdict
@@ -24,13 +27,43 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Rows = NDArray[np.intp]
 
-TASKS = {"SineTracking": "dual_ur10.envs.sine_tracking:SineTracking"}
+TASKS = {
+    "SineTracking": "dual_ur10.envs.sine_tracking:SineTracking",
+    "SyncCarry": "dual_ur10.envs.sync_carry:SyncCarry",
+}
 """Where each task's class is, by the task's name."""
-
-DEFAULT_RATE_HZ = 25.0
 
 PHYSICS_ERROR = "the simulation diverged: the observation is that of the last good instant"
 """Text of `info["physics_error"]`."""
+
+
+class Agents(NamedTuple):
+    """What concerns the agents `left` and `right` one by one, computed when it is asked for.
+
+    Attributes:
+        task: The task.
+        both: (n, size) observation of both.
+        terms: (n, 2, terms) reward terms of each; None after a reset.
+        weights: (terms,).
+    """
+
+    task: Task[Any, Any]
+    both: Array
+    terms: Array | None
+    weights: Array
+
+    @property
+    def observations(self) -> Array:
+        """(n, 2, size) each agent's own observation."""
+        return self.task.observe_agents(self.both)
+
+    @property
+    def rewards(self) -> Array:
+        """(n, 2) each agent's own reward; their mean is the reward of both."""
+        if self.terms is None:
+            return np.zeros((len(self.both), 2))
+        rewards: Array = np.add.reduce(self.terms * self.weights, axis=2)
+        return rewards
 
 
 class Step(NamedTuple):
@@ -39,11 +72,12 @@ class Step(NamedTuple):
     Attributes:
         observation: (n, size).
         reward: (n,).
-        terminated: (n,) refused by the gate, or diverged.
-        truncated: (n,) the episode came to its natural end.
+        terminated: (n,) refused by the gate, diverged, or at a state from which there is nothing more to do.
+        truncated: (n,) the time of the episode ran out.
         info: Arrays (n, ...) by name.
         verdicts: Why the gate refused, by row.
         diverged: (n,) whether the physics diverged.
+        agents: What concerns the two agents one by one.
     """
 
     observation: Array
@@ -53,6 +87,7 @@ class Step(NamedTuple):
     info: dict[str, NDArray[Any]]
     verdicts: dict[int, Verdict]
     diverged: Mask
+    agents: Agents
 
 
 def load_task(name: str) -> type[Task[Any, Any]]:
@@ -68,67 +103,70 @@ def load_task(name: str) -> type[Task[Any, Any]]:
     return task
 
 
+def _spread(values: Array, rows: Rows, n: int) -> Array:
+    """Values of some rows, (len(rows), ...), as an array of all, (n, ...), with NaN in the others."""
+    result = np.full((n, *values.shape[1:]), np.nan)
+    result[rows] = values
+    return result
+
+
 class Core:
     """Task, pipeline and cell of n cells.
 
     Args:
         task: Name of the task.
-        settings: The task's keywords.
+        keywords: Those of every environment, `dual_ur10.envs.options.EnvOptions`, and the task's own.
         n: Number of cells.
         threads: Threads to step on; None: as many as there are processors.
-        cell: "mujoco" or a `CellConfig`.
-        policy_rate_hz: Actions per second; the period must be a whole number of controller ticks.
-        action_mode: See `dual_ur10.sim2real.adapter.ServojAdapter`.
-        action_latency_ticks: Ticks between an observation and the first target of its action.
-        compensate_lag: Whether the adapter takes the lag of `servoj` out.
 
     Raises:
         SettingsError: Or one of its kinds: a value is not legal. Nothing is left behind.
     """
 
-    def __init__(
-        self,
-        task: str,
-        settings: Mapping[str, Any],
-        *,
-        n: int = 1,
-        threads: int | None = None,
-        cell: object = "mujoco",
-        policy_rate_hz: float = DEFAULT_RATE_HZ,
-        action_mode: ActionMode = "joint_delta",
-        action_latency_ticks: int = 0,
-        compensate_lag: bool = True,
-    ) -> None:
+    def __init__(self, task: str, keywords: Mapping[str, Any], *, n: int = 1, threads: int | None = None) -> None:
         task_type = load_task(task)
-        config = resolve_cell(cell)
-        ticks = config.servoj.ticks_per_action(policy_rate_hz)
+        self.options, own = split_keywords(keywords)
+        options = self.options
+        self._randomization = resolve_randomization(options.randomization)
+        settings = self._randomization.spread(task_settings(task_type, own), own)
+        need = task_type.furnishing(settings)
+        config = resolve_cell(options.cell).furnished(need.equipment, need.timestep_s, need.gains)
+        limits = config.capped(task_type.limits)
+        ticks = config.servoj.ticks_per_action(options.policy_rate_hz)
+        latency = options.action_latency_ticks
         mounts = (config.left, config.right)
         adapter = ServojAdapter(
             config.servoj,
-            task_type.limits,
+            limits,
             ticks,
             n=n,
-            mode=action_mode,
-            compensate_lag=compensate_lag,
-            latency_ticks=action_latency_ticks,
+            mode=options.action_mode,
+            gripper=need.equipment.grippers and not need.equipment.welded,
+            compensate_lag=options.compensate_lag,
+            latency_ticks=latency,
             dh=[mount.dh for mount in mounts],
             yaw_rad=[mount.yaw_rad for mount in mounts],
         )
         self.n, self.config = n, config
         threads = threads or min(n, os.cpu_count() or 1)
-        clearance = Clearance(config.scene, n=n, threads=threads, minimum_m=config.minimum_clearance_m)
-        gate = SafetyGate(task_type.limits, config.servoj.tick_s, ticks, clearance, n=n)
-        self.pipeline = ServojPipeline(adapter, gate, action_latency_ticks)
+        clearance = Clearance(
+            config.scene, n=n, threads=threads, minimum_m=config.minimum_clearance_m, closer=need.closer
+        )
+        gate = SafetyGate(limits, config.servoj.tick_s, ticks, clearance, n=n)
+        self.pipeline = ServojPipeline(adapter, gate, latency)
         period_s = adapter.period_s
-        timing = Timing(period_s, period_s + action_latency_ticks * config.servoj.tick_s)
-        self.task = task_type(task_settings(task_type, settings), config, timing, n)
+        timing = Timing(period_s, period_s + latency * config.servoj.tick_s)
+        self.task = task_type(settings, config, timing, n)
         self._clearance = clearance
         self._weights = np.array(list(task_type.weights.values()))
         self._terms = [f"reward/{name}" for name in task_type.weights]
         rows = np.arange(n)
-        clearance.check_start(self.task.start(rows, [np.random.default_rng(0) for _ in rows]), rows)
+        clearance.check_start(self.task.start(rows, [np.random.default_rng(0) for _ in rows]).q_rad, rows)
         self.cell: MujocoCell | None = MujocoCell(config, ticks, n=n, threads=threads)
         self._state: CellState | None = None
+        self._sensing = Sensing(config, self._randomization, period_s, n)
+        self._plant = config.perturbation.expanded(n)
+        self._observation: Array = np.zeros((n, len(self.task.observation_bound)))
         self.action_space = self._action_space()
         bound = self.task.observation_bound
         self.observation_space = spaces.Box(-bound, bound, dtype=np.float64)
@@ -157,14 +195,26 @@ class Core:
         cell = self._open()
         rows = np.arange(self.n) if rows is None else rows
         self._state = None  # should anything fail from here on, the episode must be begun again
-        q = self.task.start(rows, rngs)
+        start = self.task.start(rows, rngs)
+        drawn = {} if self._randomization.is_none else self._randomization.draw(rngs)
         seeds = [int(rng.integers(2**31)) for rng in rngs]
-        self._clearance.check_start(q, rows)
-        self.pipeline.reset(q, rows)
-        self._state = cell.reset(q, rows, seeds=seeds)
-        measured = self.task.measure(self._state)
-        observation = self.task.observe(self._state, measured, self.pipeline.adapter.commanded_q_rad)
-        return observation, self._measurements(self._state)
+        self._clearance.check_start(start.q_rad, rows)
+        self.pipeline.reset(start.q_rad, rows, start.gripper_m)
+        plant = on_top({name: value[rows] for name, value in self._plant.items()}, drawn)
+        state = cell.reset(start, rows, seeds=seeds, perturbation=plant)
+        self._sensing.reset(state, rows, seeds, drawn)
+        sensed = state if self._sensing.is_exact else self._sensing.begun(state)
+        observation = self.task.observe(sensed, self.task.measure(sensed), self.pipeline.adapter.commanded_q_rad)
+        # The other rows go on: what was observed of them last stays as it was.
+        self._observation = self._observation.copy()
+        self._observation[rows] = observation[rows]
+        self._state = state
+        self.agents = Agents(self.task, self._observation, None, self._weights)
+        info: dict[str, Any] = self._measurements(state)
+        randomized = {**start.drawn, **drawn}
+        if randomized:
+            info["randomization"] = {name: _spread(value, rows, self.n) for name, value in randomized.items()}
+        return self._observation.copy(), info
 
     def step(self, action: object) -> Step:
         """One control period of all cells.
@@ -180,22 +230,29 @@ class Core:
         if self._state is None:
             raise ResetNeededError("step was called before the first reset: call reset() first")
         command, verdicts = self.pipeline(action)
-        self._state = state = cell.advance(command)
+        self._state = state = cell.advance(command._replace(payload_kg=self.task.payload_kg()))
         measured = self.task.measure(state)
         outcome = self.task.evaluate(state, measured)
-        reward: Array = np.add.reduce(outcome.terms * self._weights, axis=1)
+        terms = np.add.reduce(outcome.terms, axis=1) / 2
+        reward: Array = np.add.reduce(terms * self._weights, axis=1)
         terminated, success = state.failed.copy(), outcome.success
         if verdicts:
             terminated[list(verdicts)] = True
         if np.logical_or.reduce(terminated):
             success = success & ~terminated
+        if outcome.terminal is not None:
+            terminated |= outcome.terminal
         info = self._measurements(state)
         info.update(outcome.info)
         info["is_success"] = success
         for k, name in enumerate(self._terms):
-            info[name] = outcome.terms[:, k]
-        observation = self.task.observe(state, measured, self.pipeline.adapter.commanded_q_rad)
-        return Step(observation, reward, terminated, outcome.over, info, verdicts, state.failed)
+            info[name] = terms[:, k]
+        if not self._sensing.is_exact:
+            state = self._sensing(state)
+            measured = self.task.measure(state)
+        self._observation = observation = self.task.observe(state, measured, self.pipeline.adapter.commanded_q_rad)
+        self.agents = agents = Agents(self.task, observation, outcome.terms, self._weights)
+        return Step(observation, reward, terminated, outcome.over, info, verdicts, state.failed, agents)
 
     def _measurements(self, state: CellState) -> dict[str, NDArray[Any]]:
         return {"q_rad": state.q_rad.copy(), "flange_m": state.flange_m.copy()}

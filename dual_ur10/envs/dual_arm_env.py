@@ -8,31 +8,31 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.envs.core import DEFAULT_RATE_HZ, PHYSICS_ERROR, Core
-from dual_ur10.envs.rendering import RENDER_MODES, Renderer
+from dual_ur10.envs.core import PHYSICS_ERROR, Core
+from dual_ur10.envs.infos import of_row
+from dual_ur10.envs.options import DEFAULT_RATE_HZ
+from dual_ur10.envs.pixels import Observer, row_of
+from dual_ur10.envs.rendering import RENDER_MODES
 from dual_ur10.envs.viewer import Viewer
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.sim2real.adapter import ActionMode
 
 Array = NDArray[np.float64]
 
+_ROW = np.zeros(1, dtype=np.intp)  # the only one
 
-class DualArmEnv(gym.Env[Array, Array]):
+
+class DualArmEnv(gym.Env[Any, Array]):
     """Two UR10s and a task, for one agent that commands both.
 
     Each task documents its spaces, rewards and episodes: `dual_ur10.envs.sine_tracking.SineTracking`.
 
     Args:
         task: Name of the task; set by the id.
-        render_mode: None, "rgb_array" or "human". Without it, no OpenGL is needed.
-        cell: "mujoco" or a `dual_ur10.sim2real.cell.CellConfig`.
-        policy_rate_hz: Actions per second. The period must be a whole number of controller ticks (8 ms on a CB3).
-        action_mode: "joint_delta", "joint_position" or "tcp_delta"; see `dual_ur10.sim2real.adapter.ServojAdapter`.
-        action_latency_ticks: Ticks from an observation to the first target of its action. 0 is an ideal machine;
-            a policy meant for real arms should be developed with the latency it will have.
-        compensate_lag: Whether the adapter takes the lag of `servoj` out.
-        camera, width, height, shadows: How `render` draws; see `dual_ur10.envs.rendering.Renderer`.
-        **settings: Keywords of the task.
+        render_mode: None, "rgb_array" or "human". Without it, and with `observation="state"`, no OpenGL is needed.
+        **keywords: Those of every environment, `dual_ur10.envs.options.EnvOptions`, and the task's own.
+
+    What is observed: with `observation="state"` (the default) the task's numbers, (size,); with "pixels" a dict of
+    images, (height, width, 3) uint8, by the names in `cameras`; with "both" `{"state": ..., "pixels": {...}}`.
 
     `reset` takes no options. `info` of `reset` and `step` holds `q_rad` (2, 6) and `flange_m` (2, 3); that of `step`
     also the task's values, `is_success`, `reward/<term>`, and, when an episode was ended by them, `safety` (a
@@ -44,37 +44,15 @@ class DualArmEnv(gym.Env[Array, Array]):
         "render_fps": round(DEFAULT_RATE_HZ),
     }
 
-    def __init__(
-        self,
-        task: str,
-        *,
-        render_mode: str | None = None,
-        cell: object = "mujoco",
-        policy_rate_hz: float = DEFAULT_RATE_HZ,
-        action_mode: ActionMode = "joint_delta",
-        action_latency_ticks: int = 0,
-        compensate_lag: bool = True,
-        camera: str = "perspective",
-        width: int = 640,
-        height: int = 480,
-        shadows: bool = False,
-        **settings: Any,
-    ) -> None:
+    def __init__(self, task: str, *, render_mode: str | None = None, **keywords: Any) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise UnknownNameError("render mode", str(render_mode), [*RENDER_MODES, "None"])
         self.render_mode = render_mode
-        self._renderer = Renderer(camera, width, height, shadows)
-        self.core = Core(
-            task,
-            settings,
-            cell=cell,
-            policy_rate_hz=policy_rate_hz,
-            action_mode=action_mode,
-            action_latency_ticks=action_latency_ticks,
-            compensate_lag=compensate_lag,
-        )
+        self.core = Core(task, keywords)
+        self._observer = Observer(self.core)
+        self._renderer = self._observer.renderer
         self.action_space: Any = self.core.action_space
-        self.observation_space: Any = self.core.observation_space
+        self.observation_space: Any = self._observer.space
         # A class attribute in Gymnasium; an environment with another rate gets its own.
         self.metadata = {**type(self).metadata, "render_fps": round(1 / self.core.timing.period_s)}
 
@@ -88,24 +66,31 @@ class DualArmEnv(gym.Env[Array, Array]):
         """What `render_mode="human"` shows: a window, or a page at `viewer.url` where there is no display."""
         return self._renderer.viewer
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Begin an episode; see `gymnasium.Env.reset`."""
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode; see `gymnasium.Env.reset`.
+
+        Raises:
+            SettingsError: There are options.
+            RenderError: Images are observed, and no OpenGL backend was found.
+        """
         if options:
             raise SettingsError(f"reset takes no options, found {sorted(options)}: set keywords at gym.make")
         super().reset(seed=seed)
-        observation, info = self.core.reset([self.np_random])
+        state, info = self.core.reset([self.np_random])
+        observation = self._observer.begin(state, _ROW)
         if self.render_mode == "human":
             self.render()
-        return observation[0], {name: value[0] for name, value in info.items()}
+        return row_of(observation, 0), of_row(info, 0)
 
-    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Array) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """One control period; see `gymnasium.Env.step`.
 
         Raises:
             ActionError: The action has the wrong shape or type, or holds NaN or infinity. Nothing has moved.
         """
         step = self.core.step(action)
-        info: dict[str, Any] = {name: value[0] for name, value in step.info.items()}
+        observation = row_of(self._observer.advance(step.observation), 0)
+        info: dict[str, Any] = of_row(step.info, 0)
         info["is_success"] = bool(info["is_success"])
         if step.verdicts:
             info["safety"] = step.verdicts[0]
@@ -113,7 +98,7 @@ class DualArmEnv(gym.Env[Array, Array]):
             info["physics_error"] = PHYSICS_ERROR
         if self.render_mode == "human":
             self.render()
-        return step.observation[0], float(step.reward[0]), bool(step.terminated[0]), bool(step.truncated[0]), info
+        return observation, float(step.reward[0]), bool(step.terminated[0]), bool(step.truncated[0]), info
 
     def render(self) -> NDArray[np.uint8] | None:
         """An image, (height, width, 3), with "rgb_array"; None with "human", which shows a viewer.
@@ -129,5 +114,5 @@ class DualArmEnv(gym.Env[Array, Array]):
 
     def close(self) -> None:
         """Release simulation and viewer. May be called twice."""
-        self._renderer.close()
+        self._observer.close()
         self.core.close()

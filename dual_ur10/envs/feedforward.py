@@ -9,8 +9,11 @@ from numpy.typing import NDArray
 
 from dual_ur10.assets.scene import GAINS, SceneSettings, build_clearance_model
 from dual_ur10.envs.payload import write_masses
+from dual_ur10.ur10 import ARMS
 
 Array = NDArray[np.float64]
+
+GRAVITY_M_S2 = 9.81
 
 STEPS_PER_EVALUATION = 20
 """Physics steps over which inertia and velocity terms are taken as constant, evaluated in the middle."""
@@ -45,18 +48,28 @@ class FeedForward:
         # Torques are columns where accelerations stand on the left. One arm's inertia does not concern the other.
         self._weight_of_entries = np.kron(np.eye(2), np.ones((6, 6))) * self._compliance
         self.n = n
+        self._payload = PayloadTorque(self._batch, kp) if settings.equipment.grippers else None
 
     def declare_payload(self, mass_kg: Array) -> None:
         """Tell the controller of a mass at each flange, (n, 2)."""
         write_masses(self._batch, np.ones_like(mass_kg), mass_kg)
 
-    def __call__(self, q: Array, v: Array, a: Array) -> Array:
-        """Controls of every physics step, (n, steps, 12), from the motion wanted, (n, steps, 12) each."""
+    def __call__(self, q: Array, v: Array, a: Array, payload_kg: Array | None = None) -> Array:
+        """Controls of every physics step, (n, steps, 12).
+
+        Args:
+            q: (n, steps, 12) positions wanted before each step.
+            v: (n, steps, 12) speeds wanted after it.
+            a: (n, steps, 12) accelerations wanted in it.
+            payload_kg: (n, steps, 2) what the controller was told that each gripper holds, or None.
+        """
         control: Array = v * self._damping
         control += q
         for start in range(0, q.shape[1], STEPS_PER_EVALUATION):
             part = slice(start, start + STEPS_PER_EVALUATION)
             control[:, part] += self._shift(q[:, part], v[:, part], a[:, part])
+            if payload_kg is not None and self._payload is not None:
+                control[:, part] += self._payload(a[:, part], payload_kg[:, part])
         return control
 
     def _shift(self, q: Array, v: Array, a: Array) -> Array:
@@ -69,6 +82,33 @@ class FeedForward:
         shift: Array = a @ per_acceleration
         shift += (self._bias * self._compliance)[:, None]
         return shift
+
+
+class PayloadTorque:
+    """By how much the controls must lead for the servos to carry and accelerate a point mass between the fingers.
+
+    Args:
+        batch: The batch of the nominal arm, computed at the posture in question.
+        kp: (12,) stiffness of the servos.
+    """
+
+    def __init__(self, batch: Any, kp: Array) -> None:
+        model = batch.model
+        self._points = [model.site(f"{arm}/tcp").id for arm in ARMS]
+        self._point, self._anchor, self._axis = (batch.bind(name) for name in ("site_xpos", "xanchor", "xaxis"))
+        self._compliance = (1.0 / kp).reshape(2, 1, 6)
+
+    def __call__(self, a: Array, payload_kg: Array) -> Array:
+        """(n, steps, 12) from the accelerations, (n, steps, 12), and masses, (n, steps, 2)."""
+        n, steps = a.shape[:2]
+        away = self._point[:, self._points][:, :, None] - self._anchor[:, :12].reshape(n, 2, 6, 3)
+        jacobian = np.cross(self._axis[:, :12].reshape(n, 2, 6, 3), away)
+        accelerations = a.reshape(n, steps, 2, 6).swapaxes(1, 2) @ (jacobian @ jacobian.swapaxes(2, 3))
+        torque = accelerations + GRAVITY_M_S2 * jacobian[:, :, None, :, 2]
+        torque *= payload_kg.swapaxes(1, 2)[..., None]
+        torque *= self._compliance
+        result: Array = torque.swapaxes(1, 2).reshape(n, steps, 12)
+        return result
 
 
 def _dense_entries(model: Any) -> NDArray[np.intp]:

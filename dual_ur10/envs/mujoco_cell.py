@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,19 +10,18 @@ from numpy.typing import NDArray
 
 from dual_ur10.assets.scene import build_model
 from dual_ur10.envs.feedforward import FeedForward
-from dual_ur10.envs.payload import write_masses
+from dual_ur10.envs.handling import Handling
+from dual_ur10.envs.plant import Plant
 from dual_ur10.envs.reference import ServojReference, TargetDelay
-from dual_ur10.errors import ClosedError
+from dual_ur10.errors import ClosedError, SettingsError
 from dual_ur10.sim2real.adapter import Command
-from dual_ur10.sim2real.cell import CellConfig, CellState, Perturbation
+from dual_ur10.sim2real.cell import CellConfig, CellState, Start
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 # What belongs to MuJoCo: built anew by unpickling, dropped by close.
-_LIVE = ("_batch", "_warnings", "_qpos", "_qvel", "_flange", "_feedforward", "_drawn")
-
-_ARM = slice(0, 12)  # joints of both arms come first in the model, which `assets.scene` checks
+_LIVE = ("_batch", "_warnings", "_arms_q", "_arms_qd", "_flange", "_handling", "_plant", "_feedforward", "_drawn")
 
 
 class MujocoCell:
@@ -32,7 +31,7 @@ class MujocoCell:
     the joint servos follow with feed-forward, and the state is that of the last instant.
 
     Args:
-        config: The cell.
+        config: The cell, with a task's equipment.
         ticks: Controller ticks per call of `advance`.
         n: Number of cells.
         threads: Threads to step on.
@@ -48,98 +47,149 @@ class MujocoCell:
         self._failed = np.zeros(n, dtype=bool)
         self._good: Array = np.zeros((n, 0))
         self._tick_s = np.float64(config.servoj.tick_s)
+        self._values = config.perturbation.expanded(n)
         self._build()
-        self.perturb(config.perturbation)
+        self._grippers = self._handling.servos(config) if self._handling else None
+        self._payload: Array = np.zeros((n, 2))
+        self._perturb(np.arange(n))
 
     def _build(self) -> None:
         import mujoco
         from mujoco.batch import Batch
 
-        scene = self.config.scene
-        # Everything measured is of positions, or part of the state.
+        scene, n = self.config.scene, self.n
+        # Everything measured is of positions, or part of the state, or of the last physics step.
         self._stage = int(mujoco.mjtStage.mjSTAGE_POS)
-        self._batch: Any = Batch(build_model(scene, drawn=False), self.n, self.threads)
+        self._batch: Any = Batch(build_model(scene, drawn=False), n, self.threads)
         self._warnings = self._batch.warning[:, :, 1]
-        self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
+        # Views: the arms' joints and, if there are grippers, each arm's two fingers behind its own.
+        joints = 8 if scene.equipment.grippers else 6
+        qpos, qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
+        self._arms_q: Array = qpos[:, : 2 * joints].reshape(n, 2, joints)[..., :6]
+        self._arms_qd: Array = qvel[:, : 2 * joints].reshape(n, 2, joints)[..., :6]
         sensors: Array = self._batch.bind("sensordata")
         # Views of the flange sensors, in the order that `assets.scene` documents.
         self._flange = tuple(
-            sensors[:, start : start + 2 * size].reshape(self.n, 2, size) for start, size in ((0, 3), (6, 4), (14, 3))
+            sensors[:, start : start + 2 * size].reshape(n, 2, size) for start, size in ((0, 3), (6, 4), (14, 3))
         )
-        self._feedforward = FeedForward(scene, self.n, self.threads)
+        self._handling = Handling(self._batch, scene) if scene.equipment.grippers else None
+        dofs = np.concatenate([np.arange(6), joints + np.arange(6)])
+        self._plant = Plant(self._batch, scene, dofs)
+        self._feedforward = FeedForward(scene, n, self.threads)
         self._drawn: tuple[Any, Any] | None = None
-        # Whether the batch has values of its own for each cell, which cost a little and are then kept up.
-        self._own_masses = self._own_friction = False
         self._closed = False
 
-    def perturb(self, perturbation: Perturbation) -> None:
-        """Let the plant differ from what is believed of it. To be followed by a reset of all rows."""
-        self.perturbation = perturbation
-        values = perturbation.expanded(self.n)
-        step_s = self.config.timestep_s
+    def _perturb(self, rows: Rows) -> None:
+        """Let the plant of `rows` differ from what is believed of it, as `_values` says."""
+        values = self._values
+        step_s = self.config.timestep_s or self.config.scene.timestep_s
         self._delay.latency = np.rint(values["latency_s"] / step_s).astype(np.int64)
         self._delay.jitter = np.rint(values["jitter_s"] / step_s).astype(np.int64)
         self._delay.loss = values["loss"]
         self._reference.set_lookahead(values["lookahead_scale"], delayed=not self._delay.is_none)
-        nominal = Perturbation().expanded(self.n)
-        masses = ("mass_scale", "payload_kg", "declared_payload_kg")
-        if self._own_masses or any((values[key] != nominal[key]).any() for key in masses):
-            self._own_masses = True
-            write_masses(self._batch, *(values[key] for key in masses))
+        self._plant.write(values, rows)
+        if values["declared_payload_kg"].any():
             self._feedforward.declare_payload(values["declared_payload_kg"])
-        if self._own_friction or values["friction_nm"].any():
-            self._own_friction = True
-            self._batch.expand("dof_frictionloss")[:, _ARM] = values["friction_nm"].reshape(self.n, 12)
 
-    def reset(self, q_rad: Array, rows: Rows | None = None, *, seeds: Sequence[int] | None = None) -> CellState:
-        """Put the arms to rest at `q_rad`.
+    def reset(
+        self,
+        start: Start,
+        rows: Rows | None = None,
+        *,
+        seeds: Sequence[int] | None = None,
+        perturbation: Mapping[str, Array] | None = None,
+    ) -> CellState:
+        """Put the arms, and what they handle, to rest where an episode begins.
 
         Args:
-            q_rad: (n, 2, 6), or (len(rows), 2, 6).
+            start: How it begins, in all cells or in `rows`.
             rows: The cells to reset; None: all.
             seeds: One per cell to reset, of the jitter and loss that follow; None: zeros.
+            perturbation: Values of `Perturbation` for the cells to reset, (len(rows), ...) each, from this episode on.
         """
         self._check_open()
         rows = np.arange(self.n) if rows is None else rows
-        q = np.asarray(q_rad, dtype=np.float64).reshape(-1, 2, 6)
+        q = np.asarray(start.q_rad, dtype=np.float64).reshape(-1, 2, 6)
+        if perturbation:
+            for name, value in perturbation.items():
+                self._values[name][rows] = value
+            self._perturb(rows)
         self._batch.reset(ids=rows, stage=0)
-        self._qpos[rows, _ARM] = q.reshape(-1, 12)
+        self._arms_q[rows] = q
+        if self._handling is not None and self._grippers is not None:
+            self._grippers.reset(self._handling.reset(start, rows), rows)
         self._batch.forward(ids=rows, stage=self._stage)
         self._delay.reset(q, rows, [0] * len(rows) if seeds is None else seeds)
         self._reference.reset(q, rows)
+        self._payload[rows] = 0.0
         self._good = self._batch.state.copy()
         self._elapsed[rows] = 0
         self._failed[rows] = False
         return self._state()
 
     def advance(self, command: Command) -> CellState:
-        """Send the targets of one control period, (n, ticks, 2, 6), and return the state at its end.
+        """Send one control period and return the state at its end.
 
         A row whose physics diverged stays where it was last well, marked as failed, until it is reset.
+
+        Raises:
+            ActionError: A gripper is asked for an opening that it does not have.
+            SettingsError: The command is for grippers, and the cell has none.
         """
         self._check_open()
-        batch, targets = self._batch, command.targets_rad
-        if not self._delay.is_none:
-            targets = self._delay(targets)
-        batch.rollout(self.steps, self._feedforward(*self._reference(targets)), record=())
+        batch = self._batch
+        batch.rollout(self.steps, self._control(command), record=())
+        if self._handling is not None:
+            self._handling.feel()
         if np.logical_or.reduce(self._warnings, axis=None) or np.logical_or.reduce(self._failed):
             self._failed |= self._warnings.any(axis=1)
             batch.state[self._failed] = self._good[self._failed]
         self._elapsed += self.ticks * ~self._failed
         self._good = batch.state.copy()
         batch.forward(stage=self._stage)
-        return self._state()
+        return self._state(moved=True)
 
-    def _state(self) -> CellState:
+    def _arm_control(self, targets: Array, payload_kg: Array | None) -> Array:
+        """Controls of the arms' servos, (n, steps, 12), from the targets sent, (n, ticks, 2, 6)."""
+        if not self._delay.is_none:
+            targets = self._delay(targets)
+        return self._feedforward(*self._reference(targets), payload_kg)
+
+    def _control(self, command: Command) -> Array:
+        """Controls of both arms' servos, (n, steps, 12), or with their grippers, (n, steps, 14)."""
+        handling, grippers, commanded = self._handling, self._grippers, command.gripper_m
+        if handling is None or grippers is None:
+            if commanded is not None:
+                raise SettingsError("a command for grippers was sent to a cell that has none: leave gripper_m out")
+            return self._arm_control(command.targets_rad, None)
+        opening = handling.opening_m
+        if commanded is None:
+            commanded = np.repeat(handling.held_m[:, None], self.ticks, axis=1)
+        control = np.empty((self.n, self.steps, 2, 7))
+        control[..., 6] = grippers(commanded, opening)
+        before, self._payload = self._payload, self._payload if command.payload_kg is None else command.payload_kg
+        payload = None
+        if before.any() or self._payload.any():
+            share = np.arange(1, self.steps + 1)[:, None] / self.steps
+            payload = before[:, None] + share * (self._payload - before)[:, None]
+        control[..., :6] = self._arm_control(command.targets_rad, payload).reshape(self.n, self.steps, 2, 6)
+        return control.reshape(self.n, self.steps, 14)
+
+    def _state(self, *, moved: bool = False) -> CellState:
         base_m, base_quat, flange_m = self._flange
         return CellState(
-            time_s=self._elapsed * self._tick_s,
-            q_rad=self._qpos[:, _ARM].reshape(self.n, 2, 6),
-            qd_rad_s=self._qvel[:, _ARM].reshape(self.n, 2, 6),
-            flange_base_m=base_m,
-            flange_base_quat=base_quat,
-            flange_m=flange_m,
-            failed=self._failed,
+            self._elapsed * self._tick_s,
+            self._arms_q,
+            self._arms_qd,
+            base_m,
+            base_quat,
+            flange_m,
+            self._failed,
+            *(
+                self._handling.state(base_quat, np.flatnonzero(~self._failed) if moved else None)
+                if self._handling
+                else ()
+            ),
         )
 
     def model_and_data(self, row: int) -> tuple[Any, Any]:
@@ -180,6 +230,6 @@ class MujocoCell:
             self.close()
             return
         self._build()
-        self.perturb(self.perturbation)
+        self._perturb(np.arange(self.n))
         self._batch.state[:] = integration
         self._batch.forward(stage=self._stage)

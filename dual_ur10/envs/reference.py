@@ -12,6 +12,8 @@ from dual_ur10.sim2real.servoj import ServojLaw, ServojProfile
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
+_MOST_KEPT = 512  # discretisations of the law
+
 _NEVER = 2**40  # physics step at which a lost target arrives
 
 
@@ -95,15 +97,25 @@ class ServojReference:
         self.steps = ticks * substeps
         # Rows: position, speed, and the last difference of positions over the physics step.
         self._state: Array = np.zeros((n, 3, 12))
+        self._cache: dict[tuple[float, int], Array] = {}
         self.set_lookahead(np.ones((n, 2)), delayed=False)
 
     def set_lookahead(self, scale: Array, *, delayed: bool) -> None:
         """Choose the true lookahead of each arm, and whether targets come per physics step instead of per tick."""
         hold = 1 if delayed else self.substeps
         unique, which = np.unique(scale, return_inverse=True)
-        matrices = np.array([self._matrix(float(each), hold) for each in unique])
+        matrices = np.array([self._known(float(each), hold) for each in unique])
         # (rows, inputs) for all arms, or (n, 2, rows, inputs).
         self._matrices: Array = matrices[0] if len(unique) == 1 else matrices[which.reshape(self.n, 2)]
+
+    def _known(self, scale: float, hold: int) -> Array:
+        """As `_matrix`, which takes a millisecond, kept for when the same scale comes again."""
+        found = self._cache.get((scale, hold))
+        if found is None:
+            if len(self._cache) >= _MOST_KEPT:
+                self._cache.clear()
+            found = self._cache[scale, hold] = self._matrix(scale, hold)
+        return found
 
     def _matrix(self, scale: float, hold: int) -> Array:
         """Rows: positions before, speeds after and accelerations in every step; then the state at the end."""

@@ -11,9 +11,10 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.assets.scene import HOME_Q_RAD, ArmMount, SceneSettings
+from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
+from dual_ur10.envs.frames import to_base
 from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError
-from dual_ur10.kinematics import BASE_TO_BASE_LINK, try_nearest
+from dual_ur10.kinematics import try_nearest
 from dual_ur10.rotations import quat_from_rotvec, quat_to_matrix
 from dual_ur10.sim2real.clearance import Clearance
 from dual_ur10.sim2real.limits import MotionLimits
@@ -126,13 +127,6 @@ def _vectors(values: object) -> Array:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
         return np.zeros(0)
-
-
-def to_base(mounts: tuple[ArmMount, ArmMount]) -> tuple[Array, Array]:
-    """Position, (2, 3), and rotation, (2, 3, 3), that turn cell frame vectors into each arm's own `base` frame."""
-    turns = quat_to_matrix(quat_from_rotvec(np.array([[0.0, 0.0, mount.yaw_rad] for mount in mounts])))
-    rotation = (turns @ BASE_TO_BASE_LINK).swapaxes(-1, -2)
-    return np.array([mount.position_m for mount in mounts]), rotation
 
 
 @lru_cache(maxsize=64)

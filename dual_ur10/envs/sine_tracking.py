@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.scene import HOME_Q_RAD
-from dual_ur10.envs.sine_path import CENTER_RANGE_M, TOOL_DOWN_QUAT, SineSettings, check_path, to_base
+from dual_ur10.envs.frames import Frames
+from dual_ur10.envs.sine_path import CENTER_RANGE_M, TOOL_DOWN_QUAT, SineSettings, check_path
 from dual_ur10.envs.task import Outcome, Task, Timing, gaussian
 from dual_ur10.kinematics import nearest
 from dual_ur10.rotations import quat_conjugate, quat_multiply, quat_to_matrix
-from dual_ur10.sim2real.cell import CellConfig, CellState
+from dual_ur10.sim2real.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.limits import MotionLimits
 
 Array = NDArray[np.float64]
@@ -23,8 +24,8 @@ Rows = NDArray[np.intp]
 
 # Distance at which a term is 0.1: errors of both flanges, turns of both, error of the vector between them.
 _MARGINS = np.array([0.01, 0.01, 0.02, 0.02, 0.005])
-# The terms in the order of the weights: means over the arms.
-_MEANS = np.array([[0.5, 0.5, 0.0, 0.0, 0.0], [0.0, 0.0, 0.5, 0.5, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0]]).T
+# Which of them is each arm's value of each reward term.
+_TERMS = np.array([[0, 2, 4], [1, 3, 4]])
 
 
 class SineMeasured(NamedTuple):
@@ -149,7 +150,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     """
 
     name: ClassVar[str] = "SineTracking"
-    limits: ClassVar[MotionLimits] = MotionLimits(
+    limits: MotionLimits = MotionLimits(
         speed_rad_s=(1.2,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.5
     )
     weights: ClassVar[dict[str, float]] = {"position": 0.6, "orientation": 0.2, "synchrony": 0.2}
@@ -161,7 +162,9 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         self.observation_bound = np.tile(arm, 2)
         mounts = (cell.left, cell.right)
         check_path(settings, cell.scene, self.limits, cell.minimum_clearance_m)
-        self._base_m, self._to_base = to_base(mounts)
+        frames = Frames(mounts)
+        self._base_m, self._to_base, self._others = frames.base_m, frames.rotation, frames.others_pose
+        self.agent_bound = np.stack([np.append(arm, [5.0] * 3 + [1.01] * 4)] * 2)
         along_base = (self._to_base @ settings.direction) * settings.tracking[:, None]
         # What follows the sine: the reference in `base` now and ahead, and in the cell frame now.
         self._along = np.stack([along_base, along_base, settings.direction * settings.tracking[:, None]])
@@ -176,8 +179,8 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         self._squares: Array = np.zeros((n, 2))
         self._count = np.zeros(n, dtype=np.int64)
 
-    def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Array:
-        """Draw phase and centre. Returns the postures, (len(rows), 2, 6), with the flanges at the centres."""
+    def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
+        """Draw phase and centre. The postures have the flanges at the centres."""
         settings = self.settings
         for row, rng in zip(rows.tolist(), rngs, strict=True):
             shift, phase = np.zeros(3), settings.phase_rad
@@ -194,7 +197,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
             nearest(self._center[rows, 0, arm], np.broadcast_to(down, (len(rows), 3, 3)), HOME_Q_RAD[arm], mount.dh)
             for arm, mount in enumerate((self.cell.left, self.cell.right))
         ]
-        return np.stack(postures, axis=1)
+        return Start(np.stack(postures, axis=1))
 
     def measure(self, state: CellState) -> SineMeasured:
         """Reference and errors of all cells."""
@@ -225,13 +228,20 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         )
         return np.concatenate(parts, axis=2).reshape(self.n, -1)
 
+    def observe_agents(self, observation: Array) -> Array:
+        """Each agent's own observation, (n, 2, 41): its 34 numbers, and the pose of the other flange in its frame."""
+        own = observation.reshape(self.n, 2, -1)
+        pose = np.ones((self.n, 2, 1, 8))
+        pose[..., 0, :7] = own[:, ::-1, 18:25]
+        return np.concatenate([own, (pose @ self._others)[..., 0, :]], axis=2)
+
     def evaluate(self, state: CellState, measured: SineMeasured) -> Outcome:
         """Reward terms, and success at the end."""
         error = measured.error_m
         vectors = np.concatenate([error, measured.turn, error[:, :1] - error[:, 1:]], axis=1)
         squares = np.add.reduce(vectors * vectors, axis=2)
         sizes = np.sqrt(squares)
-        terms = (gaussian(sizes, _MARGINS)[:, None] @ _MEANS)[:, 0]
+        terms = gaussian(sizes, _MARGINS)[:, _TERMS]
         self._squares += squares[:, :2]
         self._count += 1
         over = self._count >= self._steps

@@ -10,8 +10,10 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from dual_ur10.assets.scene import Equipment
+from dual_ur10.envs.options import OPTION_NAMES
 from dual_ur10.errors import UnknownNameError
-from dual_ur10.sim2real.cell import CellConfig, CellState
+from dual_ur10.sim2real.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.limits import MotionLimits
 
 Array = NDArray[np.float64]
@@ -23,16 +25,20 @@ class Outcome(NamedTuple):
     """What a task says of n cells after a step.
 
     Attributes:
-        terms: (n, terms) raw reward terms in the order of `Task.weights`; the reward is their weighted sum.
-        success: (n,) whether the task is done well. True only where `over` is.
-        over: (n,) whether the episode has come to its natural end.
-        info: Values for `info` by name, (n, ...) each.
+        terms: (n, 2, terms) raw reward terms of each arm, in the order of `Task.weights`. An arm's own reward is their
+            weighted sum; the reward of both together is the mean of the two.
+        success: (n,) whether the task is done well. True only where `over` or `terminal` is.
+        over: (n,) whether the time of the episode has run out.
+        info: Values for `info` by name, (n, ...) each. One with a first axis of 2 behind that is of the left and the right
+            arm; others must not have one.
+        terminal: (n,) whether a state is reached from which there is nothing more to do, well done or not; None: none.
     """
 
     terms: Array
     success: Mask
     over: Mask
     info: dict[str, Array]
+    terminal: Mask | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,6 +54,24 @@ class Timing:
     ahead_s: float
 
 
+@dataclasses.dataclass(frozen=True)
+class Furnishing:
+    """What a task needs in the cell.
+
+    Attributes:
+        equipment: Grippers and what they handle.
+        timestep_s: Physics step, if the cell does not say otherwise.
+        gains: Joint servos, if the cell does not say otherwise.
+        closer: Smallest legal distance in m of pairs of bodies that may come closer than the cell's own smallest
+            distance, by their names in `dual_ur10.assets.scene.clearance_pairs`.
+    """
+
+    equipment: Equipment = dataclasses.field(default_factory=Equipment)
+    timestep_s: float = 0.002
+    gains: str = "stiff"
+    closer: Mapping[tuple[str, str], float] = dataclasses.field(default_factory=dict)
+
+
 SettingsT = TypeVar("SettingsT")
 MeasuredT = TypeVar("MeasuredT")
 
@@ -57,10 +81,13 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
 
     Attributes:
         name: As in the id.
-        limits: What the arms may do in this task, in simulation and in reality.
+        limits: What the arms may do in this task, in simulation and in reality; of an object, as far as its cell
+            allows it.
         weights: Weight of each reward term, by its name.
+        stages: Names of the stages that `info["stage"]` counts, if there are any; 0 is before the first.
         settings_type: Dataclass of what the user may set.
         observation_bound: (size,) largest magnitude of each number of an observation.
+        agent_bound: (2, size) the same of each agent's observation.
 
     Args:
         settings: What the user may set.
@@ -70,17 +97,25 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
     """
 
     name: ClassVar[str]
-    limits: ClassVar[MotionLimits]
+    limits: MotionLimits
     weights: ClassVar[Mapping[str, float]]
+    stages: ClassVar[tuple[str, ...]] = ()
     settings_type: ClassVar[type[Any]]
     observation_bound: Array
+    agent_bound: Array
 
     def __init__(self, settings: SettingsT, cell: CellConfig, timing: Timing, n: int) -> None:
         self.settings, self.cell, self.timing, self.n = settings, cell, timing, n
+        self.limits = cell.capped(type(self).limits)
+
+    @classmethod
+    def furnishing(cls, settings: SettingsT) -> Furnishing:
+        """What the task needs in the cell."""
+        return Furnishing()
 
     @abstractmethod
-    def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Array:
-        """Draw new episodes for `rows`, one generator each. Returns the start postures, (len(rows), 2, 6)."""
+    def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
+        """Draw new episodes for `rows`, one generator each. Returns how they begin, (len(rows), ...) each."""
 
     @abstractmethod
     def measure(self, state: CellState) -> MeasuredT:
@@ -88,11 +123,19 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
 
     @abstractmethod
     def observe(self, state: CellState, measured: MeasuredT, commanded_q_rad: Array) -> Array:
-        """Observations, (n, size)."""
+        """Observations, (n, size): the left arm's numbers, then the right arm's."""
+
+    def observe_agents(self, observation: Array) -> Array:
+        """Each agent's own observation, (n, 2, size), from those of both, (n, size)."""
+        return observation.reshape(self.n, 2, -1)
 
     @abstractmethod
     def evaluate(self, state: CellState, measured: MeasuredT) -> Outcome:
         """Reward terms and success. Called once per step, for it may keep count of an episode."""
+
+    def payload_kg(self) -> Array | None:
+        """(n, 2) mass that each gripper holds at the end of the period to come, as told to the controllers."""
+        return None
 
 
 def task_settings(task: type[Task[Any, Any]], keywords: Mapping[str, Any]) -> Any:
@@ -104,23 +147,8 @@ def task_settings(task: type[Task[Any, Any]], keywords: Mapping[str, Any]) -> An
     known = [each.name for each in dataclasses.fields(task.settings_type)]
     for key in keywords:
         if key not in known:
-            raise UnknownNameError(f"keyword of {task.name}", str(key), [*known, *ENV_KEYWORDS])
+            raise UnknownNameError(f"keyword of {task.name}", str(key), [*known, *OPTION_NAMES])
     return task.settings_type(**keywords)
-
-
-ENV_KEYWORDS = (
-    "render_mode",
-    "cell",
-    "policy_rate_hz",
-    "action_mode",
-    "action_latency_ticks",
-    "compensate_lag",
-    "camera",
-    "width",
-    "height",
-    "shadows",
-)
-"""Keywords of every environment, beside those of its task."""
 
 
 _LOG_TENTH = float(np.log(0.1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -11,18 +12,21 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from dual_ur10.envs.core import DEFAULT_RATE_HZ, PHYSICS_ERROR, Core, Step
-from dual_ur10.envs.rendering import Renderer
+from dual_ur10.envs.core import PHYSICS_ERROR, Core, Step
+from dual_ur10.envs.infos import masked, restarted
+from dual_ur10.envs.options import DEFAULT_RATE_HZ
+from dual_ur10.envs.pixels import Observer, row_of
 from dual_ur10.errors import ResetNeededError, SettingsError, UnknownNameError
-from dual_ur10.sim2real.adapter import ActionMode
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Rows = NDArray[np.intp]
 
 
-class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
+class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
     """n cells behind Gymnasium's vector interface. Row k with seed s is bit for bit the single env with seed s + k.
+
+    What is observed: as with `dual_ur10.envs.dual_arm_env.DualArmEnv`, each array with a leading axis of n cells.
 
     `gym.make_vec` forbids `vector_kwargs` and wrappers with an environment of this kind: everything is a keyword.
 
@@ -33,8 +37,7 @@ class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
         max_episode_steps: Truncate episodes after so many steps; None: only where the task ends.
         threads: Threads to step on; None: as many as there are processors.
         render_mode: None or "rgb_array": one image per cell.
-        cell, policy_rate_hz, action_mode, action_latency_ticks, compensate_lag, camera, width, height, shadows,
-            **settings: As for `dual_ur10.envs.dual_arm_env.DualArmEnv`.
+        **keywords: Those of every environment, `dual_ur10.envs.options.EnvOptions`, and the task's own.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # as Gymnasium declares it
@@ -52,16 +55,7 @@ class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
         max_episode_steps: int | None = None,
         threads: int | None = None,
         render_mode: str | None = None,
-        cell: object = "mujoco",
-        policy_rate_hz: float = DEFAULT_RATE_HZ,
-        action_mode: ActionMode = "joint_delta",
-        action_latency_ticks: int = 0,
-        compensate_lag: bool = True,
-        camera: str = "perspective",
-        width: int = 640,
-        height: int = 480,
-        shadows: bool = False,
-        **settings: Any,
+        **keywords: Any,
     ) -> None:
         self.closed = True  # until there is something to close: Gymnasium closes what a failed construction left
         if not (isinstance(num_envs, int | np.integer) and not isinstance(num_envs, bool) and num_envs >= 1):
@@ -76,19 +70,9 @@ class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
             raise UnknownNameError("autoreset mode", str(autoreset_mode), values)
         self.num_envs, self.render_mode = num_envs, render_mode
         self.autoreset_mode, self._max_steps = AutoresetMode(autoreset_mode), max_episode_steps
-        self._renderer = Renderer(camera, width, height, shadows)
-        self.core = Core(
-            task,
-            settings,
-            n=num_envs,
-            threads=threads,
-            cell=cell,
-            policy_rate_hz=policy_rate_hz,
-            action_mode=action_mode,
-            action_latency_ticks=action_latency_ticks,
-            compensate_lag=compensate_lag,
-        )
-        self.single_action_space, self.single_observation_space = self.core.action_space, self.core.observation_space
+        self.core = Core(task, keywords, n=num_envs, threads=threads)
+        self._observer = Observer(self.core)
+        self.single_action_space, self.single_observation_space = self.core.action_space, self._observer.space
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.metadata = {
@@ -106,12 +90,17 @@ class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
         *,
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
-    ) -> tuple[Array, dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:
         """Begin new episodes.
 
         Args:
             seed: As for `gymnasium.vector.SyncVectorEnv`: s gives row k the seed s + k; or one per row.
             options: `{"reset_mask": mask}` resets only the rows of a boolean mask, (num_envs,).
+
+        Raises:
+            SettingsError: Seeds or mask do not fit.
+            ResetNeededError: The first reset is not of all rows.
+            RenderError: Images are observed, and no OpenGL backend was found.
         """
         seeds: list[int | None] = [None] * self.num_envs
         if seed is not None:
@@ -129,7 +118,7 @@ class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
         observation, info = self._begin(rows)
         mask = np.zeros(self.num_envs, dtype=bool)
         mask[rows] = True
-        return observation, _masked(info, mask)
+        return observation, masked(info, mask)
 
     def _masked_rows(self, options: dict[str, Any]) -> Rows:
         mask = options.pop("reset_mask", None)
@@ -143,14 +132,15 @@ class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
             )
         return np.flatnonzero(mask)
 
-    def _begin(self, rows: Rows) -> tuple[Array, dict[str, NDArray[Any]]]:
+    def _begin(self, rows: Rows) -> tuple[Any, dict[str, NDArray[Any]]]:
         self._steps[rows] = 0
         self._done[rows] = False
-        return self.core.reset([self._rngs[row] for row in rows.tolist()], rows)
+        state, info = self.core.reset([self._rngs[row] for row in rows.tolist()], rows)
+        return self._observer.begin(state, rows), info
 
     def step(  # type: ignore[override]  # Gymnasium types the flags as it types rewards
         self, actions: Array
-    ) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
+    ) -> tuple[Any, Array, Mask, Mask, dict[str, Any]]:
         """One control period of all cells; see `gymnasium.vector.VectorEnv.step`.
 
         Raises:
@@ -166,31 +156,36 @@ class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
                 actions[self._done] = 0  # these rows begin anew, whatever their action says
         step = self.core.step(actions)
         self._steps += 1
-        observation, reward, terminated, truncated = step.observation, step.reward, step.terminated, step.truncated
+        reward, terminated, truncated = step.reward, step.terminated, step.truncated
         if self._max_steps is not None:
             truncated = truncated | (self._steps >= self._max_steps)
         info = self._info(step)
         if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._done.any():
             fresh = self._done.copy()
+            self._observer.advance(step.observation, np.flatnonzero(~fresh))
             observation, begun = self._begin(np.flatnonzero(fresh))
             reward[fresh], terminated[fresh], truncated[fresh] = 0.0, False, False
-            info = _restarted(info, fresh, begun)
+            info = restarted(info, fresh, begun)
+        else:
+            observation = self._observer.advance(step.observation)
         self._done = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
             ended = self._done.copy()
             final = np.full(self.num_envs, None, dtype=object)
             for row in np.flatnonzero(ended).tolist():
-                final[row] = observation[row].copy()
+                final[row] = deepcopy(row_of(observation, row))
             final_info = {name: value & ended if name.startswith("_") else value for name, value in info.items()}
             observation, begun = self._begin(np.flatnonzero(ended))
-            info = _restarted(info, ended, begun)
-            info.update({"final_obs": final, "_final_obs": ended, "final_info": final_info, "_final_info": ended})
+            info = restarted(info, ended, begun)
+            info.update(
+                {"final_obs": final, "_final_obs": ended, "final_info": final_info, "_final_info": ended.copy()}
+            )
             self._done = np.zeros(self.num_envs, dtype=bool)
         return observation, reward, terminated, truncated, info
 
     def _info(self, step: Step) -> dict[str, Any]:
         everyone = np.ones(self.num_envs, dtype=bool)
-        info = _masked(step.info, everyone)
+        info = masked(step.info, everyone)
         for name, rows, values in (
             ("safety", sorted(step.verdicts), step.verdicts),
             ("physics_error", np.flatnonzero(step.diverged).tolist(), None),
@@ -211,29 +206,10 @@ class DualArmVectorEnv(VectorEnv[Array, Array, Array]):
         """
         if self.render_mode is None:
             return None
-        return tuple(self._renderer.image(*self.core.cell_data(row)) for row in range(self.num_envs))
+        return tuple(self._observer.renderer.image(*self.core.cell_data(row)) for row in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release simulation and images."""
-        self._renderer.close()
+        self._observer.close()
         self.core.close()
 
-
-def _masked(info: dict[str, NDArray[Any]], mask: Mask) -> dict[str, Any]:
-    """Gymnasium's form of a vector env's info: each array with a mask of the rows that it is for."""
-    result: dict[str, Any] = {}
-    for name, value in info.items():
-        result[name], result["_" + name] = value, mask
-    return result
-
-
-def _restarted(info: dict[str, Any], rows: Mask, begun: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """`info` with that of a reset in the masked rows; without what then concerns no row."""
-    result: dict[str, Any] = {}
-    for name, value in info.items():
-        if name.startswith("_"):
-            continue
-        mask = info["_" + name] if name in begun else info["_" + name] & ~rows
-        if mask.any():
-            result[name], result["_" + name] = begun.get(name, value), mask
-    return result

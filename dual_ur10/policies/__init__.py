@@ -2,50 +2,55 @@
 
 from __future__ import annotations
 
+import dataclasses
+import importlib
 from typing import Any
 
-from dual_ur10.envs.core import DEFAULT_RATE_HZ, load_task
-from dual_ur10.envs.task import Timing
+from dual_ur10.envs.core import load_task
+from dual_ur10.envs.names import env_id_of
+from dual_ur10.envs.options import split_keywords
+from dual_ur10.envs.randomization import resolve_randomization
+from dual_ur10.envs.task import Timing, task_settings
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.policies.policy import Policy
-from dual_ur10.policies.sine_tracking import SineTrackingPolicy
 from dual_ur10.sim2real.cell import resolve_cell
 
 NAMES = ("scripted",)
 
-_SCRIPTED = {"SineTracking": SineTrackingPolicy}
+_SCRIPTED = {
+    "SineTracking": "sine_tracking:SineTrackingPolicy",
+    "SyncCarry": "sync_carry:SyncCarryPolicy",
+    "Handover": "handover:HandoverPolicy",
+}
 
-__all__ = ["NAMES", "Policy", "SineTrackingPolicy", "load"]
+__all__ = ["NAMES", "Policy", "load"]
 
 
-def load(
-    name: str,
-    env_id: str,
-    *,
-    cell: object = "mujoco",
-    policy_rate_hz: float = DEFAULT_RATE_HZ,
-    action_mode: str = "joint_delta",
-    action_latency_ticks: int = 0,
-    **_: Any,
-) -> Policy:
+def load(name: str, env_id: str, **keywords: Any) -> Policy:
     """A policy by name, for an environment made with these keywords.
+
+    A scripted policy is told of the rate and latency of actions, of where the arms stand and how fast they may move,
+    and of the task's settings. It is not told what kind of cell it moves.
 
     Args:
         name: "scripted".
         env_id: Id of the environment.
-        cell: As given to `gym.make`, like all that follow.
-        policy_rate_hz: Actions per second.
-        action_mode: What an action means.
-        action_latency_ticks: Ticks from an observation to the first target of its action.
-        **_: Other keywords of the environment do not matter to a policy and may be passed on as they are.
+        **keywords: As given to `gym.make`. Those that concern neither task nor cell do not matter to a policy.
 
     Raises:
-        UnknownNameError: No such policy, or no such task.
+        UnknownNameError: No such policy, or no such environment.
     """
     if name not in NAMES:
         raise UnknownNameError("policy", str(name), NAMES)
-    task = load_task(env_id.split("/")[-1].rsplit("-v", 1)[0])
-    config = resolve_cell(cell)
-    period_s = config.servoj.ticks_per_action(policy_rate_hz) * config.servoj.tick_s
-    timing = Timing(period_s, period_s + action_latency_ticks * config.servoj.tick_s)
-    return _SCRIPTED[task.name](timing, action_mode, [config.left.dh, config.right.dh])
+    task = load_task(env_id_of(env_id).split("/")[1].rsplit("-v", 1)[0])
+    options, own = split_keywords(keywords)
+    config = resolve_cell(options.cell)
+    period_s = config.servoj.ticks_per_action(options.policy_rate_hz) * config.servoj.tick_s
+    timing = Timing(period_s, period_s + options.action_latency_ticks * config.servoj.tick_s)
+    own = {key: own[key] for key in own if key in {each.name for each in dataclasses.fields(task.settings_type)}}
+    settings = resolve_randomization(options.randomization).spread(task_settings(task, own), own)
+    module, attribute = _SCRIPTED[task.name].split(":")
+    factory = getattr(importlib.import_module(f"dual_ur10.policies.{module}"), attribute)
+    mounts, limits = (config.left, config.right), config.capped(task.limits)
+    policy: Policy = factory(timing, options.action_mode, mounts=mounts, limits=limits, settings=settings)
+    return policy

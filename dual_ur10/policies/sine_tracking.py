@@ -7,15 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from dual_ur10.assets.scene import ArmMount, SceneSettings
+from dual_ur10.envs.sine_path import SineSettings
 from dual_ur10.envs.sine_tracking import SineTracking
 from dual_ur10.envs.task import Timing
 from dual_ur10.errors import ActionError, SettingsError
 from dual_ur10.kinematics import nearest
 from dual_ur10.policies.lag_model import DeviationModel
 from dual_ur10.rotations import quat_multiply, quat_to_matrix
-from dual_ur10.ur10 import NOMINAL_DH, DHParameters
+from dual_ur10.sim2real.limits import MotionLimits
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
 
 # Where the parts of one arm's 34 numbers are; see the table of `SineTracking`.
 _Q, _COMMANDED, _FLANGE_QUAT = slice(0, 6), slice(12, 18), slice(21, 25)
@@ -31,7 +34,9 @@ class SineTrackingPolicy:
     Args:
         timing: Rate and latency of actions.
         action_mode: "joint_delta" or "joint_position".
-        dh: Kinematics of the arms.
+        mounts: Where the arms stand, and their kinematics.
+        limits: What the arms may do, as the cell allows it.
+        settings: Those of the task; they do not matter.
         learn: Whether to learn the deviation while moving. Without it the policy commands the reference as it is.
     """
 
@@ -39,14 +44,17 @@ class SineTrackingPolicy:
         self,
         timing: Timing,
         action_mode: str = "joint_delta",
-        dh: Sequence[DHParameters] = (NOMINAL_DH, NOMINAL_DH),
+        mounts: Sequence[ArmMount] | None = None,
+        limits: MotionLimits | None = None,
+        settings: SineSettings | None = None,
         *,
         learn: bool = True,
     ) -> None:
         if action_mode not in ("joint_delta", "joint_position"):
             raise SettingsError(f"the scripted policy commands joints: action_mode {action_mode!r} is not for it")
-        self.timing, self.action_mode, self.dh, self.learn = timing, action_mode, tuple(dh), learn
-        self._step = np.tile(SineTracking.limits.speed_rad_s, 2) * timing.period_s
+        self.timing, self.action_mode, self.learn = timing, action_mode, learn
+        self.dh = [mount.dh for mount in (SceneSettings().mounts if mounts is None else mounts)]
+        self._step = np.tile((limits or SineTracking.limits).speed_rad_s, 2) * timing.period_s
         # Derivatives of the parabola through the wanted positions one period ago, now and ahead, at the latter two.
         h, ahead = timing.period_s, timing.ahead_s
         times = np.array([-h, 0.0, ahead])
@@ -63,6 +71,11 @@ class SineTrackingPolicy:
         self._predicted: Array | None = None
         self._expected: Array | None = None
         self._added: list[Array] = []
+
+    def begin(self, rows: Rows, seeds: Sequence[int]) -> None:
+        """Rows of the batch begin episodes; see `dual_ur10.policies.evaluate.EpisodeAware`."""
+        if self._predicted is not None:
+            self._predicted[rows] = np.inf  # nothing goes on from there
 
     def __call__(self, observation: Array) -> Array:
         """Action, (12,) of float32, for an observation, (68,), or (n, 12) for (n, 68).

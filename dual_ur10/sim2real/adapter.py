@@ -57,11 +57,14 @@ class Command(NamedTuple):
 
     Attributes:
         targets_rad: (n, ticks, 2, 6) servoj targets.
-        gripper_m: (n, 2) opening of each gripper, or None where there is none.
+        gripper_m: (n, ticks, 2) opening of each gripper, or None where there is none.
+        payload_kg: (n, 2) mass that each gripper holds at the end of the period, as told to the controller, which
+            goes from the mass before to this one evenly; None: nothing is told.
     """
 
     targets_rad: Array
     gripper_m: Array | None = None
+    payload_kg: Array | None = None
 
 
 class ServojAdapter:
@@ -293,8 +296,8 @@ class ServojAdapter:
         return self._inside(goal.reshape(self.n, 12))
 
     def _opening(self, action: Array) -> Array | None:
-        """Opening of each gripper, (n, 2), in m."""
+        """Opening of each gripper in every tick, (n, ticks, 2), in m."""
         if not self.gripper:
             return None
-        opening: Array = (np.clip(action[..., 6], -1.0, 1.0) + 1.0) * (GRIPPER_OPENING_M / 2)
-        return opening
+        opening = (np.clip(action[..., 6], -1.0, 1.0) + 1.0) * (GRIPPER_OPENING_M / 2)
+        return np.repeat(opening[:, None], self.ticks, axis=1)

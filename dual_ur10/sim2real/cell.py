@@ -7,15 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.assets.scene import CLEARANCE_CUTOFF_M, ArmMount, SceneSettings
+from dual_ur10.assets.scene import CLEARANCE_CUTOFF_M, ArmMount, Equipment, SceneSettings
 from dual_ur10.errors import RateError, SettingsError, UnknownNameError
 from dual_ur10.sim2real.adapter import Command
 from dual_ur10.sim2real.clearance import MINIMUM_M
+from dual_ur10.sim2real.limits import MotionLimits
 from dual_ur10.sim2real.servoj import ServojProfile
 
 Array = NDArray[np.float64]
@@ -39,6 +41,14 @@ class CellState(NamedTuple):
         flange_base_quat: (n, 2, 4) flange orientation in that frame, (w, x, y, z).
         flange_m: (n, 2, 3) flange position in the cell frame.
         failed: (n,) whether the physics diverged; the other values of such a row are those of its last good instant.
+        flange_quat: (n, 2, 4) flange orientation in the cell frame, (w, x, y, z).
+        gripper_m: (n, 2) opening of each gripper; None where there is none, like all that follow.
+        wrench: (n, 2, 6) force (N) and torque about the flange (N·m) that what is gripped exerts on each gripper, in
+            the arm's `base` frame; the gripper's own weight is taken off, as a controller does that was told of it.
+        object_m: (n, 3) position of the object's centre in the cell frame.
+        object_quat: (n, 4) its orientation.
+        target_m: (n, 3) position of the target in the cell frame.
+        target_quat: (n, 4) its orientation.
     """
 
     time_s: Array
@@ -48,6 +58,31 @@ class CellState(NamedTuple):
     flange_base_quat: Array
     flange_m: Array
     failed: NDArray[np.bool_]
+    flange_quat: Array | None = None
+    gripper_m: Array | None = None
+    wrench: Array | None = None
+    object_m: Array | None = None
+    object_quat: Array | None = None
+    target_m: Array | None = None
+    target_quat: Array | None = None
+
+
+class Start(NamedTuple):
+    """How an episode begins in k cells.
+
+    Attributes:
+        q_rad: (k, 2, 6) joint positions, at rest.
+        gripper_m: (k, 2) opening of each gripper; None where there is none.
+        object_pose: (k, 7) position of the object in the cell frame and its orientation (w, x, y, z), or None.
+        target_pose: (k, 7) the same of the target, or None.
+        drawn: What was drawn by chance, by name, (k, ...) each.
+    """
+
+    q_rad: Array
+    gripper_m: Array | None = None
+    object_pose: Array | None = None
+    target_pose: Array | None = None
+    drawn: Mapping[str, Array] = MappingProxyType({})
 
 
 class Cell(Protocol):
@@ -55,8 +90,8 @@ class Cell(Protocol):
 
     n: int
 
-    def reset(self, q_rad: Array, rows: Rows | None = None) -> CellState:
-        """Bring the arms to rest at `q_rad`, (n, 2, 6), in all cells or in `rows` (then (len(rows), 2, 6))."""
+    def reset(self, start: Start, rows: Rows | None = None) -> CellState:
+        """Bring all cells, or `rows` of them, to where an episode begins."""
 
     def advance(self, command: Command) -> CellState:
         """Send the targets of one control period, and return the state at its end."""
@@ -82,6 +117,10 @@ class Perturbation:
         loss: (n, 2) probability that a target is lost; the one before is held.
         payload_kg: (n, 2) mass at the flange.
         declared_payload_kg: (n, 2) what the controller was told of it, as with `set_payload`.
+        base_shift_m: (n, 2, 3) how far a base stands, in the cell frame, from where it is believed to stand.
+        base_turn_rad: (n, 2) by how much it is turned about the vertical beyond what is believed.
+        object_mass_scale: (n,) factor on the mass and inertia of the object.
+        grip_friction_scale: (n, 2) factor on the friction of the pads.
     """
 
     mass_scale: Numbers = 1.0
@@ -92,6 +131,10 @@ class Perturbation:
     loss: Numbers = 0.0
     payload_kg: Numbers = 0.0
     declared_payload_kg: Numbers = 0.0
+    base_shift_m: Numbers = 0.0
+    base_turn_rad: Numbers = 0.0
+    object_mass_scale: Numbers = 1.0
+    grip_friction_scale: Numbers = 1.0
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -103,6 +146,10 @@ class Perturbation:
             ("loss", 0.0, 0.9),
             ("payload_kg", 0.0, 10.0),
             ("declared_payload_kg", 0.0, 10.0),
+            ("base_shift_m", -0.05, 0.05),
+            ("base_turn_rad", -0.1, 0.1),
+            ("object_mass_scale", 0.1, 10.0),
+            ("grip_friction_scale", 0.1, 10.0),
         ):
             try:
                 value = np.asarray(getattr(self, name), dtype=np.float64)
@@ -127,10 +174,10 @@ class Perturbation:
 
     def expanded(self, n: int) -> dict[str, Array]:
         """All values as arrays of their full shape."""
-        shapes = {"friction_nm": (n, 2, 6)}
+        shapes: dict[str, tuple[int, ...]] = {"friction_nm": (2, 6), "base_shift_m": (2, 3), "object_mass_scale": ()}
         result = {}
         for each in fields(self):
-            shape = shapes.get(each.name, (n, 2))
+            shape = (n, *shapes.get(each.name, (2,)))
             try:
                 value = np.broadcast_to(np.asarray(getattr(self, each.name), dtype=np.float64), shape)
             except ValueError:
@@ -163,11 +210,16 @@ class CellConfig:
         kind: "mujoco", the simulated cell.
         left, right: Where each arm stands, and its kinematics.
         servoj: Controller family and servoj settings of both arms.
-        timestep_s: Physics step; it must divide the controller's tick.
-        gains: Joint servos, a name of `dual_ur10.assets.scene.GAINS`.
+        timestep_s: Physics step; it must divide the controller's tick. None: what the task needs.
+        gains: Joint servos, a name of `dual_ur10.assets.scene.GAINS`. None: what the task needs.
         minimum_clearance_m: Smallest distance between two bodies that the safety gate lets the arms come to.
         perturbation: How the simulated plant differs from what is believed of it.
         meshes: Draw real meshes, if the package example-robot-data is installed.
+        speed_rad_s: Joint speed that no task may exceed here; None: as the task says.
+        tcp_speed_m_s: Speed of flange and elbow that no task may exceed here; None: as the task says.
+        wrench_noise: Standard deviation of the force (N) and torque (N·m) that the controllers report. A CB3 reads
+            them from its motors' currents.
+        equipment: Grippers and what they handle; set by the task.
 
     Raises:
         RateError: The physics step does not divide the tick.
@@ -178,11 +230,15 @@ class CellConfig:
     left: ArmMount = field(default_factory=lambda: SceneSettings().left)
     right: ArmMount = field(default_factory=lambda: SceneSettings().right)
     servoj: ServojProfile = field(default_factory=ServojProfile)
-    timestep_s: float = 0.002
-    gains: str = "stiff"
+    timestep_s: float | None = None
+    gains: str | None = None
     minimum_clearance_m: float = MINIMUM_M
     perturbation: Perturbation = field(default_factory=Perturbation)
     meshes: bool = False
+    speed_rad_s: float | None = None
+    tcp_speed_m_s: float | None = None
+    wrench_noise: tuple[float, float] = (2.0, 0.2)
+    equipment: Equipment = field(default_factory=Equipment)
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(CellKind):
@@ -192,24 +248,51 @@ class CellConfig:
                 f"minimum_clearance_m is {self.minimum_clearance_m!r}: it must be at least 0.005 m and below "
                 f"{CLEARANCE_CUTOFF_M} m, beyond which distances are not measured"
             )
+        for name in ("speed_rad_s", "tcp_speed_m_s"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < float("inf"):
+                raise SettingsError(f"{name} of the cell is {value!r}: it must be above 0, or None")
+        if len(self.wrench_noise) != 2 or not all(0 <= each < float("inf") for each in self.wrench_noise):
+            raise SettingsError(f"wrench_noise is {self.wrench_noise!r}: two numbers, 0 or more (N, N·m)")
         _ = self.scene, self.substeps
 
     @property
     def scene(self) -> SceneSettings:
         """The scene of this cell."""
+        given = {"timestep_s": self.timestep_s, "gains": self.gains}
         return SceneSettings(
-            left=self.left, right=self.right, timestep_s=self.timestep_s, gains=self.gains, meshes=self.meshes
+            left=self.left,
+            right=self.right,
+            meshes=self.meshes,
+            equipment=self.equipment,
+            **{name: value for name, value in given.items() if value is not None},  # type: ignore[arg-type]  # two types
         )
+
+    def furnished(self, equipment: Equipment, timestep_s: float, gains: str) -> CellConfig:
+        """This cell with a task's equipment, and its physics step and servos where the cell leaves them open."""
+        return replace(
+            self,
+            equipment=equipment,
+            timestep_s=timestep_s if self.timestep_s is None else self.timestep_s,
+            gains=gains if self.gains is None else self.gains,
+        )
+
+    def capped(self, limits: MotionLimits) -> MotionLimits:
+        """A task's limits, as far as this cell allows them."""
+        joint, tip = self.speed_rad_s or float("inf"), self.tcp_speed_m_s or float("inf")
+        speeds: Any = [min(each, joint) for each in limits.speed_rad_s]
+        return replace(limits, speed_rad_s=speeds, tcp_speed_m_s=min(limits.tcp_speed_m_s, tip))
 
     @property
     def substeps(self) -> int:
         """Physics steps per controller tick."""
-        steps = self.servoj.tick_s / self.timestep_s
+        timestep_s = self.scene.timestep_s
+        steps = self.servoj.tick_s / timestep_s
         whole = round(steps)
         if whole < 1 or abs(steps - whole) > 1e-9 * steps:
             tick_ms = self.servoj.tick_s * 1e3
             raise RateError(
-                f"timestep_s is {self.timestep_s:g}: it must divide the controller's tick of {tick_ms:g} ms, such as "
+                f"timestep_s is {timestep_s:g}: it must divide the controller's tick of {tick_ms:g} ms, such as "
                 f"{', '.join(f'{tick_ms / parts / 1e3:g}' for parts in (2, 4, 8))}"
             )
         return whole

@@ -5,7 +5,9 @@ MuJoCo computes them, in a batch of their own that holds the collision geometry 
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -29,7 +31,12 @@ class Clearance:
         n: Number of cells.
         threads: Threads to compute on.
         minimum_m: Smallest legal distance of any pair.
-        allowed: Pairs of `assets.scene.clearance_pairs` that may touch in this task; frozen at construction.
+        closer: Smallest legal distance in m of those pairs of `assets.scene.clearance_pairs(settings)` that have one of
+            their own in this task; frozen at construction.
+
+    Raises:
+        UnknownNameError: A pair in `closer` is none of this scene.
+        SettingsError: A distance in `closer` is not finite or below 0.
     """
 
     def __init__(
@@ -39,22 +46,26 @@ class Clearance:
         n: int = 1,
         threads: int = 1,
         minimum_m: float = MINIMUM_M,
-        allowed: Collection[Pair] = (),
+        closer: Mapping[Pair, float] = MappingProxyType({}),
     ) -> None:
-        self._arguments = (settings, n, threads, minimum_m, tuple(allowed))
-        self.pairs = clearance_pairs()
-        for pair in allowed:
+        self._arguments = (settings, n, threads)
+        self.pairs = clearance_pairs(settings)
+        for pair, distance in closer.items():
             if pair not in self.pairs:
                 raise UnknownNameError("contact pair", str(pair), [str(each) for each in self.pairs])
+            if not (math.isfinite(distance) and distance >= 0.0):
+                raise SettingsError(
+                    f"the smallest distance of {' and '.join(pair)} is {distance} m: it must be 0 or more"
+                )
         self.minimum_m = minimum_m
-        self._threshold = np.array([-np.inf if pair in allowed else minimum_m for pair in self.pairs])
+        self._threshold = np.array([closer.get(pair, minimum_m) for pair in self.pairs])
         self._build()
 
     def _build(self) -> None:
         import mujoco
         from mujoco.batch import Batch
 
-        settings, n, threads, _, _ = self._arguments
+        settings, n, threads = self._arguments
         self._batch: Any = Batch(build_clearance_model(settings), n, threads)
         self._stage = int(mujoco.mjtStage.mjSTAGE_POS)
         self._qpos: Array = self._batch.bind("qpos")
@@ -92,7 +103,7 @@ class Clearance:
         """
         distance = self.distances_m(np.broadcast_to(q_rad, self._qpos.shape))[0]
         pair = int((distance - self._threshold).argmin())
-        return " and ".join(self.pairs[pair]), float(distance[pair]), self.minimum_m
+        return " and ".join(self.pairs[pair]), float(distance[pair]), float(self._threshold[pair])
 
     def check_start(self, q_rad: Array, rows: NDArray[np.intp]) -> None:
         """Refuse postures, (len(rows), 2, 6), that episodes in `rows` must not start from.

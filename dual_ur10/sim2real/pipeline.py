@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import ActionError, SettingsError
-from dual_ur10.sim2real.adapter import Command, ServojAdapter
+from dual_ur10.sim2real.adapter import GRIPPER_OPENING_M, Command, ServojAdapter
 from dual_ur10.sim2real.gate import SafetyGate, Verdict
 from dual_ur10.ur10 import ARMS
 
@@ -38,12 +38,22 @@ class ServojPipeline:
         self.adapter, self.gate, self.latency_ticks = adapter, gate, int(latency_ticks)
         self._shape = (adapter.n, 2, adapter.action_size)
         self._waiting: Array = np.zeros((adapter.n, self.latency_ticks, 2, 6))
+        # The last row is what was sent last: what a gripper is held at when its arm is stopped.
+        self._openings: Array = np.zeros((adapter.n, self.latency_ticks + 1, 2))
 
-    def reset(self, q_rad: Array, rows: Rows | None = None) -> None:
-        """Start from rest at `q_rad`, (n, 2, 6), in all cells or in `rows` of them (then (len(rows), 2, 6))."""
+    def reset(self, q_rad: Array, rows: Rows | None = None, gripper_m: Array | None = None) -> None:
+        """Start from rest.
+
+        Args:
+            q_rad: (n, 2, 6), or (len(rows), 2, 6).
+            rows: The cells to start; None: all.
+            gripper_m: (n, 2) or (len(rows), 2) opening of the grippers; None: open.
+        """
         self.adapter.reset(q_rad, rows)
         self.gate.reset(q_rad, rows)
-        self._waiting[slice(None) if rows is None else rows] = np.asarray(q_rad)[:, None]
+        index = slice(None) if rows is None else rows
+        self._waiting[index] = np.asarray(q_rad)[:, None]
+        self._openings[index] = GRIPPER_OPENING_M if gripper_m is None else np.asarray(gripper_m)[:, None]
 
     def __call__(self, action: object) -> tuple[Command, dict[int, Verdict]]:
         """What is sent in the next control period.
@@ -57,12 +67,22 @@ class ServojPipeline:
         Raises:
             ActionError: Not numbers, the wrong shape, NaN or infinity. Nothing is sent and nothing changes.
         """
-        targets, gripper = self.adapter(self.check(action))
+        targets, gripper, _ = self.adapter(self.check(action))
         if self.latency_ticks:
             queue = np.concatenate([self._waiting, targets], axis=1)
             targets, self._waiting = queue[:, : self.adapter.ticks], queue[:, self.adapter.ticks :]
         result = self.gate(targets)
+        if gripper is not None:
+            gripper = self._delayed(gripper, list(result.verdicts))
         return Command(result.targets_rad, gripper), result.verdicts
+
+    def _delayed(self, openings: Array, stopped: list[int]) -> Array:
+        """Openings, (n, ticks, 2), held back by the latency; in the `stopped` cells, what was sent last."""
+        queue = np.concatenate([self._openings, openings], axis=1)
+        if stopped:
+            queue[stopped] = self._openings[stopped, :1]
+        self._openings = queue[:, self.adapter.ticks :]
+        return queue[:, 1 : self.adapter.ticks + 1]
 
     def check(self, action: object) -> Array:
         """The action as float64 of shape (n, 2, action_size).

@@ -1,0 +1,114 @@
+"""Things to handle: a bar that takes both arms, and a block to hand over."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from typing import Any, Final
+
+from dual_ur10.assets.cell_tree import child_of
+from dual_ur10.assets.gripper import stiff
+from dual_ur10.assets.settings import PROPS, SceneSettings
+from dual_ur10.errors import UnknownNameError
+from dual_ur10.ur10 import ARMS
+
+BAR_LENGTH_M: Final = 1.2
+"""Along the bar's own y."""
+
+BAR_WIDTH_M: Final = 0.04
+"""Of the bar's square section."""
+
+BAR_MASS_KG: Final = 4.0
+
+GRIP_DISTANCE_M: Final = 1.0
+"""Between the bar's sites `left_grip` and `right_grip`, at y = ±0.5 m."""
+
+BLOCK_SIZE_M: Final = (0.2, 0.04, 0.04)
+"""The block's sides along its own x, y, z."""
+
+BLOCK_MASS_KG: Final = 0.5
+
+GRIP_QUAT: Final = (0.0, math.sqrt(0.5), -math.sqrt(0.5), 0.0)
+"""w, x, y, z: orientation of either arm's tcp in the bar's frame when it grips from above.
+
+The tool's x, y, z are the bar's -y, -x, -z. From `HOME_Q_RAD`, with the bar along the cell's y, wrist 3 turns by -90°,
+to near the middle of its range.
+"""
+
+BLOCK_GRIP_QUAT: Final = (0.0, 0.0, 1.0, 0.0)
+"""w, x, y, z: orientation of the tcp in the block's frame when it grips from above: x, y, z are the block's -x, y, -z.
+
+That of `HOME_Q_RAD`, with the block along the cell's x.
+"""
+
+
+def prop_width_m(prop: str) -> float:
+    """Width in m that the fingers hold.
+
+    Raises:
+        UnknownNameError: There is no such prop.
+    """
+    if prop not in PROPS:
+        raise UnknownNameError("prop", str(prop), PROPS)
+    return BAR_WIDTH_M if prop == "bar" else BLOCK_SIZE_M[1]
+
+
+def prop_size_m(prop: str) -> tuple[float, float, float]:
+    """Sides in m along the prop's own x, y, z.
+
+    Raises:
+        UnknownNameError: There is no such prop.
+    """
+    if prop not in PROPS:
+        raise UnknownNameError("prop", str(prop), PROPS)
+    return (BAR_WIDTH_M, BAR_LENGTH_M, BAR_WIDTH_M) if prop == "bar" else BLOCK_SIZE_M
+
+
+def add_prop(root: Any, settings: SceneSettings) -> None:
+    """Put the prop of these settings, if any, on the table at the origin. After the arms, whose joints come first."""
+    prop = settings.equipment.prop
+    if prop is None:
+        return
+    x, y, z = prop_size_m(prop)
+    mass = BAR_MASS_KG if prop == "bar" else BLOCK_MASS_KG
+    body = root.worldbody.add("body", name=prop, pos=(0, 0, z / 2))
+    body.add("freejoint", name=prop)
+    share = mass / 12
+    inertia = (share * (y**2 + z**2), share * (x**2 + z**2), share * (x**2 + y**2))
+    body.add("inertial", mass=mass, pos=(0, 0, 0), diaginertia=inertia)
+    body.add(
+        "geom",
+        name=prop,
+        type="box",
+        size=(x / 2, y / 2, z / 2),
+        group=3,
+        condim=4,
+        rgba=(0.9, 0.5, 0.2, 0.5),
+        solref=stiff(settings.timestep_s),
+        solimp=(0.99, 0.999, 0.001),
+    )
+    if prop == "bar":
+        for arm, sign in zip(ARMS, (1, -1), strict=True):
+            body.add("site", name=f"{arm}_grip", pos=(0, sign * GRIP_DISTANCE_M / 2, 0), quat=GRIP_QUAT, group=4)
+    else:
+        # Where the block is wanted. A body of its own in the undrawn model too, so that both have the same state.
+        root.worldbody.add("body", name="target", mocap="true", pos=(0, -0.3, z / 2))
+
+
+def weld_bar(document: ET.Element) -> None:
+    """Weld both grippers to the bar's grips, and let nothing of them touch it."""
+    equality, contact = child_of(document, "equality"), child_of(document, "contact")
+    for arm in ARMS:
+        # Between sites: a weld of bodies takes its pose from an anchor, which is easily meant otherwise. With MuJoCo's
+        # own solimp 5 N·m would turn the hand by 0.1° against the bar; with this one it is 0.006°.
+        ET.SubElement(
+            equality,
+            "weld",
+            name=f"{arm}_grip",
+            site1=f"{arm}/tcp",
+            site2=f"{arm}_grip",
+            solref="0.004 1",
+            solimp="0.999 0.999 0.001",
+        )
+        for body in ("gripper", "finger_1", "finger_2"):
+            ET.SubElement(contact, "exclude", name=f"{arm}-{body}", body1=f"{arm}/{body}", body2="bar")

@@ -1,0 +1,96 @@
+"""Poses of tools and of what they hold, and what both arms feel of it: shared by the tasks with grippers."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.assets.gripper import OPENING_M, PAD_LENGTH_M, TCP_M
+from dual_ur10.envs.carry_path import Poses
+from dual_ur10.rotations import quat_conjugate, quat_multiply, quat_to_matrix
+from dual_ur10.sim2real.cell import CellState
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+TCP_LEVER: Final[Array] = np.array([0.0, 0.0, TCP_M])
+
+_TABLE_M: Final = 5e-4
+"""How near fingers that pick something up may come to the table."""
+
+PICKING: Final = {(f"{arm}/fingers", "table"): _TABLE_M for arm in ("left", "right")}
+"""Smallest legal distances of hands that pick something up from the table."""
+
+_WIDTH_MARGIN_M: Final = 0.005
+
+
+def turned(quat: Array, vector: Array) -> Array:
+    """Vectors, (..., 3), turned by quaternions, (..., 4), one small product each."""
+    result: Array = (quat_to_matrix(quat) @ vector[..., None])[..., 0]
+    return result
+
+
+def after(first: Poses, second: Poses) -> Poses:
+    """`second`, given in the frame of `first`, in the frame that `first` is given in."""
+    return Poses(first.position_m + turned(first.quat, second.position_m), quat_multiply(first.quat, second.quat))
+
+
+def seen_from(frame: Poses, pose: Poses) -> Poses:
+    """`pose` in the frame of `frame`, both given in one frame."""
+    back = quat_conjugate(frame.quat)
+    return Poses(turned(back, pose.position_m - frame.position_m), quat_multiply(back, pose.quat))
+
+
+def angle(quat: Array) -> Array:
+    """Angle in rad, (...), of quaternions, (..., 4), accurate near zero."""
+    vector = quat[..., 1:]
+    result: Array = 2 * np.arctan2(np.sqrt(np.add.reduce(vector * vector, axis=-1)), np.abs(quat[..., 0]))
+    return result
+
+
+def length(vector: Array) -> Array:
+    """Lengths, (...), of vectors, (..., 3)."""
+    result: Array = np.sqrt(np.add.reduce(vector * vector, axis=-1))
+    return result
+
+
+def tools(state: CellState) -> Poses:
+    """Tool centre points in the cell frame, (n, 2, ...), with the flanges' orientations."""
+    quat = given(state.flange_quat)
+    return Poses(state.flange_m + turned(quat, np.broadcast_to(TCP_LEVER, state.flange_m.shape)), quat)
+
+
+def between(grip_in_tool_m: Array) -> Mask:
+    """(...) whether what a gripper is to hold is between its fingers, open or not.
+
+    Args:
+        grip_in_tool_m: (..., 3) where on the object the gripper should be, in its tool's frame.
+    """
+    near = np.abs(grip_in_tool_m) < np.array([0.06, OPENING_M / 4, PAD_LENGTH_M * 0.75])
+    result: Mask = np.logical_and.reduce(near, axis=-1)
+    return result
+
+
+def holds(state: CellState, grip_in_tool_m: Array, width_m: float) -> Mask:
+    """(n, 2) whether a gripper's fingers are on what it is to hold.
+
+    Args:
+        state: What was measured.
+        grip_in_tool_m: (n, 2, 3) where on the object the gripper should be, in its tool's frame.
+        width_m: Width of the object there.
+    """
+    on_it: Mask = np.abs(given(state.gripper_m) - width_m) < _WIDTH_MARGIN_M
+    return on_it & between(grip_in_tool_m)
+
+
+def given(values: Array | None) -> Array:
+    """Values that a cell with grippers always has.
+
+    Raises:
+        ValueError: They are missing.
+    """
+    if values is None:
+        raise ValueError("this cell has no grippers: a task with objects needs a cell with its equipment")
+    return values

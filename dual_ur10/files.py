@@ -1,0 +1,55 @@
+"""Files that are written at once or not at all."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from dual_ur10.errors import DualUR10Error
+
+
+def check_target(path: str | Path) -> Path:
+    """Make sure that a file could be written: before, not after, the work whose result it is to hold.
+
+    Args:
+        path: The file. Where it is a link, what it points to.
+
+    Returns:
+        The path without links.
+
+    Raises:
+        DualUR10Error: Its folder does not exist or cannot be written to, or it is no regular file.
+    """
+    try:
+        target = Path(path).resolve()
+        folder, other = target.parent.is_dir(), target.exists() and not target.is_file()
+    except (OSError, RuntimeError) as error:  # the latter: links that point to each other
+        raise DualUR10Error(f"cannot write {path}: {error}") from error
+    if not folder:
+        raise DualUR10Error(f"cannot write {path}: the folder {target.parent} does not exist: make it first")
+    if other:
+        raise DualUR10Error(f"cannot write {path}: it exists and is no regular file")
+    if not os.access(target.parent, os.W_OK):
+        raise DualUR10Error(f"cannot write {path}: the folder {target.parent} cannot be written to")
+    return target
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text file, in UTF-8, in one instant: readers see what was there before, or all of the new.
+
+    Raises:
+        DualUR10Error: It cannot be written. A file that was there is as it was.
+    """
+    target = check_target(path)
+    # In the same folder, for a file can only be renamed within a file system.
+    part = target.with_name(f".{target.name[:100]}.{os.getpid()}.part")
+    try:
+        with part.open("x", encoding="utf-8", newline="") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(target)
+    except OSError as error:
+        raise DualUR10Error(f"cannot write {path}: {error}") from error
+    finally:
+        part.unlink(missing_ok=True)

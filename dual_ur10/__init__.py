@@ -18,7 +18,7 @@ from dual_ur10.ur10 import DHParameters
 
 __version__ = "0.1.0"
 
-ENV_IDS = ("DualUR10/SineTracking-v0", "DualUR10/SyncCarry-v0")
+ENV_IDS = ("DualUR10/SineTracking-v0", "DualUR10/SyncCarry-v0", "DualUR10/Handover-v0")
 """All registered ids. An id is a promise: what changes a result gets a new version."""
 
 for _id in ENV_IDS:

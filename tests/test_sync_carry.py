@@ -6,9 +6,9 @@ import pytest
 
 from dual_ur10 import CellConfig, errors, policies
 from dual_ur10.assets.props import BAR_MASS_KG
-from dual_ur10.envs.carry_path import MOVES, CarryPath, Poses
+from dual_ur10.envs.carry_path import MOVES, CarryPath
 from dual_ur10.envs.carry_settings import bar_pose
-from dual_ur10.envs.holding import after, angle, seen_from
+from dual_ur10.envs.poses import Poses, after, angle, seen_from
 from dual_ur10.rotations import quat_from_rotvec, rotate
 from tests.soak import scaled
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dual_ur10.envs.poses import Poses
 from dual_ur10.rotations import quat_multiply
 
 Array = NDArray[np.float64]
@@ -78,13 +79,6 @@ MOVES: Final = {
     ),
 }
 """Moves of the paths by their length in s."""
-
-
-class Poses(NamedTuple):
-    """Positions in the cell frame, (..., 3), and orientations (w, x, y, z), (..., 4)."""
-
-    position_m: Array
-    quat: Array
 
 
 class CarryPath:

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import numbers
 from functools import lru_cache
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.props import BAR_WIDTH_M, GRIP_DISTANCE_M, GRIP_QUAT
 from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
-from dual_ur10.envs.carry_path import MOVES, CarryPath, Poses
+from dual_ur10.envs.carry_path import MOVES, CarryPath
 from dual_ur10.envs.frames import Frames
-from dual_ur10.envs.holding import TCP_LEVER, after, turned
+from dual_ur10.envs.holding import flanges_of
+from dual_ur10.envs.poses import Poses, after
+from dual_ur10.envs.task import check_numbers
 from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError
 from dual_ur10.forward_kinematics import elbow_and_flange
 from dual_ur10.kinematics import try_nearest
-from dual_ur10.rotations import quat_conjugate, quat_to_matrix
+from dual_ur10.rotations import quat_conjugate, quat_to_matrix, rotate
 from dual_ur10.sim2real.limits import MotionLimits
 from dual_ur10.ur10 import ARMS
 
@@ -79,25 +80,6 @@ class CarrySettings:
         return Poses(np.array(position), np.array([GRIP_QUAT, GRIP_QUAT]))
 
 
-def check_numbers(settings: Any, *ranges: tuple[str, float, float]) -> None:
-    """Make fields of frozen settings plain floats.
-
-    Raises:
-        SettingsError: One is not a number within its range.
-    """
-    for name, low, high in ranges:
-        value = getattr(settings, name)
-        if isinstance(value, bool) or not isinstance(value, numbers.Real) or not low <= float(value) <= high:
-            raise SettingsError(f"{name} is {value!r}: it must be a number, {low:g} to {high:g}")
-        object.__setattr__(settings, name, float(value))
-
-
-def flanges_of(tools: Poses) -> Poses:
-    """Flanges of tools, both in one frame."""
-    away = turned(tools.quat, np.broadcast_to(TCP_LEVER, tools.position_m.shape))
-    return Poses(tools.position_m - away, tools.quat)
-
-
 @lru_cache(maxsize=64)
 def path_rate(settings: CarrySettings, scene: SceneSettings, limits: MotionLimits) -> float:
     """How fast the clock of the path may run, at most 1, for every bar that an episode may draw.
@@ -147,4 +129,4 @@ def bar_pose(where: Array) -> Poses:
 def ideal_relative(grip: Poses) -> Poses:
     """Pose of the right flange in the left flange's frame while both grip the bar as they should, (3,) and (4,)."""
     back = quat_conjugate(grip.quat[0])
-    return Poses(turned(back, grip.position_m[1] - grip.position_m[0]), np.array([1.0, 0.0, 0.0, 0.0]))
+    return Poses(rotate(back, grip.position_m[1] - grip.position_m[0]), np.array([1.0, 0.0, 0.0, 0.0]))

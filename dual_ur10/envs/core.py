@@ -30,6 +30,7 @@ Rows = NDArray[np.intp]
 TASKS = {
     "SineTracking": "dual_ur10.envs.sine_tracking:SineTracking",
     "SyncCarry": "dual_ur10.envs.sync_carry:SyncCarry",
+    "Handover": "dual_ur10.envs.handover:Handover",
 }
 """Where each task's class is, by the task's name."""
 

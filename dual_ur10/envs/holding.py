@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.gripper import OPENING_M, PAD_LENGTH_M, TCP_M
-from dual_ur10.envs.carry_path import Poses
-from dual_ur10.rotations import quat_conjugate, quat_multiply, quat_to_matrix
+from dual_ur10.envs.poses import Poses
+from dual_ur10.rotations import rotate
 from dual_ur10.sim2real.cell import CellState
 
 Array = NDArray[np.float64]
@@ -26,40 +26,16 @@ PICKING: Final = {(f"{arm}/fingers", "table"): _TABLE_M for arm in ("left", "rig
 _WIDTH_MARGIN_M: Final = 0.005
 
 
-def turned(quat: Array, vector: Array) -> Array:
-    """Vectors, (..., 3), turned by quaternions, (..., 4), one small product each."""
-    result: Array = (quat_to_matrix(quat) @ vector[..., None])[..., 0]
-    return result
-
-
-def after(first: Poses, second: Poses) -> Poses:
-    """`second`, given in the frame of `first`, in the frame that `first` is given in."""
-    return Poses(first.position_m + turned(first.quat, second.position_m), quat_multiply(first.quat, second.quat))
-
-
-def seen_from(frame: Poses, pose: Poses) -> Poses:
-    """`pose` in the frame of `frame`, both given in one frame."""
-    back = quat_conjugate(frame.quat)
-    return Poses(turned(back, pose.position_m - frame.position_m), quat_multiply(back, pose.quat))
-
-
-def angle(quat: Array) -> Array:
-    """Angle in rad, (...), of quaternions, (..., 4), accurate near zero."""
-    vector = quat[..., 1:]
-    result: Array = 2 * np.arctan2(np.sqrt(np.add.reduce(vector * vector, axis=-1)), np.abs(quat[..., 0]))
-    return result
-
-
-def length(vector: Array) -> Array:
-    """Lengths, (...), of vectors, (..., 3)."""
-    result: Array = np.sqrt(np.add.reduce(vector * vector, axis=-1))
-    return result
-
-
 def tools(state: CellState) -> Poses:
     """Tool centre points in the cell frame, (n, 2, ...), with the flanges' orientations."""
     quat = given(state.flange_quat)
-    return Poses(state.flange_m + turned(quat, np.broadcast_to(TCP_LEVER, state.flange_m.shape)), quat)
+    return Poses(state.flange_m + rotate(quat, np.broadcast_to(TCP_LEVER, state.flange_m.shape)), quat)
+
+
+def flanges_of(tools: Poses) -> Poses:
+    """Flanges of tools, both in one frame."""
+    away = rotate(tools.quat, np.broadcast_to(TCP_LEVER, tools.position_m.shape))
+    return Poses(tools.position_m - away, tools.quat)
 
 
 def between(grip_in_tool_m: Array) -> Mask:

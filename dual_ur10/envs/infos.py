@@ -17,7 +17,7 @@ def of_row(info: Mapping[str, Any], row: int) -> dict[str, Any]:
 
 
 def masked(info: Mapping[str, Any], mask: Mask) -> dict[str, Any]:
-    """Gymnasium's form of a vector env's info: each array with a mask, under "_" and its name, of the rows it is for."""
+    """Gymnasium's form of a vector env's info: each array with a mask of its rows, under "_" and its name."""
     result: dict[str, Any] = {}
     masks = np.tile(mask, (len(info), 1))  # a mask of its own for each, at the price of one
     for (name, value), own in zip(info.items(), masks, strict=True):

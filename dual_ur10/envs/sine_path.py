@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import numbers
 from functools import lru_cache
 from typing import Literal, get_args
 
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
 from dual_ur10.envs.frames import to_base
+from dual_ur10.envs.task import check_numbers
 from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError
 from dual_ur10.kinematics import try_nearest
 from dual_ur10.rotations import quat_from_rotvec, quat_to_matrix
@@ -60,18 +60,15 @@ class SineSettings:
             raise UnknownNameError("axis", self.axis, [*get_args(Axis), "(x, y, z)"])
         if self.arms not in get_args(Arms):
             raise UnknownNameError("arms", str(self.arms), get_args(Arms))
-        for name, low, high in (
+        check_numbers(
+            self,
             ("amplitude_m", 0.0, 1.0),
             ("frequency_hz", 0.0, 5.0),
             ("duration_s", 0.1, 3600.0),
             ("soft_start_s", 0.1, 60.0),
             ("phase_rad", -100.0, 100.0),
             ("success_rms_m", 1e-6, 1.0),
-        ):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, numbers.Real) or not low <= float(value) <= high:
-                raise SettingsError(f"{name} is {value!r}: it must be a number, {low:g} to {high:g}")
-            object.__setattr__(self, name, float(value))
+        )
         if not isinstance(self.randomize, bool | np.bool_):
             raise SettingsError(f"randomize is {self.randomize!r}: it must be True or False")
         center = _vectors(self.center_m)

@@ -163,7 +163,11 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         mounts = (cell.left, cell.right)
         check_path(settings, cell.scene, self.limits, cell.minimum_clearance_m)
         frames = Frames(mounts)
-        self._base_m, self._to_base, self._others = frames.base_m, frames.rotation, frames.others_pose
+        self._base_m, self._to_base = frames.base_m, frames.rotation
+        # Pose of the other flange in each arm's `base`, (14,), from the numbers of both arms.
+        others = np.zeros((2, 34, 2, 7))
+        others[1, 18:25, 0], others[0, 18:25, 1] = frames.others_pose[0, :7], frames.others_pose[1, :7]
+        self._others = others.reshape(68, 14), frames.others_pose[:, 7].reshape(14)
         self.agent_bound = np.stack([np.append(arm, [5.0] * 3 + [1.01] * 4)] * 2)
         along_base = (self._to_base @ settings.direction) * settings.tracking[:, None]
         # What follows the sine: the reference in `base` now and ahead, and in the cell frame now.
@@ -230,10 +234,11 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     def observe_agents(self, observation: Array) -> Array:
         """Each agent's own observation, (n, 2, 41): its 34 numbers, and the pose of the other flange in its frame."""
-        own = observation.reshape(self.n, 2, -1)
-        pose = np.ones((self.n, 2, 1, 8))
-        pose[..., 0, :7] = own[:, ::-1, 18:25]
-        return np.concatenate([own, (pose @ self._others)[..., 0, :]], axis=2)
+        result = np.empty((self.n, 2, 41))
+        result[..., :34] = observation.reshape(self.n, 2, 34)
+        others = observation[:, None] @ self._others[0] + self._others[1]
+        result[..., 34:] = others.reshape(self.n, 2, 7)
+        return result
 
     def evaluate(self, state: CellState, measured: SineMeasured) -> Outcome:
         """Reward terms, and success at the end."""

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from dual_ur10.assets.gripper import OPENING_M
 from dual_ur10.assets.props import BAR_MASS_KG, BAR_WIDTH_M
 from dual_ur10.assets.scene import HOME_Q_RAD, Equipment
-from dual_ur10.envs.carry_path import CarryPath, Poses
-from dual_ur10.envs.carry_settings import CarrySettings, bar_pose, flanges_of, ideal_relative, path_rate
+from dual_ur10.envs.carry_path import CarryPath
+from dual_ur10.envs.carry_settings import CarrySettings, bar_pose, ideal_relative, path_rate
 from dual_ur10.envs.frames import Frames
-from dual_ur10.envs.holding import PICKING, after, angle, given, holds, length, seen_from, tools, turned
+from dual_ur10.envs.holding import PICKING, flanges_of, given, holds, tools
+from dual_ur10.envs.poses import Poses, after, angle, length, seen_from
 from dual_ur10.envs.task import Furnishing, Outcome, Task, Timing, gaussian
 from dual_ur10.kinematics import nearest
-from dual_ur10.rotations import quat_to_matrix
+from dual_ur10.rotations import quat_to_matrix, rotate
 from dual_ur10.sim2real.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.limits import MotionLimits
 
@@ -278,7 +279,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         tool = tools(state)
         flange = Poses(state.flange_m, tool.quat)
         relative = seen_from(flange, Poses(flange.position_m[:, ::-1], flange.quat[:, ::-1]))
-        grip = Poses(bar.position_m + turned(bar.quat, self._grip.position_m), bar.quat)
+        grip = Poses(bar.position_m + rotate(bar.quat, self._grip.position_m), bar.quat)
         grip_in_tool = seen_from(tool, grip)
         if self.settings.rigid:
             holding = np.ones((self.n, 2), dtype=bool)

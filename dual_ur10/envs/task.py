@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import numbers
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.assets.scene import Equipment
 from dual_ur10.envs.options import OPTION_NAMES
-from dual_ur10.errors import UnknownNameError
+from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.sim2real.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.limits import MotionLimits
 
@@ -29,8 +30,8 @@ class Outcome(NamedTuple):
             weighted sum; the reward of both together is the mean of the two.
         success: (n,) whether the task is done well. True only where `over` or `terminal` is.
         over: (n,) whether the time of the episode has run out.
-        info: Values for `info` by name, (n, ...) each. One with a first axis of 2 behind that is of the left and the right
-            arm; others must not have one.
+        info: Values for `info` by name, (n, ...) each. One with an axis of 2 behind that is of the left and the right
+            arm; others must not have one there.
         terminal: (n,) whether a state is reached from which there is nothing more to do, well done or not; None: none.
     """
 
@@ -149,6 +150,19 @@ def task_settings(task: type[Task[Any, Any]], keywords: Mapping[str, Any]) -> An
         if key not in known:
             raise UnknownNameError(f"keyword of {task.name}", str(key), [*known, *OPTION_NAMES])
     return task.settings_type(**keywords)
+
+
+def check_numbers(settings: Any, *ranges: tuple[str, float, float]) -> None:
+    """Make fields of frozen settings plain floats.
+
+    Raises:
+        SettingsError: One is not a number within its range.
+    """
+    for name, low, high in ranges:
+        value = getattr(settings, name)
+        if isinstance(value, bool) or not isinstance(value, numbers.Real) or not low <= float(value) <= high:
+            raise SettingsError(f"{name} is {value!r}: it must be a number, {low:g} to {high:g}")
+        object.__setattr__(settings, name, float(value))
 
 
 _LOG_TENTH = float(np.log(0.1))

@@ -69,6 +69,9 @@ class Share:
     def __init__(self, core: Core, reward: str) -> None:
         self.individual = reward == "individual"
         self._terms = [f"reward/{name}" for name in core.task.weights]
+        # Names met so far, and which of them are of the two arms: that never changes.
+        self._known: set[str] = set()
+        self._per_arm: list[str] = []
 
     def infos(self, info: Mapping[str, Any], terms: Array | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
         """Each agent's info, from that of its cell.
@@ -81,10 +84,19 @@ class Share:
                 that `reward/<term>` are always the terms of the reward that the agent gets. None: there was no step.
         """
         left, right = dict(info), dict(info)
-        for name, value in info.items():
-            if type(value) is np.ndarray and value.ndim and len(value) == 2:
+        if not info.keys() <= self._known:
+            self._known.update(info)
+            self._per_arm += [name for name, value in info.items() if name not in self._per_arm and _is_per_arm(value)]
+        for name in self._per_arm:
+            if name in info:
+                value = info[name]
                 left[name], right[name] = value[0], value[1]
         if self.individual and terms is not None:
             left.update(zip(self._terms, terms[0].tolist(), strict=True))
             right.update(zip(self._terms, terms[1].tolist(), strict=True))
         return left, right
+
+
+def _is_per_arm(value: object) -> bool:
+    """Whether a value of `info` has a leading axis of the two arms."""
+    return type(value) is np.ndarray and value.ndim > 0 and len(value) == 2

@@ -212,4 +212,3 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
         """Release simulation and images."""
         self._observer.close()
         self.core.close()
-

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.scene import ArmMount
-from dual_ur10.envs.carry_path import Poses
+from dual_ur10.envs.poses import Poses
 from dual_ur10.kinematics import nearest
 from dual_ur10.rotations import quat_to_matrix
 from dual_ur10.ur10 import DHParameters

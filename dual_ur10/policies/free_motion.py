@@ -7,11 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from ruckig import InputParameter, Result, Ruckig, Trajectory  # type: ignore[import-not-found, unused-ignore]  # no types
+from ruckig import InputParameter, Result, Ruckig, RuckigError, Trajectory  # type: ignore[import-not-found, unused-ignore]  # no types
 
 from dual_ur10.errors import SettingsError
 
 Array = NDArray[np.float64]
+
+_SAMPLES = 7  # of a mean over time
 
 
 class Waypoint(NamedTuple):
@@ -36,6 +38,7 @@ class FreeMotion:
         q_rad: (12,) where it begins, at rest.
         waypoints: Where it goes. The motion has no stop at a point that is passed with a speed.
         speed_rad_s, acceleration_rad_s2, jerk_rad_s3: (12,) or one number: limits.
+        smooth_s: Every position is the mean over so much time before, so that jerk does not jump.
 
     Raises:
         SettingsError: There is no such motion; the limits or the speeds at the points are not possible.
@@ -48,8 +51,11 @@ class FreeMotion:
         speed_rad_s: Array | float,
         acceleration_rad_s2: Array | float,
         jerk_rad_s3: Array | float,
+        smooth_s: float = 0.0,
     ) -> None:
-        speed, acceleration, jerk = (np.broadcast_to(each, 12) for each in (speed_rad_s, acceleration_rad_s2, jerk_rad_s3))
+        speed, acceleration, jerk = (
+            np.broadcast_to(each, 12) for each in (speed_rad_s, acceleration_rad_s2, jerk_rad_s3)
+        )
         self._parts: list[Trajectory] = []
         self._ends: list[float] = []
         before, end = Waypoint(q_rad, np.zeros(12)), 0.0
@@ -62,18 +68,28 @@ class FreeMotion:
             wish.max_acceleration = (acceleration if own[0] is None else own[0]).tolist()
             wish.max_jerk = (jerk if own[1] is None else own[1]).tolist()
             part = Trajectory(12)
-            result = Ruckig(12).calculate(wish, part)
+            result: object
+            try:
+                result = Ruckig(12).calculate(wish, part)
+            except RuckigError as error:
+                result = error
             if result not in (Result.Working, Result.Finished):
                 raise SettingsError(f"no motion within the limits leads to {waypoint.q_rad.tolist()}: {result}")
             end += part.duration
             self._parts.append(part)
             self._ends.append(end)
             before = waypoint
-        self.duration_s = end
+        self.duration_s = end + smooth_s
+        self._back_s = np.linspace(0.0, smooth_s, _SAMPLES if smooth_s else 1)
 
     def at(self, time_s: float) -> Array:
         """(12,) joint positions at a time since the beginning; before it and after the end, those at rest."""
+        positions = np.array([self._exact(time_s - back_s) for back_s in self._back_s.tolist()])
+        result: Array = np.add.reduce(positions, axis=0) / len(positions)
+        return result
+
+    def _exact(self, time_s: float) -> list[float]:
         part = int(np.searchsorted(self._ends[:-1], time_s, side="right"))
         since = time_s - (self._ends[part - 1] if part else 0.0)
         position, _, _ = self._parts[part].at_time(min(max(since, 0.0), self._parts[part].duration))
-        return np.array(position)
+        return list(position)

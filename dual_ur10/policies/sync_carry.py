@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from dual_ur10.assets.props import BAR_WIDTH_M
 from dual_ur10.assets.scene import ArmMount, SceneSettings
-from dual_ur10.envs.carry_path import Poses
-from dual_ur10.envs.carry_settings import CarrySettings, flanges_of
-from dual_ur10.envs.holding import after, seen_from
+from dual_ur10.envs.carry_settings import CarrySettings
+from dual_ur10.envs.holding import flanges_of
+from dual_ur10.envs.poses import Poses, after, seen_from
 from dual_ur10.envs.task import Timing
 from dual_ur10.errors import ActionError, SettingsError
 from dual_ur10.policies.carrying import lying, postures

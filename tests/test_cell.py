@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from typing import Any
 
 import numpy as np
 import pytest
@@ -130,3 +131,30 @@ def test_resolve_cell() -> None:
     for unknown in ("gazebo", None, 3, {"kind": "mujoco"}):
         with pytest.raises(UnknownNameError, match="mujoco"):
             resolve_cell(unknown)
+
+
+def test_servoj_settings_with_which_arms_swing_are_refused() -> None:
+    with pytest.raises(SettingsError, match=r"swings.*0\.15.*gain of 400"):
+        CellConfig(servoj=ServojProfile(lookahead_s=0.03, gain=100))
+    CellConfig(servoj=ServojProfile(lookahead_s=0.03, gain=401))
+    assert ServojProfile(lookahead_s=0.1, gain=400).damping == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"servoj": "cb3"}, "ServojProfile"),
+        ({"perturbation": {"mass_scale": 1.1}}, "Perturbation"),
+        ({"speed_rad_s": "fast"}, "must be a number"),
+        ({"speed_rad_s": True}, "must be a number"),
+        ({"speed_rad_s": 1e-9}, "0.01 or more"),
+        ({"tcp_speed_m_s": float("nan")}, "0.01 or more"),
+        ({"minimum_clearance_m": "a"}, "must be a number"),
+        ({"wrench_noise": 5.0}, "two numbers"),
+        ({"wrench_noise": ("a", "b")}, "must be a number"),
+        ({"wrench_noise": (1000.0, 1.0)}, "0 to 100"),
+    ],
+)
+def test_values_of_the_wrong_kind_are_refused_by_name(values: dict[str, Any], text: str) -> None:
+    with pytest.raises(SettingsError, match=text):
+        CellConfig(**values)

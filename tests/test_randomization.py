@@ -161,3 +161,47 @@ def test_the_plant_really_differs():
         shift = state.flange_m - believed
         assert np.allclose(shift[0], drawn["base_shift_m"], atol=2.5e-3)  # the turn moves it by another 1.6 mm at most
         assert np.abs(shift).max() > 1e-5
+
+
+@pytest.mark.parametrize(
+    ("env_id", "randomization", "seed"),
+    [
+        (CARRY, "mild", 5),  # both arms draw the same lookahead
+        (CARRY, "mild", 84),
+        (SINE, "mild", 54),
+        (CARRY, {"latency_s": 0.001}, 0),  # some rows draw no latency
+        (SINE, {"skew_s": 0.002}, 0),
+    ],
+)
+def test_a_row_does_not_depend_on_what_others_drew(env_id, randomization, seed):
+    envs = [gym.make_vec(env_id, num_envs=n, randomization=randomization) for n in (1, 4)]
+    first = [env.reset(seed=seed)[0][0] for env in envs]
+    assert np.array_equal(*first)
+    for k in range(15):
+        action = 0.3 * np.sin(0.4 * k + np.arange(14 if env_id == CARRY else 12)).astype(np.float32)
+        now = [env.step(np.tile(action, (env.num_envs, 1)))[0][0] for env in envs]
+        assert np.array_equal(*now)
+
+
+def test_what_may_vary_is_told_by_its_names():
+    assert Randomization().varied == ()
+    assert set(Randomization(skew_s=0.001, mass=0.1).varied) == {"latency_s", "mass_scale"}
+    assert set(draw(PRESETS["wide"])) >= set(PRESETS["wide"].varied)
+    assert Randomization(mass=np.float32(0.1)).mass == pytest.approx(0.1)
+
+
+def test_a_base_moved_by_the_cells_own_perturbation_is_not_observed_either():
+    moved = dual_ur10.CellConfig(perturbation=dual_ur10.Perturbation(base_shift_m=(((0.01, 0, 0), (0, 0, 0)),)))
+    (seen, info), (plain, other) = (gym.make(CARRY, cell=cell).reset(seed=0) for cell in (moved, "mujoco"))
+    relative = np.s_[53:60]
+    assert np.allclose(seen[relative], plain[relative], atol=1e-9)
+    assert np.allclose(info["flange_m"][0] - other["flange_m"][0], [0.01, 0, 0])
+
+
+def test_pictures_show_where_the_bases_truly_stand():
+    turned = dual_ur10.CellConfig(perturbation=dual_ur10.Perturbation(base_turn_rad=((0.1, 0.0),)))
+    core = gym.make(CARRY, cell=turned).unwrapped.core
+    core.reset([np.random.default_rng(0)])
+    _, data = core.cell_data(0)
+    assert np.allclose(data.site("left/flange").xpos, core._state.flange_m[0, 0], atol=1e-9)
+    assert np.allclose(data.site("right/flange").xpos, core._state.flange_m[0, 1], atol=1e-9)

@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from dual_ur10 import CellConfig, errors, policies
+from dual_ur10 import CellConfig, ServojProfile, errors, policies
 from dual_ur10.assets.props import BAR_MASS_KG
 from dual_ur10.envs.carry_path import MOVES, CarryPath
 from dual_ur10.envs.carry_settings import bar_pose
@@ -180,12 +180,19 @@ def test_one_arm_cannot_earn_success():
 def test_a_share_of_the_load_is_needed():
     _, task = run(grasp="rigid", steps=SHORT)
     task._carried[:] = [[0.9, 0.1]]
-    task._squares[:] = 0.0
+    task._squares[:] = task._worst_slip[:] = 0.0
     good = task._done_well(np.array([True]), np.array([[True, True]]))
     assert not good[0]
     task._carried[:] = [[0.7, 0.3]]
     assert task._done_well(np.array([True]), np.array([[True, True]]))[0]
     assert not task._done_well(np.array([True]), np.array([[True, False]]))[0]
+    steps = task._count[0] - 1.5 / 0.04
+    for row, most in ((0, 0.01), (1, 0.05)):
+        task._squares[row] = (0.98 * most) ** 2 * steps
+        assert task._done_well(np.array([True]), np.array([[True, True]]))[0]
+        task._squares[row] = (1.02 * most) ** 2 * steps
+        assert not task._done_well(np.array([True]), np.array([[True, True]]))[0]
+        task._squares[row] = 0.0
     task._worst_slip[:] = 0.006
     assert not task._done_well(np.array([True]), np.array([[True, True]]))[0]
 
@@ -223,3 +230,111 @@ def test_joint_position_and_latency_work_too():
     infos, _ = run(action_mode="joint_position", action_latency_ticks=3, steps=SHORT + 30)
     assert infos[-1]["object_m"][2] > 0.15
     assert column(infos[150:], "relative_error_m").max() < 4e-4
+
+
+class Cheat:
+    """The scripted policy, told of other references than there are."""
+
+    def __init__(self, **keywords):
+        self.policy = policies.load("scripted", CARRY, **keywords)
+
+    def __call__(self, observation):
+        arms = observation.reshape(2, 61).copy()
+        for first in (38, 45):  # reference now and ahead
+            self.change(arms[:, first : first + 3], arms[:, first + 3 : first + 7])
+        return self.policy(arms.reshape(-1))
+
+
+class NeverTurns(Cheat):
+    def change(self, position, quat):
+        if not hasattr(self, "kept"):
+            self.kept = quat.copy()
+        quat[:] = self.kept
+
+
+class NeverPutsDown(Cheat):
+    def change(self, position, quat):
+        position[:, 2] = np.maximum(position[:, 2], 0.05) if getattr(self, "up", False) else position[:, 2]
+        self.up = getattr(self, "up", False) or bool((position[:, 2] > 0.2).all())
+
+
+@pytest.mark.parametrize("cheat", [NeverTurns, NeverPutsDown])
+def test_the_bar_must_be_turned_and_put_down(cheat):
+    env, policy = gym.make(CARRY, grasp="rigid"), cheat(grasp="rigid")
+    observation, _ = env.reset(seed=0)
+    over = False
+    while not over:
+        observation, _, terminated, truncated, info = env.step(policy(observation))
+        over = terminated or truncated
+    assert not info["is_success"]
+    assert truncated
+
+
+def test_fingers_beside_the_bar_do_not_hold_it():
+    """Nothing is earned, and nothing is told to the controllers, without a grasp."""
+
+    def nearly(step, action):
+        action = action.copy()
+        opening = 2 * 0.0447 / 0.085 - 1
+        action[[6, 13]] = np.maximum(action[[6, 13]], opening)
+        return action
+
+    infos, task = run(nearly, steps=140)
+    assert max(info["reward/grasp"] for info in infos) == 0.0
+    assert not task._declared.any()
+    one, task = run(let_go(1, 0), steps=140)
+    assert one[-1]["reward/grasp"] == 0.5
+    assert not task._declared.any()
+
+
+@pytest.mark.parametrize("keywords", [{"grasp": "rigid"}, {"randomization": "mild", "action_latency_ticks": 7}])
+def test_an_unpickled_environment_goes_on_as_it_was(keywords):
+    import pickle
+
+    env = gym.make(CARRY, **keywords).unwrapped
+    policy = policies.load("scripted", CARRY, **keywords)
+    observation, _ = env.reset(seed=3)
+    for _ in range(60):
+        observation, *_ = env.step(policy(observation))
+    other = pickle.loads(pickle.dumps(env))
+    for _ in range(30):
+        action = policy(observation)
+        observation, reward, *_ = env.step(action)
+        again, same, *_ = other.step(action)
+        assert np.array_equal(observation, again)
+        assert reward == same
+
+
+@pytest.mark.parametrize(
+    ("cell", "rate"),
+    [
+        (CellConfig(servoj=ServojProfile("e-series")), 25.0),
+        (CellConfig(servoj=ServojProfile("e-series")), 12.5),
+        (CellConfig(servoj=ServojProfile("cb3", 0.05, 500)), 25.0),
+        (CellConfig(servoj=ServojProfile("cb3", 0.1, 300)), 25.0),
+        (CellConfig(speed_rad_s=0.1), 25.0),
+        (CellConfig(tcp_speed_m_s=0.05), 25.0),
+    ],
+    ids=["e-series", "e-series slow", "cb3 0.05", "cb3 0.1", "slow joints", "slow tips"],
+)
+def test_it_gets_down_to_the_bar_on_other_cells(cell, rate):
+    keywords = {"cell": cell, "policy_rate_hz": rate}
+    env = gym.make_vec(CARRY, num_envs=6, autoreset_mode="Disabled", **keywords)
+    policy = policies.load("scripted", CARRY, **keywords)
+    observation, _ = env.reset(seed=0)
+    clock = np.full(6, -1.0)
+    while (clock < 0.3).all():
+        observation, _, terminated, _, info = env.step(policy(observation))
+        assert not terminated.any(), info["safety"]
+        clock = info["clock_s"]
+    assert info["reward/grasp"].min() == 1.0
+
+
+def test_observations_are_the_callers_own():
+    env = gym.make_vec(CARRY, num_envs=2, autoreset_mode="Disabled")
+    env.reset(seed=0)
+    observation = env.step(np.zeros((2, 14), dtype=np.float32))[0]
+    kept = observation.copy()
+    observation *= 0.0
+    again, _ = env.reset(options={"reset_mask": np.array([True, False])})
+    assert np.array_equal(again[1], kept[1])

@@ -51,6 +51,7 @@ class CarrySettings:
     object_range_m: float = 0.02
     object_turn_rad: float = 0.05
     success_error_m: float = 0.01
+    success_turn_rad: float = 0.05
     success_slip_m: float = 0.005
 
     def __post_init__(self) -> None:
@@ -64,6 +65,7 @@ class CarrySettings:
             ("object_range_m", 0.0, 0.3),
             ("object_turn_rad", 0.0, 1.0),
             ("success_error_m", 1e-6, 1.0),
+            ("success_turn_rad", 1e-6, 3.2),
             ("success_slip_m", 1e-6, 1.0),
         )
 

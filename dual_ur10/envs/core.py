@@ -163,7 +163,9 @@ class Core:
         self._terms = [f"reward/{name}" for name in task_type.weights]
         rows = np.arange(n)
         clearance.check_start(self.task.start(rows, [np.random.default_rng(0) for _ in rows]).q_rad, rows)
-        self.cell: MujocoCell | None = MujocoCell(config, ticks, n=n, threads=threads)
+        self.cell: MujocoCell | None = MujocoCell(
+            config, ticks, n=n, threads=threads, varied=self._randomization.varied
+        )
         self._state: CellState | None = None
         self._sensing = Sensing(config, self._randomization, period_s, n)
         self._plant = config.perturbation.expanded(n)
@@ -253,7 +255,7 @@ class Core:
             measured = self.task.measure(state)
         self._observation = observation = self.task.observe(state, measured, self.pipeline.adapter.commanded_q_rad)
         self.agents = agents = Agents(self.task, observation, outcome.terms, self._weights)
-        return Step(observation, reward, terminated, outcome.over, info, verdicts, state.failed, agents)
+        return Step(observation.copy(), reward, terminated, outcome.over, info, verdicts, state.failed, agents)
 
     def _measurements(self, state: CellState) -> dict[str, NDArray[Any]]:
         return {"q_rad": state.q_rad.copy(), "flange_m": state.flange_m.copy()}

@@ -61,7 +61,6 @@ class Handling:
         self._kp = float(model.actuator("left/gripper").gainprm[0])
         self._felt: Array = np.zeros((n, 2, 2, 3))
         self._wrench: Array = np.zeros((n, 2, 6))
-        self.held_m: Array = np.zeros((n, 2))
 
     def servos(self, config: CellConfig) -> GripperServos:
         """The controllers of the grippers."""
@@ -78,7 +77,6 @@ class Handling:
         """Put fingers, object and target of `rows` where an episode begins. Returns the openings, (len(rows), 2)."""
         opening = np.full((len(rows), 2), _HELD_M) if start.gripper_m is None else np.asarray(start.gripper_m)
         self._fingers[rows] = opening[..., None] / 2
-        self.held_m[rows] = opening
         self._wrench[rows] = 0.0
         if self._object is not None and start.object_pose is not None:
             self._object[rows] = start.object_pose

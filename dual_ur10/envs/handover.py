@@ -17,7 +17,7 @@ from dual_ur10.envs.handover_settings import GRIPS, MEETING_M, HandoverSettings,
 from dual_ur10.envs.handover_stages import STAGES, STILL_M_S, WIDTH_M, Facts, Hand, advance, passed, terms
 from dual_ur10.envs.holding import PICKING, between, given, holds, tools
 from dual_ur10.envs.poses import Poses, length, seen_from
-from dual_ur10.envs.task import Furnishing, Outcome, Task, Timing
+from dual_ur10.envs.task import Furnishing, Outcome, Task, Timing, slower
 from dual_ur10.rotations import rotate
 from dual_ur10.sim2real.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.limits import REACH_FROM_JOINT_M, MotionLimits
@@ -352,12 +352,6 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         away = length(position_m[:, None] - self._shoulders)
         result: Mask = (position_m[:, 2] < _FALLEN_M) | np.logical_and.reduce(away > _FAR_M, axis=1)
         return result
-
-
-def slower(wanted: MotionLimits, allowed: MotionLimits) -> float:
-    """How many times longer a motion takes within `allowed` than within `wanted`, at most."""
-    joints = max(a / b for a, b in zip(wanted.speed_rad_s, allowed.speed_rad_s, strict=True))
-    return max(1.0, joints, wanted.tcp_speed_m_s / allowed.tcp_speed_m_s)
 
 
 def _between_long_axes(first: Array, second: Array) -> Array:

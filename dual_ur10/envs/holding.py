@@ -23,7 +23,7 @@ _TABLE_M: Final = 5e-4
 PICKING: Final = {(f"{arm}/fingers", "table"): _TABLE_M for arm in ("left", "right")}
 """Smallest legal distances of hands that pick something up from the table."""
 
-_WIDTH_MARGIN_M: Final = 0.005
+_WIDTH_MARGIN_M: Final = 0.001  # fingers that hold are stopped by what they hold
 
 
 def tools(state: CellState) -> Poses:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -35,9 +35,13 @@ class MujocoCell:
         ticks: Controller ticks per call of `advance`.
         n: Number of cells.
         threads: Threads to step on.
+        varied: Names of the values of `Perturbation` that a reset may change. How targets are computed follows from
+            them and the configuration alone, so that a row does not depend on what others drew.
     """
 
-    def __init__(self, config: CellConfig, ticks: int, *, n: int = 1, threads: int = 1) -> None:
+    def __init__(
+        self, config: CellConfig, ticks: int, *, n: int = 1, threads: int = 1, varied: Collection[str] = ()
+    ) -> None:
         self.config, self.ticks, self.n = config, ticks, n
         self.threads = threads
         self.steps = ticks * config.substeps
@@ -48,9 +52,13 @@ class MujocoCell:
         self._good: Array = np.zeros((n, 0))
         self._tick_s = np.float64(config.servoj.tick_s)
         self._values = config.perturbation.expanded(n)
+        late = any(name in varied or self._values[name].any() for name in ("latency_s", "jitter_s", "loss"))
+        self._delayed = late
+        self._uneven = "lookahead_scale" in varied or len(np.unique(self._values["lookahead_scale"])) > 1
         self._build()
         self._grippers = self._handling.servos(config) if self._handling else None
         self._payload: Array = np.zeros((n, 2))
+        self._held_m: Array = np.zeros((n, 2))  # what grippers that are not commanded are held at
         self._perturb(np.arange(n))
 
     def _build(self) -> None:
@@ -86,7 +94,7 @@ class MujocoCell:
         self._delay.latency = np.rint(values["latency_s"] / step_s).astype(np.int64)
         self._delay.jitter = np.rint(values["jitter_s"] / step_s).astype(np.int64)
         self._delay.loss = values["loss"]
-        self._reference.set_lookahead(values["lookahead_scale"], delayed=not self._delay.is_none)
+        self._reference.set_lookahead(values["lookahead_scale"], delayed=self._delayed, uneven=self._uneven)
         self._plant.write(values, rows)
         if values["declared_payload_kg"].any():
             self._feedforward.declare_payload(values["declared_payload_kg"])
@@ -117,7 +125,8 @@ class MujocoCell:
         self._batch.reset(ids=rows, stage=0)
         self._arms_q[rows] = q
         if self._handling is not None and self._grippers is not None:
-            self._grippers.reset(self._handling.reset(start, rows), rows)
+            self._held_m[rows] = self._handling.reset(start, rows)
+            self._grippers.reset(self._held_m[rows], rows)
         self._batch.forward(ids=rows, stage=self._stage)
         self._delay.reset(q, rows, [0] * len(rows) if seeds is None else seeds)
         self._reference.reset(q, rows)
@@ -151,7 +160,7 @@ class MujocoCell:
 
     def _arm_control(self, targets: Array, payload_kg: Array | None) -> Array:
         """Controls of the arms' servos, (n, steps, 12), from the targets sent, (n, ticks, 2, 6)."""
-        if not self._delay.is_none:
+        if self._delayed:
             targets = self._delay(targets)
         return self._feedforward(*self._reference(targets), payload_kg)
 
@@ -164,7 +173,7 @@ class MujocoCell:
             return self._arm_control(command.targets_rad, None)
         opening = handling.opening_m
         if commanded is None:
-            commanded = np.repeat(handling.held_m[:, None], self.ticks, axis=1)
+            commanded = np.repeat(self._held_m[:, None], self.ticks, axis=1)
         control = np.empty((self.n, self.steps, 2, 7))
         control[..., 6] = grippers(commanded, opening)
         before, self._payload = self._payload, self._payload if command.payload_kg is None else command.payload_kg
@@ -201,7 +210,8 @@ class MujocoCell:
             model = build_model(self.config.scene)
             self._drawn = model, mujoco.MjData(model)
         model, data = self._drawn
-        # The drawn model has more geoms and the same state.
+        # The drawn model has more geoms and the same state, and stands where the bases truly are.
+        self._plant.place_bases(model, row)
         mujoco.mj_setState(model, data, self._batch.state[row], int(mujoco.mjtState.mjSTATE_INTEGRATION))
         mujoco.mj_forward(model, data)
         return model, data

@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, Literal, get_args
 
+import numpy as np
+
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.sim2real.adapter import ActionMode
 
@@ -20,7 +22,7 @@ class EnvOptions:
 
     Raises:
         UnknownNameError: `observation` is none of its names.
-        SettingsError: `cameras` names none, or one twice.
+        SettingsError: `cameras` names none, or one twice; or a value is of the wrong kind.
 
     Attributes:
         cell: "mujoco" or a `dual_ur10.sim2real.cell.CellConfig`.
@@ -55,8 +57,18 @@ class EnvOptions:
     shadows: bool = False
 
     def __post_init__(self) -> None:
+        for name in ("compensate_lag", "shadows"):
+            if not isinstance(getattr(self, name), bool | np.bool_):
+                raise SettingsError(f"{name} is {getattr(self, name)!r}: it must be True or False")
+        for name in ("policy_rate_hz", "action_latency_ticks", "width", "height"):
+            if isinstance(getattr(self, name), bool):
+                raise SettingsError(f"{name} is {getattr(self, name)!r}: it must be a number")
+        if not isinstance(self.action_mode, str):
+            raise UnknownNameError("action mode", str(self.action_mode), get_args(ActionMode))
         if self.observation not in get_args(ObservationKind):
             raise UnknownNameError("observation", str(self.observation), get_args(ObservationKind))
+        if not isinstance(self.cameras, str | tuple | list):
+            raise SettingsError(f"cameras are {self.cameras!r}: name one, or several in a tuple")
         cameras = (self.cameras,) if isinstance(self.cameras, str) else tuple(self.cameras)
         if not cameras or len(set(cameras)) < len(cameras):
             raise SettingsError(f"cameras are {cameras!r}: name at least one, and each once")

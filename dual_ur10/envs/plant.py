@@ -59,9 +59,7 @@ class Plant:
             constants = True
         if self._differs("base", values, ("base_shift_m", "base_turn_rad")):
             position, quat = batch.expand("body_pos"), batch.expand("body_quat")
-            for arm, (name, mount) in enumerate(zip(ARMS, self._settings.mounts, strict=True)):
-                base = model.body(f"{name}/base_link").id
-                body = model.body_parentid[base] or base
+            for arm, (body, mount) in enumerate(zip(_bases(model), self._settings.mounts, strict=True)):
                 turn = np.zeros((len(rows), 3))
                 turn[:, 2] = mount.yaw_rad + values["base_turn_rad"][rows, arm]
                 position[rows, body] = model.body_pos[body] + values["base_shift_m"][rows, arm]
@@ -70,7 +68,20 @@ class Plant:
         if constants:
             batch.set_const(ids=rows)
 
+    def place_bases(self, model: Any, row: int) -> None:
+        """Put the bases of another model of the same scene where they are in one cell."""
+        if "base" in self._own:
+            position, quat = self._batch.expand("body_pos")[row], self._batch.expand("body_quat")[row]
+            for own, other in zip(_bases(self._batch.model), _bases(model), strict=True):
+                model.body_pos[other], model.body_quat[other] = position[own], quat[own]
+
     def _differs(self, group: str, values: Mapping[str, Array], names: tuple[str, ...]) -> bool:
         if group not in self._own and any((values[name] != self._nominal[name]).any() for name in names):
             self._own.add(group)
         return group in self._own
+
+
+def _bases(model: Any) -> list[int]:
+    """The bodies that carry the arms."""
+    links = [model.body(f"{name}/base_link").id for name in ARMS]
+    return [int(model.body_parentid[link]) or link for link in links]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import numbers
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -86,7 +87,7 @@ class Randomization:
         }
         for name, high in most.items():
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= high:
+            if isinstance(value, bool) or not isinstance(value, numbers.Real) or not 0.0 <= float(value) <= high:
                 raise SettingsError(f"randomization {name} is {value!r}: it must be a number, 0 to {high:g}")
             object.__setattr__(self, name, float(value))
 
@@ -94,6 +95,22 @@ class Randomization:
     def is_none(self) -> bool:
         """Whether nothing is drawn. Where objects begin is the task's to draw."""
         return dataclasses.replace(self, object_spread=1.0) == Randomization()
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """Names of the values of `dual_ur10.sim2real.cell.Perturbation` that differ from episode to episode."""
+        by_name = {
+            "mass_scale": self.mass,
+            "friction_nm": self.joint_friction,
+            "lookahead_scale": self.lookahead,
+            "latency_s": self.latency_s + self.skew_s,
+            "jitter_s": self.jitter_s,
+            "base_shift_m": self.base_shift_m,
+            "base_turn_rad": self.base_turn_rad,
+            "object_mass_scale": self.object_mass,
+            "grip_friction_scale": self.grip_friction,
+        }
+        return tuple(name for name, value in by_name.items() if value)
 
     def spread(self, settings: Any, given: Mapping[str, Any]) -> Any:
         """A task's settings with wider ranges of where its object begins, unless the user gave them."""

@@ -12,7 +12,7 @@ from dual_ur10.sim2real.servoj import ServojLaw, ServojProfile
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-_MOST_KEPT = 512  # discretisations of the law
+_MOST_KEPT_BYTES = 2**25  # discretisations of the law
 
 _NEVER = 2**40  # physics step at which a lost target arrives
 
@@ -98,23 +98,31 @@ class ServojReference:
         # Rows: position, speed, and the last difference of positions over the physics step.
         self._state: Array = np.zeros((n, 3, 12))
         self._cache: dict[tuple[float, int], Array] = {}
-        self.set_lookahead(np.ones((n, 2)), delayed=False)
+        self.set_lookahead(np.ones((n, 2)), delayed=False, uneven=False)
 
-    def set_lookahead(self, scale: Array, *, delayed: bool) -> None:
-        """Choose the true lookahead of each arm, and whether targets come per physics step instead of per tick."""
+    def set_lookahead(self, scale: Array, *, delayed: bool, uneven: bool) -> None:
+        """Choose the true lookahead of each arm.
+
+        Args:
+            scale: (n, 2) factors on that of the profile.
+            delayed: Whether targets come per physics step instead of per tick.
+            uneven: Whether the factors may differ; else they are all the same. To be the same for all batches that are
+                to give equal bits.
+        """
         hold = 1 if delayed else self.substeps
         unique, which = np.unique(scale, return_inverse=True)
         matrices = np.array([self._known(float(each), hold) for each in unique])
         # (rows, inputs) for all arms, or (n, 2, rows, inputs).
-        self._matrices: Array = matrices[0] if len(unique) == 1 else matrices[which.reshape(self.n, 2)]
+        self._matrices: Array = matrices[which.reshape(self.n, 2)] if uneven else matrices[0]
 
     def _known(self, scale: float, hold: int) -> Array:
         """As `_matrix`, which takes a millisecond, kept for when the same scale comes again."""
         found = self._cache.get((scale, hold))
         if found is None:
-            if len(self._cache) >= _MOST_KEPT:
+            found = self._matrix(scale, hold)
+            if (len(self._cache) + 1) * found.nbytes > _MOST_KEPT_BYTES:
                 self._cache.clear()
-            found = self._cache[scale, hold] = self._matrix(scale, hold)
+            self._cache[scale, hold] = found
         return found
 
     def _matrix(self, scale: float, hold: int) -> Array:

@@ -39,7 +39,9 @@ class Sensing:
         self._noisy = bool(self._sigma.any())
         # Which of the drawn values there are at all.
         self._offset = bool(randomization.object_noise_m or randomization.object_noise_rad)
-        self._moved = bool(randomization.base_shift_m or randomization.base_turn_rad)
+        plant = config.perturbation.expanded(n)
+        moved = plant["base_shift_m"].any() or plant["base_turn_rad"].any()
+        self._moved = bool(moved or randomization.base_shift_m or randomization.base_turn_rad)
         self._late = bool(randomization.observation_delay_s)
         self._rngs = [np.random.default_rng(0) for _ in range(n)]
         self._shift: Array = np.zeros((n, 3))

@@ -164,9 +164,10 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     `relative_error_rad` of the right flange in the left one's frame; `object_error_m` and `object_error_rad` of the bar
     to its reference; `object_m` (3,); `clock_s` on the path, negative before it begins.
 
-    `info["is_success"]` is true at the end of an episode in which the bar kept to its path as root mean square, slipped
-    in no gripper by more than is allowed, is held by both, and each arm carried at least a quarter of the load on
-    average, which one arm alone cannot bring about.
+    `info["is_success"]` is true at the end of an episode in which the bar kept to its path, in position and angle, as
+    root mean square and at the end, where it lies on the table again; slipped in no gripper by more than is allowed; is
+    held by both; and in which each arm carried at least a quarter of the load on average, which one arm alone cannot
+    bring about.
 
     ## Starting State
 
@@ -196,6 +197,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     | `object_range_m` | float | `0.02` | where the bar begins, ± along x and y (m) |
     | `object_turn_rad` | float | `0.05` | how it is turned when it begins, ± (rad) |
     | `success_error_m` | float | `0.01` | largest root mean square distance of the bar to its path of a success (m) |
+    | `success_turn_rad` | float | `0.05` | largest root mean square angle of the bar from its path of a success (rad) |
     | `success_slip_m` | float | `0.005` | largest slip of a success (m) |
 
     Those of every environment are described in `dual_ur10.envs.options.EnvOptions`.
@@ -225,7 +227,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         self._path = CarryPath(settings.duration_s)
         self._rate = path_rate(settings, cell.scene, self.limits)
         self._grip, self._ideal = settings.grip, ideal_relative(settings.grip)
-        self._grasp_s = _GRASP_S[settings.rigid]
+        self._grasp_s = _GRASP_S[settings.rigid] / self._rate
         self.duration_s = self._grasp_s + settings.duration_s / self._rate + _SETTLE_S
         self._steps = math.ceil(self.duration_s / timing.period_s - 1e-9)
         gripper = [] if settings.rigid else [0.1]
@@ -241,7 +243,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         # Of the episode so far, since the bar is lifted.
         self._slip_from: Array = np.zeros((n, 2, 3))
         self._worst_slip: Array = np.zeros(n)
-        self._squares: Array = np.zeros(n)
+        self._squares: Array = np.zeros((2, n))
         self._carried: Array = np.zeros((n, 2))
 
     @classmethod
@@ -267,8 +269,9 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             nearest(position[:, arm], quat_to_matrix(quat[:, arm]), HOME_Q_RAD[arm], mount.dh)
             for arm, mount in enumerate((self.cell.left, self.cell.right))
         ]
-        for values in (self._count, self._declared, self._load, self._worst_slip, self._squares, self._carried):
+        for values in (self._count, self._declared, self._load, self._worst_slip, self._carried):
             values[rows] = 0
+        self._squares[:, rows] = 0.0
         opening = None if settings.rigid else np.full((len(rows), 2), OPENING_M)
         return Start(np.stack(postures, axis=1), opening, np.concatenate(bar, axis=1), None, {"object": where})
 
@@ -324,12 +327,13 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         self._count += 1
         self._worst_slip = np.where(begun, np.maximum(self._worst_slip, slip.max(axis=1)), 0.0)
         under_way = begun & (clock < self._path.duration_s)
-        self._squares += np.where(begun, bar_m * bar_m, 0.0)
+        self._squares += np.where(begun, np.stack([bar_m * bar_m, bar_rad * bar_rad]), 0.0)
         self._carried += np.where(under_way[:, None], load, 0.0)
         self._load = self._wanted_load(clock, measured.holding)
         over = self._count >= self._steps
         lost = begun & (bar_m > _LOST_M)
-        success = over & ~lost & self._done_well(begun, measured.holding)
+        there = (bar_m <= self.settings.success_error_m) & (bar_rad <= self.settings.success_turn_rad)
+        success = over & ~lost & there & self._done_well(begun, measured.holding)
         share = load / np.maximum(np.add.reduce(load, axis=1, keepdims=True), 1e-9)
         info = {
             "slip_m": slip,
@@ -353,19 +357,21 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         return Outcome(terms, success, over & ~lost, info, lost)
 
     def _done_well(self, begun: Mask, holding: Mask) -> Mask:
-        """Whether the bar kept to its path, in both grippers, each with its share of the load."""
+        """Whether the bar kept to its path and its turns, in both grippers, each with its share of the load."""
         steps = np.maximum(self._count - self._grasp_s / self.timing.period_s, 1.0)
         settings = self.settings
         carried = self._carried / np.maximum(np.add.reduce(self._carried, axis=1, keepdims=True), 1e-9)
         result: Mask = begun & np.logical_and.reduce(holding, axis=1) & (carried.min(axis=1) >= _SHARE)
-        result &= self._squares <= settings.success_error_m**2 * steps
+        limits = np.array([[settings.success_error_m], [settings.success_turn_rad]])
+        result &= np.logical_and.reduce(self._squares <= limits * limits * steps, axis=0)
         result &= self._worst_slip <= settings.success_slip_m
         return result
 
     def _wanted_load(self, clock: Array, holding: Mask) -> Array:
         """(n, 2) what the controllers should know to be held: half the bar each, while it is off the table."""
         due = (clock > -_LOAD_S) & (clock < self._path.duration_s)
-        return np.where(due[:, None] & holding, BAR_MASS_KG / 2, 0.0)
+        both = np.logical_and.reduce(holding, axis=1)
+        return np.where((due & both)[:, None], np.full((1, 2), BAR_MASS_KG / 2), 0.0)
 
     def payload_kg(self) -> Array | None:
         """(n, 2) what the controllers are told: the load, going up and down evenly, or nothing if it is unknown."""

@@ -152,6 +152,12 @@ def task_settings(task: type[Task[Any, Any]], keywords: Mapping[str, Any]) -> An
     return task.settings_type(**keywords)
 
 
+def slower(wanted: MotionLimits, allowed: MotionLimits) -> float:
+    """How many times longer a motion takes within `allowed` than within `wanted`, at most."""
+    joints = max(a / b for a, b in zip(wanted.speed_rad_s, allowed.speed_rad_s, strict=True))
+    return max(1.0, joints, wanted.tcp_speed_m_s / allowed.tcp_speed_m_s)
+
+
 def check_numbers(settings: Any, *ranges: tuple[str, float, float]) -> None:
     """Make fields of frozen settings plain floats.
 

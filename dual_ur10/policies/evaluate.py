@@ -254,8 +254,9 @@ def _bound(core: Any, max_steps: int | None) -> int:
     """Steps after which an episode counts as endless."""
     if max_steps is not None:
         return int(max_steps)
-    settings = getattr(core.task, "settings", None)
-    longest_s = max(_LONGEST_S, 2.0 * float(getattr(settings, "duration_s", 0.0)))
+    task = core.task
+    duration_s = getattr(task, "duration_s", getattr(task.settings, "duration_s", 0.0))
+    longest_s = max(_LONGEST_S, 2.0 * float(duration_s))
     return math.ceil(longest_s / float(core.timing.period_s))
 
 

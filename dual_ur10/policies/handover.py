@@ -15,7 +15,7 @@ from dual_ur10.envs.handover_settings import HandoverSettings
 from dual_ur10.envs.handover_stages import WIDTH_M
 from dual_ur10.envs.holding import TCP_LEVER
 from dual_ur10.envs.poses import Poses
-from dual_ur10.envs.task import Timing
+from dual_ur10.envs.task import Timing, slower
 from dual_ur10.errors import ActionError, SettingsError
 from dual_ur10.policies.carrying import lying
 from dual_ur10.policies.free_motion import FreeMotion
@@ -87,7 +87,7 @@ class HandoverPolicy:
     ) -> None:
         if action_mode not in ("joint_delta", "joint_position"):
             raise SettingsError(f"the scripted policy commands joints: action_mode {action_mode!r} is not for it")
-        from dual_ur10.envs.handover import Handover, slower
+        from dual_ur10.envs.handover import Handover
 
         self.timing, self.action_mode = timing, action_mode
         self.mounts = SceneSettings().mounts if mounts is None else tuple(mounts)

@@ -13,7 +13,7 @@ from dual_ur10.assets.scene import ArmMount, SceneSettings
 from dual_ur10.envs.carry_settings import CarrySettings
 from dual_ur10.envs.holding import flanges_of
 from dual_ur10.envs.poses import Poses, after, seen_from
-from dual_ur10.envs.task import Timing
+from dual_ur10.envs.task import Timing, slower
 from dual_ur10.errors import ActionError, SettingsError
 from dual_ur10.policies.carrying import lying, postures
 from dual_ur10.policies.free_motion import FreeMotion, Waypoint
@@ -26,6 +26,7 @@ _ABOVE_M: Final = 0.03  # the passing point above the grip
 _DOWN_M_S: Final = 0.04  # speed at which it is passed
 _ACCELERATION_RAD_S2: Final = 0.6
 _JERK_RAD_S3: Final = 4.0
+_SMOOTH_S: Final = 0.2  # what jumps in jerk, the adapter follows late, which is lower than commanded near the table
 _SPEED_SHARE: Final = 0.5  # of the task's limit, in the approach
 _CLOSE_AFTER_S: Final = 0.15  # from the end of the approach until the fingers are told to close
 
@@ -60,8 +61,9 @@ class SyncCarryPolicy:
         self.mounts = SceneSettings().mounts if mounts is None else tuple(mounts)
         self.dh = [mount.dh for mount in self.mounts]
         self.settings = CarrySettings() if settings is None else settings
-        speed = np.tile((limits or SyncCarry.limits).speed_rad_s, 2)
-        self._step, self._speed = speed * timing.period_s, speed * _SPEED_SHARE
+        allowed = limits or SyncCarry.limits
+        self._step = np.tile(allowed.speed_rad_s, 2) * timing.period_s
+        self._speed = np.tile(SyncCarry.limits.speed_rad_s, 2) * (_SPEED_SHARE / slower(SyncCarry.limits, allowed))
         self._skip = 0 if self.settings.rigid else 1
         self.size = 61 + self._skip
         self.reset()
@@ -141,13 +143,15 @@ class SyncCarryPolicy:
                     for pose in (above, lower, flange)
                 ]
             )
-            passing = Waypoint(ways[0], (ways[1] - ways[0]) * (_DOWN_M_S / 1e-3))
+            down = (ways[1] - ways[0]) * (_DOWN_M_S / 1e-3)
+            passing = Waypoint(ways[0], down * min(1.0, 0.5 / float((np.abs(down) / self._speed).max())))
             self._motion[row] = FreeMotion(
                 commanded.reshape(12),
                 [passing, Waypoint(ways[2], np.zeros(12))],
                 self._speed,
                 _ACCELERATION_RAD_S2,
                 _JERK_RAD_S3,
+                max(_SMOOTH_S, 3 * self.timing.period_s),
             )
         offset = seen_from(reference, flange)
         self._offset.position_m[row], self._offset.quat[row] = offset

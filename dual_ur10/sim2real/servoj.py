@@ -12,6 +12,7 @@ about `lookahead`; measured on UR arms at lookahead 0.03 s are 34-35 ms, this la
 from __future__ import annotations
 
 import cmath
+import math
 import numbers
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
@@ -67,6 +68,11 @@ class ServojProfile:
     def tick_s(self) -> float:
         """Control period of the controller, s."""
         return TICK_S[self.family]
+
+    @property
+    def damping(self) -> float:
+        """Damping ratio of the law: 1 returns without overshoot."""
+        return math.sqrt(self.gain) * self.lookahead_s / 2
 
     def ticks_per_action(self, policy_rate_hz: float) -> int:
         """Ticks of one policy period.

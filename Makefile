@@ -46,7 +46,7 @@ $(OLDEST)/.dev: pyproject.toml constraints-oldest.txt | check-python
 
 install: $(VENV)/.dev  ## set up .venv for the tests
 
-demo: $(VENV)/.demo  ## install, run the scripted policy, write out/report.html and a video
+demo: $(VENV)/.demo  ## install, run the scripted policies, write out/report.html and three videos
 	@$(VENV)/bin/python -m dual_ur10 demo --out out
 
 test: $(VENV)/.dev  ## install, lint, type-check and run all tests

@@ -1,4 +1,4 @@
-"""Measure how accurately the scripted policy tracks the sine, and what one control cycle costs to compute.
+"""Measure how well the scripted policies do the three tasks, and what one control cycle costs to compute.
 
 Sine: 0.1 m at 0.5 Hz for 30 s at 25 Hz, on bases that are not symmetric, with action latency L = 0 unless a row says
 otherwise. Flange poses are computed from the joint positions by the package's kinematics. Figures of `nominal` and
@@ -7,6 +7,8 @@ the line between the flanges, where the distance is most sensitive. `single_arm`
 Nominal figures are an artefact of an exact model; only perturbed ones mean something. No real arm is in this.
 
 Cycle: inverse kinematics of both arms, adapter and safety gate for one tick of 8 ms, joint_position at 125 Hz.
+
+Carry and handover: see carry.py and handover.py beside this file, which also run alone.
 """
 
 from __future__ import annotations
@@ -22,16 +24,17 @@ import time
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import carry
+import handover
 import numpy as np
 
 from dual_ur10 import kinematics
 from dual_ur10.assets.scene import HOME_Q_RAD
-from dual_ur10.demo import measure
 from dual_ur10.envs.frames import to_base
 from dual_ur10.envs.sine_path import SineSettings
 from dual_ur10.envs.sine_tracking import SineTracking
 from dual_ur10.policies.accuracy import accuracy
-from dual_ur10.runs import ASYMMETRIC_CELL, PERTURBED_CELL, Run
+from dual_ur10.runs import ASYMMETRIC_CELL, PERTURBED_CELL, Run, measure, speed_share
 from dual_ur10.sim2real.adapter import ServojAdapter
 from dual_ur10.sim2real.clearance import Clearance
 from dual_ur10.sim2real.gate import SafetyGate
@@ -114,18 +117,27 @@ def runs(full: bool) -> dict[str, dict[str, float]]:
     return rows
 
 
+def sine_speed_share() -> float:
+    """Largest joint speed as a share of the task's limit, over plants and axes."""
+    cells, limits = (ASYMMETRIC_CELL, PERTURBED_CELL), SineTracking.limits
+    records = [measure(Run("", "", cell, axis=axis), DURATION_S).record for cell in cells for axis in AXES]
+    return max(speed_share(record.q_rad, record.period_s, limits) for record in records)
+
+
 def main() -> None:
     """Run everything, print a table and write the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, help="write the figures here")
     parser.add_argument("--full", action="store_true", help="more rows: without learning, with latency, settled, ...")
     parser.add_argument("--calls", type=int, default=CALLS, help="control cycles to time")
+    parser.add_argument("--episodes", type=int, default=300, help="episodes of each success rate")
+    parser.add_argument("--seeds", type=int, default=carry.SEEDS, help="episodes of each row of the carried bar")
     arguments = parser.parse_args()
 
     before = os.getloadavg()
     rows = runs(arguments.full)
     timing = cycle(arguments.calls)
-    after = os.getloadavg()
+    sine_share = sine_speed_share()
 
     print("sine, 0.1 m, 0.5 Hz, 30 s, 25 Hz, asymmetric bases; x, y, z, worst (distance, vector: along y); L = 0")
     columns = ("flange max", "RMS mm", "angle °", "distance mm", "vector mm", "ripple mm/s")
@@ -138,11 +150,18 @@ def main() -> None:
         f"{timing['max_us']:.0f} us (inverse kinematics {timing['inverse_kinematics_p50_us']:.0f} us, adapter and gate "
         f"{timing['adapter_and_gate_p50_us']:.0f} us); {timing['calls']} calls"
     )
+    print(f"joint speed at most {100 * sine_share:.0f} % of the task's limit, over plants and axes", flush=True)
+    carried = carry.run(arguments.seeds, arguments.episodes)
+    handed = handover.run(arguments.episodes)
+    after = os.getloadavg()
     print(f"load {before[0]:.2f} before, {after[0]:.2f} after, {os.cpu_count()} processors")
     if arguments.json:
         figures = {
             "sine": rows,
+            "sine_speed_share": sine_share,
             "cycle": timing,
+            "carry": carried,
+            "handover": handed,
             "settings": {
                 "action_latency_ticks": 0,
                 "amplitude_m": 0.1,

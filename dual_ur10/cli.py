@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 from typing import Annotated, Any
 
 import gymnasium as gym
 import numpy as np
 import typer
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from dual_ur10 import ENV_IDS, __version__, policies
+from dual_ur10.cli_demo import demo
 from dual_ur10.cli_evaluate import evaluate
 from dual_ur10.cli_options import (
     EnvName,
@@ -85,43 +84,7 @@ def list_environments() -> None:
     console.print(table)
 
 
-@app.command()
-def demo(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for report.html and sine_tracking.mp4.")] = Path(
-        "out"
-    ),
-    quick: Annotated[bool, typer.Option("--quick", help="Shorter episodes and a shorter video.")] = False,
-) -> None:
-    """Run the sine on both arms, nominal and perturbed, and write a report and a video."""
-    from dual_ur10.demo import run_demo
-
-    columns = (TextColumn("{task.description:40}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task("starting", total=None)
-
-        def show(text: str, done: float, total: float) -> None:
-            progress.update(task, description=text, completed=done, total=total)
-
-        results, missing = run_demo(out, quick=quick, progress=show)
-    from dual_ur10.report import HEADERS, figures_of
-
-    table = Table(box=None, header_style="bold", padding=(0, 0, 0, 1), pad_edge=False)
-    table.add_column("\n\nworse arm of", min_width=18)
-    for name, unit in HEADERS:
-        table.add_column(name.replace(" ", "\n") + f"\n[dim]{unit}[/]", justify="right", no_wrap=True)
-    for result in results:
-        style = "dim" if "nominal" in result.run.title else ""
-        table.add_row(result.run.title, *figures_of(result), style=style)
-    console.print(table)
-    console.print(
-        "Dim rows are those of an exact model: an artefact. No real arm was measured; L is 0 unless a row says so.",
-        style="dim",
-    )
-    console.print(f"report  {out / 'report.html'}", soft_wrap=True, highlight=False)
-    if missing:
-        console.print(f"[yellow]no video:[/] {escape(missing)}", soft_wrap=True, highlight=False)
-    else:
-        console.print(f"video   {out / 'sine_tracking.mp4'}", soft_wrap=True, highlight=False)
+app.command()(demo)
 
 
 @app.command()

@@ -1,43 +1,68 @@
-"""The demonstration: SineTracking by the scripted policy, nominal and perturbed, as figures, a report and a video."""
+"""The demonstration: the three tasks by their scripted policies, as figures, a report and videos."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import gymnasium as gym
-import numpy as np
-
-from dual_ur10 import ENV_IDS
+from dual_ur10 import films
 from dual_ur10.errors import DualUR10Error, MissingExtraError, RenderError
-from dual_ur10.policies.accuracy import accuracy, lag_s, skew_s
-from dual_ur10.policies.rollout import Info, rollout
-from dual_ur10.policies.sine_tracking import SineTrackingPolicy
-from dual_ur10.report import write_report
-from dual_ur10.runs import RUNS, Result, Run
+from dual_ur10.film import FPS, Film
+from dual_ur10.report import Findings, write_report
+from dual_ur10.runs import RUNS, Result, Run, measure
+from dual_ur10.runs_carry import CARRY_RUNS, CarryResult, CarryRun, measure_carry
+from dual_ur10.runs_handover import HANDOVER_RUNS, HandoverResult, HandoverRun, measure_handovers
 
-ENV_ID = ENV_IDS[0]
+VIDEOS = {"sine": "sine_tracking.mp4", "carry": "sync_carry.mp4", "handover": "handover.mp4"}
+"""Names of the videos by the task's short name."""
 
-_STEP_COST, _FRAME_COST, _DRAWING_COST = 1.0, 90.0, 4000.0  # in steps, so that the time left is estimated well
-_FPS, _WIDTH, _HEIGHT = 25, 960, 540
-_INK, _PAPER = (38, 50, 56), (255, 255, 255)
-
+# In seconds on two cores without a GPU, so that the time left is estimated well.
+_SINE_STEP, _CARRY_STEP, _RIGID_STEP, _HANDOVER_STEP = 0.0006, 0.004, 0.0015, 0.002
+_FRAME, _SHADED_FRAME, _DRAWING = 0.07, 0.13, 4.0
+_CARRY_STEPS, _HANDOVER_STEPS = 900, 300  # about
 
 Progress = Callable[[str, float, float], None]
 """Told what is being done, how much of it is done, and how much there is in all."""
 
+OnShare = Callable[[float], None]
 
-def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: None) -> tuple[list[Result], str]:
-    """Run everything, and write `report.html` and `sine_tracking.mp4`.
+
+@dataclass(frozen=True)
+class Extent:
+    """How much is shown.
+
+    Attributes:
+        sine_s: Length of the runs of SineTracking.
+        sine_film_s: Length of its video.
+        episodes: Of each run of Handover.
+        carry_every, handover_every: Steps from one frame of a video to the next.
+    """
+
+    sine_s: float = 30.0
+    sine_film_s: float = 10.0
+    episodes: int = 6
+    carry_every: int = 4
+    handover_every: int = 2
+
+
+QUICK = Extent(sine_s=10.0, sine_film_s=3.0, episodes=2, carry_every=15, handover_every=6)
+
+
+@dataclass(frozen=True)
+class _Job:
+    text: str
+    cost: float
+    do: Callable[[OnShare], None]
+
+
+def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: None) -> Findings:
+    """Run everything, and write `report.html` and the videos.
 
     Args:
         out: Folder to write into; made if it does not exist.
-        quick: Episodes of 10 s instead of 30 s, and a video of 5 s instead of 10 s.
+        quick: Shorter episodes of SineTracking, fewer of Handover, and videos with fewer frames.
         progress: Told how far it has got.
-
-    Returns:
-        The results, in the order of `RUNS`, and why there is no video ("" if there is one).
 
     Raises:
         MissingExtraError: matplotlib or imageio is not installed. Nothing has been run.
@@ -48,29 +73,94 @@ def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: 
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DualUR10Error(f"cannot write to {out}: {error}") from error
-    duration_s, video_s = (10.0, 5.0) if quick else (30.0, 10.0)
-    steps, frames = round(duration_s * 25), round(video_s * _FPS)
-    total = len(RUNS) * steps * _STEP_COST + frames * _FRAME_COST + _DRAWING_COST
-    done = 0.0
+    extent = QUICK if quick else Extent()
+    sine: list[Result] = []
+    carry: list[CarryResult] = []
+    handover: list[HandoverResult] = []
+    shot: dict[str, Film] = {}
+    reasons: list[str] = []
 
-    def advance(text: str, cost: float) -> None:
-        nonlocal done
-        done += cost
-        progress(text, done, total)
+    def film_job(name: str, cost: float, shoot: Callable[[Path, OnShare], Film]) -> _Job:
+        def do(on_share: OnShare) -> None:
+            if reasons:
+                return
+            try:
+                shot[name] = shoot(out / VIDEOS[name], on_share)
+            except RenderError as error:
+                reasons.append(str(error))
 
-    def step_of(run: Run) -> Callable[[Info], None]:
-        return lambda _: advance(f"running: {run.title}", _STEP_COST)
+        return _Job(f"drawing {VIDEOS[name]}", cost, do)
 
-    results = [measure(run, duration_s, step_of(run)) for run in RUNS]
-    missing = ""
-    try:
-        record_video(out / "sine_tracking.mp4", video_s, lambda: advance("drawing the video", _FRAME_COST))
-    except RenderError as error:
-        missing = str(error)
-    advance("writing the report", 0.0)
-    write_report(out / "report.html", results, None if missing else out / "sine_tracking.mp4", missing)
-    advance("done", total - done)
-    return results, missing
+    jobs = [_sine_job(run, extent, sine) for run in RUNS]
+    jobs += [_carry_job(run, carry) for run in CARRY_RUNS]
+    jobs += [_handover_job(run, extent, handover) for run in HANDOVER_RUNS]
+    jobs += [film_job(name, *film) for name, film in _films(extent).items()]
+
+    def report(_: OnShare) -> None:
+        write_report(out / "report.html", Findings(sine, carry, handover, shot, "".join(reasons)))
+
+    jobs.append(_Job("writing the report", _DRAWING, report))
+    _do(jobs, progress)
+    return Findings(sine, carry, handover, shot, "".join(reasons))
+
+
+def _do(jobs: list[_Job], progress: Progress) -> None:
+    """Do one after the other, and tell how far it is."""
+    total, done = sum(job.cost for job in jobs), 0.0
+    for job in jobs:
+        progress(job.text, done, total)
+        job.do(_teller(job, done, total, progress))
+        done += job.cost
+    progress("done", total, total)
+
+
+def _teller(job: _Job, done: float, total: float, progress: Progress) -> OnShare:
+    return lambda share: progress(job.text, done + min(share, 1.0) * job.cost, total)
+
+
+def _sine_job(run: Run, extent: Extent, found: list[Result]) -> _Job:
+    steps, count = round(extent.sine_s * FPS), iter(range(1, 1_000_000))
+
+    def do(on_share: OnShare) -> None:
+        found.append(measure(run, extent.sine_s, lambda _: on_share(next(count) / steps)))
+
+    return _Job(f"SineTracking: {run.title}", steps * _SINE_STEP, do)
+
+
+def _carry_job(run: CarryRun, found: list[CarryResult]) -> _Job:
+    cost = _CARRY_STEPS * (_RIGID_STEP if run.rigid else _CARRY_STEP)
+    return _Job(f"SyncCarry: {run.title}", cost, lambda on_share: found.append(measure_carry(run, on_share)))
+
+
+def _handover_job(run: HandoverRun, extent: Extent, found: list[HandoverResult]) -> _Job:
+    cost = extent.episodes * _HANDOVER_STEPS * _HANDOVER_STEP
+    return _Job(
+        f"Handover: {run.title}", cost, lambda share: found.extend(measure_handovers(run, extent.episodes, share))
+    )
+
+
+def _films(extent: Extent) -> dict[str, tuple[float, Callable[[Path, OnShare], Film]]]:
+    """What each film costs, and what draws it."""
+    sine_steps = round(extent.sine_film_s * FPS)
+    lengths = {"sine": sine_steps, "carry": _CARRY_STEPS, "handover": _HANDOVER_STEPS}
+
+    def told(name: str, on_share: OnShare) -> Callable[[int], None]:
+        return lambda step: on_share(step / lengths[name])
+
+    return {
+        "sine": (
+            sine_steps * _SHADED_FRAME,
+            lambda path, share: films.film_sine(path, extent.sine_film_s, told("sine", share)),
+        ),
+        "carry": (
+            _CARRY_STEPS * (_CARRY_STEP + _FRAME / extent.carry_every),
+            lambda path, share: films.film_carry(path, extent.carry_every, told("carry", share)),
+        ),
+        "handover": (
+            _HANDOVER_STEPS * (_HANDOVER_STEP + _FRAME / extent.handover_every),
+            lambda path, share: films.film_handover(path, extent.handover_every, told("handover", share)),
+        ),
+    }
 
 
 def check_extra() -> None:
@@ -84,86 +174,3 @@ def check_extra() -> None:
             __import__(package)
         except ImportError:
             raise MissingExtraError(package.replace("_", "-"), "plot", "the demonstration's report") from None
-
-
-def make(run: Run, duration_s: float, **keywords: Any) -> tuple[Any, SineTrackingPolicy]:
-    """Environment and policy of a run."""
-    env = gym.make(
-        ENV_ID,
-        cell=run.cell,
-        axis=run.axis,
-        duration_s=duration_s,
-        randomize=False,
-        arms=run.arms,
-        compensate_lag=run.compensate_lag,
-        action_latency_ticks=run.latency_ticks,
-        **keywords,
-    )
-    mounts = (run.cell.left, run.cell.right)
-    return env, SineTrackingPolicy(env.unwrapped.core.timing, mounts=mounts, learn=run.learn)  # type: ignore[attr-defined]
-
-
-def measure(run: Run, duration_s: float, on_step: Callable[[Info], None] | None = None) -> Result:
-    """Run one episode and compute its figures.
-
-    Raises:
-        DualUR10Error: The episode was cut short: its figures would mean nothing.
-    """
-    env, policy = make(run, duration_s)
-    try:
-        record = rollout(env, policy, seed=0, on_step=on_step)
-    finally:
-        env.close()
-    if record.ended_by:
-        raise DualUR10Error(f"the run '{run.title}' ended after {record.time_s[-1]:g} s: {record.ended_by}")
-    lag = lag_s(record)
-    return Result(
-        run=run,
-        record=record,
-        accuracy=accuracy(record),
-        lag_s=float(lag[~np.isnan(lag)].max()),
-        skew_s=skew_s(record),
-    )
-
-
-def record_video(path: Path, duration_s: float, on_frame: Callable[[], None] = lambda: None) -> None:
-    """Draw the perturbed run, in real time.
-
-    Raises:
-        RenderError: No OpenGL backend was found; there is no file then.
-    """
-    import imageio.v2 as imageio
-
-    run = RUNS[1]
-    env, policy = make(run, duration_s, render_mode="rgb_array", width=_WIDTH, height=_HEIGHT, shadows=True)
-    frames: list[Any] = []
-
-    def draw(info: Info) -> None:
-        error_mm = 1e3 * np.asarray(info["flange_error_m"])
-        text = (
-            f"SineTracking, {run.title} plant     t = {len(frames) / _FPS + 1 / _FPS:5.2f} s     "
-            f"flange error  left {error_mm[0]:.2f} mm   right {error_mm[1]:.2f} mm"
-        )
-        frames.append(_captioned(env.render(), text))
-        on_frame()
-
-    try:
-        rollout(env, policy, seed=0, on_step=draw)
-    finally:
-        env.close()
-    with imageio.get_writer(
-        path, fps=_FPS, codec="libx264", quality=8, macro_block_size=2, ffmpeg_log_level="error"
-    ) as writer:
-        for frame in frames:
-            writer.append_data(frame)  # type: ignore[attr-defined]
-
-
-def _captioned(image: Any, text: str) -> Any:
-    """The image with a line of text at its foot."""
-    from PIL import Image, ImageDraw, ImageFont
-
-    picture = Image.fromarray(image)
-    draw = ImageDraw.Draw(picture)
-    draw.rectangle((0, _HEIGHT - 34, _WIDTH, _HEIGHT), fill=_INK)
-    draw.text((16, _HEIGHT - 17), text, fill=_PAPER, font=ImageFont.load_default(17), anchor="lm")
-    return np.asarray(picture)

@@ -1,16 +1,14 @@
-"""The figures of the demonstration's report, drawn with matplotlib."""
+"""The figures of SineTracking in the demonstration's report, drawn with matplotlib."""
 
 from __future__ import annotations
 
-import base64
-import io
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dual_ur10.figures_style import ARM_COLORS, capital, figure, legend_right
 from dual_ur10.policies.accuracy import along_axis, correlation, errors
 from dual_ur10.ur10 import ARMS, JOINTS
 
@@ -21,7 +19,6 @@ Array = NDArray[np.float64]
 Results = Mapping[str, "Result"]
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart.
-ARM_COLORS = ("#0072B2", "#D55E00")
 RUN_COLORS = {
     "lagging": "#CC79A7",
     "perturbed_fixed": "#E69F00",
@@ -32,43 +29,10 @@ RUN_COLORS = {
 JOINT_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#555555")
 AXIS_COLORS = ("#D55E00", "#009E73", "#0072B2")
 
-_STYLE: Any = {
-    "font.size": 10,
-    "axes.titlesize": 10.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.edgecolor": "#90a4ae",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "grid.color": "#e3e8eb",
-    "lines.linewidth": 1.3,
-    "legend.frameon": False,
-    "legend.fontsize": 9,
-    "svg.hashsalt": "dual-ur10",  # the same data give the same file
-}
-
-
-@contextmanager
-def _figure(rows: int, columns: int, height: float, **keywords: Any) -> Iterator[tuple[Any, Any, list[str]]]:
-    """A figure, its axes, and a list that receives its address as a `data:` URI."""
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    address: list[str] = []
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(11, height), layout="constrained")
-        axes = figure.subplots(rows, columns, squeeze=False, **keywords)
-        yield figure, axes, address
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-        address.append("data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode())
-
 
 def overview(results: Results) -> str:
     """Flange error of the worse arm in all runs of both arms, on a logarithmic scale."""
-    with _figure(1, 1, 3.8) as (_, axes, address):
+    with figure(1, 1, 3.8) as (_, axes, address):
         axis = axes[0, 0]
         for name, color in RUN_COLORS.items():
             result = results[name]
@@ -77,14 +41,14 @@ def overview(results: Results) -> str:
         axis.set(xlabel="time (s)", ylabel="flange error (mm, log scale)", ylim=(1e-5, 60))
         axis.set_title("Flange error, the worse of both arms")
         axis.margins(x=0.01)
-        _legend_right(axis)
+        legend_right(axis)
     return address[0]
 
 
 def flange_error(results: Results) -> str:
     """Flange error of each arm over time."""
     names = ("perturbed", "perturbed_fixed", "nominal")
-    with _figure(len(names), 1, 6.6, sharex=True) as (_, axes, address):
+    with figure(len(names), 1, 6.6, sharex=True) as (_, axes, address):
         for axis, name in zip(axes[:, 0], names, strict=True):
             result = results[name]
             error = errors(result.record).flange_m
@@ -94,7 +58,7 @@ def flange_error(results: Results) -> str:
             axis.set_ylabel(f"flange error ({unit})")
             axis.set_ylim(0, 1.2 * scale * error.max())
             axis.margins(x=0.01)
-            axis.set_title(f"{_capital(result.run.title)}: at most {scale * error.max():.2g} {unit}")
+            axis.set_title(f"{capital(result.run.title)}: at most {scale * error.max():.2g} {unit}")
             axis.legend(ncols=2, loc="upper right")
         axes[-1, 0].set_xlabel("time (s)")
     return address[0]
@@ -102,7 +66,7 @@ def flange_error(results: Results) -> str:
 
 def distance_and_vector(results: Results) -> str:
     """Distance between the flanges around its reference, and the error of the vector between them."""
-    with _figure(2, 2, 5.6, sharex=True) as (_, axes, address):
+    with figure(2, 2, 5.6, sharex=True) as (_, axes, address):
         for column, name in enumerate(("perturbed", "lagging")):
             result = results[name]
             found, time_s = errors(result.record), result.record.time_s
@@ -110,7 +74,7 @@ def distance_and_vector(results: Results) -> str:
             top, bottom = axes[:, column]
             top.plot(time_s, scale * found.distance_m, color="#263238", linewidth=1)
             top.set_ylabel(f"distance − {1e3 * _distance_m(result):.0f} mm ({unit})")
-            top.set_title(_capital(result.run.title))
+            top.set_title(capital(result.run.title))
             for axis, color, label in zip(range(3), AXIS_COLORS, "xyz", strict=True):
                 bottom.plot(time_s, scale * found.vector_m[:, axis], color=color, label=label, linewidth=1)
             size = scale * np.linalg.norm(found.vector_m, axis=1)
@@ -125,7 +89,7 @@ def distance_and_vector(results: Results) -> str:
 
 def joint_speeds(results: Results, limit_rad_s: float) -> str:
     """Joint speeds of both arms against the task's limit, in the perturbed run."""
-    with _figure(1, 2, 3.6, sharey=True) as (_, axes, address):
+    with figure(1, 2, 3.6, sharey=True) as (_, axes, address):
         record = results["perturbed"].record
         speed = np.gradient(record.q_rad, record.period_s, axis=0)
         for arm, axis in enumerate(axes[0]):
@@ -139,17 +103,17 @@ def joint_speeds(results: Results, limit_rad_s: float) -> str:
                 axis.axhline(sign * limit_rad_s, color="#b71c1c", linestyle="--", linewidth=1.1)
             axis.text(0.2, limit_rad_s, f"limit of the task {limit_rad_s:g} rad/s", color="#b71c1c", va="bottom")
             used = np.abs(speed[:, arm]).max() / limit_rad_s
-            axis.set_title(f"{_capital(ARMS[arm])} arm: at most {100 * used:.0f} % of the limit")
+            axis.set_title(f"{capital(ARMS[arm])} arm: at most {100 * used:.0f} % of the limit")
             axis.set(xlabel="time (s)", ylim=(-1.25 * limit_rad_s, 1.25 * limit_rad_s))
             axis.set_xlim(0, min(10.0, record.time_s[-1]))
         axes[0, 0].set_ylabel("joint speed (rad/s)")
-        _legend_right(axes[0, 1])
+        legend_right(axes[0, 1])
     return address[0]
 
 
 def skew(results: Results) -> str:
     """Time skew between the arms, by cross-correlation of their displacements."""
-    with _figure(1, 2, 3.4, width_ratios=(1, 1.25)) as (_, axes, address):
+    with figure(1, 2, 3.4, width_ratios=(1, 1.25)) as (_, axes, address):
         left, right = axes[0]
         record = results["perturbed"].record
         position, _ = along_axis(record)
@@ -173,7 +137,7 @@ def skew(results: Results) -> str:
 
 def ripple(results: Results) -> str:
     """Difference of each flange's speed to that of its reference."""
-    with _figure(1, 2, 3.2) as (_, axes, address):
+    with figure(1, 2, 3.2) as (_, axes, address):
         for axis, name in zip(axes[0], ("perturbed", "nominal"), strict=True):
             result = results[name]
             scale, unit = (1e6, "µm/s") if name == "nominal" else (1e3, "mm/s")
@@ -181,14 +145,14 @@ def ripple(results: Results) -> str:
             for arm, label in enumerate(ARMS):
                 axis.plot(result.record.time_s, scale * speed[:, arm], color=ARM_COLORS[arm], label=label, linewidth=1)
             axis.set(xlabel="time (s)", ylabel=f"speed − reference ({unit})")
-            axis.set_title(f"{_capital(result.run.title)}: largest {scale * np.abs(speed).max():.2g} {unit}")
+            axis.set_title(f"{capital(result.run.title)}: largest {scale * np.abs(speed).max():.2g} {unit}")
             axis.legend(ncols=2, loc="upper right")
     return address[0]
 
 
 def lag(results: Results) -> str:
     """One period of the sine with and without compensation of the lag of `servoj`."""
-    with _figure(1, 2, 3.4) as (_, axes, address):
+    with figure(1, 2, 3.4) as (_, axes, address):
         left, right = axes[0]
         time_s = results["nominal"].record.time_s
         shown = (time_s >= 4.0) & (time_s <= 6.0)
@@ -217,11 +181,3 @@ def lag(results: Results) -> str:
 def _distance_m(result: Result) -> float:
     reference = result.record.reference_m
     return 0.0 if reference is None else float(np.linalg.norm(reference[0, 0] - reference[0, 1]))
-
-
-def _legend_right(axis: Any) -> None:
-    axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]

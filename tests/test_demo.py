@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
@@ -14,17 +16,21 @@ from typer.testing import CliRunner
 pytest.importorskip("matplotlib")
 pytest.importorskip("imageio_ffmpeg")
 
-from dual_ur10 import cli, demo
+from dual_ur10 import cli, demo, film, films, report_page, runs, runs_carry, runs_handover
+from dual_ur10.envs.carry_path import MOVES
 from dual_ur10.errors import DualUR10Error, MissingExtraError, RenderError
+from dual_ur10.policies.rollout import Trace
+from dual_ur10.sim2real.limits import MotionLimits
 
-QUICK_FRAMES, SIZE = 125, (540, 960)
+SIZE = (film.HEIGHT, film.WIDTH)
 VOID = {"meta", "img", "br"}
+MOST_MM = 15.0  # placing error of a success
 
 
 def has_opengl() -> bool:
     import gymnasium as gym
 
-    env = gym.make(demo.ENV_ID, render_mode="rgb_array", width=16, height=16)
+    env = gym.make(runs.SINE_ID, render_mode="rgb_array", width=16, height=16)
     try:
         env.reset()
         env.render()
@@ -43,6 +49,7 @@ class Page(HTMLParser):
         self.open: list[str] = []
         self.sources: list[tuple[str, str]] = []
         self.tables: dict[str, list[list[str]]] = {}
+        self.ids: set[str] = set()
         self.text = ""
         self._table = ""
         self.feed(text)
@@ -54,6 +61,7 @@ class Page(HTMLParser):
             self.open.append(tag)
         values = dict(attrs)
         self.sources += [(tag, values[name] or "") for name in ("src", "href", "data", "poster") if name in values]
+        self.ids |= {values["id"] or ""} if "id" in values else set()
         if tag == "table":
             self._table = values["id"] or ""
             self.tables[self._table] = []
@@ -83,16 +91,18 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 def test_the_terminal_shows_a_row_per_run_and_where_the_files_are(made: tuple[Path, str]) -> None:
     out, text = made
-    for run in demo.RUNS:
+    for run in (*runs.RUNS, *runs_carry.CARRY_RUNS):
         assert run.title in text
+    for run in runs_handover.HANDOVER_RUNS:
+        assert all(f"{run.title}, seed {seed}" in text for seed in range(demo.QUICK.episodes))
     assert str(out / "report.html") in text
     assert "No real arm was measured" in text
 
 
-def test_the_report_is_a_page_with_both_tables(made: tuple[Path, str]) -> None:
+def test_the_report_has_the_tables_of_the_sine(made: tuple[Path, str]) -> None:
     page = Page((made[0] / "report.html").read_text(encoding="utf-8"))
     accuracy = page.tables["accuracy"]
-    assert [row[0] for row in accuracy[1:]] == [run.title for run in demo.RUNS]
+    assert [row[0] for row in accuracy[1:]] == [run.title for run in runs.RUNS]
     assert all(len(row) == 9 for row in accuracy)
     figures = {row[0]: row[1:] for row in accuracy[1:]}
     assert float(figures["nominal"][0]) < 0.01 < float(figures["perturbed"][0]) < 1.0
@@ -106,6 +116,34 @@ def test_the_report_is_a_page_with_both_tables(made: tuple[Path, str]) -> None:
     assert claims["here, both arms, perturbed"][0] == figures["perturbed"][0]
 
 
+def test_the_report_has_a_row_for_each_way_to_carry(made: tuple[Path, str]) -> None:
+    head, *rows = Page((made[0] / "report.html").read_text(encoding="utf-8")).tables["carry"]
+    assert [row[0] for row in rows] == [run.title for run in runs_carry.CARRY_RUNS]
+    column = {re.sub(r"(mm|°|N|%.*)$", "", name): k for k, name in enumerate(head)}
+    relative = [float(row[column["relative position"]]) for row in rows]
+    # A weld is better than friction, and an exact model better than one that is not.
+    assert 0.0 < relative[0] < 0.05 < relative[1] < 1.0 < relative[2] < 10.0
+    assert [row[column["slip"]] == "—" for row in rows] == [True, False, False]
+    for row in rows:
+        assert row[column["success"]] == "yes"
+        assert 25.0 < float(row[column["least load"]]) <= 50.0
+        assert 0.0 < float(row[column["joint speed"]]) <= 100.0
+        assert float(row[column["bar RMS"]]) < float(row[column["bar max"]])
+
+
+def test_the_report_has_a_row_for_each_handover(made: tuple[Path, str]) -> None:
+    head, *rows = Page((made[0] / "report.html").read_text(encoding="utf-8")).tables["handover"]
+    seeds = range(demo.QUICK.episodes)
+    assert [row[0] for row in rows] == [f"{run.title}, seed {k}" for run in runs_handover.HANDOVER_RUNS for k in seeds]
+    for row in rows:
+        assert len(row) == len(head)
+        assert row[1] in ("left", "right")
+        assert row[2] == "yes"
+        assert 5.0 < float(row[3]) < 20.0
+        assert float(row[4]) < MOST_MM
+        assert 0.0 < float(row[7]) <= 100.0
+
+
 def test_the_report_says_what_its_figures_are_worth(made: tuple[Path, str]) -> None:
     text = Page((made[0] / "report.html").read_text(encoding="utf-8")).text
     for words in ("No real arm was measured", "artefact of an exact model", "Only the perturbed rows mean", "L = 0"):
@@ -115,40 +153,64 @@ def test_the_report_says_what_its_figures_are_worth(made: tuple[Path, str]) -> N
 def test_the_report_needs_nothing_from_outside(made: tuple[Path, str]) -> None:
     source = (made[0] / "report.html").read_text(encoding="utf-8")
     page = Page(source)
-    assert sum(tag == "img" for tag, _ in page.sources) == 7
-    assert all(address.startswith("data:") for _, address in page.sources)
+    plots = [address for tag, address in page.sources if tag == "img" and address.startswith("data:image/svg")]
+    assert len(plots) == len(set(plots)) == 7 + 4 + 2
+    for tag, address in page.sources:
+        if tag == "a":
+            assert address.removeprefix("#") in page.ids
+        else:
+            assert address.startswith("data:")
     for loader in ("url(", "@import", "<script", "<link", "http:", "https:"):
         assert loader not in source
 
 
-def test_the_video_has_every_frame_and_shows_motion(made: tuple[Path, str]) -> None:
+def test_the_videos_show_motion_and_the_report_their_key_frames(made: tuple[Path, str]) -> None:
     import imageio.v2 as imageio
 
-    path = made[0] / "sine_tracking.mp4"
     if not has_opengl():
-        assert not path.exists()
+        assert not any((made[0] / name).exists() for name in demo.VIDEOS.values())
         assert "apt-get install" in made[1]
         pytest.skip("no OpenGL: there is no video, and the command says why")
-    with imageio.get_reader(path) as reader:
-        frames: list[Any] = list(reader.iter_data())
-    assert len(frames) == QUICK_FRAMES
-    assert frames[0].shape[:2] == SIZE
-    assert np.ptp(frames[0]) > 150  # not one colour
-    scene = [frame[:500].astype(int) for frame in (frames[0], frames[62])]
-    assert np.abs(scene[0] - scene[1]).max() > 60  # beside its caption, too
+    counts = {}
+    for task, name in demo.VIDEOS.items():
+        assert str(made[0] / name) in made[1]
+        with imageio.get_reader(made[0] / name) as reader:
+            frames: list[Any] = list(reader.iter_data())
+        counts[task] = len(frames)
+        assert frames[0].shape[:2] == SIZE
+        assert np.ptp(frames[0]) > 150  # not one colour
+        scene = [frame[:500].astype(int) for frame in (frames[0], frames[len(frames) // 2])]
+        assert np.abs(scene[0] - scene[1]).max() > 60  # beside its caption, too
+    assert counts["sine"] == demo.QUICK.sine_film_s * film.FPS
+    assert counts["carry"] == -(-900 // demo.QUICK.carry_every)
+    page = Page((made[0] / "report.html").read_text(encoding="utf-8"))
+    pictures = [address for tag, address in page.sources if address.startswith("data:image/jpeg")]
+    stages = 7
+    assert len(pictures) == len(set(pictures)) == len(films.carry_instants(30.0)) + 1 + stages
+    for stage in ("Reach", "Mutual grasp", "Place", "Laid down"):
+        assert stage in page.text or stage.lower() in page.text
 
 
 def test_without_opengl_there_is_a_report_and_no_video(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: Any, **__: Any) -> None:
         raise RenderError("no OpenGL backend was found: apt-get install libegl1")
 
-    monkeypatch.setattr(demo, "record_video", fail)
+    # What is run is not the matter here: one of each will do.
+    for name in ("RUNS", "CARRY_RUNS"):
+        found = {each.name: each for each in getattr(demo, name)}
+        monkeypatch.setattr(demo, name, [each for name, each in found.items() if name != "friction"])
+    monkeypatch.setattr(demo, "QUICK", demo.Extent(sine_s=1.0, episodes=1))
+    for name in ("film_sine", "film_carry", "film_handover"):
+        monkeypatch.setattr(films, name, fail)
     told: list[tuple[float, float]] = []
-    results, missing = demo.run_demo(tmp_path, quick=True, progress=lambda _, done, total: told.append((done, total)))
-    assert "libegl1" in missing
-    assert not (tmp_path / "sine_tracking.mp4").exists()
-    assert "libegl1" in Page((tmp_path / "report.html").read_text(encoding="utf-8")).text
-    assert [result.run.name for result in results] == [run.name for run in demo.RUNS]
+    found = demo.run_demo(tmp_path, quick=True, progress=lambda _, done, total: told.append((done, total)))
+    assert "libegl1" in found.missing
+    assert not found.films
+    assert not any((tmp_path / name).exists() for name in demo.VIDEOS.values())
+    page = Page((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert "libegl1" in page.text
+    assert all(address.startswith("data:image/svg") for tag, address in page.sources if tag != "a")
+    assert [result.run.name for result in found.sine] == [run.name for run in runs.RUNS]
     done = [each for each, _ in told]
     assert done == sorted(done)
     assert told[-1][0] == pytest.approx(told[-1][1])
@@ -171,14 +233,93 @@ def test_a_folder_that_cannot_be_made_is_an_error_of_one_line(tmp_path: Path) ->
     assert "cannot write to" in result.output
 
 
-def test_a_run_cut_short_has_no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = demo.rollout
+@pytest.mark.parametrize(
+    ("module", "measure"),
+    [
+        (runs, lambda: runs.measure(runs.RUNS[0], 0.4)),
+        (runs_carry, lambda: runs_carry.measure_carry(runs_carry.CARRY_RUNS[0])),
+    ],
+    ids=["sine", "carry"],
+)
+def test_a_run_cut_short_has_no_figures(module: Any, measure: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = module.rollout
 
     def cut(*arguments: Any, **keywords: Any) -> Any:
-        import dataclasses
-
         return dataclasses.replace(real(*arguments, **keywords), ended_by="too close")
 
-    monkeypatch.setattr(demo, "rollout", cut)
+    monkeypatch.setattr(module, "rollout", cut)
     with pytest.raises(DualUR10Error, match="too close"):
-        demo.measure(demo.RUNS[0], 0.4)
+        measure()
+
+
+def test_a_film_cut_short_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = film.rollout
+    monkeypatch.setattr(film, "rollout", lambda *a, **k: dataclasses.replace(real(*a, **k), ended_by="too close"))
+    monkeypatch.setattr("dual_ur10.envs.dual_arm_env.DualArmEnv.render", lambda _: np.zeros((*SIZE, 3), np.uint8))
+    env, policy = runs.make(runs.RUNS[0], 0.4, render_mode="rgb_array")
+    with pytest.raises(DualUR10Error, match="too close"):
+        film.shoot(tmp_path / "film.mp4", env, policy, film.Script("", lambda *_: ""))
+    assert not list(tmp_path.iterdir())
+
+
+def carried(**columns: Any) -> Trace:
+    """A trace of three steps, the last two of them on the path."""
+    trace = Trace()
+    rows: dict[str, Any] = {
+        "clock_s": [-1.0, 0.5, 1.0],
+        "object_m": [[0, 0, 0.02], [0, 0, 0.03], [0, 0, 0.2]],
+        "load_share": [[0.0, 1.0], [0.1, 0.9], [0.45, 0.55]],
+        "slip_m": [[9.0, 9.0], [1e-3, 2e-3], [0.0, 0.0]],
+        **{
+            name: [9.0, -2e-3, 1e-3]
+            for name in ("relative_error_m", "relative_error_rad", "squeeze_n", "lateral_n", "object_error_rad")
+        },
+        "object_error_m": [9.0, 3e-3, 4e-3],
+        **columns,
+    }
+    for k in range(len(rows["clock_s"])):
+        trace({name: np.array(values[k]) for name, values in rows.items()})
+    return trace
+
+
+def test_figures_of_carrying_begin_with_the_path() -> None:
+    found = runs_carry.figures_of_carry(carried(), rigid=False, share=0.5)
+    assert found.relative_max_mm == pytest.approx(2.0)
+    assert found.relative_max_deg == pytest.approx(np.degrees(2e-3))
+    assert (found.squeeze_max_n, found.lateral_max_n) == (2e-3, 2e-3)
+    assert found.slip_max_mm == pytest.approx(2.0)
+    assert (found.bar_max_mm, found.bar_rms_mm) == (pytest.approx(4.0), pytest.approx(np.sqrt(12.5)))
+    assert found.least_load_share == 0.45  # on the table the load is not the arms' alone
+    assert np.isnan(runs_carry.figures_of_carry(carried(), rigid=True, share=0.5).slip_max_mm)
+    with pytest.raises(DualUR10Error, match="before its path began"):
+        runs_carry.figures_of_carry(carried(clock_s=[-3.0, -2.0, -1.0]), rigid=False, share=0.5)
+
+
+def test_stages_have_the_time_of_the_step_that_passed_them() -> None:
+    found = runs_handover.passed_s(np.array([0, 1, 1, 3, 3]), 4, 0.04)
+    assert found[:3] == pytest.approx((0.08, 0.16, 0.16))
+    assert np.isnan(found[3])
+
+
+def test_the_share_of_a_speed_limit_is_that_of_the_joint_nearest_to_it() -> None:
+    limits = MotionLimits(speed_rad_s=(0.5, 1.0) * 3, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.0)
+    q = np.zeros((3, 2, 6))
+    q[1:, 1, 1] = -0.02
+    q[2, 0, 0] = 0.015
+    assert runs.speed_share(q, 0.04, limits) == pytest.approx(0.75)
+
+
+@pytest.mark.parametrize("duration_s", list(MOVES))
+def test_key_frames_of_carrying_are_one_for_each_kind_of_move(duration_s: float) -> None:
+    times, titles = zip(*films.carry_instants(duration_s), strict=True)
+    assert list(times) == sorted(times)
+    assert len(set(titles)) == len(titles) == 8
+    assert titles[1] == "lifted"
+    assert times[-1] == duration_s
+
+
+def test_figures_are_shown_to_three_digits() -> None:
+    shown = {0.0: "0.0000", 3e-5: "0.0000", 0.00123: "0.0012", 0.1234: "0.123", 12.34: "12.3", 1234.5: "1234"}
+    assert {value: report_page.number(value) for value in shown} == shown
+    assert report_page.number(-0.5) == "−0.500"
+    assert report_page.number(float("nan")) == "—"

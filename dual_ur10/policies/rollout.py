@@ -56,6 +56,24 @@ class Record:
         return time_s
 
 
+class Trace:
+    """Numbers of `info` over one episode: give it to `rollout` as `on_step`. Rows are as in `Record`."""
+
+    def __init__(self) -> None:
+        self._rows: list[dict[str, Any]] = []
+
+    def __call__(self, info: Info) -> None:
+        """Keep those of one step."""
+        self._rows.append(dict(info))
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getitem__(self, name: str) -> Array:
+        """(k, ...) a number over time."""
+        return np.array([row[name] for row in self._rows], dtype=np.float64)
+
+
 def rollout(
     env: Any, policy: Policy, *, seed: int | None = None, on_step: Callable[[Info], None] | None = None
 ) -> Record:

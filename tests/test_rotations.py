@@ -94,3 +94,8 @@ def test_batch_axes_broadcast() -> None:
     assert rotations.quat_from_matrix(matrices).shape == (5, 6, 4)
     assert rotations.quat_to_rotvec(quat).shape == (5, 6, 3)
     assert rotations.quat_from_rotvec(np.ones((5, 6, 3))).shape == (5, 6, 4)
+
+
+def test_cross_is_numpys():
+    first, second = np.random.default_rng(0).normal(size=(2, 4, 2, 3))
+    np.testing.assert_array_equal(rotations.cross(first, second), np.cross(first, second))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.assets.scene import GAINS, SceneSettings, build_clearance_model
 from dual_ur10.envs.payload import write_masses
+from dual_ur10.rotations import cross
 from dual_ur10.ur10 import ARMS
 
 Array = NDArray[np.float64]
@@ -102,7 +103,7 @@ class PayloadTorque:
         """(n, steps, 12) from the accelerations, (n, steps, 12), and masses, (n, steps, 2)."""
         n, steps = a.shape[:2]
         away = self._point[:, self._points][:, :, None] - self._anchor[:, :12].reshape(n, 2, 6, 3)
-        jacobian = np.cross(self._axis[:, :12].reshape(n, 2, 6, 3), away)
+        jacobian = cross(self._axis[:, :12].reshape(n, 2, 6, 3), away)
         accelerations = a.reshape(n, steps, 2, 6).swapaxes(1, 2) @ (jacobian @ jacobian.swapaxes(2, 3))
         torque = accelerations + GRAVITY_M_S2 * jacobian[:, :, None, :, 2]
         torque *= payload_kg.swapaxes(1, 2)[..., None]

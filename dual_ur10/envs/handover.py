@@ -18,7 +18,7 @@ from dual_ur10.envs.handover_stages import STAGES, STILL_M_S, WIDTH_M, Facts, Ha
 from dual_ur10.envs.holding import PICKING, between, given, holds, tools
 from dual_ur10.envs.poses import Poses, length, seen_from
 from dual_ur10.envs.task import Furnishing, Outcome, Task, Timing, slower
-from dual_ur10.rotations import rotate
+from dual_ur10.rotations import cross, rotate
 from dual_ur10.sim2real.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.limits import REACH_FROM_JOINT_M, MotionLimits
 from dual_ur10.ur10 import DH_D_M
@@ -358,5 +358,5 @@ def _between_long_axes(first: Array, second: Array) -> Array:
     """Angles in rad, (...), between the long axes of blocks. Which long side is up does not matter."""
     axis = np.array([1.0, 0.0, 0.0])
     one, other = (rotate(quat, np.broadcast_to(axis, (*quat.shape[:-1], 3))) for quat in (first, second))
-    result: Array = np.arctan2(length(np.cross(one, other)), np.add.reduce(one * other, axis=-1))
+    result: Array = np.arctan2(length(cross(one, other)), np.add.reduce(one * other, axis=-1))
     return result

@@ -506,3 +506,15 @@ def test_e_series_runs_at_its_own_tick():
         observation, _, _, over, info = env.step(policy(observation))
     assert over
     assert info["flange_error_m"].max() < 1e-4
+
+
+def test_a_step_after_termination_is_refused_until_a_reset():
+    env = gym.make(SINE)
+    env.reset(seed=0)
+    env.unwrapped.core.cell._arms_qd[0, 0, 3] = np.nan
+    still = np.zeros(12, dtype=np.float32)
+    assert env.step(still)[2]
+    with pytest.raises(errors.ResetNeededError, match="reset"):
+        env.unwrapped.step(still)
+    env.reset()
+    assert not env.step(still)[2]

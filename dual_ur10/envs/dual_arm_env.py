@@ -14,7 +14,7 @@ from dual_ur10.envs.options import DEFAULT_RATE_HZ
 from dual_ur10.envs.pixels import Observer, row_of
 from dual_ur10.envs.rendering import RENDER_MODES
 from dual_ur10.envs.viewer import Viewer
-from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.errors import ResetNeededError, SettingsError, UnknownNameError
 
 Array = NDArray[np.float64]
 
@@ -50,6 +50,7 @@ class DualArmEnv(gym.Env[Any, Array]):
         self.render_mode = render_mode
         self.core = Core(task, keywords)
         self._observer = Observer(self.core)
+        self._terminated = False
         self._renderer = self._observer.renderer
         self.action_space: Any = self.core.action_space
         self.observation_space: Any = self._observer.space
@@ -76,6 +77,7 @@ class DualArmEnv(gym.Env[Any, Array]):
         if options:
             raise SettingsError(f"reset takes no options, found {sorted(options)}: set keywords at gym.make")
         super().reset(seed=seed)
+        self._terminated = False
         state, info = self.core.reset([self.np_random])
         observation = self._observer.begin(state, _ROW)
         if self.render_mode == "human":
@@ -87,8 +89,14 @@ class DualArmEnv(gym.Env[Any, Array]):
 
         Raises:
             ActionError: The action has the wrong shape or type, or holds NaN or infinity. Nothing has moved.
+            ResetNeededError: There was no reset yet, or the episode was terminated.
         """
+        if self._terminated:
+            raise ResetNeededError(
+                "step was called after `terminated`: nothing more can come of this episode, call reset()"
+            )
         step = self.core.step(action)
+        self._terminated = bool(step.terminated[0])
         observation = row_of(self._observer.advance(step.observation), 0)
         info: dict[str, Any] = of_row(step.info, 0)
         info["is_success"] = bool(info["is_success"])

@@ -100,7 +100,10 @@ def test_every_value_can_be_set_alone_and_does_something(name):
     action = np.full(14, 0.2, dtype=np.float32)
     for k in range(30):
         action[[6, 13]] = 1.0 if k < 15 else -1.0
-        differs |= not np.array_equal(changed.step(action)[0], plain.step(action)[0])
+        one, other = changed.step(action), plain.step(action)
+        differs |= not np.array_equal(one[0], other[0])
+        if one[2] or other[2]:
+            break
     if name in ("object_mass", "grip_friction"):  # nothing was touched
         assert info["randomization"][f"{name}_scale"].ravel()[0] != 1.0
     else:

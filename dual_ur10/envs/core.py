@@ -252,7 +252,7 @@ class Core:
             info[name] = terms[:, k]
         if not self._sensing.is_exact:
             state = self._sensing(state)
-            measured = self.task.measure(state)
+            measured = measured if self._sensing.keeps_poses else self.task.measure(state)
         self._observation = observation = self.task.observe(state, measured, self.pipeline.adapter.commanded_q_rad)
         self.agents = agents = Agents(self.task, observation, outcome.terms, self._weights)
         return Step(observation.copy(), reward, terminated, outcome.over, info, verdicts, state.failed, agents)

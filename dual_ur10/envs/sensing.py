@@ -55,6 +55,11 @@ class Sensing:
         """Whether what is measured is what is true."""
         return not (self._noisy or self._offset or self._moved or self._late)
 
+    @property
+    def keeps_poses(self) -> bool:
+        """Whether poses and openings are measured as they are; joints and wrenches may have noise."""
+        return not (self._offset or self._moved or self._late)
+
     def reset(self, state: CellState, rows: Rows, seeds: Sequence[int], drawn: Mapping[str, Array]) -> None:
         """Begin episodes in `rows`.
 

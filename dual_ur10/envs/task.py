@@ -120,7 +120,11 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
 
     @abstractmethod
     def measure(self, state: CellState) -> MeasuredT:
-        """Everything about a state that observation and reward share."""
+        """Everything about a state that observation and reward share.
+
+        It keeps nothing, for it may be called for the true state and for the measured one. What `observe` takes from it
+        depends on poses and openings alone: noise of joints and wrenches does not ask for another call.
+        """
 
     @abstractmethod
     def observe(self, state: CellState, measured: MeasuredT, commanded_q_rad: Array) -> Array:

@@ -43,7 +43,9 @@ def episodes(count, **keywords):
                     results[row] = {name: values[row].copy() for name, values in step.info.items()}
     for trace in stages:
         assert (np.diff(trace) >= 0).all()
-    assert peak <= max(core.task.limits.speed_rad_s)
+    # Limits are those of targets: a plant that differs from its model follows them within a few percent.
+    slack = 1.03 if "randomization" in keywords else 1.0
+    assert peak <= slack * max(core.task.limits.speed_rad_s)
     assert core.task.limits.speed_rad_s[0] <= 1.2
     duration_s = max(map(len, stages)) * core.timing.period_s
     core.close()

@@ -8,7 +8,7 @@ Importing the package registers the environments with Gymnasium and PettingZoo a
     env = gym.make("DualUR10/SineTracking-v0")
 """
 
-import pettingzoo  # type: ignore[import-untyped]
+import pettingzoo  # type: ignore[import-untyped]  # has no types
 from gymnasium.envs.registration import register, registry
 
 from dual_ur10.assets.scene import ArmMount

@@ -69,7 +69,7 @@ def list_environments() -> None:
     table = Table(box=None, header_style="bold", padding=(0, 2, 0, 0))
     for header, justify in (("environment", "left"), ("rate", "right"), ("action", "right"), ("observation", "right")):
         # An id is there to be copied: it is never cut.
-        table.add_column(header, justify=justify, no_wrap=True, min_width=len(header))  # type: ignore[arg-type]
+        table.add_column(header, justify=justify, no_wrap=True, min_width=len(header))  # type: ignore[arg-type]  # rich wants literals
     table.add_column("policies")
     table.columns[0].min_width = max(map(len, ENV_IDS))
     for env_id in ENV_IDS:

@@ -5,8 +5,9 @@ from dual_ur10 import errors
 from dual_ur10.assets.scene import ArmMount
 from dual_ur10.envs.core import Core
 from dual_ur10.envs.handover import SETTLED_S, Handover, _between_long_axes
-from dual_ur10.envs.handover_settings import GRIPS, HandoverSettings, laid_quat, lying, presented_quat, yawed
+from dual_ur10.envs.handover_settings import GRIPS, HandoverSettings, laid_quat, lying, presented_quat
 from dual_ur10.envs.handover_stages import STAGES, WIDTH_M, Facts, Hand, advance, passed, terms
+from dual_ur10.envs.poses import yawed
 from dual_ur10.kinematics import flange_pose_quat
 from dual_ur10.rotations import quat_to_matrix, rotate
 from dual_ur10.sim2real.cell import CellConfig

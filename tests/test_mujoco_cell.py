@@ -141,7 +141,16 @@ def test_perturbations_are_per_cell():
 
 def test_perturbing_back_to_nominal_restores_it():
     nominal, _ = run()
-    _, cell = run(Perturbation(mass_scale=1.2, friction_nm=3.0, latency_s=0.01, lookahead_scale=1.1, payload_kg=2.0))
+    _, cell = run(
+        Perturbation(
+            mass_scale=1.2,
+            friction_nm=3.0,
+            latency_s=0.01,
+            lookahead_scale=1.1,
+            payload_kg=2.0,
+            declared_payload_kg=1.5,
+        )
+    )
     cell.reset(Start(home()), perturbation=Perturbation().expanded(1))
     trace = np.array([cell.advance(Command(wave(k))).q_rad.copy() for k in range(50)])
     assert np.abs(trace - nominal).max() < 1e-12

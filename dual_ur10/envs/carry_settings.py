@@ -15,7 +15,7 @@ from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
 from dual_ur10.envs.carry_path import MOVES, CarryPath
 from dual_ur10.envs.frames import Frames
 from dual_ur10.envs.holding import flanges_of
-from dual_ur10.envs.poses import Poses, after
+from dual_ur10.envs.poses import Poses, after, yawed
 from dual_ur10.envs.task import check_numbers
 from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError
 from dual_ur10.forward_kinematics import elbow_and_flange
@@ -122,10 +122,9 @@ def path_rate(settings: CarrySettings, scene: SceneSettings, limits: MotionLimit
 def bar_pose(where: Array) -> Poses:
     """Bars that lie on the table, (n, 3) and (n, 4), from x, y (m) and yaw (rad), (n, 3)."""
     n = len(where)
-    position, quat = np.zeros((n, 3)), np.zeros((n, 4))
+    position = np.zeros((n, 3))
     position[:, :2], position[:, 2] = where[:, :2], BAR_WIDTH_M / 2
-    quat[:, 0], quat[:, 3] = np.cos(where[:, 2] / 2), np.sin(where[:, 2] / 2)
-    return Poses(position, quat)
+    return Poses(position, yawed(where[:, 2]))
 
 
 def ideal_relative(grip: Poses) -> Poses:

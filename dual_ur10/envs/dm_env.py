@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, cast
 
 import numpy as np
-from dm_env import (  # type: ignore[import-untyped]
+from dm_env import (  # type: ignore[import-untyped]  # has no types
     Environment,
     TimeStep,
     restart,

@@ -49,11 +49,14 @@ class FeedForward:
         # Torques are columns where accelerations stand on the left. One arm's inertia does not concern the other.
         self._weight_of_entries = np.kron(np.eye(2), np.ones((6, 6))) * self._compliance
         self.n = n
+        self._declared_kg: Array = np.zeros((n, 2))
         self._payload = PayloadTorque(self._batch, kp) if settings.equipment.grippers else None
 
     def declare_payload(self, mass_kg: Array) -> None:
-        """Tell the controller of a mass at each flange, (n, 2)."""
-        write_masses(self._batch, np.ones_like(mass_kg), mass_kg)
+        """Tell the controller of a mass at each flange, (n, 2), in place of the one before."""
+        if (mass_kg != self._declared_kg).any():
+            write_masses(self._batch, np.ones_like(mass_kg), mass_kg)
+            self._declared_kg = mass_kg.copy()
 
     def __call__(self, q: Array, v: Array, a: Array, payload_kg: Array | None = None) -> Array:
         """Controls of every physics step, (n, steps, 12).

@@ -15,7 +15,7 @@ from dual_ur10.assets.props import BLOCK_GRIP_QUAT, BLOCK_SIZE_M
 from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
 from dual_ur10.envs.frames import Frames
 from dual_ur10.envs.holding import flanges_of
-from dual_ur10.envs.poses import Poses, after
+from dual_ur10.envs.poses import Poses, after, yawed
 from dual_ur10.envs.task import check_numbers
 from dual_ur10.errors import UnknownNameError, WorkspaceError
 from dual_ur10.kinematics import try_nearest
@@ -102,13 +102,6 @@ def _grips(giver: int) -> Poses:
 
 GRIPS: Final = tuple(_grips(giver) for giver in (0, 1))
 """Poses of both tools in the frame of the block that they grip, (2, 3) and (2, 4), by the index of the giver."""
-
-
-def yawed(yaw_rad: Array) -> Array:
-    """Quaternions, (..., 4), of turns about the vertical."""
-    quat = np.zeros((*np.shape(yaw_rad), 4))
-    quat[..., 0], quat[..., 3] = np.cos(yaw_rad / 2), np.sin(yaw_rad / 2)
-    return quat
 
 
 def lying(where: Array, side: Array) -> Poses:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.assets.gripper import OPENING_M, PAD_LENGTH_M, TCP_M
 from dual_ur10.envs.poses import Poses
+from dual_ur10.errors import SettingsError
 from dual_ur10.rotations import rotate
 from dual_ur10.sim2real.cell import CellState
 
@@ -65,8 +66,8 @@ def given(values: Array | None) -> Array:
     """Values that a cell with grippers always has.
 
     Raises:
-        ValueError: They are missing.
+        SettingsError: They are missing.
     """
     if values is None:
-        raise ValueError("this cell has no grippers: a task with objects needs a cell with its equipment")
+        raise SettingsError("this cell has no grippers: a task with objects needs a cell with its equipment")
     return values

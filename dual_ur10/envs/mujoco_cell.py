@@ -96,8 +96,7 @@ class MujocoCell:
         self._delay.loss = values["loss"]
         self._reference.set_lookahead(values["lookahead_scale"], delayed=self._delayed, uneven=self._uneven)
         self._plant.write(values, rows)
-        if values["declared_payload_kg"].any():
-            self._feedforward.declare_payload(values["declared_payload_kg"])
+        self._feedforward.declare_payload(values["declared_payload_kg"])
 
     def reset(
         self,

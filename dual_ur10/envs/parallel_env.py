@@ -9,9 +9,9 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
-from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]
-from pettingzoo.utils.conversions import parallel_to_aec_wrapper  # type: ignore[import-untyped]
-from pettingzoo.utils.wrappers import OrderEnforcingWrapper  # type: ignore[import-untyped]
+from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]  # has no types
+from pettingzoo.utils.conversions import parallel_to_aec_wrapper  # type: ignore[import-untyped]  # as above
+from pettingzoo.utils.wrappers import OrderEnforcingWrapper  # type: ignore[import-untyped]  # as above
 
 from dual_ur10.envs.names import env_id_of, task_name
 from dual_ur10.envs.two_agents import Share, agent_spaces, check_count, check_options

@@ -41,3 +41,10 @@ def length(vector: Array) -> Array:
     """Lengths, (...), of vectors, (..., 3)."""
     result: Array = np.sqrt(np.add.reduce(vector * vector, axis=-1))
     return result
+
+
+def yawed(yaw_rad: Array) -> Array:
+    """Quaternions, (..., 4), of turns about the vertical."""
+    quat = np.zeros((*np.shape(yaw_rad), 4))
+    quat[..., 0], quat[..., 3] = np.cos(yaw_rad / 2), np.sin(yaw_rad / 2)
+    return quat

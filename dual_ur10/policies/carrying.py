@@ -16,6 +16,11 @@ from dual_ur10.ur10 import DHParameters
 Array = NDArray[np.float64]
 
 
+def poses_at(arms: Array, first: int) -> Poses:
+    """Poses among the numbers of the arms, (..., 2, size), that begin at one of them."""
+    return Poses(arms[..., first : first + 3], arms[..., first + 3 : first + 7])
+
+
 def lying(pose: Poses, mounts: Sequence[ArmMount], height_m: float) -> Poses:
     """Poses as measured, (..., 2, ...) in the arms' `base` frames, of things that are known to lie on the table.
 

@@ -17,7 +17,7 @@ from dual_ur10.envs.holding import TCP_LEVER
 from dual_ur10.envs.poses import Poses
 from dual_ur10.envs.task import Timing, slower
 from dual_ur10.errors import ActionError, SettingsError
-from dual_ur10.policies.carrying import lying
+from dual_ur10.policies.carrying import lying, poses_at
 from dual_ur10.policies.free_motion import FreeMotion
 from dual_ur10.policies.handover_ways import Ways
 from dual_ur10.rotations import rotate
@@ -135,7 +135,7 @@ class HandoverPolicy:
 
     def _begun(self, arms: Array) -> _Episode:
         episode = _new(arms)
-        block = self._ways.to_cell(lying(_poses(arms, _BLOCK), self.mounts, BLOCK_SIZE_M[2] / 2))
+        block = self._ways.to_cell(lying(poses_at(arms, _BLOCK), self.mounts, BLOCK_SIZE_M[2] / 2))
         episode.motion = self._ways.pick(arms[:, _COMMANDED : _COMMANDED + 6], episode.giver, _of(block, episode.giver))
         return episode
 
@@ -171,12 +171,12 @@ class HandoverPolicy:
         """The motion of the phase that begins."""
         ways, giver, receiver = self._ways, episode.giver, 1 - episode.giver
         q = arms[:, _COMMANDED : _COMMANDED + 6]
-        flange = ways.to_cell(_poses(arms, _FLANGE))
+        flange = ways.to_cell(poses_at(arms, _FLANGE))
         tools = Poses(flange.position_m + rotate(flange.quat, np.tile(TCP_LEVER, (2, 1))), flange.quat)
         if episode.phase == _MEET:
             return ways.meet(q, giver, _of(tools, giver))
         if episode.phase == _PLACE:
-            block, target = (_of(ways.to_cell(_poses(arms, first)), receiver) for first in (_BLOCK, _TARGET))
+            block, target = (_of(ways.to_cell(poses_at(arms, first)), receiver) for first in (_BLOCK, _TARGET))
             return ways.place(q, giver, tools, block, target)
         return ways.leave(q, giver, _of(tools, receiver)) if episode.phase == _LEAVE else None
 
@@ -185,11 +185,6 @@ def _new(arms: Array) -> _Episode:
     return _Episode(
         0 if arms[0, _ROLE] > 0 else 1, _PICK, None, arms[:, _COMMANDED : _COMMANDED + 6].reshape(12).copy()
     )
-
-
-def _poses(arms: Array, first: int) -> Poses:
-    """Poses among the numbers of the arms, (2, ...)."""
-    return Poses(arms[..., first : first + 3], arms[..., first + 3 : first + 7])
 
 
 def _of(poses: Poses, arm: int) -> Poses:

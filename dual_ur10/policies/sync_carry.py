@@ -15,7 +15,7 @@ from dual_ur10.envs.holding import flanges_of
 from dual_ur10.envs.poses import Poses, after, seen_from
 from dual_ur10.envs.task import Timing, slower
 from dual_ur10.errors import ActionError, SettingsError
-from dual_ur10.policies.carrying import lying, postures
+from dual_ur10.policies.carrying import lying, poses_at, postures
 from dual_ur10.policies.free_motion import FreeMotion, Waypoint
 from dual_ur10.sim2real.limits import MotionLimits
 
@@ -103,7 +103,7 @@ class SyncCarryPolicy:
         if self._clock is None or len(self._clock) != n:
             raise ActionError(f"{n} observations after another number: call reset() first")
         commanded = arms[..., 12:18]
-        bar, now, ahead = (_poses(arms, late + 6 + 7 * k) for k in range(3))
+        bar, now, ahead = (poses_at(arms, late + 6 + 7 * k) for k in range(3))
         clock = arms[:, 0, late + 34] + arms[:, 0, late + 35]
         fresh = np.flatnonzero(clock < self._clock)
         self._clock = clock
@@ -155,8 +155,3 @@ class SyncCarryPolicy:
             )
         offset = seen_from(reference, flange)
         self._offset.position_m[row], self._offset.quat[row] = offset
-
-
-def _poses(arms: Array, first: int) -> Poses:
-    """Poses among the numbers of the arms, (n, 2, ...)."""
-    return Poses(arms[..., first : first + 3], arms[..., first + 3 : first + 7])

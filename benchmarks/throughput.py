@@ -45,19 +45,19 @@ class Recorder:
 
     def __init__(self, env: Any) -> None:
         self.cell = env.unwrapped.core.cell
-        self._control = self.cell._control
-        self.cell._control = self
+        self._control = self.cell._physics._control
+        self.cell._physics._control = self
         self.recorded: list[tuple[np.ndarray, np.ndarray]] = []
 
-    def __call__(self, command: Any) -> np.ndarray:
+    def __call__(self, *command: Any) -> np.ndarray:
         """The controls of a command, noted on the way."""
-        control = self._control(command)
-        self.recorded.append((self.cell._batch.state.copy(), control.copy()))
+        control = self._control(*command)
+        self.recorded.append((self.cell._physics._batch.state.copy(), control.copy()))
         return control
 
     def replay(self) -> float:
         """Time of the recorded rollouts without anything around them."""
-        batch, total = self.cell._batch, 0.0
+        batch, total = self.cell._physics._batch, 0.0
         now = batch.state.copy()
         for state, control in self.recorded:
             batch.state[:] = state

@@ -103,7 +103,7 @@ def test_diverged_physics_ends_without_discount():
     env = dm_env(SINE, seed=0)
     env.reset()
     env.step(ZERO)
-    env.env.core.cell._arms_qd[0, 0, 3] = np.nan
+    env.env.core.cell._physics._arms_qd[0, 0, 3] = np.nan
     step = env.step(ZERO)
     assert step.last()
     assert step.discount == 0.0

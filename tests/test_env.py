@@ -361,7 +361,7 @@ def test_diverged_physics_ends_the_episode_and_returns_no_nan():
     env = gym.make(SINE)
     env.reset(seed=0)
     observation, *_ = env.step(np.zeros(12, dtype=np.float32))
-    env.unwrapped.core.cell._arms_qd[0, 0, 3] = np.nan
+    env.unwrapped.core.cell._physics._arms_qd[0, 0, 3] = np.nan
     after, reward, terminated, _, info = env.step(np.zeros(12, dtype=np.float32))
     assert terminated
     assert "diverged" in info["physics_error"]
@@ -511,7 +511,7 @@ def test_e_series_runs_at_its_own_tick():
 def test_a_step_after_termination_is_refused_until_a_reset():
     env = gym.make(SINE)
     env.reset(seed=0)
-    env.unwrapped.core.cell._arms_qd[0, 0, 3] = np.nan
+    env.unwrapped.core.cell._physics._arms_qd[0, 0, 3] = np.nan
     still = np.zeros(12, dtype=np.float32)
     assert env.step(still)[2]
     with pytest.raises(errors.ResetNeededError, match="reset"):

@@ -25,7 +25,7 @@ def begun(seed=0, **keywords):
 
 def put(core, position_m, quat=(1.0, 0.0, 0.0, 0.0)):
     """Lay the block somewhere, whoever or whatever brought it there."""
-    core.cell._handling._object[0] = [*position_m, *quat]
+    core.cell._physics._handling._object[0] = [*position_m, *quat]
 
 
 def hand(between=False, holds=False, opening=0.085, away=0.5):
@@ -123,7 +123,7 @@ def test_each_arm_earns_what_is_its_to_do():
 def test_a_block_that_only_lies_on_its_target_is_no_success():
     core, _ = begun()
     core.step(STAY)
-    handling = core.cell._handling
+    handling = core.cell._physics._handling
     put(core, handling._target[0][0], handling._target[1][0])
     for _ in range(40):
         step = core.step(STAY)
@@ -136,7 +136,7 @@ def test_a_block_that_only_lies_on_its_target_is_no_success():
 def test_after_all_stages_it_must_lie_there_for_a_while():
     core, _ = begun()
     core.step(STAY)
-    handling = core.cell._handling
+    handling = core.cell._physics._handling
     core.task._stage[:] = 6
     put(core, handling._target[0][0] + [0.1, 0.0, 0.0], handling._target[1][0])
     assert core.step(STAY).info["stage"][0] == 6  # off the target

@@ -109,7 +109,7 @@ def test_a_declared_payload_is_in_the_feed_forward():
 
 def test_payload_masses_and_inertia_are_those_of_a_welded_ball():
     cell = MujocoCell(CellConfig(perturbation=Perturbation(payload_kg=4.0, mass_scale=1.1)), TICKS)
-    batch, model = cell._batch, cell._batch.model
+    batch, model = cell._physics._batch, cell._physics._batch.model
     bodies = [model.body(f"left/{link}").id for link in LINKS]
     expected = LINK_MASS_KG * 1.1
     expected[-1] += 4.0
@@ -228,7 +228,7 @@ def test_feed_forward_is_inverse_dynamics_of_the_nominal_arm():
     rng = np.random.default_rng(0)
     q = home() + rng.normal(size=(1, 2, 6)) * 0.3
     v, a = rng.normal(size=(2, 1, 1, 12))
-    control = cell._feedforward(q.reshape(1, 1, 12), v, a)
+    control = cell._physics._feedforward(q.reshape(1, 1, 12), v, a)
     kp = np.tile([20000, 20000, 10000, 3000, 3000, 3000], 2)
     kv = np.tile([1000, 1000, 500, 60, 60, 60], 2)
     torque = inverse_dynamics(

@@ -240,7 +240,7 @@ def test_diverged_physics_ends_both_agents():
     env = parallel_env(SINE)
     env.reset(seed=0)
     env.step(zeros(env))
-    env.core.cell._arms_qd[0, 0, 3] = np.nan
+    env.core.cell._physics._arms_qd[0, 0, 3] = np.nan
     observation, _, terminations, _, infos = env.step(zeros(env))
     assert terminations == {"left": True, "right": True}
     assert "diverged" in infos["left"]["physics_error"] == infos["right"]["physics_error"]

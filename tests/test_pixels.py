@@ -165,7 +165,7 @@ def test_drawing_changes_no_bit_of_the_physics(kind):
             assert np.array_equal(left[0], right[0]["state"])
         assert left[1:4] == right[1:4]
         assert same(left[4], right[4])
-        states = [each.unwrapped.core.cell._batch.state for each in (plain, drawn)]
+        states = [each.unwrapped.core.cell._physics._batch.state for each in (plain, drawn)]
         assert np.array_equal(*states)
 
 

@@ -149,7 +149,7 @@ def test_the_plant_really_differs():
     core = env.unwrapped.core
     for seed in (3, 4):
         _, info = env.reset(seed=seed)
-        drawn, batch = info["randomization"], core.cell._batch
+        drawn, batch = info["randomization"], core.cell._physics._batch
         model = batch.model
         link, bar = model.body("left/upper_arm_link").id, model.body("bar").id
         assert np.allclose(batch.expand("body_mass")[0, link], 12.7 * drawn["mass_scale"][0])

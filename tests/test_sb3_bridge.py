@@ -119,7 +119,7 @@ def test_what_is_terminated_was_not_cut_short_by_time():
     env = TwoAgentVecEnv(SINE, 2, max_episode_steps=2)
     env.reset()
     env.step(zeros(env))
-    env.cells.core.cell._arms_qd[0, 0, 3] = np.nan
+    env.cells.core.cell._physics._arms_qd[0, 0, 3] = np.nan
     _, _, dones, infos = env.step(zeros(env))
     assert dones.all()
     assert [info["TimeLimit.truncated"] for info in infos] == [False, False, True, True]

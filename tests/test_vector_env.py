@@ -164,7 +164,7 @@ def test_a_diverged_row_ends_alone():
     for each in (env, control):
         each.reset(seed=0)
         each.step(np.zeros((3, 12), dtype=np.float32))
-    env.core.cell._arms_qd[1, 0, 2] = np.nan
+    env.core.cell._physics._arms_qd[1, 0, 2] = np.nan
     observation, _, terminated, _, info = env.step(np.zeros((3, 12), dtype=np.float32))
     expected = control.step(np.zeros((3, 12), dtype=np.float32))[0]
     assert terminated.tolist() == [False, True, False]

@@ -84,6 +84,11 @@ class Handling:
             self._target[0][rows], self._target[1][rows] = start.target_pose[:, :3], start.target_pose[:, 3:]
         return opening
 
+    def place(self, pose: Array) -> None:
+        """Put the object of every cell at a pose, (7,)."""
+        if self._object is not None:
+            self._object[:] = pose
+
     def feel(self) -> None:
         """Read the forces of the last physics step; to be called before anything else is computed.
 

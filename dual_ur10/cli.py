@@ -13,6 +13,7 @@ from rich.table import Table
 
 from dual_ur10 import ENV_IDS, __version__, policies
 from dual_ur10.cli_demo import demo
+from dual_ur10.cli_emulate import emulate
 from dual_ur10.cli_evaluate import evaluate
 from dual_ur10.cli_options import (
     EnvName,
@@ -168,6 +169,7 @@ def view(
 
 
 app.command()(evaluate)
+app.command()(emulate)
 
 
 class _Random:

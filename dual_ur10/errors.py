@@ -64,3 +64,48 @@ class MissingExtraError(DualUR10Error, ImportError):
 
 class RenderError(DualUR10Error, RuntimeError):
     """No OpenGL backend was found for drawing."""
+
+
+class ScriptError(DualUR10Error, ValueError):
+    """A URScript program cannot be read, or failed while it ran.
+
+    Attributes:
+        line: Line of the program text, from 1.
+        word: What the controller stopped at.
+        reason: What is wrong with it.
+    """
+
+    def __init__(self, line: int, word: str, reason: str) -> None:
+        super().__init__(f"line {line}, {word!r}: {reason}")
+        self.line, self.word, self.reason = line, word, reason
+
+    def __reduce__(self) -> tuple[type, tuple[int, str, str]]:
+        return type(self), (self.line, self.word, self.reason)
+
+
+class ScriptSyntaxError(ScriptError):
+    """A URScript program does not follow the grammar, or uses a name that does not exist."""
+
+
+class ScriptRuntimeError(ScriptError):
+    """A URScript program did something that a controller stops it for."""
+
+
+class MotionError(DualUR10Error, ValueError):
+    """A motion command's arguments make no sense: a wrong length, NaN, a negative time."""
+
+
+class ProtocolError(DualUR10Error, ValueError):
+    """A client sent what no client of this protocol sends: its connection is closed."""
+
+
+class OperationRefusedError(DualUR10Error, RuntimeError):
+    """A controller refuses what it was asked to do in the state it is in."""
+
+
+class AddressError(DualUR10Error, OSError):
+    """An address cannot be used: it is taken, does not exist on this machine, or is not of the loopback interface."""
+
+
+class EmulatorError(DualUR10Error, RuntimeError):
+    """The emulated cell did not start, or ended."""

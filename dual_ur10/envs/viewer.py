@@ -30,11 +30,15 @@ def has_display() -> bool:
 class Viewer:
     """Shows MuJoCo's model and data while they change. It opens with the first `show`.
 
+    Args:
+        web: Whether to show them in the web viewer even where there is a display.
+
     Attributes:
         url: Address of the web viewer, for a browser on this machine; None with a window, or before the first `show`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, web: bool = False) -> None:
+        self._web = web
         self.url: str | None = None
         self._shown: Any = None  # MuJoCo's window or `_WebViewer`
 
@@ -54,7 +58,7 @@ class Viewer:
             self._shown.sync()
 
     def _open(self, model: Any, data: Any) -> None:
-        if has_display():
+        if has_display() and not self._web:
             try:
                 self._shown = _window(model, data)
                 return

@@ -1,0 +1,39 @@
+"""Bytes from a socket into lines of text, with a bound on what a client can make us keep."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dual_ur10.errors import ProtocolError
+
+MAX_LINE_BYTES: Final = 4096
+"""Longest line. The longest that a client needs, the text of a popup, is far shorter."""
+
+
+class LineReader:
+    r"""Splits a byte stream at `\n`.
+
+    Args:
+        limit: Longest line, bytes, without its end.
+    """
+
+    def __init__(self, limit: int = MAX_LINE_BYTES) -> None:
+        self.limit = limit
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[str]:
+        r"""The lines that `data` completes, without their `\n` or `\r\n`; bytes that are not UTF-8 are replaced.
+
+        Raises:
+            ProtocolError: A line is longer than the limit. The stream cannot be read on.
+        """
+        *lines, rest = (self._rest + data).split(b"\n")
+        longest = max(map(len, [*lines, rest]))
+        if longest > self.limit:
+            self._rest = b"?" * (self.limit + 1)  # whatever comes next is refused, too
+            raise ProtocolError(
+                f"a line of {longest} bytes or more: lines of this protocol have at most {self.limit} and end with "
+                "a newline; the connection is closed"
+            )
+        self._rest = rest
+        return [line.removesuffix(b"\r").decode("utf-8", "replace") for line in lines]

@@ -1,0 +1,420 @@
+"""TCP connections of an emulated controller: sockets that never block, and what can be made to go wrong with them."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import random
+import selectors
+import socket
+import struct
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final, Protocol
+
+from dual_ur10.errors import AddressError, ProtocolError
+
+log = logging.getLogger(__name__)
+
+MOST_CONNECTIONS: Final = 32
+"""Clients of one port at the same time; more are closed at once. UR publishes no figure."""
+
+_RECEIVE_BYTES: Final = 65_536
+_MOST_WAITING_BYTES: Final = 262_144  # that a client has not read: then packets are dropped, or it is closed
+_SEND_BUFFER_BYTES: Final = 65_536
+_RESET: Final = struct.pack("ii", 1, 0)  # SO_LINGER that makes close() send RST
+
+
+class Peer(Protocol):
+    """What talks to one client. It takes bytes and gives bytes, and knows nothing of sockets."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the connection is to be closed once the last answer was sent."""
+        ...
+
+    def received(self, data: bytes) -> bytes:
+        """Answer what came.
+
+        Raises:
+            ProtocolError: The connection is to be closed.
+        """
+
+    def closed(self) -> None:
+        """The connection has ended."""
+
+
+@dataclass
+class LinkFaults:
+    """What goes wrong with the connections of one port. All off at first.
+
+    Attributes:
+        mute: Nothing is sent.
+        frozen: Nothing is read.
+        half_open: New connections are accepted, and neither read nor answered.
+        delay_s: By how much everything is late, in both directions.
+        jitter_s: By how much more, at most, at random; nothing overtakes.
+        lose: So many packets of the data stream that come next are lost.
+        corrupt: In so many packets that come next one byte is changed.
+    """
+
+    mute: bool = False
+    frozen: bool = False
+    half_open: bool = False
+    delay_s: float = 0.0
+    jitter_s: float = 0.0
+    lose: int = 0
+    corrupt: int = 0
+
+
+@dataclass
+class _Delayed:
+    """Bytes on their way, in order."""
+
+    waiting: deque[tuple[float, bytes, bool]] = field(default_factory=deque)
+    last_s: float = 0.0
+
+    def put(self, due_s: float, data: bytes, droppable: bool = False) -> None:
+        self.last_s = max(due_s, self.last_s)
+        self.waiting.append((self.last_s, data, droppable))
+
+    def due(self, now_s: float) -> list[tuple[bytes, bool]]:
+        ready = []
+        while self.waiting and self.waiting[0][0] <= now_s:
+            _, data, droppable = self.waiting.popleft()
+            ready.append((data, droppable))
+        return ready
+
+
+class Connection:
+    """One client.
+
+    Attributes:
+        dropped: Packets that it did not get because it did not read.
+    """
+
+    def __init__(self, hub: Hub, sock: socket.socket, peer: Peer, port: Port) -> None:
+        self.hub, self.sock, self.peer, self.port = hub, sock, peer, port
+        self.dropped = 0
+        self.open = True
+        self.half_open = port.faults.half_open
+        self.events = 0
+        self._out = bytearray()
+        self._coming, self._going = _Delayed(), _Delayed()
+
+    def send(self, data: bytes, *, droppable: bool = False) -> None:
+        """Send, or keep what cannot be sent now.
+
+        Args:
+            data: Bytes.
+            droppable: Whether they are one packet of a stream, which is left out as a whole when the client is slow.
+        """
+        faults = self.port.faults
+        if not data or not self.open or faults.mute or self.half_open:
+            return
+        if droppable and faults.lose > 0:
+            faults.lose -= 1
+            return
+        if faults.corrupt > 0:
+            faults.corrupt -= 1
+            where = self.hub.random.randrange(len(data))
+            data = data[:where] + bytes([data[where] ^ 0xFF]) + data[where + 1 :]
+        if faults.delay_s or faults.jitter_s or self._going.waiting:
+            self._going.put(self.hub.due(faults), data, droppable)
+        else:
+            self._write(data, droppable)
+
+    def _write(self, data: bytes, droppable: bool) -> None:
+        if droppable and self._out:
+            self.dropped += 1
+            return
+        self._out += data
+        self.flush()
+        if len(self._out) > _MOST_WAITING_BYTES:
+            self.close("it does not read what it asked for")
+
+    def flush(self) -> None:
+        """Send what waits, as far as the client takes it."""
+        if not self.open:
+            return
+        try:
+            if self._out:
+                del self._out[: self.sock.send(self._out)]
+        except BlockingIOError:
+            pass
+        except OSError:
+            self.close("")
+            return
+        self.hub.watch(
+            self, selectors.EVENT_READ * (not self.port.faults.frozen) | selectors.EVENT_WRITE * bool(self._out)
+        )
+
+    def read(self) -> None:
+        """Take what has come and answer it."""
+        try:
+            data = self.sock.recv(_RECEIVE_BYTES)
+            if hasattr(socket, "TCP_QUICKACK"):
+                # Clients that leave Nagle's algorithm on wait for this before they send their next packet. The system
+                # takes it back after every packet.
+                self.sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
+        except BlockingIOError:
+            return
+        except OSError:  # it ended without a goodbye
+            data = b""
+        if not data:
+            self.close("")
+            return
+        faults = self.port.faults
+        if faults.delay_s or faults.jitter_s or self._coming.waiting:
+            self._coming.put(self.hub.due(faults), data)
+        else:
+            self._take(data)
+
+    def _take(self, data: bytes) -> None:
+        if self.half_open:
+            return
+        try:
+            reply = self.peer.received(data)
+        except ProtocolError as error:
+            self.close(str(error))
+            return
+        self.send(reply)
+        if self.peer.finished:
+            self.close("")
+
+    def pass_time(self, now_s: float) -> None:
+        """Let bytes that are late arrive."""
+        for data, _ in self._coming.due(now_s):
+            self._take(data)
+        for data, droppable in self._going.due(now_s):
+            if self.open:
+                self._write(data, droppable)
+
+    def close(self, reason: str, *, reset: bool = False) -> None:
+        """End the connection. May be called twice.
+
+        Args:
+            reason: Why, for the log; "" if the client ended it.
+            reset: Whether the client is to see a reset instead of an end.
+        """
+        if not self.open:
+            return
+        self.open = False
+        if reason:
+            log.warning("%s: a client is disconnected: %s", self.port.name, reason)
+        self.hub.forget(self)
+        if reset:
+            self.sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+        self.sock.close()
+        self.peer.closed()
+
+
+class Port:
+    """One listening port and its clients.
+
+    Args:
+        hub: What it belongs to.
+        name: For the log.
+        address: Host and port.
+        accept: Makes the peer of a new client; what it sends first is `greeting`.
+        greeting: What every client gets first.
+
+    Attributes:
+        faults: What goes wrong here.
+    """
+
+    def __init__(
+        self, hub: Hub, name: str, address: tuple[str, int], accept: Callable[[], Peer], greeting: Callable[[], bytes]
+    ) -> None:
+        self.hub, self.name, self.address = hub, name, address
+        self.faults = LinkFaults()
+        self.connections: list[Connection] = []
+        self._accept, self._greeting = accept, greeting
+        self._sock: socket.socket | None = None
+        self.listen()
+
+    def listen(self) -> None:
+        """Listen, if it does not already.
+
+        Raises:
+            AddressError: The address cannot be used.
+        """
+        if self._sock is None:
+            self._sock = listening(self.address)
+            self.hub.selector.register(self._sock, selectors.EVENT_READ, self)
+
+    @property
+    def number(self) -> int:
+        """The port's number, also where the system chose it."""
+        return self.address[1] if self._sock is None else int(self._sock.getsockname()[1])
+
+    def refuse(self) -> None:
+        """Stop listening: clients that connect are refused. Those that are connected stay."""
+        if self._sock is not None:
+            self.hub.selector.unregister(self._sock)
+            self._sock.close()
+            self._sock = None
+
+    def accept(self) -> None:
+        """Take a new client in."""
+        if self._sock is None:
+            return
+        try:
+            sock, _ = self._sock.accept()
+        except OSError as error:
+            log.warning("%s: a client could not be taken in: %s", self.name, error)
+            return
+        if len(self.connections) >= MOST_CONNECTIONS:
+            log.warning("%s: a client is refused: there are %d already", self.name, len(self.connections))
+            sock.close()
+            return
+        sock.setblocking(False)
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+        connection = Connection(self.hub, sock, self._accept(), self)
+        self.connections.append(connection)
+        connection.flush()
+        connection.send(self._greeting())
+
+    def broadcast(self, data: bytes) -> None:
+        """Send one packet of a stream to all clients."""
+        for connection in list(self.connections):
+            connection.send(data, droppable=True)
+
+    def disconnect(self, reason: str, *, reset: bool = False) -> None:
+        """End all connections."""
+        for connection in list(self.connections):
+            connection.close(reason, reset=reset)
+
+    def close(self) -> None:
+        """End the connections and stop listening."""
+        self.disconnect("the emulated cell ends")
+        self.refuse()
+
+
+class Hub:
+    """All ports and connections of an emulated cell, on one thread.
+
+    Args:
+        seed: Of the faults that are left to chance.
+    """
+
+    def __init__(self, seed: int = 0) -> None:
+        self.selector = selectors.DefaultSelector()
+        self.random = random.Random(seed)
+        self.ports: list[Port] = []
+
+    def add(
+        self, name: str, address: tuple[str, int], accept: Callable[[], Peer], greeting: Callable[[], bytes] = bytes
+    ) -> Port:
+        """Listen on a port.
+
+        Raises:
+            AddressError: The address cannot be used.
+        """
+        port = Port(self, name, address, accept, greeting)
+        self.ports.append(port)
+        return port
+
+    def due(self, faults: LinkFaults) -> float:
+        """When bytes that are sent or come now arrive."""
+        return time.monotonic() + faults.delay_s + faults.jitter_s * self.random.random()
+
+    def watch(self, connection: Connection, events: int) -> None:
+        """Wait for what a connection waits for."""
+        if events == connection.events or not connection.open:
+            return
+        if not connection.events:
+            self.selector.register(connection.sock, events, connection)
+        elif not events:
+            self.selector.unregister(connection.sock)
+        else:
+            self.selector.modify(connection.sock, events, connection)
+        connection.events = events
+
+    def forget(self, connection: Connection) -> None:
+        """A connection has ended."""
+        if connection.events:
+            self.selector.unregister(connection.sock)
+            connection.events = 0
+        connection.port.connections.remove(connection)
+
+    def poll(self, until_s: float) -> None:
+        """Serve clients until a time of the monotonic clock; at least once."""
+        while True:
+            left = until_s - time.monotonic()
+            # The selector waits in whole milliseconds and may be late by one: the rest is slept.
+            for key, events in self.selector.select(max(0.0, left - 0.001)):
+                serve = key.data
+                if isinstance(serve, Port):
+                    serve.accept()
+                    continue
+                if events & selectors.EVENT_WRITE:
+                    serve.flush()
+                if events & selectors.EVENT_READ and serve.open:
+                    serve.read()
+            now = time.monotonic()
+            for port in self.ports:
+                for connection in list(port.connections):
+                    connection.pass_time(now)
+            left = until_s - time.monotonic()
+            if left <= 0.0:
+                return
+            if left < 0.0015:
+                time.sleep(left)
+                return
+
+    def close(self) -> None:
+        """End everything."""
+        for port in self.ports:
+            port.close()
+        self.selector.close()
+
+
+def listening(address: tuple[str, int]) -> socket.socket:
+    """A socket that listens.
+
+    Raises:
+        AddressError: The address is taken, does not exist on this machine, or is not of the loopback interface.
+    """
+    check_loopback(address[0])
+    sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.setblocking(False)
+        sock.bind(address)
+        sock.listen(64)
+    except OSError as error:
+        sock.close()
+        raise _named(address, error) from error
+    return sock
+
+
+def check_loopback(host: str) -> None:
+    """Check that an address can only be reached from this machine.
+
+    Raises:
+        AddressError: It is not written as an address of 127.0.0.0/8.
+    """
+    packed = b""
+    with contextlib.suppress(OSError, UnicodeEncodeError):
+        packed = socket.inet_pton(socket.AF_INET, host)
+    if packed[:1] != b"\x7f":
+        raise AddressError(
+            f"{host!r} is no loopback address: an emulated controller listens on 127.0.0.0/8 only, such as 127.0.0.1"
+        )
+
+
+def _named(address: tuple[str, int], error: OSError) -> AddressError:
+    import errno
+
+    where = f"{address[0]}:{address[1]}"
+    if error.errno == errno.EADDRINUSE:
+        return AddressError(f"{where} is taken by another program: stop it, or choose another address of 127.0.0.0/8")
+    if error.errno == errno.EADDRNOTAVAIL:
+        return AddressError(
+            f"{where} does not exist on this machine: on macOS, add it with `sudo ifconfig lo0 alias {address[0]} up`"
+        )
+    return AddressError(f"{where} cannot be listened on: {error}")

@@ -1,0 +1,230 @@
+r"""A Robotiq 2F-85 as its URCap offers it on port 63352: text commands for the registers of the gripper.
+
+    SET ACT 1 GTO 1 POS 255 SPE 255 FOR 100  ->  ack
+    GET POS                                  ->  POS 3
+
+Registers and their meaning: Robotiq's manual of the 2F-85; their names on this port: Robotiq's URCap. "Assumption"
+marks what neither says.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from dual_ur10.assets.gripper import FORCE_N, KP_N_M, OPENING_M, SPEED_M_S
+
+LOWEST_SPEED_M_S: Final = 0.02
+"""Speed at SPE 0 (data sheet of the 2F-85: 20 to 150 mm/s)."""
+
+ACTIVATION_S: Final = 1.0
+"""Shortest time of an activation. Assumption; the real one opens and closes fully in it, this one only opens."""
+
+STALL_S: Final = 0.15
+"""Fingers that press and have come no nearer for this long are stopped by something. Assumption."""
+
+PROGRESS_M: Final = 0.0003
+"""What counts as nearer: one step of POS."""
+
+REACHED_M: Final = 0.001
+"""Fingers this near to where they were told to go are there: three steps of POS."""
+
+LATENCY_S: Final = 0.1
+"""From a command to the first motion of the fingers: what the simulated gripper has, too."""
+
+_LAG_S: Final = 0.02
+"""How far the reference may run ahead of moving fingers, as a time: more than the servo's own lag."""
+
+_FLAGS: Final = ("ACT", "GTO", "ATR", "ARD")
+_BYTES: Final = ("POS", "SPE", "FOR", "SID")  # SID, which of several grippers is meant, is kept and not used
+_NOT_UNDERSTOOD: Final = "?"
+
+# Object status.
+MOVING, STOPPED_OPENING, STOPPED_CLOSING, AT_POSITION = range(4)
+
+# Fault status.
+NO_FAULT, ACTIVATION_UNDER_WAY, NOT_ACTIVATED, RELEASING, RELEASED = 0, 5, 7, 11, 15
+
+
+class RobotiqGripper:
+    """One gripper.
+
+    Args:
+        opening_m: Stroke: the opening at POS 0; at POS 255 it is closed.
+        stiffness_n_m: Of the position servo that `tick` commands: how much force it makes of a difference between
+            commanded and measured opening. It turns FOR into a grip force.
+        latency_s: Of the servo that `tick` commands.
+
+    Attributes:
+        powered: Whether the tool has power. Without, nothing is answered but "?", and the gripper has to be activated
+            again afterwards.
+    """
+
+    def __init__(
+        self, opening_m: float = OPENING_M, *, stiffness_n_m: float = KP_N_M, latency_s: float = LATENCY_S
+    ) -> None:
+        self.opening_m, self.stiffness_n_m, self.latency_s = opening_m, stiffness_n_m, latency_s
+        self.powered = True
+        self._set = {"ACT": 0, "GTO": 0, "ATR": 0, "ARD": 0, "POS": 0, "SPE": 255, "FOR": 255, "SID": 9}
+        self._activating_s: float | None = None  # since when, while it activates
+        self._active = False
+        self._object = MOVING
+        self._fault = NO_FAULT
+        self._measured_m: float | None = None
+        self._reference_m = opening_m
+        self._standing_s = 0.0
+        self._left_m = math.inf  # way left when they last came nearer
+        self._stopped_at_m: float | None = None  # where an object stopped the fingers
+
+    @property
+    def force_n(self) -> float:
+        """Grip force that FOR asks for."""
+        return FORCE_N[0] + (FORCE_N[1] - FORCE_N[0]) * self._set["FOR"] / 255
+
+    @property
+    def speed_m_s(self) -> float:
+        """Speed of the opening that SPE asks for."""
+        return LOWEST_SPEED_M_S + (SPEED_M_S - LOWEST_SPEED_M_S) * self._set["SPE"] / 255
+
+    @property
+    def requested_m(self) -> float:
+        """Opening that POS asks for."""
+        return self.opening_m * (1 - self._set["POS"] / 255)
+
+    def answer(self, line: str) -> str:
+        r"""What is sent back for one line, as it is: "ack" ends without a newline, the rest with one.
+
+        Clients compare three bytes with "ack"; several answers to GET arrive in one read and are split at `\n`.
+        Nothing that a client sends raises.
+        """
+        verb, *words = line.split() or [""]
+        if verb == "GET" and len(words) == 1:
+            value = self._get(words[0]) if self.powered else None
+            return f"{words[0]} {_NOT_UNDERSTOOD if value is None else value}\n"
+        if verb == "SET" and words and len(words) % 2 == 0 and self.powered:
+            wanted = [(name, _value(name, text)) for name, text in zip(words[::2], words[1::2], strict=True)]
+            if all(value is not None for _, value in wanted):
+                self._write({name: value for name, value in wanted if value is not None})
+                return "ack"
+        return f"{_NOT_UNDERSTOOD}\n"
+
+    def tick(self, dt_s: float, opening_m: float) -> float:
+        """Let time pass.
+
+        Args:
+            dt_s: How much; more than 0.
+            opening_m: The fingers' opening, measured.
+
+        Returns:
+            The opening to command to the servo, m.
+        """
+        if self._measured_m is None:
+            self._reference_m = min(max(opening_m, 0.0), self.opening_m)
+        self._measured_m = opening_m
+        if not self.powered:
+            self._reset()
+            return self._reference_m  # a worm gear holds
+        goal_m, rate_m_s = self._goal()
+        if goal_m is not None:
+            self._go(goal_m, rate_m_s, dt_s, opening_m)
+        if self._activating_s is not None:
+            self._activating_s += dt_s
+            if self._activating_s >= ACTIVATION_S and self._object != MOVING:
+                self._activating_s, self._active = None, True
+                self._fault = NO_FAULT if self._fault == ACTIVATION_UNDER_WAY else self._fault
+                if self._set["GTO"]:
+                    self._start()
+        if self._fault == RELEASING and self._object != MOVING:
+            self._fault = RELEASED
+        return self._reference_m
+
+    def _goal(self) -> tuple[float | None, float]:
+        """Where the fingers go, if anywhere, and how fast."""
+        if self._fault in (RELEASING, RELEASED):
+            return (self.opening_m if self._set["ARD"] else 0.0), LOWEST_SPEED_M_S
+        if self._activating_s is not None:
+            return self.opening_m, SPEED_M_S
+        if self._active and self._set["GTO"]:
+            return self.requested_m, self.speed_m_s
+        return None, 0.0
+
+    def _go(self, goal_m: float, rate_m_s: float, dt_s: float, measured_m: float) -> None:
+        """Move the reference, and see whether the fingers follow."""
+        if self._stopped_at_m is not None:
+            passed_m = measured_m - self._stopped_at_m
+            if (passed_m if self._object == STOPPED_OPENING else -passed_m) > REACHED_M:
+                self._start()  # what stopped the fingers is gone
+        press_m = self.force_n / self.stiffness_n_m
+        ahead_m = press_m + ((_LAG_S + self.latency_s) * rate_m_s if self._stopped_at_m is None else 0.0)
+        step_m = rate_m_s * dt_s
+        reference_m = self._reference_m + min(max(goal_m - self._reference_m, -step_m), step_m)
+        reference_m = min(max(reference_m, measured_m - ahead_m), measured_m + ahead_m)
+        self._reference_m = min(max(reference_m, 0.0), self.opening_m)
+        if self._object != MOVING:
+            return
+        left_m = abs(goal_m - measured_m)
+        if left_m <= REACHED_M:
+            self._object = AT_POSITION
+            return
+        presses = abs(self._reference_m - measured_m) >= 0.9 * min(press_m, left_m)
+        if left_m < self._left_m - PROGRESS_M or not presses:
+            self._left_m, self._standing_s = left_m, 0.0
+            return
+        self._standing_s += dt_s
+        if self._standing_s >= STALL_S + self.latency_s:
+            self._object = STOPPED_CLOSING if goal_m < measured_m else STOPPED_OPENING
+            self._stopped_at_m = measured_m
+
+    def _get(self, name: str) -> int | None:
+        if name == "POS":
+            measured_m = self._reference_m if self._measured_m is None else self._measured_m
+            return min(max(round(255 * (1 - measured_m / self.opening_m)), 0), 255)
+        if name == "PRE":
+            return self._set["POS"]
+        if name == "STA":
+            return 3 if self._active else 1 if self._activating_s is not None else 0
+        if name == "OBJ":
+            return self._object
+        if name == "FLT":
+            return self._fault
+        return self._set.get(name)
+
+    def _write(self, wanted: dict[str, int]) -> None:
+        before = dict(self._set)
+        self._set.update(wanted)
+        if not self._set["ACT"]:
+            if before["ACT"]:
+                self._reset()
+            if wanted.get("GTO"):
+                self._fault = NOT_ACTIVATED
+                self._set["GTO"] = 0
+            return
+        if not before["ACT"]:
+            self._fault, self._activating_s = NO_FAULT, 0.0
+            self._start()
+        if self._set["ATR"] and self._fault not in (RELEASING, RELEASED):
+            self._fault, self._activating_s = RELEASING, None
+            self._start()
+        if self._activating_s is not None and wanted.get("GTO") and before["ACT"]:
+            self._fault = ACTIVATION_UNDER_WAY
+        moves = ("POS" in wanted and wanted["POS"] != before["POS"]) or self._set["GTO"] != before["GTO"]
+        if self._active and moves:
+            self._start()
+
+    def _start(self) -> None:
+        """A motion begins: whether anything stops it is open again."""
+        self._object, self._standing_s, self._left_m, self._stopped_at_m = MOVING, 0.0, math.inf, None
+
+    def _reset(self) -> None:
+        """Activation is lost; the fingers stay where they are."""
+        self._set.update(ACT=0, GTO=0, ATR=0, POS=0)
+        self._active, self._activating_s, self._fault = False, None, NO_FAULT
+        self._start()
+
+
+def _value(name: str, text: str) -> int | None:
+    """The number for a register that can be written, or nothing if there is no such register or it cannot hold it."""
+    highest = 1 if name in _FLAGS else 255 if name in _BYTES else -1
+    if not (text.isascii() and text.isdigit() and len(text) <= 3):
+        return None
+    return int(text) if int(text) <= highest else None

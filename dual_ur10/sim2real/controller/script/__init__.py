@@ -1,0 +1,20 @@
+"""URScript: programs of UR controllers, read, checked and run a control period at a time."""
+
+from dual_ur10.sim2real.controller.script.library import library
+from dual_ur10.sim2real.controller.script.machine import Machine, Thread
+from dual_ur10.sim2real.controller.script.program import Program, parse, read_ahead
+from dual_ur10.sim2real.controller.script.splitter import Splitter, split_programs
+from dual_ur10.sim2real.controller.script.values import Pose, text
+
+__all__ = [
+    "Machine",
+    "Pose",
+    "Program",
+    "Splitter",
+    "Thread",
+    "library",
+    "parse",
+    "read_ahead",
+    "split_programs",
+    "text",
+]

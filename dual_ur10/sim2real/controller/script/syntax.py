@@ -1,0 +1,145 @@
+"""The tree of a URScript program.
+
+`at` is the word of the text that a node is named by in messages: an operator, a name, a keyword.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lark import Token
+
+
+@dataclass(slots=True)
+class Number:
+    """A number, or True or False."""
+
+    at: Token
+    value: float | int | bool
+
+
+@dataclass(slots=True)
+class Text:
+    """A string."""
+
+    at: Token
+    value: str
+
+
+@dataclass(slots=True)
+class Name:
+    """A variable."""
+
+    at: Token
+
+
+@dataclass(slots=True)
+class Call:
+    """A call, or with `runs` the start of a thread."""
+
+    at: Token
+    arguments: list[Expression]
+    keywords: list[tuple[Token, Expression]]
+    runs: bool = False
+
+
+@dataclass(slots=True)
+class Index:
+    """An element of a list, or with two items of a matrix."""
+
+    at: Token
+    base: Expression
+    items: list[Expression]
+
+
+@dataclass(slots=True)
+class ListOf:
+    """A list, or a pose."""
+
+    at: Token
+    items: list[Expression]
+    is_pose: bool
+
+
+@dataclass(slots=True)
+class Unary:
+    """`-` or `not`."""
+
+    at: Token
+    operand: Expression
+
+
+@dataclass(slots=True)
+class Binary:
+    """An operator between two operands."""
+
+    at: Token
+    left: Expression
+    right: Expression
+
+
+Expression = Number | Text | Name | Call | Index | ListOf | Unary | Binary
+
+
+@dataclass(slots=True)
+class Assign:
+    """An assignment to a variable, or to an element: then `items` is not empty."""
+
+    at: Token
+    qualifier: str
+    items: list[Expression]
+    value: Expression
+
+
+@dataclass(slots=True)
+class If:
+    """Conditions with their blocks, and what is done else."""
+
+    at: Token
+    branches: list[tuple[Token, Expression, list[Statement]]]
+    otherwise: list[Statement]
+
+
+@dataclass(slots=True)
+class While:
+    """A loop."""
+
+    at: Token
+    condition: Expression
+    body: list[Statement]
+
+
+@dataclass(slots=True)
+class Simple:
+    """A statement of one word: break, continue, halt, pass, enter_critical, exit_critical."""
+
+    at: Token
+
+
+@dataclass(slots=True)
+class Return:
+    """The end of a function, with its value."""
+
+    at: Token
+    value: Expression | None
+
+
+@dataclass(slots=True)
+class Kill:
+    """`kill` or `join` of a thread."""
+
+    at: Token
+    value: Expression
+
+
+@dataclass(slots=True)
+class Define:
+    """A function, a thread or a secondary program: `kind` is def, thread or sec."""
+
+    at: Token
+    kind: str
+    parameters: list[tuple[Token, Expression | None]]
+    body: list[Statement]
+
+
+Statement = Assign | If | While | Simple | Return | Kill | Define | Call

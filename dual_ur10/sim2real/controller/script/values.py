@@ -1,0 +1,75 @@
+"""What URScript variables hold: numbers, True and False, strings, lists, poses.
+
+Lists and poses are values: an assignment copies them. Here nobody changes one in place; an assignment to an element
+makes a new list. So a builtin must not change a list that it was given, nor one that it has returned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+INT_MAX: Final = 2**31 - 1
+"""Integers have 32 bits."""
+
+POSE_LENGTH: Final = 6
+
+LIST_MAX: Final = 4096
+"""Most elements of a list, and of all rows of a matrix together."""
+
+TEXT_MAX: Final = 1023
+"""Most characters of a string that a program makes (UR's script manual)."""
+
+
+class Pose(list[float]):
+    """p[x, y, z, rx, ry, rz] in m and rad: a position and a rotation vector.
+
+    Raises:
+        ValueError: It does not have six elements.
+        TypeError: An element is no number.
+    """
+
+    __slots__ = ()
+
+    def __init__(self, elements: Iterable[float]) -> None:
+        super().__init__(elements)
+        if len(self) != POSE_LENGTH:
+            raise ValueError(f"a pose has 6 numbers, found {len(self)}")
+        for index, element in enumerate(self):
+            if element.__class__ is not float:
+                self[index] = float(number(element))
+
+
+def kind(value: object) -> str:
+    """What a value is, for messages."""
+    names = {bool: "a boolean", int: "an integer", float: "a float", str: "a string", list: "a list", Pose: "a pose"}
+    return "nothing" if value is None else names.get(type(value), f"a {type(value).__name__}")
+
+
+def number(value: object) -> float:
+    """The value, which must be a number.
+
+    Raises:
+        TypeError: It is none.
+    """
+    if isinstance(value, (int, float)):
+        return value
+    raise TypeError(f"expected a number, found {kind(value)}")
+
+
+def integer(value: object) -> int:
+    """The value, which must be an integer.
+
+    Raises:
+        TypeError: It is none.
+    """
+    if isinstance(value, int) and not isinstance(value, bool):
+        return value
+    raise TypeError(f"expected an integer, found {kind(value)}")
+
+
+def text(value: object) -> str:
+    """A value as text, as `textmsg` and `to_str` write it."""
+    if isinstance(value, list):
+        return f"{'p' if isinstance(value, Pose) else ''}[{', '.join(map(text, value))}]"
+    return str(value)

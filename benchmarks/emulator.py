@@ -68,7 +68,7 @@ def stream(cell: EmulatedCell, tick_s: float, seconds: float) -> dict[str, float
     counts = {"sent": 0, "overwritten": 0, "repeated": 0, "out_of_order": 0}
     for arm, sent in zip(("left", "right"), result["sent"], strict=True):
         number = {tuple(q): k for k, q in enumerate(sent)}
-        executed = [number[tuple(each[1])] for each in cell.ask("setpoints", arm=arm, most=100_000)["setpoints"]]
+        executed = [number[tuple(each[1])] for each in cell.setpoints(arm)]
         counts["sent"] += len(sent)
         counts["overwritten"] += len(sent) - len(set(executed))
         steps = np.diff(executed[: executed.index(len(sent) - 1) + 1] if len(sent) - 1 in executed else executed)

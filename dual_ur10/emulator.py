@@ -44,7 +44,8 @@ MOST_BEHIND_S: Final = 0.25
 _FRAME_S: Final = 1 / 30
 _SWITCH_S: Final = 0.0002  # for how long the thread that reads programs may keep a control period waiting
 _LATENESS: Final = 100_000  # control periods whose lateness is kept
-_BOOT_S: Final = (1000.0, 2345.678)  # the controllers' clocks agree with nothing, as on real ones
+BOOT_S: Final = (1000.0, 2345.676)
+"""What the controllers' clocks say at first: they agree with nothing, as on real ones."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -129,7 +130,7 @@ class Emulator:
                     lookahead_scale=float(self.world.lookahead_scale[arm]),
                     gripper_kg=self.world.gripper_kg,
                     powered=options.powered,
-                    boot_s=_BOOT_S[arm],
+                    boot_s=BOOT_S[arm],
                     seed=options.seed + arm,
                 )
                 gripper = RobotiqGripper() if self.world.gripper_kg else None

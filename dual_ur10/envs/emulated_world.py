@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from dual_ur10.assets.gripper import OPENING_M
 from dual_ur10.envs.core import load_task
 from dual_ur10.envs.physics import Physics
 from dual_ur10.envs.randomization import PRESETS, on_top
@@ -46,6 +47,8 @@ class PlantOptions:
     def __post_init__(self) -> None:
         if self.plant not in PLANTS:
             raise UnknownNameError("plant", self.plant, PLANTS)
+        if not isinstance(self.seed, int) or self.seed < 0:
+            raise SettingsError(f"seed is {self.seed!r}: it must be a whole number, 0 or above")
         if not 0.0 <= self.dh_error_m <= _MOST_DH_ERROR_M:
             raise SettingsError(f"dh_error_m is {self.dh_error_m!r}: allowed are 0 to {_MOST_DH_ERROR_M:g} m")
 
@@ -88,15 +91,16 @@ class EmulatedWorld:
         step_s = config.scene.timestep_s
         latency = np.rint(values["latency_s"][0] / step_s).astype(int)
         self._lines = [_Line(int(steps), self.start_q_rad[arm]) for arm, steps in enumerate(latency)]
+        # Views are filled from the next change of positions on.
+        self._torque: Array = self._physics.bind("qfrc_actuator")
+        self._positions, self._orientations = self._physics.bind("xpos"), self._physics.bind("xquat")
         self._physics.reset(start, np.arange(1))
         model = self._physics.model
         grippers = need.equipment.grippers
         names = ("gripper", "finger_1", "finger_2")
         self.gripper_kg = sum(float(model.body(f"left/{name}").mass[0]) for name in names) if grippers else 0.0
-        self._torque: Array = self._physics.bind("qfrc_actuator")
         joints = 8 if grippers else 6
         self._dofs = [arm * joints + np.arange(6) for arm in range(2)]
-        self._positions, self._orientations = self._physics.bind("xpos"), self._physics.bind("xquat")
         self._elapsed = np.zeros(1)
         self._state: CellState = self._physics.state(self._elapsed, moved=False)
 
@@ -121,7 +125,8 @@ class EmulatedWorld:
         both = np.concatenate([line(plan) for line, plan in zip(self._lines, plans, strict=True)], axis=2)[None]
         grippers = payload = None
         if self.gripper_kg:
-            grippers = np.array([[[0.0 if each is None else each for each in openings_m]]])
+            # What is measured of fingers that are wide open may be a hair more.
+            grippers = np.array([[[min(max(each or 0.0, 0.0), OPENING_M) for each in openings_m]]])
             # The model of the arms has their grippers in it.
             payload = np.array([payloads_kg]) - self.gripper_kg
         self._physics.advance((both[:, :, 0], both[:, :, 1], both[:, :, 2]), grippers, payload)

@@ -134,6 +134,35 @@ def servo(host, count, period_s):
     return {"home": home, "targets": targets, "end": end, "late": late}
 
 
+def servo_both(hosts, count, period_s):
+    """Stream servoJ to two arms from one process. Returns per arm the targets, and what was measured and when."""
+    from rtde_control import RTDEControlInterface
+    from rtde_receive import RTDEReceiveInterface
+
+    receive = [RTDEReceiveInterface(host) for host in hosts]
+    control = [RTDEControlInterface(host) for host in hosts]
+    home = [each.getActualQ() for each in receive]
+    sent, seen, late = [[], []], [[], []], 0
+    due = time.monotonic()
+    for k in range(count):
+        swing = 0.15 * (1 - math.cos(2 * math.pi * k * period_s / 2.0)) / 2
+        for arm in range(2):
+            sent[arm].append(_shifted(home[arm], [swing, -swing, swing, swing, -swing, k * 1e-7]))
+            control[arm].servoJ(sent[arm][-1], 0.0, 0.0, period_s, 0.05, 800)
+            # The values of two calls may be of two packages: only where the time is the same before and after.
+            before, q = receive[arm].getTimestamp(), receive[arm].getActualQ()
+            if receive[arm].getTimestamp() == before:
+                seen[arm].append([before, q])
+        due += period_s
+        left = due - time.monotonic()
+        late += left < 0
+        time.sleep(max(0.0, left))
+    for each in control:
+        each.servoStop()
+        each.stopScript()
+    return {"home": home, "sent": sent, "seen": seen, "late": late}
+
+
 def streams(host):
     """Speeds, servoing in space, jogging: how the arm moved."""
     control, receive = _interfaces(host)

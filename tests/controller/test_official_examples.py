@@ -55,7 +55,7 @@ def run(cell, examples, name, timeout=90):
 def test_servoj(cell, examples):
     first = cell.ask("setpoints", arm="left")["count"]
     _, state, _ = run(cell, examples, "servoj_example.py")
-    setpoints = cell.ask("setpoints", arm="left", since=first)["setpoints"]
+    setpoints = cell.setpoints("left", first)
     turned = np.array([each[1] for each in setpoints])[:, :2] - START[:2]
     assert (np.diff(turned, axis=0) >= 0).all()  # in order
     assert len(setpoints) > 300

@@ -9,10 +9,12 @@ import sys
 import numpy as np
 import pytest
 
+from dual_ur10.emulator import BOOT_S
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.sim2real.controller.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.servoj import TICK_S, ServojLaw
 from tests.controller import clients
+from tests.soak import scaled
 
 FAMILIES = ("cb3", "e-series")
 
@@ -64,7 +66,7 @@ def test_servoj_is_executed_in_order_and_follows_the_law(cell, host):
     tick_s = TICK_S[cell.family]
     done = clients.run(clients.servo, host, 400, 0.008)
     targets = {tuple(target): number for number, target in enumerate(done["targets"])}
-    setpoints = cell.ask("setpoints", arm="left", since=first, most=50_000)["setpoints"]
+    setpoints = cell.setpoints("left", first)
     order = [targets[tuple(each[1])] for each in setpoints]
     assert order == sorted(order)
     assert len(set(order)) > 100  # however busy the machine is
@@ -79,6 +81,38 @@ def test_servoj_is_executed_in_order_and_follows_the_law(cell, host):
         last = np.array(found[-1][1]) if found else last
         state = law @ (state - [last, np.zeros(6)]) + [last, np.zeros(6)]
     assert near(state[0], done["end"], 1e-6)
+
+
+def test_two_arms_follow_the_law_from_one_process(cell):
+    tick_s = TICK_S[cell.family]
+    for arm in ("left", "right"):
+        cell.wait_until(arm, "robot_mode", 7)
+        cell.wait_until(arm, "runtime_state", 1)
+    before = [cell.ask("setpoints", arm=arm)["count"] for arm in ("left", "right")]
+    done = clients.run(clients.servo_both, [cell.left, cell.right], scaled(7500), 0.008, timeout=150)
+    for arm, name in enumerate(("left", "right")):
+        number = {tuple(target): k for k, target in enumerate(done["sent"][arm])}
+        setpoints = cell.setpoints(name, before[arm])
+        order = [number[tuple(each[1])] for each in setpoints]
+        assert order == sorted(order)  # an ordered subsequence of what was sent, some of it held
+        assert len(set(order)) > len(number) / 2
+        latest = {tick: target for tick, target, *_ in setpoints}
+        law = ServojLaw(0.05, 800.0).transition(tick_s)
+        state, target = np.array([done["home"][arm], [0.0] * 6]), np.array(done["home"][arm])
+        expected = {}
+        for tick in range(setpoints[0][0], setpoints[-1][0]):
+            expected[tick] = state[0]  # what is measured when the tick begins
+            target = np.array(latest.get(tick, target))
+            state = law @ (state - [target, np.zeros(6)]) + [target, np.zeros(6)]
+        errors = []
+        for timestamp, q in done["seen"][arm]:
+            tick = round((timestamp - BOOT_S[arm]) / tick_s)
+            if tick in expected:
+                errors.append(np.linalg.norm(flange_pose(q)[0] - flange_pose(expected[tick])[0]))
+        assert len(errors) > len(number) / 2
+        assert max(errors) < 0.5e-3
+        moved = np.ptp([q for _, q in done["seen"][arm]], axis=0)
+        assert moved[0] > 0.1
 
 
 def test_streams_move_the_arm_and_end(host):

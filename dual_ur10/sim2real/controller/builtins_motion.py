@@ -34,7 +34,7 @@ class Control:
             MotionError: Another thread does.
         """
         machine = self._controller.program.machine
-        if machine is None:
+        if machine is None or machine.thread is None:  # what runs now is not the program
             raise MotionError("a secondary program must not move the arm")
         thread = (machine, machine.thread)
         if self._owner is not None and self._owner != thread and self._owner[0] is machine:

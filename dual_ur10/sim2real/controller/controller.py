@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import OperationRefusedError, ScriptError
+from dual_ur10.forward_kinematics import elbow_and_flange_position
+from dual_ur10.rotations import cross
 from dual_ur10.sim2real.controller import primary_messages as messages
 from dual_ur10.sim2real.controller.builtins import builtins_of
 from dual_ur10.sim2real.controller.inputs_outputs import InputsOutputs
@@ -133,6 +135,8 @@ class Controller:
         self._rng = np.random.default_rng(seed)
         self.program = ProgramRunner(profile, self.motion, builtins_of(self), self._script_failed)
         self.reading = ArmReading(np.array(q_rad, dtype=float), np.zeros(6), np.zeros(6), np.zeros(6), None)
+        self._pose = self.motion.tcp_pose(self.reading.q_rad)
+        self._elbow: Array = elbow_and_flange_position(self.reading.q_rad)[0]
         self._constant_values()
         self._publish(np.zeros(6))
 
@@ -235,11 +239,10 @@ class Controller:
         wrench = reading.wrench.copy()
         held = self.payload.mass_kg - self.gripper_kg
         wrench[2] += held * GRAVITY_M_S2
-        # To the TCP.
-        lever = np.asarray(self.motion.tcp_pose(reading.q_rad)[:3]) - np.asarray(
-            self.motion.flange_pose(reading.q_rad)[:3]
-        )
-        wrench[3:] -= np.cross(lever, wrench[:3])
+        self._pose = self.motion.tcp_pose(reading.q_rad)
+        if any(self.motion.tcp[:3]):
+            lever = np.subtract(self._pose[:3], self.motion.flange_pose(reading.q_rad)[:3])
+            wrench[3:] -= cross(lever, wrench[:3])
         self._raw_wrench = wrench
         self.wrench = wrench - self._wrench_zero
         self.history.append(tuple(reading.q_rad.tolist()))
@@ -261,7 +264,6 @@ class Controller:
     def _publish(self, qdd: Array) -> None:
         """Bring the values that clients are told up to date."""
         values, motion, reading, program, safety = self.values, self.motion, self.reading, self.program, self.safety
-        pose, target_pose = motion.tcp_pose(reading.q_rad), motion.tcp_pose(motion.q)
         running = safety.robot_mode == RobotMode.RUNNING
         current = reading.torque_nm / _NM_PER_A
         values["timestamp"] = self.time_s
@@ -273,10 +275,13 @@ class Controller:
         values["actual_robot_current"] = 0.5 + 0.1 * float(np.abs(current).sum())
         values["actual_q"] = tuple(reading.q_rad.tolist())
         values["actual_qd"] = tuple(reading.qd_rad_s.tolist())
-        values["actual_TCP_pose"] = tuple(pose)
-        values["actual_TCP_speed"] = tuple(motion.tcp_speed(reading.q_rad, reading.qd_rad_s))
-        values["target_TCP_pose"] = tuple(target_pose)
-        values["target_TCP_speed"] = tuple(motion.tcp_speed(motion.q, motion.qd))
+        values["actual_TCP_pose"] = self._pose
+        values["actual_TCP_speed"] = motion.tcp_speed(reading.q_rad, reading.qd_rad_s)
+        values["target_TCP_pose"] = motion.tcp_pose(motion.q)
+        values["target_TCP_speed"] = motion.tcp_speed(motion.q, motion.qd)
+        elbow = elbow_and_flange_position(reading.q_rad)[0]
+        values["elbow_velocity"] = tuple(((elbow - self._elbow) / self.profile.tick_s).tolist())
+        values["elbow_position"], self._elbow = tuple(elbow.tolist()), elbow
         values["actual_TCP_force"] = tuple(self.wrench.tolist())
         if "tcp_force_scalar" in values:
             values["tcp_force_scalar"] = float(np.linalg.norm(self.wrench[:3]))

@@ -118,14 +118,30 @@ class EmulatedCell:
                     raise EmulatorError(f"the emulated cell gave no answer to {do!r}: it has ended")
                 self._rest += data
         except OSError as error:
-            if isinstance(error, EmulatorError):
-                raise
+            # An answer that comes late is not to be taken for that of the next request.
+            if self._knobs is not None:
+                self._knobs.close()
+            self._knobs, self._rest = None, b""
             raise EmulatorError(f"the emulated cell gave no answer to {do!r}: {error}") from error
         line, self._rest = self._rest.split(b"\n", 1)
         answer = json.loads(line)
         if not answer["ok"]:
             raise EmulatorError(answer["error"])
         return answer["value"]
+
+    def setpoints(self, arm: str, since: int = 0) -> list[Any]:
+        """All servoj targets that a controller has executed from number `since` on, as far as it keeps them.
+
+        Returns:
+            For each: tick, target (6), t, lookahead, gain.
+        """
+        found: list[Any] = []
+        while True:
+            answer = self.ask("setpoints", arm=arm, since=since)
+            found += answer["setpoints"]
+            since = answer["first"] + len(answer["setpoints"])
+            if since >= answer["count"]:
+                return found
 
     def wait_until(self, arm: str, name: str, value: Any, within_s: float = 10.0) -> None:
         """Wait until a controller tells this of a variable, by RTDE's name.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import itertools
 import json
 import math
 import random
@@ -28,6 +29,7 @@ _MOST_DELAY_S: Final = 2.0
 _MOST_LATE_S: Final = 60.0  # of packets and programs: they are kept meanwhile
 _MOST_MODE: Final = 255  # of the safety mode: what the primary interface can tell
 _FARTHEST_M: Final = 10.0
+_MOST_SETPOINTS: Final = 1000  # in one answer, which is not to keep a control period waiting
 _PRESSES: Final = ("play", "pause", "stop", "power_on", "power_off", "release_brakes", "unlock_protective_stop")
 
 
@@ -137,12 +139,12 @@ class Knobs:
             quat = quat_multiply(turn, quat).tolist()
         return {"position_m": position, "quat": quat}
 
-    def do_setpoints(self, arm: str, since: int = 0, most: int = 10_000) -> dict[str, Any]:
-        """Executed servoj targets from number `since`: tick, target, t, lookahead, gain."""
+    def do_setpoints(self, arm: str, since: int = 0) -> dict[str, Any]:
+        """Executed servoj targets from number `since`, at most 1000: tick, target, t, lookahead, gain."""
         controller = self._arm(arm).controller
         first = controller.setpoints_count - len(controller.setpoints)
         begin = max(0, int(since) - first)
-        chosen = list(controller.setpoints)[begin : begin + int(most)]
+        chosen = list(itertools.islice(controller.setpoints, begin, begin + _MOST_SETPOINTS))
         return {
             "first": first + begin,
             "count": controller.setpoints_count,

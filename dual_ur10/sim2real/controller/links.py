@@ -399,7 +399,7 @@ def check_loopback(host: str) -> None:
         AddressError: It is not written as an address of 127.0.0.0/8.
     """
     packed = b""
-    with contextlib.suppress(OSError, UnicodeEncodeError):
+    with contextlib.suppress(OSError, ValueError, TypeError):
         packed = socket.inet_pton(socket.AF_INET, host)
     if packed[:1] != b"\x7f":
         raise AddressError(

@@ -1,0 +1,47 @@
+"""The emulated cell in a browser."""
+
+import shutil
+import socket
+import subprocess
+import time
+import urllib.request
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+from dual_ur10.sim2real.controller.emulated_cell import EmulatedCell
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+
+def screenshot(url, path):
+    flags = ("--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+    size = ("--window-size=800,600", "--virtual-time-budget=8000", f"--screenshot={path}")
+    subprocess.run([CHROMIUM, *flags, *size, url], capture_output=True, timeout=120, check=False)
+    return iio.imread(path)[..., :3].astype(float)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
+def test_a_browser_sees_the_arms_move(tmp_path):
+    with EmulatedCell(plant="nominal", view=True) as cell:
+        url = cell.ask("info")["url"]
+        assert url.startswith("http://127.0.0.1:")
+        assert urllib.request.urlopen(url, timeout=10).status == 200
+        before = screenshot(url, tmp_path / "before.png")
+        again = screenshot(url, tmp_path / "again.png")
+        q = cell.ask("state", arm="left", names=["actual_q"])["actual_q"]
+        goal = [q[0] + 0.8, q[1] - 0.3, *q[2:]]
+        with socket.create_connection((cell.left, 30003)) as client:
+            client.sendall(f"movej({goal}, a=1.4, v=1.0)\n".encode())
+            end = time.monotonic() + 30.0
+            while time.monotonic() < end:
+                now = cell.ask("state", arm="left", names=["actual_q"])["actual_q"]
+                if np.allclose(now, goal, atol=1e-3):
+                    break
+                time.sleep(0.05)
+        after = screenshot(url, tmp_path / "after.png")
+    assert np.ptp(before) > 100.0  # there is something to be seen
+    changed = np.abs(after - before).max(axis=2) > 40.0
+    noise = np.abs(again - before).max(axis=2) > 40.0
+    assert changed.sum() > 2000 + 3 * noise.sum()

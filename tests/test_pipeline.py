@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
-from dual_ur10.errors import ActionError, SettingsError
+from dual_ur10.errors import ActionError
 from dual_ur10.sim2real.adapter import ServojAdapter
 from dual_ur10.sim2real.clearance import Clearance
 from dual_ur10.sim2real.gate import SafetyGate
 from dual_ur10.sim2real.limits import MotionLimits
-from dual_ur10.sim2real.pipeline import MAX_LATENCY_TICKS, ServojPipeline
+from dual_ur10.sim2real.pipeline import ServojPipeline
 from dual_ur10.sim2real.servoj import ServojProfile
 from tests.motion_checks import (
     ACTION_KINDS,
@@ -36,7 +36,6 @@ MODES = ("joint_delta", "joint_position", "tcp_delta")
 
 def pipeline_at_home(
     n: int = 1,
-    latency: int = 0,
     ticks: int = 5,
     limits: MotionLimits = HARD,
     profile: ServojProfile | None = None,
@@ -44,9 +43,9 @@ def pipeline_at_home(
     **more,
 ) -> ServojPipeline:
     profile = profile or ServojProfile()
-    adapter = ServojAdapter(profile, limits, ticks, n=n, latency_ticks=latency, **more)
+    adapter = ServojAdapter(profile, limits, ticks, n=n, **more)
     gate = SafetyGate(limits, profile.tick_s, ticks, clearance or AlwaysClear(), n=n)
-    pipeline = ServojPipeline(adapter, gate, latency)
+    pipeline = ServojPipeline(adapter, gate)
     pipeline.reset(np.tile(HOME_Q_RAD, (n, 1, 1)))
     return pipeline
 
@@ -133,7 +132,7 @@ def test_nan_and_infinity_are_refused_with_the_arms_name(value: float, arm: int,
 @pytest.mark.parametrize("mode", MODES)
 def test_a_refused_action_changes_nothing(mode: str) -> None:
     rng = np.random.default_rng(0)
-    pipeline, twin = (pipeline_at_home(2, latency=3, mode=mode) for _ in range(2))
+    pipeline, twin = (pipeline_at_home(2, mode=mode) for _ in range(2))
     spoiled = np.zeros((2, 2, 6))
     spoiled[1, 0, 0] = np.nan
     for _ in range(15):
@@ -145,7 +144,7 @@ def test_a_refused_action_changes_nothing(mode: str) -> None:
 
 
 def test_an_action_is_copied() -> None:
-    pipeline, twin = pipeline_at_home(latency=7), pipeline_at_home(latency=7)
+    pipeline, twin = pipeline_at_home(), pipeline_at_home()
     action = np.full((1, 2, 6), 0.5)
     for _ in range(10):
         expected = twin(action)[0].targets_rad
@@ -157,53 +156,8 @@ def test_an_action_is_copied() -> None:
         np.testing.assert_array_equal(sent, expected)
 
 
-# ------------------------------------------------------------------------------------------------ latency
-
-
-@pytest.mark.parametrize("latency", [-1, MAX_LATENCY_TICKS + 1, 2.0, "3", None])
-def test_a_latency_that_is_none_is_refused(latency: object) -> None:
-    made = pipeline_at_home()
-    with pytest.raises(SettingsError, match="action_latency_ticks"):
-        ServojPipeline(made.adapter, made.gate, latency)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("latency", [1, 3, 5, 7, 12, 125])
-def test_targets_come_later_by_exactly_the_latency(latency: int) -> None:
-    n, ticks, periods = 2, 5, 40
-    rng = np.random.default_rng(0)
-    delayed = pipeline_at_home(n, latency)
-    # The same adapter without a queue: what leaves it is what the latency delays.
-    straight = ServojAdapter(ServojProfile(), HARD, ticks, n=n, latency_ticks=latency)
-    straight.reset(np.tile(HOME_Q_RAD, (n, 1, 1)))
-    late, prompt = [], []
-    for _ in range(periods):
-        action = rng.uniform(-1, 1, (n, 2, 6))
-        command, verdicts = delayed(action)
-        assert verdicts == {}
-        late.append(command.targets_rad)
-        prompt.append(straight(action).targets_rad)
-    late_ticks, prompt_ticks = np.concatenate(late, axis=1), np.concatenate(prompt, axis=1)
-    waiting = min(latency, ticks * periods)
-    np.testing.assert_array_equal(late_ticks[:, :waiting], np.tile(HOME_Q_RAD, (n, waiting, 1, 1)))
-    np.testing.assert_array_equal(late_ticks[:, waiting:], prompt_ticks[:, : ticks * periods - waiting])
-
-
-def test_a_reset_empties_the_queue_of_its_rows_only() -> None:
-    pipeline, twin = pipeline_at_home(3, latency=7), pipeline_at_home(3, latency=7)
-    action = np.full((3, 2, 6), 0.4)
-    for _ in range(6):
-        pipeline(action)
-        twin(action)
-    start = HOME_Q_RAD + 0.1
-    pipeline.reset(start[None], np.array([1]))
-    sent, other = (np.concatenate([each(action)[0].targets_rad for _ in range(4)], axis=1) for each in (pipeline, twin))
-    np.testing.assert_array_equal(sent[[0, 2]], other[[0, 2]])
-    np.testing.assert_array_equal(sent[1, :7], np.tile(start, (7, 1, 1)))
-    assert np.abs(sent[1, -1] - start).max() > 0.005
-
-
 def test_a_pipeline_goes_on_after_pickling() -> None:
-    pipeline, rng = pipeline_at_home(2, latency=3, clearance=Clearance(SceneSettings(), n=2)), np.random.default_rng(0)
+    pipeline, rng = pipeline_at_home(2, clearance=Clearance(SceneSettings(), n=2)), np.random.default_rng(0)
     for _ in range(5):
         pipeline(rng.uniform(-1, 1, (2, 2, 6)))
     restored = pickle.loads(pickle.dumps(pipeline))
@@ -244,7 +198,6 @@ def assert_legal_and_stoppable(sent: np.ndarray, pipeline: ServojPipeline, stops
     mode=st.sampled_from(MODES),
     family=st.sampled_from(["cb3", "e-series"]),
     ticks=st.sampled_from([1, 2, 5, 25]),
-    latency=st.sampled_from([0, 3, 5, 7]),
     limits=st.sampled_from([HARD, TIGHT, NARROW]),
     compensate_lag=st.booleans(),
     seed=st.integers(0, 2**31),
@@ -254,13 +207,12 @@ def test_no_action_exceeds_a_limit(
     mode: str,
     family: str,
     ticks: int,
-    latency: int,
     limits: MotionLimits,
     compensate_lag: bool,
     seed: int,
 ) -> None:
     pipeline = pipeline_at_home(
-        len(kinds), latency, ticks, limits, ServojProfile(family), mode=mode, compensate_lag=compensate_lag
+        len(kinds), ticks, limits, ServojProfile(family), mode=mode, compensate_lag=compensate_lag
     )
     sent, verdicts = play(pipeline, kinds, max(12, 300 // ticks), seed)
     assert_legal_and_stoppable(sent, pipeline, stops=3)
@@ -275,10 +227,9 @@ def test_soak_of_adversarial_actions() -> None:
         profile = ServojProfile(family)
         if rng.random() < 0.5:
             profile = ServojProfile(family, rng.uniform(0.03, 0.2), rng.uniform(100.0, 2000.0))
-        ticks, latency = int(rng.choice([1, 2, 5, 25])), int(rng.choice([0, 3, 5, 7]))
+        ticks = int(rng.choice([1, 2, 5, 25]))
         pipeline = pipeline_at_home(
             cells,
-            latency,
             ticks,
             (HARD, TIGHT, NARROW)[rng.integers(3)],
             profile,
@@ -297,7 +248,7 @@ def test_soak_of_adversarial_actions() -> None:
 @pytest.mark.parametrize("mode", ["joint_delta", "tcp_delta"])
 def test_random_actions_meet_the_gate_only_for_distances(mode: str) -> None:
     n, limits = 40, MotionLimits(speed_rad_s=1.0)
-    pipeline = pipeline_at_home(n, 3, limits=limits, clearance=Clearance(SceneSettings(), n=n), mode=mode)
+    pipeline = pipeline_at_home(n, limits=limits, clearance=Clearance(SceneSettings(), n=n), mode=mode)
     rng, found = np.random.default_rng(0), Counter()
     drift = rng.uniform(-0.6, 0.6, (n, 2, 6))
     sent = [np.tile(HOME_Q_RAD, (n, 4, 1, 1))]
@@ -307,14 +258,6 @@ def test_random_actions_meet_the_gate_only_for_distances(mode: str) -> None:
     found = Counter(verdict.kind for verdict in verdicts.values())
     assert set(found) == {"distance"}, found
     assert_within(np.concatenate(sent, axis=1), limits, 0.008)
-
-
-def test_adapter_and_queue_must_agree_on_the_latency() -> None:
-    profile = ServojProfile()
-    adapter = ServojAdapter(profile, MotionLimits(), 5, latency_ticks=3)
-    gate = SafetyGate(MotionLimits(), profile.tick_s, 5, Clearance(SceneSettings()))
-    with pytest.raises(SettingsError, match="3 ticks"):
-        ServojPipeline(adapter, gate, 5)
 
 
 # ------------------------------------------------------------------------------------------------ grippers
@@ -327,23 +270,7 @@ def with_grippers(openings: np.ndarray) -> np.ndarray:
     return action
 
 
-@pytest.mark.parametrize("latency", [0, 3, 5, 12])
-def test_openings_come_later_by_exactly_the_latency(latency: int) -> None:
-    direct, late = pipeline_at_home(2, gripper=True), pipeline_at_home(2, latency, gripper=True)
-    rng = np.random.default_rng(0)
-    sent, held = [], []
-    for _ in range(8):
-        action = with_grippers(rng.uniform(-1, 1, (2, 2)))
-        sent.append(direct(action)[0].gripper_m)
-        held.append(late(action)[0].gripper_m)
-    now, then = np.concatenate(sent, axis=1), np.concatenate(held, axis=1)
-    assert now.shape == (2, 40, 2)
-    np.testing.assert_array_equal(then[:, latency:], now[:, : 40 - latency])
-    np.testing.assert_allclose(then[:, :latency], 0.085)  # open until the first command acts
-
-
-@pytest.mark.parametrize("latency", [0, 7])
-def test_a_refused_row_keeps_its_openings(latency: int) -> None:
+def test_a_refused_row_keeps_its_openings() -> None:
     class Closed(AlwaysClear):
         """Nothing is clear in row 1 from the third period on."""
 
@@ -356,18 +283,10 @@ def test_a_refused_row_keeps_its_openings(latency: int) -> None:
         def worst(self, q_rad):
             return "left/palm and table", 0.0, 0.02
 
-    pipeline = pipeline_at_home(2, latency, gripper=True, clearance=Closed())
+    pipeline = pipeline_at_home(2, gripper=True, clearance=Closed())
     both = [pipeline(with_grippers(np.full((2, 2), value))) for value in (0.5, -0.2, 0.9, -1.0, 1.0, 1.0)]
     openings = np.concatenate([command.gripper_m for command, _ in both], axis=1)
     assert 1 in both[2][1]
     last = openings[1, 9]  # what was sent last before the refusal
     np.testing.assert_array_equal(openings[1, 10:], np.broadcast_to(last, (20, 2)))
     assert np.ptp(openings[0, 10:, 0]) > 0.01  # the other row goes on
-
-
-def test_grippers_start_as_they_are_told() -> None:
-    pipeline = pipeline_at_home(2, 5, gripper=True)
-    pipeline.reset(np.tile(HOME_Q_RAD, (1, 1, 1)), np.array([1]), np.array([[0.01, 0.03]]))
-    command, _ = pipeline(with_grippers(np.ones((2, 2))))
-    np.testing.assert_allclose(command.gripper_m[0], 0.085)
-    np.testing.assert_allclose(command.gripper_m[1], np.broadcast_to([0.01, 0.03], (5, 2)))

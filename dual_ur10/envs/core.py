@@ -144,7 +144,6 @@ class Core:
             mode=options.action_mode,
             gripper=need.equipment.grippers and not need.equipment.welded,
             compensate_lag=options.compensate_lag,
-            latency_ticks=latency,
             dh=[mount.dh for mount in mounts],
             yaw_rad=[mount.yaw_rad for mount in mounts],
         )
@@ -154,7 +153,7 @@ class Core:
             config.scene, n=n, threads=threads, minimum_m=config.minimum_clearance_m, closer=need.closer
         )
         gate = SafetyGate(limits, config.servoj.tick_s, ticks, clearance, n=n)
-        self.pipeline = ServojPipeline(adapter, gate, latency)
+        self.pipeline = ServojPipeline(adapter, gate)
         period_s = adapter.period_s
         timing = Timing(period_s, period_s + latency * config.servoj.tick_s)
         self.task = task_type(settings, config, timing, n)
@@ -164,7 +163,7 @@ class Core:
         rows = np.arange(n)
         clearance.check_start(self.task.start(rows, [np.random.default_rng(0) for _ in rows]).q_rad, rows)
         self.cell: MujocoCell | None = MujocoCell(
-            config, ticks, n=n, threads=threads, varied=self._randomization.varied
+            config, ticks, n=n, threads=threads, latency_ticks=latency, varied=self._randomization.varied
         )
         self._state: CellState | None = None
         self._sensing = Sensing(config, self._randomization, period_s, n)

@@ -13,6 +13,7 @@ from dual_ur10.envs.reference import ServojReference, TargetDelay
 from dual_ur10.errors import ClosedError
 from dual_ur10.sim2real.adapter import Command
 from dual_ur10.sim2real.cell import CellConfig, CellState, Start
+from dual_ur10.sim2real.command_queue import CommandQueue
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -29,16 +30,25 @@ class MujocoCell:
         ticks: Controller ticks per call of `advance`.
         n: Number of cells.
         threads: Threads to step on.
+        latency_ticks: L: what is commanded acts so many ticks later.
         varied: Names of the values of `Perturbation` that a reset may change. How targets are computed follows from
             them and the configuration alone, so that a row does not depend on what others drew.
     """
 
     def __init__(
-        self, config: CellConfig, ticks: int, *, n: int = 1, threads: int = 1, varied: Collection[str] = ()
+        self,
+        config: CellConfig,
+        ticks: int,
+        *,
+        n: int = 1,
+        threads: int = 1,
+        latency_ticks: int = 0,
+        varied: Collection[str] = (),
     ) -> None:
         self.config, self.ticks, self.n = config, ticks, n
         self.threads = threads
         self.steps = ticks * config.substeps
+        self._queue = CommandQueue(n, latency_ticks)
         self._delay = TargetDelay(n, config.substeps)
         self._reference = ServojReference(config.servoj, n, config.substeps, ticks)
         self._elapsed = np.zeros(n, dtype=np.int64)
@@ -84,13 +94,14 @@ class MujocoCell:
                 self._values[name][rows] = value
             self._perturb(rows)
         physics.reset(start, rows)
+        self._queue.reset(q, rows, start.gripper_m)
         self._delay.reset(q, rows, [0] * len(rows) if seeds is None else seeds)
         self._reference.reset(q, rows)
         self._elapsed[rows] = 0
         return physics.state(self._elapsed * self._tick_s, moved=False)
 
     def advance(self, command: Command) -> CellState:
-        """Send one control period and return the state at its end.
+        """Command [now + L, now + L + period), and return the state at the end of [now, now + period).
 
         A row whose physics diverged stays where it was last well, marked as failed, until it is reset.
 
@@ -98,7 +109,8 @@ class MujocoCell:
             ActionError: A gripper is asked for an opening that it does not have.
             SettingsError: The command is for grippers, and the cell has none.
         """
-        physics, targets = self._open, command.targets_rad
+        physics, command = self._open, self._queue(command)
+        targets = command.targets_rad
         if self._delayed:
             targets = self._delay(targets)
         physics.advance(self._reference(targets), command.gripper_m, command.payload_kg)

@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.errors import UnknownNameError
 from dual_ur10.kinematics import flange_pose, try_nearest
 from dual_ur10.rotations import quat_from_rotvec, quat_to_matrix
 from dual_ur10.sim2real import path
@@ -84,8 +84,6 @@ class ServojAdapter:
             cell frame, in shares of 0.25 m/s and 0.5 rad/s; a step out of reach leaves that arm where it is.
         gripper: Whether an action has a seventh number per arm, the gripper's opening: -1 closed, 1 open.
         compensate_lag: Send targets ahead by the law's inverse, so that the arms do not lag.
-        latency_ticks: Ticks by which the targets are held back afterwards. A gate behind that sees other periods than
-            the adapter makes, and wants to be able to stop at the end of its own.
         dh: The arms' kinematics, for "tcp_delta".
         yaw_rad: Turn of each base about the vertical, for "tcp_delta".
     """
@@ -100,7 +98,6 @@ class ServojAdapter:
         mode: ActionMode = "joint_delta",
         gripper: bool = False,
         compensate_lag: bool = True,
-        latency_ticks: int = 0,
         dh: Sequence[DHParameters] = (NOMINAL_DH, NOMINAL_DH),
         yaw_rad: Sequence[float] = (0.0, 0.0),
     ) -> None:
@@ -111,14 +108,10 @@ class ServojAdapter:
         }
         if mode not in goals:
             raise UnknownNameError("action mode", str(mode), get_args(ActionMode))
-        if not (isinstance(latency_ticks, int | np.integer) and latency_ticks >= 0):
-            raise SettingsError(f"action_latency_ticks is {latency_ticks!r}: a whole number, 0 or more")
         self.profile, self.limits, self.ticks, self.n = profile, limits.narrowed(JOINT_MARGIN_RAD), ticks, n
         self.mode, self.gripper, self.compensate_lag, self.dh = mode, gripper, compensate_lag, tuple(dh)
         self.period_s = ticks * profile.tick_s
-        self.latency_ticks = int(latency_ticks)
-        stops = (ticks - self.latency_ticks % ticks, ticks)
-        self.envelope = Envelope(self.limits, profile.tick_s, ticks, stops)
+        self.envelope = Envelope(self.limits, profile.tick_s, ticks)
         self._limiter = Limiter(self.envelope)
         self._goal = goals[mode]
         # Towards a joint's limit an action may go a share of the way that is left: an approach that the brake can

@@ -21,6 +21,7 @@ class Echo:
         self.ended = 0
 
     def received(self, data):
+        self.last = data
         if b"!" in data:
             raise ProtocolError("this protocol has no '!'")
         if b"bye" in data:
@@ -104,6 +105,19 @@ def test_a_peer_that_is_finished_is_closed_after_its_answer(harness):
     client = harness.client()
     assert harness.answer(client, b"bye") == b"bye"
     assert harness.read(client) == b""
+
+
+@pytest.mark.parametrize("frozen", [False, True])
+def test_what_a_client_sent_is_taken_also_if_it_is_gone_when_something_is_sent_to_it(harness, frozen):
+    """Many send a program and close at once, with the stream unread: the end arrives as a reset."""
+    client = harness.client(greeted=False)
+    harness.port.faults.frozen = frozen
+    client.sendall(b"a program\n")
+    client.close()
+    harness.port.broadcast(b"a packet of the stream")
+    assert getattr(harness.peers[0], "last", None) == (None if frozen else b"a program\n")
+    assert harness.port.connections == []
+    assert harness.peers[0].ended == 1
 
 
 def test_a_client_that_never_reads_a_stream_loses_packets_and_memory_stays_flat(harness):

@@ -145,6 +145,10 @@ class Connection:
         except BlockingIOError:
             pass
         except OSError:
+            # It has gone, and what it said before may not have been read: a program is run all the same.
+            self._out.clear()
+            if not self.port.faults.frozen:
+                self.read()
             self.close("")
             return
         self.hub.watch(
@@ -155,14 +159,15 @@ class Connection:
         """Take what has come and answer it."""
         try:
             data = self.sock.recv(_RECEIVE_BYTES)
-            if hasattr(socket, "TCP_QUICKACK"):
-                # Clients that leave Nagle's algorithm on wait for this before they send their next packet. The system
-                # takes it back after every packet.
-                self.sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
         except BlockingIOError:
             return
         except OSError:  # it ended without a goodbye
             data = b""
+        if hasattr(socket, "TCP_QUICKACK"):
+            # Clients that leave Nagle's algorithm on wait for this before they send their next packet. The system
+            # takes it back after every packet.
+            with contextlib.suppress(OSError):
+                self.sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
         if not data:
             self.close("")
             return

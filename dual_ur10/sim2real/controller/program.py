@@ -52,6 +52,7 @@ class ProgramRunner:
         self._text = ""
         self._paused_by_safety = False
         self._demand = Demand.NONE
+        self._unrun = False
 
     def load(self, text: str) -> None:
         """Play a program in place of the one that plays, or a secondary program beside it.
@@ -68,12 +69,14 @@ class ProgramRunner:
             if len(self._secondary) < _SECONDARY:
                 self._secondary.append(self._started(program))
             return
+        if self._unrun and self._demand is Demand.NONE:
+            self._run()  # two programs in one control period: what the first does at once is not to be lost
         self.stop("another program took its place")
         if self._demand is not Demand.NONE:
             self._failed(ScriptRuntimeError(1, program.name, "not started: the arm is stopped or has no power"))
             return
         self._text, self.name = text, program.name
-        self.machine = self._started(program)
+        self.machine, self._unrun = self._started(program), True
         self.state = RuntimeState.PLAYING
 
     def prepare(self, text: str) -> None:
@@ -140,7 +143,7 @@ class ProgramRunner:
         self._pass_time(demand, may_move, slider)
 
     def _run(self) -> None:
-        machine = self.machine
+        machine, self._unrun = self.machine, False
         if machine is None:
             return
         try:

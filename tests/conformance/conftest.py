@@ -1,0 +1,120 @@
+"""Which controller the tests talk to."""
+
+import itertools
+import struct
+from dataclasses import dataclass
+
+import pytest
+
+from dual_ur10.sim2real.controller.emulated_cell import EmulatedCell
+from dual_ur10.sim2real.controller.profile import PROFILES
+from tests.conformance import wire
+from tests.conformance.wire import Bounded, Dashboard, Rtde
+
+STATE = "timestamp,runtime_state,robot_mode,safety_mode,actual_q"
+
+
+@dataclass(frozen=True)
+class Controller:
+    """A controller, emulated or not."""
+
+    host: str
+    family: str
+    version: tuple[int, int, int, int]
+    cell: EmulatedCell | None = None
+
+    @property
+    def emulated(self):
+        return self.cell is not None
+
+    @property
+    def tick_s(self):
+        return 0.008 if self.family == "cb3" else 0.002
+
+    @property
+    def assumed(self):
+        """What is assumed of controllers of this family."""
+        return PROFILES[self.family].assumptions
+
+    def has(self, e_series, cb3):
+        """Whether it has what came with these versions; None: never."""
+        since = cb3 if self.family == "cb3" else e_series
+        return since is not None and self.version >= since
+
+    def rtde(self, names=STATE, version=2, hz=None):
+        """A started RTDE connection."""
+        rtde = Rtde(self.host, version)
+        _, types = rtde.outputs(names, hz)
+        assert "NOT_FOUND" not in types, dict(zip(names.split(","), types, strict=True))
+        assert rtde.start()
+        return rtde
+
+    def run(self, text, port=wire.SECONDARY):
+        wire.run(self.host, text, port)
+
+    def call(self, text):
+        """Run the body of a program."""
+        self.run(f"def conformance():\n{text}\nend\n")
+
+
+def pytest_generate_tests(metafunc):
+    if "controller" not in metafunc.fixturenames:
+        return
+    family = metafunc.config.getoption("--family")
+    families = [family] if family else ["cb3", "e-series"]
+    # Scope "session" keeps tests of one family together, so that one emulated cell runs at a time.
+    metafunc.parametrize("controller", families, indirect=True, scope="session")
+
+
+def pytest_collection_modifyitems(config, items):
+    if config.getoption("--host") and not config.getoption("--moves"):
+        for item in items:
+            if item.get_closest_marker("moves"):
+                item.add_marker(pytest.mark.skip(reason="--moves is needed: it moves or stops the arm"))
+
+
+@pytest.fixture(scope="session")
+def controller(request):
+    family, host = request.param, request.config.getoption("--host")
+    if host:
+        yield _asked(host, family)
+        return
+    with EmulatedCell(family=family, plant="nominal") as cell:
+        yield _asked(cell.left, family, cell)
+
+
+def _asked(host, family, cell=None):
+    with Rtde(host) as rtde:
+        version = struct.unpack(">4I", rtde.request(wire.URCONTROL))
+    return Controller(host, family, version, cell)
+
+
+@pytest.fixture(autouse=True)
+def idle(request):
+    """Whatever a test left, the next one finds an arm that is ready, and no program."""
+    if "controller" not in request.fixturenames:
+        return
+    controller = request.getfixturevalue("controller")
+    with controller.rtde() as rtde, Dashboard(controller.host) as dashboard:
+        for _ in Bounded("a controller that is ready: power on, release the brakes, allow remote control"):
+            state = rtde.latest()
+            if (state["runtime_state"], state["robot_mode"], state["safety_mode"]) == (1, 7, 1):
+                break
+            if state["runtime_state"] in (2, 4):
+                dashboard.ask("stop")
+            elif state["safety_mode"] == 3 and controller.emulated:
+                controller.cell.ask("release", arm="left", mode=3)  # at once, not after five seconds
+            elif state["safety_mode"] == 3:
+                dashboard.ask("unlock protective stop")
+            elif state["safety_mode"] == 1 and (controller.emulated or request.config.getoption("--moves")):
+                dashboard.ask("brake release")
+            rtde.until(lambda now, since=state["timestamp"]: now["timestamp"] > since + 0.02, "time to pass")
+
+
+_TOKENS = itertools.count(1000)
+
+
+@pytest.fixture
+def token():
+    """A number that no register holds yet."""
+    return next(_TOKENS)

@@ -296,3 +296,15 @@ def test_an_address_that_does_not_exist_says_so(monkeypatch):
     monkeypatch.setattr(socket, "socket", Socket)
     with pytest.raises(AddressError, match="alias"):
         listening(("127.9.9.9", 0))
+
+
+def test_an_error_of_ours_ends_one_connection_only(harness, monkeypatch, caplog):
+    first, second = harness.client(), harness.client()
+
+    def broken(data):
+        raise AttributeError("a mistake")
+
+    monkeypatch.setattr(harness.peers[0], "received", broken)
+    assert harness.answer(first, b"x") == b""
+    assert "a mistake" in caplog.text
+    assert harness.answer(second, b"fine") == b"fine"

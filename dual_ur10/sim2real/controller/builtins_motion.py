@@ -26,6 +26,16 @@ class Control:
         self._controller = controller
         self._owner: Any = None
 
+    def check(self) -> None:
+        """Make sure that it is the program that wants to move the arm.
+
+        Raises:
+            MotionError: It is a secondary program.
+        """
+        machine = self._controller.program.machine
+        if machine is None or machine.thread is None:  # what runs now is not the program
+            raise MotionError("a secondary program must not move the arm: do that in a program, with def")
+
     @contextmanager
     def taken(self) -> Iterator[None]:
         """Move the arm from the thread that runs now.
@@ -33,10 +43,9 @@ class Control:
         Raises:
             MotionError: Another thread does.
         """
+        self.check()
         machine = self._controller.program.machine
-        if machine is None or machine.thread is None:  # what runs now is not the program
-            raise MotionError("a secondary program must not move the arm")
-        thread = (machine, machine.thread)
+        thread = (machine, machine.thread if machine is not None else None)
         if self._owner is not None and self._owner != thread and self._owner[0] is machine:
             raise MotionError("another thread is already controlling the robot")
         self._owner = thread
@@ -127,6 +136,7 @@ def motion_builtins(controller: Controller) -> Builtins:
         yield from control.follow(lambda: motion.stop_linear(a, aRot or a))
 
     def force_mode(task_frame: Any, selection_vector: Any, wrench: Any, type: int, limits: Any) -> None:
+        control.check()
         motion.force_mode(task_frame, selection_vector, wrench, type, limits)
 
     def end_force_mode() -> None:
@@ -139,12 +149,14 @@ def motion_builtins(controller: Controller) -> Builtins:
         motion.force_mode_settings(gain_scaling=scaling)
 
     def teach_mode() -> None:
+        control.check()
         motion.freedrive([1] * 6, [0.0] * 6)
 
     def end_teach_mode() -> None:
         motion.end_freedrive()
 
     def freedrive_mode(freeAxes: Any = (1, 1, 1, 1, 1, 1), feature: Any = (0.0,) * 6) -> None:  # noqa: N803
+        control.check()
         motion.freedrive(freeAxes, feature)
 
     def end_freedrive_mode() -> None:

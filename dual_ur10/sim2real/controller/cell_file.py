@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.files import write_text
+from dual_ur10.sim2real.cell_file_text import toml_text
 
 
 def write_cell_file(path: str | Path, description: Mapping[str, Any]) -> None:
@@ -33,14 +33,4 @@ def write_cell_file(path: str | Path, description: Mapping[str, Any]) -> None:
             raise SettingsError(
                 f"{path} exists and is no file of an emulated cell: it was left as it is. Name another with --cell"
             )
-    write_text(path, _toml(description))
-
-
-def _toml(values: Mapping[str, Any], table: str = "") -> str:
-    lines = [] if not table else [f"[{table}]"]
-    lines += [f"{name} = {json.dumps(value)}" for name, value in values.items() if not isinstance(value, Mapping)]
-    text = "\n".join(lines) + "\n"
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            text += "\n" + _toml(value, f"{table}.{name}" if table else name)
-    return text
+    write_text(path, toml_text(description))

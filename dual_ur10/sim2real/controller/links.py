@@ -185,6 +185,10 @@ class Connection:
         except ProtocolError as error:
             self.close(str(error))
             return
+        except Exception:  # a mistake of ours must not end the other connections, let alone the other arm
+            log.exception("%s: a client is disconnected, because what it sent was not handled", self.port.name)
+            self.close("an error inside the emulated cell")
+            return
         self.send(reply)
         if self.peer.finished:
             self.close("")

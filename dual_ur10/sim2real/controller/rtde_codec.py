@@ -35,17 +35,27 @@ class TextKind(IntEnum):
     INFO = 3
 
 
-class Frames:
-    """Cuts a stream of bytes into frames. It keeps less than one frame, so less than 64 KiB."""
+LARGEST: Final = 0xFFFF
+"""Most bytes of a frame: its length is two bytes."""
 
-    def __init__(self) -> None:
+
+class Frames:
+    """Cuts a stream of bytes into frames. It keeps less than one frame, so less than 64 KiB.
+
+    Args:
+        largest: Most bytes that a frame may have, for whoever knows what can come.
+    """
+
+    def __init__(self, largest: int = LARGEST) -> None:
+        self.largest = largest
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> Iterator[tuple[int, bytes]]:
         """Kind and payload of each frame that `data` completes.
 
         Raises:
-            ProtocolError: A frame claims to be shorter than its header: where the next one begins cannot be known.
+            ProtocolError: A frame claims to be shorter than its header, so that where the next one begins cannot be
+                known, or larger than what can come.
         """
         buffer = self._buffer
         buffer += data
@@ -54,6 +64,8 @@ class Frames:
             size, kind = HEADER.unpack_from(buffer, start)
             if size < HEADER.size:
                 raise ProtocolError(f"RTDE frame of {size} bytes: it must have at least {HEADER.size}, its header")
+            if size > self.largest:
+                raise ProtocolError(f"RTDE frame of {size} bytes: at most {self.largest} can come here")
             end = start + size
             if end > available:
                 break

@@ -1,0 +1,75 @@
+"""The estimate of a controller's clock from packets that come late."""
+
+import math
+
+import numpy as np
+import pytest
+
+from dual_ur10.errors import LinkError
+from dual_ur10.sim2real.controller_clock import ControllerClock
+
+
+def packets(tick_s, seconds, *, drift=0.0, latency_s=0.0002, jitter_s=0.001, stall=0.0, seed=0):
+    """Timestamp, arrival and true beginning of every period."""
+    rng = np.random.default_rng(seed)
+    last = 0.0
+    for k in range(round(seconds / tick_s)):
+        timestamp = 5000.0 + k * tick_s
+        true = 77.0 + k * tick_s * (1.0 + drift)
+        late = latency_s + rng.exponential(jitter_s) + (0.05 if rng.random() < stall else 0.0)
+        last = max(last, true + late)  # packets do not overtake
+        yield timestamp, last, true
+
+
+@pytest.mark.parametrize("tick_s", [0.008, 0.002])
+@pytest.mark.parametrize("drift", [0.0, 1e-4, -1e-4])
+@pytest.mark.parametrize("stall", [0.0, 0.01])
+def test_the_estimate_follows_a_drifting_clock(tick_s, drift, stall):
+    clock = ControllerClock(tick_s)
+    errors = []
+    for timestamp, arrival, true in packets(tick_s, 30.0, drift=drift, stall=stall):
+        clock.note(timestamp, arrival)
+        errors.append(clock.local_s(timestamp) - true)
+    settled = np.array(errors[round(3.0 / tick_s) :])
+    assert np.abs(settled - 0.0002).max() < 0.0005
+    assert np.abs(np.diff(settled)).max() < 5e-5  # no jumps, even after a stall
+
+
+def test_nothing_is_known_before_the_first_packet():
+    clock = ControllerClock(0.008)
+    assert math.isnan(clock.offset_s)
+    assert not clock.is_settled
+    with pytest.raises(LinkError, match="first packet"):
+        clock.next_period(1.0, 0.5)
+    with pytest.raises(LinkError, match="first packet"):
+        clock.moment(1, 0.5)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.5, 0.95])
+def test_periods_come_one_after_the_other(share):
+    clock = ControllerClock(0.008)
+    for timestamp, arrival, _ in packets(0.008, 1.0, jitter_s=1e-5):
+        clock.note(timestamp, arrival)
+    now = 77.0 + 1.0
+    numbers, moments = [], []
+    for _ in range(50):
+        number, at = clock.next_period(now, share)
+        assert at > now
+        numbers.append(number)
+        moments.append(at)
+        now = at
+    assert np.diff(numbers).tolist() == [1] * 49
+    assert np.allclose(np.diff(moments), 0.008)
+    # They are where the controller's periods are.
+    into = math.fmod(moments[0] - clock.local_s(5000.0), 0.008) / 0.008
+    assert min(abs(into - share), 1 - abs(into - share)) < 1e-6
+
+
+@pytest.mark.parametrize("timestamp", [0.0, 4999.0, 6000.0])
+def test_a_controller_that_was_started_anew_is_told(timestamp):
+    clock = ControllerClock(0.008)
+    arrival = 0.0
+    for known, arrival, _ in packets(0.008, 1.0):
+        clock.note(known, arrival)
+    with pytest.raises(LinkError, match="started anew"):
+        clock.note(timestamp, arrival + 0.008)

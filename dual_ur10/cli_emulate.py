@@ -24,7 +24,7 @@ def emulate(
     dh_error: Annotated[
         float, typer.Option("--dh-error-mm", min=0.0, help="Largest error of the arms' kinematics.")
     ] = 0.0,
-    seed: Annotated[int, typer.Option("--seed", help="Of the plant, the start and all noise.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="Of the plant, the start, and faults left to chance.")] = 0,
     powered: Annotated[
         bool, typer.Option("--powered/--powered-off", help="Whether the arms have power from the start.")
     ] = True,

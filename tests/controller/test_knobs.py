@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from dual_ur10.sim2real.controller.links import LinkFaults
 from dual_ur10.sim2real.controller.modes import RobotMode
+from dual_ur10.sim2real.controller.script import parse
 from dual_ur10.ur10 import ARMS
 from tests.controller import rtde_bytes
 from tests.controller.ticking import Cell, program
@@ -227,7 +228,7 @@ def test_stop_release_and_reduce(cell):
 
 def test_press(cell):
     controller = cell.emulator.servers[0].controller
-    controller.program.prepare(program("while True:\n  sync()\nend"))
+    controller.program.prepare(parse(program("while True:\n  sync()\nend"), controller.program.builtins))
 
     def pressed(button, ticks=40):
         cell.get("press", arm="left", button=button)
@@ -512,7 +513,7 @@ def test_text_that_is_no_unicode_ends_nothing(cell):
         client.read()
         assert client.answer(b"get robot model\n") == b"?\n"
     for text in (program('textmsg("\ud800")'), "\ud800", program("x = \ud800"), "def \ud800():\nend\n"):
-        cell.get("program", arm="left", name="p", text=text)
+        cell.ask("program", arm="left", name="p", text=text)
         with Client(cell, 0, "dashboard") as client:
             client.read()
             client.answer(b"load p\n")

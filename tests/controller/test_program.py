@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dual_ur10.errors import OperationRefusedError
+from dual_ur10.errors import OperationRefusedError, ScriptSyntaxError
 from dual_ur10.sim2real.controller.modes import RuntimeState
 from tests.controller.ticking import COUNT, HOME, Bench, program
 
@@ -172,8 +172,8 @@ def test_pause_holds_the_program_and_play_goes_on(bench):
     assert count(bench) == 46
 
 
-def test_pausing_what_does_not_play_is_nothing(bench):
-    bench.pendant.pause()
+def test_what_does_not_play_is_not_paused(bench):
+    assert bench.ask("pause") == "Failed to execute: pause"
     bench.pendant.stop()
     bench.tick(3)
     assert bench.state == RuntimeState.STOPPED
@@ -217,15 +217,28 @@ def test_output_registers_outlive_the_program(bench):
     assert (registers.output_double[3], registers.output_int[4]) == (2.5, 7)
 
 
-def test_a_program_that_is_loaded_is_read_when_it_plays(bench):
-    bench.pendant.keep("a.urp", "def p(:\n")
+def test_a_program_that_cannot_be_read_is_not_kept(bench):
+    with pytest.raises(ScriptSyntaxError, match="line 1"):
+        bench.pendant.keep("a.urp", "def p(:\n")
+    assert not bench.pendant.programs
+
+
+def test_play_plays_what_the_dashboard_says_is_loaded(bench):
+    bench.pendant.keep("a.urp", program("write_output_integer_register(9, 1)\n" + IDLE))
     bench.pendant.load("a.urp")
-    bench.tick()
-    assert not heard(bench)
+    assert bench.ask("get loaded program") == "Loaded program: a.urp"
+    assert bench.ask("isProgramSaved") == "true a.urp"
+    bench.run(program("write_output_integer_register(9, 2)\n" + IDLE))
+    bench.tick(3)
+    assert bench.ask("isProgramSaved").startswith("false")
+    assert "a.urp" not in bench.ask("programState")
+    assert bench.controller.registers.output_int[9] == 2
+    bench.pendant.load("a.urp")
+    bench.tick(3)
     bench.pendant.play()
-    bench.tick()
-    assert heard(bench)
-    assert bench.state == RuntimeState.STOPPED
+    bench.tick(3)
+    assert bench.ask("programState") == "PLAYING a.urp"
+    assert bench.controller.registers.output_int[9] == 1
 
 
 def test_two_threads_do_not_move_the_arm(bench):

@@ -537,11 +537,12 @@ def test_errors_stop_the_program_and_name_line_and_word(text: str, line: int, wo
     machine.tick()
 
 
-def test_mistakes_in_builtins_are_not_the_programs() -> None:
+def test_mistakes_in_builtins_end_the_program_and_are_logged(caplog: pytest.LogCaptureFixture) -> None:
     robot = Robot()
     robot.builtins["broken"] = lambda: {}.nothing  # type: ignore[attr-defined]
-    with pytest.raises(AttributeError):
+    with pytest.raises(ScriptRuntimeError, match="line 1, 'broken'"):
         robot.run("broken()")
+    assert "nothing" in caplog.text
 
 
 def test_an_endless_loop_that_waits_is_none() -> None:

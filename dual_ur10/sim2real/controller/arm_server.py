@@ -6,22 +6,22 @@ import logging
 import struct
 from collections import deque
 from collections.abc import Callable, Mapping
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Final
 
-from dual_ur10.errors import ProtocolError, SettingsError
+from dual_ur10.errors import ProtocolError, ScriptError, SettingsError
 from dual_ur10.sim2real.controller.controller import Controller
 from dual_ur10.sim2real.controller.dashboard import GREETING, Dashboard
 from dual_ur10.sim2real.controller.lines import LineReader
 from dual_ur10.sim2real.controller.links import Hub, Port
 from dual_ur10.sim2real.controller.pendant import Pendant
 from dual_ur10.sim2real.controller.primary_messages import version_message
-from dual_ur10.sim2real.controller.primary_packet import PrimaryPacket
+from dual_ur10.sim2real.controller.primary_packet import RATE_HZ, PrimaryPacket
 from dual_ur10.sim2real.controller.profile import ControllerProfile
 from dual_ur10.sim2real.controller.realtime_packet import RealtimePacket
 from dual_ur10.sim2real.controller.robotiq import RobotiqGripper
 from dual_ur10.sim2real.controller.rtde_session import RtdePort, RtdeSession
-from dual_ur10.sim2real.controller.script import Splitter, read_ahead
+from dual_ur10.sim2real.controller.script import Program, Splitter, read
 from dual_ur10.ur10 import DHParameters
 
 log = logging.getLogger(__name__)
@@ -38,8 +38,7 @@ PORTS: Final = {
     "gripper": GRIPPER,
 }
 
-PRIMARY_HZ: Final = 10.0
-_MOST_SCRIPTS: Final = 16  # programs that wait to be started
+_MOST_SCRIPTS: Final = 64  # programs that wait to be started
 
 
 class RtdePeer:
@@ -124,7 +123,6 @@ class ArmServer:
         host: A loopback address of its own.
         gripper: The gripper's server, or None.
         off: Called when the controller is shut down through its dashboard.
-        reader: Reads programs beside the control periods, which must not wait for it.
 
     Attributes:
         ports: By name, as in `PORTS`.
@@ -141,13 +139,14 @@ class ArmServer:
         host: str,
         gripper: RobotiqGripper | None,
         off: Callable[[], None],
-        reader: Executor,
     ) -> None:
         self.controller, self.host, self.gripper = controller, host, gripper
         self.pendant = Pendant(controller, off)
         self.script_delay_s = 0.0
-        self._scripts: deque[tuple[float, str, Future[None]]] = deque()
-        self._hub, self._reader = hub, reader
+        self._scripts: deque[tuple[float, str, Future[Program | ScriptError]]] = deque()
+        self._hub = hub
+        # Control periods do not wait for programs to be read, and one arm's not for the other's.
+        self._reader = ThreadPoolExecutor(1, f"{controller.name} programs")
         self._rtde = RtdePort(controller.profile, controller.registers, controller.values, controller.inputs)
         self._realtime = RealtimePacket(controller.profile)
         self.pretend(controller.profile, controller.dh)
@@ -207,13 +206,14 @@ class ArmServer:
     def _take_script(self, text: str) -> None:
         if len(self._scripts) >= _MOST_SCRIPTS:
             raise ProtocolError(f"{_MOST_SCRIPTS} programs wait to be started already")
-        read = self._reader.submit(read_ahead, text, self.controller.program.builtins)
-        self._scripts.append((self.controller.time_s + self.script_delay_s, text, read))
+        found = self._reader.submit(read, text, self.controller.program.builtins)
+        self._scripts.append((self.controller.time_s + self.script_delay_s, text, found))
 
     def before_tick(self) -> None:
         """Start the programs that have been read, in their order."""
         while self._scripts and self._scripts[0][0] <= self.controller.time_s and self._scripts[0][2].done():
-            self.controller.run_script(self._scripts.popleft()[1])
+            _, text, found = self._scripts.popleft()
+            self.controller.run_script(text, found.result())
 
     def publish(self) -> None:
         """Send what is due in this control period."""
@@ -226,7 +226,7 @@ class ArmServer:
             ports["realtime"].broadcast(self._realtime.pack(controller.values))
         streams = [ports[which] for which in ("primary", "secondary")]
         listeners = [port for port in streams if port.connections]
-        if listeners and controller.ticks % round(1.0 / (PRIMARY_HZ * controller.profile.tick_s)) == 0:
+        if listeners and controller.ticks % round(1.0 / (RATE_HZ * controller.profile.tick_s)) == 0:
             packet = self.primary.state(controller.values)
             for port in listeners:
                 port.broadcast(packet)
@@ -235,6 +235,7 @@ class ArmServer:
 
     def close(self) -> None:
         """Close all ports."""
+        self._reader.shutdown(wait=False, cancel_futures=True)
         for port in self.ports.values():
             port.close()
             self._hub.ports.remove(port)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Generator
 from typing import TYPE_CHECKING, Any
 
 from dual_ur10.errors import MotionError
 from dual_ur10.sim2real.controller.inputs_outputs import CONFIGURABLE, STANDARD, TOOL
+from dual_ur10.sim2real.controller.script import text
+from dual_ur10.sim2real.controller.script.values import number
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.controller.controller import Builtins, Controller, Watchdog
@@ -22,7 +25,7 @@ def _register(index: int, values: list[Any]) -> int:
 
 
 def _int32(value: float) -> int:
-    if not math.isfinite(value):
+    if not math.isfinite(number(value)):
         raise MotionError(f"{value!r} does not fit into an integer register")
     whole = int(value) & 0xFFFFFFFF
     return whole - (1 << _INT_BITS) if whole >> (_INT_BITS - 1) else whole
@@ -54,23 +57,22 @@ def io_builtins(controller: Controller) -> Builtins:
         registers.output_int[_register(address, registers.output_int)] = _int32(value)
 
     def write_output_float_register(address: int, value: float) -> None:
-        registers.output_double[_register(address, registers.output_double)] = float(value)
+        registers.output_double[_register(address, registers.output_double)] = float(number(value))
 
     def write_output_boolean_register(address: int, value: bool) -> None:
-        registers.output_bits[_register(address, registers.output_bits)] = bool(value)
+        registers.output_bits[_register(address, registers.output_bits)] = _truth(value)
 
     def set_standard_digital_out(n: int, b: bool) -> None:
-        io.set_output(STANDARD + _within(n, 8), bool(b))
+        io.set_output(STANDARD + _within(n, 8), _truth(b))
 
     def set_configurable_digital_out(n: int, b: bool) -> None:
-        io.set_output(CONFIGURABLE + _within(n, 8), bool(b))
+        io.set_output(CONFIGURABLE + _within(n, 8), _truth(b))
 
     def set_tool_digital_out(n: int, b: bool) -> None:
-        io.set_output(TOOL + _within(n, 2), bool(b))
+        io.set_output(TOOL + _within(n, 2), _truth(b))
 
     def set_digital_out(n: int, b: bool) -> None:
-        # The old numbering: 8 and 9 are the tool's.
-        io.set_output(n if n < 8 else TOOL + _within(n - 8, 2), bool(b))
+        io.set_output(_old(n), _truth(b))
 
     def get_standard_digital_out(n: int) -> bool:
         return bool(io.outputs >> STANDARD + _within(n, 8) & 1)
@@ -82,7 +84,7 @@ def io_builtins(controller: Controller) -> Builtins:
         return bool(io.outputs >> TOOL + _within(n, 2) & 1)
 
     def get_digital_out(n: int) -> bool:
-        return bool(io.outputs >> (n if n < 8 else TOOL + _within(n - 8, 2)) & 1)
+        return bool(io.outputs >> _old(n) & 1)
 
     def get_standard_digital_in(n: int) -> bool:
         return bool(io.inputs >> STANDARD + _within(n, 8) & 1)
@@ -94,7 +96,7 @@ def io_builtins(controller: Controller) -> Builtins:
         return bool(io.inputs >> TOOL + _within(n, 2) & 1)
 
     def get_digital_in(n: int) -> bool:
-        return bool(io.inputs >> (n if n < 8 else TOOL + _within(n - 8, 2)) & 1)
+        return bool(io.inputs >> _old(n) & 1)
 
     def set_standard_analog_out(n: int, f: float) -> None:
         io.set_analog(n, f)
@@ -106,19 +108,24 @@ def io_builtins(controller: Controller) -> Builtins:
         io.set_analog(port, 0.0, bool(domain))
 
     def set_tool_voltage(voltage: int) -> None:
-        controller.values["tool_output_voltage"] = int(voltage)
+        io.set_tool_voltage(voltage)
 
     def textmsg(s1: Any, s2: Any = "") -> None:
-        controller.say(f"{_text(s1)}{_text(s2)}")
+        controller.say(f"{text(s1)}{text(s2)}")
 
-    def popup(s: Any, title: Any = "Popup", warning: bool = False, error: bool = False, blocking: bool = False) -> None:
-        controller.show(_text(title), _text(s))
+    def popup(
+        s: Any, title: Any = "Popup", warning: bool = False, error: bool = False, blocking: bool = False
+    ) -> Generator[None, None, None]:
+        controller.show(text(title), text(s))
+        while blocking and controller.popup:
+            yield
 
     def rtde_set_watchdog(variable_name: str, min_frequency: float, action: str = "pause") -> None:
         if action not in _WATCHDOG_ACTIONS:
             raise MotionError(f"a watchdog's action is {action!r}: it must be one of {', '.join(_WATCHDOG_ACTIONS)}")
-        controller.watchdog = _watchdog(controller, variable_name, float(min_frequency), action)
+        controller.watchdog = _watchdog(controller, variable_name, float(number(min_frequency)), action)
 
+    # Every function that stands above is one of URScript's.
     own = locals()
     return {name: value for name, value in own.items() if callable(value)}
 
@@ -126,6 +133,10 @@ def io_builtins(controller: Controller) -> Builtins:
 def _watchdog(controller: Controller, name: str, frequency: float, action: str) -> Watchdog | None:
     from dual_ur10.sim2real.controller.controller import Watchdog
 
+    if not isinstance(name, str):
+        raise MotionError(f"a watchdog is set on the name of a register, found {name!r}")
+    if not math.isfinite(frequency):
+        raise MotionError(f"a watchdog's frequency is {frequency!r}: it must be a number of Hz")
     if action == "ignore" or frequency <= 0.0:
         return None
     kind, _, index = name.rpartition("_")
@@ -139,7 +150,8 @@ def _watchdog(controller: Controller, name: str, frequency: float, action: str) 
         )
     _register(int(index), known[kind])
     writes = controller.registers.writes.get(name, 0)
-    return Watchdog(name, 1.0 / frequency, action, writes, controller.program.machine)
+    values, place = known[kind], int(index)
+    return Watchdog(name, 1.0 / frequency, action, writes, controller.program.machine, lambda: values[place])
 
 
 def _within(n: int, count: int) -> int:
@@ -148,5 +160,10 @@ def _within(n: int, count: int) -> int:
     return int(n)
 
 
-def _text(value: Any) -> str:
-    return value if isinstance(value, str) else str(value)
+def _old(n: int) -> int:
+    """Bit of an input or output in the old numbering, in which 8 and 9 are the tool's."""
+    return TOOL + _within(n, 10) - 8 if n >= 8 else _within(n, 8)
+
+
+def _truth(value: Any) -> bool:
+    return bool(number(value))

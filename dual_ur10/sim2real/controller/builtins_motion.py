@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from dual_ur10.errors import MotionError
 from dual_ur10.sim2real.controller.motion import Handle
 from dual_ur10.sim2real.controller.script import Pose
+from dual_ur10.sim2real.controller.script.values import number
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.controller.controller import Builtins, Controller
 
 Blocking = Generator[None, None, None]
+
+SOLUTION_STEPS: Final = 50
+"""Statements that a solution of the inverse kinematics counts for, in what a program may do in one control period."""
 
 # Names and defaults of the parameters are those of UR's script manual; they are what programs write.
 # ruff: noqa: A002
@@ -65,6 +69,8 @@ class Control:
             except GeneratorExit:
                 self._controller.motion.halt()
                 raise
+            if handle.aborted:
+                raise MotionError("the motion was ended by a stop: start the program again")
 
 
 def joints_of(controller: Controller, q: Sequence[float], near: Sequence[float] | None = None) -> list[float]:
@@ -76,7 +82,8 @@ def joints_of(controller: Controller, q: Sequence[float], near: Sequence[float] 
     if len(q) != 6:
         raise MotionError(f"a target has six numbers, found {len(q)}")
     if not isinstance(q, Pose):
-        return [float(each) for each in q]
+        return [float(number(each)) for each in q]
+    controller.spend(SOLUTION_STEPS)
     found = controller.motion.inverse(q, controller.motion.q if near is None else near)
     if found is None:
         raise MotionError(f"no joint positions reach the pose {[round(float(each), 4) for each in q]}")
@@ -88,13 +95,13 @@ def pose_of(controller: Controller, target: Sequence[float]) -> list[float]:
     if len(target) != 6:
         raise MotionError(f"a target has six numbers, found {len(target)}")
     if isinstance(target, Pose):
-        return [float(each) for each in target]
+        return [float(number(each)) for each in target]
     return [float(each) for each in controller.motion.tcp_pose(joints_of(controller, target))]
 
 
 def motion_builtins(controller: Controller) -> Builtins:
     """The functions, by name."""
-    motion, control = controller.motion, Control(controller)
+    motion, control, tick_s = controller.motion, Control(controller), controller.profile.tick_s
 
     def movej(q: Any, a: float = 1.4, v: float = 1.05, t: float = 0, r: float = 0) -> Blocking:
         joints = joints_of(controller, q)
@@ -113,11 +120,17 @@ def motion_builtins(controller: Controller) -> Builtins:
         yield from control.follow(lambda: motion.move_circular(via, to, a, v, r))
 
     def servoj(
-        q: Any, a: float = 0, v: float = 0, t: float = 0.002, lookahead_time: float = 0.1, gain: float = 300
+        q: Any, a: float = 0, v: float = 0, t: float = tick_s, lookahead_time: float = 0.1, gain: float = 300
     ) -> Blocking:
         joints = joints_of(controller, q)
-        controller.note_setpoint(joints, t, lookahead_time, gain)
-        yield from control.follow(lambda: motion.servo_joints(joints, t, lookahead_time, gain))
+
+        def start() -> Handle:
+            handle = motion.servo_joints(joints, t, lookahead_time, gain)
+            if motion.fault is None:
+                controller.note_setpoint(joints, t, lookahead_time, gain)
+            return handle
+
+        yield from control.follow(start)
 
     def servoc(pose: Any, a: float = 1.2, v: float = 0.25, r: float = 0) -> Blocking:
         target = pose_of(controller, pose)

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from dual_ur10.errors import MotionError
-from dual_ur10.sim2real.controller.builtins_motion import joints_of
+from dual_ur10.sim2real.controller.builtins_motion import SOLUTION_STEPS, joints_of
 from dual_ur10.sim2real.controller.script import Pose
+from dual_ur10.sim2real.controller.script.values import number
 from dual_ur10.ur10 import JOINT_RANGE_RAD
 
 if TYPE_CHECKING:
@@ -21,11 +22,21 @@ _CONTACT_N: Final = 15.0  # against a direction; UR publishes no threshold of to
 _MOST_PAYLOAD_KG: Final = 10.0
 
 
-def _six(values: Any, what: str) -> list[float]:
-    numbers = [float(each) for each in values]
-    if len(numbers) != 6 or not np.isfinite(numbers).all():
-        raise MotionError(f"{what} must be six finite numbers, found {numbers}")
+def _numbers(values: Any, count: int, what: str) -> list[float]:
+    numbers = [float(number(each)) for each in values] if isinstance(values, list | tuple | np.ndarray) else []
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise MotionError(f"{what} must be {count} finite numbers, found {values!r}")
     return numbers
+
+
+def _six(values: Any, what: str) -> list[float]:
+    return _numbers(values, 6, what)
+
+
+def _mass(m: Any) -> float:
+    if not 0.0 <= number(m) <= _MOST_PAYLOAD_KG:
+        raise MotionError(f"a payload of {m!r} kg cannot be set: allowed are 0 to {_MOST_PAYLOAD_KG:g} kg")
+    return float(m)
 
 
 def robot_builtins(controller: Controller) -> Builtins:
@@ -34,13 +45,13 @@ def robot_builtins(controller: Controller) -> Builtins:
     contact = _Contact(controller)
 
     def get_actual_joint_positions() -> list[float]:
-        return list(values["actual_q"])
+        return [float(each) for each in controller.reading.q_rad]
 
     def get_target_joint_positions() -> list[float]:
         return [float(each) for each in motion.q]
 
     def get_actual_joint_speeds() -> list[float]:
-        return list(values["actual_qd"])
+        return [float(each) for each in controller.reading.qd_rad_s]
 
     def get_target_joint_speeds() -> list[float]:
         return [float(each) for each in motion.qd]
@@ -52,7 +63,7 @@ def robot_builtins(controller: Controller) -> Builtins:
         return list(history[-1 - int(steps)])
 
     def get_actual_tcp_pose() -> Pose:
-        return Pose(values["actual_TCP_pose"])
+        return Pose(motion.tcp_pose(controller.reading.q_rad))
 
     def get_target_tcp_pose() -> Pose:
         return Pose(motion.tcp_pose(motion.q))
@@ -61,7 +72,7 @@ def robot_builtins(controller: Controller) -> Builtins:
         return Pose(motion.tcp_pose(motion.waypoint))
 
     def get_actual_tcp_speed() -> list[float]:
-        return list(values["actual_TCP_speed"])
+        return list(motion.tcp_speed(controller.reading.q_rad, controller.reading.qd_rad_s))
 
     def get_target_tcp_speed() -> list[float]:
         return [float(each) for each in motion.tcp_speed(motion.q, motion.qd)]
@@ -70,10 +81,12 @@ def robot_builtins(controller: Controller) -> Builtins:
         return Pose(motion.flange_pose(controller.reading.q_rad))
 
     def get_forward_kin(q: Any = None, tcp: Any = None) -> Pose:
+        controller.spend(SOLUTION_STEPS // 5)
         joints = motion.q if q is None else _six(q, "joint positions")
         return Pose(motion.forward(joints, motion.tcp if tcp is None else _six(tcp, "a TCP")))
 
     def _inverse(x: Any, qnear: Any, tcp: Any) -> Any:
+        controller.spend(SOLUTION_STEPS)
         near = motion.q if qnear is None else _six(qnear, "joint positions")
         return motion.inverse(_six(x, "a pose"), near, None if tcp is None else _six(tcp, "a TCP"))
 
@@ -112,10 +125,10 @@ def robot_builtins(controller: Controller) -> Builtins:
         return controller.profile.tick_s
 
     def get_joint_torques() -> list[float]:
-        return list(values["target_moment"])
+        return [float(each) for each in controller.reading.torque_nm]
 
     def get_tcp_force() -> list[float]:
-        return list(values["actual_TCP_force"])
+        return [float(each) for each in controller.wrench]
 
     def force() -> float:
         return float(np.linalg.norm(controller.wrench[:3]))
@@ -136,9 +149,8 @@ def robot_builtins(controller: Controller) -> Builtins:
         return Pose(motion.tcp)
 
     def set_payload(m: float, cog: Any = (0.0, 0.0, 0.0)) -> None:
-        if not 0.0 <= m <= _MOST_PAYLOAD_KG:
-            raise MotionError(f"a payload of {m!r} kg cannot be set: allowed are 0 to {_MOST_PAYLOAD_KG:g} kg")
-        payload.mass_kg, payload.cog_m = float(m), tuple(float(each) for each in cog)
+        mass, place = _mass(m), tuple(_numbers(cog, 3, "a centre of gravity"))
+        payload.mass_kg, payload.cog_m = mass, place
 
     def set_payload_mass(m: float) -> None:
         set_payload(m, payload.cog_m)
@@ -147,8 +159,9 @@ def robot_builtins(controller: Controller) -> Builtins:
         set_payload(payload.mass_kg, CoG)
 
     def set_target_payload(m: float, cog: Any, inertia: Any = (0.0,) * 6, transition_time: float = 0.0) -> None:
+        turns = tuple(_six(inertia, "an inertia"))
         set_payload(m, cog)
-        payload.inertia_kg_m2 = tuple(_six(inertia, "an inertia"))
+        payload.inertia_kg_m2 = turns
 
     def get_target_payload() -> float:
         return payload.mass_kg
@@ -160,8 +173,7 @@ def robot_builtins(controller: Controller) -> Builtins:
         return list(payload.inertia_kg_m2)
 
     def set_gravity(d: Any) -> None:
-        if len(d) != 3 or not np.isfinite([float(each) for each in d]).all():
-            raise MotionError(f"gravity must be three finite numbers, found {d!r}")
+        _numbers(d, 3, "gravity")  # the arms stand upright in every cell: nothing else would be true
 
     def enable_external_ft_sensor(
         enable: bool, sensor_mass: float = 0.0, sensor_measuring_offset: Any = (0.0,) * 3, sensor_cog: Any = (0.0,) * 3

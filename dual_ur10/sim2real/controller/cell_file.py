@@ -27,7 +27,7 @@ def write_cell_file(path: str | Path, description: Mapping[str, Any]) -> None:
     if path.exists():
         try:
             kind = tomllib.loads(path.read_text()).get("kind")
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):
             kind = None
         if kind != "emulated":
             raise SettingsError(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import OperationRefusedError, ScriptError
-from dual_ur10.forward_kinematics import elbow_and_flange_position
+from dual_ur10.forward_kinematics import elbow_and_flange_position, flange_pose
 from dual_ur10.rotations import cross
 from dual_ur10.sim2real.controller import primary_messages as messages
 from dual_ur10.sim2real.controller.builtins import builtins_of
@@ -24,7 +24,7 @@ from dual_ur10.sim2real.controller.program import ProgramRunner
 from dual_ur10.sim2real.controller.registers import Registers
 from dual_ur10.sim2real.controller.rtde_variables import zero_values
 from dual_ur10.sim2real.controller.safety import Demand, Safety
-from dual_ur10.sim2real.controller.script import Machine
+from dual_ur10.sim2real.controller.script import Machine, Program
 from dual_ur10.sim2real.controller.world import ArmReading
 from dual_ur10.ur10 import DHParameters
 
@@ -41,6 +41,7 @@ _HISTORY: Final = 1000  # control periods of joint positions that a program may 
 _SETPOINTS: Final = 50_000  # executed servoj targets that are kept
 _MESSAGES: Final = 256
 
+STEADY_RAD: Final = 0.01
 STEADY_RAD_S: Final = 0.001
 REDUCED_SPEED: Final = 0.5  # of the speed in reduced mode; a real controller's depends on its safety configuration
 
@@ -66,14 +67,35 @@ class Payload:
 
 @dataclass
 class Watchdog:
-    """A program's demand that a client keeps writing a register."""
+    """A program's demand that a client keeps writing a register.
+
+    Attributes:
+        name: The register's, as RTDE names it.
+        period_s: Longest time between two writes.
+        action: "pause" or "stop".
+        writes: How often it had been written when it was looked at last.
+        machine: The program.
+        value: Gives what is in the register.
+        since_s: Time since it was last fed.
+    """
 
     name: str
     period_s: float
     action: str
     writes: int
     machine: Machine | None
+    value: Callable[[], Any]
     since_s: float = 0.0
+    last: Any = None
+
+    def is_fed(self, registers: Registers, counts_unchanged: bool) -> bool:
+        """Whether the register was written since this was asked last."""
+        writes, value = registers.writes.get(self.name, 0), self.value()
+        fed = writes != self.writes and (counts_unchanged or value != self.last)
+        self.writes, self.last = writes, value
+        if fed:
+            self.since_s = 0.0
+        return fed
 
 
 class Controller:
@@ -89,7 +111,6 @@ class Controller:
         gripper_kg: Mass that its installation declares as payload.
         powered: Whether the arm is powered from the start.
         boot_s: Time since it was started, in its own clock.
-        seed: Of the noise of what it measures.
     """
 
     def __init__(
@@ -104,7 +125,6 @@ class Controller:
         gripper_kg: float = 0.0,
         powered: bool = True,
         boot_s: float = 100.0,
-        seed: int = 0,
     ) -> None:
         self.name, self.profile = name, profile
         self.dh = dh
@@ -130,9 +150,11 @@ class Controller:
         self.messages: deque[bytes] = deque(maxlen=_MESSAGES)
         self.watchdog: Watchdog | None = None
         self.wrench: Array = np.zeros(6)
+        self._wanted: Array = np.array(q_rad, dtype=float)
+        self._deviating = 0
+        self._ran = False
         self._raw_wrench: Array = np.zeros(6)
         self._wrench_zero: Array = np.zeros(6)
-        self._rng = np.random.default_rng(seed)
         self.program = ProgramRunner(profile, self.motion, builtins_of(self), self._script_failed)
         self.reading = ArmReading(np.array(q_rad, dtype=float), np.zeros(6), np.zeros(6), np.zeros(6), None)
         self._pose = self.motion.tcp_pose(self.reading.q_rad)
@@ -161,14 +183,32 @@ class Controller:
             demand, may_move=self.safety.may_move, resumes=self.safety.resumes, slider=self.io.slider * limit
         )
         self._watch()
+        if self._ran and self.program.machine is None and not self.profile.assumptions.output_registers_persist:
+            self.registers.clear_outputs()
+        self._ran = self.program.machine is not None
         before = self.motion.qd.copy()
         plan: Array = self.motion.plan(self.program.speed, wrench=self.wrench, q_actual=reading.q_rad)
+        self._look_for_faults(reading)
+        self._publish((self.motion.qd - before) / self.profile.tick_s)
+        return plan
+
+    def _look_for_faults(self, reading: ArmReading) -> None:
+        """Stop where a controller would: for what it is asked to do, and for an arm that does not do it."""
         fault = self.motion.fault
         if fault is not None:
             self.motion.fault = None
             self.protective_stop(fault.code, fault.text)
-        self._publish((self.motion.qd - before) / self.profile.tick_s)
-        return plan
+        assumed = self.profile.assumptions
+        away = np.abs(self._wanted - reading.q_rad)
+        self._wanted = self.motion.q
+        self._deviating = self._deviating + 1 if away.max() > assumed.deviation_rad else 0
+        if self._deviating >= assumed.deviation_ticks:
+            self._deviating = 0
+            joint = int(away.argmax())
+            text = f"position deviates from path: joint {joint} by {away[joint]:.3f} rad, allowed are "
+            self.protective_stop("C153A0", f"{text}{assumed.deviation_rad:g} rad")
+            self.motion.rest_at(reading.q_rad)
+            self._wanted = self.motion.q
 
     def note_setpoint(self, q_rad: Sequence[float], t_s: float, lookahead_s: float, gain: float) -> None:
         """Keep a servoj target that is executed."""
@@ -207,6 +247,16 @@ class Controller:
         log.warning("%s: program stopped: %s", self.name, error)
         self.messages.append(messages.script_error_message(self.time_s, error))
 
+    def spend(self, steps: int) -> None:
+        """Count a function of a program as so many of the statements that it may run in a control period.
+
+        Raises:
+            RecursionError: It has no more of them.
+        """
+        machine = self.program.machine
+        if machine is not None and machine.thread is not None:
+            machine.spend(steps)
+
     def _watch(self) -> None:
         watchdog = self.watchdog
         if watchdog is None:
@@ -214,9 +264,7 @@ class Controller:
         if self.program.machine is None or self.program.machine is not watchdog.machine:
             self.watchdog = None  # it ends with the program that set it
             return
-        writes = self.registers.writes.get(watchdog.name, 0)
-        if writes != watchdog.writes:
-            watchdog.writes, watchdog.since_s = writes, 0.0
+        if watchdog.is_fed(self.registers, self.profile.assumptions.watchdog_counts_unchanged):
             return
         watchdog.since_s += self.profile.tick_s
         if watchdog.since_s > watchdog.period_s:
@@ -237,14 +285,19 @@ class Controller:
 
     def _measure(self, reading: ArmReading) -> None:
         wrench = reading.wrench.copy()
-        held = self.payload.mass_kg - self.gripper_kg
-        wrench[2] += held * GRAVITY_M_S2
+        weight = (self.payload.mass_kg - self.gripper_kg) * GRAVITY_M_S2
+        if weight:
+            wrench[2] += weight
+            _, rotation = flange_pose(reading.q_rad, self.dh)
+            wrench[3:] += cross(rotation @ self.payload.cog_m, np.array([0.0, 0.0, weight]))
         self._pose = self.motion.tcp_pose(reading.q_rad)
         if any(self.motion.tcp[:3]):
             lever = np.subtract(self._pose[:3], self.motion.flange_pose(reading.q_rad)[:3])
             wrench[3:] -= cross(lever, wrench[:3])
         self._raw_wrench = wrench
         self.wrench = wrench - self._wrench_zero
+        if self.external_sensor and self.io.external_wrench is not None:
+            self.wrench = np.array(self.io.external_wrench)
         self.history.append(tuple(reading.q_rad.tolist()))
 
     def _constant_values(self) -> None:
@@ -256,7 +309,6 @@ class Controller:
             actual_joint_voltage=(48.0,) * 6,
             actual_tool_accelerometer=(0.0, 0.0, GRAVITY_M_S2),
             tool_temperature=30.0,
-            tool_output_voltage=24,
             tool_mode=int(JointMode.RUNNING),
             actual_execution_time=0.0,
         )
@@ -290,6 +342,7 @@ class Controller:
         values["actual_digital_input_bits"] = self.io.inputs
         values["actual_digital_output_bits"] = self.io.outputs
         values["standard_analog_output0"], values["standard_analog_output1"] = self.io.analog(0), self.io.analog(1)
+        values["tool_output_voltage"] = self.io.tool_voltage
         values["analog_io_types"] = self.io.analog_types
         values["robot_mode"] = int(safety.robot_mode)
         values["joint_mode"] = (int(JointMode.RUNNING if running else _joint_mode(safety.robot_mode)),) * 6
@@ -319,7 +372,8 @@ class Controller:
     @property
     def steady(self) -> bool:
         """Whether the arm stands, and nothing wants to move it."""
-        return not self.motion.moving and float(np.abs(self.reading.qd_rad_s).max()) < STEADY_RAD_S
+        there = float(np.abs(self.motion.q - self.reading.q_rad).max()) < STEADY_RAD
+        return not self.motion.moving and there and float(np.abs(self.reading.qd_rad_s).max()) < STEADY_RAD_S
 
     # What clients send.
 
@@ -327,15 +381,20 @@ class Controller:
         """Take over an RTDE input package's values that are no registers."""
         self.io.apply(values)
 
-    def run_script(self, text: str) -> None:
-        """Run what came on a script port: refused in local mode, as a controller does."""
+    def run_script(self, text: str, found: Program | ScriptError | None = None) -> None:
+        """Run what came on a script port: refused in local mode, as a controller does.
+
+        Args:
+            text: The program.
+            found: What reading it has given, if it has been read already.
+        """
         if self.profile.has_remote_control and not self.remote_control:
             log.warning("%s: a program is refused: the controller is in local mode", self.name)
             self.messages.append(
                 messages.key_message(self.time_s, "PROGRAM_REFUSED", "the controller is in local mode")
             )
             return
-        self.program.load(text)
+        self.program.load(text, found)
 
     def play(self) -> None:
         """Play or go on.

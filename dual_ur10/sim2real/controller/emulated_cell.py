@@ -115,7 +115,7 @@ class EmulatedCell:
             while b"\n" not in self._rest:
                 data = self._knobs.recv(1 << 16)
                 if not data:
-                    raise EmulatorError(f"the emulated cell gave no answer to {do!r}: it has ended")
+                    raise ConnectionError("it has ended, or has disconnected who asked")
                 self._rest += data
         except OSError as error:
             # An answer that comes late is not to be taken for that of the next request.

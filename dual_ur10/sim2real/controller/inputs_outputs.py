@@ -14,6 +14,7 @@ _GROUPS: Final = {
     "tool_digital_output": (TOOL, 2),
 }
 
+_TOOL_VOLTS: Final = (0, 12, 24)
 _VOLTS: Final = 10.0  # full scale of an analog output as a voltage; UR's user manual
 _LEAST_A, _SPAN_A = 0.004, 0.016  # and as a current
 
@@ -25,6 +26,7 @@ class InputsOutputs:
         inputs: Bits of the digital inputs, in the order of RTDE.
         outputs: Bits of the digital outputs.
         slider: Where the speed slider stands, 0 to 1.
+        tool_voltage: Supply of the tool, V.
         external_wrench: What a client says that an external sensor measures, N and N·m, or None.
     """
 
@@ -33,6 +35,7 @@ class InputsOutputs:
         self.outputs = 0
         self.slider = 1.0
         self.external_wrench: tuple[float, ...] | None = None
+        self.tool_voltage = 24
         self._analog = [0.0, 0.0]  # share of full scale
         self._voltage = [False, False]
 
@@ -82,6 +85,16 @@ class InputsOutputs:
         self._analog[index] = min(1.0, max(0.0, share)) if share == share else 0.0
         if voltage is not None:
             self._voltage[index] = voltage
+
+    def set_tool_voltage(self, voltage: int) -> None:
+        """Set the supply of the tool.
+
+        Raises:
+            ValueError: It is none of those that a controller gives.
+        """
+        if voltage not in _TOOL_VOLTS:
+            raise ValueError(f"the tool cannot be supplied with {voltage!r} V: allowed are {_TOOL_VOLTS}")
+        self.tool_voltage = int(voltage)
 
     def set_slider(self, fraction: float) -> None:
         """Move the speed slider; beyond its ends it stays there, and NaN moves nothing."""

@@ -49,6 +49,11 @@ class Cell(Protocol):
         """What is around them."""
         ...
 
+    @property
+    def time_s(self) -> float:
+        """Time since the start."""
+        ...
+
     def info(self) -> dict[str, Any]:
         """How the cell does."""
         ...
@@ -127,7 +132,7 @@ class Knobs:
                 raise SettingsError(f"{name} is {value!r}: allowed are 0 to {most:g}")
         position, quat = (each.tolist() for each in self._cell.world.pose(body))
         if delay_s:
-            now = self._cell.info()["time_s"]
+            now = self._cell.time_s
             seen = self._seen.setdefault(body, deque())
             old = [each for each in seen if each[0] <= now - delay_s]
             if seen:
@@ -272,7 +277,13 @@ class Knobs:
         if version is not None:
             if len(version) != 4:
                 raise SettingsError(f"a version has four numbers, found {version!r}")
-            values["version"] = tuple(int(each) for each in version)
+            numbers = tuple(int(each) for each in version)
+            for each, most in zip(numbers, (255, 255, 2**31 - 1, 2**31 - 1), strict=True):
+                if not 0 <= each <= most:
+                    raise SettingsError(
+                        f"a version's numbers are 0 to 255, twice, and 0 to 2147483647, found {version!r}"
+                    )
+            values["version"] = numbers
         server = self._arm(arm)
         server.pretend(dataclasses.replace(server.shown, **values), server.kinematics)
 

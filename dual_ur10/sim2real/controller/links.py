@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 MOST_CONNECTIONS: Final = 32
 """Clients of one port at the same time; more are closed at once. UR publishes no figure."""
 
-_RECEIVE_BYTES: Final = 65_536
+_RECEIVE_BYTES: Final = 8192  # at a time, so that clients that send much cannot keep the others waiting
 _MOST_WAITING_BYTES: Final = 262_144  # that a client has not read: then packets are dropped, or it is closed
 _SEND_BUFFER_BYTES: Final = 65_536
 _RESET: Final = struct.pack("ii", 1, 0)  # SO_LINGER that makes close() send RST
@@ -178,7 +178,7 @@ class Connection:
             self._take(data)
 
     def _take(self, data: bytes) -> None:
-        if self.half_open:
+        if self.half_open or not self.open:
             return
         try:
             reply = self.peer.received(data)
@@ -280,8 +280,9 @@ class Port:
             sock.close()
             return
         sock.setblocking(False)
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+        with contextlib.suppress(OSError):  # it may have gone already, which reading will tell
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
         connection = Connection(self.hub, sock, self._accept(), self)
         self.connections.append(connection)
         connection.flush()
@@ -364,6 +365,8 @@ class Hub:
                     serve.flush()
                 if events & selectors.EVENT_READ and serve.open:
                     serve.read()
+                if time.monotonic() > until_s:
+                    break  # the others are served after the control period, which does not wait
             now = time.monotonic()
             for port in self.ports:
                 for connection in list(port.connections):

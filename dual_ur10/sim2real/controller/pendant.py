@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.sim2real.controller.controller import Controller
 from dual_ur10.sim2real.controller.modes import RobotMode
+from dual_ur10.sim2real.controller.script import Program, parse
 
 log = logging.getLogger(__name__)
 
@@ -22,12 +23,12 @@ class Pendant:
         off: Called when the controller is shut down.
 
     Attributes:
-        programs: Text of the programs on the controller, by their names.
+        programs: The programs on the controller, by their names.
     """
 
     def __init__(self, controller: Controller, off: Callable[[], None]) -> None:
         self._controller, self._off = controller, off
-        self.programs: dict[str, str] = {}
+        self.programs: dict[str, Program] = {}
         self.operational_mode = "NONE"
         self.user_role = "programmer"
         self._file = ""
@@ -54,18 +55,23 @@ class Pendant:
 
     @property
     def loaded_program(self) -> str:
-        """The file that was loaded, or the name of the program that clients sent."""
-        return self._file or self._controller.program.name
+        """What `play` starts: the file that was loaded, or the name of the program that a client sent since."""
+        return self._file if self.program_saved else self._controller.program.name
 
     @property
     def program_saved(self) -> bool:
         """Whether what `play` starts is a file."""
-        return bool(self._file)
+        return bool(self._file) and self._controller.program.last is self.programs.get(self._file)
 
     def keep(self, name: str, text: str) -> None:
-        """Put a program on the controller."""
+        """Put a program on the controller.
+
+        Raises:
+            ScriptError: It cannot be read.
+        """
+        program = parse(text, self._controller.program.builtins)
         self.programs.pop(name, None)
-        self.programs[name] = text
+        self.programs[name] = program
         while len(self.programs) > _MOST_PROGRAMS:
             del self.programs[next(iter(self.programs))]
 
@@ -114,7 +120,6 @@ class Pendant:
         """
         if name not in self.programs:
             raise UnknownNameError("program", name, tuple(self.programs))
-        self._controller.program.stop("another program was loaded")
         self._controller.program.prepare(self.programs[name])
         self._file = name
 

@@ -32,8 +32,10 @@ class Assumptions:
             times the way at the joint's greatest speed in lookahead time and `t`.
         starved_ticks: Control periods without a motion command after which an arm that still moves is protectively
             stopped, while its program goes on.
-        infinite_loop_steps: Statements that a thread may run in one control period before it counts as an infinite
-            loop.
+        infinite_loop_steps: Statements that a program may run in one control period before they count as an infinite
+            loop. A solution of the inverse kinematics counts for 50.
+        deviation_rad: How far a joint may be from where it should be,
+        deviation_ticks: and for how many control periods, before a protective stop.
     """
 
     unlock_wait_s: float = 5.0
@@ -49,7 +51,9 @@ class Assumptions:
     program_stop_rad_s2: float = 8.0
     servoj_jump_factor: float = 1.5
     starved_ticks: int = 3
-    infinite_loop_steps: int = 20_000
+    infinite_loop_steps: int = 5_000
+    deviation_rad: float = 0.1
+    deviation_ticks: int = 3
 
 
 @dataclass(frozen=True, kw_only=True)

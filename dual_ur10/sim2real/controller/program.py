@@ -11,7 +11,7 @@ from dual_ur10.sim2real.controller.modes import RuntimeState
 from dual_ur10.sim2real.controller.motion import Motion
 from dual_ur10.sim2real.controller.profile import ControllerProfile
 from dual_ur10.sim2real.controller.safety import Demand
-from dual_ur10.sim2real.controller.script import Machine, Program, parse
+from dual_ur10.sim2real.controller.script import Machine, Program, read
 
 log = logging.getLogger(__name__)
 
@@ -19,6 +19,8 @@ SLIDER_S = 0.25
 """In which the speed follows the slider over its whole range; ours, so that no speed jumps."""
 
 _SECONDARY = 8  # programs beside the main one at the same time
+
+_PLAYS = (RuntimeState.PLAYING, RuntimeState.RESUMING)
 
 
 class ProgramRunner:
@@ -34,6 +36,8 @@ class ProgramRunner:
         state: RTDE's `runtime_state`.
         name: Name of the program that plays or played last, or "".
         speed: How fast the motion's time passes in this tick, 0 to 1.
+        machine: The program that plays, or None.
+        last: What `play` starts: the program that was loaded or played last, or None.
     """
 
     def __init__(
@@ -49,60 +53,89 @@ class ProgramRunner:
         self.speed = 1.0
         self.machine: Machine | None = None
         self._secondary: list[Machine] = []
-        self._text = ""
+        self.last: Program | None = None
         self._paused_by_safety = False
         self._demand = Demand.NONE
         self._unrun = False
 
-    def load(self, text: str) -> None:
+    def load(self, text: str, found: Program | ScriptError | None = None) -> None:
         """Play a program in place of the one that plays, or a secondary program beside it.
 
         One that cannot be read is refused as a controller does: the program that plays ends all the same.
+
+        Args:
+            text: The program.
+            found: What reading it has given, if it has been read already.
         """
-        try:
-            program = parse(text, self.builtins)
-        except ScriptError as error:
-            self.stop("a program that could not be read took its place")
-            self._failed(error)
-            return
-        if program.is_secondary:
-            if len(self._secondary) < _SECONDARY:
-                self._secondary.append(self._started(program))
-            return
+        program = read(text, self.builtins) if found is None else found
+        if isinstance(program, ScriptError):
+            if not text.lstrip().startswith("sec "):
+                self.stop("a program that could not be read took its place")
+            self._failed(program)
+        elif program.is_secondary:
+            self._start_secondary(program)
+        else:
+            self.start(program)
+
+    def start(self, program: Program) -> None:
+        """Play a program in place of the one that plays."""
         if self._unrun and self._demand is Demand.NONE:
             self._run()  # two programs in one control period: what the first does at once is not to be lost
         self.stop("another program took its place")
         if self._demand is not Demand.NONE:
             self._failed(ScriptRuntimeError(1, program.name, "not started: the arm is stopped or has no power"))
             return
-        self._text, self.name = text, program.name
+        self.last, self.name = program, program.name
         self.machine, self._unrun = self._started(program), True
         self.state = RuntimeState.PLAYING
 
-    def prepare(self, text: str) -> None:
-        """Have a program ready for `play`. It is read when it starts."""
-        self._text = text
+    def _start_secondary(self, program: Program) -> None:
+        if self._demand is Demand.STOP:
+            self._failed(ScriptRuntimeError(1, program.name, "not started: the arm is stopped or has no power"))
+        elif len(self._secondary) >= _SECONDARY:
+            self._failed(
+                ScriptRuntimeError(1, program.name, f"not started: {_SECONDARY} secondary programs run already")
+            )
+        else:
+            self._secondary.append(self._started(program))
 
     def _started(self, program: Program) -> Machine:
         steps = self.profile.assumptions.infinite_loop_steps
         return Machine(program, self.builtins, steps_per_tick=steps)
 
+    def prepare(self, program: Program) -> None:
+        """Have a program ready for `play`."""
+        self.stop("another program was loaded")
+        self.last, self.name = program, program.name
+
     def play(self) -> None:
-        """Go on after a pause, or start the program anew.
+        """Go on after a pause, or start the program anew that was loaded or played last; nothing if it plays.
 
         Raises:
             OperationRefusedError: There is no program.
         """
         if self.state in (RuntimeState.PAUSED, RuntimeState.PAUSING):
             self.state, self._paused_by_safety = RuntimeState.RESUMING, False
-        elif self.state in (RuntimeState.STOPPED, RuntimeState.STOPPING):
-            if not self._text:
-                raise OperationRefusedError("no program is loaded")
-            self.load(self._text)
+        elif self.state in _PLAYS:
+            return
+        elif self.last is None:
+            raise OperationRefusedError("no program is loaded")
+        else:
+            self.start(self.last)
 
     def pause(self) -> None:
-        """Come to rest on the path, and stay there."""
-        if self.state in (RuntimeState.PLAYING, RuntimeState.RESUMING):
+        """Come to rest on the path, and stay there until `play`, whatever paused it before.
+
+        Raises:
+            OperationRefusedError: No program plays.
+        """
+        if self.machine is None:
+            raise OperationRefusedError("no program plays")
+        self._paused_by_safety = False
+        self._pause()
+
+    def _pause(self) -> None:
+        if self.state in _PLAYS:
             self.state = RuntimeState.PAUSING
 
     def stop(self, reason: str) -> None:
@@ -111,12 +144,17 @@ class ProgramRunner:
             log.info("program %s ends: %s", self.name, reason)
             self.machine.kill()
             self.machine = None
-            if self.speed == 0.0:
-                self.motion.hold()  # it stands in the middle of its path, and what is left of it is given up
-            else:
-                self.motion.halt()
+            self._rest()
             self.state = RuntimeState.STOPPING
         self._paused_by_safety = False
+
+    def _rest(self) -> None:
+        """Brake from the speed that the arm has: from here on, time passes as the clock does."""
+        if self.speed == 0.0:
+            self.motion.hold()  # it stands in the middle of its path, and what is left of it is given up
+        else:
+            self.motion.halt(self.speed)
+            self.speed = 1.0
 
     def tick(self, demand: Demand, *, may_move: bool, resumes: bool, slider: float) -> None:
         """Let one control period pass: the program runs, and the motion's speed follows.
@@ -128,16 +166,17 @@ class ProgramRunner:
             slider: Where the speed is to go, 0 to 1.
         """
         self._demand = demand
-        if demand is Demand.STOP and self.machine is not None:
+        if demand is Demand.STOP:
             self.stop("the controller's safety state ended it")
-        elif demand is Demand.PAUSE and self.state in (RuntimeState.PLAYING, RuntimeState.RESUMING):
-            self.pause()
+            self._end_secondary()
+        elif demand is Demand.PAUSE and self.state in _PLAYS:
+            self._pause()
             self._paused_by_safety = resumes
         elif demand is Demand.PAUSE and not resumes:
             self._paused_by_safety = False
         elif demand is Demand.NONE and self._paused_by_safety and self.state == RuntimeState.PAUSED:
             self.play()
-        if self.state in (RuntimeState.PLAYING, RuntimeState.RESUMING):
+        if self.state in _PLAYS:
             self._run()
         self._run_secondary()
         self._pass_time(demand, may_move, slider)
@@ -165,8 +204,21 @@ class ProgramRunner:
             if machine.finished:
                 self._secondary.remove(machine)
 
+    def _end_secondary(self) -> None:
+        for machine in self._secondary:
+            machine.kill()
+        self._secondary.clear()
+
     def _pass_time(self, demand: Demand, may_move: bool, slider: float) -> None:
         tick_s = self.profile.tick_s
+        if self.state == RuntimeState.STOPPING:
+            # The brake takes its own time, whatever the slider says; a stop for safety takes no longer than that of any.
+            if demand is not Demand.NONE:
+                self.speed = max(0.0, self.speed - tick_s / self.profile.assumptions.stopping_s)
+            if self.speed == 0.0 or not self.motion.moving:
+                self.state = RuntimeState.STOPPED
+                self.motion.hold()
+            return
         halts = self.state in (RuntimeState.PAUSING, RuntimeState.PAUSED) or demand is not Demand.NONE
         goal = 0.0 if halts else slider
         step = tick_s / (self.profile.assumptions.stopping_s if halts else SLIDER_S)
@@ -175,7 +227,5 @@ class ProgramRunner:
             self.state = RuntimeState.PAUSED
         elif self.state == RuntimeState.RESUMING and self.speed == goal:
             self.state = RuntimeState.PLAYING
-        elif self.state == RuntimeState.STOPPING and (self.speed == 0.0 or not self.motion.moving):
-            self.state = RuntimeState.STOPPED
-            if not may_move:
-                self.motion.hold()
+        if self.state == RuntimeState.STOPPED and not may_move:
+            self.motion.hold()

@@ -65,6 +65,7 @@ class Safety:
         self._reduced = False
         self._next: list[tuple[float, RobotMode]] = []  # steps of powering up, and when
         self._restarting_until: float | None = None
+        self._loses_power = False
 
     @property
     def safety_mode(self) -> int:
@@ -103,8 +104,8 @@ class Safety:
         }
         if not all(pauses.get(SafetyMode(mode), True) for mode in self._stopped if mode in _KNOWN):
             return Demand.STOP
-        if self.robot_mode != RobotMode.RUNNING:
-            return Demand.PAUSE if self.assumptions.emergency_stop_pauses and self._stopped else Demand.STOP
+        if self.robot_mode != RobotMode.RUNNING or self._loses_power:
+            return Demand.PAUSE if self.assumptions.emergency_stop_pauses else Demand.STOP
         return Demand.PAUSE if self._stopped else Demand.NONE
 
     @property
@@ -115,16 +116,18 @@ class Safety:
     @property
     def may_move(self) -> bool:
         """Whether the arm may be moved."""
-        return self.robot_mode == RobotMode.RUNNING and not self._stopped
+        return self.robot_mode == RobotMode.RUNNING and not self._stopped and not self._loses_power
 
     def tick(self, dt_s: float, *, at_rest: bool) -> None:
         """Let time pass. `at_rest`: whether the arm stands."""
         self._now_s += dt_s
         while self._next and self._next[0][0] <= self._now_s:
             self.robot_mode = self._next.pop(0)[1]
-        if at_rest and any(mode in _POWERLESS for mode in self._stopped) and self.robot_mode > RobotMode.POWER_OFF:
-            self.robot_mode = RobotMode.POWER_OFF
-            self._next.clear()
+        if at_rest and self._loses_power:
+            # Also if the button has been turned back meanwhile.
+            self._loses_power = False
+            if self.robot_mode > RobotMode.POWER_OFF:
+                self.power_off()
         if self._restarting_until is not None and self._now_s >= self._restarting_until:
             self._restarting_until = None
             for mode in (SafetyMode.VIOLATION, SafetyMode.FAULT):
@@ -143,6 +146,7 @@ class Safety:
         if mode not in self._stopped:
             self._stopped[int(mode)] = self._now_s
             self.reason = reason
+            self._loses_power = self._loses_power or mode in _POWERLESS
 
     def release(self, mode: int) -> None:
         """A condition ends: an emergency stop button is turned, a safeguard closed."""

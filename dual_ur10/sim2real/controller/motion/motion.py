@@ -332,13 +332,25 @@ class Motion(Compliant):
         time = max(float(np.linalg.norm(twist[:3])) / a, float(np.linalg.norm(twist[3:])) / a_rot)
         return self._begin(PoseBrake(self.arm, self.tool, self.q, twist, time), self.q, None)
 
-    def halt(self) -> None:
-        """The program ended: come to rest, and end force mode and free drive."""
+    def halt(self, scaling: float = 1.0) -> None:
+        """The program ended: come to rest, and end force mode and free drive.
+
+        Args:
+            scaling: How fast time passed in the last `plan`: the arm is as much slower than its motion. From now on it
+                is to pass at 1.
+        """
+        self._rate = self._rate * scaling
+        self._yield = self._yield * scaling
         if self._course is None and self._compliance is None and not self._yield.any():
             return
         if self.fault is None:
             self._handle.abort()
             self._brake(self.assumptions.program_stop_rad_s2)
+
+    def rest_at(self, q_rad: Array) -> None:
+        """The arm was pushed off its path: it stands where it is found, (6,), from now on."""
+        self.q = np.array(q_rad, dtype=np.float64)
+        self.hold()
 
     def hold(self) -> None:
         """The brakes hold the arm: it stands where it is, from now on."""

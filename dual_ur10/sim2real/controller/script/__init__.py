@@ -2,7 +2,7 @@
 
 from dual_ur10.sim2real.controller.script.library import library
 from dual_ur10.sim2real.controller.script.machine import Machine, Thread
-from dual_ur10.sim2real.controller.script.program import Program, parse, read_ahead
+from dual_ur10.sim2real.controller.script.program import Program, parse, read
 from dual_ur10.sim2real.controller.script.splitter import Splitter, split_programs
 from dual_ur10.sim2real.controller.script.values import Pose, text
 
@@ -14,7 +14,7 @@ __all__ = [
     "Thread",
     "library",
     "parse",
-    "read_ahead",
+    "read",
     "split_programs",
     "text",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Generator
 from itertools import islice
@@ -13,6 +14,8 @@ from dual_ur10.sim2real.controller.script.compiler import FILE, MAIN, NAMES
 from dual_ur10.sim2real.controller.script.operations import OPERATIONS
 from dual_ur10.sim2real.controller.script.program import Program
 from dual_ur10.sim2real.controller.script.values import kind
+
+log = logging.getLogger(__name__)
 
 Steps = Generator[None, None, Any]
 
@@ -63,7 +66,7 @@ class Machine:
         program: What to run.
         builtins: The functions that it calls; a generator function blocks its thread, at each `yield` for the rest of
             the control period. At its end, or where it is killed (GeneratorExit), its thread goes on or ends.
-        steps_per_tick: Statements that a thread may run in one control period.
+        steps_per_tick: Statements that all threads together may run in one control period.
 
     Raises:
         SettingsError: The builtins are not those that the program was read for, or a number is not positive.
@@ -108,6 +111,7 @@ class Machine:
         Raises:
             ScriptRuntimeError: The program did something wrong. It has finished.
         """
+        self._names["n_steps"] = self._steps_per_tick
         holder = self._holder
         if holder is not None and not self.finished:
             self._resume(holder)
@@ -122,6 +126,16 @@ class Machine:
         if ended:
             self._threads = [thread for thread in self._threads if thread.alive]
 
+    def spend(self, steps: int) -> None:
+        """Count a function that takes its time as so many statements of this control period.
+
+        Raises:
+            RecursionError: That is more than a control period has.
+        """
+        self._names["n_steps"] -= steps
+        if self._names["n_steps"] < 0:
+            self._endless()
+
     def kill(self) -> None:
         """End the program and all of its threads."""
         self.finished = True
@@ -129,7 +143,6 @@ class Machine:
             self._end(thread)
 
     def _resume(self, thread: Thread) -> None:
-        self._names["n_steps"] = self._steps_per_tick
         self.thread = thread
         try:
             thread.steps.send(None)
@@ -142,12 +155,11 @@ class Machine:
         except ScriptRuntimeError:
             self.finished = True
             raise
-        except _FAULTS as error:
-            fault = self._located(error)
-            if fault is None:
-                raise
+        except Exception as error:
+            if not isinstance(error, _FAULTS):
+                log.exception("a function that the program called has a mistake")
             self.finished = True
-            raise fault from error
+            raise self._located(error) or ScriptRuntimeError(1, thread.name, str(error)) from error
         finally:
             self.thread = None
             if self.finished:

@@ -116,7 +116,9 @@ def _interface(builtins: Builtins, name: str) -> tuple[bool, str]:
     return isgeneratorfunction(function), str(signature(function))
 
 
-def read_ahead(text: str, builtins: Builtins) -> None:
-    """Read a program that will be asked for soon, perhaps in another thread; what is wrong with it is told then."""
-    with suppress(ScriptError):
-        parse(text, builtins)
+def read(text: str, builtins: Builtins) -> Program | ScriptError:
+    """Read a program, or find what is wrong with it; in another thread than it runs in, if that is wished."""
+    try:
+        return parse(text, builtins)
+    except ScriptError as error:
+        return error

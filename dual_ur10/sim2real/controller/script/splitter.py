@@ -12,7 +12,7 @@ from typing import Final
 
 from dual_ur10.errors import ProtocolError
 
-PROGRAM_MAX: Final = 1 << 20
+PROGRAM_MAX: Final = 1 << 18
 """Bytes of the longest program that is waited for."""
 
 # Strings and comments are matched to be passed over: words in them do not count.

@@ -14,7 +14,7 @@ INT_MAX: Final = 2**31 - 1
 
 POSE_LENGTH: Final = 6
 
-LIST_MAX: Final = 4096
+LIST_MAX: Final = 512
 """Most elements of a list, and of all rows of a matrix together."""
 
 TEXT_MAX: Final = 1023

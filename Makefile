@@ -69,6 +69,7 @@ bench: $(VENV)/.dev  ## all benchmarks, figures to out/*.json
 	@$(VENV)/bin/python benchmarks/kinematics.py --json out/kinematics.json
 	@$(VENV)/bin/python benchmarks/accuracy.py --json out/accuracy.json
 	@$(VENV)/bin/python benchmarks/throughput.py --json out/throughput.json
+	@$(VENV)/bin/python benchmarks/emulator.py --seconds 60 --json out/emulator.json
 
 lint: $(VENV)/.dev  ## ruff and mypy alone
 	@$(VENV)/bin/ruff check .

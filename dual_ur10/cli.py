@@ -12,7 +12,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from dual_ur10 import ENV_IDS, __version__, policies
+from dual_ur10.cli_cell import app as cell_commands
 from dual_ur10.cli_demo import demo
+from dual_ur10.cli_doctor import doctor
 from dual_ur10.cli_emulate import emulate
 from dual_ur10.cli_evaluate import evaluate
 from dual_ur10.cli_options import (
@@ -170,6 +172,8 @@ def view(
 
 app.command()(evaluate)
 app.command()(emulate)
+app.command()(doctor)
+app.add_typer(cell_commands, name="cell")
 
 
 class _Random:

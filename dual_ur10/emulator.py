@@ -121,9 +121,10 @@ class Emulator:
         try:
             hosts = _addresses(options)
             for arm, name in enumerate(ARMS):
+                serial_number = str(int(profile.serial_number) + arm)
                 controller = Controller(
                     name,
-                    profile,
+                    dataclasses.replace(profile, serial_number=serial_number),
                     self.world.start_q_rad[arm],
                     self.world.substeps,
                     dh=mounts[arm].dh,

@@ -109,3 +109,15 @@ class AddressError(DualUR10Error, OSError):
 
 class EmulatorError(DualUR10Error, RuntimeError):
     """The emulated cell did not start, or ended."""
+
+
+class CellFileError(SettingsError):
+    """A cell file cannot be read, or says something that is not legal."""
+
+
+class LinkError(DualUR10Error, ConnectionError):
+    """A controller cannot be reached, does not answer as one, or has fallen silent."""
+
+
+class RecordingError(DualUR10Error, ValueError):
+    """A recording cannot be written or read, or is not of this robot, rate or task."""

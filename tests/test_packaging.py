@@ -79,7 +79,7 @@ def test_imports_run_downwards():
     floors += [["runs"], ["runs_carry", "runs_handover"], ["figures_style"]]
     floors += [["figures", "figures_carry", "figures_handover"], ["film"], ["films"], ["report_page"]]
     floors += [["report_sine", "report_carry", "report_handover"], ["report"], ["demo"], ["cli_options"]]
-    floors += [["cli_demo", "cli_emulate", "cli_evaluate"], ["cli"], ["__main__"]]
+    floors += [["cli_cell", "cli_demo", "cli_doctor", "cli_emulate", "cli_evaluate"], ["cli"], ["__main__"]]
     level = {name: height for height, names in enumerate(floors) for name in names}
     level |= dict.fromkeys(("forward_kinematics", "inverse_kinematics", "closed_form"), level["kinematics"])
     for path in (ROOT / "dual_ur10").rglob("*.py"):

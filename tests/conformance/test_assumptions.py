@@ -11,6 +11,8 @@ from dual_ur10.sim2real.controller.profile import Assumptions
 UNSEEN = {
     "emergency_stop_pauses": "somebody has to press the button",
     "safeguard_resumes": "somebody has to open the safeguard",
+    "deviation_rad": "something has to hold the arm back",
+    "deviation_ticks": "something has to hold the arm back",
     "restart_safety_s": "a violation or a fault has to come first",
 }
 """Why no client can ask a controller. Each has a test of the emulated one in tests/controller."""

@@ -443,7 +443,7 @@ def test_clients_are_told_of_another_controller(cell):
     assert lines[1:] == ["UR5", "12345"]
     true = versions(1)
     assert true[0] == true[2] == (3, 15, 8, 106339)
-    assert true[1][1:] == ["UR10", "2010300001"]
+    assert true[1][1:] == ["UR10", "2010300002"]  # each has its own
     configurations = [each[each.index(struct.pack(">iB", 445, 6)) :][:445] for each in (body, true[3])]
     assert [struct.unpack_from(">I", each, 445 - 8) for each in configurations] == [(1,), (2,)]
     for bad in (

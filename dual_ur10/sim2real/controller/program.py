@@ -212,7 +212,7 @@ class ProgramRunner:
     def _pass_time(self, demand: Demand, may_move: bool, slider: float) -> None:
         tick_s = self.profile.tick_s
         if self.state == RuntimeState.STOPPING:
-            # The brake takes its own time, whatever the slider says; a stop for safety takes no longer than that of any.
+            # The brake takes its own time, whatever the slider says; a stop for safety takes no longer than any other.
             if demand is not Demand.NONE:
                 self.speed = max(0.0, self.speed - tick_s / self.profile.assumptions.stopping_s)
             if self.speed == 0.0 or not self.motion.moving:

@@ -1,0 +1,194 @@
+"""A TCP connection to a controller of which nothing takes longer than it is given."""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import math
+import socket
+import time
+from types import TracebackType
+from typing import Final, Self
+
+from dual_ur10.errors import ClosedError, LinkError, SettingsError
+
+_RECEIVE_BYTES: Final = 65_536
+
+
+def checked_host(host: str) -> str:
+    """An address, as it is written everywhere else.
+
+    Raises:
+        SettingsError: It is no IPv4 address. Names are not looked up: that takes a time that nothing bounds, and what
+            they stand for can change between two connections.
+    """
+    try:
+        return str(ipaddress.IPv4Address(host))
+    except ValueError:
+        raise SettingsError(
+            f"controller address {host!r}: give its IPv4 address, such as 192.168.1.11; names are not looked up"
+        ) from None
+
+
+def checked_timeout(timeout_s: float) -> float:
+    """A time limit.
+
+    Raises:
+        SettingsError: It is not positive and finite.
+    """
+    if not (math.isfinite(timeout_s) and timeout_s > 0.0):
+        raise SettingsError(f"timeout_s is {timeout_s!r}: it must be positive and finite")
+    return timeout_s
+
+
+class LinkSocket:
+    """A connected socket. Any failure is a [LinkError][dual_ur10.errors.LinkError] that names arm, host and remedy.
+
+    Args:
+        name: Of the arm, for messages; "" if it has none.
+        what: What answers at the port, for messages.
+        host: IPv4 address.
+        port: Number.
+        deadline_s: When the connection must stand, on the clock of `time.monotonic`.
+
+    Attributes:
+        where: Arm, interface and address, for messages.
+
+    Raises:
+        SettingsError: The host is no IPv4 address.
+        LinkError: There is no connection by then.
+    """
+
+    def __init__(self, name: str, what: str, host: str, port: int, deadline_s: float) -> None:
+        host = checked_host(host)
+        self.where = f"{name + ' arm, ' if name else ''}{what} at {host}:{port}"
+        self._socket: socket.socket | None = None
+        try:
+            self._socket = socket.create_connection((host, port), timeout=self._left(deadline_s))
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        except OSError as error:
+            self.close()
+            if isinstance(error, LinkError):
+                raise
+            raise self.error(
+                f"no connection ({_reason(error)})",
+                "check that the controller is on, the address, the cable, and its firewall and services",
+            ) from error
+
+    def error(self, found: str, remedy: str) -> LinkError:
+        """An error about this connection."""
+        return LinkError(f"{self.where}: {found}; {remedy}")
+
+    def _left(self, deadline_s: float) -> float:
+        left = deadline_s - time.monotonic()
+        if left <= 0.0:
+            raise self.error("no answer in time", "check that the controller is up and not overloaded, and the network")
+        return left
+
+    @property
+    def _open(self) -> socket.socket:
+        if self._socket is None:
+            raise ClosedError(f"{self.where}: this connection was closed; make another")
+        return self._socket
+
+    def fileno(self) -> int:
+        """For `select`.
+
+        Raises:
+            ClosedError: It was closed.
+        """
+        return self._open.fileno()
+
+    def send(self, data: bytes, deadline_s: float) -> None:
+        """Send all of it.
+
+        Raises:
+            LinkError: It is not sent by then, or the connection ended.
+            ClosedError: It was closed.
+        """
+        open_ = self._open
+        try:
+            open_.settimeout(self._left(deadline_s))
+            open_.sendall(data)
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def receive(self, deadline_s: float) -> bytes:
+        """What has come, as soon as something has.
+
+        Raises:
+            LinkError: Nothing comes by then, or the connection ended.
+            ClosedError: It was closed.
+        """
+        open_ = self._open
+        try:
+            open_.settimeout(self._left(deadline_s))
+            data = open_.recv(_RECEIVE_BYTES)
+        except OSError as error:
+            raise self._failed(error) from error
+        if not data:
+            raise self.ended()
+        return data
+
+    def receive_now(self) -> bytes | None:
+        """What has come, None if nothing has, or b"" at the end of the stream. It does not wait.
+
+        Raises:
+            LinkError: The connection was broken.
+            ClosedError: It was closed.
+        """
+        open_ = self._open
+        try:
+            open_.settimeout(0.0)
+            return open_.recv(_RECEIVE_BYTES)
+        except BlockingIOError:
+            return None
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def ended(self) -> LinkError:
+        """The error that the controller closed the connection."""
+        return self.error(
+            "the controller closed the connection",
+            "check that it was not shut down or restarted, and that no other program takes its connections",
+        )
+
+    def _failed(self, error: OSError) -> LinkError:
+        if isinstance(error, LinkError):
+            return error
+        if isinstance(error, TimeoutError):
+            return self.error(
+                "no answer in time", "check that the controller is up and not overloaded, and the network"
+            )
+        return self.error(f"the connection broke ({_reason(error)})", "check the controller and the cable")
+
+    def close(self) -> None:
+        """End the connection. May be called twice."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def close_and_wait(self, deadline_s: float) -> None:
+        """End the connection, and wait until the controller has seen it and closed its side; what it says is dropped.
+
+        It gives back then what it held for this connection. A controller that does not close is not waited for longer.
+        """
+        with contextlib.suppress(OSError, ClosedError):
+            self._open.shutdown(socket.SHUT_WR)
+            while True:
+                self.receive(deadline_s)
+        self.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _reason(error: OSError) -> str:
+    if isinstance(error, TimeoutError):
+        return "no answer in time"
+    return (error.strerror or str(error) or type(error).__name__).lower()

@@ -1,0 +1,158 @@
+"""The process of one arm: it owns the connections to its controller, and nothing else does.
+
+Constructors of `ur_rtde` hold Python's global lock while they wait, its reconnection can end the process, and it may
+block for seconds. None of that must reach the other arm.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
+from typing import Any, Final
+
+import numpy as np
+
+from dual_ur10.errors import DualUR10Error, LinkError, MissingExtraError, SettingsError
+from dual_ur10.sim2real.arm_memory import ArmMemory, Phase
+from dual_ur10.sim2real.arm_sender import ArmSender
+from dual_ur10.sim2real.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES
+from dual_ur10.sim2real.rtde_link import RtdeLink
+from dual_ur10.sim2real.servoj import ServojProfile
+
+WATCHDOG_HZ: Final = 10.0
+"""How often the controller must hear of us, or it ends the program. Armed before anything moves."""
+
+CONNECT_S: Final = 10.0
+
+_MOST_PRIORITY: Final = 90
+
+_KEPT: Final[list[Any]] = []
+"""Interfaces of ur_rtde, which are never destroyed: that waits for a controller, for ever if it is lost."""
+
+
+@dataclass(frozen=True)
+class ArmConnection:
+    """How to reach an arm, and how to move it.
+
+    Attributes:
+        name: "left" or "right".
+        host: Address of its controller.
+        servoj: Settings of `servoj`.
+        rt_priority: Of its process among those that run in real time; 0: it does not.
+    """
+
+    name: str
+    host: str
+    servoj: ServojProfile
+    rt_priority: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.rt_priority <= _MOST_PRIORITY:
+            raise SettingsError(f"rt_priority is {self.rt_priority!r}: allowed are 0 to {_MOST_PRIORITY}")
+
+
+class ArmProcess:
+    """Starts the process of an arm, and ends it.
+
+    Args:
+        connection: The arm.
+        memory: Shared with it.
+        others: Memories of the other arms.
+    """
+
+    def __init__(self, connection: ArmConnection, memory: ArmMemory, others: tuple[ArmMemory, ...] = ()) -> None:
+        self.connection, self.memory = connection, memory
+        context = multiprocessing.get_context("spawn")
+        names = tuple(other.name for other in others)
+        self.process: BaseProcess = context.Process(
+            target=main, args=(connection, memory.name, names, os.getpid()), name=f"{connection.name} arm", daemon=True
+        )
+        self.process.start()
+
+    def wait_until_ready(self, within_s: float = CONNECT_S) -> None:
+        """Wait until the arm would take targets.
+
+        Raises:
+            LinkError: It does not, within the time. Its process has ended.
+        """
+        end = time.monotonic() + within_s
+        while time.monotonic() < end and self.process.is_alive():
+            if self.memory.phase >= Phase.READY:
+                break
+            time.sleep(0.005)
+        if self.memory.phase == Phase.READY:
+            return
+        text = (
+            self.memory.text or f"{self.connection.name}: no connection to {self.connection.host} within {within_s:g} s"
+        )
+        self.kill()
+        raise LinkError(text)
+
+    def wait(self, within_s: float) -> bool:
+        """Wait for the end of the process. Returns whether it has come."""
+        self.process.join(within_s)
+        return not self.process.is_alive()
+
+    def kill(self) -> None:
+        """End the process at once. The arm is stopped by the watchdog in its controller."""
+        self.process.kill()
+        self.process.join()
+
+
+def main(connection: ArmConnection, memory_name: str, other_names: tuple[str, ...], parent: int) -> None:
+    """Run in the process of an arm."""
+    memory = ArmMemory(memory_name)
+    others = [ArmMemory(name) for name in other_names]
+    try:
+        _serve(connection, memory, others)
+    except DualUR10Error as error:
+        memory.enter(Phase.FAULTED, f"{connection.name}: {error}")
+    except Exception as error:  # whatever it is, the other arm and the program must hear of it
+        memory.enter(Phase.FAULTED, f"{connection.name}: {type(error).__name__}: {error}")
+    # At once: what ur_rtde has lost, it tries to reach again, and starts its script there anew.
+    os._exit(0)
+
+
+def _serve(connection: ArmConnection, memory: ArmMemory, others: list[ArmMemory]) -> None:
+    link = RtdeLink(connection.host, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES, name=connection.name)
+    _hasten(connection.rt_priority)
+    control = _control(connection)  # from here on the watchdog wants to be fed
+    _KEPT.append(control)
+    ArmSender(connection.name, connection.servoj, link, control, memory, others).run()
+
+
+def _control(connection: ArmConnection) -> Any:
+    """`ur_rtde`'s control interface, with its watchdog armed.
+
+    Raises:
+        LinkError: The controller does not let it in.
+    """
+    try:
+        from rtde_control import RTDEControlInterface
+    except ImportError:
+        raise MissingExtraError("ur_rtde", "real", "moving UR arms") from None
+    try:
+        control = RTDEControlInterface(connection.host)
+    except RuntimeError as error:
+        raise LinkError(f"{connection.host} takes no control script: {error}") from error
+    if not control.setWatchdog(WATCHDOG_HZ):
+        raise LinkError(f"{connection.host} did not take the watchdog: nothing is moved without")
+    return control
+
+
+def _hasten(priority: int) -> None:
+    import gc
+
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    np.seterr(all="ignore")
+    if priority:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        except OSError as error:
+            reason = f"rt_priority {priority} was refused by the system ({error})"
+            raise SettingsError(f"{reason}: allow it (rtprio in limits.conf), or set it to 0") from error

@@ -177,3 +177,17 @@ def test_modes_and_bits_always_agree(events):
         if bits & (SafetyBits.EMERGENCY_STOPPED | SafetyBits.VIOLATION | SafetyBits.FAULT):
             safety.tick(TICK_S, at_rest=True)
             assert safety.robot_mode == RobotMode.POWER_OFF
+
+
+def test_brakes_are_not_released_while_an_emergency_stop_takes_the_power():
+    safety = Safety(Assumptions())
+    safety.stop(SafetyMode.ROBOT_EMERGENCY_STOP)
+    safety.release(SafetyMode.ROBOT_EMERGENCY_STOP)
+    passing(safety, 0.05, at_rest=False)
+    with pytest.raises(OperationRefusedError, match="comes to rest"):
+        safety.release_brakes()
+    passing(safety, 0.05)
+    assert safety.robot_mode == RobotMode.POWER_OFF
+    safety.release_brakes()
+    passing(safety, 2.0)
+    assert safety.may_move

@@ -149,12 +149,14 @@ class ProgramRunner:
         self._paused_by_safety = False
 
     def _rest(self) -> None:
-        """Brake from the speed that the arm has: from here on, time passes as the clock does."""
+        """Brake from the speed that the arm has."""
         if self.speed == 0.0:
             self.motion.hold()  # it stands in the middle of its path, and what is left of it is given up
-        else:
+        elif self._demand is Demand.NONE:
             self.motion.halt(self.speed)
-            self.speed = 1.0
+            self.speed = 1.0  # from here on, time passes as the clock does
+        else:
+            self.motion.halt()  # the safety stop that has begun goes on slowing time down, too
 
     def tick(self, demand: Demand, *, may_move: bool, resumes: bool, slider: float) -> None:
         """Let one control period pass: the program runs, and the motion's speed follows.

@@ -213,6 +213,8 @@ class Safety:
         for mode in self._stopped:
             if mode in _POWERLESS:
                 raise OperationRefusedError(f"the arm gets no power while its safety mode is {SafetyMode(mode).name}")
+        if self._loses_power:
+            raise OperationRefusedError("the arm gets no power while it comes to rest after an emergency stop: wait")
 
 
 _KNOWN: Final = frozenset(int(mode) for mode in SafetyMode)

@@ -63,6 +63,12 @@ def _for(control, seconds, call, *args):
         control.waitPeriod(start)
 
 
+def _settled(read):
+    """What is read once the receiving connection, which is not the commanding one, has caught up."""
+    time.sleep(0.25)
+    return read()
+
+
 def _error(call, *args):
     """Name and text of the exception that a call raises; None if it does not."""
     try:
@@ -78,13 +84,13 @@ def moves(host):
     home = receive.getActualQ()
     done = {"home": home}
     there = _shifted(home, [0.2, -0.1, 0.1, 0.05, -0.1, 0.3])
-    done["moveJ"] = [control.moveJ(there, 1.0, 2.0), there, receive.getActualQ()]
+    done["moveJ"] = [control.moveJ(there, 1.0, 2.0), there, _settled(receive.getActualQ)]
     pose = receive.getActualTCPPose()
     pose[2] += 0.05
-    done["moveL"] = [control.moveL(pose, 0.2, 1.0), pose, receive.getActualTCPPose()]
+    done["moveL"] = [control.moveL(pose, 0.2, 1.0), pose, _settled(receive.getActualTCPPose)]
     pose = _shifted(pose, [0.0, 0.04, 0.0, 0.0, 0.0, 0.0])
-    done["moveJ_IK"] = [control.moveJ_IK(pose, 1.0, 2.0), pose, receive.getActualTCPPose()]
-    done["moveL_FK"] = [control.moveL_FK(there, 0.3, 1.0), there, receive.getActualQ()]
+    done["moveJ_IK"] = [control.moveJ_IK(pose, 1.0, 2.0), pose, _settled(receive.getActualTCPPose)]
+    done["moveL_FK"] = [control.moveL_FK(there, 0.3, 1.0), there, _settled(receive.getActualQ)]
     done["isSteady"] = control.isSteady()
 
     control.moveJ(home, 0.3, 0.5, True)
@@ -93,9 +99,9 @@ def moves(host):
     done["running while moving"] = control.getAsyncOperationProgressEx().isAsyncOperationRunning()
     begin = receive.getActualQ()
     control.stopJ(2.0)
-    time.sleep(0.1)
+    time.sleep(0.25)
     rest = receive.getActualQ()
-    time.sleep(0.1)
+    time.sleep(0.25)
     done["stopJ"] = [begin, rest, receive.getActualQ(), receive.getActualQd()]
     pose = receive.getActualTCPPose()
     goal = list(pose)
@@ -103,11 +109,11 @@ def moves(host):
     control.moveL(goal, 0.2, 0.5, True)
     time.sleep(0.4)
     control.stopL(2.0)
-    time.sleep(0.1)
+    time.sleep(0.25)
     rest = receive.getActualTCPPose()
-    time.sleep(0.1)
+    time.sleep(0.25)
     done["stopL"] = [pose, goal, rest, receive.getActualTCPPose()]
-    done["back"] = [control.moveJ(home, 1.0, 2.0), home, receive.getActualQ()]
+    done["back"] = [control.moveJ(home, 1.0, 2.0), home, _settled(receive.getActualQ)]
     control.stopScript()
     return done
 
@@ -173,7 +179,7 @@ def streams(host):
     _for(control, 0.5, control.speedJ, [0.1, 0.0, 0.0, 0.0, 0.0, -0.2], 2.0, 0.05)
     done["speedJ while"] = receive.getActualQd()
     control.speedStop(5.0)
-    time.sleep(0.1)
+    time.sleep(0.25)
     done["speedJ"] = [begin, receive.getActualQ(), receive.getActualQd()]
     control.moveJ(home, 1.0, 2.0)
 
@@ -181,7 +187,7 @@ def streams(host):
     _for(control, 0.6, control.speedL, [0.0, 0.0, 0.05, 0.0, 0.0, 0.0], 0.5, 0.05)
     done["speedL while"] = receive.getActualTCPSpeed()
     control.speedStop(5.0)
-    time.sleep(0.1)
+    time.sleep(0.25)
     done["speedL"] = [pose, receive.getActualTCPPose(), receive.getActualQd()]
 
     pose = receive.getActualTCPPose()
@@ -224,7 +230,7 @@ def queries(host):
     done["default pose"] = control.getForwardKinematics()
     control.setTcp([0.01, 0.02, 0.15, 0.1, 0.0, 0.0])
     done["tcp"] = control.getTCPOffset()
-    time.sleep(0.1)
+    time.sleep(0.25)
     done["pose at tcp"] = receive.getActualTCPPose()
     done["flange"] = [control.getActualToolFlangePose(), time.sleep(0.05), control.getActualToolFlangePose()][2]
     done["forward"] = control.getForwardKinematics(q, [0.01, 0.02, 0.15, 0.1, 0.0, 0.0])
@@ -264,7 +270,7 @@ def queries(host):
     done["temperatures"] = receive.getJointTemperatures()
     done["running"] = control.isProgramRunning()
     control.stopScript()
-    time.sleep(0.1)
+    time.sleep(0.25)
     done["running after stop"] = control.isProgramRunning()
     done["after stop"] = control.moveJ(q)
     done["uploaded again"] = control.reuploadScript()
@@ -283,7 +289,7 @@ def compliance(host):
     wrench = [0.0, 0.0, 10.0, 0.0, 0.0, 0.0]
     _for(control, 0.8, control.forceMode, [0.0] * 6, [0, 0, 1, 0, 0, 0], wrench, 2, [2, 2, 0.5, 1, 1, 1])
     control.forceModeStop()
-    time.sleep(0.1)
+    time.sleep(0.25)
     done["forceMode"] = [begin, receive.getActualTCPPose(), receive.getActualQd()]
     done["teach"] = [control.teachMode(), control.endTeachMode()]
     done["freedrive"] = [control.freedriveMode(), control.getFreedriveStatus(), control.endFreedriveMode()]
@@ -305,11 +311,11 @@ def paths(host):
     done = {}
     points = [_shifted(home, [0.1 * k, 0.0, 0.0, 0.0, 0.0, 0.0]) for k in (1, 2, 1)]
     done["moveJ path"] = [control.moveJ([[*q, 1.0, 2.0, r] for q, r in zip(points, (0.0, 0.02, 0.0), strict=True)])]
-    done["moveJ path"] += [points[-1], receive.getActualQ()]
+    done["moveJ path"] += [points[-1], _settled(receive.getActualQ)]
     pose = receive.getActualTCPPose()
     corners = [_shifted(pose, [0.0, 0.0, 0.05 * k, 0.0, 0.0, 0.0]) for k in (1, 2)]
     done["moveL path"] = [control.moveL([[*each, 0.2, 1.0, r] for each, r in zip(corners, (0.01, 0.0), strict=True)])]
-    done["moveL path"] += [corners[-1], receive.getActualTCPPose()]
+    done["moveL path"] += [corners[-1], _settled(receive.getActualTCPPose)]
 
     path = UrPath()
     for q in (home, points[0], home):
@@ -326,9 +332,9 @@ def paths(host):
             break
         time.sleep(0.002)
     done["progress"] = seen
-    done["movePath"] = [home, receive.getActualQ()]
+    done["movePath"] = [home, _settled(receive.getActualQ)]
     done["custom"] = control.sendCustomScriptFunction("own", "set_standard_digital_out(3, True)\nsleep(0.1)\n")
-    time.sleep(0.1)
+    time.sleep(0.25)
     done["custom did"] = receive.getDigitalOutState(3)
     control.stopScript()
     return done
@@ -348,7 +354,7 @@ def inputs_outputs(host):
         done[key] = [receive.getDigitalOutState(bit) for bit in range(18)]
     io.setAnalogOutputVoltage(0, 0.5)
     io.setAnalogOutputCurrent(1, 0.25)
-    time.sleep(0.1)
+    time.sleep(0.25)
     done["analog"] = [receive.getStandardAnalogOutput0(), receive.getStandardAnalogOutput1()]
     io.setSpeedSlider(0.3)
     time.sleep(0.6)
@@ -359,7 +365,7 @@ def inputs_outputs(host):
     echo = "write_output_integer_register(14, read_input_integer_register(18))\n"
     echo += "write_output_float_register(15, read_input_float_register(19))\n"
     control.sendCustomScriptFunction("echo", echo)
-    time.sleep(0.1)
+    time.sleep(0.25)
     done["echo"] = [receive.getOutputIntRegister(14), receive.getOutputDoubleRegister(15)]
     control.stopScript()
     return done
@@ -476,7 +482,7 @@ def constant_changed(host, path):
     time.sleep(0.5)
     q = receive.getActualQ()
     moved = control.moveJ(_shifted(q, [0.1, 0, 0, 0, 0, 0]), 1.0, 1.0)
-    end = receive.getActualQ()
+    end = _settled(receive.getActualQ)
     control.stopScript()
     return {"begin": q, "end": end, "moved": moved}
 

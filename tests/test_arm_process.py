@@ -193,6 +193,40 @@ def test_an_end_of_targets_is_a_stop(pair):
     pair.stand()
 
 
+@pytest.mark.parametrize(
+    ("tick", "value", "words"),
+    [
+        (80, np.nan, "finite"),
+        (80, np.inf, "finite"),
+        (80, 0.03, "from the one before"),
+        (80, 9.0, "joint range"),
+        (0, 0.03, "where the arm is"),
+    ],
+)
+def test_what_no_gate_lets_out_is_not_sent(pair, tick, value, words):
+    true = pair.target
+
+    def spoiled(arm, number):
+        target = true(arm, number)
+        if arm == 1 and number == tick:
+            target[3] += value
+        return target
+
+    pair.target = spoiled
+    pair.begin()
+    end = time.monotonic() + 20.0
+    while time.monotonic() < end and all(memory.phase <= Phase.STREAMING for memory in pair.memories):
+        pair.feed()
+        time.sleep(0.01)
+    _, texts = pair.ended()
+    assert words in texts[1]
+    assert "the other arm stops" in texts[0]
+    executed = np.array(pair.executed(1)).reshape(-1, 6)
+    assert np.isfinite(executed).all()
+    assert not len(executed) or np.abs(executed[:, 3] - pair.home[1][3]).max() < 1e-3
+    pair.stand()
+
+
 def test_an_arm_that_cannot_be_reached_is_named(cell):
     memory = ArmMemory()
     try:

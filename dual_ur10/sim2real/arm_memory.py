@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.errors import ClosedError, SettingsError
+from dual_ur10.errors import SettingsError
 
 Array = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ RING: Final = 1024
 """Targets that are kept: eight seconds at 125 Hz, two at 500 Hz."""
 
 _TEXT: Final = 1024
-_WRITTEN, _SENT, _PHASE, _STOP, _HELD, _SKIPPED, _LATE, _BEGUN = range(8)
+_WRITTEN, _SENT, _PHASE, _STOP, _SKIPPED, _BEGUN = range(6)
 _INTS: Final = 16
 _FLOATS: Final = 16
 _BEGIN_S = 0
@@ -98,10 +98,6 @@ class ArmMemory:
         self._sent_s[tick % RING], self._lateness_s[tick % RING] = at_s, lateness_s
         self._ints[_SENT] = tick + 1
 
-    def note_held(self) -> None:
-        """There was no target: the last one was sent again."""
-        self._ints[_HELD] += 1
-
     def note_skipped(self, count: int) -> None:
         """So many targets were not sent, because their time had passed."""
         self._ints[_SKIPPED] += count
@@ -149,11 +145,6 @@ class ArmMemory:
         return int(self._ints[_SENT])
 
     @property
-    def held(self) -> int:
-        """How often the last target was sent again for want of another."""
-        return int(self._ints[_HELD])
-
-    @property
     def skipped(self) -> int:
         """Targets that were not sent, because their time had passed."""
         return int(self._ints[_SKIPPED])
@@ -180,12 +171,3 @@ class ArmMemory:
         memory.close()
         if self._owner:
             memory.unlink()
-
-    def check_open(self) -> None:
-        """Make sure that the memory is there.
-
-        Raises:
-            ClosedError: It was closed.
-        """
-        if self._memory is None:
-            raise ClosedError("the memory of this arm was closed: connect again")

@@ -18,6 +18,7 @@ from dual_ur10.sim2real.controller_clock import ControllerClock
 from dual_ur10.sim2real.ramp import Ramp
 from dual_ur10.sim2real.rtde_link import RtdeLink
 from dual_ur10.sim2real.servoj import ServojProfile
+from dual_ur10.ur10 import HARD_SPEED_RAD_S, JOINT_RANGE_RAD
 
 log = logging.getLogger(__name__)
 
@@ -28,6 +29,9 @@ SHARE: Final = 0.5
 
 STALE_S: Final = 0.1
 """How long a controller's time may stand still before it counts as lost: that of MoveIt Servo's command timeout."""
+
+START_GAP_RAD: Final = 0.02
+"""How far the first target may be from where the arm is."""
 
 MOST_LATE_S: Final = 0.1
 """How far the sending may fall behind before it is given up."""
@@ -88,6 +92,8 @@ class ArmSender:
         self._sent: list[Array] = []
         self._kicked_s = 0.0
         self._period = 0  # of the target that was sent last
+        self._rate: Array = np.zeros(6)  # per control period, of what was sent
+        self._measured_rad: Array = np.full(6, np.nan)
 
     def run(self) -> None:
         """Wait for the beginning, send targets, and come to rest when they end or anything is wrong."""
@@ -145,16 +151,40 @@ class ArmSender:
                 tick += passed
             if tick >= self.memory.written:
                 raise StopError("there are no more targets")
-            self._send(self.memory.target(tick))
-            self._period = first + tick
+            self._send(self.memory.target(tick), first + tick)
             self.memory.note_sent(tick, time.monotonic(), late)
             tick += 1
 
-    def _send(self, target_rad: Array) -> None:
-        self._sent = [*self._sent[-1:], target_rad]
+    def _send(self, target_rad: Array, period: int) -> None:
+        periods = period - self._period if self._sent else 1
+        self._check(target_rad, periods)
+        self._rate = (target_rad - self._sent[-1]) / periods if self._sent else np.zeros(6)
+        self._sent, self._period = [target_rad], period
         profile = self.servoj
         if not self.control.servoJ(target_rad.tolist(), 0.0, 0.0, profile.tick_s, profile.lookahead_s, profile.gain):
             raise StopError("its control script takes no targets any more")
+
+    def _check(self, target_rad: Array, periods: int) -> None:
+        """Let nothing out that no gate would: `ur_rtde` sends whatever it is given.
+
+        Raises:
+            StopError: A number is not finite, out of the joint range, or too far from what was sent last, `periods`
+                control periods ago; or the first target is not where the arm is.
+        """
+        if not np.isfinite(target_rad).all():
+            raise StopError(f"a target is no finite numbers: {target_rad.tolist()}")
+        if (np.abs(target_rad) > JOINT_RANGE_RAD).any():
+            raise StopError(f"a target is beyond the joint range: {target_rad.tolist()}")
+        if self._sent:
+            away, most = np.abs(target_rad - self._sent[-1]), HARD_SPEED_RAD_S * self.servoj.tick_s * periods
+        else:
+            away, most = np.abs(target_rad - self._measured_rad), np.full(6, START_GAP_RAD)
+        if not (away <= most * (1 + 1e-9)).all():
+            joint = int((away / most).argmax())
+            what = "the one before" if self._sent else "where the arm is"
+            raise StopError(
+                f"a target is {away[joint]:.4f} rad from {what} at joint {joint}: allowed are {most[joint]:.4f}"
+            )
 
     def _listen(self, until_s: float, *, playing: bool = True) -> None:
         """Take what the controller tells until a time.
@@ -176,6 +206,7 @@ class ArmSender:
             for sample in self.link.poll():
                 self.clock.note(sample.timestamp_s, sample.arrival_s)
                 status = ArmStatus.from_sample(sample)
+                self._measured_rad = np.array(status.q_rad)
                 if self._told is not None:
                     self._told(status)
                 reason = stop_reason(status, playing=playing)
@@ -198,9 +229,10 @@ class ArmSender:
         self.memory.enter(Phase.STOPPED, f"{self.name}: {reason}")
 
     def _come_to_rest(self) -> None:
-        if len(self._sent) < 2:
+        if not self._sent:
             return
-        ramp, profile = Ramp(np.array(self._sent), self.servoj.tick_s), self.servoj
+        last = self._sent[-1]
+        ramp, profile = Ramp(np.array([last - self._rate, last]), self.servoj.tick_s), self.servoj
         period = self._period
         while not ramp.at_rest:
             number, due = self.clock.next_period(time.monotonic(), SHARE)

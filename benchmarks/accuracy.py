@@ -30,9 +30,9 @@ import numpy as np
 
 from dual_ur10 import kinematics
 from dual_ur10.assets.scene import HOME_Q_RAD
-from dual_ur10.envs.frames import to_base
 from dual_ur10.envs.sine_path import SineSettings
 from dual_ur10.envs.sine_tracking import SineTracking
+from dual_ur10.frames import to_base
 from dual_ur10.policies.accuracy import accuracy
 from dual_ur10.runs import ASYMMETRIC_CELL, PERTURBED_CELL, Run, measure, speed_share
 from dual_ur10.sim2real.adapter import ServojAdapter

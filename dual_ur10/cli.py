@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from typing import Annotated, Any
 
@@ -18,16 +19,25 @@ from dual_ur10.cli_doctor import doctor
 from dual_ur10.cli_emulate import emulate
 from dual_ur10.cli_evaluate import evaluate
 from dual_ur10.cli_options import (
+    RUNS,
+    CellFileName,
     EnvName,
+    NoRecord,
+    OneArm,
     Perturbed,
     PolicyName,
+    PowerOn,
+    Record,
     Seed,
     Settings,
     console,
     env_id_of,
     errors,
     keywords_of,
+    power_on,
 )
+from dual_ur10.cli_runs import compare, fit, replay
+from dual_ur10.cli_status import status
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 
 USAGE_ERROR = 2
@@ -98,37 +108,51 @@ def rollout(
     seed: Seed = 0,
     settings: Settings = None,
     perturbed: Perturbed = False,
+    cell: CellFileName = None,
+    arm: OneArm = None,
+    power: PowerOn = False,
+    record: Record = RUNS,
+    no_record: NoRecord = False,
 ) -> None:
-    """Run episodes of a policy, and print a row for each."""
+    """Run episodes of a policy, in MuJoCo or on two controllers, and print a row for each."""
     from dual_ur10.policies.rollout import rollout as run_episode
 
-    keywords = keywords_of(settings, perturbed)
+    keywords = keywords_of(settings, perturbed, cell, arm)
+    if power:
+        power_on(cell)
+    if not no_record:
+        keywords.setdefault("record", str(record))
     made, actor = _make(env, policy, keywords, seed)
     table = Table(header_style="bold")
     for header in ("episode", "seed", "steps", "return", "success", "RMS error\n[dim]mm[/]", "largest\n[dim]mm[/]"):
         table.add_column(header, justify="center" if header == "success" else "right")
     table.add_column("ended by")
     returns, successes = [], 0
+    made.unwrapped.core.note("policy", policy)
     try:
-        with console.status("running") as status:
+        # Somebody may be asked something at the terminal.
+        with contextlib.nullcontext() if cell else console.status("running") as shown:
             for episode in range(episodes):
-                status.update(f"episode {episode + 1} of {episodes}")
-                record = run_episode(made, actor, seed=seed + episode)
+                if shown is not None:
+                    shown.update(f"episode {episode + 1} of {episodes}")
+                found = run_episode(made, actor, seed=seed + episode)
                 figures = ["—", "—"]
-                if record.flange_error_m is not None:
-                    squares = (record.flange_error_m**2).mean(axis=0)
-                    figures = [f"{1e3 * np.sqrt(squares.max()):.4f}", f"{1e3 * record.flange_error_m.max():.4f}"]
-                total = float(record.reward.sum())
+                if found.flange_error_m is not None:
+                    squares = (found.flange_error_m**2).mean(axis=0)
+                    figures = [f"{1e3 * np.sqrt(squares.max()):.4f}", f"{1e3 * found.flange_error_m.max():.4f}"]
+                total = float(found.reward.sum())
                 returns.append(total)
-                successes += record.success
-                mark = "[green]yes[/]" if record.success else "[red]no[/]"
-                row = (str(episode), str(seed + episode), str(record.steps), f"{total:.2f}", mark, *figures)
-                table.add_row(*row, escape(record.ended_by))
+                successes += found.success
+                mark = "[green]yes[/]" if found.success else "[red]no[/]"
+                row = (str(episode), str(seed + episode), str(found.steps), f"{total:.2f}", mark, *figures)
+                table.add_row(*row, escape(found.ended_by))
     finally:
         made.close()
     console.print(table)
     spread = f" ± {np.std(returns):.2f}" if episodes > 1 else ""
     plant = "perturbed plant" if perturbed else "nominal plant: errors near zero are those of an exact model"
+    if cell is not None:
+        plant = f"{made.unwrapped.core.config.kind} cell"
     console.print(
         f"success {successes} of {episodes}, return {np.mean(returns):.2f}{spread} ({plant})", highlight=False
     )
@@ -173,6 +197,10 @@ def view(
 app.command()(evaluate)
 app.command()(emulate)
 app.command()(doctor)
+app.command()(status)
+app.command()(replay)
+app.command()(compare)
+app.command()(fit)
 app.add_typer(cell_commands, name="cell")
 
 

@@ -1,8 +1,9 @@
-"""The commands `cell new`, `cell check` and `cell show`."""
+"""The commands `cell new`, `cell check`, `cell show` and `cell clear`."""
 
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from dual_ur10.cli_options import console, env_id_of, errors
-from dual_ur10.errors import CellFileError, UnknownNameError
+from dual_ur10.errors import CellFileError, SettingsError, UnknownNameError
 
 FINDINGS = 2
 """Exit code when something is wrong with a file."""
@@ -91,6 +92,38 @@ def show(file: File) -> None:
         arms.add_row(escape(name), escape(left.get(name, "—")), escape(right.get(name, "—")))
     console.print(whole)
     console.print(arms)
+
+
+@app.command()
+def clear(
+    file: File,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for emulated cells alone.")] = False,
+) -> None:
+    """Say that somebody has looked at arms that were stopped, so that they may be started again."""
+    from dual_ur10.sim2real.cell_file import load_cell_file
+    from dual_ur10.sim2real.latch import CellLock, Latch
+
+    cell = load_cell_file(file)
+    latch = Latch(cell)
+    fault = latch.read()
+    if fault is None:
+        console.print(f"{escape(str(file))}: there is no fault", highlight=False, soft_wrap=True)
+        return
+    console.print(
+        f"[bold red]stopped[/] at {fault.when_utc} UTC: {escape(fault.text)}", highlight=False, soft_wrap=True
+    )
+    if yes and cell.kind == "real":
+        raise SettingsError("--yes is for emulated cells: somebody must look at real arms and say so at a terminal")
+    if not yes:
+        if not sys.stdin.isatty():
+            raise SettingsError("somebody must say at a terminal that both arms were looked at: run this in one")
+        question = "Have both arms been looked at, and has the cause been put right? Type yes to clear the fault: "
+        if input(question).strip().lower() != "yes":
+            raise SettingsError("the fault was left as it is")
+    lock = CellLock(cell)
+    latch.clear()
+    lock.release()
+    console.print("cleared: the next start looks at both controllers again", highlight=False)
 
 
 def _flat(values: Mapping[str, Any], path: str = "") -> dict[str, str]:

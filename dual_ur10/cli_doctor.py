@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, cast
 
 import typer
 from rich.markup import escape
@@ -12,7 +12,6 @@ from rich.table import Table
 from dual_ur10.cli_options import console
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.cell_file import load_cell_file
-from dual_ur10.sim2real.cell_file_entries import ArmEntry
 from dual_ur10.sim2real.servoj import Family
 
 _MARKS = {"ok": "[green]ok[/]", "warn": "[yellow]warn[/]", "fail": "[bold red]fail[/]"}
@@ -28,9 +27,10 @@ def doctor(
 ) -> None:
     """Look at two UR controllers, and say what is not as it should be. Nothing moves. Exit code 1 if anything fails."""
     from dual_ur10.sim2real.doctor import ExpectedArm, any_fails, check_cell
+    from dual_ur10.sim2real.doctor_findings import expected_of
 
     if file is not None and left is None and right is None:
-        arms = [_expected(arm) for arm in load_cell_file(file).arms]
+        arms = [expected_of(arm) for arm in load_cell_file(file).arms]
     elif file is None and left is not None and right is not None:
         arms = [ExpectedArm(host=host, family=cast(Family, family)) for host in (left, right)]
     else:
@@ -51,19 +51,3 @@ def doctor(
     console.print(f"{counts['ok']} ok, {counts['warn']} warnings, {counts['fail']} failed", highlight=False)
     if any_fails(findings):
         raise typer.Exit(1)
-
-
-def _expected(arm: ArmEntry) -> Any:
-    """What a cell file says of an arm."""
-    from dual_ur10.sim2real.doctor import ExpectedArm
-
-    return ExpectedArm(
-        host=arm.host,
-        family=arm.family,
-        dh=arm.mount.dh,
-        checksums=arm.checksum,
-        tcp=arm.tcp,
-        payload_kg=arm.payload_kg,
-        payload_cog_m=arm.payload_cog_m,
-        serial_number=arm.serial_number,
-    )

@@ -9,6 +9,7 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from dual_ur10.cli_options import (
+    CellFileName,
     EnvName,
     Perturbed,
     PolicyName,
@@ -50,11 +51,13 @@ def evaluate(
         typer.Option("--randomization", metavar="PRESET", help="What differs from episode to episode."),
     ] = None,
     perturbed: Perturbed = False,
+    cell: CellFileName = None,
 ) -> None:
     """Run many episodes of a policy, and print how often and how well it succeeds."""
     from dual_ur10.policies.evaluate import evaluate as run
 
-    env_id, keywords = env_id_of(env), keywords_of(settings, perturbed)
+    env_id, keywords = env_id_of(env), keywords_of(settings, perturbed, cell)
+    envs = envs if cell is None else 1
     if randomization is not None:
         if "randomization" in keywords:
             raise SettingsError("randomization is set twice: --randomization sets it")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -28,6 +29,22 @@ Settings = Annotated[
 Perturbed = Annotated[
     bool, typer.Option("--perturbed", help="A plant that differs from what the controller believes of it.")
 ]
+CellFileName = Annotated[
+    Path | None, typer.Option("--cell", metavar="FILE", help="A cell file: on two controllers instead of in MuJoCo.")
+]
+OneArm = Annotated[
+    str | None, typer.Option("--arm", help="left or right: this arm moves, the other stays where it is. With --cell.")
+]
+PowerOn = Annotated[
+    bool, typer.Option("--power-on", help="Power the arms on and release their brakes first, if somebody confirms it.")
+]
+Record = Annotated[
+    Path, typer.Option("--record", metavar="FOLDER", help="A folder with the record of this run is made in it.")
+]
+NoRecord = Annotated[bool, typer.Option("--no-record", help="Do not record.")]
+RUNS = Path("runs")
+"""Where runs are recorded if nothing else is said."""
+
 Seed = Annotated[int, typer.Option("--seed", "-s", min=0, help="Seed of the first episode; the next ones count on.")]
 
 
@@ -48,13 +65,23 @@ def _short_names(env_id: str) -> tuple[str, str, str]:
     return env_id, task, task.rsplit("-v", 1)[0]
 
 
-def keywords_of(settings: list[str] | None, perturbed: bool) -> dict[str, Any]:
+def keywords_of(
+    settings: list[str] | None, perturbed: bool, cell: Path | None = None, arm: str | None = None
+) -> dict[str, Any]:
     """Keywords of the environment from `KEY=VALUE` texts; values are Python literals or JSON, or else text.
 
     Raises:
-        SettingsError: A text has no "=", or a key is given twice.
+        SettingsError: A text has no "=", a key is given twice, or two options do not go together.
     """
     keywords: dict[str, Any] = {}
+    if perturbed and cell is not None:
+        raise SettingsError("--perturbed is of simulated cells, and --cell names two controllers: leave one out")
+    if arm is not None and cell is None:
+        raise SettingsError("--arm is of two controllers: name their cell file with --cell")
+    if cell is not None:
+        keywords["cell"] = str(cell)
+    if arm is not None:
+        keywords["arm"] = arm
     if perturbed:
         from dual_ur10.sim2real.cell import TYPICAL_PERTURBATION, CellConfig
 
@@ -65,9 +92,27 @@ def keywords_of(settings: list[str] | None, perturbed: bool) -> dict[str, Any]:
         if not sign or not key.isidentifier():
             raise SettingsError(f"--set {text!r}: write it as KEY=VALUE, such as --set amplitude_m=0.05")
         if key in keywords:
-            raise SettingsError(f"{key} is set twice" + (": --perturbed sets it" if key == "cell" else ""))
+            raise SettingsError(f"{key} is set twice" + (f": an option sets {key}" if key in ("cell", "arm") else ""))
         keywords[key] = _value(value)
     return keywords
+
+
+def power_on(cell: Path | None) -> None:
+    """Power the arms of a cell on and release their brakes, if somebody at the terminal confirms it.
+
+    Raises:
+        SettingsError: No cell is named.
+        StartError: Nobody is there to confirm it.
+        DualUR10Error: An arm cannot be powered on.
+    """
+    if cell is None:
+        raise SettingsError("--power-on is of two controllers: name their cell file with --cell")
+    from dual_ur10.sim2real import power
+    from dual_ur10.sim2real.cell_file import load_cell_file
+    from dual_ur10.sim2real.people import confirmation
+
+    file = load_cell_file(cell)
+    power.power_on(file, confirmation(file))
 
 
 def _value(text: str) -> Any:

@@ -32,6 +32,7 @@ from dual_ur10.sim2real.controller.links import Hub
 from dual_ur10.sim2real.controller.modes import RobotMode, SafetyMode
 from dual_ur10.sim2real.controller.profile import profile_of
 from dual_ur10.sim2real.controller.robotiq import RobotiqGripper
+from dual_ur10.sim2real.priority import hasten
 from dual_ur10.sim2real.servoj import ServojProfile
 from dual_ur10.ur10 import ARMS
 
@@ -174,6 +175,7 @@ class Emulator:
         # What stands now stays: the collector need not look at it again in the middle of a control period.
         gc.collect()
         gc.freeze()
+        hasten()
         sys.setswitchinterval(_SWITCH_S)
         due = time.monotonic()
         while not self.ended:

@@ -121,3 +121,19 @@ class LinkError(DualUR10Error, ConnectionError):
 
 class RecordingError(DualUR10Error, ValueError):
     """A recording cannot be written or read, or is not of this robot, rate or task."""
+
+
+class CellFaulted(DualUR10Error, RuntimeError):  # noqa: N818  # the name by which the project's users know it
+    """Both arms were stopped, and stay so until a person has looked and has said `cell clear`."""
+
+
+class CellBusyError(DualUR10Error, RuntimeError):
+    """Another program moves these arms."""
+
+
+class StartError(DualUR10Error, RuntimeError):
+    """The arms are not ready to begin, cannot be brought to where a task begins, or nobody has confirmed it."""
+
+
+class PolicyError(DualUR10Error, ValueError):
+    """A policy does what no policy may do, as `dual_ur10.testing.check_policy` has found."""

@@ -18,3 +18,11 @@ def pytest_addoption(parser):
 def pytest_configure(config):
     if config.getoption("--host") and not config.getoption("--family"):
         raise pytest.UsageError("--host needs --family, either cb3 or e-series")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _state_home(tmp_path_factory):
+    """Faults and locks of cells are kept in a folder of this test run, never in the user's home."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 import dual_ur10  # noqa: F401 - registers the ids
 from dual_ur10.assets.scene import HOME_Q_RAD, ArmMount
-from dual_ur10.envs.frames import to_base
 from dual_ur10.envs.sine_path import TOOL_DOWN_QUAT
 from dual_ur10.errors import SettingsError
+from dual_ur10.frames import to_base
 from dual_ur10.kinematics import nearest
 from dual_ur10.policies.accuracy import accuracy, along_axis, delay_s, errors, flange_positions, lag_s, skew_s
 from dual_ur10.policies.rollout import Record, rollout

@@ -11,7 +11,15 @@ import pytest
 from dual_ur10.assets.scene import HOME_Q_RAD
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.kinematics import flange_pose
-from dual_ur10.sim2real.adapter import GRIPPER_OPENING_M, JOINT_MARGIN_RAD, TCP_STEP_M_S, TCP_TURN_RAD_S, ServojAdapter
+from dual_ur10.sim2real.adapter import (
+    _NOW,
+    GRIPPER_OPENING_M,
+    JOINT_MARGIN_RAD,
+    TCP_STEP_M_S,
+    TCP_TURN_RAD_S,
+    ServojAdapter,
+)
+from dual_ur10.sim2real.arm_memory import ArmMemory
 from dual_ur10.sim2real.limiter import Limiter
 from dual_ur10.sim2real.limits import HISTORY, Envelope, MotionLimits
 from dual_ur10.sim2real.servoj import ServojLaw, ServojProfile
@@ -73,6 +81,132 @@ def test_compensated_the_arm_is_where_it_was_commanded(family: str, lookahead_s:
     profile = ServojProfile(family, lookahead_s, gain)
     assert sine_error(profile, compensate_lag=True) < (7e-6 if family == "cb3" else 5e-6)
     assert sine_error(profile, compensate_lag=False) > 0.25 * np.pi * lookahead_s  # positive control
+
+
+# ------------------------------------------------------------------------------------------------ slowed down
+
+
+def in_real_time(sent: np.ndarray, start: np.ndarray, profile: ServojProfile, factor: float, count: int) -> np.ndarray:
+    """(count, 12) where the arms are after each control period, of targets, (t, 2, 6), that pass at `factor`."""
+    memories = [ArmMemory(), ArmMemory()]
+    for arm, memory in enumerate(memories):
+        for first in range(0, len(sent), 1000):
+            memory.put(first, sent[first : first + 1000, arm])
+    transition = ServojLaw(profile.lookahead_s, profile.gain).transition(profile.tick_s)
+    state, result = np.stack([start, np.zeros(12)]), []
+    for number in range(count):
+        target = np.concatenate([memory.target(number * factor) for memory in memories])
+        offset = np.stack([target, np.zeros(12)])
+        state = offset + transition @ (state - offset)
+        result.append(state[0])
+    for memory in memories:
+        memory.close()
+    return np.array(result)
+
+
+def slowed_error(profile: ServojProfile, factor: float, told: float, compensate_lag: bool = True) -> float:
+    """Largest distance of an arm from where it should be, where the time of its targets passes at `factor`.
+
+    Args:
+        profile: Of its controller, which knows nothing of that: its law goes on in real time.
+        factor: Of the targets' time.
+        told: What the adapter believes of it.
+        compensate_lag: Whether the adapter sends ahead.
+    """
+    ticks, periods = profile.ticks_per_action(25), 175
+    adapter = at_home(
+        profile=profile, ticks=ticks, mode="joint_position", compensate_lag=compensate_lag, speed_factor=told
+    )
+    start = adapter.commanded_q_rad.reshape(12).copy()
+    amplitude = 0.25 * np.array([1.0, 0, 0, 0, 0, 1.0, 0, 0, 0, 1.0, -1.0, 1.0])
+
+    def wanted(time_s: float) -> np.ndarray:
+        ramp = min(time_s / 4.0, 1.0)
+        smooth = ramp**4 * (35 - 84 * ramp + 70 * ramp**2 - 20 * ramp**3)
+        return start + amplitude * smooth * np.sin(2 * np.pi * 0.5 * time_s + np.linspace(0.0, 1.0, 12))
+
+    sent = played(adapter, np.array([wanted(k * 0.04).reshape(1, 2, 6) for k in range(1, periods + 1)]))[0]
+    per_period = round(ticks / factor)
+    arms = in_real_time(sent, start, profile, factor, per_period * (periods - 1))
+    ends = range(per_period - 1, len(arms), per_period)
+    times_s = [(end + 1) * factor * profile.tick_s for end in ends]
+    return max(
+        float(np.abs(arms[end] - wanted(time_s)).max())
+        for end, time_s in zip(ends, times_s, strict=True)
+        if time_s > 4.5
+    )
+
+
+@pytest.mark.parametrize("profile", [CB3, E_SERIES, ServojProfile("cb3", 0.05, 500.0)])
+@pytest.mark.parametrize("factor", [0.5, 0.25])
+def test_slowed_down_the_arm_goes_the_same_way_without_lag(profile: ServojProfile, factor: float) -> None:
+    assert slowed_error(profile, factor, factor) < 1e-5
+    # As if time were not slowed down, the arms would be ahead; without compensation they lag behind.
+    way = 0.25 * np.pi * profile.lookahead_s
+    assert slowed_error(profile, factor, 1.0) > 0.7 * (1 - factor) * way
+    assert slowed_error(profile, factor, factor, compensate_lag=False) > 0.7 * factor * way
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("profile", [CB3, E_SERIES, ServojProfile("cb3", 0.05, 501.0)])
+@pytest.mark.parametrize("limits", [HARD, TIGHT])
+def test_at_full_speed_no_bit_is_another(mode: str, profile: ServojProfile, limits: MotionLimits) -> None:
+    actions = actions_of_all_kinds(5, 40)
+    plain, full = (at_home(5, profile, limits=limits, mode=mode, **more) for more in ({}, {"speed_factor": 1.0}))
+    assert (full._law.lookahead_s, full._law.gain) == (profile.lookahead_s, profile.gain)
+    assert full._lead_s == profile.tick_s / 2
+    np.testing.assert_array_equal(played(full, actions), played(plain, actions))
+    slow = at_home(5, profile, limits=limits, mode=mode, speed_factor=0.5)
+    assert (played(slow, actions) != played(at_home(5, profile, limits=limits, mode=mode), actions)).any()
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.1])
+@pytest.mark.parametrize("mode", MODES)
+def test_slowed_down_no_limit_is_exceeded(mode: str, factor: float) -> None:
+    adapter = at_home(9, limits=TIGHT, mode=mode, speed_factor=factor)
+    sent = played(adapter, actions_of_all_kinds(9, 60))
+    before = np.tile(HOME_Q_RAD, (9, 3, 1, 1))
+    assert_within(np.concatenate([before, sent], axis=1), TIGHT, 0.008)
+    assert np.ptp(sent, axis=1).max() > 0.05  # they move
+
+
+@pytest.mark.parametrize("factor", [0.7, 0.5, 0.25, 0.1, 0.05])
+@pytest.mark.parametrize(
+    ("profile", "ticks"), [(CB3, 5), (E_SERIES, 20), (CB3, 1), (ServojProfile("cb3", 0.1, 400.0), 5)]
+)
+@pytest.mark.parametrize("limits", [HARD, TIGHT])
+def test_slowed_down_after_a_limit_was_met_the_arms_follow_again(
+    factor: float, profile: ServojProfile, ticks: int, limits: MotionLimits
+) -> None:
+    adapter = at_home(profile=profile, ticks=ticks, limits=limits, speed_factor=factor)
+    push = np.random.default_rng(0).choice([-1.0, 1.0], (1, 2, 6))
+    for _ in range(5):
+        adapter(push)
+    steady = np.full((1, 2, 6), 0.1)
+    for _ in range(2 * max(25, round(1.0 / adapter.period_s))):
+        adapter(steady)
+    now = adapter.commanded_q_rad.copy()
+    adapter(steady)
+    wanted = 0.1 * np.asarray(limits.speed_rad_s) * adapter.period_s
+    np.testing.assert_allclose(adapter.commanded_q_rad - now, np.tile(wanted, (1, 2, 1)), rtol=1e-3)
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.5, 0.25, 0.1])
+@pytest.mark.parametrize(("profile", "ticks"), [(CB3, 5), (E_SERIES, 20), (ServojProfile("cb3", 0.1, 400.0), 5)])
+@pytest.mark.parametrize("limits", [HARD, TIGHT])
+def test_the_path_is_where_the_arm_is_also_after_a_limit_was_met(
+    factor: float, profile: ServojProfile, ticks: int, limits: MotionLimits
+) -> None:
+    adapter = at_home(profile=profile, ticks=ticks, limits=limits, speed_factor=factor)
+    rng, sent, path, periods = np.random.default_rng(0), [], [], 60
+    for period in range(periods):
+        pushed = period % 12 < 4
+        sent.append(adapter(rng.choice([-1.0, 1.0], (1, 2, 6)) if pushed else np.full((1, 2, 6), 0.05)).targets_rad[0])
+        path.append(adapter._state[0, _NOW].copy())
+    start, per_period = HOME_Q_RAD.reshape(12), round(ticks / factor)
+    arms = in_real_time(np.concatenate(sent), start, profile, factor, per_period * (periods - 1))
+    away = arms[per_period - 1 :: per_period] - np.array(path[:-1])
+    assert np.abs(away).max() < 3e-4
 
 
 # ------------------------------------------------------------------------------------------------ modes

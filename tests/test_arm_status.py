@@ -4,11 +4,12 @@ import dataclasses
 import math
 import time
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dual_ur10.sim2real.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus, stop_reason
+from dual_ur10.sim2real.arm_status import OPTIONAL_VARIABLES, ROW, ROW_SIZE, STATUS_VARIABLES, ArmStatus, stop_reason
 from dual_ur10.sim2real.controller.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.controller.profile import PROFILES
 from dual_ur10.sim2real.controller.rtde_variables import output_types, zero_values
@@ -81,7 +82,12 @@ def test_robot_bits():
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_numbers_that_are_none_stop(bad):
-    for values in ({"actual_q": (0.0,) * 5 + (bad,)}, {"actual_qd": (bad,) + (0.0,) * 5}, {"speed_scaling": bad}):
+    for values in (
+        {"actual_q": (0.0,) * 5 + (bad,)},
+        {"actual_qd": (bad,) + (0.0,) * 5},
+        {"speed_scaling": bad},
+        {"target_speed_fraction": bad},
+    ):
         assert "finite" in stop_reason(status_of(**values))
 
 
@@ -128,6 +134,53 @@ def test_what_is_optional_may_be_missing():
     assert (status.payload_kg, status.payload_cog_m, status.tcp_offset) == (None, None, None)
     with pytest.raises(KeyError):
         ArmStatus.from_sample(Sample({}, 0.0))
+
+
+@st.composite
+def statuses(draw):
+    """Any status that a controller may tell, optional values or none."""
+    types, values = output_types(PROFILES["cb3"]), {}
+    known = draw(st.sampled_from([0, 1, 3]))
+    for name in (*STATUS_VARIABLES, *OPTIONAL_VARIABLES[:known]):
+        kind = types[name]
+        if "INT" in kind.name:
+            low, high = (-(1 << 31), (1 << 31) - 1) if kind.name.startswith("INT") else (0, (1 << 32) - 1)
+            number = st.integers(low, high)
+        else:
+            number = st.floats(allow_nan=False)
+        values[name] = draw(number) if kind.count == 1 else tuple(draw(number) for _ in range(kind.count))
+    return ArmStatus.from_sample(Sample(values, draw(st.floats(0.0, 1e9))))
+
+
+@given(statuses(), st.booleans())
+def test_a_row_says_all_of_a_status(status, as_array):
+    row = status.row()
+    assert len(row) == ROW_SIZE
+    assert all(isinstance(each, float) for each in row)
+    found = ArmStatus.from_row(np.array(row) if as_array else row)
+    assert found == status
+    for field in dataclasses.fields(status):
+        value = getattr(status, field.name)
+        if not isinstance(value, float):  # what is whole stays so: bits are taken of it
+            assert type(getattr(found, field.name)) is type(value), field.name
+
+
+def test_a_row_lies_as_its_names_say():
+    types, values, number = output_types(PROFILES["cb3"]), {}, 0.0
+    for name in (*STATUS_VARIABLES, *OPTIONAL_VARIABLES):
+        count = types[name].count
+        values[name] = number if count == 1 else tuple(number + each for each in range(count))
+        number += count
+    status = ArmStatus.from_sample(Sample(values, -1.0))
+    row, at = status.row(), 0
+    assert row[0] == -1.0
+    for name, size in ROW:
+        value = getattr(status, name)
+        assert row[at : at + size] == ([value] if size == 1 else list(value)), name
+        at += size
+    assert at == len(row) == ROW_SIZE
+    assert [name for name, _ in ROW] == [field.name for field in dataclasses.fields(ArmStatus)]
+    assert sorted(row) == list(range(-1, int(number)))
 
 
 @pytest.mark.parametrize("family", ["cb3", "e-series"])

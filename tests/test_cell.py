@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
+import os
 import pickle
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from dual_ur10.assets.scene import ArmMount
-from dual_ur10.errors import RateError, SettingsError, UnknownNameError
-from dual_ur10.sim2real.cell import TYPICAL_PERTURBATION, CellConfig, Perturbation, resolve_cell
+from dual_ur10.assets.obstacles import Box
+from dual_ur10.assets.scene import HOME_Q_RAD, ArmMount, clearance_pairs
+from dual_ur10.errors import CellFileError, RateError, SettingsError, UnknownNameError
+from dual_ur10.sim2real.cell import LATENCY_S, TYPICAL_PERTURBATION, CellConfig, Perturbation, resolve_cell
+from dual_ur10.sim2real.clearance import Clearance
+from dual_ur10.sim2real.limits import MotionLimits
 from dual_ur10.sim2real.servoj import ServojProfile
 
 
@@ -149,6 +155,13 @@ def test_servoj_settings_with_which_arms_swing_are_refused() -> None:
         ({"speed_rad_s": True}, "must be a number"),
         ({"speed_rad_s": 1e-9}, "0.01 or more"),
         ({"tcp_speed_m_s": float("nan")}, "0.01 or more"),
+        ({"acceleration_rad_s2": 0.001}, "acceleration_rad_s2.*0.01 or more"),
+        ({"jerk_rad_s3": "much"}, "jerk_rad_s3.*must be a number"),
+        ({"speed_factor": 0.0}, "speed_factor.*above 0 and at most 1"),
+        ({"speed_factor": -0.5}, "speed_factor.*above 0 and at most 1"),
+        ({"speed_factor": 1.01}, "speed_factor.*above 0 and at most 1"),
+        ({"speed_factor": float("nan")}, "speed_factor.*above 0 and at most 1"),
+        ({"speed_factor": True}, "must be a number"),
         ({"minimum_clearance_m": "a"}, "must be a number"),
         ({"wrench_noise": 5.0}, "two numbers"),
         ({"wrench_noise": ("a", "b")}, "must be a number"),
@@ -158,3 +171,100 @@ def test_servoj_settings_with_which_arms_swing_are_refused() -> None:
 def test_values_of_the_wrong_kind_are_refused_by_name(values: dict[str, Any], text: str) -> None:
     with pytest.raises(SettingsError, match=text):
         CellConfig(**values)
+
+
+# ------------------------------------------------------------------------------------------------ two controllers
+
+FILE = """kind = "emulated"
+speed_factor = 0.5
+[left]
+host = "127.0.0.2"
+family = "{family}"
+[left.limits]
+speed_rad_s = 0.4
+tcp_speed_m_s = 0.3
+acceleration_rad_s2 = 2.0
+jerk_rad_s3 = 50.0
+[right]
+host = "127.0.0.3"
+family = "{family}"
+[[obstacle]]
+kind = "box"
+name = "feeder"
+position_m = [0.6, 0.0, 0.3]
+size_m = [0.2, 0.2, 0.2]
+"""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    result = tmp_path / "lab.toml"
+    result.write_text(FILE.format(family="cb3"))
+    return result
+
+
+def test_a_cell_of_controllers_is_its_files(path: Path) -> None:
+    config = resolve_cell(path)
+    assert (config.kind, config.speed_factor) == ("emulated", 0.5)
+    assert config.file is not None
+    assert config == config.file.config() == resolve_cell(str(path)) == resolve_cell(os.fspath(path))
+    assert hash(config) == hash(resolve_cell(path))
+    assert pickle.loads(pickle.dumps(config)) == config
+    assert config != CellConfig()
+
+
+def test_a_path_is_told_from_a_name(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(path.parent)
+    assert resolve_cell("lab.toml") == resolve_cell("./lab.toml") == resolve_cell(Path("lab.toml"))
+    (path.parent / "mujoco").write_text("kind = 3")
+    assert resolve_cell("mujoco") == CellConfig()
+    for missing in ("none.toml", "a/b", Path("mujoco"), Path("nowhere")):
+        with pytest.raises(CellFileError):
+            resolve_cell(missing)
+    with pytest.raises(UnknownNameError, match=r"such as lab\.toml"):
+        resolve_cell("lab")
+
+
+@pytest.mark.parametrize("kind", ["emulated", "real"])
+def test_a_kind_without_its_file_is_refused(kind: Any, path: Path) -> None:
+    with pytest.raises(SettingsError, match="made of a cell file"):
+        CellConfig(kind=kind)
+    with pytest.raises(SettingsError, match="made of a cell file"):
+        dataclasses.replace(resolve_cell(path), kind="mujoco")
+
+
+@pytest.mark.parametrize(("family", "ticks"), [("cb3", 5), ("e-series", 20)])
+def test_the_latency_where_none_is_said(path: Path, family: str, ticks: int) -> None:
+    path.write_text(FILE.format(family=family))
+    config = resolve_cell(path)
+    assert config.latency_ticks == ticks
+    assert config.latency_ticks * config.servoj.tick_s == pytest.approx(LATENCY_S)
+    assert CellConfig(servoj=ServojProfile(family=family)).latency_ticks == 0
+
+
+def test_what_may_not_be_exceeded_may_not_be_exceeded_in_real_time(path: Path) -> None:
+    config = resolve_cell(path)
+    task = MotionLimits(speed_rad_s=(1.6, 1.6, 2.0, 2.0, 2.0, 0.5), tcp_speed_m_s=1.2)
+    found = config.capped(task)
+    slow = config.speed_factor
+    assert found.speed_rad_s == (0.8, 0.8, 0.8, 0.8, 0.8, 0.5)
+    assert found.tcp_speed_m_s * slow == 0.3
+    assert found.acceleration_rad_s2 * slow**2 == 2.0
+    assert found.jerk_rad_s3 * slow**3 == 50.0
+    assert (found.lower_rad, found.upper_rad) == (task.lower_rad, task.upper_rad)
+    # Where the task asks for less, that stays.
+    gentle = MotionLimits(speed_rad_s=0.1, tcp_speed_m_s=0.1, acceleration_rad_s2=1.0, jerk_rad_s3=20.0)
+    assert config.capped(gentle) == gentle
+    assert CellConfig().capped(task) == task
+    assert CellConfig(speed_factor=0.25).capped(task) == task
+
+
+def test_what_stands_in_the_workspace_is_measured(path: Path) -> None:
+    config = resolve_cell(path)
+    (box,) = config.obstacles
+    assert config.scene.obstacles == (box,)
+    assert len(clearance_pairs(config.scene)) > len(clearance_pairs(CellConfig().scene))
+    near = Box(name="near", position_m=(-0.75, 0.6, 1.0), size_m=(0.5, 0.5, 0.5))
+    q = HOME_Q_RAD.reshape(1, 12)
+    assert Clearance(CellConfig().scene).is_clear(q).all()
+    assert not Clearance(dataclasses.replace(config, obstacles=(near,)).scene).is_clear(q).any()

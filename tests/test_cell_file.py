@@ -33,6 +33,7 @@ from dual_ur10.sim2real.cell_file_entries import (
     EmulatedTracker,
     EmulatorEntry,
     GivenTracker,
+    Measured,
     NoGripper,
     Plane,
     RobotiqSocket,
@@ -114,6 +115,7 @@ def test_a_file_says_what_stands_in_it(tmp_path: Path) -> None:
             right__gripper={"kind": "digital_output", "output": 16, "open_level": True},
             left__servoj={"lookahead_s": 0.05, "gain": 500},
             left__limits={"speed_rad_s": 1, "jerk_rad_s3": 150.0},
+            left__measured={"lookahead_s": 0.031, "latency_s": 0},
             left__calibration={"theta_rad": [1e-4, 0, 0, 0, 0, 0], "checksum": [1, 2, 3, 4, 5, 4294967295]},
             tracker={"kind": "given", "position_m": [0, 0, 0.1], "rotation_rad": [0, 0, 1.5]},
             obstacle=[
@@ -142,6 +144,8 @@ def test_a_file_says_what_stands_in_it(tmp_path: Path) -> None:
     assert left.tcp == (0.0, 0.0, 0.17, 0.0, 0.0, 1.0)
     assert (left.payload_kg, left.payload_cog_m) == (1.2, (0.0, 0.01, 0.05))
     assert left.limits == ArmLimits(speed_rad_s=1.0, jerk_rad_s3=150.0)
+    assert left.measured == Measured(lookahead_s=0.031, latency_s=0.0)
+    assert cell.right.measured == Measured()
     assert left.gripper == RobotiqSocket(port=1234)
     assert cell.right.gripper == DigitalGripper(output=16, open_level=True)
     assert cell.tracker == GivenTracker(position_m=(0.0, 0.0, 0.1), rotation_rad=(0.0, 0.0, 1.5))
@@ -157,7 +161,7 @@ def test_a_file_says_what_stands_in_it(tmp_path: Path) -> None:
 def test_defaults_of_an_emulated_cell(tmp_path: Path) -> None:
     cell = loaded(tmp_path, SMALL)
     assert [each.mount for each in cell.arms] == list(SceneSettings().mounts)
-    assert cell.config() == CellConfig()
+    assert dataclasses.replace(cell.config(), kind="mujoco", file=None) == CellConfig()
     assert (cell.speed_factor, cell.rt_priority, cell.name, cell.task) == (1.0, 0, "cell", None)
     assert cell.left.gripper == NoGripper()
     assert cell.left.tcp is cell.left.payload_kg is cell.left.serial_number is cell.left.checksum is None
@@ -239,6 +243,8 @@ def arm_tables(draw: st.DrawFn, real: bool, side: float, host: str) -> dict[str,
         values["gripper"] = draw(variant_of(tables["gripper"].variants, real))
     if draw(st.booleans()):
         values["limits"] = draw(table_of(tables["limits"].keys, real))
+    if draw(st.booleans()):
+        values["measured"] = draw(table_of(tables["measured"].keys, real))
     if draw(st.booleans()):
         lookahead = draw(st.floats(0.03, 0.2))
         gain = draw(st.floats(min(2000.0, max(100.0, 1.001 * (0.6 / lookahead) ** 2)), 2000.0))
@@ -330,7 +336,7 @@ BOX = {"name": "b", "kind": "box", "position_m": [0, 1.5, 0], "size_m": [1, 1, 1
 PLANE = {"name": "p", "kind": "plane", "point_m": [1, 0, 0], "normal": [-1, 0, 0]}
 REFUSED: list[tuple[dict[str, Any], tuple[str, ...]]] = [
     # Types.
-    ({"speed_factor": True}, ("speed_factor is true", "a number, 0.01 to 1", "speed_factor = 0.25")),
+    ({"speed_factor": True}, ("speed_factor is true", "a number, 0.05 to 1", "speed_factor = 0.25")),
     ({"speed_factor": "0.5"}, ('speed_factor is "0.5"', "a number")),
     ({"rt_priority": 1.0}, ("rt_priority is 1.0", "a whole number, 0 to 90")),
     ({"rt_priority": False}, ("rt_priority is false",)),
@@ -581,14 +587,14 @@ def test_its_configuration_has_mounts_servoj_and_caps(tmp_path: Path) -> None:
 
 def test_the_tighter_limits_of_both_arms_hold(tmp_path: Path) -> None:
     tight = {"left__limits": {"speed_rad_s": 0.5, "jerk_rad_s3": 100}, "right__limits": {"acceleration_rad_s2": 3}}
-    cell = loaded(tmp_path, edited(GOOD, **tight, right__limits__jerk_rad_s3=90))
+    cell = loaded(tmp_path, edited(GOOD, **tight, right__limits__jerk_rad_s3=90, speed_factor=1.0))
     upper = (1.0,) * 6
-    found = cell.capped(MotionLimits(tcp_speed_m_s=1.2, upper_rad=upper))
+    found = cell.config().capped(MotionLimits(tcp_speed_m_s=1.2, upper_rad=upper))
     assert found.speed_rad_s == (0.5,) * 6
     assert (found.acceleration_rad_s2, found.jerk_rad_s3, found.tcp_speed_m_s) == (3.0, 90.0, 1.2)
     assert found.upper_rad == upper
     hard = MotionLimits()
-    assert loaded(tmp_path, GOOD).capped(hard) == hard
+    assert loaded(tmp_path, GOOD).config().capped(hard) == hard
     np.testing.assert_array_equal(hard.speed_rad_s, ur10.HARD_SPEED_RAD_S)
 
 

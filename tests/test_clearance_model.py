@@ -112,7 +112,7 @@ def test_arm_meets_table_and_floor(model, arm):
 def test_clearance_is_the_distance_of_the_capsules(model, clearance):
     pairs = scene.clearance_pairs(SceneSettings())
     assert clearance.nsensor == clearance.nsensordata == len(pairs) == len(set(pairs))
-    assert (clearance.ngeom, clearance.nu) == (22, 0)  # capsules, the wrists' spheres, table, floor
+    assert (clearance.ngeom, clearance.nu) == (23, 0)  # capsules, the wrists' spheres, table and its hull, floor
     data, twin = mujoco.MjData(model), mujoco.MjData(clearance)
     rng = np.random.default_rng(3)
     close = np.zeros(len(pairs), dtype=int)
@@ -129,6 +129,13 @@ def test_clearance_is_the_distance_of_the_capsules(model, clearance):
                 # The sphere around a capsule is never further away, and nearer by half the capsule's length at most.
                 assert twin.sensordata[i] < expected + 1e-6
                 assert expected < 0.0 or twin.sensordata[i] > expected - model.geom_size[a, 1] - 1e-6
+            elif pair[1] == "table":
+                line = np.abs(segment(model, data, a, 2001) - data.geom_xpos[b]) - model.geom_size[b]
+                by_hand = np.linalg.norm(np.maximum(line, 0.0), axis=1).min() - model.geom_size[a, 0]
+                if by_hand > 0.0:
+                    assert twin.sensordata[i] == pytest.approx(min(by_hand, scene.CLEARANCE_CUTOFF_M), abs=1e-6)
+                else:
+                    assert twin.sensordata[i] < 1e-6
             else:
                 assert twin.sensordata[i] == pytest.approx(expected, abs=1e-6)
             if pair[1] == "floor":
@@ -142,6 +149,28 @@ def test_clearance_is_the_distance_of_the_capsules(model, clearance):
                 assert twin.sensordata[i] == pytest.approx(by_hand, abs=2e-3)
             close[i] += expected < scene.CLEARANCE_CUTOFF_M
     assert (close > 0).sum() > len(pairs) / 2  # the comparison was not one of cut-off with cut-off
+
+
+@pytest.mark.parametrize("x_m", [-0.75, -0.3])
+def test_a_link_that_is_stuck_through_the_table_is_not_clear_of_it(x_m):
+    # Against a box, MuJoCo's own distance is up to the cutoff for some of them.
+    settings = SceneSettings(left=ArmMount((x_m, 0.6, 0.0)), right=ArmMount((x_m, -0.6, 0.0)))
+    twin = scene.build_clearance_model(settings)
+    data, table, pairs = mujoco.MjData(twin), twin.geom("table").id, scene.clearance_pairs(settings)
+    long = [(i, pair[0]) for i, pair in enumerate(pairs) if pair[1] == "table" and "arm" in pair[0]]
+    stuck = misread = 0
+    for q in random_q(np.random.default_rng(5), 600):
+        data.qpos[:] = q.ravel()
+        mujoco.mj_forward(twin, data)
+        for i, name in long:
+            line = segment(twin, data, twin.geom(name).id, 400) - data.geom_xpos[table]
+            if (np.abs(line) < twin.geom_size[table]).all(axis=1).any():
+                stuck += 1
+                assert data.sensordata[i] < -twin.geom(name).size[0]
+                native = mujoco.mj_geomDistance(twin, data, twin.geom(name).id, table, 0.2, np.zeros(6))
+                misread += native > 0.0
+    assert stuck > 100
+    assert misread > 10  # else the hull would not be needed
 
 
 def test_clearance_in_a_batch(clearance):

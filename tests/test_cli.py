@@ -20,6 +20,12 @@ WAIT_S = 60.0
 SHORT = ("--set", "duration_s=0.4")
 
 
+@pytest.fixture(autouse=True)
+def _somewhere_else(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs are recorded where one stands."""
+    monkeypatch.chdir(tmp_path)
+
+
 def run(*arguments: str) -> tuple[int, str]:
     result = CliRunner().invoke(cli.app, list(arguments), env={"COLUMNS": "160"})
     if result.exception is not None and not isinstance(result.exception, SystemExit):
@@ -113,7 +119,7 @@ def test_random_actions_depend_on_the_seed_alone() -> None:
         (("rollout", "SineTracking", "--set", "policy_rate_hz='x'"), "policy rate is 'x': it must be a number"),
         (("rollout", "SineTracking", "--set", "amplitude_m"), "write it as KEY=VALUE"),
         (("rollout", "SineTracking", "--set", "arms=left", "--set", "arms=both"), "arms is set twice"),
-        (("rollout", "SineTracking", "--perturbed", "--set", "cell=mujoco"), "--perturbed sets it"),
+        (("rollout", "SineTracking", "--perturbed", "--set", "cell=mujoco"), "an option sets cell"),
         (("rollout", "Juggling"), "unknown environment 'Juggling': use one of 'DualUR10/SineTracking-v0'"),
         (("rollout", "SineTracking", "-p", "psychic"), "unknown policy 'psychic': use one of 'scripted'"),
         (("view", "SineTracking", "--set", "amplitud=0.1"), "unknown keyword of SineTracking 'amplitud'"),

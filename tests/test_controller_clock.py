@@ -73,3 +73,14 @@ def test_a_controller_that_was_started_anew_is_told(timestamp):
         clock.note(known, arrival)
     with pytest.raises(LinkError, match="started anew"):
         clock.note(timestamp, arrival + 0.008)
+
+
+@pytest.mark.parametrize("waited", [10, 60, 400])
+def test_packets_that_waited_until_they_were_read_say_little(waited):
+    clock = ControllerClock(0.008)
+    stream = list(packets(0.008, 5.0))
+    read_s = stream[waited][1]
+    for timestamp, arrival, _ in stream:
+        clock.note(timestamp, max(arrival, read_s))
+    timestamp, _, true = stream[-1]
+    assert clock.local_s(timestamp) - true == pytest.approx(0.0002, abs=0.0005)

@@ -252,7 +252,7 @@ class Stub(VectorEnv[Any, Any, Any]):
         self.single_action_space = gym.spaces.Box(-1, 1, (2,), np.float32)
         self.action_space = gym.spaces.Box(-1, 1, (num_envs, 2), np.float32)
         task = SimpleNamespace(stages=("gripped", "handed over"), settings=SimpleNamespace(duration_s=duration_s))
-        self.core = SimpleNamespace(timing=SimpleNamespace(period_s=0.5), task=task)
+        self.core = SimpleNamespace(timing=SimpleNamespace(period_s=0.5), task=task, stop=lambda reason: None)
         self.seeds, self.steps = np.full(num_envs, -1), np.zeros(num_envs, dtype=int)
         self.done, self.again = np.ones(num_envs, dtype=bool), np.zeros(num_envs, dtype=bool)
         self.known: set[int] = set()

@@ -23,8 +23,10 @@ def test_the_wheel_holds_the_package_and_nothing_else(wheel):
     packages = {name.split("/")[1] for name in names if name.startswith("dual_ur10/") and name.count("/") == 2}
     assert {each for each in packages if f"dual_ur10/{each}/__init__.py" in names} == {
         "assets",
+        "comparison",
         "envs",
         "policies",
+        "recording",
         "sim2real",
     }
     assert "dual_ur10/assets/ur10/ur10.xml" in names
@@ -71,15 +73,31 @@ def test_imports_run_downwards():
     floors = [
         ["ur10", "errors", "files", "rotations"],
         ["assets", "kinematics", "dynamics"],
+        ["frames"],
         ["sim2real"],
+        ["recording"],
         ["envs"],
         ["policies"],
         ["emulator"],
     ]
     floors += [["runs"], ["runs_carry", "runs_handover"], ["figures_style"]]
     floors += [["figures", "figures_carry", "figures_handover"], ["film"], ["films"], ["report_page"]]
-    floors += [["report_sine", "report_carry", "report_handover"], ["report"], ["demo"], ["cli_options"]]
-    floors += [["cli_cell", "cli_demo", "cli_doctor", "cli_emulate", "cli_evaluate"], ["cli"], ["__main__"]]
+    floors += [
+        ["report_sine", "report_carry", "report_handover"],
+        ["comparison"],
+        ["runs_emulated"],
+        ["figures_emulated"],
+        ["report_emulated"],
+        ["report"],
+        ["testing"],
+        ["demo"],
+        ["cli_options"],
+    ]
+    floors += [
+        ["cli_cell", "cli_demo", "cli_doctor", "cli_emulate", "cli_evaluate", "cli_runs", "cli_status"],
+        ["cli"],
+        ["__main__"],
+    ]
     level = {name: height for height, names in enumerate(floors) for name in names}
     level |= dict.fromkeys(("forward_kinematics", "inverse_kinematics", "closed_form"), level["kinematics"])
     for path in (ROOT / "dual_ur10").rglob("*.py"):

@@ -40,12 +40,13 @@ def pipeline_at_home(
     limits: MotionLimits = HARD,
     profile: ServojProfile | None = None,
     clearance=None,
+    held: int | None = None,
     **more,
 ) -> ServojPipeline:
     profile = profile or ServojProfile()
     adapter = ServojAdapter(profile, limits, ticks, n=n, **more)
     gate = SafetyGate(limits, profile.tick_s, ticks, clearance or AlwaysClear(), n=n)
-    pipeline = ServojPipeline(adapter, gate)
+    pipeline = ServojPipeline(adapter, gate, held=held)
     pipeline.reset(np.tile(HOME_Q_RAD, (n, 1, 1)))
     return pipeline
 
@@ -258,6 +259,59 @@ def test_random_actions_meet_the_gate_only_for_distances(mode: str) -> None:
     found = Counter(verdict.kind for verdict in verdicts.values())
     assert set(found) == {"distance"}, found
     assert_within(np.concatenate(sent, axis=1), limits, 0.008)
+
+
+# ------------------------------------------------------------------------------------------------ one arm alone
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("held", [0, 1])
+@pytest.mark.parametrize("kind", ACTION_KINDS)
+def test_a_held_arm_stays_where_it_is_bit_for_bit(mode: str, held: int, kind: str) -> None:
+    pipeline, both = (pipeline_at_home(3, mode=mode, limits=TIGHT, held=each) for each in (held, None))
+    start = HOME_Q_RAD + np.random.default_rng(0).uniform(-0.2, 0.2, (3, 2, 6))
+    rng, sent, free = np.random.default_rng(1), [], []
+    for each in (pipeline, both):
+        each.reset(start)
+    for period in range(60):
+        action = adversarial_action(kind, period, rng, (3, 2, 6))
+        sent.append(pipeline(action)[0].targets_rad)
+        free.append(both(action)[0].targets_rad)
+    targets, expected = np.concatenate(sent, axis=1), np.concatenate(free, axis=1)
+    assert (targets[:, :, held] == start[:, None, held]).all()
+    # The other one does what it would have done.
+    np.testing.assert_array_equal(targets[:, :, 1 - held], expected[:, :, 1 - held])
+    before = np.repeat(start[:, None], 3, axis=1)
+    assert_within(np.concatenate([before, targets], axis=1), TIGHT, 0.008)
+
+
+def test_after_another_start_a_held_arm_is_held_there() -> None:
+    pipeline = pipeline_at_home(2, held=1)
+    for _ in range(10):
+        pipeline(np.full((2, 2, 6), 0.5))
+    q = HOME_Q_RAD + 0.1
+    pipeline.reset(q[None], np.array([1]))
+    found = pipeline(np.full((2, 2, 6), 0.5))[0].targets_rad
+    assert (found[1, :, 1] == q[1]).all()
+    assert (found[0, :, 1] == HOME_Q_RAD[1]).all()
+    assert (found[:, -1, 0] != q[0]).all()
+
+
+def test_distances_are_measured_to_where_a_held_arm_stays() -> None:
+    class Seen(AlwaysClear):
+        postures: list[np.ndarray] = []  # noqa: RUF012
+
+        def is_clear(self, q_rad):
+            self.postures.append(np.array(q_rad).reshape(-1, 2, 6))
+            return super().is_clear(q_rad)
+
+    seen = Seen()
+    pipeline = pipeline_at_home(clearance=seen, held=0)
+    for _ in range(20):
+        pipeline(np.ones((1, 2, 6)))
+    postures = np.concatenate(seen.postures)
+    assert np.abs(postures[:, 0] - HOME_Q_RAD[0]).max() < 1e-12
+    assert np.ptp(postures[:, 1], axis=0).max() > 0.05
 
 
 # ------------------------------------------------------------------------------------------------ grippers

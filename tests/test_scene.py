@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dual_ur10.assets import scene
-from dual_ur10.assets.scene import HOME_Q_RAD, ArmMount, Equipment, SceneSettings
+from dual_ur10.assets.scene import HOME_Q_RAD, ArmMount, Box, Capsule, Equipment, Plane, SceneSettings
 from dual_ur10.errors import MissingExtraError, SettingsError, UnknownNameError
 from tests.reference_cell import UNEQUAL, contacts, random_q
 
@@ -125,6 +125,14 @@ CELLS = {
     "block": equipped(prop="block"),
     "welded": equipped(prop="bar", welded=True),
     "bar alone": SceneSettings(equipment=Equipment(prop="bar")),
+    "obstacles": dataclasses.replace(
+        equipped(),
+        obstacles=(
+            Box(name="box", position_m=(0.1, 0.3, 0.5), size_m=(0.3, 0.5, 0.2), rotation_rad=(0.4, -0.3, 0.8)),
+            Capsule(name="post", from_m=(-0.2, 0.0, 0.0), to_m=(-0.2, 0.1, 1.2), radius_m=0.05),
+            Plane(name="wall", point_m=(0.6, 0.0, 0.0), normal=(-1.0, 0.0, 0.0)),
+        ),
+    ),
 }
 
 

@@ -3,9 +3,9 @@ import pytest
 
 from dual_ur10 import ArmMount, CellConfig
 from dual_ur10.assets.scene import Equipment
-from dual_ur10.envs.frames import Frames
 from dual_ur10.envs.randomization import Randomization
 from dual_ur10.envs.sensing import Sensing
+from dual_ur10.frames import Frames
 from dual_ur10.rotations import quat_from_rotvec, quat_multiply, quat_to_rotvec
 from dual_ur10.sim2real.cell import CellState
 

@@ -5,9 +5,9 @@ from dm_control.utils import rewards
 from dual_ur10 import errors
 from dual_ur10.assets.scene import ArmMount
 from dual_ur10.envs.core import load_task
-from dual_ur10.envs.frames import to_base
 from dual_ur10.envs.sine_path import SineSettings
 from dual_ur10.envs.task import gaussian, task_settings
+from dual_ur10.frames import to_base
 
 
 @pytest.mark.parametrize("margin", [0.005, 0.02])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
@@ -11,6 +12,8 @@ import numpy as np
 
 from dual_ur10.assets.arm import strip
 from dual_ur10.assets.cell_tree import cell_tree, child_of, compiled, document_of, joint_names, text_of
+from dual_ur10.assets.obstacle_geoms import add_hulls, add_obstacles, hull_name
+from dual_ur10.assets.obstacles import geom_name
 from dual_ur10.assets.settings import Equipment, SceneSettings
 from dual_ur10.ur10 import ARMS, LINKS
 
@@ -60,9 +63,15 @@ CLEARANCE_PAIRS: Final = _pairs()
 
 _WITH_GRIPPERS: Final = CLEARANCE_PAIRS + _gripper_pairs()
 
-# A capsule against a box costs seven times as much as any other pair, a sphere against a box as much as the others. The
-# wrists' capsules are nearly spheres, so that the spheres around them stand in for them at the table. The fingers are a
-# box only where they come near on purpose: to the table and to the other gripper.
+
+def _obstacle_pairs(settings: SceneSettings) -> tuple[tuple[str, str], ...]:
+    parts = (*LINKS, *_GRIPPER) if settings.equipment.grippers else LINKS
+    return tuple((f"{arm}/{part}", geom_name(each)) for each in settings.obstacles for arm in ARMS for part in parts)
+
+
+# A capsule against a box's hull costs up to thirteen times as much as any other pair, a sphere against a box as much as
+# the others. The wrists' capsules are nearly spheres, so that the spheres around them stand in for them at boxes. The
+# fingers are a box only where they come near on purpose: to what is flat, and to the other gripper.
 _ROUND: Final = LINKS[3:]
 
 
@@ -71,12 +80,14 @@ def clearance_pairs(settings: SceneSettings) -> tuple[tuple[str, str], ...]:
 
     The pairs are all that can meet: each moving link with the other arm, the table and the floor, and the forearm and
     the wrists with those parts of their own arm that they can reach. Grippers add, after those, their `palm` and
-    `fingers` with all of these. Props are not measured.
+    `fingers` with all of these. Obstacles add, last, each link and each part of a gripper with each of them. Props are
+    not measured.
 
     Args:
         settings: the cell.
     """
-    return _WITH_GRIPPERS if settings.equipment.grippers else CLEARANCE_PAIRS
+    pairs = _WITH_GRIPPERS if settings.equipment.grippers else CLEARANCE_PAIRS
+    return pairs + _obstacle_pairs(settings) if settings.obstacles else pairs
 
 
 @lru_cache(maxsize=32)
@@ -86,10 +97,10 @@ def compose_clearance(settings: SceneSettings) -> str:
     It has the arms' joints in the cell's order and no visuals, contacts, actuators or gravity, so that one `forward` up
     to the position stage gives all distances. Sensor i is the signed distance in m of the collision geoms
     `clearance_pairs(settings)[i]`, negative when they overlap, at most `CLEARANCE_CUTOFF_M`. From the wrists to the
-    table it is that of the spheres around their capsules: never more than the capsules' own distance, and up to 12.5 mm
-    less where a wrist lies across. The fingers are the box that holds both at any opening; to all but the table and the
-    other gripper it is the capsule around this box, up to 36 mm nearer. A gripper has its whole mass, with its fingers
-    half open.
+    table and to boxes it is that of the spheres around their capsules: never more than the capsules' own distance, and
+    up to 12.5 mm less where a wrist lies across. The fingers are the box that holds both at any opening; to all but the
+    table, boxes, planes and the other gripper it is the capsule around this box, up to 36 mm nearer. A gripper has its
+    whole mass, with its fingers half open.
 
     Args:
         settings: the cell; `gains` and `meshes` do not matter.
@@ -113,15 +124,14 @@ def compose_clearance(settings: SceneSettings) -> str:
     for name in ("contact", "gravity", "constraint", "actuation"):
         setattr(root.option.flag, name, "disable")
     document = document_of(root)
+    add_obstacles(document, settings.obstacles)
+    add_hulls(document)
     sensors = child_of(document, "sensor")
+    shapes = {"table": "box"} | {geom_name(each): each.kind for each in settings.obstacles}
     for geom1, geom2 in clearance_pairs(settings):
+        first, second = _measured(geom1, geom2, shapes)
         ET.SubElement(
-            sensors,
-            "distance",
-            name=f"{geom1}:{geom2}",
-            geom1=_measured(geom1, geom2),
-            geom2=_measured(geom2, geom1),
-            cutoff=repr(CLEARANCE_CUTOFF_M),
+            sensors, "distance", name=f"{geom1}:{geom2}", geom1=first, geom2=second, cutoff=repr(CLEARANCE_CUTOFF_M)
         )
     return text_of(document)
 
@@ -143,14 +153,27 @@ def _ball(name: str) -> str:
     return f"{name}_ball"
 
 
-def _measured(geom: str, other: str) -> str:
-    """The geom that stands in for one of a pair."""
-    part = geom.split("/")[-1]
-    if part in _ROUND and other == "table":
-        return _ball(geom)
-    if part == "fingers" and other.split("/")[-1] not in ("table", *_GRIPPER):
-        return f"{geom}_round"
-    return geom
+def _measured(geom: str, other: str, shapes: Mapping[str, str]) -> tuple[str, str]:
+    """The geoms that stand in for a pair: a part of an arm, and another or what stands in the cell.
+
+    Args:
+        geom: The part of an arm.
+        other: The other.
+        shapes: Those of all boxes and of all obstacles, by name.
+    """
+    (part, part2), shape = (each.split("/")[-1] for each in (geom, other)), shapes.get(other)
+    if shape is None:
+        return _without_corners(geom, part2), _without_corners(other, part)
+    if part == "fingers":
+        return (f"{geom}_round" if shape == "capsule" else geom), other
+    if shape != "box":
+        return geom, other
+    return (_ball(geom), other) if part in _ROUND else (geom, hull_name(other))
+
+
+def _without_corners(geom: str, other_part: str) -> str:
+    """The fingers' capsule in place of their box, except to the other gripper."""
+    return f"{geom}_round" if geom.endswith("/fingers") and other_part not in _GRIPPER else geom
 
 
 def _add_balls(frame: Any) -> None:

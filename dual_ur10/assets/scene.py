@@ -28,6 +28,8 @@ from dual_ur10.assets.clearance_model import (
 from dual_ur10.assets.gripper import FORCE_N, MASS_KG, OPENING_M, SPEED_M_S, TCP_M
 from dual_ur10.assets.gripper_looks import draw_grippers
 from dual_ur10.assets.meshes import use_meshes
+from dual_ur10.assets.obstacle_geoms import add_obstacles
+from dual_ur10.assets.obstacles import Box, Capsule, Obstacle, Plane
 from dual_ur10.assets.prop_looks import draw_prop
 from dual_ur10.assets.props import (
     BAR_LENGTH_M,
@@ -88,7 +90,11 @@ __all__ = [
     "TABLE_THICKNESS_M",
     "TCP_M",
     "ArmMount",
+    "Box",
+    "Capsule",
     "Equipment",
+    "Obstacle",
+    "Plane",
     "SceneSettings",
     "actuator_names",
     "build_clearance_model",
@@ -138,6 +144,7 @@ def compose(settings: SceneSettings, *, drawn: bool = True) -> str:
         for arm in ARMS:
             strip(root.find("attachment_frame", arm))
     document = document_of(root)
+    add_obstacles(document, settings.obstacles)
     _add_flange_sensors(document)
     if settings.equipment.grippers:
         _add_wrench_sensors(document)

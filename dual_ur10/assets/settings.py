@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
+from dual_ur10.assets.checks import numbers
+from dual_ur10.assets.obstacles import Obstacle, checked
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.ur10 import ARMS, NOMINAL_DH, DHParameters, constant
 
@@ -40,17 +42,6 @@ HOME_Q_RAD: Final = constant([_HOME, _HOME])
 """(2, 6) rad: flanges 0.75 m in front of the bases and 0.4 m above them, at (0, ±0.6, 0.4) with default mounts."""
 
 
-def _numbers(name: str, values: Any, length: int) -> tuple[Any, ...]:
-    """Plain finite floats, so that equal settings hash alike."""
-    try:
-        numbers = tuple(float(value) for value in values)
-    except (TypeError, ValueError):
-        numbers = ()
-    if len(numbers) != length or not all(map(math.isfinite, numbers)):
-        raise SettingsError(f"{name} must be {length} finite number{'s' * (length > 1)}, found {values!r}")
-    return numbers
-
-
 @dataclass(frozen=True)
 class ArmMount:
     """Where one arm stands.
@@ -69,8 +60,8 @@ class ArmMount:
     dh: DHParameters = NOMINAL_DH
 
     def __post_init__(self) -> None:
-        position = _numbers("mount position_m", self.position_m, 3)
-        (yaw,) = _numbers("mount yaw_rad", (self.yaw_rad,), 1)
+        position = numbers("mount position_m", self.position_m, 3)
+        (yaw,) = numbers("mount yaw_rad", (self.yaw_rad,), 1)
         if max(map(abs, position)) > _MAX_MOUNT_M or position[2] < FLOOR_Z_M:
             raise SettingsError(
                 f"mount position_m is {position}: each coordinate must be within ±{_MAX_MOUNT_M} m and z not below "
@@ -116,7 +107,7 @@ class Equipment:
                 f"welded=True with grippers={self.grippers} and prop={self.prop!r}: only grippers that hold the bar "
                 "can be welded, so set grippers=True and prop='bar'"
             )
-        (force,) = _numbers("grip_force_n", (self.grip_force_n,), 1)
+        (force,) = numbers("grip_force_n", (self.grip_force_n,), 1)
         if not GRIP_FORCE_N[0] <= force <= GRIP_FORCE_N[1]:
             raise SettingsError(
                 f"grip_force_n is {force:.6g}: must be within {GRIP_FORCE_N[0]:.0f} to {GRIP_FORCE_N[1]:.0f} N"
@@ -137,10 +128,11 @@ class SceneSettings:
         table_center_m: (2,) x, y of the table's centre; its top is at z = 0.
         table_size_m: (2,) length along x and width along y.
         equipment: grippers, and what there is to handle.
+        obstacles: what else stands there: [obstacles][dual_ur10.assets.obstacles], with different names.
 
     Raises:
-        SettingsError: A number is not finite or out of range, the bases stand closer than 0.3 m to each other, or a
-            base stands inside the table.
+        SettingsError: A number is not finite or out of range, obstacles have the same name, the bases stand closer than
+            0.3 m to each other, or a base stands inside the table.
         UnknownNameError: `gains` is no name of a gain set.
     """
 
@@ -152,15 +144,16 @@ class SceneSettings:
     table_center_m: tuple[float, float] = (0.0, 0.0)
     table_size_m: tuple[float, float] = (1.0, 1.8)
     equipment: Equipment = Equipment()
+    obstacles: tuple[Obstacle, ...] = ()
 
     def __post_init__(self) -> None:
-        (timestep,) = _numbers("timestep_s", (self.timestep_s,), 1)
+        (timestep,) = numbers("timestep_s", (self.timestep_s,), 1)
         if not 0.0 < timestep <= 0.02:
             raise SettingsError(f"timestep_s is {timestep:.6g}: must be above 0 and at most 0.02 s")
         if self.gains not in tuple(GAINS):
             raise UnknownNameError("gains", str(self.gains), tuple(GAINS))
-        center = _numbers("table_center_m", self.table_center_m, 2)
-        size = _numbers("table_size_m", self.table_size_m, 2)
+        center = numbers("table_center_m", self.table_center_m, 2)
+        size = numbers("table_size_m", self.table_size_m, 2)
         if min(size) < 0.1 or max(size) > 2 * _MAX_MOUNT_M or max(map(abs, center)) > _MAX_MOUNT_M:
             raise SettingsError(
                 f"table of {size} m at {center} m: sides must be 0.1 to {2 * _MAX_MOUNT_M} m long and the centre "
@@ -168,6 +161,7 @@ class SceneSettings:
             )
         if not isinstance(self.equipment, Equipment):
             raise SettingsError(f"equipment must be Equipment, found {type(self.equipment).__name__}")
+        object.__setattr__(self, "obstacles", checked(self.obstacles))
         object.__setattr__(self, "timestep_s", timestep)
         object.__setattr__(self, "table_center_m", center)
         object.__setattr__(self, "table_size_m", size)

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from dual_ur10.assets.props import BAR_WIDTH_M, GRIP_DISTANCE_M, GRIP_QUAT
 from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
 from dual_ur10.envs.carry_path import MOVES, CarryPath
-from dual_ur10.envs.frames import Frames
 from dual_ur10.envs.holding import flanges_of
 from dual_ur10.envs.poses import Poses, after, yawed
 from dual_ur10.envs.task import check_numbers
 from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError
 from dual_ur10.forward_kinematics import elbow_and_flange
+from dual_ur10.frames import Frames
 from dual_ur10.kinematics import try_nearest
 from dual_ur10.rotations import quat_conjugate, quat_to_matrix, rotate
 from dual_ur10.sim2real.limits import MotionLimits

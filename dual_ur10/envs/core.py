@@ -11,14 +11,16 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from dual_ur10.envs.mujoco_cell import MujocoCell
+from dual_ur10.envs.cells import check_for_controllers, make_cell
 from dual_ur10.envs.options import split_keywords
 from dual_ur10.envs.randomization import on_top, resolve_randomization
 from dual_ur10.envs.sensing import Sensing
 from dual_ur10.envs.task import Task, Timing, task_settings
-from dual_ur10.errors import ClosedError, ResetNeededError, UnknownNameError
-from dual_ur10.sim2real.adapter import ServojAdapter
-from dual_ur10.sim2real.cell import CellState, resolve_cell
+from dual_ur10.errors import ActionError, ClosedError, DualUR10Error, ResetNeededError, UnknownNameError
+from dual_ur10.recording.hook import RecordHook
+from dual_ur10.recording.rows import RunRecorder
+from dual_ur10.sim2real.adapter import Command, ServojAdapter
+from dual_ur10.sim2real.cell import Cell, CellState, resolve_cell
 from dual_ur10.sim2real.clearance import Clearance
 from dual_ur10.sim2real.gate import SafetyGate, Verdict
 from dual_ur10.sim2real.pipeline import ServojPipeline
@@ -119,12 +121,15 @@ class Core:
         keywords: Those of every environment, `dual_ur10.envs.options.EnvOptions`, and the task's own.
         n: Number of cells.
         threads: Threads to step on; None: as many as there are processors.
+        autoreset: Whether episodes will begin without anybody asking for it.
 
     Raises:
         SettingsError: Or one of its kinds: a value is not legal. Nothing is left behind.
     """
 
-    def __init__(self, task: str, keywords: Mapping[str, Any], *, n: int = 1, threads: int | None = None) -> None:
+    def __init__(
+        self, task: str, keywords: Mapping[str, Any], *, n: int = 1, threads: int | None = None, autoreset: bool = False
+    ) -> None:
         task_type = load_task(task)
         self.options, own = split_keywords(keywords)
         options = self.options
@@ -134,7 +139,7 @@ class Core:
         config = resolve_cell(options.cell).furnished(need.equipment, need.timestep_s, need.gains)
         limits = config.capped(task_type.limits)
         ticks = config.servoj.ticks_per_action(options.policy_rate_hz)
-        latency = options.action_latency_ticks
+        latency = options.latency_ticks(config)
         mounts = (config.left, config.right)
         adapter = ServojAdapter(
             config.servoj,
@@ -146,14 +151,22 @@ class Core:
             compensate_lag=options.compensate_lag,
             dh=[mount.dh for mount in mounts],
             yaw_rad=[mount.yaw_rad for mount in mounts],
+            speed_factor=config.speed_factor,
         )
         self.n, self.config = n, config
+        randomized = not self._randomization.is_none
+        check_for_controllers(config, n, autoreset=autoreset, randomized=randomized)
         threads = threads or min(n, os.cpu_count() or 1)
         clearance = Clearance(
-            config.scene, n=n, threads=threads, minimum_m=config.minimum_clearance_m, closer=need.closer
+            config.scene,
+            n=n,
+            threads=threads,
+            minimum_m=config.minimum_clearance_m,
+            closer=need.closer,
+            uncertainty=config.uncertainty,
         )
         gate = SafetyGate(limits, config.servoj.tick_s, ticks, clearance, n=n)
-        self.pipeline = ServojPipeline(adapter, gate)
+        self.pipeline = ServojPipeline(adapter, gate, held=options.held_arm)
         period_s = adapter.period_s
         timing = Timing(period_s, period_s + latency * config.servoj.tick_s)
         self.task = task_type(settings, config, timing, n)
@@ -162,9 +175,21 @@ class Core:
         self._terms = [f"reward/{name}" for name in task_type.weights]
         rows = np.arange(n)
         clearance.check_start(self.task.start(rows, [np.random.default_rng(0) for _ in rows]).q_rad, rows)
-        self.cell: MujocoCell | None = MujocoCell(
-            config, ticks, n=n, threads=threads, latency_ticks=latency, varied=self._randomization.varied
+        self.cell: Cell | None = make_cell(
+            config,
+            options,
+            ticks,
+            n,
+            threads=threads,
+            limits=limits,
+            clearance=clearance,
+            varied=self._randomization.varied,
+            coupled=task_type.coupled,
         )
+        self._hook: RecordHook | None = None
+        self.recorder: RunRecorder | None = None
+        if options.record is not None or config.file is not None:
+            self._begin_record(task, keywords, ticks)
         self._state: CellState | None = None
         self._sensing = Sensing(config, self._randomization, period_s, n)
         self._plant = config.perturbation.expanded(n)
@@ -183,13 +208,14 @@ class Core:
         return self.task.timing
 
     def reset(
-        self, rngs: Sequence[np.random.Generator], rows: Rows | None = None
+        self, rngs: Sequence[np.random.Generator], rows: Rows | None = None, *, seed: int | None = None
     ) -> tuple[Array, dict[str, NDArray[Any]]]:
         """Begin new episodes.
 
         Args:
             rngs: One generator per cell to reset.
             rows: The cells to reset; None: all.
+            seed: That the generator comes from, to be recorded; None: it goes on.
 
         Returns:
             Observations of all cells, (n, size), and `info`.
@@ -197,6 +223,8 @@ class Core:
         cell = self._open()
         rows = np.arange(self.n) if rows is None else rows
         self._state = None  # should anything fail from here on, the episode must be begun again
+        if self._hook is not None:
+            self._hook.resetting(rngs, seed)
         start = self.task.start(rows, rngs)
         drawn = {} if self._randomization.is_none else self._randomization.draw(rngs)
         seeds = [int(rng.integers(2**31)) for rng in rngs]
@@ -204,6 +232,7 @@ class Core:
         self.pipeline.reset(start.q_rad, rows, start.gripper_m)
         plant = on_top({name: value[rows] for name, value in self._plant.items()}, drawn)
         state = cell.reset(start, rows, seeds=seeds, perturbation=plant)
+        self._go_on_from_rest(cell, start.gripper_m)
         self._sensing.reset(state, rows, seeds, drawn)
         sensed = state if self._sensing.is_exact else self._sensing.begun(state)
         observation = self.task.observe(sensed, self.task.measure(sensed), self.pipeline.adapter.commanded_q_rad)
@@ -216,6 +245,8 @@ class Core:
         randomized = {**start.drawn, **drawn}
         if randomized:
             info["randomization"] = {name: _spread(value, rows, self.n) for name, value in randomized.items()}
+        if self._hook is not None:
+            self._hook.reset(self._observation, state, info.get("randomization", {}))
         return self._observation.copy(), info
 
     def step(self, action: object) -> Step:
@@ -231,8 +262,13 @@ class Core:
         cell = self._open()
         if self._state is None:
             raise ResetNeededError("step was called before the first reset: call reset() first")
-        command, verdicts = self.pipeline(action)
-        self._state = state = cell.advance(command._replace(payload_kg=self.task.payload_kg()))
+        try:
+            command, verdicts = self.pipeline(action)
+        except ActionError as error:
+            cell.stop(f"the policy's action was refused: {error}")
+            raise
+        self._state = state = self._advance(cell, command._replace(payload_kg=self.task.payload_kg()))
+        self._go_on_from_rest(cell, None if command.gripper_m is None else command.gripper_m[:, -1])
         measured = self.task.measure(state)
         outcome = self.task.evaluate(state, measured)
         terms = np.add.reduce(outcome.terms, axis=1) / 2
@@ -254,7 +290,22 @@ class Core:
             measured = measured if self._sensing.keeps_poses else self.task.measure(state)
         self._observation = observation = self.task.observe(state, measured, self.pipeline.adapter.commanded_q_rad)
         self.agents = agents = Agents(self.task, observation, outcome.terms, self._weights)
-        return Step(observation.copy(), reward, terminated, outcome.over, info, verdicts, state.failed, agents)
+        if np.logical_or.reduce(terminated | outcome.over):
+            cell.finish()
+        step = Step(observation.copy(), reward, terminated, outcome.over, info, verdicts, state.failed, agents)
+        if self._hook is not None:
+            self._hook.step(action, command, step, self._state, PHYSICS_ERROR if state.failed[0] else "")
+        return step
+
+    def _go_on_from_rest(self, cell: Cell, gripper_m: Array | None) -> None:
+        """Where the arms rest and not where the pipeline has led them, it goes on from there."""
+        if cell.rested_q_rad is not None:
+            self.pipeline.reset(cell.rested_q_rad, gripper_m=gripper_m)
+
+    def stop(self, reason: str) -> None:
+        """Stop the arms for good, because of who commands them. In simulation there is nothing to stop."""
+        if self.cell is not None:
+            self.cell.stop(reason)
 
     def _measurements(self, state: CellState) -> dict[str, NDArray[Any]]:
         return {"q_rad": state.q_rad.copy(), "flange_m": state.flange_m.copy()}
@@ -263,13 +314,55 @@ class Core:
         """MuJoCo's model and data of one cell, to be drawn."""
         return self._open().model_and_data(row)
 
-    def close(self) -> None:
-        """Release the simulation. May be called twice."""
-        if self.cell is not None:
-            self.cell.close()
-        self.cell = None
+    def _advance(self, cell: Cell, command: Command) -> CellState:
+        """A control period of the cell. That arms were stopped is recorded."""
+        recorder = self.recorder
+        if recorder is not None and recorder.failure and self.options.record_failure == "stop":
+            cell.stop(f"the run is not recorded any more: {recorder.failure}")
+        try:
+            return cell.advance(command)
+        except DualUR10Error as error:
+            if recorder is not None:
+                recorder.event("fault", str(error))
+            raise
 
-    def _open(self) -> MujocoCell:
+    def _begin_record(self, task: str, keywords: Mapping[str, Any], ticks: int) -> None:
+        from dual_ur10.envs.records import recorder_of
+
+        cell = self._open()
+        try:
+            self.recorder = recorder_of(task, keywords, self.options, self.config, cell, ticks)
+            if self.recorder is not None:
+                self.record(self.recorder)
+        except BaseException:
+            cell.close()
+            raise
+
+    def note(self, kind: str, text: str) -> None:
+        """Write an event into the record of this run, if there is one."""
+        if self.recorder is not None:
+            self.recorder.event(kind, text)
+
+    def record(self, recorder: RunRecorder) -> None:
+        """Let `recorder` take note of every episode from the next reset on. It is the caller's to close.
+
+        Raises:
+            SettingsError: There are several cells.
+        """
+        self._hook = RecordHook(recorder, self._open())
+
+    def close(self) -> None:
+        """Release the cell, and end the record. May be called twice."""
+        try:
+            if self.cell is not None:
+                self.cell.close()
+        finally:
+            self.cell = None
+            recorder, self.recorder, self._hook = self.recorder, None, None
+            if recorder is not None:
+                recorder.close()
+
+    def _open(self) -> Cell:
         if self.cell is None:
             raise ClosedError("the environment was closed: make a new one")
         return self.cell

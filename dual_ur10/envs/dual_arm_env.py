@@ -78,7 +78,7 @@ class DualArmEnv(gym.Env[Any, Array]):
             raise SettingsError(f"reset takes no options, found {sorted(options)}: set keywords at gym.make")
         super().reset(seed=seed)
         self._terminated = False
-        state, info = self.core.reset([self.np_random])
+        state, info = self.core.reset([self.np_random], seed=seed)
         observation = self._observer.begin(state, _ROW)
         if self.render_mode == "human":
             self.render()

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from dual_ur10.assets.gripper import OPENING_M, TCP_M
 from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.scene import HOME_Q_RAD, Equipment
-from dual_ur10.envs.frames import Frames
 from dual_ur10.envs.handover_settings import GRIPS, MEETING_M, HandoverSettings, check_reach, lying
 from dual_ur10.envs.handover_stages import STAGES, STILL_M_S, WIDTH_M, Facts, Hand, advance, passed, terms
 from dual_ur10.envs.holding import PICKING, between, given, holds, tools
 from dual_ur10.envs.poses import Poses, length, seen_from
 from dual_ur10.envs.task import Furnishing, Outcome, Task, Timing, slower
+from dual_ur10.frames import Frames
 from dual_ur10.rotations import cross, rotate
 from dual_ur10.sim2real.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.limits import REACH_FROM_JOINT_M, MotionLimits

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from dual_ur10.assets.props import BLOCK_GRIP_QUAT, BLOCK_SIZE_M
 from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
-from dual_ur10.envs.frames import Frames
 from dual_ur10.envs.holding import flanges_of
 from dual_ur10.envs.poses import Poses, after, yawed
 from dual_ur10.envs.task import check_numbers
 from dual_ur10.errors import UnknownNameError, WorkspaceError
+from dual_ur10.frames import Frames
 from dual_ur10.kinematics import try_nearest
 from dual_ur10.rotations import quat_multiply, quat_to_matrix
 from dual_ur10.ur10 import ARMS

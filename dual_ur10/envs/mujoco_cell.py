@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from dual_ur10.envs.physics import Physics
 from dual_ur10.envs.reference import ServojReference, TargetDelay
-from dual_ur10.errors import ClosedError
+from dual_ur10.errors import ClosedError, SettingsError
+from dual_ur10.recording.rows import Trace
 from dual_ur10.sim2real.adapter import Command
 from dual_ur10.sim2real.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.command_queue import CommandQueue
@@ -46,6 +47,7 @@ class MujocoCell:
         varied: Collection[str] = (),
     ) -> None:
         self.config, self.ticks, self.n = config, ticks, n
+        self.rested_q_rad: Array | None = None
         self.threads = threads
         self.steps = ticks * config.substeps
         self._queue = CommandQueue(n, latency_ticks)
@@ -58,6 +60,7 @@ class MujocoCell:
         self._delayed = late
         self._uneven = "lookahead_scale" in varied or len(np.unique(self._values["lookahead_scale"])) > 1
         self._physics: Physics | None = Physics(config, n, threads)
+        self._trace: Trace | None = None
         self._perturb(np.arange(n))
 
     def _perturb(self, rows: Rows) -> None:
@@ -98,6 +101,7 @@ class MujocoCell:
         self._delay.reset(q, rows, [0] * len(rows) if seeds is None else seeds)
         self._reference.reset(q, rows)
         self._elapsed[rows] = 0
+        self._trace = None
         return physics.state(self._elapsed * self._tick_s, moved=False)
 
     def advance(self, command: Command) -> CellState:
@@ -113,9 +117,46 @@ class MujocoCell:
         targets = command.targets_rad
         if self._delayed:
             targets = self._delay(targets)
-        physics.advance(self._reference(targets), command.gripper_m, command.payload_kg)
+        motion = self._reference(targets)
+        physics.advance(motion, command.gripper_m, command.payload_kg)
+        if physics.tracing:
+            self._trace = self._traced(command.targets_rad, *motion[:2])
         self._elapsed += self.ticks * ~physics.failed
         return physics.state(self._elapsed * self._tick_s, moved=True)
+
+    def record(self) -> None:
+        """From now on, let `trace` tell of every control period what a record of a run holds.
+
+        Raises:
+            SettingsError: There are several cells.
+        """
+        if self.n != 1:
+            raise SettingsError(f"{self.n} cells are stepped together: only one alone can be recorded")
+        self._open.tracing = True
+
+    @property
+    def trace(self) -> Trace | None:
+        """What happened in the last call of `advance`; None: it is not kept, or there was none since the reset."""
+        return self._trace
+
+    def integration_state(self) -> bytes:
+        """All that MuJoCo needs to go on from here with the first cell."""
+        return self._open.integration_state(0)
+
+    def _traced(self, targets: Array, before: Array, speed: Array) -> Trace:
+        """Of a single cell, from the targets that went out and what the law made of them."""
+        substeps = self.config.substeps
+        end = before[:, -1:] + speed[:, -1:] * (self.config.servoj.tick_s / substeps)
+        after = np.concatenate([before, end], axis=1)[0, substeps::substeps]
+        trace = self._open.trace
+        q, qd = (each[0, substeps - 1 :: substeps].copy() for each in trace) if trace else (np.zeros(0), np.zeros(0))
+        return Trace(targets[0].copy(), after.reshape(-1, 2, 6), q, qd)
+
+    def finish(self) -> None:
+        """Nothing moves that is not stepped."""
+
+    def stop(self, reason: str) -> None:
+        """Nothing moves that is not stepped."""
 
     def model_and_data(self, row: int) -> tuple[Any, Any]:
         """MuJoCo's model and data of one cell, to be drawn: the same objects at every call, brought up to date."""

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import os
+from collections.abc import Callable, Mapping
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.sim2real.adapter import ActionMode
+from dual_ur10.sim2real.cell import CellConfig
+from dual_ur10.ur10 import ARMS
 
 DEFAULT_RATE_HZ = 25.0
 
@@ -25,11 +28,12 @@ class EnvOptions:
         SettingsError: `cameras` names none, or one twice; or a value is of the wrong kind.
 
     Attributes:
-        cell: "mujoco" or a `dual_ur10.sim2real.cell.CellConfig`.
+        cell: "mujoco", a `dual_ur10.sim2real.cell.CellConfig`, or the path of a cell file: two controllers.
         policy_rate_hz: Actions per second. The period must be a whole number of controller ticks (8 ms on a CB3).
         action_mode: "joint_delta", "joint_position" or "tcp_delta"; see `dual_ur10.sim2real.adapter.ServojAdapter`.
         action_latency_ticks: Ticks from an observation to the first target of its action. 0 is an ideal machine;
-            a policy meant for real arms should be developed with the latency it will have.
+            a policy meant for real arms should be developed with the latency it will have. None: 0 in simulation, and
+            the ticks of 40 ms on two controllers.
         compensate_lag: Whether the adapter takes the lag of `servoj` out.
         randomization: What differs from episode to episode: a name of
             `dual_ur10.envs.randomization.PRESETS`, a mapping of single values, or a `Randomization`.
@@ -40,12 +44,19 @@ class EnvOptions:
         camera: Camera of `render`, of the same names.
         width, height: Size of images in pixels, those of `render` and those observed.
         shadows: Draw shadows and reflections; see `dual_ur10.envs.rendering.Renderer`.
+        confirm: On two controllers, asked with a text before the arms go to where an episode begins; True lets them.
+            None: an emulated cell needs nobody, and for real arms somebody at the terminal is asked.
+        arm: "left" or "right": on two controllers, the one that moves while the other stays where it is. None: both.
+        record: Folder in which a folder with the record of this run is made; None: no record. On two controllers, the
+            last ten seconds before a stop are kept in any case.
+        record_failure: What to do on two controllers when the record cannot be written any more, because the disk is
+            full: "go on", which is logged, or "stop".
     """
 
     cell: object = "mujoco"
     policy_rate_hz: float = DEFAULT_RATE_HZ
     action_mode: ActionMode = "joint_delta"
-    action_latency_ticks: int = 0
+    action_latency_ticks: int | None = None
     compensate_lag: bool = True
     randomization: object = "none"
     observation: ObservationKind = "state"
@@ -55,6 +66,10 @@ class EnvOptions:
     width: int = 640
     height: int = 480
     shadows: bool = False
+    confirm: Callable[[str], bool] | None = None
+    arm: str | None = None
+    record: str | os.PathLike[str] | None = None
+    record_failure: Literal["go on", "stop"] = "go on"
 
     def __post_init__(self) -> None:
         for name in ("compensate_lag", "shadows"):
@@ -63,6 +78,14 @@ class EnvOptions:
         for name in ("policy_rate_hz", "action_latency_ticks", "width", "height"):
             if isinstance(getattr(self, name), bool):
                 raise SettingsError(f"{name} is {getattr(self, name)!r}: it must be a number")
+        if self.confirm is not None and not callable(self.confirm):
+            raise SettingsError(f"confirm is {self.confirm!r}: it must be a function that is given a text, or None")
+        if self.arm is not None and self.arm not in ARMS:
+            raise UnknownNameError("arm", str(self.arm), [*ARMS, "None"])
+        if self.record is not None and not isinstance(self.record, str | os.PathLike):
+            raise SettingsError(f"record is {self.record!r}: it must be the path of a folder, or None")
+        if self.record_failure not in ("go on", "stop"):
+            raise UnknownNameError("record_failure", str(self.record_failure), ["go on", "stop"])
         if not isinstance(self.action_mode, str):
             raise UnknownNameError("action mode", str(self.action_mode), get_args(ActionMode))
         if self.observation not in get_args(ObservationKind):
@@ -73,6 +96,15 @@ class EnvOptions:
         if not cameras or len(set(cameras)) < len(cameras):
             raise SettingsError(f"cameras are {cameras!r}: name at least one, and each once")
         object.__setattr__(self, "cameras", cameras)
+
+    @property
+    def held_arm(self) -> int | None:
+        """Number of the arm that stays where it is, if one does."""
+        return None if self.arm is None else 1 - ARMS.index(self.arm)
+
+    def latency_ticks(self, cell: CellConfig) -> int:
+        """The action's latency in this cell."""
+        return cell.latency_ticks if self.action_latency_ticks is None else self.action_latency_ticks
 
 
 OPTION_NAMES = tuple(each.name for each in dataclasses.fields(EnvOptions))

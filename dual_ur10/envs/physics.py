@@ -33,7 +33,12 @@ class Physics:
 
     Attributes:
         failed: (n,) rows whose physics diverged. They stay where they were last well until they are reset.
+        tracing: Whether `advance` keeps where the arms were after every physics step.
+        trace: Of the last `advance`: positions and speeds of the joints, (n, steps, 2, 6) each; None: not kept.
     """
+
+    tracing = False
+    trace: tuple[Array, Array] | None = None
 
     def __init__(self, config: CellConfig, n: int, threads: int) -> None:
         self.config, self.n, self.threads = config, n, threads
@@ -68,6 +73,16 @@ class Physics:
         self._plant = Plant(self._batch, scene, dofs)
         self._feedforward = FeedForward(scene, n, self.threads)
         self._drawn: tuple[Any, Any] | None = None
+
+    def _joints(self, values: Array) -> Array:
+        """Of what is recorded after every physics step, that of the arms' joints."""
+        joints = 8 if self._handling is not None else 6
+        return values[..., : 2 * joints].reshape(*values.shape[:-1], 2, joints)[..., :6]
+
+    def integration_state(self, row: int) -> bytes:
+        """All that MuJoCo needs to go on from here with one cell: `mjSTATE_INTEGRATION`, as float64."""
+        state: bytes = self._batch.state[row].tobytes()
+        return state
 
     @property
     def model(self) -> Any:
@@ -122,7 +137,9 @@ class Physics:
             SettingsError: The command is for grippers, and the cell has none.
         """
         control = self._control(motion, gripper_m, payload_kg)
-        self._batch.rollout(control.shape[1], control, record=())
+        record = self._batch.rollout(control.shape[1], control, record=("qpos", "qvel") if self.tracing else ())
+        if self.tracing:
+            self.trace = self._joints(record["qpos"]), self._joints(record["qvel"])
         if self._handling is not None:
             self._handling.feel()
         if np.logical_or.reduce(self._warnings, axis=None) or np.logical_or.reduce(self.failed):

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.envs.frames import Frames
 from dual_ur10.envs.randomization import Randomization
+from dual_ur10.frames import Frames
 from dual_ur10.rotations import quat_from_rotvec, quat_multiply
 from dual_ur10.sim2real.cell import CellConfig, CellState
 

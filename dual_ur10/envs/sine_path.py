@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
-from dual_ur10.envs.frames import to_base
 from dual_ur10.envs.task import check_numbers
 from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError
+from dual_ur10.frames import to_base
 from dual_ur10.kinematics import try_nearest
 from dual_ur10.rotations import quat_from_rotvec, quat_to_matrix
 from dual_ur10.sim2real.clearance import Clearance
@@ -127,7 +127,13 @@ def _vectors(values: object) -> Array:
 
 
 @lru_cache(maxsize=64)
-def check_path(settings: SineSettings, scene: SceneSettings, limits: MotionLimits, minimum_clearance_m: float) -> None:
+def check_path(
+    settings: SineSettings,
+    scene: SceneSettings,
+    limits: MotionLimits,
+    minimum_clearance_m: float,
+    uncertainty: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0)),
+) -> None:
     """Refuse a sine that the arms cannot follow, at any centre that an episode may draw.
 
     Raises:
@@ -153,7 +159,7 @@ def check_path(settings: SineSettings, scene: SceneSettings, limits: MotionLimit
     beyond = _OVERSHOOT * (_SAMPLES - 1) / 2
     ends = [postures[k] + beyond * (postures[k] - postures[inner]) for k, inner in ((0, 1), (-1, -2))]
     flat = np.concatenate([postures, np.stack(ends)]).reshape(-1, 12)
-    clearance = Clearance(scene, n=len(flat), minimum_m=minimum_clearance_m)
+    clearance = Clearance(scene, n=len(flat), minimum_m=minimum_clearance_m, uncertainty=uncertainty)
     close = np.flatnonzero(~clearance.is_clear(flat))
     if close.size:
         pair, distance, allowed = clearance.worst(flat[close[0]])

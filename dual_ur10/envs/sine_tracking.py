@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.scene import HOME_Q_RAD
-from dual_ur10.envs.frames import Frames
 from dual_ur10.envs.sine_path import CENTER_RANGE_M, TOOL_DOWN_QUAT, SineSettings, check_path
 from dual_ur10.envs.task import Outcome, Task, Timing, gaussian
+from dual_ur10.frames import Frames
 from dual_ur10.kinematics import nearest
 from dual_ur10.rotations import quat_conjugate, quat_multiply, quat_to_matrix
 from dual_ur10.sim2real.cell import CellConfig, CellState, Start
@@ -161,7 +161,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         arm = np.repeat([6.5, 10.0, 6.5, 2.0, 1.01, 10.0, 10.0, 2.01], [6, 6, 6, 3, 4, 3, 3, 3])
         self.observation_bound = np.tile(arm, 2)
         mounts = (cell.left, cell.right)
-        check_path(settings, cell.scene, self.limits, cell.minimum_clearance_m)
+        check_path(settings, cell.scene, self.limits, cell.minimum_clearance_m, cell.uncertainty)
         frames = Frames(mounts)
         self._base_m, self._to_base = frames.base_m, frames.rotation
         # Pose of the other flange in each arm's `base`, (14,), from the numbers of both arms.

@@ -14,10 +14,10 @@ from dual_ur10.assets.props import BAR_MASS_KG, BAR_WIDTH_M
 from dual_ur10.assets.scene import HOME_Q_RAD, Equipment
 from dual_ur10.envs.carry_path import CarryPath
 from dual_ur10.envs.carry_settings import CarrySettings, bar_pose, ideal_relative, path_rate
-from dual_ur10.envs.frames import Frames
 from dual_ur10.envs.holding import PICKING, flanges_of, given, holds, tools
 from dual_ur10.envs.poses import Poses, after, angle, length, seen_from
 from dual_ur10.envs.task import Furnishing, Outcome, Task, Timing, gaussian
+from dual_ur10.frames import Frames
 from dual_ur10.kinematics import nearest
 from dual_ur10.rotations import quat_to_matrix, rotate
 from dual_ur10.sim2real.cell import CellConfig, CellState, Start
@@ -208,6 +208,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     """
 
     name: ClassVar[str] = "SyncCarry"
+    coupled: ClassVar[bool] = True
     limits: MotionLimits = MotionLimits(
         speed_rad_s=(1.0,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.0
     )

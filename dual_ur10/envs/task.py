@@ -85,6 +85,7 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         limits: What the arms may do in this task, in simulation and in reality; of an object, as far as its cell
             allows it.
         weights: Weight of each reward term, by its name.
+        coupled: Whether both arms hold one object between them.
         stages: Names of the stages that `info["stage"]` counts, if there are any; 0 is before the first.
         settings_type: Dataclass of what the user may set.
         observation_bound: (size,) largest magnitude of each number of an observation.
@@ -101,6 +102,7 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
     limits: MotionLimits
     weights: ClassVar[Mapping[str, float]]
     stages: ClassVar[tuple[str, ...]] = ()
+    coupled: ClassVar[bool] = False
     settings_type: ClassVar[type[Any]]
     observation_bound: Array
     agent_bound: Array

@@ -70,7 +70,8 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
             raise UnknownNameError("autoreset mode", str(autoreset_mode), values)
         self.num_envs, self.render_mode = num_envs, render_mode
         self.autoreset_mode, self._max_steps = AutoresetMode(autoreset_mode), max_episode_steps
-        self.core = Core(task, keywords, n=num_envs, threads=threads)
+        autoreset = self.autoreset_mode != AutoresetMode.DISABLED
+        self.core = Core(task, keywords, n=num_envs, threads=threads, autoreset=autoreset)
         self._observer = Observer(self.core)
         self.single_action_space, self.single_observation_space = self.core.action_space, self._observer.space
         self.action_space = batch_space(self.single_action_space, num_envs)

@@ -46,7 +46,7 @@ def load(name: str, env_id: str, **keywords: Any) -> Policy:
     options, own = split_keywords(keywords)
     config = resolve_cell(options.cell)
     period_s = config.servoj.ticks_per_action(options.policy_rate_hz) * config.servoj.tick_s
-    timing = Timing(period_s, period_s + options.action_latency_ticks * config.servoj.tick_s)
+    timing = Timing(period_s, period_s + options.latency_ticks(config) * config.servoj.tick_s)
     own = {key: own[key] for key in own if key in {each.name for each in dataclasses.fields(task.settings_type)}}
     settings = resolve_randomization(options.randomization).spread(task_settings(task, own), own)
     module, attribute = _SCRIPTED[task.name].split(":")

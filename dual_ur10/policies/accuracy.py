@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.envs.frames import to_base
 from dual_ur10.envs.sine_path import TOOL_DOWN_QUAT
 from dual_ur10.errors import SettingsError
+from dual_ur10.frames import to_base
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.policies.rollout import Record
 from dual_ur10.rotations import quat_to_matrix

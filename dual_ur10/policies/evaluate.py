@@ -143,7 +143,12 @@ def _run(
             if isinstance(actor, EpisodeAware):
                 rows = np.flatnonzero(fresh)
                 actor.begin(rows, [seeds[current[row]] for row in rows.tolist()])
-        action = np.asarray(actor(observation), dtype=kind)
+        try:
+            action = np.asarray(actor(observation), dtype=kind)
+        except Exception as error:
+            # On real arms, nothing may go on without it.
+            env.unwrapped.core.stop(f"the policy failed: {type(error).__name__}: {error}")
+            raise
         observation, reward, terminated, truncated, info = env.step(action)
         tally.add(reward, info)
         fresh = terminated | truncated

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.scene import HOME_Q_RAD, ArmMount
-from dual_ur10.envs.frames import Frames
 from dual_ur10.envs.handover_settings import APPROACH_M, GRIPS, MEETING_M, laid_quat, presented_quat
 from dual_ur10.envs.holding import flanges_of
 from dual_ur10.envs.poses import Poses, after, seen_from
+from dual_ur10.frames import Frames
 from dual_ur10.kinematics import nearest
 from dual_ur10.policies.free_motion import FreeMotion, Waypoint
 from dual_ur10.rotations import quat_to_matrix, rotate

@@ -84,6 +84,10 @@ def rollout(
         policy: What acts. It is reset first.
         seed: Of the environment's reset.
         on_step: Called with `info` after every step.
+
+    Raises:
+        DualUR10Error: What the environment raises; and whatever the policy does, after which arms that are not
+            simulated are stopped for good.
     """
     observation, _ = env.reset(seed=seed)
     policy.reset()
@@ -92,7 +96,13 @@ def rollout(
     kept: dict[str, list[Any]] = {name: [] for name in _KEPT}
     over, info = False, {}
     while not over:
-        observation, reward, terminated, truncated, info = env.step(np.asarray(policy(observation), dtype=kind))
+        try:
+            action = np.asarray(policy(observation), dtype=kind)
+        except Exception as error:
+            # On real arms, nothing may go on without it.
+            env.unwrapped.core.stop(f"the policy failed: {type(error).__name__}: {error}")
+            raise
+        observation, reward, terminated, truncated, info = env.step(action)
         rewards.append(float(reward))
         for name, rows in kept.items():
             if name in info:

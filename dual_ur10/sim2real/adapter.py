@@ -20,6 +20,7 @@ from dual_ur10.rotations import quat_from_rotvec, quat_to_matrix
 from dual_ur10.sim2real import path
 from dual_ur10.sim2real.limiter import Limiter
 from dual_ur10.sim2real.limits import HISTORY, Envelope, MotionLimits
+from dual_ur10.sim2real.pace import between
 from dual_ur10.sim2real.servoj import ServojLaw, ServojProfile
 from dual_ur10.ur10 import NOMINAL_DH, DHParameters
 
@@ -41,6 +42,9 @@ TCP_TURN_RAD_S = 0.5
 """Turning speed of the flange at action 1 of `tcp_delta`: the first speed that is safe to try on a real arm."""
 
 _MANY_TICKS = 5  # from so many targets per period on, they show what the path does
+
+_STIFF = 2.5  # gain times a tick squared, from which on targets show the arm's acceleration better than the law does
+_PARTS = 8  # of a tick, in which the law is looked at where time is slowed down
 
 _GOAL_MARGIN_RAD = 1e-3  # goals stay this far inside the range that the limiter enforces
 
@@ -86,6 +90,8 @@ class ServojAdapter:
         compensate_lag: Send targets ahead by the law's inverse, so that the arms do not lag.
         dh: The arms' kinematics, for "tcp_delta".
         yaw_rad: Turn of each base about the vertical, for "tcp_delta".
+        speed_factor: How fast the time of targets passes in real time. At 0.25 a second of the task takes four, in
+            which the controllers' law does four times as much.
     """
 
     def __init__(
@@ -100,6 +106,7 @@ class ServojAdapter:
         compensate_lag: bool = True,
         dh: Sequence[DHParameters] = (NOMINAL_DH, NOMINAL_DH),
         yaw_rad: Sequence[float] = (0.0, 0.0),
+        speed_factor: float = 1.0,
     ) -> None:
         goals: dict[str, Callable[[Array], Array]] = {
             "joint_delta": self._joint_delta,
@@ -110,7 +117,10 @@ class ServojAdapter:
             raise UnknownNameError("action mode", str(mode), get_args(ActionMode))
         self.profile, self.limits, self.ticks, self.n = profile, limits.narrowed(JOINT_MARGIN_RAD), ticks, n
         self.mode, self.gripper, self.compensate_lag, self.dh = mode, gripper, compensate_lag, tuple(dh)
-        self.period_s = ticks * profile.tick_s
+        self.period_s, self.speed_factor = ticks * profile.tick_s, speed_factor
+        # The law as it is in the time of the targets.
+        self._law = ServojLaw(profile.lookahead_s * speed_factor, profile.gain / speed_factor**2)
+        self._lead_s = profile.tick_s * speed_factor / 2 if compensate_lag else 0.0
         self.envelope = Envelope(self.limits, profile.tick_s, ticks)
         self._limiter = Limiter(self.envelope)
         self._goal = goals[mode]
@@ -135,14 +145,13 @@ class ServojAdapter:
 
     def _plan(self, meeting: path.Meeting) -> Array:
         """A period as a matrix on the state: targets, where the path then is, and the limited quantities."""
-        profile, ticks, tick_s = self.profile, self.ticks, self.profile.tick_s
+        ticks, tick_s = self.ticks, self.profile.tick_s
         # Held for a tick, a target acts half a tick late on average: it is taken half a tick ahead.
-        lead_s = tick_s / 2 if self.compensate_lag else 0.0
-        times_s = np.arange(ticks, dtype=np.float64) * tick_s + lead_s
+        times_s = np.arange(ticks, dtype=np.float64) * tick_s + self._lead_s
         rows = path.path(self.period_s, times_s, meeting)
         targets = rows.position
         if self.compensate_lag:
-            targets = targets + profile.lookahead_s * rows.speed + rows.acceleration / profile.gain
+            targets = targets + self._law.lookahead_s * rows.speed + rows.acceleration / self._law.gain
         window = np.zeros((HISTORY + ticks, HISTORY + path.VALUES))
         window[:HISTORY, :HISTORY] = np.eye(HISTORY)
         window[HISTORY:, HISTORY:] = targets
@@ -152,7 +161,7 @@ class ServojAdapter:
 
     def _acceleration(self, meeting: path.Meeting) -> Array:
         """Share of the acceleration limit that the path itself uses between targets, as a matrix on the state."""
-        lookahead_s = self.profile.lookahead_s if self.compensate_lag else 0.0
+        lookahead_s = self._law.lookahead_s if self.compensate_lag else 0.0
         step_s = self.period_s / 8
         times: Array = np.arange(9.0) * step_s
         rows = path.path(self.period_s, times, meeting)
@@ -167,18 +176,24 @@ class ServojAdapter:
         With compensation that is where the law leads the arm, without it where the next target would be. Acceleration
         and jerk are those with which the next targets continue the last ones.
         """
-        profile, ticks, tick_s = self.profile, self.ticks, self.profile.tick_s
+        law, ticks, tick_s = self._law, self.ticks, self.profile.tick_s
         width = HISTORY + ticks
         reached = np.zeros((4, width + 2))
         if self.compensate_lag:
-            response = ServojLaw(profile.lookahead_s, profile.gain).response(tick_s, ticks, 1)[-1]
-            reached[:2, HISTORY:width], reached[:2, width:] = response[:, 2:], response[:, :2]
-            # The last target was taken half a tick before the end of its tick: go on from it by a parabola.
+            seen = self._seen_by_the_law()
+            response = law.response(tick_s * ticks / len(seen), len(seen), 1)[-1]
+            reached[:2, :width], reached[:2, width:] = response[:, 2:] @ seen, response[:, :2]
+            # The last target was taken so many ticks before the end of its tick: go on from it by a parabola.
+            after = 1.0 - self._lead_s / tick_s
             last = slice(width - 3, width)
-            reached[2, last] = np.array([3.0, -10.0, 15.0]) * (profile.gain / 8)
-            reached[2] -= profile.gain * (reached[0] + profile.lookahead_s * reached[1])
-            reached[3, last] = np.array([1.0, -3.0, 2.0]) * (profile.gain / tick_s)
-            reached[3] -= profile.gain * (reached[1] + profile.lookahead_s * reached[2])
+            if law.gain * tick_s**2 > _STIFF:
+                # What the law makes of a target is at it within a tick: its acceleration cannot be told from that.
+                reached[2, last] = np.array([1.0, -2.0, 1.0]) / tick_s**2
+                return reached
+            reached[2, last] = _parabola(after) * law.gain
+            reached[2] -= law.gain * (reached[0] + law.lookahead_s * reached[1])
+            reached[3, last] = np.array([after + 0.5, -2.0 * after - 2.0, after + 1.5]) * (law.gain / tick_s)
+            reached[3] -= law.gain * (reached[1] + law.lookahead_s * reached[2])
         else:
             # The last target was taken a whole tick before the end of the period: go on from it by a parabola.
             last = slice(width - 3, width)
@@ -186,6 +201,25 @@ class ServojAdapter:
             reached[1, last] = np.array([1.5, -4.0, 2.5]) / tick_s
             reached[2, last] = np.array([1.0, -2.0, 1.0]) / tick_s**2
         return reached
+
+    def _seen_by_the_law(self) -> Array:
+        """What the law is given in equal parts of a period, (parts, width), as a matrix on the window of targets.
+
+        At full speed that is each target for a tick. Slowed down, it is a curve through them, held for a control period
+        each time: that is late by half of it.
+        """
+        ticks, width = self.ticks, HISTORY + self.ticks
+        rows = np.eye(width + 2, width)
+        rows[width:, -3:] = _parabola(1.0), _parabola(2.0)  # the next targets are not known yet
+        late = self._lead_s / self.profile.tick_s
+        parts = 1 if self.speed_factor == 1.0 else _PARTS
+        times = HISTORY + (np.arange(ticks * parts) + 0.5) / parts - late
+        seen = np.empty((ticks * parts, width))
+        for row, time in zip(seen, times, strict=True):
+            below = int(time)
+            before, start, stop, following = rows[below - 1 : below + 3]
+            row[:] = between(before, start, stop, following, time - below)
+        return seen
 
     @property
     def action_size(self) -> int:
@@ -294,3 +328,8 @@ class ServojAdapter:
             return None
         opening = (np.clip(action[..., 6], -1.0, 1.0) + 1.0) * (GRIPPER_OPENING_M / 2)
         return np.repeat(opening[:, None], self.ticks, axis=1)
+
+
+def _parabola(after: float) -> Array:
+    """(3,) weights of three values, with which a parabola through them is so many steps after the last."""
+    return np.array([after * (after + 1.0) / 2, -after * (after + 2.0), (after + 1.0) * (after + 2.0) / 2])

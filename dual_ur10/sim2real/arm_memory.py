@@ -1,30 +1,35 @@
-"""Memory that an arm's process shares with the program whose policy moves it.
-
-Targets go one way and what happened to them the other, without locks: each number has one writer, and a counter is
-written after what it counts.
-"""
+"""Memory that an arm's process shares with those who give it targets, watch it and record it."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import IntEnum
-from multiprocessing.shared_memory import SharedMemory
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import SettingsError
+from dual_ur10.sim2real.arm_status import ROW_SIZE, ArmStatus
+from dual_ur10.sim2real.pace import between
+from dual_ur10.sim2real.shared_block import Layout, SharedBlock
 
 Array = NDArray[np.float64]
 
-RING: Final = 1024
-"""Targets that are kept: eight seconds at 125 Hz, two at 500 Hz."""
+RING: Final = 4096
+"""Targets, sendings and states that are kept: half a minute at 125 Hz, eight seconds at 500 Hz."""
 
 _TEXT: Final = 1024
-_WRITTEN, _SENT, _PHASE, _STOP, _SKIPPED, _BEGUN = range(6)
-_INTS: Final = 16
-_FLOATS: Final = 16
-_BEGIN_S = 0
+_END, _SENT, _PHASE, _STOP, _SKIPPED, _STATES = range(6)
+_BEAT_S = 0
+_LAYOUT: Final[Layout] = {
+    "ints": (np.int64, (16,)),
+    "floats": (np.float64, (16,)),
+    "targets": (np.float64, (RING, 6)),
+    "sent": (np.float64, (RING, 10)),
+    "states": (np.float64, (RING, ROW_SIZE)),
+    "text": (np.uint8, (_TEXT,)),
+}
 
 
 class Phase(IntEnum):
@@ -38,8 +43,31 @@ class Phase(IntEnum):
     FAULTED = 5
 
 
+@dataclass(frozen=True)
+class Sent:
+    """Targets that were sent, oldest first.
+
+    Attributes:
+        period: (k,) control periods since the first target's.
+        index: (k,) which target it was; between two, where time is slowed down.
+        sent_s: (k,) when, on the clock of `time.monotonic`.
+        late_s: (k,) by how much too late.
+        target_rad: (k, 6).
+    """
+
+    period: Array
+    index: Array
+    sent_s: Array
+    late_s: Array
+    target_rad: Array
+
+
 class ArmMemory:
     """The memory of one arm.
+
+    Targets have numbers from 0 on. What lies ahead of the one that is sent may be written again: a motion is written
+    together with the brake that ends it, and the next one is written over that brake. Behind the last target the arm
+    rests at it.
 
     Args:
         name: Of memory that exists; None: it is made, and belongs to this object.
@@ -49,43 +77,38 @@ class ArmMemory:
     """
 
     def __init__(self, name: str | None = None) -> None:
-        size = 8 * (_INTS + _FLOATS + RING * 8) + _TEXT
-        self._owner = name is None
-        self._memory: SharedMemory | None = SharedMemory(name, create=self._owner, size=size)
-        self.name = self._memory.name
-        buffer = self._memory.buf
-        if buffer is None or len(buffer) < size:
-            raise SettingsError(f"shared memory {self.name} is no arm's: it is too small")
-        self._ints: NDArray[np.int64] = np.frombuffer(buffer, np.int64, _INTS)
-        at = 8 * _INTS
-        self._floats: Array = np.frombuffer(buffer, np.float64, _FLOATS, at)
-        at += 8 * _FLOATS
-        self._targets: Array = np.frombuffer(buffer, np.float64, RING * 6, at).reshape(RING, 6)
-        at += 8 * RING * 6
-        self._sent_s: Array = np.frombuffer(buffer, np.float64, RING, at)
-        at += 8 * RING
-        self._lateness_s: Array = np.frombuffer(buffer, np.float64, RING, at)
-        at += 8 * RING
-        self._text: NDArray[np.uint8] = np.frombuffer(buffer, np.uint8, _TEXT, at)
+        self._block = SharedBlock(_LAYOUT, name)
+        self.name = self._block.name
+        self._view()
+
+    def _view(self) -> None:
+        self._ints: NDArray[np.int64] = self._block["ints"]
+        self._floats: Array = self._block["floats"]
+        self._targets: Array = self._block["targets"]
+        self._sent: Array = self._block["sent"]
+        self._states: Array = self._block["states"]
 
     # Written by the program.
 
-    def put(self, targets_rad: Array) -> None:
-        """Add targets, (ticks, 6), behind those that are there.
+    def put(self, first: int, targets_rad: Array) -> None:
+        """Write targets `first`, `first` + 1, ..., (k, 6), and make the last of them the end.
+
+        If `first` lies behind the end, the last target is repeated until then: that is where the arm has rested.
 
         Raises:
-            SettingsError: There is no room: they would take the place of some that have not been sent.
+            SettingsError: There is nothing to repeat, or there is no room for so many.
         """
-        written, count = int(self._ints[_WRITTEN]), len(targets_rad)
-        if written + count - int(self._ints[_SENT]) > RING:
-            raise SettingsError(f"{count} targets do not fit: {RING} are kept, and those before have not been sent yet")
-        self._targets[np.arange(written, written + count) % RING] = targets_rad
-        self._ints[_WRITTEN] = written + count
-
-    def begin(self, at_s: float) -> None:
-        """Let target 0 be sent in the first control period after this time of the monotonic clock."""
-        self._floats[_BEGIN_S] = at_s
-        self._ints[_BEGUN] = 1
+        end, count = int(self._ints[_END]), len(targets_rad)
+        if first < 0 or not count or (first and not end):
+            raise SettingsError(f"{count} targets from number {first} on do not go on from the {end} that are there")
+        if count > RING // 2:
+            raise SettingsError(f"{count} targets do not fit: {RING // 2} is the most at once")
+        if first > end:
+            between = np.arange(max(end, first - RING // 2), first)
+            self._targets[between % RING] = self._targets[(end - 1) % RING].copy()
+            self._ints[_END] = first  # the arm rests there, and not where the ring is written next
+        self._targets[np.arange(first, first + count) % RING] = targets_rad
+        self._ints[_END] = first + count
 
     def stop(self) -> None:
         """Ask for a stop: the arm comes to rest, and its program ends."""
@@ -93,25 +116,36 @@ class ArmMemory:
 
     # Written by the arm's process.
 
-    def note_sent(self, tick: int, at_s: float, lateness_s: float) -> None:
+    def note_sent(self, period: int, index: float, at_s: float, late_s: float, target_rad: Array) -> None:
         """A target was sent."""
-        self._sent_s[tick % RING], self._lateness_s[tick % RING] = at_s, lateness_s
-        self._ints[_SENT] = tick + 1
+        count = int(self._ints[_SENT])
+        row = self._sent[count % RING]
+        row[:4] = period, index, at_s, late_s
+        row[4:] = target_rad
+        self._ints[_SENT] = count + 1
 
     def note_skipped(self, count: int) -> None:
-        """So many targets were not sent, because their time had passed."""
+        """So many control periods got no target, because their time had passed."""
         self._ints[_SKIPPED] += count
+
+    def note_state(self, status: ArmStatus) -> None:
+        """The controller has told its state."""
+        count = int(self._ints[_STATES])
+        self._states[count % RING] = status.row()
+        self._ints[_STATES] = count + 1
+
+    def beat(self, now_s: float) -> None:
+        """The process lives."""
+        self._floats[_BEAT_S] = now_s
 
     def enter(self, phase: Phase, text: str = "") -> None:
         """Go on to another phase, and say why; never back to one before."""
         if phase > self._ints[_PHASE]:
             if text:
-                line = text.encode()[: _TEXT - 1]
-                self._text[: len(line)] = np.frombuffer(line, np.uint8)
-                self._text[len(line)] = 0
+                self._block.set_text("text", text)
             self._ints[_PHASE] = phase
 
-    # Read by both.
+    # Read by all.
 
     @property
     def phase(self) -> Phase:
@@ -121,13 +155,12 @@ class ArmMemory:
     @property
     def text(self) -> str:
         """Why the last phase was entered."""
-        line = self._text.tobytes()
-        return line[: line.index(0)].decode("utf-8", "replace") if 0 in line else ""
+        return self._block.text("text")
 
     @property
-    def begin_s(self) -> float | None:
-        """When target 0 is to be sent; None: not yet."""
-        return float(self._floats[_BEGIN_S]) if self._ints[_BEGUN] else None
+    def beat_s(self) -> float:
+        """When the process last showed that it lives; 0: not yet."""
+        return float(self._floats[_BEAT_S])
 
     @property
     def stop_asked(self) -> bool:
@@ -135,39 +168,62 @@ class ArmMemory:
         return bool(self._ints[_STOP])
 
     @property
-    def written(self) -> int:
-        """Targets that were put here."""
-        return int(self._ints[_WRITTEN])
+    def end(self) -> int:
+        """Number behind the last target."""
+        return int(self._ints[_END])
 
     @property
-    def sent(self) -> int:
-        """Number of the next target to be sent."""
+    def sent_count(self) -> int:
+        """How many targets were sent."""
         return int(self._ints[_SENT])
 
     @property
+    def state_count(self) -> int:
+        """How many states were told."""
+        return int(self._ints[_STATES])
+
+    @property
     def skipped(self) -> int:
-        """Targets that were not sent, because their time had passed."""
+        """Control periods without a target, because their time had passed."""
         return int(self._ints[_SKIPPED])
 
-    def target(self, tick: int) -> Array:
-        """A target, (6,)."""
-        target: Array = self._targets[tick % RING].copy()
-        return target
+    def target(self, index: float) -> Array:
+        """The target at a number, (6,); between two, on a smooth way through them; beyond either end, the one there.
 
-    def timing(self) -> tuple[Array, Array]:
-        """When the last targets were sent, and by how much too late, oldest first; at most `RING`."""
-        sent = self.sent
-        ticks = np.arange(max(0, sent - RING), sent) % RING
-        return self._sent_s[ticks].copy(), self._lateness_s[ticks].copy()
+        Raises:
+            SettingsError: There are none.
+        """
+        last = self.end - 1
+        if last < 0:
+            raise SettingsError("there are no targets")
+        index = max(index, 0.0)
+        below = int(index)
+        share = index - below
+        if share == 0.0 or below >= last:
+            target: Array = self._targets[min(below, last) % RING].copy()
+            return target
+        numbers = np.clip(np.arange(below - 1, below + 3), 0, last)
+        before, start, stop, after = self._targets[numbers % RING]
+        return between(before, start, stop, after, share)
+
+    def sent(self, since: int = 0) -> tuple[Sent, int]:
+        """What was sent from number `since` on, as far as it is kept, and the number that comes next."""
+        count = self.sent_count
+        rows = self._sent[np.arange(max(since, count - RING + 1, 0), count) % RING]
+        return Sent(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3], rows[:, 4:]), count
+
+    def states(self, since: int = 0) -> tuple[Array, int]:
+        """States from number `since` on, rows of `ArmStatus.row`, as far as they are kept; and the next number."""
+        count = int(self._ints[_STATES])
+        return self._states[np.arange(max(since, count - RING + 1, 0), count) % RING], count
+
+    @property
+    def status(self) -> ArmStatus | None:
+        """The newest state; None: none has come yet."""
+        count = int(self._ints[_STATES])
+        return ArmStatus.from_row(self._states[(count - 1) % RING]) if count else None
 
     def close(self) -> None:
-        """Let go of the memory; who made it removes it. May be called twice."""
-        memory, self._memory = self._memory, None
-        if memory is None:
-            return
-        self._ints, self._floats = np.zeros(_INTS, np.int64), np.zeros(_FLOATS)
-        self._targets, self._sent_s, self._lateness_s = np.zeros((RING, 6)), np.zeros(RING), np.zeros(RING)
-        self._text = np.zeros(_TEXT, np.uint8)
-        memory.close()
-        if self._owner:
-            memory.unlink()
+        """Let go of the memory. May be called twice."""
+        self._block.close()
+        self._view()

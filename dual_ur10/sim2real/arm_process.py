@@ -6,11 +6,10 @@ block for seconds. None of that must reach the other arm.
 
 from __future__ import annotations
 
-import multiprocessing
+import gc
 import os
 import time
 from dataclasses import dataclass
-from multiprocessing.process import BaseProcess
 from typing import Any, Final
 
 import numpy as np
@@ -19,6 +18,9 @@ from dual_ur10.errors import DualUR10Error, LinkError, MissingExtraError, Settin
 from dual_ur10.sim2real.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.arm_sender import ArmSender
 from dual_ur10.sim2real.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES
+from dual_ur10.sim2real.cell_memory import CellMemory
+from dual_ur10.sim2real.child import Child
+from dual_ur10.sim2real.priority import hasten
 from dual_ur10.sim2real.rtde_link import RtdeLink
 from dual_ur10.sim2real.servoj import ServojProfile
 
@@ -60,17 +62,23 @@ class ArmProcess:
     Args:
         connection: The arm.
         memory: Shared with it.
+        cell: Shared by all processes of the cell.
         others: Memories of the other arms.
+        watched: Whether there is a supervisor that must live.
     """
 
-    def __init__(self, connection: ArmConnection, memory: ArmMemory, others: tuple[ArmMemory, ...] = ()) -> None:
+    def __init__(
+        self,
+        connection: ArmConnection,
+        memory: ArmMemory,
+        cell: CellMemory,
+        others: tuple[ArmMemory, ...] = (),
+        *,
+        watched: bool = True,
+    ) -> None:
         self.connection, self.memory = connection, memory
-        context = multiprocessing.get_context("spawn")
-        names = tuple(other.name for other in others)
-        self.process: BaseProcess = context.Process(
-            target=main, args=(connection, memory.name, names, os.getpid()), name=f"{connection.name} arm", daemon=True
-        )
-        self.process.start()
+        names = (memory.name, cell.name, *(other.name for other in others))
+        self.process = Child(main, connection, names, os.getpid(), watched)
 
     def wait_until_ready(self, within_s: float = CONNECT_S) -> None:
         """Wait until the arm would take targets.
@@ -79,7 +87,7 @@ class ArmProcess:
             LinkError: It does not, within the time. Its process has ended.
         """
         end = time.monotonic() + within_s
-        while time.monotonic() < end and self.process.is_alive():
+        while time.monotonic() < end and self.process.is_alive:
             if self.memory.phase >= Phase.READY:
                 break
             time.sleep(0.005)
@@ -93,35 +101,30 @@ class ArmProcess:
 
     def wait(self, within_s: float) -> bool:
         """Wait for the end of the process. Returns whether it has come."""
-        self.process.join(within_s)
-        return not self.process.is_alive()
+        return self.process.wait(within_s)
 
     def kill(self) -> None:
         """End the process at once. The arm is stopped by the watchdog in its controller."""
         self.process.kill()
-        self.process.join()
 
 
-def main(connection: ArmConnection, memory_name: str, other_names: tuple[str, ...], parent: int) -> None:
+def main(connection: ArmConnection, names: tuple[str, ...], parent: int, watched: bool) -> None:
     """Run in the process of an arm."""
-    memory = ArmMemory(memory_name)
-    others = [ArmMemory(name) for name in other_names]
+    memory, cell, others = ArmMemory(names[0]), CellMemory(names[1]), [ArmMemory(name) for name in names[2:]]
     try:
-        _serve(connection, memory, others)
+        link = RtdeLink(connection.host, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES, name=connection.name)
+        _settle()
+        hasten(connection.rt_priority)
+        control = _control(connection)  # from here on the watchdog wants to be fed
+        _KEPT.append(control)
+        name, servoj = connection.name, connection.servoj
+        ArmSender(name, servoj, link, control, memory, cell, others, parent=parent, watched=watched).run()
     except DualUR10Error as error:
         memory.enter(Phase.FAULTED, f"{connection.name}: {error}")
     except Exception as error:  # whatever it is, the other arm and the program must hear of it
         memory.enter(Phase.FAULTED, f"{connection.name}: {type(error).__name__}: {error}")
     # At once: what ur_rtde has lost, it tries to reach again, and starts its script there anew.
     os._exit(0)
-
-
-def _serve(connection: ArmConnection, memory: ArmMemory, others: list[ArmMemory]) -> None:
-    link = RtdeLink(connection.host, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES, name=connection.name)
-    _hasten(connection.rt_priority)
-    control = _control(connection)  # from here on the watchdog wants to be fed
-    _KEPT.append(control)
-    ArmSender(connection.name, connection.servoj, link, control, memory, others).run()
 
 
 def _control(connection: ArmConnection) -> Any:
@@ -143,16 +146,9 @@ def _control(connection: ArmConnection) -> Any:
     return control
 
 
-def _hasten(priority: int) -> None:
-    import gc
-
+def _settle() -> None:
+    """What stands now stays: no collector is to look at it, and no arithmetic to warn of it, between two targets."""
     gc.collect()
     gc.freeze()
     gc.disable()
     np.seterr(all="ignore")
-    if priority:
-        try:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-        except OSError as error:
-            reason = f"rt_priority {priority} was refused by the system ({error})"
-            raise SettingsError(f"{reason}: allow it (rtprio in limits.conf), or set it to 0") from error

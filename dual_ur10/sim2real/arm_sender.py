@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import logging
+import os
 import select
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Final, Protocol
 
 import numpy as np
@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from dual_ur10.errors import LinkError
 from dual_ur10.sim2real.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.arm_status import ArmStatus, stop_reason
+from dual_ur10.sim2real.cell_memory import CellMemory
 from dual_ur10.sim2real.controller_clock import ControllerClock
+from dual_ur10.sim2real.drift import Drift
 from dual_ur10.sim2real.ramp import Ramp
 from dual_ur10.sim2real.rtde_link import RtdeLink
 from dual_ur10.sim2real.servoj import ServojProfile
-from dual_ur10.ur10 import HARD_SPEED_RAD_S, JOINT_RANGE_RAD
-
-log = logging.getLogger(__name__)
+from dual_ur10.sim2real.tracking import Following
+from dual_ur10.ur10 import ARMS, HARD_SPEED_RAD_S, JOINT_RANGE_RAD
 
 Array = NDArray[np.float64]
 
@@ -28,13 +29,14 @@ SHARE: Final = 0.5
 """Where in a control period a target is to arrive: as far as can be from where the controller looks for one."""
 
 STALE_S: Final = 0.1
-"""How long a controller's time may stand still before it counts as lost: that of MoveIt Servo's command timeout."""
+"""How long a controller's time, or another process, may stand still before it counts as lost: that of MoveIt Servo's
+command timeout."""
 
 START_GAP_RAD: Final = 0.02
 """How far the first target may be from where the arm is."""
 
 MOST_LATE_S: Final = 0.1
-"""How far the sending may fall behind before it is given up."""
+"""How far the sending may fall behind before it is given up: the watchdog in the controller waits as long."""
 
 _KICK_S: Final = 0.02
 _MOST_PERIODS: Final = 12  # that a ramp may have missed
@@ -63,6 +65,10 @@ class StopError(Exception):
     """Why the arm is to stop now. It does not leave this module."""
 
 
+class TargetError(StopError):
+    """The same, because of the targets: they are not to be gone by any more."""
+
+
 class ArmSender:
     """The loop of one arm's process.
 
@@ -72,8 +78,10 @@ class ArmSender:
         link: Tells the arm's state.
         control: Takes targets.
         memory: Where targets come from, and what is told of them.
+        cell: When to begin, how time passes, and whether there is a fault.
         others: Memories of the other arms: if one of them stops, so does this one.
-        status: Told of every state of the arm.
+        parent: Process that the targets come from; None: nobody looks.
+        watched: Whether there is a supervisor that must live.
     """
 
     def __init__(
@@ -83,27 +91,35 @@ class ArmSender:
         link: RtdeLink,
         control: Control,
         memory: ArmMemory,
+        cell: CellMemory,
         others: Sequence[ArmMemory] = (),
-        status: Callable[[ArmStatus], None] | None = None,
+        *,
+        parent: int | None = None,
+        watched: bool = True,
     ) -> None:
         self.name, self.servoj, self.link, self.control = name, servoj, link, control
-        self.memory, self.others, self._told = memory, others, status
+        self.memory, self.cell, self.others = memory, cell, others
+        self._parent, self._watched = parent, watched
         self.clock = ControllerClock(servoj.tick_s)
+        self._following = Following(servoj)
         self._sent: list[Array] = []
+        self._sent_s = 0.0
         self._kicked_s = 0.0
+        self._first = 0  # control period
         self._period = 0  # of the target that was sent last
+        self._index = 0.0  # its number
+        self._advance = 0.0  # numbers per control period
         self._rate: Array = np.zeros(6)  # per control period, of what was sent
         self._measured_rad: Array = np.full(6, np.nan)
 
     def run(self) -> None:
-        """Wait for the beginning, send targets, and come to rest when they end or anything is wrong."""
+        """Wait for the beginning, send targets, and come to rest when anything is wrong or a stop is asked for."""
         try:
             self._settle()
             self.memory.enter(Phase.READY)
-            first = self._wait_for_beginning()
-            self._stream(first)
+            self._stream(self._wait_for_beginning())
         except StopError as reason:
-            self._stop(str(reason))
+            self._stop(str(reason), on_path=not isinstance(reason, TargetError))
         except LinkError as error:
             # Nobody knows what the arm does: nothing more is sent, and the watchdog in the controller ends its program.
             self.memory.enter(Phase.FAULTED, f"{self.name}: {error}")
@@ -119,9 +135,8 @@ class ArmSender:
     def _wait_for_beginning(self) -> int:
         """Keep the watchdog quiet until it is known when to begin. Returns the first control period."""
         while True:
-            now = time.monotonic()
-            begin_s = self.memory.begin_s
-            if begin_s is not None and begin_s < now + _KICK_S:
+            now, begin_s = time.monotonic(), self.cell.begin_s
+            if 0.0 < begin_s < now + _KICK_S:
                 return self.clock.next_period(max(now, begin_s), SHARE)[0]
             self._kick()
             self._listen(now + self.servoj.tick_s)
@@ -132,49 +147,59 @@ class ArmSender:
         if now - self._kicked_s >= _KICK_S:
             self._kicked_s = now
             if not self.control.kickWatchdog():
-                raise StopError("its control script does not run any more")
+                raise StopError(
+                    "its control script does not run any more: it was stopped, or this machine is too busy to feed its "
+                    "watchdog"
+                )
 
     def _stream(self, first: int) -> None:
-        """Send target k in control period `first` + k."""
+        """Send in control period `first` + k the target that belongs to period k."""
         self.memory.enter(Phase.STREAMING)
-        tick = 0
+        self._first = first
+        drift = Drift(self.servoj.tick_s, self.clock.offset_s)
+        period = 0
         while True:
-            due = self.clock.moment(first + tick, SHARE)
-            self._listen(due)
-            late = time.monotonic() - self.clock.moment(first + tick, SHARE)
+            self._listen(self.clock.moment(first + period, SHARE))
+            late = time.monotonic() - self.clock.moment(first + period, SHARE)
             if late > MOST_LATE_S:
                 raise StopError(f"targets are sent {1e3 * late:.0f} ms late: this machine is too busy")
-            # What is too late for its period is left out: two targets in one period would be a jump.
-            passed = int(late / self.servoj.tick_s)
+            # What would come in the next period is left out: two targets in one period would be a jump.
+            passed = int(late / self.servoj.tick_s + SHARE)
             if passed > 0:
                 self.memory.note_skipped(passed)
-                tick += passed
-            if tick >= self.memory.written:
-                raise StopError("there are no more targets")
-            self._send(self.memory.target(tick), first + tick)
-            self.memory.note_sent(tick, time.monotonic(), late)
-            tick += 1
+                period += passed
+            index = self.cell.pace.at(period + drift(self.clock.offset_s, 1 + passed))
+            target = self.memory.target(index)
+            self._send(target, first + period, index)
+            self.memory.note_sent(period, index, self._sent_s, late, target)
+            period += 1
 
-    def _send(self, target_rad: Array, period: int) -> None:
+    def _send(self, target_rad: Array, period: int, index: float) -> None:
         periods = period - self._period if self._sent else 1
         self._check(target_rad, periods)
         self._rate = (target_rad - self._sent[-1]) / periods if self._sent else np.zeros(6)
-        self._sent, self._period = [target_rad], period
-        profile = self.servoj
-        if not self.control.servoJ(target_rad.tolist(), 0.0, 0.0, profile.tick_s, profile.lookahead_s, profile.gain):
+        self._advance = (index - self._index) / periods if self._sent else 0.0
+        self._sent, self._period, self._index = [target_rad], period, index
+        if not self._servo(target_rad):
             raise StopError("its control script takes no targets any more")
+        self._following.sent(target_rad, np.abs(self._rate) / self.servoj.tick_s)
+
+    def _servo(self, target_rad: Array) -> bool:
+        self._sent_s = time.monotonic()
+        profile = self.servoj
+        return self.control.servoJ(target_rad.tolist(), 0.0, 0.0, profile.tick_s, profile.lookahead_s, profile.gain)
 
     def _check(self, target_rad: Array, periods: int) -> None:
         """Let nothing out that no gate would: `ur_rtde` sends whatever it is given.
 
         Raises:
-            StopError: A number is not finite, out of the joint range, or too far from what was sent last, `periods`
+            TargetError: A number is not finite, out of the joint range, or too far from what was sent last, `periods`
                 control periods ago; or the first target is not where the arm is.
         """
         if not np.isfinite(target_rad).all():
-            raise StopError(f"a target is no finite numbers: {target_rad.tolist()}")
+            raise TargetError(f"a target is no finite numbers: {target_rad.tolist()}")
         if (np.abs(target_rad) > JOINT_RANGE_RAD).any():
-            raise StopError(f"a target is beyond the joint range: {target_rad.tolist()}")
+            raise TargetError(f"a target is beyond the joint range: {target_rad.tolist()}")
         if self._sent:
             away, most = np.abs(target_rad - self._sent[-1]), HARD_SPEED_RAD_S * self.servoj.tick_s * periods
         else:
@@ -182,7 +207,7 @@ class ArmSender:
         if not (away <= most * (1 + 1e-9)).all():
             joint = int((away / most).argmax())
             what = "the one before" if self._sent else "where the arm is"
-            raise StopError(
+            raise TargetError(
                 f"a target is {away[joint]:.4f} rad from {what} at joint {joint}: allowed are {most[joint]:.4f}"
             )
 
@@ -194,12 +219,10 @@ class ArmSender:
             LinkError: The controller is lost.
         """
         while True:
-            if self.memory.stop_asked:
-                raise StopError("a stop was asked for")
-            for other in self.others:
-                if other.phase >= Phase.STOPPING:
-                    raise StopError(f"the other arm stops: {other.text}")
-            left = until_s - time.monotonic()
+            now = time.monotonic()
+            self.memory.beat(now)
+            self._look_around(now)
+            left = until_s - now
             if left <= 0.0:
                 return
             select.select([self.link.fileno()], [], [], left)
@@ -207,20 +230,52 @@ class ArmSender:
                 self.clock.note(sample.timestamp_s, sample.arrival_s)
                 status = ArmStatus.from_sample(sample)
                 self._measured_rad = np.array(status.q_rad)
-                if self._told is not None:
-                    self._told(status)
-                reason = stop_reason(status, playing=playing)
+                self.memory.note_state(status)
+                reason = stop_reason(status, playing=playing) or self._following(status)
                 if reason is not None:
                     raise StopError(reason)
             age = self.link.age_s(time.monotonic())
             if age > STALE_S:
                 raise LinkError(f"the controller's time has stood still for {1e3 * age:.0f} ms; look at its network")
 
-    def _stop(self, reason: str) -> None:
-        """Bring the arm to rest, and end its program."""
+    def _look_around(self, now: float) -> None:
+        """See whether anybody else wants a stop, or is not there any more.
+
+        Raises:
+            StopError: So it is.
+        """
+        stop_asked = self.memory.stop_asked
+        if self.cell.fault:  # which comes before a stop is asked for
+            raise StopError(self.cell.fault)
+        if stop_asked:
+            raise StopError("a stop was asked for")
+        for other in self.others:
+            phase = other.phase
+            if phase >= Phase.STOPPING:
+                raise StopError(f"the other arm stops: {other.text}")
+            if phase == Phase.STREAMING and now - other.beat_s > STALE_S:
+                other_name = next(each for each in ARMS if each != self.name)
+                raise StopError(f"the process of the {other_name} arm does nothing any more")
+        if self._parent is not None and os.getppid() != self._parent:
+            raise StopError("the program that gives targets has ended")
+        if self._watched and self._sent and now - self.cell.watched_s > STALE_S:
+            raise StopError("the supervisor does nothing any more")
+
+    def _stop(self, reason: str, *, on_path: bool) -> None:
+        """Bring the arm to rest, and end its program.
+
+        Args:
+            reason: Why.
+            on_path: Whether it comes to rest on the way that its targets go on, as the other arm does, so that what
+                both hold is not torn; else straight on.
+        """
         self.memory.enter(Phase.STOPPING, f"{self.name}: {reason}")
+        if self._sent and time.monotonic() - self._sent_s > MOST_LATE_S:
+            # Its watchdog has ended the program by now: whatever is sent would come as a surprise.
+            self.memory.enter(Phase.FAULTED, f"{self.name}: {reason}")
+            return
         try:
-            self._come_to_rest()
+            self._come_to_rest(on_path=on_path)
             self.control.servoStop(_STOP_RAD_S2)
             self.control.stopScript()
         except (LinkError, RuntimeError) as error:
@@ -228,18 +283,34 @@ class ArmSender:
             return
         self.memory.enter(Phase.STOPPED, f"{self.name}: {reason}")
 
-    def _come_to_rest(self) -> None:
+    def _come_to_rest(self, *, on_path: bool) -> None:
         if not self._sent:
             return
-        last = self._sent[-1]
-        ramp, profile = Ramp(np.array([last - self._rate, last]), self.servoj.tick_s), self.servoj
-        period = self._period
+        tick_s, last = self.servoj.tick_s, self._sent[-1]
+        # Both arms slow down alike, as the faster one must.
+        speed = max([np.abs(self._rate).max() / tick_s, *(_speed(other, tick_s) for other in self.others)])
+        on_path = on_path and self._advance > 0.0
+        ramp = Ramp(np.array([[-speed * tick_s], [0.0]]), tick_s)
+        period, way = self._period, self._sent[-1]
         while not ramp.at_rest:
             number, due = self.clock.next_period(time.monotonic(), SHARE)
             time.sleep(max(0.0, due - time.monotonic()))
             # Time passes for the ramp, too, where a period has gone by without a target.
             for _ in range(min(max(1, number - period), _MOST_PERIODS)):
-                target = ramp().tolist()
-            period = number
-            if not self.control.servoJ(target, 0.0, 0.0, profile.tick_s, profile.lookahead_s, profile.gain):
+                gone = float(ramp()[0]) / (speed * tick_s)  # in control periods at the speed before
+            index = self._index + gone * self._advance if on_path else self._index
+            way = self.memory.target(index) if on_path else last + gone * self._rate
+            self._check(way, max(1, number - period))
+            period, self._sent = number, [way]
+            if not self._servo(way):
                 return  # the controller stopped it
+            self.memory.note_sent(number - self._first, index, self._sent_s, self._sent_s - due, way)
+
+
+def _speed(memory: ArmMemory, tick_s: float) -> float:
+    """Greatest joint speed of what an arm was sent last, rad/s."""
+    sent, _ = memory.sent(max(0, memory.sent_count - 2))
+    if len(sent.period) < 2:
+        return 0.0
+    periods = max(sent.period[-1] - sent.period[-2], 1.0)
+    return float(np.abs(sent.target_rad[-1] - sent.target_rad[-2]).max() / (periods * tick_s))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Final, Self
 
 from dual_ur10.sim2real.controller.modes import RobotBits, RobotMode, RuntimeState, SafetyBits, SafetyMode
@@ -122,6 +122,48 @@ class ArmStatus:
         found |= {field: values[name] for name, field in _OPTIONAL_FIELDS.items() if name in values}
         return cls(arrival_s=sample.arrival_s, **found)
 
+    def row(self) -> list[float]:
+        """All numbers in the order of `ROW`; NaN for what the controller does not say."""
+        row: list[float] = []
+        for name, size in ROW:
+            value = getattr(self, name)
+            if size == 1:
+                row.append(math.nan if value is None else float(value))
+            else:
+                row.extend((math.nan,) * size if value is None else value)
+        return row
+
+    @classmethod
+    def from_row(cls, row: Any) -> Self:
+        """The status of a row, as `row` makes it."""
+        numbers, found, at = list(map(float, row)), {}, 0
+        for name, size in ROW:
+            value: Any = numbers[at] if size == 1 else tuple(numbers[at : at + size])
+            if name in _WHOLE:
+                value = int(value)
+            elif name in _OPTIONAL_FIELDS.values() and math.isnan(numbers[at]):
+                value = None
+            found[name] = value
+            at += size
+        return cls(**found)
+
+
+_SIX: Final = (
+    *("q_rad", "qd_rad_s", "target_q_rad", "tcp_pose", "tcp_speed", "tcp_force"),
+    *("current_a", "temperature_c", "joint_voltage_v", "tcp_offset"),
+)
+_WHOLE: Final = frozenset(
+    ["robot_mode", "safety_mode", "robot_bits", "safety_bits", "runtime_state", "digital_inputs", "digital_outputs"]
+)
+
+ROW: Final = tuple(
+    (each.name, 6 if each.name in _SIX else 3 if each.name == "payload_cog_m" else 1) for each in fields(ArmStatus)
+)
+"""Names of a status's values, and how many numbers each is."""
+
+ROW_SIZE: Final = sum(size for _, size in ROW)
+"""Numbers of a status."""
+
 
 _STOPPING_BITS: Final = {
     SafetyBits.PROTECTIVE_STOPPED: "protective stop",
@@ -170,8 +212,8 @@ def stop_reason(status: ArmStatus, *, allow_reduced: bool = False, playing: bool
         return f"robot status bits 0x{status.robot_bits:x}: freedrive button pressed"
     if playing and status.runtime_state != RuntimeState.PLAYING:
         return f"program state {name_of(RuntimeState, status.runtime_state)}"
-    if not all(map(math.isfinite, (*status.q_rad, *status.qd_rad_s, status.speed_scaling))):
-        return "joint angles, joint speeds or speed scaling that are no finite numbers"
+    if not all(map(math.isfinite, (*status.q_rad, *status.qd_rad_s, status.slider, status.speed_scaling))):
+        return "joint angles, joint speeds, slider or speed scaling that are no finite numbers"
     return None
 
 

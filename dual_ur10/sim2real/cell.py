@@ -5,27 +5,34 @@ A cell knows nothing of tasks. The simulated cell is `dual_ur10.envs.mujoco_cell
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, Protocol, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dual_ur10.assets.obstacles import Obstacle
 from dual_ur10.assets.scene import CLEARANCE_CUTOFF_M, ArmMount, Equipment, SceneSettings
 from dual_ur10.errors import RateError, SettingsError, UnknownNameError
+from dual_ur10.sim2real import base_uncertainty
 from dual_ur10.sim2real.adapter import Command
 from dual_ur10.sim2real.clearance import MINIMUM_M
 from dual_ur10.sim2real.limits import MotionLimits
 from dual_ur10.sim2real.servoj import ServojProfile
+
+if TYPE_CHECKING:
+    from dual_ur10.sim2real.cell_file import CellFile
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 Numbers = float | Array | tuple[Any, ...]
 
-CellKind = Literal["mujoco"]
+CellKind = Literal["mujoco", "emulated", "real"]
 
 LEAST_DAMPING = 0.3
 """Damping of the servoj law below which the arms swing beyond what the gate checks of their targets.
@@ -33,6 +40,9 @@ LEAST_DAMPING = 0.3
 Measured with random actions: with 0.34 and more, true distances stay above 19.7 mm where 20 mm are demanded of the
 targets; with 0.15 arms touch, and one is three times as fast as its targets.
 """
+
+LATENCY_S = 0.04
+"""Action latency on two controllers where none is said: enough for a policy of 25 ms in Python on a busy machine."""
 
 LEAST_CAP = 0.01
 """Smallest speed cap of a cell, rad/s or m/s."""
@@ -96,15 +106,38 @@ class Start(NamedTuple):
 
 
 class Cell(Protocol):
-    """Two arms behind one interface: simulated, emulated or real."""
+    """Two arms behind one interface: simulated, emulated or real.
+
+    Attributes:
+        n: Number of cells.
+        rested_q_rad: (n, 2, 6) where the arms have come to rest in the last period instead of doing what was commanded,
+            because that came too late; None: they have not.
+    """
 
     n: int
+    rested_q_rad: Array | None
 
-    def reset(self, start: Start, rows: Rows | None = None) -> CellState:
+    def reset(
+        self,
+        start: Start,
+        rows: Rows | None = None,
+        *,
+        seeds: Sequence[int] | None = None,
+        perturbation: Mapping[str, Array] | None = None,
+    ) -> CellState:
         """Bring all cells, or `rows` of them, to where an episode begins."""
 
     def advance(self, command: Command) -> CellState:
         """Send the targets of one control period, and return the state at its end."""
+
+    def finish(self) -> None:
+        """An episode has ended: no more targets come. Arms that do not stand come to rest."""
+
+    def stop(self, reason: str) -> None:
+        """Stop both arms for good, because of who commands them."""
+
+    def model_and_data(self, row: int) -> tuple[Any, Any]:
+        """MuJoCo's model and data of one cell, to be drawn."""
 
     def close(self) -> None:
         """Release everything. May be called twice."""
@@ -218,7 +251,7 @@ class CellConfig:
     """A cell, as given to `gym.make(..., cell=...)`.
 
     Attributes:
-        kind: "mujoco", the simulated cell.
+        kind: "mujoco", the simulated cell; "emulated" or "real", two controllers of which a cell file says all.
         left, right: Where each arm stands, and its kinematics.
         servoj: Controller family and servoj settings of both arms.
         timestep_s: Physics step; it must divide the controller's tick. None: what the task needs.
@@ -228,6 +261,13 @@ class CellConfig:
         meshes: Draw real meshes, if the package example-robot-data is installed.
         speed_rad_s: Joint speed that no task's targets may exceed here; None: as the task says.
         tcp_speed_m_s: Speed of flange and elbow that no task's targets may exceed here; None: as the task says.
+        acceleration_rad_s2, jerk_rad_s3: Likewise of the joints.
+        speed_factor: How fast the time of a task passes on two controllers, above 0 and at most 1. What targets may
+            not exceed, they may not exceed in real time.
+        obstacles: What stands in the workspace; see `dual_ur10.assets.obstacles`.
+        uncertainty: How well the place of each base is known, (m, rad) for left and right: all distances that depend on
+            it are kept the larger.
+        file: The cell file of two controllers; None in simulation.
         wrench_noise: Standard deviation of the force (N) and torque (N·m) that the controllers report. A CB3 reads
             them from its motors' currents.
         equipment: Grippers and what they handle; set by the task.
@@ -248,6 +288,12 @@ class CellConfig:
     meshes: bool = False
     speed_rad_s: float | None = None
     tcp_speed_m_s: float | None = None
+    acceleration_rad_s2: float | None = None
+    jerk_rad_s3: float | None = None
+    speed_factor: float = 1.0
+    obstacles: tuple[Obstacle, ...] = ()
+    uncertainty: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
+    file: CellFile | None = None
     wrench_noise: tuple[float, float] = (2.0, 0.2)
     equipment: Equipment = field(default_factory=Equipment)
 
@@ -272,10 +318,15 @@ class CellConfig:
                 f"minimum_clearance_m is {self.minimum_clearance_m!r}: it must be at least 0.005 m and below "
                 f"{CLEARANCE_CUTOFF_M} m, beyond which distances are not measured"
             )
-        for name in ("speed_rad_s", "tcp_speed_m_s"):
+        for name in ("speed_rad_s", "tcp_speed_m_s", "acceleration_rad_s2", "jerk_rad_s3"):
             value = getattr(self, name)
             if value is not None and not _number(name, value) >= LEAST_CAP:
                 raise SettingsError(f"{name} of the cell is {value!r}: it must be {LEAST_CAP} or more, or None")
+        if not 0.0 < _number("speed_factor", self.speed_factor) <= 1.0:
+            raise SettingsError(f"speed_factor of the cell is {self.speed_factor!r}: it must be above 0 and at most 1")
+        if (self.kind == "mujoco") is not (self.file is None):
+            raise SettingsError(f"a cell of kind {self.kind!r} is made of a cell file: pass its path as `cell`")
+        base_uncertainty.checked(self.uncertainty)
         noise = self.wrench_noise
         if not (isinstance(noise, tuple | list) and len(noise) == 2):
             raise SettingsError(f"wrench_noise is {noise!r}: it must be two numbers (N, N·m)")
@@ -293,6 +344,7 @@ class CellConfig:
             right=self.right,
             meshes=self.meshes,
             equipment=self.equipment,
+            obstacles=self.obstacles,
             **{name: value for name, value in given.items() if value is not None},  # type: ignore[arg-type]  # two types
         )
 
@@ -306,10 +358,25 @@ class CellConfig:
         )
 
     def capped(self, limits: MotionLimits) -> MotionLimits:
-        """A task's limits, as far as this cell allows them."""
-        joint, tip = self.speed_rad_s or float("inf"), self.tcp_speed_m_s or float("inf")
-        speeds: Any = [min(each, joint) for each in limits.speed_rad_s]
-        return replace(limits, speed_rad_s=speeds, tcp_speed_m_s=min(limits.tcp_speed_m_s, tip))
+        """A task's limits, in its own time, as far as this cell allows them."""
+        slow = self.speed_factor
+
+        def cap(value: float, own: float | None, power: int) -> float:
+            return value if own is None else min(value, own / slow**power)
+
+        speeds: Any = [cap(each, self.speed_rad_s, 1) for each in limits.speed_rad_s]
+        return replace(
+            limits,
+            speed_rad_s=speeds,
+            tcp_speed_m_s=cap(limits.tcp_speed_m_s, self.tcp_speed_m_s, 1),
+            acceleration_rad_s2=cap(limits.acceleration_rad_s2, self.acceleration_rad_s2, 2),
+            jerk_rad_s3=cap(limits.jerk_rad_s3, self.jerk_rad_s3, 3),
+        )
+
+    @property
+    def latency_ticks(self) -> int:
+        """Action latency where none is said: what two controllers take, none in simulation."""
+        return 0 if self.kind == "mujoco" else math.ceil(LATENCY_S / self.servoj.tick_s - 1e-9)
 
     @property
     def substeps(self) -> int:
@@ -348,11 +415,19 @@ def _number(name: str, value: object) -> float:
 def resolve_cell(cell: object) -> CellConfig:
     """The configuration that the keyword `cell` stands for.
 
+    Args:
+        cell: "mujoco", a `CellConfig`, or the path of a cell file.
+
     Raises:
-        UnknownNameError: Neither "mujoco" nor a `CellConfig`.
+        UnknownNameError: None of them.
+        CellFileError: The cell file cannot be read, or says something that is not legal.
     """
     if isinstance(cell, CellConfig):
         return cell
     if isinstance(cell, str) and cell == "mujoco":
         return CellConfig()
-    raise UnknownNameError("cell", str(cell), ("mujoco", "a dual_ur10.CellConfig"))
+    if isinstance(cell, os.PathLike) or (isinstance(cell, str) and ("/" in cell or cell.endswith(".toml"))):
+        from dual_ur10.sim2real.cell_file import load_cell_file  # which builds upon this module
+
+        return load_cell_file(os.fspath(cell)).config()
+    raise UnknownNameError("cell", str(cell), ("mujoco", "a path such as lab.toml", "a dual_ur10.CellConfig"))

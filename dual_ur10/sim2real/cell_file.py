@@ -6,13 +6,13 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final, NamedTuple, cast
 
+from dual_ur10.assets.obstacles import Obstacle
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.errors import CellFileError, SettingsError
 from dual_ur10.sim2real.cell import CellConfig
@@ -25,7 +25,7 @@ from dual_ur10.sim2real.cell_file_entries import (
     ArmEntry,
     ArmLimits,
     EmulatorEntry,
-    Obstacle,
+    Measured,
     Tracker,
     of_kind,
     plain,
@@ -35,7 +35,6 @@ from dual_ur10.sim2real.cell_file_entries import (
 from dual_ur10.sim2real.cell_file_reader import mount_of, read
 from dual_ur10.sim2real.cell_file_schema import Kind
 from dual_ur10.sim2real.cell_file_text import commented, toml_text
-from dual_ur10.sim2real.limits import MotionLimits
 from dual_ur10.sim2real.servoj import ServojProfile
 from dual_ur10.ur10 import ARMS
 
@@ -132,27 +131,21 @@ class CellFile:
                 raise _error(self.source, [finding])
         try:
             return CellConfig(
+                kind=self.kind,
                 left=self.left.mount,
                 right=self.right.mount,
                 servoj=self.left.servoj,
-                speed_rad_s=self._tighter("speed_rad_s"),
-                tcp_speed_m_s=self._tighter("tcp_speed_m_s"),
+                speed_factor=self.speed_factor,
+                obstacles=self.obstacles,
+                uncertainty=(
+                    (self.left.base_uncertainty_m, self.left.base_uncertainty_rad),
+                    (self.right.base_uncertainty_m, self.right.base_uncertainty_rad),
+                ),
+                file=self,
+                **{each.name: self._tighter(each.name) for each in fields(ArmLimits)},  # type: ignore[arg-type]  # floats
             )
         except SettingsError as error:
             raise _error(self.source, [str(error)]) from error
-
-    def capped(self, limits: MotionLimits) -> MotionLimits:
-        """A task's limits, as far as both arms' tables `limits` allow them. `speed_factor` is not in it."""
-        own = {each.name: self._tighter(each.name) or math.inf for each in fields(ArmLimits)}
-        speeds: Any = [min(each, own["speed_rad_s"]) for each in limits.speed_rad_s]
-        return MotionLimits(
-            speed_rad_s=speeds,
-            acceleration_rad_s2=min(limits.acceleration_rad_s2, own["acceleration_rad_s2"]),
-            jerk_rad_s3=min(limits.jerk_rad_s3, own["jerk_rad_s3"]),
-            tcp_speed_m_s=min(limits.tcp_speed_m_s, own["tcp_speed_m_s"]),
-            lower_rad=limits.lower_rad,
-            upper_rad=limits.upper_rad,
-        )
 
     def _tighter(self, name: str) -> float | None:
         return min((each for arm in self.arms if (each := getattr(arm.limits, name)) is not None), default=None)
@@ -338,5 +331,6 @@ def _arm(row: int, values: Mapping[str, Any]) -> ArmEntry:
         checksum=values["calibration"]["checksum"],
         gripper=of_kind(GRIPPERS, values["gripper"]),
         limits=ArmLimits(**values["limits"]),
+        measured=Measured(**values["measured"]),
         **{name: values[name] for name in PLAIN},
     )

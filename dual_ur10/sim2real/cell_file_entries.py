@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Final
 
+from dual_ur10.assets.obstacles import Box, Capsule, Plane
 from dual_ur10.assets.settings import ArmMount
 from dual_ur10.sim2real.cell_file_schema import ROBOTIQ_PORT
 from dual_ur10.sim2real.servoj import Family, ServojProfile
@@ -49,6 +50,19 @@ class ArmLimits:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Measured:
+    """What was measured of an arm that moved; None: nothing was.
+
+    Attributes:
+        lookahead_s: Lookahead with which the law of `servoj` moves as the arm does.
+        latency_s: Time from the sending of a target until it acts.
+    """
+
+    lookahead_s: float | None = None
+    latency_s: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class ArmEntry:
     """One arm and its controller.
 
@@ -64,6 +78,7 @@ class ArmEntry:
         checksum: The controller's six checksums of its kinematics; None: not said.
         gripper: What is on the flange.
         limits: What its targets may not exceed.
+        measured: What was measured of it.
     """
 
     host: str
@@ -79,6 +94,7 @@ class ArmEntry:
     checksum: tuple[int, ...] | None = None
     gripper: NoGripper | RobotiqSocket | DigitalGripper = NoGripper()
     limits: ArmLimits = ArmLimits()
+    measured: Measured = Measured()
 
     @property
     def family(self) -> Family:
@@ -105,6 +121,7 @@ class ArmEntry:
                 **{name: getattr(self, name) for name in PLAIN},
                 "gripper": with_kind(self.gripper),
                 "servoj": {"lookahead_s": self.servoj.lookahead_s, "gain": self.servoj.gain},
+                "measured": plain(self.measured),
                 "limits": plain(self.limits),
                 "calibration": {**calibration, "checksum": self.checksum},
             }
@@ -121,38 +138,6 @@ PLAIN: Final = (
     "serial_number",
 )
 """Attributes of an arm that are keys of its table, as they are."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Box:
-    """A box: centre, length of its edges, rotation vector."""
-
-    kind: ClassVar[str] = "box"
-    name: str
-    position_m: Three
-    size_m: Three
-    rotation_rad: Three = ZERO
-
-
-@dataclass(frozen=True, kw_only=True)
-class Capsule:
-    """All that is within `radius_m` of a line; a ball, if its ends are one."""
-
-    kind: ClassVar[str] = "capsule"
-    name: str
-    from_m: Three
-    to_m: Three
-    radius_m: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Plane:
-    """A wall without end. `normal`, of length 1 within 1e-3, points to where the arms are."""
-
-    kind: ClassVar[str] = "plane"
-    name: str
-    point_m: Three
-    normal: Three
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,7 +178,6 @@ class EmulatorEntry:
     pid: int | None = None
 
 
-Obstacle = Box | Capsule | Plane
 Tracker = AttachedTracker | GivenTracker | EmulatedTracker
 
 

@@ -22,7 +22,9 @@ NAME: Final = "[A-Za-z0-9_-]{1,64}"
 
 MOST_OBSTACLES: Final = 64
 ROBOTIQ_PORT: Final = 63352  # Robotiq's URCap
-LEAST_SPEED_FACTOR: Final = 0.01
+LEAST_SPEED_FACTOR: Final = 0.05
+MEASURED_LOOKAHEAD_S: Final = (0.005, 0.5)
+MOST_LATENCY_S: Final = 0.3
 _TURN: Final = 2 * math.pi
 _ROOM_M: Final = 20.0
 _ARM_M: Final = 3.0  # as far from the cell's origin as `ArmMount` lets a base stand
@@ -120,6 +122,26 @@ ARM_TABLES: Final = (
                 default=_SERVOJ.lookahead_s,
             ),
             Key("gain", "gain, in 1/s²", low=GAIN_RANGE[0], high=GAIN_RANGE[1], default=_SERVOJ.gain),
+        ),
+    ),
+    Table(
+        "measured",
+        "What `fit` has found of this arm in a recorded run; where a key is missing, nothing was measured.",
+        (
+            Key(
+                "lookahead_s",
+                "lookahead with which the law of servoj moves as the arm does",
+                low=MEASURED_LOOKAHEAD_S[0],
+                high=MEASURED_LOOKAHEAD_S[1],
+                example=0.03,
+            ),
+            Key(
+                "latency_s",
+                "time from the sending of a target until it acts",
+                low=0,
+                high=MOST_LATENCY_S,
+                example=0.004,
+            ),
         ),
     ),
     Table(

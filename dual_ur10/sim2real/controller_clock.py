@@ -66,7 +66,8 @@ class ControllerClock:
         while self._offsets[0][0] < arrival_s - WINDOW_S:
             self._offsets.popleft()
         least = self._offsets[0][1]
-        self._count += 1
+        if before is None or arrival_s > before[1]:
+            self._count += 1  # those that had waited to be read together are as good as one
         if self._first_s is None:
             self._first_s = timestamp_s
         if before is None or not self.is_settled:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from dual_ur10.errors import LinkError, SettingsError, UnknownNameError
+from dual_ur10.sim2real.cell_file_entries import ArmEntry
 from dual_ur10.sim2real.link_socket import checked_host
 from dual_ur10.sim2real.servoj import Family
 from dual_ur10.ur10 import DHParameters
@@ -98,3 +99,17 @@ class ExpectedArm:
         ):
             if value is not None and len(value) != count:
                 raise SettingsError(f"expected {name} is {value!r}: it has {count} numbers")
+
+
+def expected_of(arm: ArmEntry) -> ExpectedArm:
+    """What a cell file says of an arm."""
+    return ExpectedArm(
+        host=arm.host,
+        family=arm.family,
+        dh=arm.mount.dh,
+        checksums=arm.checksum,
+        tcp=arm.tcp,
+        payload_kg=arm.payload_kg,
+        payload_cog_m=arm.payload_cog_m,
+        serial_number=arm.serial_number,
+    )

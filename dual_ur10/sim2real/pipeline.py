@@ -22,10 +22,11 @@ class ServojPipeline:
     Args:
         adapter: Turns actions into targets.
         gate: Decides what leaves.
+        held: Number of an arm that stays where it is, whatever the actions are; None: none.
     """
 
-    def __init__(self, adapter: ServojAdapter, gate: SafetyGate) -> None:
-        self.adapter, self.gate = adapter, gate
+    def __init__(self, adapter: ServojAdapter, gate: SafetyGate, *, held: int | None = None) -> None:
+        self.adapter, self.gate, self._held = adapter, gate, held
         self._shape = (adapter.n, 2, adapter.action_size)
         self._openings: Array = np.zeros((adapter.n, 2))  # let out last: where the gripper of a stopped arm is held
 
@@ -55,6 +56,8 @@ class ServojPipeline:
             ActionError: Not numbers, the wrong shape, NaN or infinity. Nothing is sent and nothing changes.
         """
         targets, gripper, _ = self.adapter(self.check(action))
+        if self._held is not None:
+            targets[:, :, self._held] = self.gate.last_targets_rad[:, None, self._held]
         result = self.gate(targets)
         if gripper is not None:
             stopped = list(result.verdicts)

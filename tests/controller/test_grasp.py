@@ -8,7 +8,7 @@ import pytest
 
 from dual_ur10.assets.gripper import TCP_M
 from dual_ur10.assets.props import GRIP_DISTANCE_M, GRIP_QUAT
-from dual_ur10.envs.frames import Frames
+from dual_ur10.frames import Frames
 from dual_ur10.rotations import quat_multiply, quat_to_rotvec, rotate
 from dual_ur10.sim2real.cell import CellConfig
 from dual_ur10.sim2real.controller.emulated_cell import EmulatedCell

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import select
-import socket
 import subprocess
 import sys
 import tempfile
@@ -16,13 +15,13 @@ from typing import IO, Any, Final
 
 from dual_ur10 import errors
 from dual_ur10.errors import ClosedError, DualUR10Error, EmulatorError
+from dual_ur10.sim2real.emulator_knobs import EmulatorKnobs
 
 MODULE: Final = "dual_ur10.emulator"
 """The program of an emulated cell."""
 
 _START_S: Final = 30.0
 _END_S: Final = 5.0
-_ANSWER_S: Final = 10.0
 
 
 class EmulatedCell:
@@ -62,13 +61,13 @@ class EmulatedCell:
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             start_new_session=True,
         )
-        self._knobs: socket.socket | None = None
-        self._rest = b""
+        self._knobs: EmulatorKnobs | None = None
         try:
             self.description = self._started()
             self.left: str = self.description["left"]["host"]
             self.right: str = self.description["right"]["host"]
             self.port: int = self.description["emulator"]["port"]
+            self._knobs = EmulatorKnobs(self.left, self.port)
         except BaseException:
             self.close()
             raise
@@ -105,29 +104,9 @@ class EmulatedCell:
             ClosedError: The cell was closed.
             EmulatorError: The request was refused, or there was no answer.
         """
-        if self.process.stdin is None or self.process.stdin.closed:
+        if self._knobs is None or self.process.stdin is None or self.process.stdin.closed:
             raise ClosedError("this emulated cell was closed: start another")
-        try:
-            if self._knobs is None:
-                self._knobs = socket.create_connection((self.left, self.port), timeout=_ANSWER_S)
-                self._knobs.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._knobs.sendall(json.dumps({"do": do, **values}).encode() + b"\n")
-            while b"\n" not in self._rest:
-                data = self._knobs.recv(1 << 16)
-                if not data:
-                    raise ConnectionError("it has ended, or has disconnected who asked")
-                self._rest += data
-        except OSError as error:
-            # An answer that comes late is not to be taken for that of the next request.
-            if self._knobs is not None:
-                self._knobs.close()
-            self._knobs, self._rest = None, b""
-            raise EmulatorError(f"the emulated cell gave no answer to {do!r}: {error}") from error
-        line, self._rest = self._rest.split(b"\n", 1)
-        answer = json.loads(line)
-        if not answer["ok"]:
-            raise EmulatorError(answer["error"])
-        return answer["value"]
+        return self._knobs.ask(do, **values)
 
     def setpoints(self, arm: str, since: int = 0) -> list[Any]:
         """All servoj targets that a controller has executed from number `since` on, as far as it keeps them.
@@ -162,7 +141,6 @@ class EmulatedCell:
         """End the process. May be called twice."""
         if self._knobs is not None:
             self._knobs.close()
-            self._knobs = None
         for pipe in (self.process.stdin, self.process.stdout):
             if pipe is not None:
                 pipe.close()

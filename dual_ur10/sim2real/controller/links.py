@@ -24,6 +24,7 @@ MOST_CONNECTIONS: Final = 32
 _RECEIVE_BYTES: Final = 8192  # at a time, so that clients that send much cannot keep the others waiting
 _MOST_WAITING_BYTES: Final = 262_144  # that a client has not read: then packets are dropped, or it is closed
 _SEND_BUFFER_BYTES: Final = 65_536
+_SERVED_S: Final = 0.001  # for which clients are served in a control period that is late already
 _RESET: Final = struct.pack("ii", 1, 0)  # SO_LINGER that makes close() send RST
 
 
@@ -98,6 +99,7 @@ class Connection:
     def __init__(self, hub: Hub, sock: socket.socket, peer: Peer, port: Port) -> None:
         self.hub, self.sock, self.peer, self.port = hub, sock, peer, port
         self.dropped = 0
+        self.served = 0
         self.open = True
         self.half_open = port.faults.half_open
         self.events = 0
@@ -240,6 +242,7 @@ class Port:
         self.hub, self.name, self.address = hub, name, address
         self.faults = LinkFaults()
         self.connections: list[Connection] = []
+        self.served = 0  # when it was served last, counted by the hub
         self._accept, self._greeting = accept, greeting
         self._sock: socket.socket | None = None
         self.listen()
@@ -315,6 +318,7 @@ class Hub:
         self.selector = selectors.DefaultSelector()
         self.random = random.Random(seed)
         self.ports: list[Port] = []
+        self._served = 0
 
     def add(
         self, name: str, address: tuple[str, int], accept: Callable[[], Peer], greeting: Callable[[], bytes] = bytes
@@ -353,11 +357,17 @@ class Hub:
 
     def poll(self, until_s: float) -> None:
         """Serve clients until a time of the monotonic clock; at least once."""
+        end = max(until_s, time.monotonic() + _SERVED_S)
         while True:
             left = until_s - time.monotonic()
             # The selector waits in whole milliseconds and may be late by one: the rest is slept.
-            for key, events in self.selector.select(max(0.0, left - 0.001)):
+            ready = self.selector.select(max(0.0, left - 0.001))
+            # Who has waited longest comes first: where there is no time for all, nobody is left out again and again.
+            ready.sort(key=lambda each: each[0].data.served)
+            for key, events in ready:
                 serve = key.data
+                self._served += 1
+                serve.served = self._served
                 if isinstance(serve, Port):
                     serve.accept()
                     continue
@@ -365,7 +375,7 @@ class Hub:
                     serve.flush()
                 if events & selectors.EVENT_READ and serve.open:
                     serve.read()
-                if time.monotonic() > until_s:
+                if time.monotonic() > end:
                     break  # the others are served after the control period, which does not wait
             now = time.monotonic()
             for port in self.ports:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.assets.scene import ArmMount
+from dual_ur10.assets.settings import ArmMount
 from dual_ur10.kinematics import BASE_TO_BASE_LINK
 from dual_ur10.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, quat_to_matrix
 

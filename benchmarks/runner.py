@@ -1,0 +1,287 @@
+"""What two arms do that are moved through `ur_rtde`, on the emulated cell: stops, time, accuracy, tasks.
+
+python benchmarks/runner.py [--parts stops,kills,sine,carry,handover] [--share 1.0] [--json FILE]
+
+All of it takes three quarters of an hour; `--share 0.05` is a look. Figures of time depend on what else the machine
+does: its load is printed beside them.
+"""
+
+import argparse
+import itertools
+import json
+import math
+import os
+import pathlib
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+
+import gymnasium as gym
+import numpy as np
+
+from dual_ur10 import policies
+from dual_ur10.comparison.timing import timing
+from dual_ur10.policies.evaluate import evaluate
+from dual_ur10.policies.rollout import rollout
+from dual_ur10.recording.reader import read_run
+from dual_ur10.sim2real.arm_memory import Phase
+from dual_ur10.sim2real.cell_file import load_cell_file
+from dual_ur10.sim2real.controller.emulated_cell import EmulatedCell
+from dual_ur10.sim2real.latch import Latch
+from dual_ur10.sim2real.runner import Runner
+
+ARMS = ("left", "right")
+TRIALS, KILLS, SECONDS, EPISODES = 200, 100, 600.0, 20
+CODES = (3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 99, 255)
+SPEED_RAD_S = 0.3
+
+KILLED = """
+import sys, time
+import numpy as np
+from dual_ur10.sim2real.cell_file import load_cell_file
+from dual_ur10.sim2real.runner import Runner
+sys.path.insert(0, sys.argv[2])
+from runner import Swing
+file = load_cell_file(sys.argv[1])
+runner = Runner(file, file.config(), coupled=False)
+swing = Swing(runner)
+print("moving", runner.arms[0].name, *(each.process.pid for each in runner.processes), runner.supervisor.process.pid)
+sys.stdout.flush()
+while True:
+    swing.feed()
+    time.sleep(0.05)
+"""
+
+
+class Swing:
+    """Lets joints of both arms of a runner swing."""
+
+    def __init__(self, runner):
+        self.runner, self.home = runner, np.array([each.q_rad for each in runner.statuses()])
+        runner.begin(self.home)
+        self.first = runner.next
+        self.done = 0
+
+    def feed(self, ahead=150):
+        """Write targets ahead."""
+        runner = self.runner
+        count = max(0, runner.next + ahead - self.first - self.done)
+        if count:
+            ticks = self.done + np.arange(count)
+            turn = 2 * math.pi * ticks * runner.tick_s
+            way = SPEED_RAD_S / (2 * math.pi) * (1 - np.cos(turn)) * np.minimum(ticks * runner.tick_s, 1.0)
+            targets = self.home + way[:, None, None] * np.array([1.0, 0, 0, 1.0, 1.0, 1.0])
+            runner.write(self.first + self.done, targets)
+            self.done += count
+
+
+def ready(cell):
+    """Wait until both arms can be begun, whatever was before."""
+    for arm in ARMS:
+        for mode in CODES:
+            cell.ask("release", arm=arm, mode=mode)
+        state = cell.ask("state", arm=arm, names=["robot_mode"])["robot_mode"]
+        if state != 7:
+            cell.wait_until(arm, "safety_mode", 1)
+            cell.ask("press", arm=arm, button="power_on")
+            cell.wait_until(arm, "robot_mode", 5)
+            cell.ask("press", arm=arm, button="release_brakes")
+        for name, value in (("robot_mode", 7), ("safety_mode", 1), ("runtime_state", 1)):
+            cell.wait_until(arm, name, value)
+
+
+def stops(path, cell, trials):
+    """Control periods from the state in which one arm is stopped to the last target of the other's motion."""
+    found = []
+    drawn = random.Random(0)
+    codes = itertools.cycle(CODES)
+    file = load_cell_file(path)
+    for trial in range(trials):
+        ready(cell)
+        Latch(file).clear()
+        runner = Runner(file, file.config(), coupled=False)
+        try:
+            swing = Swing(runner)
+            end = time.monotonic() + 0.4 + 0.5 * drawn.random()
+            while time.monotonic() < end:
+                swing.feed()
+                time.sleep(0.02)
+            stopped = trial % 2
+            cell.ask("stop", arm=ARMS[stopped], mode=next(codes))
+            end = time.monotonic() + 2.0
+            while time.monotonic() < end and any(each.phase < Phase.STOPPED for each in runner.arms):
+                time.sleep(0.005)
+            states, _ = runner.arms[stopped].states()
+            # Columns of `ArmStatus`: 0 is when it came, 3 the safety mode.
+            seen_s = states[np.flatnonzero(states[:, 3] != 1)[0], 0]
+            sent, _ = runner.arms[1 - stopped].sent()
+            # What slows down lies between two targets.
+            moving = np.abs(sent.index - np.rint(sent.index)) < 1e-9
+            moving[np.flatnonzero(np.diff(sent.index) < 1 - 1e-9) + 1] = False
+            last_s = sent.sent_s[moving][-1]
+            found.append(max(0.0, (last_s - seen_s) / runner.tick_s))
+        finally:
+            runner.close()
+        print(f"\rstops {trial + 1} of {trials}: {found[-1]:.2f} periods ", end="", file=sys.stderr)
+    Latch(file).clear()
+    return {
+        "stop_cycles_p99": float(np.percentile(np.ceil(found), 99)),
+        "stop_cycles_max": float(np.ceil(max(found))),
+        "stop_trials": len(found),
+    }
+
+
+def kills(path, cell, trials):
+    """From SIGKILL to both programs stopped, and to both arms at rest, s: of the program alone, or of all processes."""
+    file = load_cell_file(path)
+    drawn = random.Random(1)
+    stopped, resting = {"program": [], "all": []}, {"program": [], "all": []}
+    for trial in range(trials):
+        ready(cell)
+        Latch(file).clear()
+        folder = str(pathlib.Path(__file__).parent)
+        program = subprocess.Popen([sys.executable, "-c", KILLED, str(path), folder], stdout=subprocess.PIPE, text=True)
+        line = program.stdout.readline().split()
+        if not line:
+            raise SystemExit("the program to be killed did not start")
+        time.sleep(0.4 + 0.5 * drawn.random())
+        kind = ("program", "all")[trial % 2]
+        pids = [program.pid, *(map(int, line[2:]) if kind == "all" else ())]
+        begin = time.monotonic()
+        for pid in pids:
+            os.kill(pid, signal.SIGKILL)
+        at = {}
+        while len(at) < 4 and time.monotonic() - begin < 3.0:
+            for arm in ARMS:
+                state = cell.ask("state", arm=arm, names=["runtime_state", "target_qd"])
+                if state["runtime_state"] != 2:
+                    at.setdefault((arm, "stopped"), time.monotonic() - begin)
+                if np.abs(state["target_qd"]).max() < 1e-4 and (arm, "stopped") in at:
+                    at.setdefault((arm, "resting"), time.monotonic() - begin)
+        stopped[kind].append(max(at.get((arm, "stopped"), math.inf) for arm in ARMS))
+        resting[kind].append(max(at.get((arm, "resting"), math.inf) for arm in ARMS))
+        program.wait()
+        for pid in map(int, line[2:]):
+            wait_for_end(pid)
+        text = f"{1e3 * stopped[kind][-1]:.0f} ms, at rest {1e3 * resting[kind][-1]:.0f} ms"
+        print(f"\rkills {trial + 1} of {trials}, {kind}: {text} ", end="", file=sys.stderr)
+    Latch(file).clear()
+    both = [*stopped["program"], *stopped["all"]]
+    return {
+        "kill_to_stop_ms_max": 1e3 * max(both),
+        **{f"kill_{kind}_to_stop_ms_max": 1e3 * max(times) for kind, times in stopped.items() if times},
+        **{f"kill_{kind}_to_rest_ms_max": 1e3 * max(times) for kind, times in resting.items() if times},
+        "kill_speed_rad_s": SPEED_RAD_S,
+        "kill_trials": len(both),
+    }
+
+
+def wait_for_end(pid):
+    """Wait until a process has ended."""
+    end = time.monotonic() + 5.0
+    while time.monotonic() < end:
+        try:
+            os.kill(pid, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.01)
+
+
+def sine(path, folder, seconds):
+    """Time and accuracy of SineTracking, with the lag taken out, and for a short while without."""
+    figures = {}
+    for name, compensate, length_s in (("", True, seconds), ("_lagging", False, min(seconds, 30.0))):
+        keywords = {"cell": str(path), "compensate_lag": compensate}
+        env = gym.make("DualUR10/SineTracking-v0", record=str(folder), disable_env_checker=True, **keywords)
+        errors, late = [], 0
+        try:
+            policy = policies.load("scripted", "DualUR10/SineTracking-v0", **keywords)
+            begin = time.monotonic()
+            for seed in itertools.count():
+                found = rollout(env, policy, seed=seed)
+                errors.append(found.flange_error_m)
+                print(f"\rsine{name}: {time.monotonic() - begin:.0f} of {length_s:.0f} s ", end="", file=sys.stderr)
+                if time.monotonic() - begin >= length_s:
+                    break
+            late = env.unwrapped.core.cell.late_periods
+        finally:
+            env.close()
+        error = np.concatenate(errors)
+        figures |= {
+            f"sine{name}_rms_mm": 1e3 * float(np.sqrt((error**2).mean(axis=0)).max()),
+            f"sine{name}_p99_mm": 1e3 * float(np.percentile(error, 99)),
+            f"sine{name}_max_mm": 1e3 * float(error.max()),
+            f"sine{name}_episodes": len(errors),
+            f"sine{name}_late_actions": late,
+        }
+        if not name:
+            run = read_run(max(pathlib.Path(folder).iterdir(), key=lambda each: each.stat().st_mtime))
+            found = timing(run)
+            counts = [each.late for each in found.late]
+            sent = sum(each.targets + each.missed for each in found.late)
+            figures |= {
+                "late_2ms": sum(each[0] for each in counts) / sent,
+                "late_8ms": sum(each[1] for each in counts) / sent,
+                "late_max_ms": 1e3 * max(each.most_s for each in found.late),
+                "missed_periods": sum(each.missed for each in found.late),
+                "skew_p99_ms": 1e3 * found.skew_s.p99,
+                "skew_max_ms": 1e3 * found.skew_s.most,
+                "targets": sent,
+            }
+    return figures
+
+
+def task(path, name, episodes):
+    """Scripted episodes of a task with an object."""
+    found = evaluate(f"DualUR10/{name}-v0", "scripted", episodes=episodes, num_envs=1, env_kwargs={"cell": str(path)})
+    figures = {"success": f"{found.successes} of {len(found.episodes)}"}
+    for value in ("relative_error_m", "squeeze_n", "object_error_m"):
+        peaks = [each.peak[value] for each in found.episodes if value in each.peak]
+        if peaks:
+            figures[f"{value}_max"] = float(np.max(peaks))
+    return figures
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--parts", default="stops,kills,sine,carry,handover")
+    parser.add_argument("--share", type=float, default=1.0, help="of trials, seconds and episodes")
+    parser.add_argument("--json", type=pathlib.Path)
+    args = parser.parse_args()
+    figures = {}
+    count = lambda most: max(2, round(most * args.share))  # noqa: E731
+    with tempfile.TemporaryDirectory() as name:
+        folder = pathlib.Path(name)
+        os.environ["XDG_STATE_HOME"] = name
+        for part in args.parts.split(","):
+            load = os.getloadavg()[0]
+            scene = {"carry": "SyncCarry", "handover": "Handover"}.get(part, "SineTracking")
+            path = folder / f"{part}.toml"
+            with EmulatedCell(task=scene, plant="nominal", cell=str(path)) as cell:
+                for arm in ARMS:
+                    cell.wait_until(arm, "robot_mode", 7)
+                if part == "stops":
+                    found = stops(path, cell, count(TRIALS))
+                elif part == "kills":
+                    found = kills(path, cell, count(KILLS))
+                elif part == "sine":
+                    runs = folder / "runs"
+                    runs.mkdir()
+                    found = sine(path, runs, max(30.0, SECONDS * args.share))
+                else:
+                    found = {part: task(path, scene, count(EPISODES))}
+            print(file=sys.stderr)
+            figures |= {**found, f"{part}_load": load}
+            for key, value in found.items():
+                print(f"{key:28} {value:.4g}" if isinstance(value, float) else f"{key:28} {value}", flush=True)
+    if args.json:
+        args.json.parent.mkdir(parents=True, exist_ok=True)
+        args.json.write_text(json.dumps(figures, indent=1))
+
+
+if __name__ == "__main__":
+    main()

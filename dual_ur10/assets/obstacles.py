@@ -1,0 +1,140 @@
+"""What else stands in the cell: boxes, capsules and walls, in the cell frame.
+
+They are solid in simulation, and the safety gate keeps both arms and their grippers away from them.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Any, ClassVar, Final
+
+from dual_ur10.assets.checks import numbers
+from dual_ur10.errors import SettingsError
+
+Three = tuple[float, float, float]
+
+ROOM_M: Final = 20.0
+"""Farthest that a coordinate of an obstacle may be from the cell's origin, and the longest edge of a box."""
+
+THINNEST_M: Final = 0.001
+"""Shortest edge of a box, and smallest radius of a capsule."""
+
+NAME: Final = "[A-Za-z0-9_-]{1,64}"
+"""Names of obstacles: they become parts of messages and of names in models."""
+
+_UNIT_TOLERANCE: Final = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Box:
+    """A box: centre, length of its edges, rotation vector.
+
+    Raises:
+        SettingsError: A value is not finite or not allowed.
+    """
+
+    kind: ClassVar[str] = "box"
+    name: str
+    position_m: Three
+    size_m: Three
+    rotation_rad: Three = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        _take(self, ROOM_M, "position_m")
+        _take(self, ROOM_M, "size_m", THINNEST_M)
+        _take(self, 2 * math.pi, "rotation_rad")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Capsule:
+    """All that is within `radius_m` of a line; a ball, if its ends are one.
+
+    Raises:
+        SettingsError: A value is not finite or not allowed.
+    """
+
+    kind: ClassVar[str] = "capsule"
+    name: str
+    from_m: Three
+    to_m: Three
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        _take(self, ROOM_M, "from_m")
+        _take(self, ROOM_M, "to_m")
+        (radius,) = numbers(_path(self, "radius_m"), (self.radius_m,), 1)
+        _check(self, "radius_m", (radius,), ROOM_M / 2, THINNEST_M)
+        object.__setattr__(self, "radius_m", radius)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plane:
+    """A wall without end. `normal`, of length 1 within 1e-3, points to where the arms are.
+
+    Raises:
+        SettingsError: A value is not finite or not allowed.
+    """
+
+    kind: ClassVar[str] = "plane"
+    name: str
+    point_m: Three
+    normal: Three
+
+    def __post_init__(self) -> None:
+        _take(self, ROOM_M, "point_m")
+        _take(self, 1 + _UNIT_TOLERANCE, "normal")
+        length = math.hypot(*self.normal)
+        if abs(length - 1) > _UNIT_TOLERANCE:
+            raise SettingsError(
+                f"{_path(self, 'normal')} has the length {length:.6g}: allowed is 1. Divide it by its length"
+            )
+
+
+Obstacle = Box | Capsule | Plane
+
+
+def geom_name(obstacle: Obstacle) -> str:
+    """What models, pairs and messages of the safety gate call it."""
+    return f"obstacle/{obstacle.name}"
+
+
+def _path(obstacle: Any, key: str) -> str:
+    """What messages call a value. The first that asks has the name checked."""
+    name = obstacle.name
+    if not (isinstance(name, str) and re.fullmatch(NAME, name)):
+        raise SettingsError(
+            f"a {obstacle.kind} among the obstacles is named {name!r}: allowed are up to 64 letters, digits, _ and -"
+        )
+    return f"{key} of the obstacle {name!r}"
+
+
+def _take(obstacle: Any, highest: float, key: str, lowest: float | None = None) -> None:
+    """Check three numbers of an obstacle, and keep them as plain floats."""
+    values = numbers(_path(obstacle, key), getattr(obstacle, key), 3)
+    _check(obstacle, key, values, highest, -highest if lowest is None else lowest)
+    object.__setattr__(obstacle, key, values)
+
+
+def _check(obstacle: Any, key: str, values: tuple[float, ...], highest: float, lowest: float) -> None:
+    if not all(lowest <= value <= highest for value in values):
+        raise SettingsError(
+            f"{_path(obstacle, key)} is {values if len(values) > 1 else values[0]}: allowed is {lowest:g} to "
+            f"{highest:g}"
+        )
+
+
+def checked(obstacles: Any) -> tuple[Obstacle, ...]:
+    """Obstacles of one scene.
+
+    Raises:
+        SettingsError: They are none, or two have the same name.
+    """
+    if not isinstance(obstacles, tuple | list) or not all(isinstance(each, Obstacle) for each in obstacles):
+        raise SettingsError(f"obstacles must be a tuple of Box, Capsule and Plane, found {obstacles!r}")
+    names = [each.name for each in obstacles]
+    for name in names:
+        if names.count(name) > 1:
+            raise SettingsError(f"{names.count(name)} obstacles are named {name!r}: choose different names")
+    return tuple(obstacles)

@@ -1,0 +1,215 @@
+"""What one arm did in one episode of a recorded run, on two clocks: that of the run, and that of the task.
+
+The task's clock is that of the targets' numbers. Where a cell runs slower than the task, by its `speed_factor` or the
+slider, a second of the task takes longer; two runs at different speeds are the same motion on the task's clock.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.assets.settings import ArmMount
+from dual_ur10.comparison.series import rising
+from dual_ur10.errors import RecordingError, SettingsError
+from dual_ur10.kinematics import BASE_TO_BASE_LINK, flange_pose
+from dual_ur10.recording.run import ArmLog, Episode, Header, Run
+from dual_ur10.rotations import quat_from_rotvec, quat_to_matrix
+from dual_ur10.ur10 import ARMS, DHParameters
+
+Array = NDArray[np.float64]
+
+_NEAR: Final = 25  # ticks by which the beginning of an episode may be off the target that it is found by
+_BLOCK_S: Final = 2.0  # the quickest packet of so long shows how the clocks stand to each other
+
+
+@dataclass(frozen=True)
+class Track:
+    """One arm in one episode. Times are on the run's clock, since the episode began.
+
+    Attributes:
+        sent_s: (k,) when each target was sent.
+        late_s: (k,) by how much too late.
+        period: (k,) control periods.
+        index: (k,) numbers of the targets, 0 for the episode's first; between two where time was slowed down.
+        target_rad: (k, 6).
+        time_s: (j,) when each state was, strictly rising.
+        task_s: (j,) the same on the task's clock.
+        q_rad: (j, 6) measured joints.
+        reference_rad: (j, 6) where the controller wanted the joints to be; None: it was not recorded.
+    """
+
+    sent_s: Array
+    late_s: Array
+    period: Array
+    index: Array
+    target_rad: Array
+    time_s: Array
+    task_s: Array
+    q_rad: Array
+    reference_rad: Array | None
+
+
+def mounts_of(header: Header) -> tuple[ArmMount, ArmMount]:
+    """Where the arms of a run stood, and their kinematics.
+
+    Raises:
+        RecordingError: They are not those of two UR10s.
+    """
+    try:
+        left, right = (_mount(each) for each in header.mounts)
+    except (SettingsError, KeyError, TypeError, ValueError) as error:
+        raise RecordingError(
+            f"the recording's mounts are not those of two UR10s: {error}. It is of another robot, or damaged"
+        ) from error
+    return left, right
+
+
+def _mount(values: dict[str, Any]) -> ArmMount:
+    dh = values["dh"]
+    parameters = DHParameters(**{name: tuple(dh[name]) for name in ("a_m", "d_m", "alpha_rad", "theta_rad")})
+    x, y, z = values["position_m"]
+    return ArmMount((x, y, z), values["yaw_rad"], parameters)
+
+
+def flange_of(mount: ArmMount, q_rad: Array) -> tuple[Array, Array]:
+    """Positions, (k, 3), and rotations, (k, 3, 3), of a flange in the cell frame."""
+    position, rotation = flange_pose(q_rad, mount.dh)
+    turn = quat_to_matrix(quat_from_rotvec(np.array([0.0, 0.0, mount.yaw_rad]))) @ BASE_TO_BASE_LINK
+    return np.array(mount.position_m) + position @ turn.T, turn @ rotation
+
+
+def track(run: Run, number: int, arm: int) -> Track:
+    """What an arm did in an episode.
+
+    Args:
+        run: The recording.
+        number: Of the episode, in the order of the recording.
+        arm: 0 or 1.
+
+    Raises:
+        RecordingError: There is no such episode, or nothing was recorded of the arm in it.
+    """
+    if not 0 <= number < len(run.episodes):
+        raise RecordingError(f"the recording has {len(run.episodes)} episodes: there is no number {number}")
+    episode, header, log = run.episodes[number], run.header, run.arms[arm]
+    sent, first = _sent(run, number, arm)
+    if len(sent["index"]) < 2:
+        raise RecordingError(
+            f"{ARMS[arm]}: {len(sent['index'])} targets were recorded in episode {number}: 2 or more are needed. "
+            "Compare another episode, or another recording"
+        )
+    begin_s = episode.begin_s
+    sent_s = sent["sent_s"] - begin_s
+    index = sent["index"] - first
+    # When each target was due: free of the jitter with which it was sent.
+    due_s = _line(sent["period"], sent_s - sent["late_s"])
+    end_s = due_s[-1] + header.tick_s
+    time_s = _times(log) - begin_s
+    # Where an episode begins, another may just have ended: its last state is none of this one.
+    kept = (time_s > header.tick_s / 4) & (time_s <= end_s + header.tick_s / 2)
+    kept &= np.isfinite(log.state["q_rad"]).all(axis=1)
+    time_s = time_s[kept]
+    ordered = rising(time_s)
+    if ordered.sum() < 2:
+        raise RecordingError(
+            f"{ARMS[arm]}: {int(ordered.sum())} states were recorded in episode {number}: 2 or more are needed. "
+            "Compare another episode, or another recording"
+        )
+    time_s = time_s[ordered]
+    reference = log.state.get("target_q_rad")
+    return Track(
+        sent_s=sent_s,
+        late_s=sent["late_s"],
+        period=sent["period"],
+        index=index,
+        target_rad=sent["target_rad"],
+        time_s=time_s,
+        task_s=_task_times(time_s, due_s, index * header.tick_s),
+        q_rad=log.state["q_rad"][kept][ordered],
+        reference_rad=None if reference is None else reference[kept][ordered],
+    )
+
+
+def tracks(run: Run, number: int) -> tuple[Track, Track]:
+    """What both arms did in an episode; see `track`."""
+    return track(run, number, 0), track(run, number, 1)
+
+
+def _sent(run: Run, number: int, arm: int) -> tuple[dict[str, Array], float]:
+    """Targets sent in an episode, and the number of the first."""
+    episode, header, sent = run.episodes[number], run.header, run.arms[arm].sent
+    tick_s, ticks = header.tick_s, episode.targets_rad.shape[0] * episode.targets_rad.shape[1]
+    later = [each.begin_s for each in run.episodes if each.begin_s > episode.begin_s]
+    end_s = min(later, default=np.inf)
+    kept = (sent["sent_s"] >= episode.begin_s - _NEAR * tick_s) & (sent["sent_s"] < end_s - tick_s / 2)
+    rows = {name: values[kept] for name, values in sent.items()}
+    if not kept.any():
+        return rows, 0.0
+    first = _first(rows, episode, header, arm)
+    inside = (rows["index"] > first - 0.5) & (rows["index"] < first + ticks - 0.5)
+    return {name: values[inside] for name, values in rows.items()}, first
+
+
+def _first(rows: dict[str, Array], episode: Episode, header: Header, arm: int) -> float:
+    """Number of an episode's first target: that near its beginning with which what was sent is what was let out."""
+    near = float(np.rint(rows["index"][np.abs(rows["sent_s"] - episode.begin_s).argmin()]))
+    out = episode.targets_rad[:, :, arm].reshape(-1, 6)
+    if not len(out):
+        return near
+    best, found = np.inf, near
+    for away in sorted(range(-_NEAR, _NEAR + 1), key=abs):
+        place = rows["index"] - (near + away) - header.latency_ticks
+        inside = (place >= 0) & (place <= len(out) - 1)
+        if inside.sum() < min(len(out), len(place)) / 2:
+            continue
+        below = place[inside].astype(int)
+        difference = rows["target_rad"][inside] - out[below]
+        miss = float((difference * difference).mean())
+        if miss < best * (1 - 1e-9):
+            best, found = miss, near + away
+    return found
+
+
+def _line(period: Array, times_s: Array) -> Array:
+    """Times as a straight line over control periods; as they are where periods do not say enough."""
+    if len(period) < 3 or np.ptp(period) < 2:
+        return times_s
+    middle = period - period.mean()
+    slope = float((middle * times_s).sum() / (middle * middle).sum())
+    result: Array = times_s.mean() + slope * middle
+    return result
+
+
+def _task_times(time_s: Array, due_s: Array, task_s: Array) -> Array:
+    """Times on the task's clock; before the first target and behind the last, it runs as the run's does."""
+    ordered = rising(due_s)
+    due_s, task_s = due_s[ordered], task_s[ordered]
+    result: Array = np.interp(time_s, due_s, task_s)
+    result += np.minimum(time_s - due_s[0], 0.0) + np.maximum(time_s - due_s[-1], 0.0)
+    return result
+
+
+def _times(log: ArmLog) -> Array:
+    """When states were, on the run's clock: by the controller's own clock, which no network delays."""
+    arrival_s = log.state["arrival_s"]
+    stamps_s = log.state.get("timestamp_s")
+    if stamps_s is None or len(arrival_s) < 2 or not np.isfinite(stamps_s).all() or (np.diff(stamps_s) <= 0).any():
+        return arrival_s
+    away_s = arrival_s - stamps_s
+    # The rest, which is no whole block, belongs to the last one.
+    last = max(int((stamps_s[-1] - stamps_s[0]) // _BLOCK_S) - 1, 0)
+    numbers = np.minimum((stamps_s - stamps_s[0]) // _BLOCK_S, last)
+    blocks = np.unique(numbers, return_index=True)[1]
+    least = np.minimum.reduceat(away_s, blocks)
+    quickest = np.array([begin + int(away_s[begin:end].argmin()) for begin, end in _spans(blocks, len(away_s))])
+    result: Array = stamps_s + np.interp(stamps_s, stamps_s[quickest], least)
+    return result
+
+
+def _spans(begins: NDArray[np.intp], count: int) -> list[tuple[int, int]]:
+    ends = [*begins[1:].tolist(), count]
+    return list(zip(begins.tolist(), ends, strict=True))

@@ -1,0 +1,157 @@
+"""The slow way to where a task begins: straight in the joints, one arm after the other where both at once may not."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.errors import StartError
+from dual_ur10.forward_kinematics import elbow_and_flange_position
+from dual_ur10.sim2real.clearance import Clearance
+from dual_ur10.ur10 import ARMS, JOINT_RANGE_RAD, JOINTS
+
+if TYPE_CHECKING:
+    from dual_ur10.sim2real.cell import CellConfig
+
+Array = NDArray[np.float64]
+
+SPEED_RAD_S: Final = 0.2
+TCP_SPEED_M_S: Final = 0.25
+"""Most that a joint, and a flange or elbow, does on the way to a start: reduced speed of ISO 10218-1."""
+
+ACCELERATION_RAD_S2: Final = 0.5
+
+_END_RAD: Final = 0.1  # of a joint's range, from which nothing begins: a turn too many is near
+_STEP_RAD: Final = 0.02  # between postures at which distances are looked at
+# Of the polynomial of fifth degree from rest to rest.
+_PEAK_SPEED, _PEAK_ACCELERATION, _PEAK_JERK = 1.875, 10 / math.sqrt(3), 60.0
+
+
+@dataclass(frozen=True)
+class Rates:
+    """How fast arms go to a start at most, in real time.
+
+    Attributes:
+        speed_rad_s: Speed of a joint.
+        tcp_speed_m_s: Speed of a flange or elbow.
+        acceleration_rad_s2: Acceleration of a joint.
+        jerk_rad_s3: Its jerk.
+    """
+
+    speed_rad_s: float = SPEED_RAD_S
+    tcp_speed_m_s: float = TCP_SPEED_M_S
+    acceleration_rad_s2: float = ACCELERATION_RAD_S2
+    jerk_rad_s3: float = math.inf
+
+    def capped(self, config: CellConfig) -> Rates:
+        """The same, as far as a cell allows it."""
+        own = {each.name: getattr(config, each.name) for each in fields(self)}
+        given = {name: min(value, getattr(self, name)) for name, value in own.items() if value is not None}
+        return replace(self, **given)
+
+
+class Approach:
+    """A way from one posture of both arms to another, from rest to rest on every part of it.
+
+    Args:
+        parts: (k, 12) postures, straight ways between which are gone one after the other.
+        speed_factor: How fast the time of its targets will pass: in real time it is as slow as it should be.
+        rates: What that is.
+    """
+
+    def __init__(self, parts: Sequence[Array], speed_factor: float = 1.0, rates: Rates | None = None) -> None:
+        self.parts = list(parts)
+        self._speed_factor, self._rates = speed_factor, rates or Rates()
+        self.durations_s = [self._duration_s(*ends) for ends in itertools.pairwise(self.parts)]
+
+    @property
+    def duration_s(self) -> float:
+        """How long it takes, in real time."""
+        return sum(self.durations_s)
+
+    def _duration_s(self, start: Array, end: Array) -> float:
+        way = float(np.abs(end - start).max())
+        if way == 0.0:
+            return 0.0
+        shares = np.linspace(0.0, 1.0, 2 + math.ceil(way / _STEP_RAD))
+        along = start + shares[:, None] * (end - start)
+        tips = np.stack(elbow_and_flange_position(along.reshape(-1, 2, 6)))
+        tip = float(np.linalg.norm(np.diff(tips, axis=1), axis=-1).max()) / (shares[1] - shares[0])
+        rates = self._rates
+        by_speed: float = _PEAK_SPEED * max(way / rates.speed_rad_s, tip / rates.tcp_speed_m_s)
+        by_acceleration = math.sqrt(_PEAK_ACCELERATION * way / rates.acceleration_rad_s2)
+        return max(by_speed, by_acceleration, math.cbrt(_PEAK_JERK * way / rates.jerk_rad_s3))
+
+    def targets(self, tick_s: float) -> Array:
+        """The targets, (ticks, 2, 6), without the first posture, with the last."""
+        rows = []
+        for (start, end), duration_s in zip(itertools.pairwise(self.parts), self.durations_s, strict=True):
+            ticks = math.ceil(duration_s * self._speed_factor / tick_s)
+            share = np.arange(1, ticks + 1) / max(ticks, 1)
+            eased = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+            rows.append(start + eased[:, None] * (end - start))
+        last = self.parts[-1][None]
+        return np.concatenate([*rows, last]).reshape(-1, 2, 6)
+
+
+def plan(
+    q_rad: Array, goal_rad: Array, clearance: Clearance, speed_factor: float = 1.0, rates: Rates | None = None
+) -> Approach:
+    """A way on which nothing comes closer than the safety gate allows, or than it is at the beginning.
+
+    Args:
+        q_rad: (2, 6) where the arms are.
+        goal_rad: (2, 6) where they are to be.
+        clearance: Measures distances.
+        speed_factor: See `Approach`.
+        rates: See `Approach`.
+
+    Raises:
+        StartError: A joint is at an end of its range, or no way was found.
+    """
+    start, goal = np.array(q_rad).reshape(12), np.array(goal_rad).reshape(12)
+    allowed: Array = JOINT_RANGE_RAD - _END_RAD
+    outside = ~(np.abs(start) <= np.tile(allowed, 2))
+    if outside.any():
+        arm, joint = divmod(int(outside.argmax()), 6)
+        raise StartError(
+            f"{ARMS[arm]}: {JOINTS[joint]} is at {start[outside][0]:.3f} rad, allowed are "
+            f"±{allowed[joint]:.3f}: turn it back by hand"
+        )
+    left_first = np.concatenate([goal[:6], start[6:]])
+    right_first = np.concatenate([start[:6], goal[6:]])
+    ways = ([start, goal], [start, left_first, goal], [start, right_first, goal])
+    for way in ways:
+        if all(_is_clear(*ends, clearance) for ends in itertools.pairwise(way)):
+            return Approach(way, speed_factor, rates)
+    raise StartError(
+        f"no straight way leads from where the arms are to the start of the task: {_nearest(start, goal, clearance)}. "
+        "Bring them nearer to it by hand"
+    )
+
+
+def _along(start: Array, end: Array) -> Array:
+    count = 1 + math.ceil(float(np.abs(end - start).max()) / _STEP_RAD)
+    return start + np.linspace(0.0, 1.0, count + 1)[1:, None] * (end - start)
+
+
+def _is_clear(start: Array, end: Array, clearance: Clearance) -> bool:
+    # Where the arms stand too close, they may go apart.
+    short = clearance.shortfall_m(start)
+    for posture in _along(start, end):
+        now = clearance.shortfall_m(posture)
+        if (now > np.maximum(short, 0.0) + 1e-6).any():
+            return False
+        short = np.minimum(short, now)
+    return True
+
+
+def _nearest(start: Array, goal: Array, clearance: Clearance) -> str:
+    worst = min((clearance.worst(posture) for posture in _along(start, goal)), key=lambda found: found[1] - found[2])
+    return f"{worst[0]} would come within {1e3 * worst[1]:.0f} mm, allowed are {1e3 * worst[2]:.0f} mm"

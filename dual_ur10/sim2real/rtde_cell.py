@@ -1,0 +1,430 @@
+"""The cell of two controllers: the arms move by processes of their own, in real time, and a twin shows where they are.
+
+The same commands come in as to the simulated cell. They lie in shared memory before their control periods begin, each
+with the brake behind it that the safety gate has already checked: where nothing comes in time, both arms brake along
+it together.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+import weakref
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.errors import ClosedError, LinkError, SettingsError, StartError
+from dual_ur10.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, rotate
+from dual_ur10.sim2real.adapter import GRIPPER_OPENING_M, Command
+from dual_ur10.sim2real.approach import Approach, Rates, plan
+from dual_ur10.sim2real.arm_memory import RING
+from dual_ur10.sim2real.arm_status import ArmStatus
+from dual_ur10.sim2real.cell import CellConfig, CellState, Start
+from dual_ur10.sim2real.clearance import Clearance
+from dual_ur10.sim2real.command_queue import MAX_LATENCY_TICKS
+from dual_ur10.sim2real.emulator_knobs import EmulatorKnobs
+from dual_ur10.sim2real.grippers import Grippers
+from dual_ur10.sim2real.limits import HISTORY, Envelope, MotionLimits
+from dual_ur10.sim2real.object_tracker import Flanges, ObjectTracker, tracker_of
+from dual_ur10.sim2real.people import Confirm, confirmation
+from dual_ur10.sim2real.runner import MARGIN_TICKS, Runner
+from dual_ur10.sim2real.tracking import Heat
+from dual_ur10.sim2real.twin import Twin
+from dual_ur10.ur10 import ARMS
+
+log = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+START_RAD: Final = 1e-4
+"""How near to the start of a task the controllers must want their arms to be, before an episode begins."""
+
+MEASURED_RAD: Final = 0.02
+"""How near to it they must be measured to be."""
+
+_BRAKE_TIMES: Final = 14.0  # of the brake's decay: what is left of any speed then is less than counts as rest
+_AHEAD_TICKS: Final = 300  # that are written ahead on the way to a start
+_SETTLE_S: Final = 3.0
+_LOOK_S: Final = 0.01
+_OPENING_S: Final = 4.0
+_OPENING_M: Final = 0.003  # that a gripper may be from what was asked, where nothing is between its fingers
+
+
+class RtdeCell:
+    """Two arms and what stands between them, behind two controllers.
+
+    To make one connects and checks, and moves nothing.
+
+    Args:
+        config: The cell, with a task's equipment, made of a cell file.
+        ticks: Targets per call of `advance`.
+        limits: Of the task, in its own time: the brake of the gate follows from them.
+        clearance: Measures the distances on the way to a start.
+        latency_ticks: L: what is commanded acts so many ticks later.
+        coupled: Whether the arms hold one object between them.
+        confirm: Asked before the arms move to a start, with what will happen; None: an emulated cell needs none, and
+            for real arms somebody at the terminal is asked.
+        only: "left" or "right": the arm that moves, while the other one stays where it is; None: both.
+
+    Raises:
+        SettingsError: There is no cell file, or the latency is not legal.
+        CellFaulted: The arms were stopped, and nobody has cleared that.
+        CellBusyError: Another program moves one of them.
+        StartError: A controller is not ready.
+        LinkError: A controller or a gripper cannot be reached.
+    """
+
+    n = 1
+
+    def __init__(
+        self,
+        config: CellConfig,
+        ticks: int,
+        *,
+        limits: MotionLimits,
+        clearance: Clearance,
+        latency_ticks: int,
+        coupled: bool = False,
+        confirm: Confirm | None = None,
+        only: str | None = None,
+    ) -> None:
+        if config.file is None:
+            raise SettingsError("a cell of two controllers is made of a cell file: pass its path as `cell`")
+        if not (isinstance(latency_ticks, int | np.integer) and MARGIN_TICKS < latency_ticks <= MAX_LATENCY_TICKS):
+            raise SettingsError(
+                f"action_latency_ticks is {latency_ticks!r}: two controllers need {MARGIN_TICKS + 1} to "
+                f"{MAX_LATENCY_TICKS}, the time from a measurement to the first target that follows from it"
+            )
+        if config.equipment.welded:
+            raise SettingsError("arms that are welded to what they hold exist in simulation only: use a friction grasp")
+        self.config, self.file, self.ticks, self.latency_ticks = config, config.file, ticks, int(latency_ticks)
+        self.rested_q_rad: Array | None = None
+        self.late_periods = 0
+        self._tick_s = config.servoj.tick_s
+        envelope = Envelope(limits, self._tick_s, 1)
+        count = min(math.ceil(_BRAKE_TIMES / (envelope.brake_rate * self._tick_s)), RING // 2 - _AHEAD_TICKS)
+        self._brake: Array = Envelope(limits, self._tick_s, count).brake
+        self._clearance, self._confirm = clearance, confirm
+        self._only = None if only is None else ARMS.index(only)
+        self._twin = Twin(config.scene)
+        self._past: Array = np.zeros((HISTORY, 2, 6))  # the last targets but those of the brake
+        self._origin: int | None = None  # number of the target that belongs to tick 0 of the episode
+        self._elapsed = 0
+        self._heat = [Heat(name) for name in ARMS]
+        self._grippers: Grippers | None = None
+        self._tracker: ObjectTracker | None = None
+        self._knobs: EmulatorKnobs | None = None
+        self._runner: Runner | None = Runner(self.file, config, coupled=coupled)
+        self._end = weakref.finalize(self, self._runner.close)
+        try:
+            self._equip()
+        except BaseException:
+            self.close()
+            raise
+
+    def _equip(self) -> None:
+        """Connect to grippers, and to what says where the object is."""
+        equipment, file = self.config.equipment, self.file
+        if equipment.grippers:
+            for name, arm in zip(ARMS, file.arms, strict=True):
+                if arm.gripper.kind == "none":
+                    raise SettingsError(f"this task needs grippers, and {name}.gripper in {file.source} is of none")
+            self._grippers = Grippers(file, force_n=equipment.grip_force_n)
+        self._tracker = tracker_of(file, equipment.prop or "")
+        if file.emulator is not None:
+            self._knobs = EmulatorKnobs(file.left.host, file.emulator.port)
+
+    # An episode.
+
+    def reset(
+        self,
+        start: Start,
+        rows: Rows | None = None,
+        *,
+        seeds: Sequence[int] | None = None,
+        perturbation: Mapping[str, Array] | None = None,
+    ) -> CellState:
+        """Bring both arms to rest, and then slowly to where an episode begins, if a person agrees.
+
+        Args:
+            start: How it begins.
+            rows: As for simulated cells; here there is one.
+            seeds: Of simulated cells; without meaning here.
+            perturbation: Likewise.
+
+        Raises:
+            StartError: No way leads there, nobody has agreed, or an arm or gripper does not get there.
+            CellFaulted: The arms were stopped.
+            LinkError: A gripper or what tracks the object was lost.
+        """
+        runner = self._open
+        runner.check()
+        self.finish()
+        if runner.begun:
+            runner.wait_for(runner.end)
+            now = runner.last()
+        else:
+            now = np.array([each.q_rad for each in runner.statuses()])
+        goal = np.array(start.q_rad, dtype=np.float64).reshape(2, 6)
+        if self._only is not None:
+            goal[1 - self._only] = now[1 - self._only]
+        approach = plan(now, goal, self._clearance, self.file.speed_factor, Rates().capped(self.config))
+        self._ask(self._question(approach, start))
+        self._open_grippers(start)
+        if not runner.begun:
+            runner.begin(now)
+        self._past = np.tile(now, (HISTORY, 1, 1))
+        self._go(approach.targets(self._tick_s))
+        statuses = self._settled(goal)
+        if self._knobs is not None and start.object_pose is not None:
+            pose = np.asarray(start.object_pose).reshape(7)
+            self._knobs.place(pose[:3].tolist(), pose[3:].tolist())
+            time.sleep(2.0 * _LOOK_S)
+        target = None if start.target_pose is None else np.asarray(start.target_pose).reshape(7)
+        self._twin.aim(None if target is None else (target[:3], target[3:]))
+        self._origin, self._elapsed = None, 0
+        self.rested_q_rad = None if self._only is None else goal[None]
+        return self._state(statuses)
+
+    def advance(self, command: Command) -> CellState:
+        """Command [now + L, now + L + period), and return the state at the end of [now, now + period), in real time.
+
+        Raises:
+            CellFaulted: Both arms are stopped.
+            LinkError: A gripper or what tracks the object was lost. Both arms are stopped for good.
+        """
+        runner = self._open
+        runner.check()
+        if self._origin is None:
+            self._origin = runner.next
+        first = self._origin + self._elapsed + self.latency_ticks
+        self._elapsed += self.ticks
+        self.rested_q_rad = None
+        if first < runner.next:
+            return self._rest(runner)
+        self._write(runner, first, command.targets_rad[0])
+        runner.cell.expect(first + self.ticks, live=True)
+        try:
+            if self._grippers is not None and command.gripper_m is not None:
+                openings: list[float | None] = [float(each) for each in command.gripper_m[0, 0]]
+                if self._only is not None:
+                    openings[1 - self._only] = None
+                self._grippers.command(openings, runner.time_of(first))
+            end = self._origin + self._elapsed
+            runner.wait_for(end)
+            return self._state(runner.statuses_after(end))
+        except (LinkError, ClosedError) as error:
+            runner.stop(str(error))
+            raise
+
+    def _rest(self, runner: Runner) -> CellState:
+        """The action came too late: both arms have begun to brake, and are let come to rest."""
+        self.late_periods += 1
+        log.warning("an action came too late: both arms come to rest, and go on from there")
+        runner.cell.expect(runner.end, live=True)
+        runner.wait_for(runner.end)
+        rest = runner.last()
+        self._past = np.tile(rest, (HISTORY, 1, 1))
+        self._origin = runner.next - self._elapsed
+        self.rested_q_rad = rest[None]
+        runner.cell.expect(self._origin + self._elapsed + self.latency_ticks, live=True)
+        return self._state(runner.statuses())
+
+    def finish(self) -> None:
+        """An episode has ended: both arms come to rest along the brake that lies behind their targets."""
+        if self._runner is not None and self._origin is not None:
+            self._runner.cell.expect(0.0, live=False)
+
+    def stop(self, reason: str) -> None:
+        """Stop both arms for good, because of who commands them."""
+        if self._runner is not None:
+            self._runner.stop(reason)
+
+    def model_and_data(self, row: int) -> tuple[Any, Any]:
+        """MuJoCo's model and data of the twin, to be drawn."""
+        return self._twin.model_and_data()
+
+    def close(self) -> None:
+        """Bring both arms to rest, and end all connections. What is held stays held. May be called twice."""
+        runner, self._runner = self._runner, None
+        if runner is not None:
+            self._end.detach()
+            runner.close()
+        for each in (self._grippers, self._tracker, self._knobs):
+            if each is not None:
+                each.close()
+
+    @property
+    def memory_names(self) -> tuple[str, str]:
+        """Names of the memories of both arms, for what records them."""
+        left, right = self._open.arms
+        return left.name, right.name
+
+    # What a record asks of a simulated cell: here, the arms' memories tell it.
+
+    trace = None
+
+    def record(self) -> None:
+        """Nothing more is kept than always is."""
+
+    def integration_state(self) -> bytes | None:
+        """There is none."""
+        return None
+
+    @property
+    def runner(self) -> Runner:
+        """The processes.
+
+        Raises:
+            ClosedError: The cell was closed.
+        """
+        return self._open
+
+    @property
+    def _open(self) -> Runner:
+        if self._runner is None:
+            raise ClosedError("this cell was closed: make a new one")
+        return self._runner
+
+    def __getstate__(self) -> dict[str, Any]:
+        raise SettingsError("a cell of two controllers cannot be pickled or copied: there is one of it")
+
+    # Targets.
+
+    def _write(self, runner: Runner, first: int, targets_rad: Array) -> None:
+        """Write targets, (k, 2, 6), and the brake behind them."""
+        self._past = np.concatenate([self._past, targets_rad])[-HISTORY:]
+        past = self._past.reshape(HISTORY, 12)
+        brake = past[-1] + self._brake @ (past - past[-1])
+        runner.write(first, np.concatenate([targets_rad, brake.reshape(-1, 2, 6)]))
+
+    def _go(self, targets_rad: Array) -> None:
+        """Send targets, (k, 2, 6), from rest to rest."""
+        runner = self._open
+        first, done = runner.next, 0
+        while done < len(targets_rad):
+            block = targets_rad[done : done + _AHEAD_TICKS // 2]
+            self._write(runner, first + done, block)
+            done += len(block)
+            runner.wait_for(first + done - _AHEAD_TICKS // 2)
+        runner.wait_for(first + len(targets_rad))
+
+    def _settled(self, goal_rad: Array) -> list[ArmStatus]:
+        """Wait until both arms are where they should be.
+
+        Raises:
+            StartError: One does not get there.
+        """
+        runner = self._open
+        end = time.monotonic() + _SETTLE_S
+        while True:
+            runner.check()
+            statuses = runner.statuses()
+            wanted = np.abs(np.array([each.target_q_rad for each in statuses]) - goal_rad).max(axis=1)
+            found = np.abs(np.array([each.q_rad for each in statuses]) - goal_rad).max(axis=1)
+            if (wanted <= START_RAD).all() and (found <= MEASURED_RAD).all():
+                return statuses
+            if time.monotonic() > end:
+                arm = int(np.maximum(wanted / START_RAD, found / MEASURED_RAD).argmax())
+                raise StartError(
+                    f"{ARMS[arm]} does not come to where the task begins: its controller is {wanted[arm]:.2g} rad "
+                    f"from there, allowed are {START_RAD:g}, and it is measured {found[arm]:.2g} rad from there, "
+                    f"allowed are {MEASURED_RAD:g}. Look at what holds it, and at its payload"
+                )
+            time.sleep(_LOOK_S)
+
+    # People and things.
+
+    def _question(self, approach: Approach, start: Start) -> str:
+        ways = np.abs(approach.parts[-1] - approach.parts[0]).reshape(2, 6).max(axis=1)
+        text = ", ".join(f"{name} turns a joint by up to {way:.2f} rad" for name, way in zip(ARMS, ways, strict=True))
+        lines = [f"The arms go to where the task begins, in {approach.duration_s:.0f} s: {text}."]
+        if start.gripper_m is not None and self._grippers is not None:
+            lines.append("Before that, the grippers open: what they hold falls.")
+        if start.object_pose is not None:
+            x, y, z = np.asarray(start.object_pose).reshape(7)[:3]
+            lines.append(f"The object should be at ({x:.3f}, {y:.3f}, {z:.3f}) m once they are there.")
+        lines.append("Keep everybody out of their reach, and a hand at the emergency stop.")
+        return " ".join(lines)
+
+    def _ask(self, question: str) -> None:
+        """Have a person confirm.
+
+        Raises:
+            StartError: Nobody did.
+        """
+        confirm = confirmation(self.file, self._confirm)
+        if confirm(question) is not True:
+            raise StartError("that the arms may move to where the task begins was not confirmed: they have not moved")
+
+    def _open_grippers(self, start: Start) -> None:
+        """Activate grippers where that is needed, and bring them to where an episode begins.
+
+        Raises:
+            StartError: One does not get there.
+        """
+        grippers = self._grippers
+        if grippers is None:
+            return
+        grippers.activate(lambda question: True)  # that they open was confirmed
+        if start.gripper_m is None:
+            return
+        wanted: list[float | None] = [float(each) for each in np.asarray(start.gripper_m).reshape(2)]
+        if self._only is not None:
+            wanted[1 - self._only] = None  # what that one holds stays held
+        grippers.command(wanted, time.monotonic())
+        end = time.monotonic() + _OPENING_S
+        while True:
+            if grippers.fault:
+                raise StartError(f"a gripper does not do what it is told: {grippers.fault}")
+            found = grippers.opening_m
+            off = [_is_off(*each) for each in zip(found, wanted, strict=True)]
+            if not any(off):
+                return
+            if time.monotonic() > end:
+                arm = off.index(True)
+                raise StartError(
+                    f"the {ARMS[arm]} gripper is open by {found[arm]} m after {_OPENING_S:g} s, and not by "
+                    f"{wanted[arm]} m: see what is between its fingers"
+                )
+            time.sleep(_LOOK_S)
+
+    def _state(self, statuses: Sequence[ArmStatus]) -> CellState:
+        """What was measured, in the time of the task."""
+        for heat, status in zip(self._heat, statuses, strict=True):
+            heat(status)
+        slow = self.file.speed_factor
+        q, qd = (np.array([getattr(each, name) for each in statuses]) for name in ("q_rad", "qd_rad_s"))
+        opening = wrench = thing = None
+        if self._grippers is not None:
+            if self._grippers.fault:
+                raise LinkError(f"a gripper does not do what it is told: {self._grippers.fault}")
+            # One that does not tell is taken to be open.
+            opening = np.array([GRIPPER_OPENING_M if each is None else each for each in self._grippers.opening_m])
+            wrench = np.array([_wrench_at_flange(each) for each in statuses])
+        time_s = self._elapsed * self._tick_s
+        state = self._twin.follow(time_s, q, qd / slow, gripper_m=opening, wrench=wrench)
+        if self._tracker is None or state.flange_quat is None:
+            return state
+        seen = self._tracker.pose(time.monotonic(), Flanges(state.flange_m[0], state.flange_quat[0]))
+        thing = (np.asarray(seen.position_m), np.asarray(seen.quat))
+        return self._twin.follow(time_s, q, qd / slow, gripper_m=opening, wrench=wrench, thing=thing)
+
+
+def _is_off(found_m: float | None, wanted_m: float | None) -> bool:
+    return found_m is not None and wanted_m is not None and abs(found_m - wanted_m) > _OPENING_M
+
+
+def _wrench_at_flange(status: ArmStatus) -> Array:
+    """Force and torque about the flange, (6,), in `base`, from those about the tool centre point."""
+    wrench = np.array(status.tcp_force)
+    offset = status.tcp_offset
+    if offset is not None and any(offset[:3]):
+        turn = quat_multiply(quat_from_rotvec(status.tcp_pose[3:]), quat_conjugate(quat_from_rotvec(offset[3:])))
+        wrench[3:] += np.cross(rotate(turn, np.array(offset[:3])), wrench[:3])
+    return wrench

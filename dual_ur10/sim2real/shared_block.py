@@ -1,0 +1,79 @@
+"""Named arrays in memory that processes share."""
+
+from __future__ import annotations
+
+import mmap
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.errors import SettingsError
+
+Layout = Mapping[str, tuple[type[np.generic], tuple[int, ...]]]
+
+
+class SharedBlock:
+    """Arrays without locks: each number has one writer, and a counter is written after what it counts.
+
+    Args:
+        layout: Type and shape of each array, by name.
+        name: Of memory that exists; None: it is made, and belongs to this object.
+
+    Attributes:
+        name: By which a process of the same user finds it, as long as the one that made it lives.
+
+    Raises:
+        SettingsError: The memory of that name is not that of these arrays.
+    """
+
+    def __init__(self, layout: Layout, name: str | None = None) -> None:
+        self._layout = layout
+        size = sum(_size(*each) for each in layout.values())
+        # It has no name that could be left behind: when the last process lets go of it, it is gone.
+        self._file: int | None = (
+            os.memfd_create("dual_ur10") if name is None else os.open(name, os.O_RDWR | os.O_CLOEXEC)
+        )
+        self.name = f"/proc/{os.getpid()}/fd/{self._file}" if name is None else name
+        if name is None:
+            os.ftruncate(self._file, size)
+        elif os.fstat(self._file).st_size != size:
+            os.close(self._file)
+            raise SettingsError(f"memory {name} is another's: it is not of {size} bytes")
+        buffer = mmap.mmap(self._file, size)
+        self._arrays: dict[str, NDArray[Any]] = {}
+        at = 0
+        for key, (kind, shape) in layout.items():
+            self._arrays[key] = np.frombuffer(buffer, kind, int(np.prod(shape)), at).reshape(shape)
+            at += _size(kind, shape)
+
+    def __getitem__(self, key: str) -> Any:
+        return self._arrays[key]
+
+    def set_text(self, key: str, text: str) -> None:
+        """Write a text, as far as it fits, into an array of bytes."""
+        array = self._arrays[key]
+        line = text.encode()[: len(array) - 1]
+        array[: len(line)] = np.frombuffer(line, np.uint8)
+        array[len(line)] = 0
+
+    def text(self, key: str) -> str:
+        """The text in an array of bytes."""
+        line: bytes = self._arrays[key].tobytes()
+        return line[: line.index(0)].decode("utf-8", "replace") if 0 in line else ""
+
+    def close(self) -> None:
+        """Let go of the memory, and keep zeros in its place. May be called twice."""
+        file, self._file = self._file, None
+        if file is None:
+            return
+        # The mapping goes with the last array that shows it.
+        self._arrays = {key: np.zeros(shape, kind) for key, (kind, shape) in self._layout.items()}
+        os.close(file)
+
+
+def _size(kind: type[np.generic], shape: tuple[int, ...]) -> int:
+    """Bytes of an array, in whole words."""
+    return -(-np.dtype(kind).itemsize * int(np.prod(shape)) // 8) * 8

@@ -1,0 +1,204 @@
+"""The process that watches both arms by connections of its own, and stops both for good when anything is wrong.
+
+It commands nothing but a stop. It does not need the processes of the arms, which may hang, nor `ur_rtde`: it reads the
+state of both controllers itself, and where an arm's process cannot end a program any more, it asks the dashboard to.
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+import os
+import select
+import time
+from collections.abc import Sequence
+from typing import Final
+
+from dual_ur10.errors import DualUR10Error, LinkError, OperationRefusedError
+from dual_ur10.sim2real.arm_memory import ArmMemory, Phase
+from dual_ur10.sim2real.arm_sender import STALE_S
+from dual_ur10.sim2real.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
+from dual_ur10.sim2real.cell_file import CellFile
+from dual_ur10.sim2real.cell_memory import CellMemory
+from dual_ur10.sim2real.child import Child
+from dual_ur10.sim2real.dashboard_link import DashboardLink
+from dual_ur10.sim2real.latch import Latch
+from dual_ur10.sim2real.pace import taken_down
+from dual_ur10.sim2real.priority import hasten
+from dual_ur10.sim2real.rtde_link import RtdeLink
+from dual_ur10.sim2real.watch import Watch, WatchSettings
+from dual_ur10.ur10 import ARMS
+
+log = logging.getLogger(__name__)
+
+STOPPED_S: Final = 0.4
+"""How long the arms' own processes have to end their programs, before the dashboard is asked to."""
+
+_SECOND_STOP_S: Final = 3.0  # for which it is asked for
+_AHEAD_PERIODS: Final = 3  # from which on a new pace holds
+_CONNECT_S: Final = 2.0
+
+
+class Supervisor:
+    """The loop of the supervisor's process.
+
+    Args:
+        file: The cell.
+        settings: What is watched.
+        arms: Memories of both arms' processes.
+        cell: Memory of all.
+        parent: Process that the policy runs in.
+    """
+
+    def __init__(
+        self, file: CellFile, settings: WatchSettings, arms: Sequence[ArmMemory], cell: CellMemory, parent: int
+    ) -> None:
+        self._file, self._settings, self._arms, self._cell, self._parent = file, settings, arms, cell, parent
+        self._watch = Watch(settings, arms, cell)
+        self._links: list[RtdeLink | None] = []
+        self._dashboards: list[DashboardLink | None] = []
+
+    def run(self) -> None:
+        """Watch until the program ends or both arms have been stopped."""
+        for name, arm in zip(ARMS, self._file.arms, strict=True):
+            self._links.append(RtdeLink(arm.host, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES, name=name))
+            self._dashboards.append(DashboardLink(arm.host, _CONNECT_S, name=name))
+        self._cell.enter_ready()
+        reason = None
+        while reason is None:
+            now = time.monotonic()
+            self._cell.watched(now)
+            if self._cell.ending:
+                return
+            if os.getppid() != self._parent:
+                if not self._watch.moving:
+                    return  # nothing has moved
+                reason = "the program that gives targets has ended"
+            reason = reason or self._cell.fault or self._look(now) or self._watch.processes(now)
+            if reason and self._cell.ending:
+                return
+        self._stop(reason)
+
+    def _look(self, now: float) -> str | None:
+        """Take in what both controllers tell, for at most a control period."""
+        links = [each for each in self._links if each is not None]
+        ready, _, _ = select.select([each.fileno() for each in links], [], [], self._settings.tick_s)
+        for arm, link in enumerate(self._links):
+            if link is None or (link.fileno() not in ready and link.age_s(now) < STALE_S):
+                continue
+            try:
+                for sample in link.poll():
+                    reason = self._watch.state(arm, ArmStatus.from_sample(sample))
+                    if reason is not None:
+                        return reason
+            except LinkError as error:
+                return f"{ARMS[arm]}: {error}"
+            age = link.age_s(time.monotonic())
+            if age > STALE_S:
+                return f"{ARMS[arm]}: the controller's time has stood still for {1e3 * age:.0f} ms"
+        self._keep_pace(now)
+        return None
+
+    def _keep_pace(self, now: float) -> None:
+        """Slow both arms down alike, as the slower one's speed slider says."""
+        cell = self._cell
+        if not cell.begin_s or now < cell.begin_s:
+            return
+        goal = taken_down(self._watch.slowest) * self._file.speed_factor
+        pace = cell.pace
+        if goal != pace.goal:
+            tick_s = self._settings.tick_s
+            period = max(float(int((now - cell.begin_s) / tick_s) + _AHEAD_PERIODS), pace.period)
+            cell.set_pace(pace.towards(goal, period, tick_s))
+            log.warning("both arms go on at %.0f %% of their speed", 100 * goal)
+
+    def _stop(self, reason: str) -> None:
+        """Stop both arms, and note why where it stays."""
+        self._cell.enter_fault(reason)
+        reason = self._cell.fault  # somebody else may have been first, and this what came of it
+        for memory in self._arms:
+            memory.stop()
+        log.error("both arms are stopped: %s", reason)
+        try:
+            Latch(self._file).set(reason)
+        finally:
+            self._see_it_done()
+
+    def _see_it_done(self) -> None:
+        """Wait for both programs to end, and ask the dashboards where they do not."""
+        begin = time.monotonic()
+        asked: set[int] = set()
+        while time.monotonic() - begin < _SECOND_STOP_S:
+            time.sleep(self._settings.tick_s)
+            self._cell.watched(time.monotonic())
+            left = [arm for arm, memory in enumerate(self._arms) if memory.phase != Phase.STOPPED]
+            if not left:
+                return
+            if time.monotonic() - begin < STOPPED_S:
+                continue
+            for arm in left:
+                if arm not in asked:
+                    asked.add(arm)
+                    self._ask_dashboard(arm)
+            if len(asked) == len(self._arms) or set(left) <= asked:
+                return
+
+    def _ask_dashboard(self, arm: int) -> None:
+        dashboard = self._dashboards[arm]
+        try:
+            if dashboard is not None:
+                dashboard.stop()
+        except (LinkError, OperationRefusedError, DualUR10Error) as error:
+            log.error("%s: the dashboard did not stop its program (%s): its watchdog does", ARMS[arm], error)
+
+
+class SupervisorProcess:
+    """Starts the supervisor, and ends it.
+
+    Args:
+        file: The cell.
+        settings: What is watched.
+        arms: Memories of both arms' processes.
+        cell: Memory of all.
+    """
+
+    def __init__(self, file: CellFile, settings: WatchSettings, arms: Sequence[ArmMemory], cell: CellMemory) -> None:
+        self._cell = cell
+        names = (cell.name, *(memory.name for memory in arms))
+        self.process = Child(main, file, settings, names, os.getpid())
+
+    def wait_until_ready(self, within_s: float) -> None:
+        """Wait until it sees both arms.
+
+        Raises:
+            LinkError: It does not, within the time. Its process has ended.
+        """
+        end = time.monotonic() + within_s
+        while not self._cell.ready:
+            if not self.process.is_alive or time.monotonic() > end:
+                self.kill()
+                raise LinkError(self._cell.fault or f"the supervisor does not see both arms within {within_s:g} s")
+            time.sleep(0.005)
+
+    def wait(self, within_s: float) -> bool:
+        """Wait for the end of the process. Returns whether it has come."""
+        return self.process.wait(within_s)
+
+    def kill(self) -> None:
+        """End the process at once."""
+        self.process.kill()
+
+
+def main(file: CellFile, settings: WatchSettings, names: tuple[str, ...], parent: int) -> None:
+    """Run in the process of the supervisor."""
+    cell, arms = CellMemory(names[0]), [ArmMemory(name) for name in names[1:]]
+    try:
+        # What stands now stays: the collector need not look at it again.
+        gc.collect()
+        gc.freeze()
+        hasten(file.rt_priority)
+        Supervisor(file, settings, arms, cell, parent).run()
+    except Exception as error:  # whatever it is: without a supervisor nothing moves
+        cell.enter_fault(f"the supervisor failed: {type(error).__name__}: {error}")
+        if any(memory.phase >= Phase.STREAMING for memory in arms):
+            Latch(file).set(cell.fault)

@@ -1,0 +1,131 @@
+"""Judges whether both arms may go on moving: from what both controllers and all processes show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.assets.settings import ArmMount
+from dual_ur10.forward_kinematics import flange_pose_quat
+from dual_ur10.frames import Frames
+from dual_ur10.rotations import quat_conjugate, quat_multiply, quat_to_rotvec, rotate
+from dual_ur10.sim2real.arm_memory import ArmMemory, Phase
+from dual_ur10.sim2real.arm_sender import STALE_S
+from dual_ur10.sim2real.arm_status import ArmStatus, stop_reason
+from dual_ur10.sim2real.cell_memory import CellMemory
+from dual_ur10.sim2real.tracking import Tracking
+from dual_ur10.ur10 import ARMS
+
+Array = NDArray[np.float64]
+
+POLICY_S: Final = 0.5
+"""How late a policy may be before both arms are stopped for good."""
+
+APART_M: Final = 0.01
+APART_RAD: Final = np.deg2rad(3.0)
+"""How far the flanges of two arms that hold one object may be from where they should be, seen from each other."""
+
+_ROWS: Final = 3
+
+
+@dataclass(frozen=True)
+class WatchSettings:
+    """What is watched.
+
+    Attributes:
+        mounts: Where both arms stand, and their kinematics.
+        tick_s: Control period of both.
+        coupled: Whether both arms hold one object.
+    """
+
+    mounts: tuple[ArmMount, ArmMount]
+    tick_s: float
+    coupled: bool = False
+
+
+class Watch:
+    """Says why both arms must stop, if they must.
+
+    Args:
+        settings: What is watched.
+        arms: Memories of both arms' processes.
+        cell: Memory of all.
+    """
+
+    def __init__(self, settings: WatchSettings, arms: Sequence[ArmMemory], cell: CellMemory) -> None:
+        self._settings, self._arms, self._cell = settings, arms, cell
+        self._tracking = [Tracking() for _ in arms]
+        self._latest: list[ArmStatus | None] = [None for _ in arms]
+        self._apart = 0
+        self._frames = Frames(settings.mounts)
+
+    @property
+    def moving(self) -> bool:
+        """Whether targets are sent."""
+        return any(memory.phase >= Phase.STREAMING for memory in self._arms)
+
+    @property
+    def slowest(self) -> float:
+        """The smaller one of what both controllers make of their speed sliders, 0 to 1."""
+        return min((min(each.slider, each.speed_scaling) for each in self._latest if each is not None), default=1.0)
+
+    def state(self, arm: int, status: ArmStatus) -> str | None:
+        """What a controller's new state says."""
+        self._latest[arm] = status
+        reason = stop_reason(status, playing=self._arms[arm].phase == Phase.STREAMING)
+        reason = reason or self._tracking[arm](status)
+        if reason is not None:
+            return f"{ARMS[arm]}: {reason}"
+        return self._relative() if self._settings.coupled and arm == len(ARMS) - 1 else None
+
+    def processes(self, now_s: float) -> str | None:
+        """What the processes of both arms say, and that of the policy."""
+        texts = []
+        for name, memory in zip(ARMS, self._arms, strict=True):
+            phase = memory.phase
+            if phase >= Phase.STOPPING:
+                texts.append(memory.text or f"{name}: its process has stopped")
+            elif phase >= Phase.READY and now_s - memory.beat_s > STALE_S:
+                texts.append(f"{name}: its process does nothing any more")
+        if texts:
+            # One of them stops because the other does: that other one's reason counts.
+            return next((each for each in texts if "the other arm" not in each), texts[0])
+        cell = self._cell
+        if cell.live and cell.begin_s:
+            pace, tick_s = cell.pace, self._settings.tick_s
+            late_s = ((now_s - cell.begin_s) / tick_s - pace.period_of(cell.fresh)) * tick_s
+            if late_s > POLICY_S:
+                return f"the policy gave no action for {1e3 * late_s:.0f} ms more than it has: both arms rest"
+        return None
+
+    def _relative(self) -> str | None:
+        """Whether two arms that hold one object are where they should be, seen from each other."""
+        latest = [each for each in self._latest if each is not None]
+        if len(latest) < len(ARMS):
+            return None
+        mounts = self._settings.mounts
+        found = _seen([each.q_rad for each in latest], mounts, self._frames)
+        wanted = _seen([each.target_q_rad for each in latest], mounts, self._frames)
+        apart_m = float(np.linalg.norm(found[0] - wanted[0]))
+        turn = quat_multiply(quat_conjugate(wanted[1]), found[1])
+        apart_rad = float(np.linalg.norm(quat_to_rotvec(turn)))
+        self._apart = self._apart + 1 if apart_m > APART_M or apart_rad > APART_RAD else 0
+        if self._apart < _ROWS:
+            return None
+        return (
+            f"the arms, which hold one object, are {1e3 * apart_m:.1f} mm and {np.degrees(apart_rad):.1f}° from where "
+            f"they should be to each other, allowed are {1e3 * APART_M:g} mm and {np.degrees(APART_RAD):.0f}°"
+        )
+
+
+def _seen(q_rad: Sequence[Sequence[float]], mounts: Sequence[ArmMount], frames: Frames) -> tuple[Array, Array]:
+    """The right flange in the frame of the left one: position and orientation."""
+    poses = [flange_pose_quat(q, mount.dh) for q, mount in zip(q_rad, mounts, strict=True)]
+    position = frames.position_to_cell(np.array([each[0] for each in poses]))
+    quat = frames.quat_to_cell(np.array([each[1] for each in poses]))
+    back = quat_conjugate(quat[0])
+    return rotate(back, position[1] - position[0]), quat_multiply(back, quat[1])

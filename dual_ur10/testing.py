@@ -1,0 +1,150 @@
+"""For the tests of projects that use this one: an emulated cell as a fixture of pytest, and a check of policies.
+
+In a `conftest.py` at the top of the tests:
+
+    pytest_plugins = ["dual_ur10.testing"]
+
+and in a test:
+
+    @pytest.mark.emulated_cell(task="Handover")
+    def test_my_policy(emulated_cell):
+        report = check_policy(MyPolicy(), "DualUR10/Handover-v0", cell=emulated_cell.path)
+        assert report.cell_success
+
+`check_policy` needs no pytest.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from dual_ur10.errors import DualUR10Error, SettingsError
+from dual_ur10.policies.check import PolicyReport, check_policy
+from dual_ur10.sim2real.controller.emulated_cell import EmulatedCell
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import pytest
+
+    from dual_ur10.sim2real.latch import Latch
+
+__all__ = ["CellForTests", "PolicyReport", "check_policy"]
+
+MARKER = "emulated_cell"
+
+
+class CellForTests(EmulatedCell):
+    """An emulated cell with a cell file. It ends with the `with` block, with the environment on it.
+
+    The fixture `emulated_cell` is one for each test. A cell for several tests is a fixture of one's own:
+
+        @pytest.fixture(scope="module")
+        def cell(tmp_path_factory):
+            with CellForTests(tmp_path_factory.mktemp("cell"), task="SyncCarry") as cell:
+                yield cell
+
+    Args:
+        folder: Where its cell file and its log are written.
+        **options: See `dual_ur10.emulator.EmulatorOptions`; without `cell`.
+
+    Attributes:
+        path: The cell file, as text: `gym.make(..., cell=cell.path)`.
+        left, right: Addresses of the controllers.
+
+    Raises:
+        SettingsError: `cell` is among the options.
+        DualUR10Error: See `EmulatedCell`.
+    """
+
+    def __init__(self, folder: str | Path, **options: Any) -> None:
+        if "cell" in options:
+            raise SettingsError("the cell file of an emulated cell in tests is written by itself: leave out `cell`")
+        self.path = str(Path(folder) / "emulated_cell.toml")
+        self._env: Any = None
+        super().__init__(log=Path(folder) / "emulated_cell.log", **{**options, "cell": self.path})
+
+    def make(self, env_id: str, **keywords: Any) -> Any:
+        """An environment on this cell. The one before is closed: there is one pair of arms.
+
+        Raises:
+            DualUR10Error: What `gym.make` raises.
+        """
+        import gymnasium as gym
+
+        self._close_env()
+        self._env = gym.make(env_id, cell=self.path, **keywords)
+        return self._env
+
+    @property
+    def fault(self) -> str:
+        """Why both arms were stopped for good; "": they were not."""
+        found = self._latch.read()
+        return "" if found is None else found.text
+
+    def clear(self) -> None:
+        """Clear that, as `cell clear` does. An environment that was stopped is to be made anew."""
+        self._latch.clear()
+
+    @property
+    def _latch(self) -> Latch:
+        from dual_ur10.sim2real.cell_file import load_cell_file
+        from dual_ur10.sim2real.latch import Latch
+
+        return Latch(load_cell_file(self.path))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def _close_env(self) -> None:
+        env, self._env = self._env, None
+        if env is not None:
+            env.close()
+
+    def close(self) -> None:
+        """End the environment and the process, and forget the fault. May be called twice."""
+        try:
+            self._close_env()
+        finally:
+            super().close()
+            with contextlib.suppress(DualUR10Error):  # there is no file, if it did not start
+                self.clear()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let pytest know the marker."""
+    config.addinivalue_line("markers", f"{MARKER}(**options): options of the emulated cell: task, family, plant, ...")
+
+
+def options_of(request: pytest.FixtureRequest) -> dict[str, Any]:
+    """Options of a test's emulated cell: those of its markers, the nearest last, and those of its parameter.
+
+    Raises:
+        SettingsError: A marker has values without names, or the parameter is no mapping.
+    """
+    options: dict[str, Any] = {}
+    for marker in reversed(list(request.node.iter_markers(MARKER))):
+        if marker.args:
+            raise SettingsError(f"the marker {MARKER} has {marker.args!r}: name each option, as in task='Handover'")
+        options.update(marker.kwargs)
+    given = getattr(request, "param", None) or {}
+    if not isinstance(given, dict):
+        raise SettingsError(f"the parameter of {MARKER} is {given!r}: it must be a dict of options")
+    return {**options, **given}
+
+
+if importlib.util.find_spec("pytest") is not None:
+    import pytest
+
+    @pytest.fixture
+    def emulated_cell(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[CellForTests]:
+        """An emulated cell for one test, in real time.
+
+        Its options are those of `@pytest.mark.emulated_cell(task="Handover", family="e-series")`, or of a parameter:
+        `@pytest.mark.parametrize("emulated_cell", [{"task": "SyncCarry"}], indirect=True)`.
+        """
+        with CellForTests(tmp_path, **options_of(request)) as cell:
+            yield cell

@@ -1,0 +1,156 @@
+"""Where arms must not go: rows 48 to 52 of the table of faults in `docs/safety.md`."""
+
+import time
+
+import numpy as np
+import pytest
+
+from dual_ur10 import policies
+from dual_ur10.frames import Frames
+from dual_ur10.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
+from dual_ur10.sim2real.watch import _seen
+from tests import soak
+from tests.faults.lab import ARMS, Lab
+
+CARRY = "DualUR10/SyncCarry-v0"
+WALL = """
+[[obstacle]]
+name = "wall"
+kind = "plane"
+point_m = [{x}, 0.0, 0.0]
+normal = [-1.0, 0.0, 0.0]
+"""
+
+
+def drive(lab, *moves, most=300):
+    """Turn joints of arms, given as arm, joint and speed, until the episode ends. Returns `info` of the last step."""
+    action = np.zeros((2, 6))
+    for arm, joint, share in moves:
+        action[arm, joint] = share
+    for _ in range(most):
+        _, _, over, _, info = lab.env.step(action.reshape(-1))
+        if over:
+            return info
+    raise AssertionError("nothing was in the way")
+
+
+WAYS = [
+    pytest.param(((1, 2, 1.0), (1, 1, -0.5)), ("right/wrist", "right/"), id="48-self"),
+    pytest.param(((0, 0, -1.0), (1, 0, 1.0)), ("left/", "right/"), id="49-arms"),
+    pytest.param(((0, 1, 1.0),), ("left/", "table"), id="50-table"),
+]
+
+
+@pytest.mark.parametrize(("moves", "words"), WAYS)
+def test_48_49_50_the_gate_brakes_before_anything_meets(lab, moves, words):
+    lab.begin(steps=0)
+    info = drive(lab, *moves)
+    first, _, second = info["safety"].subject.partition(" and ")
+    assert info["safety"].kind == "distance"
+    assert first.startswith(words[0])
+    assert second.startswith(words[1])
+    time.sleep(1.0)
+    for arm in ARMS:
+        assert np.abs(lab.ask(arm, "actual_qd")[0]).max() < 1e-3
+    assert 0.0199 <= lab.nearest_m() < 0.2
+    lab.assert_within_limits()
+    assert lab.latch.read() is None  # it is no fault
+
+
+def test_50_an_obstacle_of_the_cell_file_is_one(lab):
+    lab.path.write_text(lab.path.read_text() + WALL.format(x=0.35))
+    lab.begin(steps=0)
+    info = drive(lab, (0, 1, 0.5), (0, 2, -1.0), (0, 3, 0.5))
+    assert "wall" in info["safety"].subject, info["safety"]
+    time.sleep(0.5)
+    assert lab.nearest_m() >= 0.0199
+
+
+def test_51_near_a_singularity_cartesian_actions_keep_to_the_limits(lab):
+    lab.make(action_mode="tcp_delta")
+    lab.env.reset(seed=0)
+    action = np.zeros((2, 6))
+    action[0, 0] = 1.0  # outwards, until the arm is stretched
+    ended = False
+    for _ in range(200 if soak.SOAK else 90):
+        _, _, ended, _, info = lab.env.step(action.reshape(-1))
+        if ended:
+            break
+    assert not ended or info["safety"].kind == "distance"
+    lab.assert_within_limits()
+    assert lab.latch.read() is None
+    assert np.abs(lab.ask("left", "actual_q")[0][2]) < 1.0  # it is all but stretched
+
+
+@pytest.fixture(scope="module")
+def the_carry(tmp_path_factory):
+    made = Lab(tmp_path_factory.mktemp("carry"), task="SyncCarry")
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def carry(the_carry):
+    the_carry.policy = policies.load("scripted", CARRY)
+    yield the_carry
+    the_carry.mend()
+
+
+def go(lab, observation, steps):
+    for _ in range(steps):
+        observation = lab.env.step(lab.policy(observation))[0]
+    return observation
+
+
+@pytest.mark.parametrize(("joint", "away"), [(5, 0.06), (0, 0.03)] if soak.SOAK else [(5, 0.06)])
+def test_52_arms_that_hold_one_object_stop_when_one_is_not_where_it_should_be(carry, joint, away):
+    lab = carry
+    go(lab, lab.begin(steps=0), 5)
+    hold = np.zeros(14, dtype=np.float32)
+    lab.policy = lambda observation=None: hold
+    for _ in range(25):
+        lab.env.step(hold)
+    told = list(lab.ask("left", "actual_q")[0])
+    told[joint] += away
+    lab.override("left", actual_q=told)
+    error = lab.step_until_faulted()
+    lab.assert_stopped(error, "the arms, which hold one object, are ", "allowed are 10 mm and 3°")
+
+
+def test_34_what_two_arms_hold_is_not_torn_by_a_slider(carry):
+    lab = carry
+    observation = go(lab, lab.begin(steps=0), 10)
+    lab.cell.ask("slider", arm="left", fraction=0.1)
+    observation = go(lab, observation, 5)
+    lab.cell.ask("slider", arm="left", fraction=1.0)
+    observation = go(lab, observation, 15)
+    lab.cell.ask("slider", arm="right", fraction=0.5)
+    go(lab, observation, 20)
+    assert lab.latch.read() is None
+    mounts = (lab.env.unwrapped.core.config.left, lab.env.unwrapped.core.config.right)
+    sent = [memory.sent()[0] for memory in lab.runner.arms]
+    low = max(each.period[0] for each in sent)
+    periods = np.arange(low, min(each.period[-1] for each in sent) + 1)
+    indices = [np.interp(periods, each.period, each.index) for each in sent]
+    apart_m, apart_rad = [], []
+    for row in range(0, len(periods), 5):
+        # What each was sent, and what it should have been sent were both as far as the left one.
+        was = [memory.target(index[row]) for memory, index in zip(lab.runner.arms, indices, strict=True)]
+        should = [memory.target(indices[0][row]) for memory in lab.runner.arms]
+        found, wanted = (_seen(each, mounts, Frames(mounts)) for each in (was, should))
+        apart_m.append(np.linalg.norm(found[0] - wanted[0]))
+        apart_rad.append(np.linalg.norm(quat_to_rotvec(quat_multiply(quat_conjugate(wanted[1]), found[1]))))
+    assert max(apart_m) < 1e-3
+    assert max(apart_rad) < np.radians(0.3)
+
+
+@pytest.mark.skipif(not soak.SOAK, reason="takes a minute: in a soak")
+def test_34_a_carry_succeeds_whatever_the_slider_does(carry):
+    lab = carry
+    observation, over, steps = lab.begin(steps=0), False, 0
+    while not over:
+        if steps % 50 == 25:
+            lab.cell.ask("slider", arm=ARMS[steps // 50 % 2], fraction=(0.25, 1.0)[steps // 100 % 2])
+        observation, _, terminated, truncated, info = lab.env.step(lab.policy(observation))
+        over, steps = terminated or truncated, steps + 1
+    assert info["is_success"]

@@ -1,0 +1,179 @@
+"""What goes wrong between this machine and the controllers: rows 17 to 27 of the table in `docs/safety.md`."""
+
+import time
+
+import pytest
+
+from dual_ur10.errors import CellFileError, LinkError, StartError
+from dual_ur10.sim2real import runner
+from dual_ur10.sim2real.controller.rtde_codec import Kind
+from dual_ur10.sim2real.rtde_link import RtdeClient
+from tests import soak
+from tests.faults.lab import ARMS, Lab
+
+PORTS = {"dashboard": 29999, "primary": 30001, "realtime": 30003, "rtde": 30004}
+OTHER = {"left": "right", "right": "left"}
+
+
+# At the start.
+
+
+@pytest.mark.parametrize("port", PORTS if soak.SOAK else ["realtime", "rtde"])
+def test_17_an_arm_that_takes_no_connections_is_named_and_nothing_moves(lab, port):
+    lab.turn("refuse", {}, arm="right", port=port)
+    with pytest.raises(StartError) as found:
+        lab.make()
+    for word in ("right", lab.cell.right, str(PORTS[port])):
+        assert word in str(found.value)
+    lab.assert_nothing_has_moved()
+    lab.cell.ask("heal", arm="right")
+    lab.make()  # nothing was left behind that would be in the way
+
+
+@pytest.mark.parametrize("port", ["all", *PORTS] if soak.SOAK else ["rtde"])
+def test_18_an_arm_that_never_answers_is_given_up(lab, port):
+    lab.turn("link", {"half_open": False}, arm="left", port=port, half_open=True)
+    if port == "realtime":  # nobody waits for an answer of that one
+        lab.make()
+        return
+    with pytest.raises(StartError, match=r"left.*no answer in time"):
+        lab.make()
+    lab.assert_nothing_has_moved()
+
+
+def test_18_a_controller_that_never_runs_the_control_script_is_given_up(lab, monkeypatch):
+    monkeypatch.setattr(runner, "_READY_S", 3.0)
+    lab.turn("script_delay", {"seconds": 0.0}, arm="right", seconds=10.0)
+    with pytest.raises(LinkError, match=f"right.*{lab.cell.right}"):
+        lab.make()
+    lab.assert_nothing_has_moved()
+
+
+def test_22_a_network_that_is_too_slow_is_refused(lab):
+    lab.turn("link", {"delay_s": 0.0}, arm="left", port="rtde", delay_s=0.02)
+    with pytest.raises(StartError, match=r"left, round trip: .* expected: at most 4 ms; use a wired network"):
+        lab.make()
+    lab.assert_nothing_has_moved()
+
+
+def test_25_one_address_for_both_arms_is_refused(lab):
+    lab.rewrite(lab.cell.right, lab.cell.left)
+    with pytest.raises(CellFileError, match=f"{lab.cell.left}.*own"):
+        lab.make()
+
+
+@pytest.mark.parametrize("host", ["localhost", "left.lab", "127.0.0.300", "2130706433"])
+def test_28_names_of_hosts_are_not_looked_up(lab, host):
+    lab.rewrite(lab.cell.left, host)
+    with pytest.raises(CellFileError, match=r"left\.host"):
+        lab.make()
+
+
+def test_27_registers_that_somebody_else_has_are_refused(lab):
+    deadline_s = time.monotonic() + 20.0
+    client = RtdeClient("", lab.cell.right, 30004, deadline_s)
+    client.set_up(Kind.SETUP_INPUTS, ["input_int_register_0"], b"", deadline_s)
+    try:
+        with pytest.raises(StartError, match="right, registers: in use: input_int_register_0"):
+            lab.make()
+    finally:
+        client.socket.close_and_wait(deadline_s)
+    lab.assert_nothing_has_moved()
+
+
+# While the arms move.
+
+
+@pytest.mark.parametrize("arm", ARMS if soak.SOAK else ["left"])
+@pytest.mark.parametrize("reset", [True, False] if soak.SOAK else [True])
+@pytest.mark.parametrize("port", ["rtde", "all"] if soak.SOAK else ["rtde"])
+def test_19_a_connection_that_ends_stops_both_and_is_not_made_again(lab, port, reset, arm):
+    lab.begin()
+    before = lab.programs()
+    lab.cell.ask("drop", arm=arm, port=port, reset=reset)
+    error = lab.step_until_faulted()
+    lab.assert_stopped(error, f"{arm}: ")
+    assert lab.programs() == before + 2  # one for each arm: none was started anew
+
+
+@pytest.mark.parametrize("arm", ARMS if soak.SOAK else ["left"])
+def test_20_a_controller_that_falls_silent_stops_both(lab, arm):
+    lab.begin()
+    lab.turn("link", {"mute": False}, arm=arm, port="rtde", mute=True)
+    error = lab.step_until_faulted()
+    lab.assert_stopped(error, f"{arm}: ", "stood still")
+
+
+@pytest.mark.parametrize("arm", ARMS if soak.SOAK else ["right"])
+def test_21_23_a_controller_that_takes_nothing_stops_both_and_old_targets_go_nowhere(lab, arm):
+    lab.begin()
+    lab.turn("link", {"frozen": False}, arm=arm, port="rtde", frozen=True)
+    error = lab.step_until_faulted()
+    lab.assert_at_rest()
+    count = lab.cell.ask("setpoints", arm=arm)["count"]
+    lab.cell.ask("heal", arm=arm)  # what was underway arrives now
+    time.sleep(0.3)
+    assert lab.cell.ask("setpoints", arm=arm)["count"] == count
+    lab.assert_stopped(error, f"{arm}: ")
+
+
+def test_23_a_network_that_stalls_and_then_delivers_all_at_once_stops_both(lab):
+    lab.begin()
+    lab.turn("link", {"mute": False, "frozen": False}, arm="left", port="rtde", mute=True, frozen=True)
+    time.sleep(0.2)
+    count = lab.cell.ask("setpoints", arm="left")["count"]
+    lab.cell.ask("heal", arm="left")
+    error = lab.step_until_faulted()
+    lab.assert_at_rest()
+    assert lab.cell.ask("setpoints", arm="left")["count"] - count <= 3
+    lab.assert_stopped(error, "left: ")
+
+
+def test_22_a_network_that_becomes_slow_stops_both(lab):
+    lab.begin()
+    lab.turn("link", {"delay_s": 0.0}, arm="right", port="rtde", delay_s=0.09)
+    lab.assert_stopped(lab.step_until_faulted(), "right: ", "from what was sent", "the controller does not follow")
+
+
+@pytest.mark.parametrize("corrupt", [1, 20, 1000] if soak.SOAK else [20])
+@pytest.mark.parametrize("arm", ARMS if soak.SOAK else ["right"])
+def test_24_damaged_packets_stop_both(lab, arm, corrupt):
+    lab.begin()
+    lab.turn("link", {"corrupt": 0}, arm=arm, port="rtde", corrupt=corrupt)
+    if corrupt == 1:  # a byte of a number that nobody looks at may go unnoticed
+        for _ in range(10):
+            lab.env.step(lab.policy()) if lab.latch.read() is None else None
+        lab.cell.ask("stop", arm=arm, mode=3)
+    lab.assert_stopped(lab.step_until_faulted(), f"{arm}: ")
+
+
+def test_24_lost_packets_are_no_fault_and_many_are(lab):
+    lab.begin()
+    lab.turn("link", {"lose": 0}, arm="left", port="rtde", lose=6)
+    for _ in range(10):
+        lab.env.step(lab.policy())
+    lab.cell.ask("link", arm="left", port="rtde", lose=100)
+    lab.assert_stopped(lab.step_until_faulted(), "left: ", "stood still")
+
+
+@pytest.fixture
+def e_lab(tmp_path):
+    made = Lab(tmp_path, family="e-series")
+    yield made
+    made.close()
+
+
+def test_25_26_two_addresses_of_one_robot_and_swapped_robots_are_refused(e_lab):
+    lab = e_lab
+    serial = {arm: f"20215{number:05d}" for number, arm in enumerate(ARMS, start=1)}
+    for arm in ARMS:
+        lab.cell.ask("pretend", arm=arm, serial_number=serial["left"])
+    with pytest.raises(StartError, match=f"serial numbers {serial['left']} and {serial['left']}.*one controller"):
+        lab.make()
+    for arm in ARMS:
+        lab.cell.ask("pretend", arm=arm, serial_number=serial[arm])
+        table = f"[{arm}]\n"
+        lab.rewrite(table, f'{table}serial_number = "{serial[OTHER[arm]]}"\n')
+    with pytest.raises(StartError, match=f"left, serial number: {serial['left']}, .*swapped"):
+        lab.make()
+    lab.assert_nothing_has_moved()

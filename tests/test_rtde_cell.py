@@ -1,0 +1,178 @@
+"""Environments on two emulated controllers: what they give, what they ask, and what they refuse."""
+
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import dual_ur10
+from dual_ur10 import policies
+from dual_ur10.envs.parallel_env import parallel_env
+from dual_ur10.errors import ClosedError, SettingsError, StartError, UnknownNameError
+from dual_ur10.policies.rollout import rollout
+from dual_ur10.recording.reader import read_run
+from tests.faults.lab import Lab
+
+HANDOVER, SINE = "DualUR10/Handover-v0", "DualUR10/SineTracking-v0"
+
+
+@pytest.fixture(scope="module")
+def the_lab(tmp_path_factory):
+    made = Lab(tmp_path_factory.mktemp("cell"), task="Handover")
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def lab(the_lab):
+    text = the_lab.path.read_text()
+    yield the_lab
+    the_lab.path.write_text(text)
+    the_lab.mend()
+
+
+def test_spaces_and_first_observation_are_those_of_the_simulation(lab):
+    simulated = gym.make(HANDOVER, action_latency_ticks=5, disable_env_checker=True)
+    env = lab.make()
+    assert env.observation_space == simulated.observation_space
+    assert env.action_space == simulated.action_space
+    expected, _ = simulated.reset(seed=4)
+    simulated.close()
+    found, info = env.reset(seed=4)
+    assert env.observation_space.contains(found)
+    # Arms within what servos leave; wrenches are noisy in simulation.
+    core = env.unwrapped.core
+    assert np.abs(info["q_rad"] - core.task.start(np.arange(1), [np.random.default_rng(0)]).q_rad[0]).max() < 0.02
+    quiet = np.abs(found - expected) < 0.02
+    assert quiet.mean() > 0.85
+
+
+def test_make_moves_nothing_and_reset_asks_before_it_does(lab):
+    asked = []
+
+    def no(question):
+        asked.append(question)
+        return False
+
+    lab.make(confirm=no)
+    assert len(lab.executed("left")) == len(lab.executed("right")) == 0
+    with pytest.raises(StartError, match="not confirmed"):
+        lab.env.reset(seed=0)
+    assert len(lab.executed("left")) == len(lab.executed("right")) == 0
+    (question,) = asked
+    for words in ("go to where the task begins", "left", "right", "grippers open", "emergency stop"):
+        assert words in question
+
+
+def test_a_real_cell_asks_at_the_terminal_and_a_pipe_is_none(lab, monkeypatch):
+    lab.make()
+    cell = lab.env.unwrapped.core.cell
+    monkeypatch.setattr(type(cell.file), "kind", "real", raising=False)
+    object.__setattr__(cell.file, "kind", "real")
+    with pytest.raises(StartError, match="no terminal"):
+        lab.env.reset(seed=0)
+    object.__setattr__(cell.file, "kind", "emulated")
+
+
+def test_one_policy_hands_over_on_both_cells_and_the_run_is_recorded(lab, tmp_path):
+    keywords = {"action_latency_ticks": 8}
+    simulated = gym.make(HANDOVER, disable_env_checker=True, **keywords)
+    policy = policies.load("scripted", HANDOVER, **keywords)
+    assert rollout(simulated, policy, seed=1).success
+    simulated.close()
+    env = lab.make(record=str(tmp_path), **keywords)
+    found = rollout(env, policy, seed=1)
+    late = env.unwrapped.core.cell.late_periods
+    lab.close_env()
+    assert found.success or late, found.ended_by
+    run = read_run(next(tmp_path.iterdir()))
+    assert run.complete
+    assert run.header.source == "emulated"
+    assert len(run.episodes[0].action) == found.steps
+    for arm in run.arms:
+        assert np.unique(np.diff(arm.state["timestamp_s"]).round(4)).tolist() == [0.008]
+        assert len(arm.sent["late_s"]) > 5 * found.steps
+    # The block is where the camera of the cell sees it.
+    np.testing.assert_array_equal(run.episodes[0].q_rad.shape, (found.steps + 1, 2, 6))
+
+
+def test_one_arm_moves_and_the_other_is_held(lab):
+    env = lab.make(arm="left")
+    lab.policy.reset()
+    before = np.array(lab.ask("right", "actual_q")[0])
+    env.reset(seed=0)
+    for _ in range(30):
+        if env.step(np.full(env.action_space.shape, 0.2, dtype=np.float32))[2]:
+            break
+    executed = lab.executed("right")
+    assert len(executed) > 50
+    assert np.abs(executed - before).max() < 1e-3
+    assert np.abs(np.diff(lab.executed("left"), axis=0)).max() > 1e-4
+
+
+def test_the_two_agent_view_runs_on_a_cell(lab):
+    env = parallel_env("Handover", cell=str(lab.path))
+    try:
+        env.reset(seed=0)
+        for _ in range(5):
+            found = env.step({agent: np.zeros(7, dtype=np.float32) for agent in env.agents})
+        assert set(found[0]) == {"left", "right"}
+    finally:
+        env.close()
+
+
+@pytest.mark.parametrize(
+    ("keywords", "words"),
+    [
+        ({"num_envs": 2}, "one pair of arms"),
+        ({"num_envs": 1}, "begin by themselves"),
+        ({"num_envs": 1, "autoreset_mode": "Disabled", "randomization": "mild"}, "randomization"),
+    ],
+)
+def test_training_is_refused(lab, keywords, words):
+    with pytest.raises(SettingsError, match=words):
+        gym.make_vec(HANDOVER, vectorization_mode="vector_entry_point", cell=str(lab.path), **keywords)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "error", "words"),
+    [
+        ({"action_latency_ticks": 2}, SettingsError, "3 to 125"),
+        ({"confirm": "yes"}, SettingsError, "function"),
+        ({"arm": "middle"}, UnknownNameError, "middle"),
+        ({"record": 3}, SettingsError, "folder"),
+        ({"record_failure": "panic"}, UnknownNameError, "panic"),
+    ],
+)
+def test_keywords_that_cannot_be_are_refused_by_name(lab, keywords, error, words):
+    with pytest.raises(error, match=words):
+        lab.make(**keywords)
+
+
+def test_a_welded_grasp_exists_in_simulation_only(lab):
+    with pytest.raises(SettingsError, match="friction"):
+        gym.make("DualUR10/SyncCarry-v0", cell=str(lab.path), grasp="rigid")
+
+
+def test_a_task_with_objects_needs_grippers(lab):
+    text = lab.path.read_text().replace('kind = "robotiq"', 'kind = "none"')
+    lab.path.write_text(text)
+    with pytest.raises(SettingsError, match=r"left\.gripper"):
+        lab.make()
+
+
+def test_it_can_be_neither_copied_nor_used_when_closed(lab):
+    env = lab.make()
+    cell = env.unwrapped.core.cell
+    with pytest.raises(SettingsError, match="pickled"):
+        pickle.dumps(cell)
+    lab.close_env()
+    with pytest.raises(ClosedError):
+        cell.advance(None)
+    cell.close()
+
+
+def test_no_such_file_is_an_error_that_names_it():
+    with pytest.raises(dual_ur10.errors.CellFileError, match=r"nowhere\.toml"):
+        gym.make(SINE, cell="nowhere.toml")

@@ -28,10 +28,13 @@ check-python:
 $(VENV)/bin/python: | check-python
 	@$(PYTHON) -m venv $(VENV)
 
-# What the demo needs: the package and its plots. No torch.
+# What the demo needs: the package, its plots, and ur_rtde for the emulated controllers. No torch. Where ur_rtde cannot
+# be installed, the demo says so and shows the rest.
 $(VENV)/.demo: pyproject.toml constraints.txt $(VENV)/bin/python
-	@echo "Installing dual-ur10 with its plots into $(VENV) ..."
-	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e '.[plot]'
+	@echo "Installing dual-ur10 with its plots and ur_rtde into $(VENV) ..."
+	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e '.[plot,real]' || { \
+	  echo "ur_rtde could not be installed: trying without it."; \
+	  $(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e '.[plot]'; }
 	@touch $@
 
 # What the tests need, too.
@@ -49,7 +52,7 @@ $(OLDEST)/.dev: pyproject.toml constraints-oldest.txt | check-python
 
 install: $(VENV)/.dev  ## set up .venv for the tests
 
-demo: $(VENV)/.demo  ## install, run the scripted policies, write out/report.html and three videos
+demo: $(VENV)/.demo  ## install, run the scripted policies, also on emulated arms; write out/report.html and videos
 	@$(VENV)/bin/python -m dual_ur10 demo --out out
 
 test: $(VENV)/.dev  ## install, lint, type-check and run all tests
@@ -70,6 +73,7 @@ bench: $(VENV)/.dev  ## all benchmarks, figures to out/*.json
 	@$(VENV)/bin/python benchmarks/accuracy.py --json out/accuracy.json
 	@$(VENV)/bin/python benchmarks/throughput.py --json out/throughput.json
 	@$(VENV)/bin/python benchmarks/emulator.py --seconds 60 --json out/emulator.json
+	@$(VENV)/bin/python benchmarks/runner.py --json out/runner.json
 
 lint: $(VENV)/.dev  ## ruff and mypy alone
 	@$(VENV)/bin/ruff check .

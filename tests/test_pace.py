@@ -127,7 +127,9 @@ def test_who_knows_of_another_pace_already_asks_for_the_same(rate, goal, other, 
     next_one = pace.towards(other, begin, tick_s)
     # At the end of a change there is a bend in three periods.
     bend = (
-        0.0 if (abs(goal - rate) / pace.slope > after or abs(goal - rate) / pace.slope < after - 3.0) else 4.5 * tick_s
+        0.0
+        if (abs(goal - rate) / pace.slope > after or abs(goal - rate) / pace.slope < after - 3.0)
+        else 4.5 * pace.slope
     )
     assert next_one.at(begin - back) == pytest.approx(pace.at(begin - back), abs=1e-7 + bend)
     assert next_one.rate_at(begin - back) == pytest.approx(pace.rate_at(begin - back), abs=1e-7 + bend)

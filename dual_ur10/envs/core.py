@@ -302,6 +302,10 @@ class Core:
         if cell.rested_q_rad is not None:
             self.pipeline.reset(cell.rested_q_rad, gripper_m=gripper_m)
 
+    def finish(self) -> None:
+        """The episode is over for a reason that the task does not know: arms that do not stand come to rest."""
+        self._open().finish()
+
     def stop(self, reason: str) -> None:
         """Stop the arms for good, because of who commands them. In simulation there is nothing to stop."""
         if self.cell is not None:

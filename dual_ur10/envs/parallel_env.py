@@ -156,10 +156,16 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
             raise ResetNeededError(
                 "step was called without a running episode: call reset() first, and again when `agents` is empty"
             )
-        _, reward, terminated, truncated, info = self._env.step(self._joint(actions))
+        try:
+            joint = self._joint(actions)
+        except ActionError as error:
+            self._env.core.stop(f"the policy's action was refused: {error}")
+            raise
+        _, reward, terminated, truncated, info = self._env.step(joint)
         self._cycles += 1
         if self.max_cycles is not None and self._cycles >= self.max_cycles:
             truncated = True
+            self._env.core.finish()
         if terminated or truncated:
             self.agents = []
         agents = self._env.core.agents

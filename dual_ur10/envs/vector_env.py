@@ -160,6 +160,8 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
         reward, terminated, truncated = step.reward, step.terminated, step.truncated
         if self._max_steps is not None:
             truncated = truncated | (self._steps >= self._max_steps)
+            if truncated.all():
+                self.core.finish()
         info = self._info(step)
         if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._done.any():
             fresh = self._done.copy()

@@ -39,6 +39,7 @@ MOST_LATE_S: Final = 0.1
 """How far the sending may fall behind before it is given up: the watchdog in the controller waits as long."""
 
 _KICK_S: Final = 0.02
+_LOOKED_AT: Final = 5  # targets of the other arm, of which the last ones may slow it down already
 _MOST_PERIODS: Final = 12  # that a ramp may have missed
 _STOP_RAD_S2: Final = 10.0  # of servoStop, at rest already
 
@@ -59,6 +60,15 @@ class Control(Protocol):
 
     def stopScript(self) -> None:  # noqa: N802
         """End the control script."""
+
+
+_ASKED: Final = "a stop was asked for"
+_OTHER: Final = "the other arm stops"
+
+
+def first_reason(texts: Sequence[str]) -> str:
+    """Of what arms that stopped say, at least one text: what says why, and not that others wanted it."""
+    return next((each for each in texts if _ASKED not in each and _OTHER not in each), texts[0])
 
 
 class StopError(Exception):
@@ -248,11 +258,11 @@ class ArmSender:
         if self.cell.fault:  # which comes before a stop is asked for
             raise StopError(self.cell.fault)
         if stop_asked:
-            raise StopError("a stop was asked for")
+            raise StopError(_ASKED)
         for other in self.others:
             phase = other.phase
             if phase >= Phase.STOPPING:
-                raise StopError(f"the other arm stops: {other.text}")
+                raise StopError(f"{_OTHER}: {other.text}")
             if phase == Phase.STREAMING and now - other.beat_s > STALE_S:
                 other_name = next(each for each in ARMS if each != self.name)
                 raise StopError(f"the process of the {other_name} arm does nothing any more")
@@ -308,9 +318,9 @@ class ArmSender:
 
 
 def _speed(memory: ArmMemory, tick_s: float) -> float:
-    """Greatest joint speed of what an arm was sent last, rad/s."""
-    sent, _ = memory.sent(max(0, memory.sent_count - 2))
+    """Greatest joint speed of what an arm was sent in the last periods, before it slowed down itself, rad/s."""
+    sent, _ = memory.sent(max(0, memory.sent_count - _LOOKED_AT))
     if len(sent.period) < 2:
         return 0.0
-    periods = max(sent.period[-1] - sent.period[-2], 1.0)
-    return float(np.abs(sent.target_rad[-1] - sent.target_rad[-2]).max() / (periods * tick_s))
+    periods = np.maximum(np.diff(sent.period), 1.0)
+    return float((np.abs(np.diff(sent.target_rad, axis=0)).max(axis=1) / periods).max() / tick_s)

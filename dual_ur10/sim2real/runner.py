@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from dual_ur10.errors import CellFaulted, StartError
 from dual_ur10.sim2real.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.arm_process import ArmConnection, ArmProcess
+from dual_ur10.sim2real.arm_sender import first_reason
 from dual_ur10.sim2real.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.cell import CellConfig
 from dual_ur10.sim2real.cell_file import CellFile
@@ -216,8 +217,7 @@ class Runner:
             memory.stop()
         self._wait_for_end(_STOP_S)
         texts = [memory.text for memory in self.arms if memory.phase >= Phase.STOPPING]
-        first = [each for each in texts if "the other arm" not in each] or texts or ["an arm's process has ended"]
-        self._fault = self.cell.fault or first[0]
+        self._fault = self.cell.fault or first_reason(texts or ["an arm's process has ended"])
         self.latch.set(self._fault)
 
     def _wait_for_end(self, within_s: float) -> None:

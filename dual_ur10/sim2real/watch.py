@@ -14,7 +14,7 @@ from dual_ur10.forward_kinematics import flange_pose_quat
 from dual_ur10.frames import Frames
 from dual_ur10.rotations import quat_conjugate, quat_multiply, quat_to_rotvec, rotate
 from dual_ur10.sim2real.arm_memory import ArmMemory, Phase
-from dual_ur10.sim2real.arm_sender import STALE_S
+from dual_ur10.sim2real.arm_sender import STALE_S, first_reason
 from dual_ur10.sim2real.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.cell_memory import CellMemory
 from dual_ur10.sim2real.tracking import Tracking
@@ -92,8 +92,7 @@ class Watch:
             elif phase >= Phase.READY and now_s - memory.beat_s > STALE_S:
                 texts.append(f"{name}: its process does nothing any more")
         if texts:
-            # One of them stops because the other does: that other one's reason counts.
-            return next((each for each in texts if "the other arm" not in each), texts[0])
+            return first_reason(texts)
         cell = self._cell
         if cell.live and cell.begin_s:
             pace, tick_s = cell.pace, self._settings.tick_s

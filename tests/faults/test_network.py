@@ -33,10 +33,9 @@ def test_17_an_arm_that_takes_no_connections_is_named_and_nothing_moves(lab, por
 @pytest.mark.parametrize("port", ["all", *PORTS] if soak.SOAK else ["rtde"])
 def test_18_an_arm_that_never_answers_is_given_up(lab, port):
     lab.turn("link", {"half_open": False}, arm="left", port=port, half_open=True)
-    if port == "realtime":  # nobody waits for an answer of that one
-        lab.make()
-        return
-    with pytest.raises(StartError, match=r"left.*no answer in time"):
+    # That programs are not read shows only where one is sent.
+    kind, words = (LinkError, "control script") if port == "realtime" else (StartError, "no answer in time")
+    with pytest.raises(kind, match=f"left.*{words}"):
         lab.make()
     lab.assert_nothing_has_moved()
 
@@ -135,12 +134,12 @@ def test_22_a_network_that_becomes_slow_stops_both(lab):
     lab.assert_stopped(lab.step_until_faulted(), "right: ", "from what was sent", "the controller does not follow")
 
 
-@pytest.mark.parametrize("corrupt", [1, 20, 1000] if soak.SOAK else [20])
+@pytest.mark.parametrize("corrupt", [1, 20, 1000] if soak.SOAK else [1000])
 @pytest.mark.parametrize("arm", ARMS if soak.SOAK else ["right"])
 def test_24_damaged_packets_stop_both(lab, arm, corrupt):
     lab.begin()
     lab.turn("link", {"corrupt": 0}, arm=arm, port="rtde", corrupt=corrupt)
-    if corrupt == 1:  # a byte of a number that nobody looks at may go unnoticed
+    if corrupt < 1000:  # bytes of numbers that nobody looks at may go unnoticed
         for _ in range(10):
             lab.env.step(lab.policy()) if lab.latch.read() is None else None
         lab.cell.ask("stop", arm=arm, mode=3)

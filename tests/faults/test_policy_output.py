@@ -184,7 +184,7 @@ def test_12_a_policy_that_fails_stops_both_and_its_traceback_is_kept(lab):
     lab.assert_stopped(found.value, "the policy failed: ZeroDivisionError: of this policy")
 
 
-@pytest.mark.parametrize("wrong", ["missing", "extra"])
+@pytest.mark.parametrize("wrong", ["missing", "extra"] if soak.SOAK else ["missing"])
 def test_13_agents_are_told_by_their_names_and_there_are_two(lab, wrong):
     from dual_ur10.envs.parallel_env import parallel_env
 

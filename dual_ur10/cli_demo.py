@@ -13,14 +13,20 @@ from rich.table import Table
 
 from dual_ur10.cli_options import console
 
-_LEFT_OUT = ("lateral", "bar RMS", "least load")  # of SyncCarry: a terminal is narrower than a page
+# A terminal is narrower than a page.
+_LEFT_OUT = ("lateral", "bar RMS", "least load")  # of SyncCarry
+_LEFT_OUT_EMULATED = ("path max, lag off", "targets apart", "load")
 
 
 def demo(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for report.html and the videos.")] = Path("out"),
     quick: Annotated[bool, typer.Option("--quick", help="Fewer and shorter episodes, and shorter videos.")] = False,
 ) -> None:
-    """Run the scripted policies of the three tasks, and write a report and a video of each."""
+    """Run the scripted policies of the three tasks, and write a report and a video of each.
+
+    It ends on two emulated controllers, through ur_rtde, in real time: a machine that does nothing else then shows them
+    best.
+    """
     from dual_ur10.demo import run_demo
 
     columns = (TextColumn("{task.description:40}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
@@ -32,8 +38,17 @@ def demo(
 
         found = run_demo(out, quick=quick, progress=show)
     from dual_ur10.report_carry import CARRY_HEADERS, figures_of_run
+    from dual_ur10.report_emulated import (
+        ON_FAILURE,
+        TASK_HEADERS,
+        TIMING_HEADERS,
+        cut_short,
+        figures_of_task,
+        figures_of_timing,
+    )
     from dual_ur10.report_handover import HANDOVER_HEADERS, figures_of_episode
     from dual_ur10.report_sine import HEADERS, figures_of
+    from dual_ur10.runs_emulated import EmulatedFailure, EmulatedResult
 
     _show(
         "SineTracking, worse arm of",
@@ -54,8 +69,25 @@ def demo(
             for each in found.handover
         ],
     )
+    beside = [each for each in found.emulated if isinstance(each, EmulatedResult)]
+    for each in beside:
+        name = each.run.name
+        sides = (("simulated", each.simulated), ("emulated", each.emulated))
+        _show(
+            f"{each.run.title} on emulated controllers",
+            TASK_HEADERS[name],
+            [(title, False, figures_of_task(name, side)) for title, side in sides],
+        )
+    if beside:
+        shown = [k for k, (name, _) in enumerate(TIMING_HEADERS) if name not in _LEFT_OUT_EMULATED]
+        _show(
+            "Emulated, simulated",
+            [TIMING_HEADERS[k] for k in shown],
+            [(each.run.title, False, [figures_of_timing(each)[k] for k in shown]) for each in beside],
+        )
     console.print(
-        "Dim rows are those of an exact model: an artefact. No real arm was measured; L is 0 unless a row says so.",
+        "Dim rows are those of an exact model: an artefact. No real arm was measured, and emulated is not real; L is 0 "
+        "unless a row says so.",
         style="dim",
     )
     console.print(f"report  {out / 'report.html'}", soft_wrap=True, highlight=False)
@@ -63,6 +95,12 @@ def demo(
         console.print(f"video   {film.path}", soft_wrap=True, highlight=False)
     if found.missing:
         console.print(f"[yellow]no video:[/] {escape(found.missing)}", soft_wrap=True, highlight=False)
+    failures = [each for each in found.emulated if isinstance(each, EmulatedFailure)]
+    warnings = [f"not on emulated controllers: {each.run.title}: {each.reason}" for each in failures]
+    for warning in (*warnings, *filter(None, map(cut_short, beside))):
+        console.print(f"[yellow]{escape(warning)}[/]", soft_wrap=True, highlight=False)
+    if failures:
+        console.print(ON_FAILURE, soft_wrap=True, highlight=False)
 
 
 def _show(title: str, headers: Sequence[tuple[str, str]], rows: Iterable[tuple[str, bool, Sequence[str]]]) -> None:

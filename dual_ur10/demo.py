@@ -1,4 +1,7 @@
-"""The demonstration: the three tasks by their scripted policies, as figures, a report and videos."""
+"""The demonstration: the three tasks by their scripted policies, as figures, a report and videos.
+
+It ends on two emulated controllers, through `ur_rtde`, in real time.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,16 @@ from dual_ur10.film import FPS, Film
 from dual_ur10.report import Findings, write_report
 from dual_ur10.runs import RUNS, Result, Run, measure
 from dual_ur10.runs_carry import CARRY_RUNS, CarryResult, CarryRun, measure_carry
+from dual_ur10.runs_emulated import (
+    CARRY,
+    HANDOVER,
+    PREPARING_S,
+    EmulatedFailure,
+    EmulatedResult,
+    EmulatedRun,
+    measure_emulated,
+    sine_run,
+)
 from dual_ur10.runs_handover import HANDOVER_RUNS, HandoverResult, HandoverRun, measure_handovers
 
 VIDEOS = {"sine": "sine_tracking.mp4", "carry": "sync_carry.mp4", "handover": "handover.mp4"}
@@ -37,6 +50,7 @@ class Extent:
         sine_film_s: Length of its video.
         episodes: Of each run of Handover.
         carry_every, handover_every: Steps from one frame of a video to the next.
+        emulated: What is run on emulated controllers, too.
     """
 
     sine_s: float = 30.0
@@ -44,9 +58,20 @@ class Extent:
     episodes: int = 6
     carry_every: int = 4
     handover_every: int = 2
+    emulated: tuple[EmulatedRun, ...] = (sine_run(20.0), CARRY, HANDOVER)
 
 
-QUICK = Extent(sine_s=10.0, sine_film_s=3.0, episodes=2, carry_every=15, handover_every=6)
+QUICK = Extent(
+    sine_s=10.0,
+    sine_film_s=1.2,
+    episodes=2,
+    carry_every=30,
+    handover_every=10,
+    emulated=(sine_run(2.0), HANDOVER),
+)
+
+RUNS_FOLDER = "runs"
+"""Where recordings go, beside the report."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +82,14 @@ class _Job:
 
 
 def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: None) -> Findings:
-    """Run everything, and write `report.html` and the videos.
+    """Run everything, and write `report.html`, the videos and the recordings.
+
+    That something does not run on emulated controllers ends nothing else: the report says why.
 
     Args:
         out: Folder to write into; made if it does not exist.
-        quick: Shorter episodes of SineTracking, fewer of Handover, and videos with fewer frames.
+        quick: Shorter episodes of SineTracking, fewer of Handover, videos with fewer frames, and no SyncCarry on
+            emulated controllers.
         progress: Told how far it has got.
 
     Raises:
@@ -79,6 +107,7 @@ def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: 
     handover: list[HandoverResult] = []
     shot: dict[str, Film] = {}
     reasons: list[str] = []
+    emulated: list[EmulatedResult | EmulatedFailure] = []
 
     def film_job(name: str, cost: float, shoot: Callable[[Path, OnShare], Film]) -> _Job:
         def do(on_share: OnShare) -> None:
@@ -96,12 +125,15 @@ def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: 
     jobs += [_handover_job(run, extent, handover) for run in HANDOVER_RUNS]
     jobs += [film_job(name, *film) for name, film in _films(extent).items()]
 
-    def report(_: OnShare) -> None:
-        write_report(out / "report.html", Findings(sine, carry, handover, shot, "".join(reasons)))
+    # These last: they run in real time, and nothing else may then run beside them.
+    jobs += [_emulated_job(run, out / RUNS_FOLDER, emulated) for run in extent.emulated]
 
-    jobs.append(_Job("writing the report", _DRAWING, report))
+    def findings() -> Findings:
+        return Findings(sine, carry, handover, shot, "".join(reasons), emulated)
+
+    jobs.append(_Job("writing the report", _DRAWING, lambda _: write_report(out / "report.html", findings())))
     _do(jobs, progress)
-    return Findings(sine, carry, handover, shot, "".join(reasons))
+    return findings()
 
 
 def _do(jobs: list[_Job], progress: Progress) -> None:
@@ -136,6 +168,14 @@ def _handover_job(run: HandoverRun, extent: Extent, found: list[HandoverResult])
     cost = extent.episodes * _HANDOVER_STEPS * _HANDOVER_STEP
     return _Job(
         f"Handover: {run.title}", cost, lambda share: found.extend(measure_handovers(run, extent.episodes, share))
+    )
+
+
+def _emulated_job(run: EmulatedRun, folder: Path, found: list[EmulatedResult | EmulatedFailure]) -> _Job:
+    return _Job(
+        f"{run.title} on emulated controllers",
+        PREPARING_S + run.duration_s,
+        lambda share: found.append(measure_emulated(run, folder, share)),
     )
 
 

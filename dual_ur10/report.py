@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from dual_ur10 import __version__
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.report_carry import carry_section
+from dual_ur10.report_emulated import Emulated, emulated_section
 from dual_ur10.report_handover import handover_section
 from dual_ur10.report_page import note, number, page, tiles
 from dual_ur10.report_sine import sine_section
@@ -32,6 +33,7 @@ class Findings:
         handover: Episodes of Handover, run by run.
         films: Films by the task's short name: "sine", "carry" and "handover".
         missing: Why there are no films; "" if there are.
+        emulated: What came of each task on emulated controllers, or why nothing did; empty: none was asked for.
     """
 
     sine: Sequence[Result]
@@ -39,6 +41,7 @@ class Findings:
     handover: Sequence[HandoverResult]
     films: Mapping[str, Film] = field(default_factory=dict)
     missing: str = ""
+    emulated: Emulated = ()
 
 
 def write_report(path: Path, findings: Findings) -> None:
@@ -50,12 +53,13 @@ def write_report(path: Path, findings: Findings) -> None:
     films = findings.films
     body = "\n".join(
         (
-            _head(),
+            _head(bool(findings.emulated)),
             _tiles(findings),
             _caveats(findings.missing),
             sine_section(findings.sine, films.get("sine")),
             carry_section(findings.carry, films.get("carry")),
             handover_section(findings.handover, films.get("handover")),
+            emulated_section(findings.emulated),
             "<footer>Written by <code>python -m dual_ur10 demo</code>.</footer>",
         )
     )
@@ -65,12 +69,13 @@ def write_report(path: Path, findings: Findings) -> None:
         raise DualUR10Error(f"cannot write {path}: {error}") from error
 
 
-def _head() -> str:
+def _head(emulated: bool) -> str:
+    more = "<a href='#emulated'>Emulated controllers</a>" if emulated else ""
     return (
         "<header><h1>Two UR10s, three tasks</h1>"
         f"<p class='sub'>dual-ur10 {escape(__version__)} · scripted policies · 25 Hz policy, 125 Hz servoj (lookahead "
         "0.03 s, gain 2000)</p><nav><a href='#sine'>SineTracking</a><a href='#carry'>SyncCarry</a>"
-        "<a href='#handover'>Handover</a></nav></header>"
+        f"<a href='#handover'>Handover</a>{more}</nav></header>"
     )
 
 
@@ -104,15 +109,16 @@ def _tiles(findings: Findings) -> str:
 def _caveats(missing: str) -> str:
     points = [
         "<b>No real arm was measured.</b> Everything here is simulation: MuJoCo, and a model of UR's unpublished "
-        "<code>servoj</code> law. A real UR10 repeats to ± 0.1 mm, and its absolute accuracy is worse than that.",
+        "<code>servoj</code> law, on emulated controllers, too. A real UR10 repeats to ± 0.1 mm, and its absolute "
+        "accuracy is worse than that.",
         "<b>Nominal figures are an artefact of an exact model.</b> Where the feed-forward knows the plant exactly, the "
         "error is zero by construction. Only the perturbed rows mean something. SineTracking: masses + 5 %, Coulomb "
         "friction of 5, 5, 3, 1, 1, 1 N·m in the joints, lookahead + 5 %, and 2 ms of latency that nobody compensates. "
         "SyncCarry: the preset <code>mild</code> of the randomization. Handover: the measured pose of the block alone; "
         "its plant is exact. The sizes of all of these are a choice, not data of UR's.",
-        "<b>Action latency is L = 0</b> except where a row says otherwise: an action takes effect in the instant of "
-        "its observation. On real arms it will not. Latency costs most in the first seconds of SineTracking, while the "
-        "policy learns, and along other axes than y.",
+        "<b>Action latency is L = 0</b> except where a row says otherwise, and beside emulated controllers: an action "
+        "takes effect in the instant of its observation. On real arms it will not. Latency costs most in the first "
+        "seconds of SineTracking, while the policy learns, and along other axes than y.",
         "<b>Few episodes.</b> One for each row of SineTracking and SyncCarry. Rates and worst cases over many are "
         "measured by <code>benchmarks/accuracy.py</code>.",
     ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import re
 import sys
 from html.parser import HTMLParser
@@ -16,10 +17,12 @@ from typer.testing import CliRunner
 pytest.importorskip("matplotlib")
 pytest.importorskip("imageio_ffmpeg")
 
-from dual_ur10 import cli, demo, film, films, report_page, runs, runs_carry, runs_handover
+from dual_ur10 import cli, demo, film, films, report_page, runs, runs_carry, runs_emulated, runs_handover
 from dual_ur10.envs.carry_path import MOVES
-from dual_ur10.errors import DualUR10Error, MissingExtraError, RenderError
+from dual_ur10.errors import CellFaulted, DualUR10Error, MissingExtraError, RenderError
 from dual_ur10.policies.rollout import Trace
+from dual_ur10.report import Findings
+from dual_ur10.report_emulated import TASK_HEADERS, TIMING_HEADERS, emulated_section
 from dual_ur10.sim2real.limits import MotionLimits
 
 SIZE = (film.HEIGHT, film.WIDTH)
@@ -84,7 +87,10 @@ class Page(HTMLParser):
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Folder and output of one quick demonstration."""
     out = tmp_path_factory.mktemp("demo") / "new" / "folder"
-    result = CliRunner().invoke(cli.app, ["demo", "--quick", "--out", str(out)], env={"COLUMNS": "160"})
+    # What is run in real time has tests of its own.
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(demo, "QUICK", dataclasses.replace(demo.QUICK, emulated=(runs_emulated.sine_run(1.0),)))
+        result = CliRunner().invoke(cli.app, ["demo", "--quick", "--out", str(out)], env={"COLUMNS": "160"})
     assert result.exit_code == 0, result.output
     return out, result.output
 
@@ -154,7 +160,7 @@ def test_the_report_needs_nothing_from_outside(made: tuple[Path, str]) -> None:
     source = (made[0] / "report.html").read_text(encoding="utf-8")
     page = Page(source)
     plots = [address for tag, address in page.sources if tag == "img" and address.startswith("data:image/svg")]
-    assert len(plots) == len(set(plots)) == 7 + 4 + 2
+    assert len(plots) == len(set(plots)) == 7 + 4 + 2 + ("emulated-sine" in page.tables)
     for tag, address in page.sources:
         if tag == "a":
             assert address.removeprefix("#") in page.ids
@@ -199,7 +205,8 @@ def test_without_opengl_there_is_a_report_and_no_video(tmp_path: Path, monkeypat
     for name in ("RUNS", "CARRY_RUNS"):
         found = {each.name: each for each in getattr(demo, name)}
         monkeypatch.setattr(demo, name, [each for name, each in found.items() if name != "friction"])
-    monkeypatch.setattr(demo, "QUICK", demo.Extent(sine_s=1.0, episodes=1))
+    monkeypatch.setattr(demo, "QUICK", demo.Extent(sine_s=1.0, episodes=1))  # all tasks on emulated controllers
+    monkeypatch.setitem(sys.modules, "rtde_control", None)
     for name in ("film_sine", "film_carry", "film_handover"):
         monkeypatch.setattr(films, name, fail)
     told: list[tuple[float, float]] = []
@@ -209,11 +216,111 @@ def test_without_opengl_there_is_a_report_and_no_video(tmp_path: Path, monkeypat
     assert not any((tmp_path / name).exists() for name in demo.VIDEOS.values())
     page = Page((tmp_path / "report.html").read_text(encoding="utf-8"))
     assert "libegl1" in page.text
+    assert [each.run.name for each in found.emulated] == ["sine", "carry", "handover"]
+    assert page.text.count('ur_rtde: pip install "dual-ur10[real]"') == 1
+    assert "SineTracking, SyncCarry, Handover:" in page.text
+    assert not (tmp_path / demo.RUNS_FOLDER).exists()
     assert all(address.startswith("data:image/svg") for tag, address in page.sources if tag != "a")
     assert [result.run.name for result in found.sine] == [run.name for run in runs.RUNS]
     done = [each for each, _ in told]
     assert done == sorted(done)
     assert told[-1][0] == pytest.approx(told[-1][1])
+
+
+def test_the_report_has_what_ran_on_emulated_controllers_or_why_it_did_not(made: tuple[Path, str]) -> None:
+    page = Page((made[0] / "report.html").read_text(encoding="utf-8"))
+    assert "emulated" in page.ids
+    assert "Emulated is not real" in page.text
+    if "emulated-sine" in page.tables:
+        assert "Emulated, simulated" in made[1]
+        assert len(list((made[0] / demo.RUNS_FOLDER).glob("*/run.mcap"))) == 2
+    else:  # this machine was too busy
+        assert "not on emulated controllers: SineTracking: " in made[1]
+        assert "What did not run on emulated controllers" in page.text
+
+
+@pytest.fixture(scope="module")
+def beside(tmp_path_factory: pytest.TempPathFactory) -> runs_emulated.EmulatedResult:
+    """A short sine, simulated and emulated. Arms on a machine that is too busy stop, and that is no fault of this."""
+    for _ in range(4):
+        told: list[float] = []
+        found = runs_emulated.measure_emulated(
+            runs_emulated.sine_run(1.6), tmp_path_factory.mktemp("beside") / "runs", told.append
+        )
+        if isinstance(found, runs_emulated.EmulatedResult):
+            assert told == sorted(told)
+            assert 0.9 < told[-1] <= 1.0
+            return found
+        assert found.reason.startswith("CellFaulted"), found
+    raise AssertionError(found)
+
+
+def test_a_task_is_run_alike_in_simulation_and_on_emulated_controllers(beside: runs_emulated.EmulatedResult) -> None:
+    ours, theirs = beside.comparison.headers
+    assert (ours.source, theirs.source) == ("mujoco", "emulated")
+    assert ours.latency_ticks == theirs.latency_ticks == 5
+    assert (ours.mounts, ours.servoj, ours.tick_s) == (theirs.mounts, theirs.servoj, theirs.tick_s)
+    assert beside.comparison.complete == (True, True)
+    assert beside.simulated.record.steps == beside.emulated.record.steps == len(beside.emulated.trace) == 40
+    assert beside.simulated.record.success
+    for arm in beside.comparison.arms:
+        assert arm.sent.compared > 150  # of 200
+        if beside.emulated.late_actions == 0:
+            assert arm.sent.most_rad < 0.02
+    state = Path(os.environ["XDG_STATE_HOME"]) / "dual_ur10"
+    assert not list(state.glob("fault-*"))
+
+
+def test_the_section_shows_both_sides_of_a_task(beside: runs_emulated.EmulatedResult) -> None:
+    failure = runs_emulated.EmulatedFailure(runs_emulated.CARRY, "CellFaulted: <late>", "a & b")
+    page = Page(emulated_section([beside, failure]))
+    head, *rows = page.tables["emulated-sine"]
+    assert [row[0] for row in rows] == ["simulated", "emulated"]
+    assert len(head) == len(rows[0]) == len(rows[1]) == 1 + len(TASK_HEADERS["sine"])
+    assert rows[0][1] == "yes"
+    assert float(rows[0][3]) < 0.1  # an exact model
+    (_, row) = page.tables["emulated-timing"]
+    assert len(row) == 1 + len(TIMING_HEADERS)
+    compared = sum(each.sent.compared for each in beside.comparison.arms)
+    assert row[5].endswith(f" of {compared}")
+    assert row[-2] == str(beside.emulated.late_actions)
+    for words in ("Emulated is not real", "depend on what else this machine does", "SyncCarry: CellFaulted: <late>"):
+        assert words in page.text
+    assert beside.emulated.folder.name in page.text
+    assert emulated_section([]) == ""
+
+
+def test_a_fault_on_emulated_controllers_is_told_and_leaves_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    real = runs_emulated.rollout
+
+    def faulted(env: Any, policy: Any, **keywords: Any) -> Any:
+        core = env.unwrapped.core
+        if core.config.file is None:
+            return real(env, policy, **keywords)
+        env.reset(seed=0)
+        core.stop("a test wants it")
+        assert list((tmp_path / "state").rglob("fault-*"))
+        raise CellFaulted("both arms were stopped: a test wants it")
+
+    monkeypatch.setattr(runs_emulated, "rollout", faulted)
+    found = runs_emulated.measure_emulated(runs_emulated.sine_run(0.4), tmp_path / "runs")
+    assert isinstance(found, runs_emulated.EmulatedFailure)
+    assert found.reason.startswith("CellFaulted: both arms were stopped")
+    assert "MuJoCo" in found.log or "program" in found.log
+    assert not list((tmp_path / "state").rglob("fault-*"))
+    assert not list((tmp_path / "state").rglob("*.mcap"))
+
+
+def test_what_fails_on_emulated_controllers_is_a_warning_and_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    failure = runs_emulated.EmulatedFailure(runs_emulated.HANDOVER, "CellFaulted: [late] by 106 ms")
+    monkeypatch.setattr(demo, "run_demo", lambda *_, **__: Findings([], [], [], emulated=[failure]))
+    result = CliRunner().invoke(cli.app, ["demo"], env={"COLUMNS": "160"})
+    assert result.exit_code == 0, result.output
+    assert "not on emulated controllers: Handover: CellFaulted: [late] by 106 ms" in result.output
+    assert "nothing to clear" in result.output
 
 
 @pytest.mark.parametrize("package", ["matplotlib", "imageio"])

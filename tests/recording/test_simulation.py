@@ -11,8 +11,8 @@ import pytest
 import dual_ur10  # noqa: F401 - registers the ids
 from dual_ur10.errors import MissingExtraError, RecordingError, SettingsError
 from dual_ur10.kinematics import flange_pose
-from dual_ur10.recording.describe import describe
 from dual_ur10.policies.minari_export import to_minari
+from dual_ur10.recording.describe import describe
 from dual_ur10.recording.reader import read_run
 from dual_ur10.recording.simulation import SimulationRecord
 from dual_ur10.recording.writer import LOG_FILE, new_folder

@@ -196,7 +196,7 @@ def sine(path, folder, seconds):
     for name, compensate, length_s in (("", True, seconds), ("_lagging", False, min(seconds, 30.0))):
         keywords = {"cell": str(path), "compensate_lag": compensate}
         env = gym.make("DualUR10/SineTracking-v0", record=str(folder), disable_env_checker=True, **keywords)
-        errors, late = [], 0
+        errors, late_actions = [], 0
         try:
             policy = policies.load("scripted", "DualUR10/SineTracking-v0", **keywords)
             begin = time.monotonic()
@@ -206,7 +206,7 @@ def sine(path, folder, seconds):
                 print(f"\rsine{name}: {time.monotonic() - begin:.0f} of {length_s:.0f} s ", end="", file=sys.stderr)
                 if time.monotonic() - begin >= length_s:
                     break
-            late = env.unwrapped.core.cell.late_periods
+            late_actions = env.unwrapped.core.cell.late_periods
         finally:
             env.close()
         error = np.concatenate(errors)
@@ -215,18 +215,19 @@ def sine(path, folder, seconds):
             f"sine{name}_p99_mm": 1e3 * float(np.percentile(error, 99)),
             f"sine{name}_max_mm": 1e3 * float(error.max()),
             f"sine{name}_episodes": len(errors),
-            f"sine{name}_late_actions": late,
+            f"sine{name}_late_actions": late_actions,
         }
         if not name:
             run = read_run(max(pathlib.Path(folder).iterdir(), key=lambda each: each.stat().st_mtime))
             found = timing(run)
-            counts = [each.late for each in found.late]
-            sent = sum(each.targets + each.missed for each in found.late)
+            late = [each.late for each in found.arms]
+            counts = [each.late for each in late]
+            sent = sum(each.targets + each.missed for each in late)
             figures |= {
                 "late_2ms": sum(each[0] for each in counts) / sent,
                 "late_8ms": sum(each[1] for each in counts) / sent,
-                "late_max_ms": 1e3 * max(each.most_s for each in found.late),
-                "missed_periods": sum(each.missed for each in found.late),
+                "late_max_ms": 1e3 * max(each.most_s for each in late),
+                "missed_periods": sum(each.missed for each in late),
                 "skew_p99_ms": 1e3 * found.skew_s.p99,
                 "skew_max_ms": 1e3 * found.skew_s.most,
                 "targets": sent,

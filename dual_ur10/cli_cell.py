@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -101,7 +100,8 @@ def clear(
 ) -> None:
     """Say that somebody has looked at arms that were stopped, so that they may be started again."""
     from dual_ur10.sim2real.cell_file import load_cell_file
-    from dual_ur10.sim2real.latch import CellLock, Latch
+    from dual_ur10.sim2real.latch import Latch
+    from dual_ur10.sim2real.people import at_terminal
 
     cell = load_cell_file(file)
     latch = Latch(cell)
@@ -114,15 +114,9 @@ def clear(
     )
     if yes and cell.kind == "real":
         raise SettingsError("--yes is for emulated cells: somebody must look at real arms and say so at a terminal")
-    if not yes:
-        if not sys.stdin.isatty():
-            raise SettingsError("somebody must say at a terminal that both arms were looked at: run this in one")
-        question = "Have both arms been looked at, and has the cause been put right? Type yes to clear the fault: "
-        if input(question).strip().lower() != "yes":
-            raise SettingsError("the fault was left as it is")
-    lock = CellLock(cell)
+    if not yes and not at_terminal("Have both arms been looked at, and has the cause been put right?"):
+        raise SettingsError("the fault was left as it is")
     latch.clear()
-    lock.release()
     console.print("cleared: the next start looks at both controllers again", highlight=False)
 
 

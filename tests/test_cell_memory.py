@@ -46,7 +46,8 @@ def test_everything_is_told_to_all(pair):
         says.watched(13.5)
         assert (hears.begin_s, hears.fresh, hears.live, hears.watched_s) == (12.5, 40.5, True, 13.5)
         says.expect(0.0, live=False)
-        assert (hears.fresh, hears.live) == (0.0, False)
+        # Who has just seen that the policy owed targets must not read another number of them.
+        assert (hears.fresh, hears.live) == (40.5, False)
         says.begin(0.0)
     assert not theirs.ready
     mine.enter_ready()

@@ -21,7 +21,10 @@ PERIODS = st.floats(-50.0, 3000.0)
 def paces(draw):
     slope = SLOPE_PER_S * draw(st.sampled_from(TICKS_S))
     bend = draw(st.sampled_from([0.0, slope, -slope]))
-    return Pace(draw(st.floats(0, 1e5)), draw(st.floats(0, 1e5)), draw(RATES), draw(RATES), slope, bend)
+    rate, plateau = draw(RATES), draw(RATES)
+    if bend * (rate - plateau) < 0.0:  # it fell from above, or rose from below
+        rate, plateau = plateau, rate
+    return Pace(draw(st.floats(0, 1e5)), draw(st.floats(0, 1e5)), rate, draw(RATES), slope, bend, plateau)
 
 
 @given(st.integers(0, 2**40))

@@ -1,6 +1,10 @@
 """Environments on two emulated controllers: what they give, what they ask, and what they refuse."""
 
+import os
 import pickle
+import signal
+import threading
+import time
 
 import gymnasium as gym
 import numpy as np
@@ -9,10 +13,19 @@ import pytest
 import dual_ur10
 from dual_ur10 import policies
 from dual_ur10.envs.parallel_env import parallel_env
-from dual_ur10.errors import ClosedError, SettingsError, StartError, UnknownNameError
+from dual_ur10.errors import (
+    CellBusyError,
+    CellFaulted,
+    ClosedError,
+    ResetNeededError,
+    SettingsError,
+    StartError,
+    UnknownNameError,
+)
 from dual_ur10.policies.rollout import rollout
 from dual_ur10.recording.reader import read_run
-from tests.faults.lab import Lab
+from dual_ur10.sim2real.latch import state_folder
+from tests.faults.lab import Lab, Swing
 
 HANDOVER, SINE = "DualUR10/Handover-v0", "DualUR10/SineTracking-v0"
 
@@ -61,7 +74,7 @@ def test_make_moves_nothing_and_reset_asks_before_it_does(lab):
         lab.env.reset(seed=0)
     assert len(lab.executed("left")) == len(lab.executed("right")) == 0
     (question,) = asked
-    for words in ("go to where the task begins", "left", "right", "grippers open", "emergency stop"):
+    for words in ("go to where the task begins", "left", "right", "grippers are activated", "open", "emergency stop"):
         assert words in question
 
 
@@ -176,3 +189,130 @@ def test_it_can_be_neither_copied_nor_used_when_closed(lab):
 def test_no_such_file_is_an_error_that_names_it():
     with pytest.raises(dual_ur10.errors.CellFileError, match=r"nowhere\.toml"):
         gym.make(SINE, cell="nowhere.toml")
+
+
+# What a severe reader found.
+
+
+def test_after_a_step_that_failed_an_episode_is_begun_again(lab, monkeypatch):
+    env = lab.make()
+    env.reset(seed=0)
+    action = np.zeros(env.action_space.shape, dtype=np.float32)
+    env.step(action)
+    core = env.unwrapped.core
+
+    def interrupted(cell, command):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(core, "_advance", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        env.step(action)
+    monkeypatch.undo()
+    with pytest.raises(ResetNeededError, match="a step that failed"):
+        env.step(action)
+    env.reset(seed=0)
+    env.step(action)
+
+
+def test_a_program_that_stands_still_on_the_way_to_a_start_sends_nothing_over_the_brake(lab, monkeypatch):
+    lab.make().reset(seed=0)
+    core = lab.env.unwrapped.core
+    cell, first = core.cell, lab.cell.ask("setpoints", arm="left")["count"]
+    here = cell.runner.last().reshape(2, 6)
+    way = here + np.linspace(0.0, 0.1, 700)[:, None, None] * np.array([0, 0, 0, 0, 0, 1.0])
+    waited = []
+
+    def stalled(index):
+        if not waited:
+            waited.append(index)
+            time.sleep(3.0)
+
+    real = cell.runner.wait_for
+    monkeypatch.setattr(cell.runner, "wait_for", stalled)
+    with pytest.raises(StartError, match="stood still"):
+        cell._go(way)
+    monkeypatch.undo()
+    real(cell.runner.end)
+    sent = np.array([each[1] for each in lab.cell.setpoints("left", first)])
+    assert np.abs(np.diff(sent, n=2, axis=0)).max() < 1e-3
+
+
+def test_dead_processes_are_a_fault(lab):
+    env = lab.make()
+    env.reset(seed=0)
+    for pid in lab.pids:
+        os.kill(pid, signal.SIGKILL)
+    lab.policy = Swing(env.action_space.shape[0])
+    error = lab.step_until_faulted()
+    assert "does nothing any more" in str(error)
+    assert lab.latch.read() is not None
+
+
+def test_a_program_that_ends_with_its_supervisor_leaves_word(lab):
+    lab.make().reset(seed=0)
+    lock = next(path for path in state_folder().glob(f"lock-{lab.cell.left}"))
+    note = lock.read_text()
+    assert " moving " in note
+    lab.close_env()
+    assert "moving" not in lock.read_text()
+    lock.write_text(note)
+    with pytest.raises(CellFaulted, match="ended without stopping"):
+        lab.make()
+    with pytest.raises(CellFaulted, match="ended without stopping"):
+        lab.make()
+    lab.latch.clear()
+    lab.make()
+
+
+def test_limits_whose_brake_is_too_long_are_refused_at_make(lab):
+    text = lab.path.read_text() + "\n"
+    for arm in ("left", "right"):
+        text += f"[{arm}.limits]\nacceleration_rad_s2 = 0.1\njerk_rad_s3 = 1.0\n"
+    lab.path.write_text(text)
+    with pytest.raises(SettingsError, match="need a brake of"):
+        lab.make()
+
+
+def test_a_slider_at_nothing_lets_no_gripper_move_and_raises_nothing(lab):
+    env = lab.make()
+    env.reset(seed=0)
+    action = np.zeros(env.action_space.shape, dtype=np.float32)
+    lab.cell.ask("slider", arm="left", fraction=0.0)
+    raised = threading.Timer(2.0, lambda: lab.cell.ask("slider", arm="left", fraction=1.0))
+    raised.start()
+    for _ in range(20):
+        env.step(action)
+    raised.join()
+
+
+def test_an_interrupted_close_can_be_done_again(lab, monkeypatch):
+    env = lab.make()
+    env.reset(seed=0)
+    cell, pids = env.unwrapped.core.cell, lab.pids
+    runner = cell.runner
+
+    def interrupted(within_s):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(runner, "_wait_for_end", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        cell.close()
+    monkeypatch.undo()
+    cell.close()
+    for pid in pids:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
+    lab.make()  # the lock is free
+
+
+def test_a_make_that_fails_late_leaves_nothing_behind(lab):
+    with pytest.raises(UnknownNameError) as kept:
+        lab.make(observation="pixels", cameras=("nowhere",))
+    lab.make()  # while the error still holds what was made
+    assert kept.value is not None
+
+
+def test_the_same_program_is_told_that_it_has_one_already(lab):
+    lab.make()
+    with pytest.raises(CellBusyError, match=r"env\.close\(\)"):
+        gym.make(HANDOVER, cell=str(lab.path), disable_env_checker=True)

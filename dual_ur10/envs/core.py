@@ -16,7 +16,7 @@ from dual_ur10.envs.options import split_keywords
 from dual_ur10.envs.randomization import on_top, resolve_randomization
 from dual_ur10.envs.sensing import Sensing
 from dual_ur10.envs.task import Task, Timing, task_settings
-from dual_ur10.errors import ActionError, ClosedError, DualUR10Error, ResetNeededError, UnknownNameError
+from dual_ur10.errors import ActionError, CellFaulted, ClosedError, DualUR10Error, ResetNeededError, UnknownNameError
 from dual_ur10.recording.hook import RecordHook
 from dual_ur10.recording.rows import RunRecorder
 from dual_ur10.sim2real.adapter import Command, ServojAdapter
@@ -175,6 +175,13 @@ class Core:
         self._terms = [f"reward/{name}" for name in task_type.weights]
         rows = np.arange(n)
         clearance.check_start(self.task.start(rows, [np.random.default_rng(0) for _ in rows]).q_rad, rows)
+        self._state: CellState | None = None
+        self._sensing = Sensing(config, self._randomization, period_s, n)
+        self._plant = config.perturbation.expanded(n)
+        self._observation: Array = np.zeros((n, len(self.task.observation_bound)))
+        self.action_space = self._action_space()
+        bound = self.task.observation_bound
+        self.observation_space = spaces.Box(-bound, bound, dtype=np.float64)
         self.cell: Cell | None = make_cell(
             config,
             options,
@@ -190,13 +197,6 @@ class Core:
         self.recorder: RunRecorder | None = None
         if options.record is not None or config.file is not None:
             self._begin_record(task, keywords, ticks)
-        self._state: CellState | None = None
-        self._sensing = Sensing(config, self._randomization, period_s, n)
-        self._plant = config.perturbation.expanded(n)
-        self._observation: Array = np.zeros((n, len(self.task.observation_bound)))
-        self.action_space = self._action_space()
-        bound = self.task.observation_bound
-        self.observation_space = spaces.Box(-bound, bound, dtype=np.float64)
 
     def _action_space(self) -> spaces.Box:
         low, high = self.pipeline.adapter.action_bounds
@@ -261,13 +261,22 @@ class Core:
         """
         cell = self._open()
         if self._state is None:
-            raise ResetNeededError("step was called before the first reset: call reset() first")
+            raise ResetNeededError(
+                "step was called before the first reset, or after a step that failed: call reset() first"
+            )
+        # Should anything fail from here on, pipeline and cell are apart, and the episode must be begun again.
+        before, self._state = self._state, None
         try:
             command, verdicts = self.pipeline(action)
         except ActionError as error:
+            self._state = before  # nothing has moved
             cell.stop(f"the policy's action was refused: {error}")
             raise
-        self._state = state = self._advance(cell, command._replace(payload_kg=self.task.payload_kg()))
+        try:
+            state = true = self._advance(cell, command._replace(payload_kg=self.task.payload_kg()))
+        except CellFaulted:
+            self._state = before  # it stays so, and says so again
+            raise
         self._go_on_from_rest(cell, None if command.gripper_m is None else command.gripper_m[:, -1])
         measured = self.task.measure(state)
         outcome = self.task.evaluate(state, measured)
@@ -293,8 +302,9 @@ class Core:
         if np.logical_or.reduce(terminated | outcome.over):
             cell.finish()
         step = Step(observation.copy(), reward, terminated, outcome.over, info, verdicts, state.failed, agents)
+        self._state = true
         if self._hook is not None:
-            self._hook.step(action, command, step, self._state, PHYSICS_ERROR if state.failed[0] else "")
+            self._hook.step(action, command, step, true, PHYSICS_ERROR if state.failed[0] else "")
         return step
 
     def _go_on_from_rest(self, cell: Cell, gripper_m: Array | None) -> None:

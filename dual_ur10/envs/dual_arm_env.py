@@ -49,7 +49,11 @@ class DualArmEnv(gym.Env[Any, Array]):
             raise UnknownNameError("render mode", str(render_mode), [*RENDER_MODES, "None"])
         self.render_mode = render_mode
         self.core = Core(task, keywords)
-        self._observer = Observer(self.core)
+        try:
+            self._observer = Observer(self.core)
+        except BaseException:
+            self.core.close()
+            raise
         self._terminated = False
         self._renderer = self._observer.renderer
         self.action_space: Any = self.core.action_space

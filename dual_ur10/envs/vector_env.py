@@ -72,7 +72,11 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
         self.autoreset_mode, self._max_steps = AutoresetMode(autoreset_mode), max_episode_steps
         autoreset = self.autoreset_mode != AutoresetMode.DISABLED
         self.core = Core(task, keywords, n=num_envs, threads=threads, autoreset=autoreset)
-        self._observer = Observer(self.core)
+        try:
+            self._observer = Observer(self.core)
+        except BaseException:
+            self.core.close()
+            raise
         self.single_action_space, self.single_observation_space = self.core.action_space, self._observer.space
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)

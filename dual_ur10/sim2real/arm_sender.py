@@ -21,7 +21,7 @@ from dual_ur10.sim2real.ramp import Ramp
 from dual_ur10.sim2real.rtde_link import RtdeLink
 from dual_ur10.sim2real.servoj import ServojProfile
 from dual_ur10.sim2real.tracking import Following
-from dual_ur10.ur10 import ARMS, HARD_SPEED_RAD_S, JOINT_RANGE_RAD
+from dual_ur10.ur10 import ARMS, HARD_ACCELERATION_RAD_S2, HARD_SPEED_RAD_S, JOINT_RANGE_RAD
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,8 @@ MOST_LATE_S: Final = 0.1
 
 _KICK_S: Final = 0.02
 _LOOKED_AT: Final = 5  # targets of the other arm, of which the last ones may slow it down already
-_MOST_PERIODS: Final = 12  # that a ramp may have missed
+_MOST_PERIODS: Final = 3  # that a ramp may have missed: then the arm has come to rest by itself
+_TURN: Final = 3.0  # times the hard acceleration: path, pace and what lies between two targets together
 _STOP_RAD_S2: Final = 10.0  # of servoStop, at rest already
 
 
@@ -176,6 +177,10 @@ class ArmSender:
             # What would come in the next period is left out: two targets in one period would be a jump.
             passed = int(late / self.servoj.tick_s + SHARE)
             if passed > 0:
+                if passed * float(np.abs(self._rate).max()) > START_GAP_RAD:
+                    raise StopError(
+                        f"targets are sent {1e3 * late:.0f} ms late while the arm moves: this machine is too busy"
+                    )
                 self.memory.note_skipped(passed)
                 period += passed
             index = self.cell.pace.at(period + drift(self.clock.offset_s, 1 + passed))
@@ -185,16 +190,17 @@ class ArmSender:
             period += 1
 
     def _send(self, target_rad: Array, period: int, index: float) -> None:
-        periods = period - self._period if self._sent else 1
-        self._check(target_rad, periods)
-        self._rate = (target_rad - self._sent[-1]) / periods if self._sent else np.zeros(6)
-        self._advance = (index - self._index) / periods if self._sent else 0.0
-        self._sent, self._period, self._index = [target_rad], period, index
-        if not self._servo(target_rad):
+        self._advance = (index - self._index) / max(period - self._period, 1) if self._sent else 0.0
+        if not self._pass_on(target_rad, period, index):
             raise StopError("its control script takes no targets any more")
         self._following.sent(target_rad, np.abs(self._rate) / self.servoj.tick_s)
 
-    def _servo(self, target_rad: Array) -> bool:
+    def _pass_on(self, target_rad: Array, period: int, index: float) -> bool:
+        """Check a target and send it. Returns whether it was taken."""
+        periods = max(period - self._period, 1) if self._sent else 1
+        self._check(target_rad, periods)
+        self._rate = (target_rad - self._sent[-1]) / periods if self._sent else np.zeros(6)
+        self._sent, self._period, self._index = [target_rad], period, index
         self._sent_s = time.monotonic()
         profile = self.servoj
         return self.control.servoJ(target_rad.tolist(), 0.0, 0.0, profile.tick_s, profile.lookahead_s, profile.gain)
@@ -210,15 +216,20 @@ class ArmSender:
             raise TargetError(f"a target is no finite numbers: {target_rad.tolist()}")
         if (np.abs(target_rad) > JOINT_RANGE_RAD).any():
             raise TargetError(f"a target is beyond the joint range: {target_rad.tolist()}")
-        if self._sent:
-            away, most = np.abs(target_rad - self._sent[-1]), HARD_SPEED_RAD_S * self.servoj.tick_s * periods
-        else:
-            away, most = np.abs(target_rad - self._measured_rad), np.full(6, START_GAP_RAD)
-        if not (away <= most * (1 + 1e-9)).all():
-            joint = int((away / most).argmax())
-            what = "the one before" if self._sent else "where the arm is"
+        tick_s = self.servoj.tick_s
+        if not self._sent:
+            self._demand(np.abs(target_rad - self._measured_rad), np.full(6, START_GAP_RAD), "from where the arm is")
+            return
+        step = target_rad - self._sent[-1]
+        self._demand(np.abs(step), HARD_SPEED_RAD_S * tick_s * periods, "from the one before")
+        turn = _TURN * HARD_ACCELERATION_RAD_S2 * tick_s**2 * (periods + 1)
+        self._demand(np.abs(step / periods - self._rate), np.full(6, turn), "a period off the way that the arm was on")
+
+    def _demand(self, found: Array, allowed: Array, what: str) -> None:
+        if not (found <= allowed * (1 + 1e-9)).all():
+            joint = int((found / allowed).argmax())
             raise TargetError(
-                f"a target is {away[joint]:.4f} rad from {what} at joint {joint}: allowed are {most[joint]:.4f}"
+                f"a target is {found[joint]:.4f} rad {what} at joint {joint}: allowed are {allowed[joint]:.4f}"
             )
 
     def _listen(self, until_s: float, *, playing: bool = True) -> None:
@@ -285,7 +296,7 @@ class ArmSender:
             self.memory.enter(Phase.FAULTED, f"{self.name}: {reason}")
             return
         try:
-            self._come_to_rest(on_path=on_path)
+            self._rest_somehow(on_path=on_path)
             self.control.servoStop(_STOP_RAD_S2)
             self.control.stopScript()
         except (LinkError, RuntimeError) as error:
@@ -293,26 +304,40 @@ class ArmSender:
             return
         self.memory.enter(Phase.STOPPED, f"{self.name}: {reason}")
 
-    def _come_to_rest(self, *, on_path: bool) -> None:
-        if not self._sent:
+    def _rest_somehow(self, *, on_path: bool) -> None:
+        """Come to rest on the way of the targets, or where that cannot be gone, straight on, or else at once."""
+        for way in (True, False) if on_path else (False,):
+            try:
+                self._come_to_rest(on_path=way)
+            except TargetError:
+                continue
             return
-        tick_s, last = self.servoj.tick_s, self._sent[-1]
+
+    def _come_to_rest(self, *, on_path: bool) -> None:
+        """Send targets that slow down.
+
+        Raises:
+            TargetError: They are none that may be sent.
+        """
+        tick_s = self.servoj.tick_s
+        now = self.clock.next_period(time.monotonic(), SHARE)[0]
+        if not self._sent or now - self._period > _MOST_PERIODS:
+            return  # the arm has come to rest at the last target meanwhile, or does so
+        last, rate, begin, advance = self._sent[-1], self._rate, self._index, self._advance
         # Both arms slow down alike, as the faster one must.
-        speed = max([np.abs(self._rate).max() / tick_s, *(_speed(other, tick_s) for other in self.others)])
-        on_path = on_path and self._advance > 0.0
+        speed = max([np.abs(rate).max() / tick_s, *(_speed(other, tick_s) for other in self.others)])
+        on_path = on_path and advance > 0.0
         ramp = Ramp(np.array([[-speed * tick_s], [0.0]]), tick_s)
-        period, way = self._period, self._sent[-1]
+        gone = 0.0
         while not ramp.at_rest:
             number, due = self.clock.next_period(time.monotonic(), SHARE)
             time.sleep(max(0.0, due - time.monotonic()))
             # Time passes for the ramp, too, where a period has gone by without a target.
-            for _ in range(min(max(1, number - period), _MOST_PERIODS)):
+            for _ in range(min(max(1, number - self._period), _MOST_PERIODS)):
                 gone = float(ramp()[0]) / (speed * tick_s)  # in control periods at the speed before
-            index = self._index + gone * self._advance if on_path else self._index
-            way = self.memory.target(index) if on_path else last + gone * self._rate
-            self._check(way, max(1, number - period))
-            period, self._sent = number, [way]
-            if not self._servo(way):
+            index = begin + gone * advance if on_path else begin
+            way = self.memory.target(index) if on_path else last + gone * rate
+            if not self._pass_on(way, number, index):
                 return  # the controller stopped it
             self.memory.note_sent(number - self._first, index, self._sent_s, self._sent_s - due, way)
 

@@ -17,7 +17,7 @@ _WATCH_S, _FRESH, _BEGIN_S = range(3)
 _LAYOUT: Final[Layout] = {
     "ints": (np.int64, (8,)),
     "floats": (np.float64, (8,)),
-    "paces": (np.float64, (4, 6)),
+    "paces": (np.float64, (4, 7)),
     "text": (np.uint8, (_TEXT,)),
 }
 
@@ -52,7 +52,8 @@ class CellMemory:
 
     def expect(self, fresh: float, *, live: bool) -> None:
         """Targets up to number `fresh` are the policy's; `live`: it owes those that follow."""
-        self._floats[_FRESH] = fresh
+        if live:  # else whoever has just seen that it was would take a wrong number for it
+            self._floats[_FRESH] = fresh
         self._ints[_LIVE] = live
 
     def end(self) -> None:

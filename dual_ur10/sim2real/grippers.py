@@ -241,7 +241,12 @@ class Grippers:
     @property
     def fault(self) -> str:
         """Why one of them would not do what it is told, or "". It does not wait."""
-        return "; ".join(text for each in self.each if each is not None and (text := each.fault))
+        return self.fault_but()
+
+    def fault_but(self, held: str | None = None) -> str:
+        """The same, without what an arm's gripper has that is not used: "left" or "right"; None: both are."""
+        used = [each for each in self.each if each is not None and each.name != held]
+        return "; ".join(text for each in used if (text := each.fault))
 
     def command(self, openings_m: Sequence[float | None], at_s: float) -> None:
         """Open or close both at a time; see `GripperThread.command`. It does not wait.
@@ -258,7 +263,9 @@ class Grippers:
             if each is not None and opening_m is not None:
                 each.command(float(opening_m), at_s)
 
-    def activate(self, confirm: Callable[[str], bool], within_s: float = ACTIVATION_S) -> None:
+    def activate(
+        self, confirm: Callable[[str], bool], within_s: float = ACTIVATION_S, *, held: str | None = None
+    ) -> None:
         """Activate those that need it, one after the other, if a person agrees. It waits for the end.
 
         Grippers that are active already are left alone: what they hold stays held.
@@ -267,13 +274,14 @@ class Grippers:
             confirm: Shows the question to a person, and says whether the answer was yes. It is called once for each
                 gripper that needs it, and not at all if none does.
             within_s: For each of them.
+            held: "left" or "right": of that arm, which is not to move, the gripper is left as it is.
 
         Raises:
             OperationRefusedError: The person did not agree.
             LinkError: One was lost, or did not become active.
         """
         for each in self.each:
-            if each is None or not each.needs_activation():
+            if each is None or each.name == held or not each.needs_activation():
                 continue
             question = (
                 f"The {each.name} gripper is not active. Activation opens its fingers, and may close them before: keep "

@@ -111,9 +111,15 @@ class Latch:
             )
 
     def clear(self) -> None:
-        """A person has looked."""
+        """A person has looked.
+
+        Raises:
+            CellBusyError: A program moves the arms.
+        """
+        lock = CellLock(self._cell)
         for path in self._paths:
             path.unlink(missing_ok=True)
+        lock.release()
 
 
 class CellLock:
@@ -122,6 +128,9 @@ class CellLock:
     Args:
         cell: The cell whose arms are locked.
 
+    Attributes:
+        left_moving: Whether the program that held it before moved the arms, and has not said that it stopped them.
+
     Raises:
         CellBusyError: Another program holds one of them.
         SettingsError: A lock cannot be kept.
@@ -129,6 +138,8 @@ class CellLock:
 
     def __init__(self, cell: CellFile) -> None:
         self._files: list[IO[str]] = []
+        self._keys = _keys(cell)
+        self.left_moving = False
         folder = state_folder()
         try:
             for arm, entry in zip(ARMS, cell.arms, strict=True):
@@ -146,19 +157,35 @@ class CellLock:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            holder = file.read(64).strip() or "unknown"
+            holder = (file.read(256).split() or ["unknown"])[0]
             file.close()
+            if holder == str(os.getpid()):
+                raise CellBusyError(
+                    f"the {arm} arm at {host} is moved by this program already: close the environment that does "
+                    "(`env.close()`), then make another"
+                ) from None
             raise CellBusyError(
                 f"the {arm} arm at {host} is moved by another program (process {holder}): end that first"
             ) from None
+        self.left_moving |= file.read(512).split()[1:] == ["moving", self._keys[len(self._files)]]
         self._files.append(file)
-        file.seek(0)
-        file.truncate()
-        file.write(f"{os.getpid()}\n")
-        file.flush()
+        _write(file, f"{os.getpid()}\n")
+
+    def note_moving(self) -> None:
+        """The arms are moved from now on: if the program ends without a word, the next one is told."""
+        for file, key in zip(self._files, self._keys, strict=True):
+            _write(file, f"{os.getpid()} moving {key}\n")
 
     def release(self) -> None:
-        """Let others in. May be called twice."""
+        """Let others in: nothing moves any more, or what did is noted as a fault. May be called twice."""
         for file in self._files:
+            _write(file, f"{os.getpid()}\n")
             file.close()
         self._files = []
+
+
+def _write(file: IO[str], text: str) -> None:
+    file.seek(0)
+    file.truncate()
+    file.write(text)
+    file.flush()

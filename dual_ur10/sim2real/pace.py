@@ -24,6 +24,7 @@ SLOPE_PER_S: Final = 1.0
 STEP: Final = 1 / 16
 """Paces that are told apart. What the slider says is taken down to the next one below it."""
 
+_SLOWEST: Final = 1e-3
 _ROUNDING: Final = 1e-6  # of a target's number: what is reached by less is reached
 
 
@@ -39,6 +40,7 @@ class Pace:
         slope: By how much the rate changes per control period until then, above 0.
         bend: By how much the rate changed per control period before, below 0 where it fell. Who asks for a period
             before the first one, once this pace is known, is told what was told before.
+        plateau: The rate before that change.
     """
 
     period: float = 0.0
@@ -47,14 +49,14 @@ class Pace:
     goal: float = 1.0
     slope: float = 1.0
     bend: float = 0.0
+    plateau: float = 1.0
 
     def at(self, period: float) -> float:
         """Number of the target that belongs to a control period, which may be a fraction of one."""
         passed = period - self.period
         if passed < 0.0 and self.bend != 0.0:
-            most = 1.0 if self.bend < 0.0 else 0.0
-            changing = max(passed, (most - self.rate) / self.bend)
-            return self.index + (self.rate + self.bend * changing / 2) * changing + most * (passed - changing)
+            changing = max(passed, (self.plateau - self.rate) / self.bend)
+            return self.index + (self.rate + self.bend * changing / 2) * changing + self.plateau * (passed - changing)
         if self.rate == self.goal:
             return self.index + self.rate * passed
         sign = 1.0 if self.goal > self.rate else -1.0
@@ -68,7 +70,8 @@ class Pace:
         """Targets per control period, at one."""
         passed = period - self.period
         if passed < 0.0:
-            return min(max(self.rate + self.bend * passed, 0.0), 1.0)
+            rate = self.rate + self.bend * passed
+            return rate if self.bend == 0.0 else min(rate, self.plateau) if self.bend < 0.0 else max(rate, self.plateau)
         change = self.slope * passed
         if self.goal >= self.rate:
             return min(self.rate + change, self.goal)
@@ -78,8 +81,9 @@ class Pace:
         """When a target's turn comes; infinite where time stands still before it. What `at` inverts."""
         ahead = index - self.index
         if ahead <= 0.0 and self.bend != 0.0:
-            # The rate was 1 at most, and was no more than a change from there away.
-            return self._turn(index, self.period - 1.0 / abs(self.bend) + ahead, self.period)
+            change = (self.plateau - self.rate) / self.bend
+            slowest = min(self.plateau, self.rate)
+            return self._turn(index, self.period + change + ahead / max(slowest, _SLOWEST), self.period)
         if self.rate == self.goal:
             return self.period + ahead / self.rate if self.rate > 0.0 else (self.period if ahead <= 0 else float("inf"))
         if ahead <= 0.0:
@@ -100,9 +104,11 @@ class Pace:
         """The pace that goes on from this one in a control period, towards another rate."""
         rate = self.rate_at(period)
         slope = (SLOWING_PER_S if goal < rate else SLOPE_PER_S) * tick_s
-        changes = rate != self.goal and period > self.period
+        if period <= self.period:  # what was before stays what was before
+            return Pace(self.period, self.index, self.rate, goal, slope, self.bend, self.plateau)
+        changes = rate != self.goal
         bend = (self.slope if self.goal > rate else -self.slope) if changes else 0.0
-        return Pace(period, self.at(period), rate, goal, slope, bend)
+        return Pace(period, self.at(period), rate, goal, slope, bend, self.rate)
 
 
 def taken_down(fraction: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import termios
 from collections.abc import Callable
 
 from dual_ur10.errors import StartError
@@ -28,7 +29,11 @@ def at_terminal(question: str) -> bool:
         raise StartError(
             f"somebody must confirm this, and there is no terminal; run it in one, or pass confirm=. {question}"
         )
-    return input(f"{question}\nType yes to go on: ").strip().lower() == "yes"
+    termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)  # what was typed before is no answer
+    try:
+        return input(f"{question}\nType yes to go on: ").strip().lower() == "yes"
+    except EOFError:
+        return False
 
 
 def _nobody(question: str) -> bool:

@@ -31,7 +31,7 @@ from dual_ur10.sim2real.grippers import Grippers
 from dual_ur10.sim2real.limits import HISTORY, Envelope, MotionLimits
 from dual_ur10.sim2real.object_tracker import Flanges, ObjectTracker, tracker_of
 from dual_ur10.sim2real.people import Confirm, confirmation
-from dual_ur10.sim2real.runner import MARGIN_TICKS, Runner
+from dual_ur10.sim2real.runner import Runner, margin_ticks
 from dual_ur10.sim2real.tracking import Heat
 from dual_ur10.sim2real.twin import Twin
 from dual_ur10.ur10 import ARMS
@@ -95,9 +95,10 @@ class RtdeCell:
     ) -> None:
         if config.file is None:
             raise SettingsError("a cell of two controllers is made of a cell file: pass its path as `cell`")
-        if not (isinstance(latency_ticks, int | np.integer) and MARGIN_TICKS < latency_ticks <= MAX_LATENCY_TICKS):
+        least = margin_ticks(config.servoj.tick_s) + 1
+        if not (isinstance(latency_ticks, int | np.integer) and least <= latency_ticks <= MAX_LATENCY_TICKS):
             raise SettingsError(
-                f"action_latency_ticks is {latency_ticks!r}: two controllers need {MARGIN_TICKS + 1} to "
+                f"action_latency_ticks is {latency_ticks!r}: two controllers need {least} to "
                 f"{MAX_LATENCY_TICKS}, the time from a measurement to the first target that follows from it"
             )
         if config.equipment.welded:
@@ -107,7 +108,13 @@ class RtdeCell:
         self.late_periods = 0
         self._tick_s = config.servoj.tick_s
         envelope = Envelope(limits, self._tick_s, 1)
-        count = min(math.ceil(_BRAKE_TIMES / (envelope.brake_rate * self._tick_s)), RING // 2 - _AHEAD_TICKS)
+        count = math.ceil(_BRAKE_TIMES / (envelope.brake_rate * self._tick_s))
+        most = RING // 2 - max(_AHEAD_TICKS, ticks)
+        if count > most:
+            raise SettingsError(
+                f"the limits of this cell need a brake of {count * self._tick_s:.1f} s, {most * self._tick_s:.1f} s is "
+                "the most that is kept ready: allow more acceleration or jerk, or less speed"
+            )
         self._brake: Array = Envelope(limits, self._tick_s, count).brake
         self._clearance, self._confirm = clearance, confirm
         self._only = None if only is None else ARMS.index(only)
@@ -207,20 +214,27 @@ class RtdeCell:
         self.rested_q_rad = None
         if first < runner.next:
             return self._rest(runner)
-        self._write(runner, first, command.targets_rad[0])
+        if not self._write(runner, first, command.targets_rad[0]):
+            return self._rest(runner)
         runner.cell.expect(first + self.ticks, live=True)
         try:
             if self._grippers is not None and command.gripper_m is not None:
-                openings: list[float | None] = [float(each) for each in command.gripper_m[0, 0]]
-                if self._only is not None:
-                    openings[1 - self._only] = None
-                self._grippers.command(openings, runner.time_of(first))
+                self._grip(runner, first, command.gripper_m[0, 0])
             end = self._origin + self._elapsed
             runner.wait_for(end)
             return self._state(runner.statuses_after(end))
         except (LinkError, ClosedError) as error:
             runner.stop(str(error))
             raise
+
+    def _grip(self, runner: Runner, first: int, opening_m: Array) -> None:
+        """Open or close when the time of target `first` comes; not, while a speed slider lets no time pass."""
+        at_s = runner.time_of(first)
+        if math.isfinite(at_s) and self._grippers is not None:
+            openings: list[float | None] = [float(each) for each in opening_m]
+            if self._only is not None:
+                openings[1 - self._only] = None
+            self._grippers.command(openings, at_s)
 
     def _rest(self, runner: Runner) -> CellState:
         """The action came too late: both arms have begun to brake, and are let come to rest."""
@@ -233,7 +247,11 @@ class RtdeCell:
         self._origin = runner.next - self._elapsed
         self.rested_q_rad = rest[None]
         runner.cell.expect(self._origin + self._elapsed + self.latency_ticks, live=True)
-        return self._state(runner.statuses())
+        try:
+            return self._state(runner.statuses())
+        except LinkError as error:
+            runner.stop(str(error))
+            raise
 
     def finish(self) -> None:
         """An episode has ended: both arms come to rest along the brake that lies behind their targets."""
@@ -251,10 +269,10 @@ class RtdeCell:
 
     def close(self) -> None:
         """Bring both arms to rest, and end all connections. What is held stays held. May be called twice."""
-        runner, self._runner = self._runner, None
-        if runner is not None:
+        if self._runner is not None:
+            self._runner.close()  # may be interrupted, and is done again then
             self._end.detach()
-            runner.close()
+            self._runner = None
         for each in (self._grippers, self._tracker, self._knobs):
             if each is not None:
                 each.close()
@@ -296,20 +314,28 @@ class RtdeCell:
 
     # Targets.
 
-    def _write(self, runner: Runner, first: int, targets_rad: Array) -> None:
-        """Write targets, (k, 2, 6), and the brake behind them."""
-        self._past = np.concatenate([self._past, targets_rad])[-HISTORY:]
-        past = self._past.reshape(HISTORY, 12)
+    def _write(self, runner: Runner, first: int, targets_rad: Array) -> bool:
+        """Write targets, (k, 2, 6), and the brake behind them, if there still is time. Returns whether there was."""
+        last = np.concatenate([self._past, targets_rad])[-HISTORY:]
+        past = last.reshape(HISTORY, 12)
         brake = past[-1] + self._brake @ (past - past[-1])
-        runner.write(first, np.concatenate([targets_rad, brake.reshape(-1, 2, 6)]))
+        whole = np.concatenate([targets_rad, brake.reshape(-1, 2, 6)])
+        if not runner.write(first, whole):
+            return False
+        self._past = last
+        return True
 
     def _go(self, targets_rad: Array) -> None:
         """Send targets, (k, 2, 6), from rest to rest."""
         runner = self._open
-        first, done = runner.next, 0
+        first, done = runner.next + 3, 0
         while done < len(targets_rad):
             block = targets_rad[done : done + _AHEAD_TICKS // 2]
-            self._write(runner, first + done, block)
+            if not self._write(runner, first + done, block):
+                runner.wait_for(runner.end)
+                raise StartError(
+                    "this program stood still on the way to the start, where both arms rest now: reset again"
+                )
             done += len(block)
             runner.wait_for(first + done - _AHEAD_TICKS // 2)
         runner.wait_for(first + len(targets_rad))
@@ -345,7 +371,7 @@ class RtdeCell:
         text = ", ".join(f"{name} turns a joint by up to {way:.2f} rad" for name, way in zip(ARMS, ways, strict=True))
         lines = [f"The arms go to where the task begins, in {approach.duration_s:.0f} s: {text}."]
         if start.gripper_m is not None and self._grippers is not None:
-            lines.append("Before that, the grippers open: what they hold falls.")
+            lines.append("Before that, the grippers are activated if they are not, and open: what they hold falls.")
         if start.object_pose is not None:
             x, y, z = np.asarray(start.object_pose).reshape(7)[:3]
             lines.append(f"The object should be at ({x:.3f}, {y:.3f}, {z:.3f}) m once they are there.")
@@ -371,7 +397,8 @@ class RtdeCell:
         grippers = self._grippers
         if grippers is None:
             return
-        grippers.activate(lambda question: True)  # that they open was confirmed
+        held = None if self._only is None else ARMS[1 - self._only]
+        grippers.activate(lambda question: True, held=held)  # that they open was confirmed
         if start.gripper_m is None:
             return
         wanted: list[float | None] = [float(each) for each in np.asarray(start.gripper_m).reshape(2)]
@@ -380,8 +407,9 @@ class RtdeCell:
         grippers.command(wanted, time.monotonic())
         end = time.monotonic() + _OPENING_S
         while True:
-            if grippers.fault:
-                raise StartError(f"a gripper does not do what it is told: {grippers.fault}")
+            fault = grippers.fault_but(held)
+            if fault:
+                raise StartError(f"a gripper does not do what it is told: {fault}")
             found = grippers.opening_m
             off = [_is_off(*each) for each in zip(found, wanted, strict=True)]
             if not any(off):
@@ -402,8 +430,9 @@ class RtdeCell:
         q, qd = (np.array([getattr(each, name) for each in statuses]) for name in ("q_rad", "qd_rad_s"))
         opening = wrench = thing = None
         if self._grippers is not None:
-            if self._grippers.fault:
-                raise LinkError(f"a gripper does not do what it is told: {self._grippers.fault}")
+            fault = self._grippers.fault_but(None if self._only is None else ARMS[1 - self._only])
+            if fault:
+                raise LinkError(f"a gripper does not do what it is told: {fault}")
             # One that does not tell is taken to be open.
             opening = np.array([GRIPPER_OPENING_M if each is None else each for each in self._grippers.opening_m])
             wrench = np.array([_wrench_at_flange(each) for each in statuses])

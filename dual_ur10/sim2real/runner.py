@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import time
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.errors import CellFaulted, StartError
+from dual_ur10.errors import CellFaulted, ClosedError, StartError
 from dual_ur10.sim2real.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.arm_process import ArmConnection, ArmProcess
 from dual_ur10.sim2real.arm_sender import first_reason
@@ -31,7 +32,7 @@ log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
-MARGIN_TICKS: Final = 2
+MARGIN_S: Final = 0.012
 """How far ahead of the arms a target must be written: nearer ones may be on their way already."""
 
 _READY_S: Final = 15.0
@@ -39,6 +40,7 @@ _BEGIN_S: Final = 0.1  # from the decision to begin to the first target
 _STOP_S: Final = 1.5  # within which both arms stand
 _END_S: Final = 3.0
 _LOOK_S: Final = 0.01
+_WATCHED_S: Final = 1.0
 _AFTER: Final = 2  # states after a target was sent, until one shows what it did
 _STATE_S: Final = 0.05
 
@@ -63,8 +65,14 @@ class Runner:
         self.latch = Latch(file)
         self.latch.check()
         self._lock = CellLock(file)
+        if self._lock.left_moving:
+            self.latch.set("the program that moved the arms before ended without stopping them in order")
+            self._lock.release()
+            self.latch.check()
+        self.margin_ticks = margin_ticks(self.tick_s)
         self._fault = ""
         self._closed = False
+        self._pid = os.getpid()
         self.arms: list[ArmMemory] = []
         self.processes: list[ArmProcess] = []
         self.supervisor: SupervisorProcess | None = None
@@ -101,7 +109,7 @@ class Runner:
     @property
     def next(self) -> int:
         """Number of the first target that can still be written."""
-        return math.ceil(self.now) + MARGIN_TICKS
+        return math.ceil(self.now) + self.margin_ticks
 
     @property
     def end(self) -> int:
@@ -140,16 +148,37 @@ class Runner:
                 reason = f"it moves at {fastest:.3f} rad/s, allowed are {REST_RAD_S:g}: wait until it stands"
             if reason is not None:
                 raise StartError(f"{name} cannot begin: {reason}")
-        self.write(0, np.asarray(q_rad)[None])
+        self._lock.note_moving()
+        self._put(0, np.asarray(q_rad)[None])
         factor = self.file.speed_factor
         self.cell.set_pace(Pace(0.0, 0.0, factor, factor))
         self.cell.begin(time.monotonic() + _BEGIN_S)
-        self.wait_for(MARGIN_TICKS)
+        self.wait_for(self.margin_ticks)
 
-    def write(self, first: int, targets_rad: Array) -> None:
-        """Write targets `first`, `first` + 1, ..., (k, 2, 6), for both arms."""
-        for arm, memory in enumerate(self.arms):
-            memory.put(first, targets_rad[:, arm])
+    def write(self, first: int, targets_rad: Array) -> bool:
+        """Write targets `first`, `first` + 1, ..., (k, 2, 6), for both arms, if it is not too late for that.
+
+        Returns:
+            Whether they were written: else both arms are in the brake behind those before.
+        """
+        if first < self.next:
+            return False
+        self._put(first, targets_rad)
+        if math.ceil(self.now) + 1 > first:
+            self.stop(
+                "this program stood still while it wrote targets, which may have come too late: too busy a machine"
+            )
+        return True
+
+    def _put(self, first: int, targets_rad: Array) -> None:
+        try:
+            for arm, memory in enumerate(self.arms):
+                memory.put(first, targets_rad[:, arm])
+        except KeyboardInterrupt:
+            # Never one arm without the other.
+            for arm, memory in enumerate(self.arms):
+                memory.put(first, targets_rad[:, arm])
+            raise
 
     def last(self) -> Array:
         """The last target, (2, 6)."""
@@ -197,7 +226,12 @@ class Runner:
 
         Raises:
             CellFaulted: Both arms are stopped.
+            ClosedError: It was closed; or this is a copy of the program, whose arms they are not.
         """
+        if self._closed or self.cell.ending or os.getpid() != self._pid:
+            raise ClosedError("this cell was closed, or belongs to another process: make a new one")
+        if self.begun and not self._fault and time.monotonic() - self.cell.watched_s > _WATCHED_S:
+            self.cell.enter_fault("the supervisor does nothing any more")
         if not self._fault and (self.cell.fault or any(memory.phase >= Phase.STOPPING for memory in self.arms)):
             self._fail()
         if self._fault:
@@ -208,7 +242,7 @@ class Runner:
 
     def stop(self, reason: str) -> None:
         """Stop both arms for good, and wait until they stand."""
-        if not (self._fault or self._closed):
+        if not (self._fault or self._closed or self.cell.ending or os.getpid() != self._pid):
             self.cell.enter_fault(reason)
             self._fail()
 
@@ -230,23 +264,36 @@ class Runner:
             time.sleep(_LOOK_S)
 
     def close(self) -> None:
-        """Bring both arms to rest and end their programs, and all processes. May be called twice."""
-        if self._closed:
+        """Bring both arms to rest and end their programs, and all processes. May be called twice.
+
+        Whatever interrupts it, it can be called again and goes on from there.
+        """
+        if self._closed or os.getpid() != self._pid:
             return
-        self._closed = True
+        if self.arms:
+            self.cell.end()
+            for memory in self.arms:
+                memory.stop()
         try:
             if self.arms:
-                self.cell.end()
-                for memory in self.arms:
-                    memory.stop()
                 self._wait_for_end(_END_S)
-        finally:
+        finally:  # a second Ctrl-C shortens the waits, and leaves nothing running
             for process in self.processes:
                 if not process.wait(_STOP_S):
                     process.kill()
             if self.supervisor is not None and not self.supervisor.wait(_STOP_S):
                 self.supervisor.kill()
             self._lock.release()
+            self._closed = True
+            if self.arms:
+                self.cell.close()
+                for memory in self.arms:
+                    memory.close()
+
+
+def margin_ticks(tick_s: float) -> int:
+    """How many ticks ahead of the arms a target must be written."""
+    return max(2, math.ceil(MARGIN_S / tick_s - 1e-9))
 
 
 def check(file: CellFile) -> None:

@@ -14,7 +14,7 @@ import time
 from collections.abc import Sequence
 from typing import Final
 
-from dual_ur10.errors import DualUR10Error, LinkError, OperationRefusedError
+from dual_ur10.errors import DualUR10Error, LinkError
 from dual_ur10.sim2real.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.arm_sender import STALE_S
 from dual_ur10.sim2real.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
@@ -118,11 +118,11 @@ class Supervisor:
         reason = self._cell.fault  # somebody else may have been first, and this what came of it
         for memory in self._arms:
             memory.stop()
-        log.error("both arms are stopped: %s", reason)
         try:
             Latch(self._file).set(reason)
         finally:
             self._see_it_done()
+            log.error("both arms were stopped: %s", reason)
 
     def _see_it_done(self) -> None:
         """Wait for both programs to end, and ask the dashboards where they do not."""
@@ -148,7 +148,7 @@ class Supervisor:
         try:
             if dashboard is not None:
                 dashboard.stop()
-        except (LinkError, OperationRefusedError, DualUR10Error) as error:
+        except DualUR10Error as error:
             log.error("%s: the dashboard did not stop its program (%s): its watchdog does", ARMS[arm], error)
 
 

@@ -6,6 +6,7 @@ And whether it gets hot, which comes before it does not.
 from __future__ import annotations
 
 import logging
+import math
 from typing import Final
 
 import numpy as np
@@ -26,9 +27,9 @@ DEVIATION_RAD: Final = 0.1
 """How far an arm may be from where its controller wants it: half of what Universal Robots' ROS 2 driver allows."""
 
 _ROWS: Final = 3  # states in a row: one alone may be a state between two updates
-_ON_ITS_WAY_PERIODS: Final = 10  # for which a target may be on its way
+_ON_ITS_WAY_S: Final = 0.08  # for which a target may be on its way
 _SLACK_RAD: Final = 0.02
-_FORGETTING: Final = 0.98  # per control period, of the greatest speed of late
+_FORGETTING_S: Final = 0.4  # in which the greatest speed of late is forgotten
 
 
 class Deviation:
@@ -74,7 +75,8 @@ class Following:
     """
 
     def __init__(self, servoj: ServojProfile) -> None:
-        self._behind_s = servoj.lookahead_s + _ON_ITS_WAY_PERIODS * servoj.tick_s
+        self._behind_s = servoj.lookahead_s + _ON_ITS_WAY_S
+        self._forgetting = math.exp(-servoj.tick_s / _FORGETTING_S)
         self._target: Array | None = None
         self._speed: Array = np.zeros(6)
         self._tracking = Tracking()
@@ -85,7 +87,7 @@ class Following:
     def sent(self, target_rad: Array, speed_rad_s: Array) -> None:
         """A target was sent, as fast as this."""
         self._target = target_rad
-        self._speed = np.maximum(speed_rad_s, _FORGETTING * self._speed)
+        self._speed = np.maximum(speed_rad_s, self._forgetting * self._speed)
 
     def __call__(self, status: ArmStatus) -> str | None:
         """Why the arm must stop, or None."""

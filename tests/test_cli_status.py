@@ -35,7 +35,6 @@ def show(made, monkeypatch):
     _, path = made
     app = typer.Typer()
     app.command()(status)
-    monkeypatch.setattr("dual_ur10.cli_status.console.width", 160, raising=False)
     monkeypatch.setattr("dual_ur10.cli_status.console._width", 160)
 
     def run(*arguments, file=path):

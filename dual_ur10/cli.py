@@ -243,7 +243,7 @@ def _make(env: str, policy: str, keywords: dict[str, Any], seed: int) -> tuple[A
     """
     env_id = env_id_of(env)
     names = (*policies.NAMES, *_SIMPLE)
-    if policy not in names:
+    if policy not in names and not policies.is_path(policy):
         raise UnknownNameError("policy", policy, names)
     try:
         made = gym.make(env_id, **keywords)

@@ -19,7 +19,9 @@ errors = Console(stderr=True)
 EnvName = Annotated[
     str, typer.Argument(metavar="ENV", help="An id, such as DualUR10/SineTracking-v0; SineTracking will do.")
 ]
-PolicyName = Annotated[str, typer.Option("--policy", "-p", help="scripted, random or zero.")]
+PolicyName = Annotated[
+    str, typer.Option("--policy", "-p", help="scripted, random or zero, or the folder of a checkpoint.")
+]
 Settings = Annotated[
     list[str] | None,
     typer.Option(

@@ -137,3 +137,7 @@ class StartError(DualUR10Error, RuntimeError):
 
 class PolicyError(DualUR10Error, ValueError):
     """A policy does what no policy may do, as `dual_ur10.testing.check_policy` has found."""
+
+
+class CheckpointError(DualUR10Error, ValueError):
+    """A checkpoint cannot be written or read, is not as it was saved, or was made for another environment."""

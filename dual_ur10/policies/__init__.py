@@ -1,9 +1,10 @@
-"""Policies, and where to find them by name."""
+"""Policies, and where to find them by name, or by the path of a checkpoint."""
 
 from __future__ import annotations
 
 import dataclasses
 import importlib
+import os
 from typing import Any
 
 from dual_ur10.envs.core import load_task
@@ -23,25 +24,37 @@ _SCRIPTED = {
     "Handover": "handover:HandoverPolicy",
 }
 
-__all__ = ["NAMES", "Policy", "load"]
+__all__ = ["NAMES", "Policy", "is_path", "load"]
 
 
-def load(name: str, env_id: str, **keywords: Any) -> Policy:
-    """A policy by name, for an environment made with these keywords.
+def is_path(name: object) -> bool:
+    """Whether `load` takes this for the path of a checkpoint, not for a name. A name is no path."""
+    if not isinstance(name, str):
+        return isinstance(name, os.PathLike)
+    return name not in NAMES and "\0" not in name and (os.sep in name or os.path.lexists(name))
+
+
+def load(name: str | os.PathLike[str], env_id: str, **keywords: Any) -> Policy:
+    """A policy by name, for an environment made with these keywords; or that of a checkpoint, checked against it.
 
     A scripted policy is told of the rate and latency of actions, of where the arms stand and how fast they may move,
     and of the task's settings. It is not told what kind of cell it moves.
 
     Args:
-        name: "scripted".
+        name: "scripted", or the path of a checkpoint's folder, with a "/" in it if there is no such folder.
         env_id: Id of the environment.
         **keywords: As given to `gym.make`. Those that concern neither task nor cell do not matter to a policy.
 
     Raises:
         UnknownNameError: No such policy, or no such environment.
+        CheckpointError: The checkpoint cannot be read, or was made for another environment.
     """
+    if is_path(name):
+        from dual_ur10.policies.checkpoint import load as load_checkpoint
+
+        return load_checkpoint(name, env_id, **keywords)
     if name not in NAMES:
-        raise UnknownNameError("policy", str(name), NAMES)
+        raise UnknownNameError("policy", str(name), [*NAMES, "the path of a checkpoint"])
     task = load_task(env_id_of(env_id).split("/")[1].rsplit("-v", 1)[0])
     options, own = split_keywords(keywords)
     config = resolve_cell(options.cell)

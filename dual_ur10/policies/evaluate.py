@@ -70,7 +70,7 @@ def evaluate(
 
     Args:
         env_id: Id of the environment.
-        policy: What acts, batch first; or one of `NAMES`, made for this environment.
+        policy: What acts, batch first; or one of `NAMES`, or the folder of a checkpoint, made for this environment.
         episodes: Number of episodes, 1 or more.
         seed: Seed of the first episode, 0 or more.
         num_envs: Number of episodes that run beside each other.
@@ -90,7 +90,7 @@ def evaluate(
     if max_steps is not None:
         _check_whole("max_steps", max_steps, 1)
     keywords = dict(env_kwargs or {})
-    if isinstance(policy, str) and policy not in NAMES:
+    if isinstance(policy, str) and policy not in NAMES and not policies.is_path(policy):
         raise UnknownNameError("policy", policy, NAMES)
     env = _make(env_id, min(num_envs, episodes), keywords)
     try:

@@ -71,7 +71,7 @@ def test_readme_and_module_say_the_same_version():
 
 def test_imports_run_downwards():
     floors = [
-        ["ur10", "errors", "files", "rotations"],
+        ["ur10", "errors", "files", "rotations", "versions"],
         ["assets", "kinematics", "dynamics"],
         ["frames"],
         ["sim2real"],

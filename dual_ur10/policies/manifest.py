@@ -7,16 +7,15 @@ import hashlib
 import json
 import re
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Final, Literal
 
-from dual_ur10 import __version__
 from dual_ur10.errors import CheckpointError, DualUR10Error
 from dual_ur10.policies import schema
 from dual_ur10.policies.network import NetworkShape, Normaliser
 from dual_ur10.policies.target import Target
 from dual_ur10.recording.describe import plain
 from dual_ur10.ur10 import ARMS
+from dual_ur10.versions import versions as installed
 
 FORMAT: Final = "dual-ur10 policy 1"
 
@@ -30,13 +29,7 @@ _VERSION: Final = re.compile(r"(0|[1-9][0-9]{0,5})\.(0|[1-9][0-9]{0,5})[0-9A-Za-
 
 def versions() -> dict[str, str]:
     """Versions of this package and of those that a policy is made with, as far as they are installed."""
-    found = {"dual_ur10": __version__}
-    for name in _PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found
+    return installed(*_PACKAGES)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,15 +6,14 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, fields, is_dataclass
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10 import __version__
 from dual_ur10.errors import RecordingError
 from dual_ur10.recording.run import Header
 from dual_ur10.sim2real.cell import CellConfig
+from dual_ur10.versions import versions
 
 _PACKAGES: Final = ("numpy", "mujoco", "gymnasium", "ur-rtde")
 
@@ -66,7 +65,7 @@ def describe(
         speed_factor=float(speed_factor),
         mounts=[plain(asdict(mount)) for mount in (config.left, config.right)],
         servoj=[dict(servoj), dict(servoj)],
-        versions=_versions(),
+        versions=versions(*_PACKAGES),
         started_utc=datetime.now(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z"),
         policy=policy,
         policy_sha256=policy_sha256,
@@ -104,13 +103,3 @@ def _default(kind: type[Any]) -> Any:
         return kind()
     except TypeError:  # some fields must be given
         return None
-
-
-def _versions() -> dict[str, str]:
-    found = {"dual_ur10": __version__}
-    for name in _PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found

@@ -1,5 +1,7 @@
 """A lab for each file of tests."""
 
+import time
+
 import pytest
 
 from tests.faults.lab import Lab
@@ -46,6 +48,7 @@ def pytest_pyfunc_call(pyfuncitem):
                 raise
             for lab in labs:
                 lab.mend()
+            time.sleep(2.0)  # what keeps the machine busy may be over then
         else:
             return True
     return None

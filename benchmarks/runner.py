@@ -246,6 +246,11 @@ def task(path, name, episodes):
     return figures
 
 
+def some(most, share):
+    """A share of so many, at least two."""
+    return max(2, round(most * share))
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -254,7 +259,6 @@ def main() -> None:
     parser.add_argument("--json", type=pathlib.Path)
     args = parser.parse_args()
     figures = {}
-    count = lambda most: max(2, round(most * args.share))  # noqa: E731
     with tempfile.TemporaryDirectory() as name:
         folder = pathlib.Path(name)
         os.environ["XDG_STATE_HOME"] = name
@@ -266,15 +270,15 @@ def main() -> None:
                 for arm in ARMS:
                     cell.wait_until(arm, "robot_mode", 7)
                 if part == "stops":
-                    found = stops(path, cell, count(TRIALS))
+                    found = stops(path, cell, some(TRIALS, args.share))
                 elif part == "kills":
-                    found = kills(path, cell, count(KILLS))
+                    found = kills(path, cell, some(KILLS, args.share))
                 elif part == "sine":
                     runs = folder / "runs"
                     runs.mkdir()
                     found = sine(path, runs, max(30.0, SECONDS * args.share))
                 else:
-                    found = {part: task(path, scene, count(EPISODES))}
+                    found = {part: task(path, scene, some(EPISODES, args.share))}
             print(file=sys.stderr)
             figures |= {**found, f"{part}_load": load}
             for key, value in found.items():

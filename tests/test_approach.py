@@ -9,10 +9,12 @@ import pytest
 
 from dual_ur10.assets.scene import HOME_Q_RAD, ArmMount, SceneSettings
 from dual_ur10.errors import StartError
-from dual_ur10.sim2real.approach import ACCELERATION_RAD_S2, SPEED_RAD_S, TCP_SPEED_M_S, Approach, Rates, plan
+from dual_ur10.sim2real.approach import ACCELERATION_RAD_S2, SPEED_RAD_S, TCP_SPEED_M_S, Approach, Leaving, Rates, plan
 from dual_ur10.sim2real.arm_memory import RING, ArmMemory
 from dual_ur10.sim2real.cell import CellConfig
 from dual_ur10.sim2real.clearance import MINIMUM_M, Clearance
+from dual_ur10.sim2real.gate import SafetyGate
+from dual_ur10.sim2real.limits import MotionLimits
 from dual_ur10.sim2real.pace import Pace
 from dual_ur10.ur10 import JOINT_RANGE_RAD
 from tests.motion_checks import tip_speed
@@ -256,3 +258,67 @@ def test_a_joint_out_of_its_range_is_turned_back_by_hand(clearance, arm, name, j
     q[arm, joint] = sign * (JOINT_RANGE_RAD[joint] + 0.01)
     with pytest.raises(StartError, match=rf"{name}: .* is at {q[arm, joint]:.3f} rad.*turn it back by hand"):
         plan(q, HOME_Q_RAD, clearance)
+
+
+# The gate on the way.
+
+
+class Pairs:
+    """Stands for `Clearance`: two pairs, as far beyond their limits as the first two joints say."""
+
+    def shortfall_m(self, q_rad):
+        return np.asarray(q_rad)[:2].copy()
+
+    def worst(self, q_rad):
+        return "first", 0.0, 0.02
+
+
+@pytest.mark.parametrize(
+    ("start", "then", "clear"),
+    [
+        ((0.003, -0.1), (0.003, -0.1), True),  # it may stay
+        ((0.003, -0.1), (0.001, -0.1), True),
+        ((0.003, -0.1), (0.0031, -0.1), False),  # closer
+        ((0.003, -0.1), (-0.1, 0.001), False),  # another pair
+        ((-0.1, -0.1), (0.0, 0.0), True),
+        ((-0.1, -0.1), (0.0, 1e-6), False),  # far apart at first does not mean that all is allowed
+        ((-0.1, -0.1), (np.nan, 0.0), False),
+    ],
+)
+def test_what_is_too_close_may_go_apart_and_no_closer(start, then, clear):
+    def posture(values):
+        return np.concatenate([values, np.zeros(10)])
+
+    leaving = Leaving(Pairs(), posture(start).reshape(2, 6))
+    assert leaving.is_clear(posture(then)[None]).tolist() == [clear]
+    assert leaving.worst(posture(then)) == ("first", 0.0, 0.02)
+
+
+@pytest.mark.parametrize("tick_s", TICKS_S)
+@pytest.mark.parametrize("factor", [1.0, 0.5, 0.25])
+@pytest.mark.parametrize(
+    "limits",
+    [MotionLimits(), MotionLimits(speed_rad_s=(0.2,) * 6, tcp_speed_m_s=0.1, acceleration_rad_s2=0.5, jerk_rad_s3=5.0)],
+)
+@pytest.mark.parametrize("size", [1.0, 1e-3])
+def test_a_way_passes_the_gate_whatever_the_limits(tick_s, factor, limits, size):
+    way = [HOME, HOME + size * np.tile([0.5, -0.2, 0.2, 0.3, -0.3, 1.0], 2)]
+    rates = Rates().within(limits, factor)
+    assert rates.speed_rad_s <= Rates().speed_rad_s
+    targets = Approach(way, factor, rates).targets(tick_s)
+    ticks = round(0.04 / tick_s)
+    count = -(-len(targets) // ticks)
+    targets = np.concatenate([targets, np.repeat(targets[-1:], count * ticks - len(targets), axis=0)])
+    gate = SafetyGate(limits, tick_s, ticks, Free())
+    gate.reset(HOME.reshape(1, 2, 6))
+    for window in targets.reshape(count, 1, ticks, 2, 6):
+        result = gate(window)
+        assert not result.verdicts
+        np.testing.assert_array_equal(result.targets_rad, window)
+
+
+class Free:
+    """Distances where nothing is near."""
+
+    def is_clear(self, q_rad):
+        return np.ones(len(q_rad), dtype=bool)

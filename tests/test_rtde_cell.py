@@ -14,6 +14,7 @@ import dual_ur10
 from dual_ur10 import policies
 from dual_ur10.envs.parallel_env import parallel_env
 from dual_ur10.errors import (
+    ActionError,
     CellBusyError,
     CellFaulted,
     ClosedError,
@@ -24,6 +25,7 @@ from dual_ur10.errors import (
 )
 from dual_ur10.policies.rollout import rollout
 from dual_ur10.recording.reader import read_run
+from dual_ur10.sim2real.approach import Approach
 from dual_ur10.sim2real.latch import state_folder
 from tests.faults.lab import Lab, Swing
 
@@ -219,7 +221,9 @@ def test_a_program_that_stands_still_on_the_way_to_a_start_sends_nothing_over_th
     core = lab.env.unwrapped.core
     cell, first = core.cell, lab.cell.ask("setpoints", arm="left")["count"]
     here = cell.runner.last().reshape(2, 6)
-    way = here + np.linspace(0.0, 0.1, 700)[:, None, None] * np.array([0, 0, 0, 0, 0, 1.0])
+    there = here + np.array([0, 0, 0, 0, 0, 1.0])
+    way = Approach([here.reshape(12), there.reshape(12)]).targets(0.008)
+    assert len(way) > 600
     waited = []
 
     def stalled(index):
@@ -230,11 +234,35 @@ def test_a_program_that_stands_still_on_the_way_to_a_start_sends_nothing_over_th
     real = cell.runner.wait_for
     monkeypatch.setattr(cell.runner, "wait_for", stalled)
     with pytest.raises(StartError, match="stood still"):
-        cell._go(way)
+        cell._go(here, way)
     monkeypatch.undo()
     real(cell.runner.end)
     sent = np.array([each[1] for each in lab.cell.setpoints("left", first)])
     assert np.abs(np.diff(sent, n=2, axis=0)).max() < 1e-3
+
+
+@pytest.mark.parametrize("spoiled", ["jump", "table", "nan"])
+def test_nothing_goes_to_a_start_past_the_gate(lab, spoiled):
+    lab.make().reset(seed=0)
+    cell = lab.env.unwrapped.core.cell
+    here = cell.runner.last().reshape(2, 6)
+    there = here.copy()
+    there[0, 1] += 1.5  # through the table
+    way = Approach([here.reshape(12), there.reshape(12)]).targets(0.008)
+    if spoiled == "jump":
+        way[:] = here
+        way[200:] += 0.01
+    elif spoiled == "nan":
+        way[200, 1, 3] = np.nan
+    first = lab.cell.ask("setpoints", arm="left")["count"]
+    with pytest.raises((StartError, ActionError), match="finite" if spoiled == "nan" else "safety gate refuses"):
+        cell._go(here, way)
+    cell.runner.wait_for(cell.runner.end)
+    sent = np.array([each[1] for each in lab.cell.setpoints("left", first)])
+    assert np.isfinite(sent).all()
+    assert np.abs(np.diff(sent, axis=0)).max() < 3e-3
+    assert cell._clearance.shortfall_m(cell.runner.last().reshape(12)).max() <= 0.0
+    lab.env.reset(seed=0)  # and from there it goes on
 
 
 def test_dead_processes_are_a_fault(lab):

@@ -18,6 +18,7 @@ from dual_ur10.ur10 import ARMS, JOINT_RANGE_RAD, JOINTS
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.cell import CellConfig
+    from dual_ur10.sim2real.limits import MotionLimits
 
 Array = NDArray[np.float64]
 
@@ -27,6 +28,7 @@ TCP_SPEED_M_S: Final = 0.25
 
 ACCELERATION_RAD_S2: Final = 0.5
 
+_ROOM: Final = 0.9  # of a limit of speed
 _END_RAD: Final = 0.1  # of a joint's range, from which nothing begins: a turn too many is near
 _STEP_RAD: Final = 0.02  # between postures at which distances are looked at
 # Of the polynomial of fifth degree from rest to rest.
@@ -54,6 +56,37 @@ class Rates:
         own = {each.name: getattr(config, each.name) for each in fields(self)}
         given = {name: min(value, getattr(self, name)) for name, value in own.items() if value is not None}
         return replace(self, **given)
+
+    def within(self, limits: MotionLimits, speed_factor: float) -> Rates:
+        """The same, as far as the safety gate lets through what has these limits in the time of its targets."""
+        return Rates(
+            min(self.speed_rad_s, _ROOM * min(limits.speed_rad_s) * speed_factor),
+            min(self.tcp_speed_m_s, _ROOM * limits.tcp_speed_m_s * speed_factor),
+            # Half of it, for the brake begins while the arms still gather speed.
+            min(self.acceleration_rad_s2, limits.acceleration_rad_s2 / 2 * speed_factor**2),
+            min(self.jerk_rad_s3, limits.jerk_rad_s3 / 2 * speed_factor**3),
+        )
+
+
+class Leaving:
+    """Distances for the gate on the way from where arms may stand too close: they may go apart, and no closer.
+
+    Args:
+        clearance: Measures distances.
+        start_rad: (2, 6) where the arms are.
+    """
+
+    def __init__(self, clearance: Clearance, start_rad: Array) -> None:
+        self._clearance = clearance
+        self._short = np.maximum(clearance.shortfall_m(np.asarray(start_rad).reshape(12)), 0.0)
+
+    def is_clear(self, q_rad: Array) -> NDArray[np.bool_]:
+        """(1,) whether no pair is closer than allowed, or than it was at the beginning, at a posture (1, 12)."""
+        return np.array([bool((self._clearance.shortfall_m(q_rad[0]) <= self._short).all())])
+
+    def worst(self, q_rad: Array) -> tuple[str, float, float]:
+        """As `Clearance.worst`."""
+        return self._clearance.worst(q_rad)
 
 
 class Approach:

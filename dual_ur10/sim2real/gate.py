@@ -9,13 +9,12 @@ legal was part of accepting that target.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import ActionError
-from dual_ur10.sim2real.clearance import Clearance
 from dual_ur10.sim2real.limits import HISTORY, Envelope, MotionLimits
 from dual_ur10.ur10 import ARMS, JOINTS
 
@@ -74,6 +73,16 @@ class GateResult(NamedTuple):
     verdicts: dict[int, Verdict]
 
 
+class Distances(Protocol):
+    """Knows how near bodies come to each other; see `dual_ur10.sim2real.clearance.Clearance`."""
+
+    def is_clear(self, q_rad: Array) -> Mask:
+        """(n,) mask of the postures, (n, 12), at which no pair is closer than allowed."""
+
+    def worst(self, q_rad: Array) -> tuple[str, float, float]:
+        """The pair that is furthest beyond its limit at a posture, (12,), its distance and the smallest legal one."""
+
+
 class SafetyGate:
     """Checks every target that leaves.
 
@@ -85,7 +94,7 @@ class SafetyGate:
         n: Number of cells.
     """
 
-    def __init__(self, limits: MotionLimits, tick_s: float, ticks: int, clearance: Clearance, *, n: int = 1) -> None:
+    def __init__(self, limits: MotionLimits, tick_s: float, ticks: int, clearance: Distances, *, n: int = 1) -> None:
         self.limits, self.ticks, self.n = limits, ticks, n
         self.envelope = Envelope(limits, tick_s, ticks)
         self._clearance = clearance

@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 from dual_ur10.errors import ClosedError, LinkError, SettingsError, StartError
 from dual_ur10.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, rotate
 from dual_ur10.sim2real.adapter import GRIPPER_OPENING_M, Command
-from dual_ur10.sim2real.approach import Approach, Rates, plan
+from dual_ur10.sim2real.approach import Approach, Leaving, Rates, plan
 from dual_ur10.sim2real.arm_memory import RING
 from dual_ur10.sim2real.arm_status import ArmStatus
 from dual_ur10.sim2real.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.clearance import Clearance
 from dual_ur10.sim2real.command_queue import MAX_LATENCY_TICKS
 from dual_ur10.sim2real.emulator_knobs import EmulatorKnobs
+from dual_ur10.sim2real.gate import SafetyGate
 from dual_ur10.sim2real.grippers import Grippers
 from dual_ur10.sim2real.limits import HISTORY, Envelope, MotionLimits
 from dual_ur10.sim2real.object_tracker import Flanges, ObjectTracker, tracker_of
@@ -116,7 +117,7 @@ class RtdeCell:
                 "the most that is kept ready: allow more acceleration or jerk, or less speed"
             )
         self._brake: Array = Envelope(limits, self._tick_s, count).brake
-        self._clearance, self._confirm = clearance, confirm
+        self._limits, self._clearance, self._confirm = limits, clearance, confirm
         self._only = None if only is None else ARMS.index(only)
         self._twin = Twin(config.scene)
         self._past: Array = np.zeros((HISTORY, 2, 6))  # the last targets but those of the brake
@@ -180,13 +181,14 @@ class RtdeCell:
         goal = np.array(start.q_rad, dtype=np.float64).reshape(2, 6)
         if self._only is not None:
             goal[1 - self._only] = now[1 - self._only]
-        approach = plan(now, goal, self._clearance, self.file.speed_factor, Rates().capped(self.config))
+        factor = self.file.speed_factor
+        rates = Rates().capped(self.config).within(self._limits, factor)
+        approach = plan(now, goal, self._clearance, factor, rates)
         self._ask(self._question(approach, start))
         self._open_grippers(start)
         if not runner.begun:
             runner.begin(now)
-        self._past = np.tile(now, (HISTORY, 1, 1))
-        self._go(approach.targets(self._tick_s))
+        self._go(now, approach.targets(self._tick_s))
         statuses = self._settled(goal)
         if self._knobs is not None and start.object_pose is not None:
             pose = np.asarray(start.object_pose).reshape(7)
@@ -212,8 +214,6 @@ class RtdeCell:
         first = self._origin + self._elapsed + self.latency_ticks
         self._elapsed += self.ticks
         self.rested_q_rad = None
-        if first < runner.next:
-            return self._rest(runner)
         if not self._write(runner, first, command.targets_rad[0]):
             return self._rest(runner)
         runner.cell.expect(first + self.ticks, live=True)
@@ -325,20 +325,33 @@ class RtdeCell:
         self._past = last
         return True
 
-    def _go(self, targets_rad: Array) -> None:
-        """Send targets, (k, 2, 6), from rest to rest."""
-        runner = self._open
-        first, done = runner.next + 3, 0
-        while done < len(targets_rad):
-            block = targets_rad[done : done + _AHEAD_TICKS // 2]
-            if not self._write(runner, first + done, block):
+    def _go(self, start_rad: Array, targets_rad: Array) -> None:
+        """Send what a safety gate lets out of targets, (k, 2, 6), from rest at `start_rad`, (2, 6), to rest.
+
+        Raises:
+            StartError: The gate refuses some, or this program stood still. Both arms rest on the way.
+        """
+        runner, ticks = self._open, self.ticks
+        gate = SafetyGate(self._limits, self._tick_s, ticks, Leaving(self._clearance, start_rad))
+        gate.reset(start_rad[None])
+        self._past = np.tile(start_rad, (HISTORY, 1, 1))
+        windows = math.ceil(len(targets_rad) / ticks)
+        rest = np.repeat(targets_rad[-1:], windows * ticks - len(targets_rad), axis=0)
+        waiting = np.concatenate([targets_rad, rest]).reshape(windows, 1, ticks, 2, 6)
+        at_once = max(1, _AHEAD_TICKS // 2 // ticks)
+        first = runner.next + 3
+        for begin in range(0, windows, at_once):
+            passed = [gate(window) for window in waiting[begin : begin + at_once]]
+            why = next((f"the safety gate refuses it: {each.verdicts[0]}" for each in passed if each.verdicts), "")
+            block = np.concatenate([each.targets_rad[0] for each in passed])
+            if not (why or self._write(runner, first, block)):
+                why = "this program stood still"
+            if why:
                 runner.wait_for(runner.end)
-                raise StartError(
-                    "this program stood still on the way to the start, where both arms rest now: reset again"
-                )
-            done += len(block)
-            runner.wait_for(first + done - _AHEAD_TICKS // 2)
-        runner.wait_for(first + len(targets_rad))
+                raise StartError(f"the way to the start was not finished, both arms rest on it, reset again; {why}")
+            first += len(block)
+            runner.wait_for(first - _AHEAD_TICKS // 2)
+        runner.wait_for(first)
 
     def _settled(self, goal_rad: Array) -> list[ArmStatus]:
         """Wait until both arms are where they should be.

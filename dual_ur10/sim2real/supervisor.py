@@ -55,8 +55,8 @@ class Supervisor:
     ) -> None:
         self._file, self._settings, self._arms, self._cell, self._parent = file, settings, arms, cell, parent
         self._watch = Watch(settings, arms, cell)
-        self._links: list[RtdeLink | None] = []
-        self._dashboards: list[DashboardLink | None] = []
+        self._links: list[RtdeLink] = []
+        self._dashboards: list[DashboardLink] = []
 
     def run(self) -> None:
         """Watch until the program ends or both arms have been stopped."""
@@ -81,10 +81,9 @@ class Supervisor:
 
     def _look(self, now: float) -> str | None:
         """Take in what both controllers tell, for at most a control period."""
-        links = [each for each in self._links if each is not None]
-        ready, _, _ = select.select([each.fileno() for each in links], [], [], self._settings.tick_s)
+        ready, _, _ = select.select([each.fileno() for each in self._links], [], [], self._settings.tick_s)
         for arm, link in enumerate(self._links):
-            if link is None or (link.fileno() not in ready and link.age_s(now) < STALE_S):
+            if link.fileno() not in ready and link.age_s(now) < STALE_S:
                 continue
             try:
                 for sample in link.poll():
@@ -144,10 +143,8 @@ class Supervisor:
                 return
 
     def _ask_dashboard(self, arm: int) -> None:
-        dashboard = self._dashboards[arm]
         try:
-            if dashboard is not None:
-                dashboard.stop()
+            self._dashboards[arm].stop()
         except DualUR10Error as error:
             log.error("%s: the dashboard did not stop its program (%s): its watchdog does", ARMS[arm], error)
 

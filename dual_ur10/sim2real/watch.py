@@ -89,7 +89,7 @@ class Watch:
             phase = memory.phase
             if phase >= Phase.STOPPING:
                 texts.append(memory.text or f"{name}: its process has stopped")
-            elif phase >= Phase.READY and now_s - memory.beat_s > STALE_S:
+            elif phase == Phase.STREAMING and now_s - memory.beat_s > STALE_S:
                 texts.append(f"{name}: its process does nothing any more")
         if texts:
             return first_reason(texts)

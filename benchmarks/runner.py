@@ -23,6 +23,7 @@ import gymnasium as gym
 import numpy as np
 
 from dual_ur10 import policies
+from dual_ur10.assets.scene import HOME_Q_RAD
 from dual_ur10.comparison.timing import timing
 from dual_ur10.policies.evaluate import evaluate
 from dual_ur10.policies.rollout import rollout
@@ -57,10 +58,11 @@ while True:
 
 
 class Swing:
-    """Lets joints of both arms of a runner swing."""
+    """Lets joints of both arms of a runner swing: around home, for every stop leaves them elsewhere."""
 
     def __init__(self, runner):
         self.runner, self.home = runner, np.array([each.q_rad for each in runner.statuses()])
+        self.way = np.where(self.home > HOME_Q_RAD, -1.0, 1.0) * np.array([1.0, 0, 0, 1.0, 1.0, 1.0])
         runner.begin(self.home)
         self.first = runner.next
         self.done = 0
@@ -73,7 +75,7 @@ class Swing:
             ticks = self.done + np.arange(count)
             turn = 2 * math.pi * ticks * runner.tick_s
             way = SPEED_RAD_S / (2 * math.pi) * (1 - np.cos(turn)) * np.minimum(ticks * runner.tick_s, 1.0)
-            targets = self.home + way[:, None, None] * np.array([1.0, 0, 0, 1.0, 1.0, 1.0])
+            targets = self.home + way[:, None, None] * self.way
             runner.write(self.first + self.done, targets)
             self.done += count
 

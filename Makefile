@@ -1,10 +1,11 @@
 # Two commands do everything on a machine with Python 3.11 or 3.12: `make demo` and `make test`.
-# All that is installed goes to .venv and .venv-oldest beside this file. No sudo.
+# All that is installed goes to .venv, .venv-oldest and .venv-dist beside this file. No sudo.
 
 SHELL := /bin/sh
 PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v python3)
 VENV := .venv
 OLDEST := .venv-oldest
+DIST := .venv-dist
 PIP_FLAGS := --quiet --disable-pip-version-check
 # The tests run the examples that come with ur_rtde's source.
 FETCH_EXAMPLES = $(VENV)/bin/python -m pip download $(PIP_FLAGS) --no-deps --no-binary :all: ur_rtde==1.6.5 -d
@@ -12,7 +13,7 @@ FETCH_EXAMPLES = $(VENV)/bin/python -m pip download $(PIP_FLAGS) --no-deps --no-
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help demo test test-oldest soak bench install lint format clean check-python
+.PHONY: help demo test test-oldest test-dist soak bench install lint format clean check-python
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*  ## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -50,6 +51,13 @@ $(OLDEST)/.dev: pyproject.toml constraints-oldest.txt | check-python
 	@$(OLDEST)/bin/python -m pip install $(PIP_FLAGS) -c constraints-oldest.txt -e '.[plot,test]'
 	@touch $@
 
+# RLlib pins a Gymnasium of its own choice, and asks for some hundred MB that nothing else needs.
+$(DIST)/.dev: pyproject.toml constraints-dist.txt | check-python
+	@echo "Installing dual-ur10 with Ray RLlib into $(DIST) ..."
+	@test -x $(DIST)/bin/python || $(PYTHON) -m venv $(DIST)
+	@$(DIST)/bin/python -m pip install $(PIP_FLAGS) -c constraints-dist.txt -e '.[dist]' psutil pytest
+	@touch $@
+
 install: $(VENV)/.dev  ## set up .venv for the tests
 
 demo: $(VENV)/.demo  ## install, run the scripted policies, also on emulated arms; write out/report.html and videos
@@ -64,6 +72,9 @@ test: $(VENV)/.dev  ## install, lint, type-check and run all tests
 test-oldest: $(OLDEST)/.dev  ## the tests again with MuJoCo 3.17 and Gymnasium 1.2.2
 	@$(OLDEST)/bin/python -m pytest -n 2
 
+test-dist: $(DIST)/.dev  ## training on Ray RLlib with two workers on this machine
+	@$(DIST)/bin/python -m pytest tests/distributed
+
 soak: $(VENV)/.dev  ## the tests with their full counts (about twenty times as long)
 	@DUAL_UR10_SOAK=1 $(VENV)/bin/python -m pytest -n 2 --durations=15
 
@@ -74,6 +85,8 @@ bench: $(VENV)/.dev  ## all benchmarks, figures to out/*.json
 	@$(VENV)/bin/python benchmarks/throughput.py --json out/throughput.json
 	@$(VENV)/bin/python benchmarks/emulator.py --seconds 60 --json out/emulator.json
 	@$(VENV)/bin/python benchmarks/runner.py --json out/runner.json
+	@$(VENV)/bin/python benchmarks/learning.py --json out/learning.json
+	@$(VENV)/bin/python benchmarks/collection.py --json out/collection.json
 
 lint: $(VENV)/.dev  ## ruff and mypy alone
 	@$(VENV)/bin/ruff check .
@@ -85,4 +98,4 @@ format: $(VENV)/.dev  ## ruff's formatter and its safe fixes
 	@$(VENV)/bin/ruff format .
 
 clean:  ## remove what make built
-	rm -rf $(VENV) $(OLDEST) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(OLDEST) $(DIST) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -38,7 +38,9 @@ from dual_ur10.cli_options import (
 )
 from dual_ur10.cli_runs import compare, fit, replay
 from dual_ur10.cli_status import status
+from dual_ur10.cli_train import collect, train
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
+from dual_ur10.policies import shipped
 
 USAGE_ERROR = 2
 """Exit code of every error of this package."""
@@ -90,7 +92,7 @@ def list_environments() -> None:
         try:
             core = env.unwrapped.core  # type: ignore[attr-defined]  # Gymnasium knows only Env
             sizes = [" × ".join(map(str, space.shape or ())) for space in (env.action_space, env.observation_space)]
-            names = ", ".join((*policies.NAMES, *_SIMPLE))
+            names = ", ".join(("scripted", *shipped.names_of(env_id), *_SIMPLE))
             table.add_row(f"[cyan]{env_id}[/]", f"{1 / core.timing.period_s:g} Hz", *sizes, names)
         finally:
             env.close()
@@ -195,6 +197,8 @@ def view(
 
 
 app.command()(evaluate)
+app.command()(train)
+app.command()(collect)
 app.command()(emulate)
 app.command()(doctor)
 app.command()(status)

@@ -20,7 +20,7 @@ EnvName = Annotated[
     str, typer.Argument(metavar="ENV", help="An id, such as DualUR10/SineTracking-v0; SineTracking will do.")
 ]
 PolicyName = Annotated[
-    str, typer.Option("--policy", "-p", help="scripted, random or zero, or the folder of a checkpoint.")
+    str, typer.Option("--policy", "-p", help="scripted, learned, random or zero, or the folder of a checkpoint.")
 ]
 Settings = Annotated[
     list[str] | None,

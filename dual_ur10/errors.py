@@ -141,3 +141,11 @@ class PolicyError(DualUR10Error, ValueError):
 
 class CheckpointError(DualUR10Error, ValueError):
     """A checkpoint cannot be written or read, is not as it was saved, or was made for another environment."""
+
+
+class TrainingError(DualUR10Error, RuntimeError):
+    """A training cannot be begun, gone on with or saved. What it has saved before is as it was."""
+
+
+class DatasetError(DualUR10Error, ValueError):
+    """A dataset cannot be made or read, or is not of this environment."""

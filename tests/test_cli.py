@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from dual_ur10 import ENV_IDS, __version__, cli, cli_options
 from dual_ur10.errors import SettingsError
+from dual_ur10.policies import shipped
 
 WAIT_S = 60.0
 SHORT = ("--set", "duration_s=0.4")
@@ -41,7 +42,8 @@ def test_list_names_every_environment_with_its_sizes() -> None:
         sizes = {"SineTracking": ["12", "68"], "SyncCarry": ["14", "124"], "Handover": ["14", "112"]}
         for task, (action, observation) in sizes.items():
             if task in env_id:
-                assert row.split()[1:] == ["25", "Hz", action, observation, "scripted,", "random,", "zero"]
+                learned = [f"{name}," for name in shipped.names_of(row.split()[0])]
+                assert row.split()[1:] == ["25", "Hz", action, observation, "scripted,", *learned, "random,", "zero"]
 
 
 @pytest.mark.parametrize(

@@ -219,7 +219,10 @@ def test_what_is_evaluated_is_named() -> None:
         ({"env_kwargs": {"autoreset_mode": "NextStep"}}, "keyword autoreset_mode"),
         ({"env_kwargs": {"task": "Juggling"}}, "keyword task"),
         ({"env_kwargs": {"amplitud": 1}}, "unknown keyword of SineTracking 'amplitud'"),
-        ({"policy": "magic"}, "unknown policy 'magic': use one of 'scripted', 'random', 'zero'"),
+        (
+            {"policy": "magic"},
+            "unknown policy 'magic': use one of 'scripted', 'learned', 'learned-two-agents', 'random', 'zero'",
+        ),
         ({"env_id": "DualUR10/Juggling-v0"}, "unknown environment 'DualUR10/Juggling-v0'"),
     ],
 )
@@ -654,7 +657,10 @@ def test_too_few_successes_are_exit_code_1(policy: str, wanted: str, expected: i
     ("arguments", "message"),
     [
         (("Juggling",), "unknown environment 'Juggling'"),
-        (("SineTracking", "-p", "psychic"), "unknown policy 'psychic': use one of 'scripted', 'random', 'zero'"),
+        (
+            ("SineTracking", "-p", "psychic"),
+            "unknown policy 'psychic': use one of 'scripted', 'learned', 'learned-two-agents', 'random', 'zero'",
+        ),
         (("SineTracking", "--set", "amplitud=0.1"), "unknown keyword of SineTracking 'amplitud'"),
         (("SineTracking", "--set", "amplitude_m"), "write it as KEY=VALUE"),
         (("SineTracking", "--set", "num_envs=3"), "keyword num_envs"),

@@ -28,8 +28,10 @@ def test_the_wheel_holds_the_package_and_nothing_else(wheel):
         "policies",
         "recording",
         "sim2real",
+        "training",
     }
     assert "dual_ur10/assets/ur10/ur10.xml" in names
+    assert "dual_ur10/policies/learned_policies/sine_tracking/policy.safetensors" in names
     assert "dual_ur10/py.typed" in names
 
 
@@ -78,6 +80,7 @@ def test_imports_run_downwards():
         ["recording"],
         ["envs"],
         ["policies"],
+        ["training"],
         ["emulator"],
     ]
     floors += [["runs"], ["runs_carry", "runs_handover"], ["figures_style"]]
@@ -94,7 +97,7 @@ def test_imports_run_downwards():
         ["cli_options"],
     ]
     floors += [
-        ["cli_cell", "cli_demo", "cli_doctor", "cli_emulate", "cli_evaluate", "cli_runs", "cli_status"],
+        ["cli_cell", "cli_demo", "cli_doctor", "cli_emulate", "cli_evaluate", "cli_runs", "cli_status", "cli_train"],
         ["cli"],
         ["__main__"],
     ]

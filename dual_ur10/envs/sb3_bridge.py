@@ -1,4 +1,4 @@
-"""Both arms as rows of one policy, for Stable-Baselines3. A view on the vector environment."""
+"""Views on the vector environment for Stable-Baselines3: a row for each cell, or one for each arm."""
 
 from __future__ import annotations
 
@@ -17,23 +17,22 @@ from dual_ur10.errors import ActionError, MissingExtraError, SettingsError
 try:
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError as error:
-    raise MissingExtraError("stable-baselines3", "train", "one policy for both arms (TwoAgentVecEnv)") from error
+    raise MissingExtraError("stable-baselines3", "train", "the vector environment for it") from error
 
 Array = NDArray[np.float64]
 Indices = None | int | Iterable[int]
 
 
-class TwoAgentVecEnv(VecEnv):
-    """n cells as 2n rows: row 2k is the left arm of cell k, row 2k + 1 its right arm.
+class CellsVecEnv(VecEnv):
+    """n cells as n rows or more, stepped together as in `dual_ur10.envs.vector_env.DualArmVectorEnv`.
 
-    The cells are stepped together, as in `dual_ur10.envs.vector_env.DualArmVectorEnv`. The rows of a cell are, bit for
-    bit, the agents of a `dual_ur10.envs.parallel_env.DualArmParallelEnv` with the cell's seed; they end together and
-    begin anew at once. Infos are the agents', with `TimeLimit.truncated`, and at an end `terminal_observation`.
+    The rows of a cell end together and begin anew at once. Infos have `TimeLimit.truncated`, and at an end
+    `terminal_observation`.
 
     Args:
         task: Name of the task, or an id.
         num_cells: n.
-        reward: "shared" or "individual", as for `DualArmParallelEnv`.
+        rows: Rows of each cell.
         max_episode_steps: Truncate episodes after so many steps; None: only where the task ends.
         threads: Threads to step on; None: as many as there are processors.
         render_mode: None or "rgb_array": one image per cell.
@@ -42,21 +41,21 @@ class TwoAgentVecEnv(VecEnv):
 
     Raises:
         SettingsError: Or one of its kinds: a value is not legal.
-        UnknownNameError: A name (task, keyword, reward, ...) is none that exists.
+        UnknownNameError: A name (task, keyword, ...) is none that exists.
     """
 
     def __init__(
         self,
         task: str,
-        num_cells: int = 1,
+        num_cells: int,
+        rows: int,
         *,
-        reward: str = "shared",
         max_episode_steps: int | None = None,
         threads: int | None = None,
         render_mode: str | None = None,
         **keywords: Any,
     ) -> None:
-        check_options(reward, keywords)
+        check_options("shared", keywords)
         check_count("num_cells", num_cells)
         self.cells = DualArmVectorEnv(
             num_cells,
@@ -67,23 +66,40 @@ class TwoAgentVecEnv(VecEnv):
             render_mode=render_mode,
             **keywords,
         )
-        core = self.cells.core
-        (observation, other), (action, _) = agent_spaces(core)
-        if observation != other:
-            raise SettingsError(f"{task}: the two agents observe differently, one policy cannot act for both")
-        self._share = Share(core, reward)
-        self._actions: NDArray[Any] = np.zeros((2 * num_cells, *action.shape), dtype=np.float32)
-        super().__init__(2 * num_cells, observation, action)
+        try:
+            observation, action = self._spaces()
+        except BaseException:
+            self.cells.close()
+            raise
+        self._rows_of_a_cell = rows
+        self._actions: NDArray[Any] = np.zeros((rows * num_cells, *action.shape), dtype=np.float32)
+        super().__init__(rows * num_cells, observation, action)
+
+    def _spaces(self) -> tuple[Any, Any]:
+        """What a row observes, and its actions."""
+        raise NotImplementedError
+
+    def _observations(self) -> Array:
+        """(rows of all cells, size)."""
+        raise NotImplementedError
+
+    def _rewards(self, reward: Array) -> Array:
+        """(rows of all cells,) from that of the cells, (n,)."""
+        raise NotImplementedError
+
+    def _infos_of(self, info: dict[str, Any], terms: Array | None) -> list[dict[str, Any]]:
+        """Infos of the rows of one cell."""
+        raise NotImplementedError
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Seeds for the next reset: s gives cell k, and so both its rows, the seed s + k. Returned by row."""
+        """Seeds for the next reset: s gives cell k, and so all its rows, the seed s + k. Returned by row."""
         if seed is None:
             seed = int(np.random.default_rng().integers(2**32))
-        self._seeds = [seed + row // 2 for row in range(self.num_envs)]
+        self._seeds = [seed + row // self._rows_of_a_cell for row in range(self.num_envs)]
         return self._seeds
 
     def reset(self) -> Array:
-        """Begin new episodes in all cells. Returns the observations, (2n, size).
+        """Begin new episodes in all cells. Returns the observations, (rows, size).
 
         Raises:
             SettingsError: There are options, and none are taken.
@@ -91,18 +107,13 @@ class TwoAgentVecEnv(VecEnv):
         options = [key for each in self._options for key in each]
         if options:
             raise SettingsError(f"reset takes no options, found {sorted(set(options))}: set keywords when making it")
-        _, info = self.cells.reset(seed=self._seeds[::2])
+        _, info = self.cells.reset(seed=self._seeds[:: self._rows_of_a_cell])
         self._reset_seeds()
         self.reset_infos = self._infos(info, range(self.cells.num_envs), None)
         return self._observations()
 
-    def _observations(self) -> Array:
-        """(2n, size)."""
-        agents = self.cells.core.agents.observations
-        return agents.reshape(self.num_envs, agents.shape[-1])
-
     def _infos(self, info: dict[str, Any], cells: Iterable[int], terms: Array | None) -> list[dict[str, Any]]:
-        """Infos of both rows of each of the cells, from Gymnasium's form for vectors."""
+        """Infos of the rows of each of the cells, from Gymnasium's form for vectors."""
         everyone = np.ones(self.cells.num_envs, dtype=bool)
         columns = [
             (name, value, info.get("_" + name, everyone)) for name, value in info.items() if not name.startswith("_")
@@ -110,19 +121,18 @@ class TwoAgentVecEnv(VecEnv):
         result: list[dict[str, Any]] = []
         for cell in cells:
             own = {name: _row(value, cell) for name, value, mask in columns if mask[cell]}
-            result += self._share.infos(own, None if terms is None else terms[cell])
+            result += self._infos_of(own, None if terms is None else terms[cell])
         return result
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Take the actions of all rows, (2n, 6), or (2n, 7) with grippers; the arms move with `step_wait`.
+        """Take the actions of all rows, (rows, size); the arms move with `step_wait`.
 
         Raises:
             ActionError: They have the wrong shape.
         """
         if np.shape(actions) != self._actions.shape:
             raise ActionError(
-                f"actions must have shape {self._actions.shape}, a row for each arm of each cell, found "
-                f"{np.shape(actions)}"
+                f"actions must have shape {self._actions.shape}, one for each row, found {np.shape(actions)}"
             )
         self._actions = np.array(actions)
 
@@ -130,30 +140,29 @@ class TwoAgentVecEnv(VecEnv):
         """One control period of all cells.
 
         Returns:
-            Observations (2n, size), rewards (2n,), whether an episode ended (2n,), and infos.
+            Observations (rows, size), rewards (rows,), whether an episode ended (rows,), and infos.
 
         Raises:
             ActionError: An action holds NaN, infinity or no numbers. Nothing has moved.
             ResetNeededError: There was no reset yet.
         """
-        n = self.cells.num_envs
+        n, each = self.cells.num_envs, self._rows_of_a_cell
         _, reward, terminated, truncated, info = self.cells.step(self._actions.reshape(n, -1))
-        agents, observation = self.cells.core.agents, self._observations()
-        rewards = agents.rewards.reshape(-1) if self._share.individual else np.repeat(reward, 2)
-        infos = self._infos(info, range(n), agents.terms)
+        observation, rewards = self._observations(), self._rewards(reward)
+        infos = self._infos(info, range(n), self.cells.core.agents.terms)
         over = terminated | truncated
-        for row, timeout in enumerate(np.repeat(truncated & ~terminated, 2).tolist()):
+        for row, timeout in enumerate(np.repeat(truncated & ~terminated, each).tolist()):
             infos[row]["TimeLimit.truncated"] = timeout
         if over.any():
             ended = np.flatnonzero(over).tolist()
-            rows = [row for cell in ended for row in (2 * cell, 2 * cell + 1)]
+            rows = [each * cell + k for cell in ended for k in range(each)]
             for row in rows:
                 infos[row]["terminal_observation"] = observation[row].copy()
             _, begun = self.cells.reset(options={"reset_mask": over})
             observation = self._observations()
-            for row, each in zip(rows, self._infos(begun, ended, None), strict=True):
-                self.reset_infos[row] = each
-        return observation, rewards, np.repeat(over, 2), infos
+            for row, info_of_row in zip(rows, self._infos(begun, ended, None), strict=True):
+                self.reset_infos[row] = info_of_row
+        return observation, rewards, np.repeat(over, each), infos
 
     def close(self) -> None:
         """Release simulation and images. May be called twice."""
@@ -203,6 +212,76 @@ class TwoAgentVecEnv(VecEnv):
     def _all_rows(self, what: str, indices: Indices) -> None:
         if sorted(self._rows(indices)) != list(range(self.num_envs)):
             raise SettingsError(f"{what} is one for all rows, for they share one core: pass indices=None")
+
+
+class JointVecEnv(CellsVecEnv):
+    """n cells as n rows, each with the observations and actions of both arms: the Gymnasium environment, n times.
+
+    Row k with seed s is, bit for bit, the single environment with seed s + k.
+
+    Args:
+        task: Name of the task, or an id.
+        num_cells: n.
+        **keywords: As of `CellsVecEnv`.
+
+    Raises:
+        SettingsError: Or one of its kinds: a value is not legal.
+        UnknownNameError: A name (task, keyword, ...) is none that exists.
+    """
+
+    def __init__(self, task: str, num_cells: int = 1, **keywords: Any) -> None:
+        super().__init__(task, num_cells, 1, **keywords)
+
+    def _spaces(self) -> tuple[Any, Any]:
+        return self.cells.core.observation_space, self.cells.core.action_space
+
+    def _observations(self) -> Array:
+        return self.cells.core.agents.both.copy()
+
+    def _rewards(self, reward: Array) -> Array:
+        return reward
+
+    def _infos_of(self, info: dict[str, Any], terms: Array | None) -> list[dict[str, Any]]:
+        return [info]
+
+
+class TwoAgentVecEnv(CellsVecEnv):
+    """n cells as 2n rows: row 2k is the left arm of cell k, row 2k + 1 its right arm.
+
+    The rows of a cell are, bit for bit, the agents of a `dual_ur10.envs.parallel_env.DualArmParallelEnv` with the
+    cell's seed. Infos are the agents'.
+
+    Args:
+        task: Name of the task, or an id.
+        num_cells: n.
+        reward: "shared" or "individual", as for `DualArmParallelEnv`.
+        **keywords: As of `CellsVecEnv`.
+
+    Raises:
+        SettingsError: Or one of its kinds: a value is not legal.
+        UnknownNameError: A name (task, keyword, reward, ...) is none that exists.
+    """
+
+    def __init__(self, task: str, num_cells: int = 1, *, reward: str = "shared", **keywords: Any) -> None:
+        check_options(reward, keywords)
+        super().__init__(task, num_cells, 2, **keywords)
+        self._share = Share(self.cells.core, reward)
+
+    def _spaces(self) -> tuple[Any, Any]:
+        (observation, other), (action, _) = agent_spaces(self.cells.core)
+        if observation != other:
+            raise SettingsError("the two agents observe differently, one policy cannot act for both")
+        return observation, action
+
+    def _observations(self) -> Array:
+        agents = self.cells.core.agents.observations
+        return agents.reshape(self.num_envs, agents.shape[-1])
+
+    def _rewards(self, reward: Array) -> Array:
+        return self.cells.core.agents.rewards.reshape(-1) if self._share.individual else np.repeat(reward, 2)
+
+    def _infos_of(self, info: dict[str, Any], terms: Array | None) -> list[dict[str, Any]]:
+        return list(self._share.infos(info, terms))
 
 
 def _row(value: Any, row: int) -> Any:

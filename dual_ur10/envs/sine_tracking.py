@@ -110,7 +110,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     - *synchrony* (0.2): 0.1^((error of the vector from flange to flange / 5 mm)²), which one arm alone cannot earn.
 
     `info["is_success"]` is true at the end of an episode in which both arms kept `success_rms_m`, as root mean square
-    over all steps.
+    over all steps; `info["flange_rms_m"]` is each arm's so far.
 
     ## Starting State
 
@@ -255,6 +255,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
             success = over & (self._squares.max(axis=1) <= self.settings.success_rms_m**2 * self._count)
         info = {
             "flange_error_m": sizes[:, :2],
+            "flange_rms_m": np.sqrt(self._squares / self._count[:, None]),
             "orientation_error_rad": sizes[:, 2:4],
             "reference_m": measured.reference_m,
         }

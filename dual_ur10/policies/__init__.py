@@ -13,10 +13,12 @@ from dual_ur10.envs.options import split_keywords
 from dual_ur10.envs.randomization import resolve_randomization
 from dual_ur10.envs.task import Timing, task_settings
 from dual_ur10.errors import UnknownNameError
+from dual_ur10.policies import shipped
 from dual_ur10.policies.policy import Policy
 from dual_ur10.sim2real.cell import resolve_cell
 
-NAMES = ("scripted",)
+NAMES = ("scripted", *shipped.NAMES)
+"""Policies that are loaded by name. Not every task has every one of them."""
 
 _SCRIPTED = {
     "SineTracking": "sine_tracking:SineTrackingPolicy",
@@ -41,7 +43,7 @@ def load(name: str | os.PathLike[str], env_id: str, **keywords: Any) -> Policy:
     and of the task's settings. It is not told what kind of cell it moves.
 
     Args:
-        name: "scripted", or the path of a checkpoint's folder, with a "/" in it if there is no such folder.
+        name: One of `NAMES`, or the path of a checkpoint's folder, with a "/" in it if there is no such folder.
         env_id: Id of the environment.
         **keywords: As given to `gym.make`. Those that concern neither task nor cell do not matter to a policy.
 
@@ -49,6 +51,8 @@ def load(name: str | os.PathLike[str], env_id: str, **keywords: Any) -> Policy:
         UnknownNameError: No such policy, or no such environment.
         CheckpointError: The checkpoint cannot be read, or was made for another environment.
     """
+    if name in shipped.NAMES:
+        name = shipped.folder_of(str(name), env_id)
     if is_path(name):
         from dual_ur10.policies.checkpoint import load as load_checkpoint
 

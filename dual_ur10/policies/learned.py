@@ -28,10 +28,11 @@ class LearnedPolicy:
 
     Attributes:
         manifest: What it says of itself.
+        layers: Those of each network.
     """
 
     def __init__(self, manifest: Manifest, networks: Sequence[Sequence[Layer]], described: Described) -> None:
-        self.manifest = manifest
+        self.manifest, self.layers = manifest, networks
         self._described, self._joint = described, manifest.agents == "joint"
         self._size = manifest.target.observation.shape[0]
         space = manifest.target.action

@@ -23,3 +23,11 @@ class Policy(Protocol):
 
     def __call__(self, observation: Array) -> Array:
         """The action for an observation, or one for each row of a batch of observations."""
+
+
+@runtime_checkable
+class Teaching(Protocol):
+    """A policy that acts otherwise when others are to learn from it."""
+
+    def teach(self) -> None:
+        """Say from now on what an observation asks for, whoever has led the arms there: learn nothing meanwhile."""

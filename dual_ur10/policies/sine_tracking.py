@@ -72,6 +72,10 @@ class SineTrackingPolicy:
         self._expected: Array | None = None
         self._added: list[Array] = []
 
+    def teach(self) -> None:
+        """See `dual_ur10.policies.policy.Teaching`: what it learned from commands of others would be wrong."""
+        self.learn = False
+
     def begin(self, rows: Rows, seeds: Sequence[int]) -> None:
         """Rows of the batch begin episodes; see `dual_ur10.policies.evaluate.EpisodeAware`."""
         if self._predicted is not None:

@@ -1,0 +1,240 @@
+"""Behaviour cloning and DAgger: a network does what the scripted policy would do.
+
+DAgger (S. Ross, G. Gordon, D. Bagnell, "A Reduction of Imitation Learning and Structured Prediction to No-Regret Online
+Learning", AISTATS 2011): the pupil drives, the expert says what it would have done, and everything said so far is
+learned anew. Cloning is its first round alone.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.envs.names import task_name
+from dual_ur10.envs.vector_env import DualArmVectorEnv
+from dual_ur10.errors import TrainingError
+from dual_ur10.policies import checkpoint
+from dual_ur10.policies.learned import LearnedPolicy
+from dual_ur10.policies.manifest import Manifest
+from dual_ur10.policies.statistics import wilson_interval
+from dual_ur10.policies.target import Described, described
+from dual_ur10.training import seeds, state
+from dual_ur10.training.dataset import read_dataset
+from dual_ur10.training.expert import Expert
+from dual_ur10.training.fit import Fit, reproducible
+from dual_ur10.training.folder import TrainingFolder, check_of, summary_of
+from dual_ur10.training.gather import gather
+from dual_ur10.training.progress import Check, OnProgress, Progress
+from dual_ur10.training.settings import Imitation
+
+Single = NDArray[np.float32]
+
+_GATHER, _FIT, _INIT = range(3)  # streams of random numbers
+_SHOWN_S: Final = 0.2
+
+
+class Imitator:
+    """Learns from the scripted policy, or from a dataset.
+
+    Args:
+        folder: Where it keeps what it makes.
+        values: Of the state to go on from; None: it begins.
+        on_progress: Told how far it is.
+        threads: Threads to step on.
+    """
+
+    def __init__(
+        self,
+        folder: TrainingFolder,
+        values: dict[str, Any] | None = None,
+        on_progress: OnProgress = lambda progress: None,
+        threads: int | None = None,
+    ) -> None:
+        self._folder, self._asked = folder, folder.training
+        if not isinstance(self._asked.settings, Imitation):
+            raise TrainingError(f"{self._asked.algorithm} does not imitate")
+        self._settings: Imitation = self._asked.settings
+        self._threads = threads
+        self._place: Described = described(self._asked.env_id, self._asked.keywords)
+        self._told, self._shown_s = on_progress, 0.0
+        self._progress = Progress(0, self._asked.steps)
+        self._rounds, self._longest = 0, 1
+        self._samples: list[tuple[Single, Single]] = []
+        if values is not None:
+            self._rounds, self._progress.steps = int(values["rounds"]), int(values["steps"])
+            self._longest = int(values["longest"])
+            self._samples = [self._load_samples(k) for k in range(self._rounds)]
+
+    def run(self) -> Path:
+        """Learn. Returns the folder of the checkpoint that came of it.
+
+        Raises:
+            TrainingError: Something cannot be saved, or there is nothing to learn from.
+            DatasetError: The dataset cannot be read or is of another environment.
+            KeyboardInterrupt: The rounds before are saved.
+        """
+        begun = time.monotonic() - self._folder.seconds
+        if self._asked.dataset and not self._samples:
+            self._add(read_dataset(self._asked.dataset, self._place), begun)
+            self._progress.steps = self._asked.steps
+        env = None
+        try:
+            while self._progress.steps < self._asked.steps:
+                if env is None:
+                    env = DualArmVectorEnv(
+                        self._asked.envs,
+                        task_name(self._asked.env_id),
+                        autoreset_mode="Disabled",
+                        threads=self._threads,
+                        **self._asked.keywords,
+                    )
+                self._round(env, begun)
+        finally:
+            if env is not None:
+                env.close()
+        policy, fits = self._fit(self._settings.last_fit_steps, self._rounds)
+        self._tell("looking")
+        found = self._folder.look(policy)
+        self._folder.note(check_of(found, self._progress.steps, time.monotonic() - begun))
+        manifest = self._manifest(fits, summary_of(found))
+        return self._folder.save("policy", [fit.layers() for fit in fits], manifest)
+
+    def _round(self, env: Any, begun: float) -> None:
+        number, asked = self._rounds, self._asked
+        learner, share = None, 1.0
+        if number and asked.algorithm == "dagger":
+            learner, _ = self._fit(self._settings.fit_steps, number)
+            behind = self._progress.steps / asked.steps
+            share = self._settings.expert_share * max(0.0, 1.0 - behind / 0.75)
+        low, high = env.core.action_space.low, env.core.action_space.high
+        before, start = self._progress.steps, time.monotonic()
+
+        def on_step(steps: int) -> None:
+            self._progress.steps = before + steps
+            self._progress.rate = steps / max(1e-9, time.monotonic() - start)
+            self._tell("gathering", begun)
+
+        first = seeds.episodes_of(asked.seed) + number * asked.envs
+        found = gather(
+            env,
+            Expert(asked.env_id, asked.envs, low, high, **asked.keywords),
+            learner,
+            range(first, first + asked.envs),
+            share=share,
+            within=self._longest,
+            noise=self._settings.noise,
+            rng=np.random.default_rng([asked.seed, number, _GATHER]),
+            on_step=on_step,
+        )
+        if not len(found.observation):
+            raise TrainingError("the scripted policy knew nothing to do in any step: there is nothing to learn from")
+        self._longest = max(self._longest, found.longest)
+        count, successes = len(found.returns), int(found.successes.sum())
+        self._progress.mean_return, self._progress.success_rate = float(found.returns.mean()), successes / count
+        if learner is not None:
+            low_rate, high_rate = wilson_interval(successes, count)
+            seconds = time.monotonic() - begun
+            mean = float(found.returns.mean())
+            self._folder.note(Check(before, seconds, mean, successes / count, count, low_rate, high_rate))
+        self._add((found.observation, found.action), begun)
+
+    def _add(self, samples: tuple[Single, Single], begun: float) -> None:
+        """Keep samples, and that there are so many rounds."""
+        path = self._path(self._rounds)
+        state.save_tensors(path, {"observation": samples[0], "action": samples[1]})
+        self._samples.append(samples)
+        self._rounds += 1
+        values = {"rounds": self._rounds, "steps": self._progress.steps, "longest": self._longest}
+        self._folder.save_state({}, values, time.monotonic() - begun)
+
+    def _path(self, number: int) -> Path:
+        return self._folder.path / f"samples-{number:04d}.safetensors"
+
+    def _load_samples(self, number: int) -> tuple[Single, Single]:
+        found = state.load_tensors(self._path(number))
+        sizes = (self._place.target.observation.shape[0], self._place.target.action.shape[0])
+        try:
+            samples = found["observation"], found["action"]
+        except KeyError as error:
+            raise TrainingError(f"{self._path(number)} has no {error}") from None
+        if any(each.ndim != 2 or each.shape[1] != size for each, size in zip(samples, sizes, strict=True)):
+            raise TrainingError(f"{self._path(number)} has samples of another environment")
+        return samples
+
+    def _fit(self, steps: int, number: int) -> tuple[LearnedPolicy, list[Fit]]:
+        """Networks that are fitted to all samples, from scratch, and the policy of them."""
+        asked = self._asked
+        observation, action = (np.concatenate(each) for each in zip(*self._samples, strict=True))
+        parts = self._split(observation, action)
+        with reproducible(_seed_of(asked.seed, number)):
+            fits = [Fit(self._settings, *given) for given in self._given(len(parts))]
+            for k, (fit, part) in enumerate(zip(fits, parts, strict=True)):
+                rng = np.random.default_rng([asked.seed, number, _FIT, k])
+                text = "fitting" if len(parts) == 1 else f"fitting {('left', 'right')[k]}"
+
+                def on_step(step: int, loss: float, text: str = text) -> None:
+                    self._tell(f"{text}, {100 * step // steps} %, loss {loss:.4f}")
+
+                loss = fit(*part, steps, rng, on_step)
+                self._folder.logger.record(f"fit/loss{k or ''}", loss)
+        self._folder.logger.record("fit/samples", len(observation))
+        self._folder.logger.dump(self._progress.steps)
+        manifest = self._manifest(fits)
+        return self._folder.policy_of([fit.layers() for fit in fits], manifest), fits
+
+    def _split(self, observation: Single, action: Single) -> list[tuple[Single, Single]]:
+        """Samples for each network."""
+        if self._asked.agents == "joint":
+            return [(observation, action)]
+        own = self._place.split(observation.astype(np.float64)).astype(np.float32)
+        arms = action.reshape(len(action), 2, -1)
+        if self._asked.agents == "shared":
+            return [(own.reshape(2 * len(own), -1), arms.reshape(2 * len(arms), -1))]
+        return [(np.ascontiguousarray(own[:, k]), np.ascontiguousarray(arms[:, k])) for k in (0, 1)]
+
+    def _given(self, count: int) -> list[tuple[Any, Any]]:
+        """Layers and normaliser to begin with, for each network."""
+        if not self._asked.init:
+            return [(None, None)] * count
+        policy = checkpoint.load(self._asked.init, self._asked.env_id, **self._asked.keywords)
+        manifest = policy.manifest
+        wanted = (self._asked.agents, self._settings.hidden, self._settings.activation, "clip")
+        found = (
+            manifest.agents,
+            manifest.network.layers[1:-1],
+            manifest.network.activation,
+            manifest.network.squashing,
+        )
+        if found != wanted:
+            raise TrainingError(f"{self._asked.init} has a network {found}, this training makes {wanted}")
+        normalisers = manifest.normalisers or (None,) * count
+        return list(zip(policy.layers, normalisers, strict=True))
+
+    def _manifest(self, fits: list[Fit], evaluation: dict[str, object] | None = None) -> Manifest:
+        return Manifest(
+            target=self._place.target,
+            agents=self._asked.agents,  # type: ignore[arg-type]  # checked
+            network=fits[0].shape(),
+            normalisers=tuple(fit.normaliser for fit in fits if fit.normaliser is not None),
+            training={**self._folder.described(), "steps": self._progress.steps},
+            seed=self._asked.seed,
+            evaluation=evaluation,
+        )
+
+    def _tell(self, doing: str, begun: float | None = None) -> None:
+        now = time.monotonic()
+        if now - self._shown_s < _SHOWN_S:
+            return
+        self._shown_s, self._progress.doing = now, doing
+        if begun is not None and self._progress.steps:
+            left = self._asked.steps - self._progress.steps
+            self._progress.seconds_left = max(0.0, left * (now - begun) / self._progress.steps)
+        self._told(self._progress)
+
+
+def _seed_of(seed: int, number: int) -> int:
+    return int(np.random.SeedSequence([seed, number, _INIT]).generate_state(1)[0])

@@ -1,0 +1,101 @@
+"""How a training goes: what is told while it runs, and its learning curve."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dual_ur10.errors import MissingExtraError, TrainingError
+
+
+@dataclass(frozen=True)
+class Check:
+    """How good the policy was at one time.
+
+    Attributes:
+        steps: Of the environment so far, in all.
+        seconds: Of training so far.
+        mean_return: Of the episodes looked at.
+        success_rate: Of them.
+        episodes: How many.
+        low, high: Wilson's interval of the success rate, 95 %.
+    """
+
+    steps: int
+    seconds: float
+    mean_return: float
+    success_rate: float
+    episodes: int
+    low: float
+    high: float
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """What is better comes later."""
+        return self.success_rate, self.mean_return
+
+
+@dataclass
+class Progress:
+    """How far a training is.
+
+    Attributes:
+        steps, total: Of the environment, done and in all.
+        rate: Steps per second of late.
+        seconds_left: As far as can be said; None: it cannot.
+        mean_return, success_rate: Of late; None: no episode has ended.
+        doing: In a word.
+    """
+
+    steps: int
+    total: int
+    rate: float = 0.0
+    seconds_left: float | None = None
+    mean_return: float | None = None
+    success_rate: float | None = None
+    doing: str = ""
+
+
+OnProgress = Callable[[Progress], None]
+
+
+def draw_curve(path: Path, title: str, checks: Sequence[Check], goal: float | None = None) -> None:
+    """Draw success rate and return over steps to a PNG file.
+
+    Raises:
+        MissingExtraError: Matplotlib is not installed.
+        TrainingError: The file cannot be written.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise MissingExtraError("matplotlib", "plot", "drawing a learning curve") from None
+    figure = Figure(figsize=(7.0, 4.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    success: Any
+    success, reward = figure.subplots(2, 1, sharex=True)
+    steps = [each.steps for each in checks]
+    low, high = [100 * each.low for each in checks], [100 * each.high for each in checks]
+    success.fill_between(steps, low, high, color="tab:blue", alpha=0.2, linewidth=0, label="95 % interval")
+    success.plot(
+        steps, [100 * each.success_rate for each in checks], "o-", markersize=3, color="tab:blue", label="success"
+    )
+    if goal is not None:
+        success.axhline(100 * goal, color="tab:gray", linestyle="--", linewidth=0.8, label="goal")
+    success.set(ylabel="success, %", ylim=(-3, 103), title=title)
+    success.legend(loc="lower right", fontsize="small")
+    reward.plot(steps, [each.mean_return for each in checks], "o-", markersize=3, color="tab:orange")
+    reward.set(ylabel="mean return", xlabel="steps of the environment")
+    for axes in (success, reward):
+        axes.grid(alpha=0.3)
+    part = path.with_name(f".{path.name}.part")
+    try:
+        figure.savefig(part, format="png", dpi=110)
+        part.replace(path)
+    except OSError as error:
+        raise TrainingError(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        part.unlink(missing_ok=True)

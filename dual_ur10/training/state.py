@@ -1,0 +1,117 @@
+"""What a training keeps so that it can go on: numbers and text, from which no code is ever run."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import safetensors
+from numpy.typing import NDArray
+from safetensors.numpy import load as _parsed
+from safetensors.numpy import save as _serialised
+
+from dual_ur10.errors import TrainingError
+
+Tensors = dict[str, NDArray[Any]]
+
+_TENSORS: Final = "tensors.safetensors"
+_VALUES: Final = "values.json"
+
+
+def save(folder: Path, tensors: Mapping[str, NDArray[Any]], values: Mapping[str, Any]) -> None:
+    """Write a state in place of the one before: at every instant there is a whole one.
+
+    Args:
+        folder: `folder.next` and `folder.old` are used, too.
+        tensors: Numbers.
+        values: Anything that JSON holds.
+
+    Raises:
+        TrainingError: It cannot be written (a full disk). The state before is as it was.
+    """
+    part, old = folder.with_name(folder.name + ".next"), folder.with_name(folder.name + ".old")
+    try:
+        shutil.rmtree(part, ignore_errors=True)
+        part.mkdir(parents=True)
+        _write(part / _TENSORS, _serialised(_laid_out(tensors)))
+        _write(part / _VALUES, json.dumps(dict(values), indent=1, allow_nan=False).encode())
+        if folder.exists():
+            shutil.rmtree(old, ignore_errors=True)
+            folder.rename(old)
+        part.rename(folder)
+    except OSError as error:
+        raise TrainingError(
+            f"cannot save to {folder}: {error.strerror or error}. What was saved before is as it was: make room and go "
+            "on with --resume"
+        ) from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def load(folder: Path) -> tuple[Tensors, dict[str, Any]]:
+    """The last state that was saved.
+
+    Raises:
+        TrainingError: There is none, or it cannot be read.
+    """
+    for each in (folder, folder.with_name(folder.name + ".old")):
+        if each.is_dir():
+            return _read(each)
+    raise TrainingError(f"{folder} does not exist: nothing was saved that could be gone on with")
+
+
+def save_tensors(path: Path, tensors: Mapping[str, NDArray[Any]]) -> None:
+    """Write numbers to a file: at once or not at all.
+
+    Raises:
+        TrainingError: It cannot be written.
+    """
+    part = path.with_name(f".{path.name}.part")
+    try:
+        _write(part, _serialised(_laid_out(tensors)))
+        part.replace(path)
+    except OSError as error:
+        raise TrainingError(f"cannot save {path}: {error.strerror or error}") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def load_tensors(path: Path) -> Tensors:
+    """Numbers of a file.
+
+    Raises:
+        TrainingError: It cannot be read.
+    """
+    try:
+        return dict(_parsed(path.read_bytes()))
+    except (OSError, safetensors.SafetensorError, KeyError, ValueError) as error:
+        raise TrainingError(f"{path} cannot be read: {error!s:.200}") from error
+
+
+def _read(folder: Path) -> tuple[Tensors, dict[str, Any]]:
+    tensors = load_tensors(folder / _TENSORS)
+    try:
+        values = json.loads((folder / _VALUES).read_bytes())
+    except (OSError, ValueError, RecursionError) as error:
+        raise TrainingError(f"{folder / _VALUES} cannot be read: {error!s:.200}") from error
+    if not isinstance(values, dict):
+        raise TrainingError(f"{folder / _VALUES} holds no JSON object")
+    return tensors, values
+
+
+def _laid_out(tensors: Mapping[str, NDArray[Any]]) -> Tensors:
+    # numpy makes single numbers arrays of one.
+    return {name: np.ascontiguousarray(each).reshape(np.shape(each)) for name, each in tensors.items()}
+
+
+def _write(path: Path, content: bytes) -> None:
+    with path.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())

@@ -1,0 +1,60 @@
+"""The scripts of `examples/`, each in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).parent.parent / "examples"
+ARGUMENTS = {
+    "train_with_sb3": (("2048", "sine_ppo"), "stable_baselines3"),
+    "pettingzoo_loop": (("20",), "pettingzoo"),
+    "evaluate_checkpoint": (("learned", "2"), "numpy"),
+    "collect_dataset": (("2", "ur10/example-v0"), "minari"),
+}
+ELSEWHERE = {"rllib_two_agents"}  # `make test-dist` runs it, in an environment of its own
+
+
+def run(name, *arguments, folder):
+    result = subprocess.run(
+        [sys.executable, str(FOLDER / f"{name}.py"), *arguments],
+        cwd=folder,
+        env=os.environ | {"MINARI_DATASETS_PATH": str(folder / "datasets"), "PYTHONWARNINGS": "ignore"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def test_every_example_is_run():
+    assert {each.stem for each in FOLDER.glob("*.py")} == {*ARGUMENTS, *ELSEWHERE}
+
+
+@pytest.mark.parametrize("name", list(ARGUMENTS))
+def test_it_runs(name, tmp_path):
+    arguments, needs = ARGUMENTS[name]
+    pytest.importorskip(needs)
+    text = run(name, *arguments, folder=tmp_path)
+    assert text.strip()
+    if name == "train_with_sb3":
+        from dual_ur10.policies.checkpoint import read_manifest
+
+        assert read_manifest(tmp_path / "sine_ppo").target.env_id == "DualUR10/SineTracking-v0"
+    if name == "collect_dataset":
+        assert "2 episodes" in text
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.py")), ids=lambda path: path.stem)
+def test_it_says_how_to_run_it(path):
+    assert f"python examples/{path.name}" in path.read_text().split('"""')[1]
+
+
+def test_training_takes_twenty_lines():
+    lines = (FOLDER / "train_with_sb3.py").read_text().splitlines()
+    assert len([line for line in lines if line.strip() and not line.startswith(("#", '"""', "import", "from"))]) <= 20

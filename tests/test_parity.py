@@ -14,7 +14,8 @@ ARMS = ("left", "right")
 TICKS = soak.scaled(10_000)
 LATENCY = 100  # so long that no machine is too slow, and nothing else changes by it
 PERIOD = 5
-AHEAD = 8  # targets that may be left out in a row, because their time had passed
+AHEAD = 13  # targets that may be left out in a row, because their time had passed: 0.1 s later arms are stopped
+TRIES = 3
 
 
 class Wild:
@@ -52,10 +53,29 @@ def test_the_same_actions_give_the_same_targets_to_the_last_bit(tmp_path):
     assert len(expected) >= min(TICKS, 400)
     assert np.abs(np.diff(expected, axis=0)).max() > 1e-3
 
-    with EmulatedCell(plant="mild", seed=5, cell=str(tmp_path / "lab.toml")) as cell:
+    for number in range(TRIES):
+        executed, shifted = executed_by_controllers(tmp_path / str(number), keywords, actions)
+        if not shifted:
+            break
+    assert not shifted, "a machine that stands still again and again: clocks were shifted in every try"
+    for arm in range(2):
+        found, followed = aligned(executed[arm], expected[:, arm])
+        assert found[-1] == len(expected) - 1
+        # A busy machine leaves some out, or two in one control period; none is another.
+        assert len(set(found)) > len(expected) / 2
+        assert not followed or len(found) > 100  # what follows is the brake
+
+
+def executed_by_controllers(folder, keywords, actions):
+    """Set-points that each emulated controller executed, and whether a stall has shifted a clock against them.
+
+    Where a controller stands still for a while its periods lie between targets afterwards, until the shift is gone.
+    """
+    folder.mkdir()
+    with EmulatedCell(plant="mild", seed=5, cell=str(folder / "lab.toml")) as cell:
         for arm in ARMS:
             cell.wait_until(arm, "robot_mode", 7)
-        env = gym.make(env_id, cell=str(tmp_path / "lab.toml"), disable_env_checker=True, **keywords)
+        env = gym.make("DualUR10/SineTracking-v0", cell=str(folder / "lab.toml"), disable_env_checker=True, **keywords)
         executed = [[], []]
         seen = [0, 0]
 
@@ -68,10 +88,14 @@ def test_the_same_actions_give_the_same_targets_to_the_last_bit(tmp_path):
         try:
             seen = [cell.ask("setpoints", arm=arm)["count"] for arm in ARMS]
             env.reset(seed=3)
+            shifted = False
+            arms = env.unwrapped.core.cell.runner.arms
             for step, action in enumerate(actions):
                 env.step(action)
                 if step % 20 == 0:
                     collect()
+                    index = np.concatenate([each.sent()[0].index for each in arms])
+                    shifted |= bool((np.abs(index - np.rint(index)) > 1e-9).any())
             core = env.unwrapped.core
             assert core.cell.late_periods == 0
             # The last targets are still to come.
@@ -79,12 +103,7 @@ def test_the_same_actions_give_the_same_targets_to_the_last_bit(tmp_path):
             collect()
         finally:
             env.close()
-    for arm in range(2):
-        found, followed = aligned(executed[arm], expected[:, arm])
-        assert found[-1] == len(expected) - 1
-        # A busy machine leaves some out, or two in one control period; none is another.
-        assert len(set(found)) > len(expected) / 2
-        assert not followed or len(found) > 100  # what follows is the brake
+    return executed, shifted
 
 
 def aligned(executed, expected):

@@ -10,6 +10,7 @@ from typing import Any, Final, Literal, get_args
 from dual_ur10.envs.names import env_id_of, task_name
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.policies.manifest import AgentsKind
+from dual_ur10.policies.target import described
 from dual_ur10.training import seeds
 
 Algorithm = Literal["ppo", "sac", "bc", "dagger"]
@@ -215,7 +216,7 @@ def defaults(
 
     Raises:
         SettingsError: A value is not possible.
-        UnknownNameError: No such environment, algorithm, kind of agents or setting.
+        UnknownNameError: No such environment, algorithm, kind of agents, setting or keyword.
     """
     env_id = env_id_of(env_id)
     own = SETTINGS[task_name(env_id)]
@@ -231,6 +232,7 @@ def defaults(
         raise SettingsError("randomization is set twice: by its option and by a keyword")
     given.setdefault("randomization", own.randomization if randomization is None else randomization)
     given.setdefault("action_latency_ticks", LATENCY_TICKS)
+    described(env_id, given)  # before anything is made, for keywords that make no environment
     return Training(
         env_id=env_id,
         algorithm=algorithm,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,7 @@ def train(
         MissingExtraError: Stable-Baselines3 is not installed.
         KeyboardInterrupt: It was interrupted. `resume` goes on.
     """
+    _needs(training)
     return _run(TrainingFolder.create(out, training), None, on_progress, threads)
 
 
@@ -64,6 +66,13 @@ def resume(
     """
     folder, tensors, values = TrainingFolder.resume(out, steps)
     return _run(folder, (tensors, values), on_progress, threads)
+
+
+def _needs(training: Training) -> None:
+    """Raise MissingExtraError before anything is made."""
+    importlib.import_module(
+        f"dual_ur10.training.{'imitate' if training.algorithm in ('bc', 'dagger') else 'reinforce'}"
+    )
 
 
 def _run(

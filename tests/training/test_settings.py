@@ -46,6 +46,7 @@ def test_what_is_given_counts():
         {"algorithm": "ppo2"},
         {"agents": "both"},
         {"changes": {"rounds": 1}},
+        {"keywords": {"amplitud_m": 0.1}},
         {"env_id": "Lift"},
     ],
 )

@@ -19,6 +19,7 @@ from dual_ur10.cli_options import (
     env_id_of,
     errors,
     keywords_of,
+    randomize,
 )
 from dual_ur10.errors import SettingsError
 from dual_ur10.files import check_target
@@ -58,10 +59,7 @@ def evaluate(
 
     env_id, keywords = env_id_of(env), keywords_of(settings, perturbed, cell)
     envs = envs if cell is None else 1
-    if randomization is not None:
-        if "randomization" in keywords:
-            raise SettingsError("randomization is set twice: --randomization sets it")
-        keywords["randomization"] = randomization
+    randomize(keywords, randomization)
     if min_success is not None and not 0.0 <= min_success <= 1.0:
         raise SettingsError(f"--min-success is {min_success:g}: it must be a share from 0 to 1, such as 0.95")
     targets = [path for path in (json, csv) if path is not None]

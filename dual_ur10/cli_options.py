@@ -99,6 +99,19 @@ def keywords_of(
     return keywords
 
 
+def randomize(keywords: dict[str, Any], preset: str | None) -> None:
+    """Put what --randomization says into the keywords of the environment.
+
+    Raises:
+        SettingsError: They say it already.
+    """
+    if preset is None:
+        return
+    if "randomization" in keywords:
+        raise SettingsError("randomization is set twice: --randomization sets it")
+    keywords["randomization"] = preset
+
+
 def power_on(cell: Path | None) -> None:
     """Power the arms of a cell on and release their brakes, if somebody at the terminal confirms it.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,7 +11,7 @@ import typer
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from dual_ur10.cli_options import EnvName, PolicyName, Settings, console, env_id_of, keywords_of
+from dual_ur10.cli_options import EnvName, PolicyName, Settings, console, env_id_of, keywords_of, randomize
 from dual_ur10.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ def train(
     if resume is not None:
         if env is not None or out is not None:
             raise SettingsError("--resume goes on with what was asked: ENV and --out are those of its folder")
-        run = trainings.resume
+        run: Callable[..., Path] = trainings.resume
         arguments: dict[str, Any] = {"out": resume, "steps": steps, **common}
         where = resume
     else:
@@ -82,7 +83,7 @@ def train(
             init=init,
         )
         where = out or Path("trainings") / f"{asked.env_id.split('/')[1]}-{algo}-{agents}-{seed}"
-        run = trainings.train  # type: ignore[assignment]
+        run = trainings.train
         arguments = {"training": asked, "out": where, **common}
     console.print(f"training in {where}", highlight=False, soft_wrap=True, markup=False)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -141,10 +142,7 @@ def collect(
     from dual_ur10.training.dataset import collect as run
 
     env_id, keywords = env_id_of(env), keywords_of(settings, False)
-    if randomization is not None:
-        if "randomization" in keywords:
-            raise SettingsError("randomization is set twice: --randomization sets it")
-        keywords["randomization"] = randomization
+    randomize(keywords, randomization)
     name = dataset or f"dual-ur10/{env_id.split('/')[1].rsplit('-v', 1)[0].lower()}/{Path(policy).name}-v0"
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as shown:

@@ -10,6 +10,7 @@ from typing import Any, Final, Literal, get_args
 from dual_ur10.envs.names import env_id_of, task_name
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.policies.manifest import AgentsKind
+from dual_ur10.policies.network import Activation
 from dual_ur10.policies.target import described
 from dual_ur10.training import seeds
 
@@ -72,7 +73,7 @@ class Imitation:
     """
 
     hidden: tuple[int, ...] = (256, 256)
-    activation: Literal["tanh", "relu"] = "tanh"
+    activation: Activation = "tanh"
     learning_rate: float = 4e-3
     batch_size: int = 1024
     fit_steps: int = 3000
@@ -173,13 +174,26 @@ def check(settings: Reinforcement | Imitation) -> None:
 
     Raises:
         SettingsError: A value is not possible.
+        UnknownNameError: No such activation.
     """
     for each in dataclasses.fields(settings):
         value = getattr(settings, each.name)
         if each.name == "hidden":
-            if not value or not all(isinstance(size, int) and 1 <= size <= 4096 for size in value) or len(value) > 7:
+            if (
+                not isinstance(value, tuple)
+                or not value
+                or not all(isinstance(size, int) and 1 <= size <= 4096 for size in value)
+                or len(value) > 7
+            ):
                 raise SettingsError(f"hidden is {value!r}: it must be 1 to 7 numbers of units, 1 to 4096 each")
-        elif isinstance(value, int | float):
+        elif each.name == "activation":
+            if value not in get_args(Activation):
+                raise UnknownNameError("activation", str(value), get_args(Activation))
+        elif isinstance(each.default, int) and (isinstance(value, bool) or not isinstance(value, int)):
+            raise SettingsError(f"{each.name} is {value!r}: it must be a whole number")
+        elif not isinstance(value, int | float):
+            raise SettingsError(f"{each.name} is {value!r}: it must be a number")
+        else:
             least = 0 if each.name in ("entropy", "noise", "expert_share", "learning_starts") else 1e-12
             if isinstance(value, bool) or not math.isfinite(value) or value < least:
                 raise SettingsError(f"{each.name} is {value!r}: it must be a number above {least:g}")

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import importlib
+import logging
 import os
 from pathlib import Path
 from typing import Any
 
+from dual_ur10.errors import DualUR10Error, TrainingError
 from dual_ur10.training.folder import TrainingFolder
 from dual_ur10.training.progress import OnProgress
 from dual_ur10.training.settings import Training
 from dual_ur10.training.state import Tensors
 
 __all__ = ["resume", "train"]
+
+log = logging.getLogger(__name__)
 
 
 def train(
@@ -87,6 +91,16 @@ def _run(
         from dual_ur10.training.reinforce import Reinforcer
 
         return Reinforcer(folder, state, on_progress, threads).run()
+    except OSError as error:
+        if isinstance(error, DualUR10Error):
+            raise
+        raise TrainingError(
+            f"cannot write to {folder.path}: {error.strerror or error}. What was saved before is as it was: make room "
+            "and go on with --resume"
+        ) from error
     finally:
-        folder.draw()
-        folder.close()
+        try:
+            folder.draw()
+            folder.close()
+        except (TrainingError, OSError) as error:  # what ended the training is to be told, not this
+            log.warning("the learning curve and the logs are not whole: %s", error)

@@ -156,6 +156,19 @@ def test_a_full_disk_loses_nothing_that_was_saved(whole, tmp_path, monkeypatch, 
         assert nth < 3
 
 
+def test_a_disk_that_is_full_for_the_logs_is_a_named_error(tmp_path, monkeypatch):
+    from stable_baselines3.common.logger import CSVOutputFormat
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(CSVOutputFormat, "write", full)
+        with pytest.raises(TrainingError, match=r"No space left.*--resume"):
+            train(small(rounds=1), tmp_path / "out")
+    assert resume(tmp_path / "out").name == "policy"
+
+
 def test_a_folder_with_something_in_it_is_left_alone(whole, tmp_path):
     before = sorted(each.name for each in whole.parent.iterdir())
     with pytest.raises(TrainingError, match="not empty"):

@@ -47,6 +47,7 @@ def test_what_is_given_counts():
         {"agents": "both"},
         {"changes": {"rounds": 1}},
         {"keywords": {"amplitud_m": 0.1}},
+        {"changes": {"activation": "gelu"}},
         {"env_id": "Lift"},
     ],
 )
@@ -71,6 +72,10 @@ def test_unknown_names_are_refused(wrong):
         {"changes": {"learning_rate": math.nan}},
         {"changes": {"noise": -0.1}},
         {"changes": {"batch_size": 0}},
+        {"changes": {"batch_size": 10.5}},
+        {"changes": {"fit_steps": "many"}},
+        {"changes": {"learning_rate": "fast"}},
+        {"changes": {"hidden": 64}},
         {"randomization": "mild", "keywords": {"randomization": "none"}},
         {"dataset": "a/b-v0"},  # dagger asks the expert
     ],

@@ -44,6 +44,10 @@ def test_each_sees_its_rows_of_one_environment(env):
     rngs = [np.random.default_rng(k) for k in (0, 1)]
     for k in (0, 1):
         np.testing.assert_array_equal(seen[k][0], observation[k::2])
+        assert [sorted(each) for each in turns.sides[k].reset_infos] == [
+            sorted(each) for each in alone.reset_infos[k::2]
+        ]
+        assert turns.sides[k].reset_infos[0]
     ends = 0
     for step in range(60):
         actions = np.stack([rng.uniform(-1, 1, (3, 6)).astype(np.float32) for rng in rngs], axis=1).reshape(6, 6)

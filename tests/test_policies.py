@@ -46,6 +46,21 @@ def test_perturbed_accuracy(axis, latency):
     assert info["is_success"]
 
 
+@pytest.mark.parametrize("latency", [15, 16, 18, 28])
+def test_a_slow_policy_tracks_too(latency):
+    settings = {"action_latency_ticks": latency}
+    env = gym.make(SINE, **settings)
+    policy = policies.load("scripted", SINE, **settings)
+    observation, _ = env.reset(seed=3)
+    trace = []
+    for _ in range(100):
+        observation, _, terminated, _, info = env.step(policy(observation))
+        assert not terminated, info
+        trace.append(info["flange_error_m"])
+    assert np.max(trace) < 0.05
+    assert np.max(trace[40:]) < 1e-4
+
+
 def test_learning_is_what_reaches_it():
     trace, _ = errors_mm(learn=False, perturbation=TYPICAL_PERTURBATION)
     assert np.sqrt((trace**2).mean(axis=0)).min() > 0.8

@@ -260,7 +260,8 @@ def test_nothing_goes_to_a_start_past_the_gate(lab, spoiled):
     cell.runner.wait_for(cell.runner.end)
     sent = np.array([each[1] for each in lab.cell.setpoints("left", first)])
     assert np.isfinite(sent).all()
-    assert np.abs(np.diff(sent, axis=0)).max() < 3e-3
+    # Two periods of the slow way: a busy machine leaves one out. The jump is more.
+    assert np.abs(np.diff(sent, axis=0)).max() < 8e-3
     assert cell._clearance.shortfall_m(cell.runner.last().reshape(12)).max() <= 0.0
     lab.env.reset(seed=0)  # and from there it goes on
 

@@ -26,6 +26,7 @@ _REFERENCE, _AHEAD, _TURN = slice(25, 28), slice(28, 31), slice(31, 34)
 _SIZE = 34
 
 _RESTART_RAD = 2e-3  # a reference that is so far from where it was going belongs to another episode
+_LATENCY_S = 0.12  # beyond it limits hold back the first commands of an episode, and it would learn from that
 
 
 class SineTrackingPolicy:
@@ -37,7 +38,8 @@ class SineTrackingPolicy:
         mounts: Where the arms stand, and their kinematics.
         limits: What the arms may do, as the cell allows it.
         settings: Those of the task; they do not matter.
-        learn: Whether to learn the deviation while moving. Without it the policy commands the reference as it is.
+        learn: Whether to learn the deviation while moving. Without it, and with a latency beyond 0.12 s, the policy
+            commands the reference as it is.
     """
 
     def __init__(
@@ -52,7 +54,8 @@ class SineTrackingPolicy:
     ) -> None:
         if action_mode not in ("joint_delta", "joint_position"):
             raise SettingsError(f"the scripted policy commands joints: action_mode {action_mode!r} is not for it")
-        self.timing, self.action_mode, self.learn = timing, action_mode, learn
+        self.timing, self.action_mode = timing, action_mode
+        self.learn = learn and timing.ahead_s - timing.period_s <= _LATENCY_S
         self.dh = [mount.dh for mount in (SceneSettings().mounts if mounts is None else mounts)]
         self._step = np.tile((limits or SineTracking.limits).speed_rad_s, 2) * timing.period_s
         # Derivatives of the parabola through the wanted positions one period ago, now and ahead, at the latter two.

@@ -6,12 +6,14 @@ import sys
 import gymnasium as gym
 import numpy as np
 
+LATENCY = 16  # ticks: two processes that take turns need more of them than one
+
 POLICY = """
 import sys
 import numpy as np
 from dual_ur10 import policies
 
-policy = policies.load("scripted", "DualUR10/SineTracking-v0", action_latency_ticks=5)
+policy = policies.load("scripted", "DualUR10/SineTracking-v0", action_latency_ticks=int(sys.argv[2]))
 size = int(sys.argv[1])
 while True:
     data = sys.stdin.buffer.read(8 * size)
@@ -31,7 +33,7 @@ class Remote:
 
     def __init__(self, size):
         self.process = subprocess.Popen(
-            [sys.executable, "-c", POLICY, str(size)],
+            [sys.executable, "-c", POLICY, str(size), str(LATENCY)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -56,12 +58,12 @@ class Remote:
 
 
 def test_a_policy_that_knows_only_observations_acts_on_both_kinds_of_cells(lab):
-    errors = []
+    errors, keywords = [], {"action_latency_ticks": LATENCY}
     for cell in ("mujoco", None):
         if cell is None:
-            env = lab.make()
+            env = lab.make(**keywords)
         else:
-            env = gym.make("DualUR10/SineTracking-v0", cell=cell, action_latency_ticks=5, disable_env_checker=True)
+            env = gym.make("DualUR10/SineTracking-v0", cell=cell, disable_env_checker=True, **keywords)
         found = []
         with Remote(env.observation_space.shape[0]) as policy:
             observation, _ = env.reset(seed=3)

@@ -173,10 +173,7 @@ def collect(
 
 
 def _changes(texts: list[str] | None) -> dict[str, Any]:
-    changes = keywords_of(texts, False)
-    if isinstance(changes.get("hidden"), list):
-        changes["hidden"] = tuple(changes["hidden"])
-    return changes
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in keywords_of(texts, False).items()}
 
 
 def _text(progress: told.Progress) -> str:

@@ -29,6 +29,7 @@ def run(*arguments):
         (("SineTracking", "--agents", "both"), "unknown agents"),
         (("SineTracking", "--setting", "rounds=2"), "unknown setting of dagger 'rounds'"),
         (("SineTracking", "--setting", "hidden=many"), "hidden is 'many'"),
+        (("SineTracking", "--setting", "unseen=[-999]"), "unseen is (-999,)"),
         (("SineTracking", "--set", "speed=2"), "speed"),
         (("SineTracking", "--resume", "x"), "are those of its folder"),
         (("--resume", "no_such_folder"), "is no folder of a training"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,9 @@ from dual_ur10.rotations import quat_to_matrix
 from dual_ur10.ur10 import DHParameters
 
 Array = NDArray[np.float64]
+
+TAUGHT_HIGHER_M: Final = 0.013
+"""How much higher than a task names it a teacher grips: fingers pass the table at 4 and 7 mm, less than pupils err."""
 
 
 def poses_at(arms: Array, first: int) -> Poses:

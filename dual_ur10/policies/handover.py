@@ -17,7 +17,7 @@ from dual_ur10.envs.holding import TCP_LEVER
 from dual_ur10.envs.poses import Poses
 from dual_ur10.envs.task import Timing, slower
 from dual_ur10.errors import ActionError, SettingsError
-from dual_ur10.policies.carrying import lying, poses_at
+from dual_ur10.policies.carrying import TAUGHT_HIGHER_M, lying, poses_at
 from dual_ur10.policies.free_motion import FreeMotion
 from dual_ur10.policies.handover_ways import Ways
 from dual_ur10.rotations import rotate
@@ -32,6 +32,12 @@ _SIZE = 56
 
 _SPEED_SHARE: Final = 0.92  # of the task's limit
 _FOLLOWED_RAD: Final = 0.01  # how far a command may be behind what was wanted, before the motion waits for it
+_ASIDE_RAD: Final = 0.02  # how far beside the way a pupil may be, before the motion waits for it
+_SLOW_RAD_S: Final = 0.1  # speed along the way below which time says more about where it is than the place
+_BACK_PERIODS: Final = 3.0  # by which a pupil may be behind or ahead, at each step
+_OFF_RAD: Final = 3e-3  # from where a pupil's motion begins, with the first step
+_THERE_RAD: Final = 4e-3  # to where it ends, when it is over
+_DT_S: Final = 0.01
 _CLOSED_M: Final = 0.004  # of the block's width: fingers that are so near it hold
 _OPEN_M: Final = 0.06  # opening at which fingers are off the block
 _SURE_S: Final = 0.1  # how long it must look so
@@ -95,8 +101,18 @@ class HandoverPolicy:
         speed = np.tile(allowed.speed_rad_s, 2)
         self._step = speed * timing.period_s
         calm = np.tile(Handover.limits.speed_rad_s, 2) / slower(Handover.limits, allowed)
-        self._ways = Ways(self.mounts, np.minimum(speed, calm) * _SPEED_SHARE, timing.period_s)
+        self._speed = np.minimum(speed, calm) * _SPEED_SHARE
+        self._ways = Ways(self.mounts, self._speed, timing.period_s)
+        self._teaches = False
         self.reset()
+
+    def teach(self) -> None:
+        """See `dual_ur10.policies.policy.Teaching`: a pupil who is not so exact needs more room above the table.
+
+        Nor does it know the time in a motion: it is told how to go on from where it is.
+        """
+        self._ways = Ways(self.mounts, self._speed, self.timing.period_s, TAUGHT_HIGHER_M)
+        self._teaches = True
 
     def reset(self) -> None:
         """Forget everything: an episode begins."""
@@ -142,14 +158,42 @@ class HandoverPolicy:
     def _act(self, episode: _Episode, arms: Array) -> Array:
         """Action of one row, (14,)."""
         commanded = arms[:, _COMMANDED : _COMMANDED + 6].reshape(12)
-        if np.abs(commanded - episode.goal_rad).max() < _FOLLOWED_RAD:
+        if self._teaches and episode.motion is not None:
+            self._follow(episode, episode.motion, commanded)
+        elif np.abs(commanded - episode.goal_rad).max() < _FOLLOWED_RAD:
             episode.time_s += self.timing.period_s
-        if episode.motion is None or episode.time_s > episode.motion.duration_s:
+        if self._is_over(episode, commanded):
             self._handle(episode, arms)
         if episode.motion is not None:
             episode.goal_rad = episode.motion.at(episode.time_s)
         goal = episode.goal_rad if self.action_mode == "joint_position" else (episode.goal_rad - commanded) / self._step
         return np.concatenate([goal.reshape(2, 6), episode.opening[:, None]], axis=1).reshape(-1)
+
+    def _is_over(self, episode: _Episode, commanded: Array) -> bool:
+        motion = episode.motion
+        if motion is None or episode.time_s > motion.duration_s:
+            return True
+        there = np.abs(commanded - motion.at(motion.duration_s)).max() < _THERE_RAD
+        return self._teaches and bool(there)
+
+    def _follow(self, episode: _Episode, motion: FreeMotion, commanded: Array) -> None:
+        """Go on from where on the way the pupil is, and the more slowly the farther off it.
+
+        So what it is told depends on where it has led the arms, not on a time that it does not know. Where the motion
+        is slow places tell little, and time goes on by itself: the slowest part, from rest, is left out, and near the
+        end it is over.
+        """
+        ahead, here = motion.at(episode.time_s + _DT_S), motion.at(episode.time_s)
+        speed, off = (ahead - here) / _DT_S, commanded - here
+        shift = float(off @ speed / (speed @ speed + _SLOW_RAD_S**2))
+        shift = min(max(shift, -_BACK_PERIODS * self.timing.period_s), _BACK_PERIODS * self.timing.period_s)
+        aside = float(np.abs(off - shift * speed).max())
+        forward = self.timing.period_s * max(0.0, 1.0 - aside / _ASIDE_RAD)
+        episode.time_s = max(0.0, episode.time_s + shift) + forward
+        while (
+            episode.time_s < motion.duration_s and np.abs(motion.at(episode.time_s) - motion.at(0.0)).max() < _OFF_RAD
+        ):
+            episode.time_s += self.timing.period_s / 4
 
     def _handle(self, episode: _Episode, arms: Array) -> None:
         """Close or open the fingers that are to, and begin the next motion once they are where they should be."""

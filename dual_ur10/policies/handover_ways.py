@@ -74,16 +74,17 @@ class Ways:
         mounts: Where the arms stand, and their kinematics.
         speed_rad_s: (12,) joint speeds to keep to.
         period_s: Time between two actions.
+        higher_m: How much farther from the fingertips than the task names it both hands grip the block.
     """
 
-    def __init__(self, mounts: Sequence[ArmMount], speed_rad_s: Array, period_s: float) -> None:
-        self._mounts, self._speed = mounts, speed_rad_s
+    def __init__(self, mounts: Sequence[ArmMount], speed_rad_s: Array, period_s: float, higher_m: float = 0.0) -> None:
+        self._mounts, self._speed, self._higher_m = mounts, speed_rad_s, higher_m
         self._smooth_s = max(_SMOOTH_S, _SMOOTH_PERIODS * period_s)
         self._frames = Frames((mounts[0], mounts[1]))
 
     def pick(self, q_rad: Array, giver: int, block: Poses) -> FreeMotion:
         """The giver goes down to its grip of a block on the table."""
-        grip = Hand(after(block, _grip(giver, giver)))
+        grip = Hand(after(block, self._grip(giver, giver)))
         return self._motion(
             q_rad, [Stop({giver: grip.back(_ABOVE_M, _PASS_M_S)}), Stop({giver: grip}, _ABOVE_M, _DOWN)]
         )
@@ -91,7 +92,7 @@ class Ways:
     def meet(self, q_rad: Array, giver: int, tool: Poses) -> FreeMotion:
         """The giver, whose tool holds the block on the table, lifts and presents it, and the receiver comes to it."""
         receiver, block = 1 - giver, Poses(MEETING_M, presented_quat(giver))
-        shown, grip = (Hand(after(block, _grip(giver, arm))) for arm in (giver, receiver))
+        shown, grip = (Hand(after(block, self._grip(giver, arm))) for arm in (giver, receiver))
         stops = [
             Stop({giver: Hand(tool).back(_ABOVE_M, -_PASS_M_S)}, _ABOVE_M),
             Stop({giver: shown, receiver: grip.back(APPROACH_M, _PASS_M_S)}),
@@ -111,7 +112,7 @@ class Ways:
         """
         receiver = 1 - giver
         hands = [Hand(Poses(tools.position_m[arm], tools.quat[arm])) for arm in (0, 1)]
-        grip = _grip(giver, receiver)
+        grip = self._grip(giver, receiver)
         # Where along the block the hand is, is seen; the fingers know the rest.
         seen = seen_from(block, hands[receiver].pose).position_m[0]
         grip.position_m[0] += np.clip(seen - grip.position_m[0], -_SLIPPED_M, _SLIPPED_M)
@@ -146,6 +147,11 @@ class Ways:
             waypoints.append(Waypoint(q.reshape(12), qd.reshape(12), *limits))
         return FreeMotion(q_rad.reshape(12), waypoints, self._speed, _ACCELERATION_RAD_S2, _JERK_RAD_S3, self._smooth_s)
 
+    def _grip(self, giver: int, arm: int) -> Poses:
+        """Pose of one tool in the block that it grips, (3,) and (4,)."""
+        grip = Poses(GRIPS[giver].position_m[arm].copy(), GRIPS[giver].quat[arm])
+        return Hand(grip).back(self._higher_m).pose
+
     def _reached(self, arm: int, hand: Hand | Array, near_rad: Array) -> tuple[Array, Array]:
         """Posture and joint speeds of one arm, (6,) each."""
         if not isinstance(hand, Hand):
@@ -163,11 +169,6 @@ class Ways:
         position, quat = self._frames.position_to_base(both.position_m)[arm], self._frames.quat_to_base(both.quat)[arm]
         q: Array = nearest(position[None], quat_to_matrix(quat)[None], near_rad[None], self._mounts[arm].dh)[0]
         return q
-
-
-def _grip(giver: int, arm: int) -> Poses:
-    """Pose of one tool in the block that it grips, (3,) and (4,)."""
-    return Poses(GRIPS[giver].position_m[arm].copy(), GRIPS[giver].quat[arm])
 
 
 def _on_line(change_rad: Array, stop: Stop) -> tuple[Array, Array]:

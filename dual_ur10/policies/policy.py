@@ -30,4 +30,7 @@ class Teaching(Protocol):
     """A policy that acts otherwise when others are to learn from it."""
 
     def teach(self) -> None:
-        """Say from now on what an observation asks for, whoever has led the arms there: learn nothing meanwhile."""
+        """Say from now on what an observation asks for, whoever has led the arms there, and learn nothing meanwhile.
+
+        In a way that one who is less exact, and knows only what an observation tells, can follow.
+        """

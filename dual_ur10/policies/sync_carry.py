@@ -15,7 +15,7 @@ from dual_ur10.envs.holding import flanges_of
 from dual_ur10.envs.poses import Poses, after, seen_from
 from dual_ur10.envs.task import Timing, slower
 from dual_ur10.errors import ActionError, SettingsError
-from dual_ur10.policies.carrying import lying, poses_at, postures
+from dual_ur10.policies.carrying import TAUGHT_HIGHER_M, lying, poses_at, postures
 from dual_ur10.policies.free_motion import FreeMotion, Waypoint
 from dual_ur10.sim2real.limits import MotionLimits
 
@@ -66,7 +66,12 @@ class SyncCarryPolicy:
         self._speed = np.tile(SyncCarry.limits.speed_rad_s, 2) * (_SPEED_SHARE / slower(SyncCarry.limits, allowed))
         self._skip = 0 if self.settings.rigid else 1
         self.size = 61 + self._skip
+        self._higher_m = 0.0
         self.reset()
+
+    def teach(self) -> None:
+        """See `dual_ur10.policies.policy.Teaching`: a pupil who is not so exact needs more room above the table."""
+        self._higher_m = TAUGHT_HIGHER_M
 
     def reset(self) -> None:
         """Forget everything: an episode begins."""
@@ -134,7 +139,7 @@ class SyncCarryPolicy:
         if self.settings.rigid:
             flange = Poses(arms[:, 18:21], arms[:, 21:25])
         else:
-            flange = flanges_of(after(lying(bar, self.mounts, BAR_WIDTH_M / 2), self.settings.grip))
+            flange = flanges_of(after(lying(bar, self.mounts, BAR_WIDTH_M / 2 + self._higher_m), self.settings.grip))
             above = Poses(flange.position_m + np.array([0.0, 0.0, _ABOVE_M]), flange.quat)
             lower = Poses(above.position_m - np.array([0.0, 0.0, 1e-3]), flange.quat)
             ways = np.concatenate(

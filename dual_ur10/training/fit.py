@@ -29,6 +29,9 @@ little from more, and lose much where the machine has other work."""
 
 _LEAST_STD: Final = 2e-3  # of an observation: of what hardly varies, the noise is not blown up (2 mm, 2 mrad)
 _LEAST_ACTION_STD: Final = 1e-2
+_LEAST_SPREAD: Final = 1e-3  # of a direction of normalised observations, from which on it counts
+_LEAST_GAIN: Final = 1e-2  # so that there is a way back
+_BLIND: Final = 1e24  # variance of a number that is not seen
 _CLIP: Final = 10.0
 _FAR: Final = 0.3  # of an action's spread: beyond it errors count linearly. Where all is lost, precision is not needed
 _ACTIVATIONS: Final = {"tanh": nn.Tanh, "relu": nn.ReLU}
@@ -49,28 +52,49 @@ def reproducible(seed: int) -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-def normaliser_of(observation: Single) -> Normaliser:
-    """Mean and variance of observations, (k, size)."""
+def normaliser_of(observation: Single, unseen: Sequence[int] = ()) -> Normaliser:
+    """Mean and variance of observations, (k, size); of those that are not to be seen, a variance beyond all."""
     mean, std = observation.mean(axis=0, dtype=np.float64), observation.std(axis=0, dtype=np.float64)
     var = np.maximum(std, _LEAST_STD) ** 2
+    var[list(unseen)] = _BLIND
     return Normaliser(tuple(mean.tolist()), tuple(var.tolist()), _CLIP)
+
+
+def whitening_of(normalised: Any) -> Any:
+    """(size, size) that makes normalised observations, (k, size), uncorrelated and all directions equally wide.
+
+    What tells where a command is to go next are differences of numbers that otherwise move together, such as commanded
+    positions and the block's: a thousandth of their spread, which gradients would hardly ever come to. What varies
+    still less was not really seen to vary: it is made less, so that it says nothing where it does.
+    """
+    centred = normalised - normalised.mean(dim=0)
+    values, vectors = torch.linalg.eigh(centred.T @ centred / len(centred))
+    spread = values.clamp(min=0.0).sqrt()
+    gain = (spread / (spread**2 + _LEAST_SPREAD**2)).clamp(min=_LEAST_GAIN)
+    return (vectors * gain).T.contiguous()
 
 
 class Fit:
     """One network that is fitted again and again to more and more samples, from where it was.
 
-    What it is given and what it says are normalised by the samples of its first fit.
+    What it is given and what it says are normalised by the samples of its first fit. In between it sees them whitened,
+    and its first layer takes that in when it is done.
 
     Args:
         settings: Of the imitation.
         layers: To begin with; None: drawn.
         normaliser: Of these.
+        unseen: Numbers of an observation that it is blind to: their deviations count as none.
     """
 
     def __init__(
-        self, settings: Imitation, layers: Sequence[Layer] | None = None, normaliser: Normaliser | None = None
+        self,
+        settings: Imitation,
+        layers: Sequence[Layer] | None = None,
+        normaliser: Normaliser | None = None,
+        unseen: Sequence[int] = (),
     ) -> None:
-        self.settings, self.normaliser = settings, normaliser
+        self.settings, self.normaliser, self._unseen = settings, normaliser, unseen
         self._given = layers
         self._net: Any = None
 
@@ -95,11 +119,13 @@ class Fit:
             The loss of late: Huber's, in units of each action's spread.
         """
         if self.normaliser is None:
-            self.normaliser = normaliser_of(observation)
-        if self._net is None:
-            self._build(observation.shape[1], action)
+            self.normaliser = normaliser_of(observation, self._unseen)
         mean, std = np.array(self.normaliser.mean), np.sqrt(np.array(self.normaliser.var) + self.normaliser.epsilon)
-        x = torch.from_numpy(np.clip((observation - mean) / std, -_CLIP, _CLIP).astype(np.float32))
+        normalised = torch.from_numpy(np.clip((observation - mean) / std, -_CLIP, _CLIP))
+        if self._net is None:
+            self._whitening = whitening_of(normalised)
+            self._build(observation.shape[1], action)
+        x = (normalised @ self._whitening.T).to(torch.float32)
         y = torch.from_numpy(((action - self._shift) / self._scale).astype(np.float32))
         rate, size = self.settings.learning_rate, min(self.settings.batch_size, len(x))
         optimizer = torch.optim.Adam(self._net.parameters(), lr=rate)
@@ -130,7 +156,9 @@ class Fit:
                 with torch.no_grad():
                     module.weight.copy_(torch.from_numpy(weight))
                     module.bias.copy_(torch.from_numpy(bias))
-            with torch.no_grad():  # what comes out is in units of the actions
+            with torch.no_grad():  # what comes in is whitened, what comes out is in units of the actions
+                first = self._linear[0].weight
+                first.copy_(torch.linalg.solve(self._whitening, first.to(torch.float64), left=False))
                 self._linear[-1].weight /= torch.from_numpy(self._scale[:, None].astype(np.float32))
                 self._linear[-1].bias -= torch.from_numpy(self._shift.astype(np.float32))
                 self._linear[-1].bias /= torch.from_numpy(self._scale.astype(np.float32))
@@ -145,6 +173,7 @@ class Fit:
             (module.weight.detach().numpy().astype(np.float32), module.bias.detach().numpy().astype(np.float32))
             for module in self._linear
         ]
+        found[0] = (found[0][0].astype(np.float64) @ self._whitening.numpy()).astype(np.float32), found[0][1]
         weight, bias = found[-1]
         scaled = weight * self._scale[:, None], bias * self._scale + self._shift
         found[-1] = (scaled[0].astype(np.float32), scaled[1].astype(np.float32))

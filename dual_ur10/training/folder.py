@@ -236,7 +236,7 @@ def _training_of(path: Path) -> Training:
         asked = json.loads(path.read_bytes())
         settings = asked.pop("settings")
         kind = Imitation if asked["algorithm"] in ("bc", "dagger") else Reinforcement
-        settings["hidden"] = tuple(settings["hidden"])
+        settings = {key: tuple(value) if isinstance(value, list) else value for key, value in settings.items()}
         return Training(**asked, settings=kind(**settings))
     except FileNotFoundError:
         raise TrainingError(f"{path.parent} is no folder of a training: there is no {path.name}") from None

@@ -127,6 +127,7 @@ class Imitator:
             share=share,
             within=self._longest,
             noise=self._settings.noise,
+            patience=self._settings.patience,
             rng=np.random.default_rng([asked.seed, number, _GATHER]),
             on_step=on_step,
         )
@@ -171,7 +172,8 @@ class Imitator:
         observation, action = (np.concatenate(each) for each in zip(*self._samples, strict=True))
         parts = self._split(observation, action)
         with reproducible(_seed_of(asked.seed, number)):
-            fits = [Fit(self._settings, *given) for given in self._given(len(parts))]
+            unseen = self._unseen(parts[0][0].shape[1])
+            fits = [Fit(self._settings, *given, unseen=unseen) for given in self._given(len(parts))]
             for k, (fit, part) in enumerate(zip(fits, parts, strict=True)):
                 rng = np.random.default_rng([asked.seed, number, _FIT, k])
                 text = "fitting" if len(parts) == 1 else f"fitting {('left', 'right')[k]}"
@@ -195,6 +197,13 @@ class Imitator:
         if self._asked.agents == "shared":
             return [(own.reshape(2 * len(own), -1), arms.reshape(2 * len(arms), -1))]
         return [(np.ascontiguousarray(own[:, k]), np.ascontiguousarray(arms[:, k])) for k in (0, 1)]
+
+    def _unseen(self, size: int) -> list[int]:
+        """Numbers that a network does not see, of the observation that it is given."""
+        arms = 2 if self._asked.agents == "joint" else 1
+        own = size // arms
+        found = sorted(number % own for number in self._settings.unseen if -own <= number < own)
+        return [arm * own + number for arm in range(arms) for number in found]
 
     def _given(self, count: int) -> list[tuple[Any, Any]]:
         """Layers and normaliser to begin with, for each network."""

@@ -70,6 +70,12 @@ class Imitation:
             three quarters of the steps are done. In the first round it drives all to their end.
         noise: Largest standard deviation of what is added to the expert's actions where it drives, in their units:
             it then shows how it comes back. Each episode draws its own.
+        patience: DAgger: largest difference of any joint's action from the expert's, of 2, at which the network drives
+            on. Beyond it the expert drives for a while.
+        unseen: Numbers of an arm's observation that the network is blind to, from 0, or from its end, -1. What went
+            together with an action, such as the speed that it led to, is easier to learn from than what it was done
+            for, and fails when the network drives (P. de Haan et al., "Causal Confusion in Imitation Learning",
+            NeurIPS 2019).
     """
 
     hidden: tuple[int, ...] = (256, 256)
@@ -80,6 +86,8 @@ class Imitation:
     last_fit_steps: int = 10_000
     expert_share: float = 0.5
     noise: float = 0.1
+    patience: float = 0.4
+    unseen: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,10 +116,18 @@ SETTINGS: Final[dict[str, TaskSettings]] = {
         steps={"ppo": 3_000_000, "sac": 300_000, "bc": 96_000, "dagger": 288_000},
     ),
     "SyncCarry": TaskSettings(
-        steps={"ppo": 1_000_000, "sac": 200_000, "bc": 57_600, "dagger": 460_800},
+        steps={"ppo": 1_000_000, "sac": 200_000, "bc": 57_600, "dagger": 345_600},
+        # It sees what was commanded, the fingers, the bar, where the bar is to go, and the time.
+        imitation=Imitation(
+            noise=0.05, unseen=(*range(12), *range(18, 25), *range(-36, -30), *range(-23, -16), *range(-9, -2))
+        ),
     ),
     "Handover": TaskSettings(
-        steps={"ppo": 3_000_000, "sac": 300_000, "bc": 100_000, "dagger": 800_000},
+        envs=192,
+        randomization="none",
+        steps={"ppo": 3_000_000, "sac": 300_000, "bc": 115_200, "dagger": 460_800},
+        # It sees what was commanded, the fingers, the block, its target and the role.
+        imitation=Imitation(unseen=(*range(12), *range(18, 25), *range(26, 32), *range(46, 53), 55)),
     ),
 }
 
@@ -186,6 +202,13 @@ def check(settings: Reinforcement | Imitation) -> None:
                 or len(value) > 7
             ):
                 raise SettingsError(f"hidden is {value!r}: it must be 1 to 7 numbers of units, 1 to 4096 each")
+        elif each.name == "unseen":
+            if not isinstance(value, tuple) or not all(
+                type(number) is int and -256 <= number < 256 for number in value
+            ):
+                raise SettingsError(
+                    f"unseen is {value!r}: it must be numbers of an arm's observation, from 0 or from -1"
+                )
         elif each.name == "activation":
             if value not in get_args(Activation):
                 raise UnknownNameError("activation", str(value), get_args(Activation))
@@ -194,7 +217,7 @@ def check(settings: Reinforcement | Imitation) -> None:
         elif not isinstance(value, int | float):
             raise SettingsError(f"{each.name} is {value!r}: it must be a number")
         else:
-            least = 0 if each.name in ("entropy", "noise", "expert_share", "learning_starts") else 1e-12
+            least = 0 if each.name in ("entropy", "noise", "patience", "expert_share", "learning_starts") else 1e-12
             if isinstance(value, bool) or not math.isfinite(value) or value < least:
                 raise SettingsError(f"{each.name} is {value!r}: it must be a number above {least:g}")
 

@@ -52,6 +52,40 @@ def test_what_hardly_varies_is_not_blown_up():
     assert normaliser.var[2] == pytest.approx(100, rel=0.1)
 
 
+def nearly_together(count, seed):
+    """Two numbers that move together, and what their small difference asks for."""
+    rng = np.random.default_rng(seed)
+    first, apart = rng.standard_normal(count), 0.004 * rng.standard_normal(count)
+    observation = np.stack([first, first + apart, np.full(count, 2.0)], axis=1).astype(np.float32)
+    return observation, (-50.0 * apart[:, None]).astype(np.float32)
+
+
+def test_a_small_difference_of_numbers_that_move_together_is_seen():
+    fit = Fit(SETTINGS)
+    with reproducible(0):
+        fit(*nearly_together(2000, 0), 400, np.random.default_rng(0))
+    one = np.ones(1, dtype=np.float32)
+    act = Network(fit.shape(), fit.layers(), -one, one, fit.normaliser)
+    observation, action = nearly_together(500, 1)
+    found = act(observation.astype(np.float64))
+    assert ((found - action) ** 2).mean() < 0.02 * action.var()
+    # What was never seen to vary says nothing when it does.
+    moved = observation.astype(np.float64) + np.array([0, 0, 0.1])
+    np.testing.assert_allclose(act(moved), found, atol=0.2)
+
+
+def test_it_is_blind_to_what_it_is_not_to_see():
+    observation, action = samples()
+    fit = Fit(SETTINGS, unseen=[1, 3])
+    with reproducible(0):
+        fit(observation, action, 300, np.random.default_rng(0))
+    other = observation.astype(np.float64)
+    other[:, [1, 3]] += 5.0
+    assert network(fit)(other).tobytes() == network(fit)(observation.astype(np.float64)).tobytes()
+    other[:, 0] += 0.5
+    assert np.abs(network(fit)(other) - network(fit)(observation.astype(np.float64))).max() > 0.1
+
+
 def test_the_same_seed_gives_the_same_bits():
     first, second, other = (fitted(seed, 20)[0].layers() for seed in (3, 3, 4))
     for (a, b), (c, d) in zip(first, second, strict=True):

@@ -16,13 +16,15 @@ SINE, HANDOVER = "DualUR10/SineTracking-v0", "DualUR10/Handover-v0"
 KEYWORDS = {"duration_s": 2.0, "action_latency_ticks": 5, "randomization": "mild"}
 
 
-def run(learner=None, *, share=0.0, within=1, noise=0.0, rows=3, seed=0, on_step=lambda steps: None):
+def run(learner=None, *, share=0.0, within=1, noise=0.0, patience=np.inf, rows=3, seed=0, on_step=None):
     env = DualArmVectorEnv(rows, "SineTracking", autoreset_mode="Disabled", **KEYWORDS)
     low, high = env.core.action_space.low, env.core.action_space.high
     try:
         rng = np.random.default_rng(seed)
         teacher = Expert(SINE, rows, low, high, **KEYWORDS)
-        given = {"share": share, "within": within, "noise": noise, "rng": rng, "on_step": on_step}
+        given = {"share": share, "within": within, "noise": noise, "patience": patience, "rng": rng}
+        if on_step is not None:
+            given["on_step"] = on_step
         return gather(env, teacher, learner, range(rows), **given)
     finally:
         env.close()
@@ -68,6 +70,20 @@ def test_the_expert_begins_a_share_of_the_episodes_and_hands_over():
         same = (ours == theirs).all(axis=1)
         assert same[: handed[row] + 1].all()
         assert not same[handed[row] + 2 :].any()
+
+
+def test_the_expert_helps_one_that_wants_something_quite_different():
+    def learner(observation):
+        return np.full((len(observation), 12), 0.5)
+
+    lost, helped = run(learner, rows=4), run(learner, patience=0.4, rows=4)
+    assert helped.returns.min() > lost.returns.max()
+    assert not helped.successes.any()  # none is its own
+    assert np.abs(helped.action).max() < 1.0
+    # One who does much the same is left alone.
+    calm = run(lambda observation: np.zeros((len(observation), 12)), rows=4)
+    again = run(lambda observation: np.zeros((len(observation), 12)), patience=2.0, rows=4)
+    assert calm.observation.tobytes() == again.observation.tobytes()
 
 
 def test_noise_is_in_what_is_done_and_not_in_what_is_said():
@@ -118,6 +134,14 @@ def test_one_who_does_not_know_leaves_the_others_alone(monkeypatch):
     assert expert(np.zeros((3, 68)), np.zeros(3, dtype=bool))[1].tolist() == [False] * 3
 
 
+def test_there_is_no_noise_where_the_expert_rests(monkeypatch):
+    monkeypatch.setattr(
+        Expert, "__call__", lambda self, seen, live: (np.zeros((len(seen), 12), np.float32), live.copy())
+    )
+    calm, noisy = run(), run(noise=1.0)
+    assert calm.observation.tobytes() == noisy.observation.tobytes()
+
+
 def test_fingers_do_not_shake():
     keywords = {"action_latency_ticks": 5, "max_time_s": 2.0}
     env = DualArmVectorEnv(2, "Handover", autoreset_mode="Disabled", action_latency_ticks=5, max_episode_steps=30)
@@ -134,6 +158,7 @@ def test_fingers_do_not_shake():
         share=0.0,
         within=1,
         noise=1.0,
+        patience=np.inf,
         rng=np.random.default_rng(3),
     )
     env.close()

@@ -107,6 +107,13 @@ def test_every_kind_of_agents_acts(tmp_path, agents):
     env.close()
 
 
+@pytest.mark.parametrize(("agents", "blind"), [("joint", [0, 33, 34, 67]), ("shared", [0, 40])])
+def test_a_network_is_blind_to_what_its_settings_say(tmp_path, agents, blind):
+    asked = small("bc", agents, rounds=1, changes={"unseen": (0, -1)})
+    (normaliser,) = checkpoint.read_manifest(train(asked, tmp_path / "out")).normalisers
+    assert np.flatnonzero(np.array(normaliser.var) > 1e12).tolist() == blind
+
+
 def test_the_two_of_independent_agents_differ(tmp_path):
     policy = checkpoint.load(train(small("bc", "independent", rounds=1), tmp_path / "out"))
     left, right = policy.layers

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import pytest
@@ -18,8 +19,9 @@ from tests.training.small import small
 def test_every_task_has_settings_for_every_algorithm(env_id, algorithm):
     asked = defaults(env_id, algorithm)
     assert asked.env_id == env_id
-    assert asked.steps == SETTINGS[env_id.split("/")[1].rsplit("-v", 1)[0]].steps[algorithm]
-    assert asked.keywords == {"randomization": "mild", "action_latency_ticks": 5}
+    own = SETTINGS[env_id.split("/")[1].rsplit("-v", 1)[0]]
+    assert asked.steps == own.steps[algorithm]
+    assert asked.keywords == {"randomization": own.randomization, "action_latency_ticks": 5}
     assert isinstance(asked.settings, Imitation if algorithm in ("bc", "dagger") else Reinforcement)
 
 
@@ -37,7 +39,7 @@ def test_what_is_given_counts():
     )
     assert (asked.agents, asked.envs, asked.steps, asked.seed) == ("shared", 3, 4, 5)
     assert asked.keywords == {"action_latency_ticks": 0, "grasp": "rigid", "randomization": "wide"}
-    assert asked.settings == Imitation(hidden=(7,))
+    assert asked.settings == dataclasses.replace(SETTINGS["SyncCarry"].imitation, hidden=(7,))
 
 
 @pytest.mark.parametrize(
@@ -76,6 +78,11 @@ def test_unknown_names_are_refused(wrong):
         {"changes": {"fit_steps": "many"}},
         {"changes": {"learning_rate": "fast"}},
         {"changes": {"hidden": 64}},
+        {"changes": {"unseen": 3}},
+        {"changes": {"unseen": (0.5,)}},
+        {"changes": {"unseen": (True,)}},
+        {"changes": {"unseen": (1000,)}},
+        {"changes": {"patience": -1.0}},
         {"randomization": "mild", "keywords": {"randomization": "none"}},
         {"dataset": "a/b-v0"},  # dagger asks the expert
     ],

@@ -6,7 +6,6 @@ Both are recorded, so that they can be compared again: `python -m dual_ur10 comp
 from __future__ import annotations
 
 import contextlib
-import gc
 import importlib.util
 import logging
 import os
@@ -175,10 +174,9 @@ def _both(run: EmulatedRun, path: Path, folder: Path, on_share: OnShare) -> Emul
     whole_s = PREPARING_S + run.duration_s
     simulated = _episode(run, folder, lambda _: None, cell=alike, **latency)
     on_share(PREPARING_S / 2 / whole_s)
-    with _steady():
-        emulated = _episode(
-            run, folder, lambda time_s: on_share((PREPARING_S + time_s) / whole_s), cell=str(path), **latency
-        )
+    emulated = _episode(
+        run, folder, lambda time_s: on_share((PREPARING_S + time_s) / whole_s), cell=str(path), **latency
+    )
     load = os.getloadavg()[0]
     found = compare(read_run(simulated.folder), read_run(emulated.folder))
     return EmulatedResult(run, simulated, emulated, found, load)
@@ -203,14 +201,3 @@ def _episode(run: EmulatedRun, folder: Path, on_time: Callable[[float], None], *
         env.close()
     (made,) = set(folder.glob("*/")) - before
     return Side(record, trace, made, late)
-
-
-@contextlib.contextmanager
-def _steady() -> Iterator[None]:
-    """What stands now is not looked at by the collector while arms wait for actions."""
-    gc.collect()
-    gc.freeze()
-    try:
-        yield
-    finally:
-        gc.unfreeze()

@@ -1,5 +1,6 @@
 """Environments on two emulated controllers: what they give, what they ask, and what they refuse."""
 
+import gc
 import os
 import pickle
 import signal
@@ -275,6 +276,18 @@ def test_dead_processes_are_a_fault(lab):
     error = lab.step_until_faulted()
     assert "does nothing any more" in str(error)
     assert lab.latch.read() is not None
+
+
+def test_the_collector_leaves_alone_what_stood_when_the_episode_began(lab):
+    env = lab.make()
+    before = gc.get_freeze_count()
+    env.reset(seed=0)
+    held = gc.get_freeze_count()
+    assert held > before + 10_000
+    env.reset(seed=0)
+    assert gc.get_freeze_count() < 1.5 * held  # what went in between is not kept
+    lab.close_env()
+    assert gc.get_freeze_count() == 0
 
 
 def test_a_program_that_ends_with_its_supervisor_leaves_word(lab):

@@ -7,6 +7,7 @@ it together.
 
 from __future__ import annotations
 
+import gc
 import logging
 import math
 import time
@@ -198,6 +199,7 @@ class RtdeCell:
         self._twin.aim(None if target is None else (target[:3], target[3:]))
         self._origin, self._elapsed = None, 0
         self.rested_q_rad = None if self._only is None else goal[None]
+        _collect()
         return self._state(statuses)
 
     def advance(self, command: Command) -> CellState:
@@ -273,6 +275,7 @@ class RtdeCell:
             self._runner.close()  # may be interrupted, and is done again then
             self._end.detach()
             self._runner = None
+            gc.unfreeze()
         for each in (self._grippers, self._tracker, self._knobs):
             if each is not None:
                 each.close()
@@ -470,3 +473,13 @@ def _wrench_at_flange(status: ArmStatus) -> Array:
         turn = quat_multiply(quat_from_rotvec(status.tcp_pose[3:]), quat_conjugate(quat_from_rotvec(offset[3:])))
         wrench[3:] += np.cross(rotate(turn, np.array(offset[:3])), wrench[:3])
     return wrench
+
+
+def _collect() -> None:
+    """Let Python's collector look at all objects now, while both arms rest, and at these no more while they move.
+
+    It stops the program for 50 ms and more in a large one: an action then comes too late.
+    """
+    gc.unfreeze()
+    gc.collect()
+    gc.freeze()

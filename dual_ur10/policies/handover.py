@@ -173,8 +173,7 @@ class HandoverPolicy:
         motion = episode.motion
         if motion is None or episode.time_s > motion.duration_s:
             return True
-        there = np.abs(commanded - motion.at(motion.duration_s)).max() < _THERE_RAD
-        return self._teaches and bool(there)
+        return self._teaches and bool(np.abs(commanded - motion.at(motion.duration_s)).max() < _THERE_RAD)
 
     def _follow(self, episode: _Episode, motion: FreeMotion, commanded: Array) -> None:
         """Go on from where on the way the pupil is, and the more slowly the farther off it.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.envs.names import task_name
 from dual_ur10.envs.vector_env import DualArmVectorEnv
-from dual_ur10.errors import TrainingError
+from dual_ur10.errors import SettingsError, TrainingError
 from dual_ur10.policies import checkpoint
 from dual_ur10.policies.learned import LearnedPolicy
 from dual_ur10.policies.manifest import Manifest
@@ -60,6 +60,9 @@ class Imitator:
         self._settings: Imitation = self._asked.settings
         self._threads = threads
         self._place: Described = described(self._asked.env_id, self._asked.keywords)
+        nothing = np.zeros((1, *self._place.target.observation.shape))
+        joint = self._asked.agents == "joint"
+        self._blind = self._unseen(nothing.shape[1] if joint else self._place.split(nothing).shape[-1])
         self._told, self._shown_s = on_progress, 0.0
         self._progress = Progress(0, self._asked.steps)
         self._rounds, self._longest = 0, 1
@@ -172,8 +175,7 @@ class Imitator:
         observation, action = (np.concatenate(each) for each in zip(*self._samples, strict=True))
         parts = self._split(observation, action)
         with reproducible(_seed_of(asked.seed, number)):
-            unseen = self._unseen(parts[0][0].shape[1])
-            fits = [Fit(self._settings, *given, unseen=unseen) for given in self._given(len(parts))]
+            fits = [Fit(self._settings, *given, unseen=self._blind) for given in self._given(len(parts))]
             for k, (fit, part) in enumerate(zip(fits, parts, strict=True)):
                 rng = np.random.default_rng([asked.seed, number, _FIT, k])
                 text = "fitting" if len(parts) == 1 else f"fitting {('left', 'right')[k]}"
@@ -199,10 +201,13 @@ class Imitator:
         return [(np.ascontiguousarray(own[:, k]), np.ascontiguousarray(arms[:, k])) for k in (0, 1)]
 
     def _unseen(self, size: int) -> list[int]:
-        """Numbers that a network does not see, of the observation that it is given."""
+        """Numbers that a network does not see, of an observation that has so many."""
         arms = 2 if self._asked.agents == "joint" else 1
         own = size // arms
-        found = sorted(number % own for number in self._settings.unseen if -own <= number < own)
+        for number in self._settings.unseen:
+            if not -own <= number < own:
+                raise SettingsError(f"unseen has {number}: the observation has {own} numbers, from 0, or from -1 back")
+        found = sorted({number % own for number in self._settings.unseen})
         return [arm * own + number for arm in range(arms) for number in found]
 
     def _given(self, count: int) -> list[tuple[Any, Any]]:

@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from dual_ur10 import policies
-from dual_ur10.errors import TrainingError
+from dual_ur10.errors import SettingsError, TrainingError
 from dual_ur10.policies import checkpoint
 from dual_ur10.training import imitate
 from dual_ur10.training.train import resume, train
@@ -112,6 +112,12 @@ def test_a_network_is_blind_to_what_its_settings_say(tmp_path, agents, blind):
     asked = small("bc", agents, rounds=1, changes={"unseen": (0, -1)})
     (normaliser,) = checkpoint.read_manifest(train(asked, tmp_path / "out")).normalisers
     assert np.flatnonzero(np.array(normaliser.var) > 1e12).tolist() == blind
+
+
+def test_numbers_that_there_are_not_are_refused_before_anything_is_learned(tmp_path):
+    with pytest.raises(SettingsError, match="unseen has 34"):
+        train(small("bc", rounds=1, changes={"unseen": (34,)}), tmp_path / "out")
+    assert not list((tmp_path / "out").glob("samples*"))
 
 
 def test_the_two_of_independent_agents_differ(tmp_path):

@@ -128,9 +128,11 @@ class RtdeCell:
         self._grippers: Grippers | None = None
         self._tracker: ObjectTracker | None = None
         self._knobs: EmulatorKnobs | None = None
+        gc.collect()  # while no thread yet waits for an answer: of a large program it takes half a second
         self._runner: Runner | None = Runner(self.file, config, coupled=coupled)
         self._end = weakref.finalize(self, self._runner.close)
         try:
+            gc.freeze()
             self._equip()
         except BaseException:
             self.close()
@@ -199,7 +201,9 @@ class RtdeCell:
         self._twin.aim(None if target is None else (target[:3], target[3:]))
         self._origin, self._elapsed = None, 0
         self.rested_q_rad = None if self._only is None else goal[None]
-        _collect()
+        # What stands now would be gone through in the middle of the episode, for longer than an action may take.
+        # It is not collected here: no thread runs meanwhile, and a gripper or a camera would seem to be lost.
+        gc.freeze()
         return self._state(statuses)
 
     def advance(self, command: Command) -> CellState:
@@ -473,13 +477,3 @@ def _wrench_at_flange(status: ArmStatus) -> Array:
         turn = quat_multiply(quat_from_rotvec(status.tcp_pose[3:]), quat_conjugate(quat_from_rotvec(offset[3:])))
         wrench[3:] += np.cross(rotate(turn, np.array(offset[:3])), wrench[:3])
     return wrench
-
-
-def _collect() -> None:
-    """Let Python's collector look at all objects now, while both arms rest, and at these no more while they move.
-
-    It stops the program for 50 ms and more in a large one: an action then comes too late.
-    """
-    gc.unfreeze()
-    gc.collect()
-    gc.freeze()

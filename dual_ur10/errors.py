@@ -47,6 +47,10 @@ class UnreachableError(DualUR10Error, ValueError):
     """A flange pose has no inverse kinematics solution inside the joint range."""
 
 
+class LostError(DualUR10Error, RuntimeError):
+    """A scripted policy that teaches does not know how to go on from where its pupil has led the arms."""
+
+
 class ClosedError(DualUR10Error, RuntimeError):
     """The object was closed and cannot be used any more."""
 

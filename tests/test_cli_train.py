@@ -48,7 +48,7 @@ def test_what_cannot_be_is_said_in_one_line(arguments, said, tmp_path, monkeypat
 def test_a_training_prints_what_came_of_it_and_the_policy_runs(tmp_path):
     pytest.importorskip("stable_baselines3")
     out = tmp_path / "out"
-    result = run("train", "SineTracking", *SMALL, "--steps", 100, "--setting", "last_fit_steps=5", "--out", out)
+    result = run("train", "SineTracking", *SMALL, "--steps", 100, "--out", out)
     assert result.exit_code == 0, result.output
     assert f"policy  {out / 'policy'}" in result.stdout
     assert "95 % interval" in result.stdout

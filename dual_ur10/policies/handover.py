@@ -16,7 +16,7 @@ from dual_ur10.envs.handover_stages import WIDTH_M
 from dual_ur10.envs.holding import TCP_LEVER
 from dual_ur10.envs.poses import Poses
 from dual_ur10.envs.task import Timing, slower
-from dual_ur10.errors import ActionError, SettingsError
+from dual_ur10.errors import ActionError, LostError, SettingsError
 from dual_ur10.policies.carrying import TAUGHT_HIGHER_M, lying, poses_at
 from dual_ur10.policies.free_motion import FreeMotion
 from dual_ur10.policies.handover_ways import Ways
@@ -40,6 +40,8 @@ _THERE_RAD: Final = 4e-3  # to where it ends, when it is over
 _DT_S: Final = 0.01
 _CLOSED_M: Final = 0.004  # of the block's width: fingers that are so near it hold
 _OPEN_M: Final = 0.06  # opening at which fingers are off the block
+_EMPTY_M: Final = 0.01  # less opening than the block's width: nothing is between the fingers
+_LAID_M: Final = 0.01  # above where it lies: what is let go there lands well
 _SURE_S: Final = 0.1  # how long it must look so
 _PATIENCE_S: Final = 2.0  # after which the next motion begins even so
 
@@ -159,6 +161,7 @@ class HandoverPolicy:
         """Action of one row, (14,)."""
         commanded = arms[:, _COMMANDED : _COMMANDED + 6].reshape(12)
         if self._teaches and episode.motion is not None:
+            self._see_to_block(episode, arms)
             self._follow(episode, episode.motion, commanded)
         elif np.abs(commanded - episode.goal_rad).max() < _FOLLOWED_RAD:
             episode.time_s += self.timing.period_s
@@ -174,6 +177,33 @@ class HandoverPolicy:
         if motion is None or episode.time_s > motion.duration_s:
             return True
         return self._teaches and bool(np.abs(commanded - motion.at(motion.duration_s)).max() < _THERE_RAD)
+
+    def _see_to_block(self, episode: _Episode, arms: Array) -> None:
+        """What a pupil has let go on the table is laid; elsewhere it is lost.
+
+        Without this it would be told to lower and to close an empty hand, and elsewhere, with just the same before its
+        eyes, to open it and to draw it back.
+
+        Raises:
+            LostError: The block has left the hand that should carry it.
+        """
+        if episode.phase not in (_MEET, _PLACE):
+            return
+        receiver = 1 - episode.giver
+        arm = episode.giver if episode.phase == _MEET else receiver
+        if WIDTH_M - _EMPTY_M < arms[arm, _OPENING] < _OPEN_M:
+            return
+        block = self._ways.to_cell(poses_at(arms, _BLOCK))
+        if episode.phase == _MEET or block.position_m[arm, 2] > BLOCK_SIZE_M[2] / 2 + _LAID_M:
+            raise LostError("the block has left the hand that should carry it")
+        episode.opening[receiver] = 1.0
+        self._go_on(episode, arms)
+
+    def _go_on(self, episode: _Episode, arms: Array) -> None:
+        """Begin the next phase."""
+        episode.phase += 1
+        episode.time_s = episode.waited_s = episode.sure_s = 0.0
+        episode.motion = self._next(episode, arms)
 
     def _follow(self, episode: _Episode, motion: FreeMotion, commanded: Array) -> None:
         """Go on from where on the way the pupil is, and the more slowly the farther off it.
@@ -206,9 +236,7 @@ class HandoverPolicy:
         episode.waited_s += self.timing.period_s
         episode.sure_s = episode.sure_s + self.timing.period_s if done else 0.0
         if episode.sure_s > _SURE_S or episode.waited_s > _PATIENCE_S:
-            episode.phase += 1
-            episode.time_s = episode.waited_s = episode.sure_s = 0.0
-            episode.motion = self._next(episode, arms)
+            self._go_on(episode, arms)
 
     def _next(self, episode: _Episode, arms: Array) -> FreeMotion | None:
         """The motion of the phase that begins."""

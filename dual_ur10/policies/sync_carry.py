@@ -66,12 +66,16 @@ class SyncCarryPolicy:
         self._speed = np.tile(SyncCarry.limits.speed_rad_s, 2) * (_SPEED_SHARE / slower(SyncCarry.limits, allowed))
         self._skip = 0 if self.settings.rigid else 1
         self.size = 61 + self._skip
-        self._higher_m = 0.0
+        self._higher_m, self._teaches = 0.0, False
         self.reset()
 
     def teach(self) -> None:
-        """See `dual_ur10.policies.policy.Teaching`: a pupil who is not so exact needs more room above the table."""
-        self._higher_m = TAUGHT_HIGHER_M
+        """See `dual_ur10.policies.policy.Teaching`: a pupil who is not so exact needs more room above the table.
+
+        And it does not remember where the bar was seen before it was lifted. It is told to take it where its path
+        begins, which is where it lies but for the error of what measures it.
+        """
+        self._higher_m, self._teaches = TAUGHT_HIGHER_M, True
 
     def reset(self) -> None:
         """Forget everything: an episode begins."""
@@ -113,7 +117,9 @@ class SyncCarryPolicy:
         fresh = np.flatnonzero(clock < self._clock)
         self._clock = clock
         for row in fresh.tolist():
-            self._plan(row, arms[row], Poses(*(part[row] for part in bar)), Poses(*(part[row] for part in now)))
+            reference = Poses(*(part[row] for part in now))
+            seen = reference if self._teaches else Poses(*(part[row] for part in bar))
+            self._plan(row, arms[row], seen, reference)
         goal = postures(after(ahead, self._offset), commanded, self.dh)
         closed = np.full(n, -1.0)
         for row, motion in enumerate(self._motion):

@@ -14,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -37,6 +37,8 @@ from dual_ur10.training.state import Tensors
 
 _ASKED: Final = "training.json"
 
+ManifestOf = Callable[[dict[str, object] | None], Manifest]
+
 
 class TrainingFolder:
     """Where a training keeps what it makes.
@@ -50,12 +52,14 @@ class TrainingFolder:
         training: What is asked.
         checks: How good the policy was, in order.
         seconds: Of training in runs before this one.
+        best: Name of the checkpoint that was the best at a look so far; None: there is none.
     """
 
     def __init__(self, path: Path, training: Training) -> None:
         self.path, self.training = path, training
         self.checks: list[Check] = []
         self.seconds = 0.0
+        self.best: str | None = None
         self._logger: Any = None
 
     @classmethod
@@ -97,6 +101,9 @@ class TrainingFolder:
         try:
             made.checks = [Check(**each) for each in values.pop("checks")]
             made.seconds = float(values.pop("seconds"))
+            best = values.pop("best")
+            if best is not None:
+                made.best = str(best)
         except (KeyError, TypeError, ValueError) as error:
             raise TrainingError(f"the state in {folder} is not of this version: {error!s:.200}") from error
         if steps is not None:
@@ -117,7 +124,7 @@ class TrainingFolder:
             TrainingError: It cannot be written. The state before is as it was.
         """
         checks = [dataclasses.asdict(each) for each in self.checks]
-        state.save(self.path / "state", tensors, {**values, "checks": checks, "seconds": seconds})
+        state.save(self.path / "state", tensors, {**values, "checks": checks, "seconds": seconds, "best": self.best})
 
     @property
     def logger(self) -> Any:
@@ -168,6 +175,34 @@ class TrainingFolder:
             num_envs=min(self.training.envs, episodes or self.training.checks),
             env_kwargs=self.training.keywords,
         )
+
+    def consider(self, networks: Networks, manifest_of: ManifestOf, steps: int, seconds: float) -> None:
+        """Look at a policy, note how good it is, and keep it if none was better so far.
+
+        Args:
+            networks: Its weights.
+            manifest_of: Its manifest with what an evaluation found; with None: without.
+            steps: Of the environment so far.
+            seconds: Of training so far.
+
+        Raises:
+            CheckpointError: It cannot be written.
+        """
+        found = self.look(self.policy_of(networks, manifest_of(None)))
+        check = check_of(found, steps, seconds)
+        before = max((each.rank for each in self.checks), default=(-1.0, 0.0))
+        self.note(check)
+        if check.rank > before or self.best is None:
+            self.best = self.save(f"steps-{steps:09d}", networks, manifest_of(summary_of(found))).name
+
+    def finish(self) -> Path:
+        """Make the best one at a look what has come of the training. Returns its folder.
+
+        Raises:
+            CheckpointError: It cannot be read or written.
+        """
+        best = checkpoint.load(self.path / str(self.best))
+        return self.save("policy", best.layers, best.manifest)
 
     def note(self, check: Check) -> None:
         """Keep how good the policy is, in the logs, too."""

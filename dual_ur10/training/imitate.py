@@ -20,15 +20,14 @@ from dual_ur10.errors import SettingsError, TrainingError
 from dual_ur10.policies import checkpoint
 from dual_ur10.policies.learned import LearnedPolicy
 from dual_ur10.policies.manifest import Manifest
-from dual_ur10.policies.statistics import wilson_interval
 from dual_ur10.policies.target import Described, described
 from dual_ur10.training import seeds, state
 from dual_ur10.training.dataset import read_dataset
 from dual_ur10.training.expert import Expert
 from dual_ur10.training.fit import Fit, reproducible
-from dual_ur10.training.folder import TrainingFolder, check_of, summary_of
+from dual_ur10.training.folder import TrainingFolder
 from dual_ur10.training.gather import gather
-from dual_ur10.training.progress import Check, OnProgress, Progress
+from dual_ur10.training.progress import OnProgress, Progress
 from dual_ur10.training.settings import Imitation
 
 Single = NDArray[np.float32]
@@ -99,18 +98,14 @@ class Imitator:
         finally:
             if env is not None:
                 env.close()
-        policy, fits = self._fit(self._settings.last_fit_steps, self._rounds)
-        self._tell("looking")
-        found = self._folder.look(policy)
-        self._folder.note(check_of(found, self._progress.steps, time.monotonic() - begun))
-        manifest = self._manifest(fits, summary_of(found))
-        return self._folder.save("policy", [fit.layers() for fit in fits], manifest)
+        self._fit(self._rounds, begun)
+        return self._folder.finish()
 
     def _round(self, env: Any, begun: float) -> None:
         number, asked = self._rounds, self._asked
         learner, share = None, 1.0
         if number and asked.algorithm == "dagger":
-            learner, _ = self._fit(self._settings.fit_steps, number)
+            learner = self._fit(number, begun)
             behind = self._progress.steps / asked.steps
             share = self._settings.expert_share * max(0.0, 1.0 - behind / 0.75)
         low, high = env.core.action_space.low, env.core.action_space.high
@@ -137,13 +132,8 @@ class Imitator:
         if not len(found.observation):
             raise TrainingError("the scripted policy knew nothing to do in any step: there is nothing to learn from")
         self._longest = max(self._longest, found.longest)
-        count, successes = len(found.returns), int(found.successes.sum())
-        self._progress.mean_return, self._progress.success_rate = float(found.returns.mean()), successes / count
-        if learner is not None:
-            low_rate, high_rate = wilson_interval(successes, count)
-            seconds = time.monotonic() - begun
-            mean = float(found.returns.mean())
-            self._folder.note(Check(before, seconds, mean, successes / count, count, low_rate, high_rate))
+        self._progress.mean_return = float(found.returns.mean())
+        self._progress.success_rate = float(found.successes.mean())
         self._add((found.observation, found.action), begun)
 
     def _add(self, samples: tuple[Single, Single], begun: float) -> None:
@@ -169,9 +159,13 @@ class Imitator:
             raise TrainingError(f"{self._path(number)} has samples of another environment")
         return samples
 
-    def _fit(self, steps: int, number: int) -> tuple[LearnedPolicy, list[Fit]]:
-        """Networks that are fitted to all samples, from scratch, and the policy of them."""
-        asked = self._asked
+    def _fit(self, number: int, begun: float) -> LearnedPolicy:
+        """The policy of networks that are fitted to all samples, from scratch. It is kept if none was better.
+
+        What comes last need not be the best: a network that has to know more of what it was led into knows less well
+        what it is for.
+        """
+        asked, steps = self._asked, self._settings.fit_steps
         observation, action = (np.concatenate(each) for each in zip(*self._samples, strict=True))
         parts = self._split(observation, action)
         with reproducible(_seed_of(asked.seed, number)):
@@ -187,8 +181,11 @@ class Imitator:
                 self._folder.logger.record(f"fit/loss{k or ''}", loss)
         self._folder.logger.record("fit/samples", len(observation))
         self._folder.logger.dump(self._progress.steps)
-        manifest = self._manifest(fits)
-        return self._folder.policy_of([fit.layers() for fit in fits], manifest), fits
+        networks = [fit.layers() for fit in fits]
+        self._tell("looking")
+        seconds = time.monotonic() - begun
+        self._folder.consider(networks, lambda found: self._manifest(fits, found), self._progress.steps, seconds)
+        return self._folder.policy_of(networks, self._manifest(fits))
 
     def _split(self, observation: Single, action: Single) -> list[tuple[Single, Single]]:
         """Samples for each network."""

@@ -17,7 +17,7 @@ from dual_ur10.policies.from_sb3 import converted
 from dual_ur10.policies.manifest import Manifest
 from dual_ur10.training import models, seeds
 from dual_ur10.training.fit import reproducible
-from dual_ur10.training.folder import TrainingFolder, check_of, summary_of
+from dual_ur10.training.folder import TrainingFolder
 from dual_ur10.training.progress import OnProgress, Progress
 from dual_ur10.training.settings import Reinforcement
 from dual_ur10.training.state import Tensors
@@ -56,7 +56,6 @@ class Reinforcer:
         self._settings: Reinforcement = self._asked.settings
         self._state, self._told = state, on_progress
         self.steps = 0 if state is None else int(state[1]["steps"])
-        self._best: str | None = None if state is None else state[1].get("best")
         self._models: list[tuple[Any, Any]] = []
         self._begun = time.monotonic() - folder.seconds
         self._first_steps, self._first_s = self.steps, time.monotonic()
@@ -120,8 +119,7 @@ class Reinforcer:
         tensors: Tensors = {}
         for k, (model, around) in enumerate(self._models):
             tensors.update(models.tensors_of(model, around, f"{k}."))
-        values = {"steps": self.steps, "best": self._best}
-        self._folder.save_state(tensors, values, time.monotonic() - self._begun)
+        self._folder.save_state(tensors, {"steps": self.steps}, time.monotonic() - self._begun)
 
     def _next_look(self) -> int:
         return self.steps + max(1, self._asked.steps // _LOOKS)
@@ -159,14 +157,9 @@ class Reinforcer:
         self.save()
 
     def _look(self) -> None:
-        networks, manifest = self._converted()
-        found = self._folder.look(self._folder.policy_of(networks, manifest))
-        check = check_of(found, self.steps, time.monotonic() - self._begun)
-        best = max((each.rank for each in self._folder.checks), default=(-1.0, 0.0))
-        self._folder.note(check)
-        if check.rank > best or self._best is None:
-            networks, manifest = self._converted(summary_of(found))
-            self._best = self._folder.save(f"steps-{self.steps:09d}", networks, manifest).name
+        networks = self._converted()[0]
+        seconds = time.monotonic() - self._begun
+        self._folder.consider(networks, lambda found: self._converted(found)[1], self.steps, seconds)
 
     def _converted(self, evaluation: dict[str, object] | None = None) -> tuple[Any, Manifest]:
         several = self._asked.agents == "independent"
@@ -185,8 +178,7 @@ class Reinforcer:
         if not self._folder.checks or self._folder.checks[-1].steps < self.steps:
             self._look()
             self.save()
-        best = checkpoint.load(self._folder.path / str(self._best))
-        return self._folder.save("policy", best.layers, best.manifest)
+        return self._folder.finish()
 
 
 class _Watcher(BaseCallback):

@@ -6,7 +6,7 @@ from typing import Any
 
 from dual_ur10.training.settings import Training, defaults
 
-IMITATION: dict[str, Any] = {"hidden": (16,), "fit_steps": 20, "last_fit_steps": 30, "batch_size": 64}
+IMITATION: dict[str, Any] = {"hidden": (16,), "fit_steps": 30, "batch_size": 64}
 REINFORCEMENT: dict[str, dict[str, Any]] = {
     "ppo": {"hidden": (16,), "steps_per_update": 16, "batch_size": 16, "epochs": 2},
     "sac": {"hidden": (16,), "learning_starts": 40, "gradient_steps": 1, "batch_size": 16, "buffer_size": 500},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import json
 import os
@@ -13,8 +14,9 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from dual_ur10 import policies
-from dual_ur10.errors import SettingsError, TrainingError
+from dual_ur10.errors import CheckpointError, SettingsError, TrainingError
 from dual_ur10.policies import checkpoint
+from dual_ur10.training import folder as folders
 from dual_ur10.training import imitate
 from dual_ur10.training.train import resume, train
 from tests.training.small import STEPS, small
@@ -37,7 +39,9 @@ def test_its_folder_has_all_that_it_says(whole):
     folder = whole.parent
     names = {each.name.split(".out")[0] for each in folder.iterdir()}
     samples = {f"samples-000{k}.safetensors" for k in range(3)}
-    assert names == {"training.json", "state", "policy", "curve.png", "progress.csv", "events", *samples}
+    kept = {name for name in names if name.startswith("steps-")}
+    assert kept
+    assert names == {"training.json", "state", "policy", "curve.png", "progress.csv", "events", *samples, *kept}
     assert (folder / "curve.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert "check/success_rate" in (folder / "progress.csv").read_text()
     assert json.loads((folder / "training.json").read_text())["algorithm"] == "dagger"
@@ -48,12 +52,30 @@ def test_what_comes_of_it_says_where_it_is_from(whole):
     assert manifest.target.env_id == SINE
     assert manifest.target.rate.latency_ticks == 5
     assert manifest.training["algorithm"] == "dagger"
-    assert manifest.training["steps"] == 3 * 2 * STEPS
+    assert manifest.training["steps"] in (2 * STEPS, 2 * 2 * STEPS, 3 * 2 * STEPS)
     assert manifest.training["settings"]["hidden"] == [16]
     assert manifest.evaluation["episodes"] == 2
     assert manifest.evaluation["seed"] == 10_000_000
     text = (whole / "manifest.json").read_text()
     assert str(whole.parent.parent) not in text  # nobody's folders
+
+
+def test_the_best_at_a_look_comes_of_it(tmp_path, monkeypatch):
+    """Of four fits, the second is as good as the third, and the fourth is worse."""
+    rates, seen = [0.0, 1.0, 1.0, 0.5], []
+    real = folders.check_of
+
+    def check_of(*arguments):
+        seen.append(dataclasses.replace(real(*arguments), success_rate=rates[len(seen)], mean_return=float(len(seen))))
+        return seen[-1]
+
+    monkeypatch.setattr(folders, "check_of", check_of)
+    policy = train(small(rounds=4), tmp_path / "out")
+    assert [each.steps for each in seen] == [100, 200, 300, 400]
+    kept = sorted(each.name for each in policy.parent.glob("steps-*"))
+    assert kept == ["steps-000000100", "steps-000000200", "steps-000000300"]  # each the best so far
+    assert sha_of(policy) == sha_of(policy.parent / kept[-1])
+    assert checkpoint.read_manifest(policy).training["steps"] == 300
 
 
 def test_the_same_seed_gives_the_same_bits_on_any_number_of_threads(whole, tmp_path):
@@ -87,7 +109,8 @@ def test_more_steps_can_be_asked_for(tmp_path):
     first = train(small(rounds=1), tmp_path / "out")
     more = resume(tmp_path / "out", steps=2 * 2 * STEPS)
     assert (first.name, more.name) == ("policy", "policy-2")
-    assert sha_of(first) != sha_of(more)
+    assert len(list((tmp_path / "out").glob("samples-*"))) == 2
+    assert sha_of(more) == sha_of(train(small(rounds=2), tmp_path / "whole"))
     assert sha_of(more) == sha_of(train(small(rounds=2), tmp_path / "at_once"))
 
 
@@ -127,7 +150,7 @@ def test_the_two_of_independent_agents_differ(tmp_path):
 
 
 def test_it_learns(tmp_path):
-    changes = {"hidden": (64, 64), "fit_steps": 500, "last_fit_steps": 2000, "batch_size": 256}
+    changes = {"hidden": (64, 64), "fit_steps": 1000, "batch_size": 256}
     keywords = {"randomize": False, "randomization": "none"}
     asked = small(envs=8, rounds=1, steps=3 * 8 * STEPS, changes=changes, keywords=keywords)
     learned = checkpoint.read_manifest(train(asked, tmp_path / "out")).evaluation["mean_return"]
@@ -138,7 +161,7 @@ def test_it_learns(tmp_path):
 
 
 def test_a_checkpoint_can_be_begun_with(whole, tmp_path):
-    asked = small("bc", rounds=1, init=str(whole), changes={"last_fit_steps": 1, "learning_rate": 1e-9})
+    asked = small("bc", rounds=1, init=str(whole), changes={"fit_steps": 1, "learning_rate": 1e-9})
     after, before = checkpoint.load(train(asked, tmp_path / "out")), checkpoint.load(whole)
     for (a, b), (c, d) in zip(before.layers[0], after.layers[0], strict=True):
         np.testing.assert_allclose(a, c, rtol=1e-4, atol=1e-5)
@@ -160,7 +183,7 @@ def test_a_full_disk_loses_nothing_that_was_saved(whole, tmp_path, monkeypatch, 
         return real(descriptor)
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(TrainingError, match="No space left"):
+    with pytest.raises((TrainingError, CheckpointError), match="No space left"):
         train(small(rounds=3), tmp_path / "out")
     monkeypatch.undo()
     if (tmp_path / "out" / "state").exists():

@@ -11,7 +11,7 @@ from dual_ur10 import policies
 from dual_ur10.envs.sb3_bridge import JointVecEnv
 from dual_ur10.errors import TrainingError
 from dual_ur10.policies import checkpoint
-from dual_ur10.training import models, reinforce, state
+from dual_ur10.training import folder, models, reinforce, state
 from dual_ur10.training.train import resume, train
 from tests.training.small import small
 
@@ -129,14 +129,14 @@ def test_the_state_of_another_training_is_refused(tmp_path):
 
 def test_the_best_look_is_kept(tmp_path, monkeypatch):
     ranks = iter([0.2, 0.9, 0.5, 0.1])
-    real = reinforce.check_of
+    real = folder.check_of
 
     def ranked(evaluation, steps, seconds):
         check = real(evaluation, steps, seconds)
         object.__setattr__(check, "success_rate", next(ranks, 0.0))
         return check
 
-    monkeypatch.setattr(reinforce, "check_of", ranked)
+    monkeypatch.setattr(folder, "check_of", ranked)
     monkeypatch.setattr(reinforce, "_LOOKS", 4)
     path = train(small("ppo", steps=128), tmp_path / "out")
     kept = sorted(each.name for each in (tmp_path / "out").glob("steps-*"))

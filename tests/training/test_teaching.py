@@ -7,11 +7,14 @@ import numpy as np
 import pytest
 
 from dual_ur10 import policies
-from dual_ur10.policies.carrying import TAUGHT_HIGHER_M
+from dual_ur10.errors import LostError
+from dual_ur10.policies import handover
+from dual_ur10.policies.carrying import TAUGHT_HIGHER_M, poses_at
 
 CARRY, HANDOVER = "DualUR10/SyncCarry-v0", "DualUR10/Handover-v0"
 KEYWORDS = {"action_latency_ticks": 5}
 COMMANDED, HEIGHT = slice(12, 18), 20
+OPENING, BLOCK, BLOCK_HEIGHT = 25, 32, 34
 
 
 def pair(env_id):
@@ -95,3 +98,69 @@ def test_a_pupil_beside_the_way_is_told_to_come_back_before_it_goes_on():
         told = policy(seen[-1]).reshape(2, 7)
         assert (told[1, :6] < -0.5).all()
         assert told[0, 6] == 1.0  # its fingers stay open
+
+
+def until(env, policy, phase):
+    """Observations of an episode up to one in the middle of the motion of a phase."""
+    observation, _ = env.reset(seed=2)
+    seen = []
+    while True:
+        seen.append(observation)
+        action = policy(observation)
+        episode = policy._episodes[0]
+        if episode.phase == phase and episode.motion is not None and episode.time_s > 0.5 * episode.motion.duration_s:
+            return seen
+        observation = env.step(action)[0]
+
+
+def told(policy, seen, last):
+    policy.reset()
+    for observation in seen[:-1]:
+        policy(observation)
+    return policy(last).reshape(2, 7)
+
+
+@pytest.mark.parametrize("phase", [handover._MEET, handover._PLACE])
+@pytest.mark.parametrize("opening_m", [0.085, 0.005])
+def test_a_block_that_was_let_go_is_lost(phase, opening_m):
+    """Seed 2's giver is the left arm."""
+    env, acting, policy = pair(HANDOVER)
+    seen = until(env, policy, phase)
+    env.close()
+    last = seen[-1].copy()
+    last.reshape(2, -1)[0 if phase == handover._MEET else 1, OPENING] = opening_m
+    with pytest.raises(LostError, match="has left the hand"):
+        told(policy, seen, last)
+    told(acting, seen, last)  # on its own it goes on: fingers that are measured wrongly for a moment are no reason
+
+
+def test_a_block_that_was_let_go_on_the_table_is_left_there():
+    env, _, policy = pair(HANDOVER)
+    seen = until(env, policy, handover._PLACE)
+    env.close()
+    last = seen[-1].copy()
+    arms = last.reshape(2, -1)
+    assert told(policy, seen, last)[1, 6] == -1.0  # still carried
+    arms[1, OPENING] = 0.085
+    arms[1, BLOCK_HEIGHT] -= policy._ways.to_cell(poses_at(arms, BLOCK)).position_m[1, 2] - 0.021
+    assert told(policy, seen, last)[1, 6] == 1.0
+    episode = policy._episodes[0]
+    assert episode.phase == handover._LEAVE
+    assert episode.motion.at(episode.motion.duration_s)[6:] == pytest.approx(arms[1, COMMANDED], abs=0.4)
+
+
+def test_a_pupil_takes_the_bar_where_its_path_begins():
+    """What measures the bar errs, and nobody knows by how much when it has been lifted."""
+    env, *both = pair(CARRY)
+    observation, _ = env.reset(seed=2)
+    env.close()
+    wrong = observation.copy()
+    wrong.reshape(2, -1)[:, 32:34] += 0.004
+    for policy, apart in zip(both, (True, False), strict=True):
+        ends = []
+        for each in (observation, wrong):
+            policy.reset()
+            policy(each)
+            motion = policy._motion[0]
+            ends.append(motion.at(motion.duration_s))
+        assert (np.abs(ends[1] - ends[0]).max() > 1e-3) == apart

@@ -55,10 +55,10 @@ def test_it_is_loaded_by_name_and_acts(name, env_id):
 
 @pytest.mark.parametrize(("name", "env_id"), ALL)
 def test_it_succeeds(name, env_id):
-    episodes = 300 if SOAK else 8
+    episodes = 300 if SOAK else 4 if "SyncCarry" in env_id else 8  # its physics is the slowest
     keywords = checkpoint.read_manifest(shipped.folder_of(name, env_id)).target.kwargs  # what it was trained for
     found = evaluate(env_id, name, episodes=episodes, num_envs=64, env_kwargs=dict(keywords))
-    assert found.successes >= (0.9 * episodes if SOAK else 6)
+    assert found.successes >= (0.9 if SOAK else 0.75) * episodes
 
 
 def test_names_that_are_none_are_refused():

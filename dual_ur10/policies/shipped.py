@@ -17,7 +17,7 @@ NAMES: Final = ("learned", "learned-two-agents")
 """Names of shipped policies: one network for both arms; networks that each see what one arm observes."""
 
 _FOLDERS: Final = {
-    "learned": {"SineTracking": "sine_tracking"},
+    "learned": {"SineTracking": "sine_tracking", "SyncCarry": "sync_carry", "Handover": "handover"},
     "learned-two-agents": {"SineTracking": "sine_tracking_two_agents"},
 }
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -165,14 +165,14 @@ class TrainingFolder:
         layers = [[(np.asarray(w, np.float32), np.asarray(b, np.float32)) for w, b in each] for each in networks]
         return LearnedPolicy(manifest, layers, place)
 
-    def look(self, policy: LearnedPolicy, episodes: int | None = None) -> Evaluation:
+    def _look(self, policy: LearnedPolicy) -> Evaluation:
         """Evaluate a policy on episodes that nothing is learned from."""
         return evaluate(
             self.training.env_id,
             policy,
-            episodes=episodes or self.training.checks,
+            episodes=self.training.checks,
             seed=seeds.CHECKS,
-            num_envs=min(self.training.envs, episodes or self.training.checks),
+            num_envs=min(self.training.envs, self.training.checks),
             env_kwargs=self.training.keywords,
         )
 
@@ -188,10 +188,10 @@ class TrainingFolder:
         Raises:
             CheckpointError: It cannot be written.
         """
-        found = self.look(self.policy_of(networks, manifest_of(None)))
+        found = self._look(self.policy_of(networks, manifest_of(None)))
         check = check_of(found, steps, seconds)
         before = max((each.rank for each in self.checks), default=(-1.0, 0.0))
-        self.note(check)
+        self._note(check)
         if check.rank > before or self.best is None:
             self.best = self.save(f"steps-{steps:09d}", networks, manifest_of(summary_of(found))).name
 
@@ -204,7 +204,7 @@ class TrainingFolder:
         best = checkpoint.load(self.path / str(self.best))
         return self.save("policy", best.layers, best.manifest)
 
-    def note(self, check: Check) -> None:
+    def _note(self, check: Check) -> None:
         """Keep how good the policy is, in the logs, too."""
         self.checks.append(check)
         logger = self.logger
@@ -279,8 +279,3 @@ def _training_of(path: Path) -> Training:
         raise TrainingError(f"{path} asks for what is not possible: {error}") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise TrainingError(f"{path} cannot be read: {type(error).__name__}: {error!s:.200}") from error
-
-
-def means(values: Sequence[float]) -> float | None:
-    """Their mean; None of none."""
-    return float(np.mean(values)) if len(values) else None

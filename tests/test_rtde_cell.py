@@ -108,7 +108,7 @@ def test_one_policy_hands_over_on_both_cells_and_the_run_is_recorded(lab, tmp_pa
     assert len(run.episodes[0].action) == found.steps
     for arm in run.arms:
         assert np.unique(np.diff(arm.state["timestamp_s"]).round(4)).tolist() == [0.008]
-        assert len(arm.sent["late_s"]) > 5 * found.steps
+        assert len(arm.sent["late_s"]) > 4.8 * found.steps  # what would come too late is left out
     # The block is where the camera of the cell sees it.
     np.testing.assert_array_equal(run.episodes[0].q_rad.shape, (found.steps + 1, 2, 6))
 

@@ -245,7 +245,7 @@ def test_a_silent_client_is_stopped_by_its_watchdog(host):
     done = clients.run(clients.watchdog, host)
     assert done["set"]
     assert done["kept"]
-    assert done["stopped after"] < 2.0
+    assert done["stopped after"] < 15.0
     assert done["next"] is False
 
 

@@ -69,9 +69,9 @@ test: $(VENV)/.dev  ## install, lint, type-check and run all tests
 	@$(VENV)/bin/mypy
 	@$(VENV)/bin/python -m pytest -n 2
 
-# Faults are of processes and wires, the same with every version of MuJoCo and Gymnasium.
-test-oldest: $(OLDEST)/.dev  ## the tests again with MuJoCo 3.17 and Gymnasium 1.2.2, without those of faults
-	@$(OLDEST)/bin/python -m pytest -n 2 --ignore tests/faults
+# Faults and controllers are of processes and wires, the same with every version of MuJoCo and Gymnasium.
+test-oldest: $(OLDEST)/.dev  ## the tests again with MuJoCo 3.17 and Gymnasium 1.2.2, without those of faults and controllers
+	@$(OLDEST)/bin/python -m pytest -n 2 --ignore tests/faults --ignore tests/controller
 
 test-dist: $(DIST)/.dev  ## training on Ray RLlib with two workers on this machine
 	@$(DIST)/bin/python -m pytest tests/distributed

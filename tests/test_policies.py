@@ -109,6 +109,16 @@ def test_a_batch_is_its_rows():
             assert np.allclose(single(observations[row][k]), together[k][row], atol=1e-6)
 
 
+def test_it_asks_for_no_more_than_an_action_can():
+    """As after actions that came late: the commands are far behind."""
+    env = gym.make(SINE)
+    observation, _ = env.reset(seed=0)
+    observation[[12, 34 + 15]] += 0.3
+    action = policies.load("scripted", SINE)(observation)
+    assert env.action_space.contains(action)
+    assert action[[0, 9]].tolist() == [-1.0, -1.0]
+
+
 def test_reset_forgets():
     policy = policies.load("scripted", SINE)
     env = gym.make(SINE, cell=CellConfig(perturbation=TYPICAL_PERTURBATION))

@@ -28,7 +28,7 @@ from dual_ur10.policies.rollout import rollout
 from dual_ur10.recording.reader import read_run
 from dual_ur10.sim2real.approach import Approach
 from dual_ur10.sim2real.latch import state_folder
-from tests.faults.lab import Lab, Swing
+from tests.faults.lab import Lab, Swing, derivative
 
 HANDOVER, SINE = "DualUR10/Handover-v0", "DualUR10/SineTracking-v0"
 
@@ -220,7 +220,8 @@ def test_after_a_step_that_failed_an_episode_is_begun_again(lab, monkeypatch):
 def test_a_program_that_stands_still_on_the_way_to_a_start_sends_nothing_over_the_brake(lab, monkeypatch):
     lab.make().reset(seed=0)
     core = lab.env.unwrapped.core
-    cell, first = core.cell, lab.cell.ask("setpoints", arm="left")["count"]
+    cell, memory, tick_s = core.cell, lab.runner.arms[0], core.config.servoj.tick_s
+    first = memory.sent_count
     here = cell.runner.last().reshape(2, 6)
     there = here + np.array([0, 0, 0, 0, 0, 1.0])
     way = Approach([here.reshape(12), there.reshape(12)]).targets(0.008)
@@ -238,8 +239,9 @@ def test_a_program_that_stands_still_on_the_way_to_a_start_sends_nothing_over_th
         cell._go(here, way)
     monkeypatch.undo()
     real(cell.runner.end)
-    sent = np.array([each[1] for each in lab.cell.setpoints("left", first)])
-    assert np.abs(np.diff(sent, n=2, axis=0)).max() < 1e-3
+    sent, _ = memory.sent(first)
+    assert len(sent.period) > 50
+    assert np.abs(derivative(sent, 2, tick_s)).max() < 1e-3 / tick_s**2
 
 
 @pytest.mark.parametrize("spoiled", ["jump", "table", "nan"])

@@ -113,7 +113,8 @@ class SineTrackingPolicy:
             self._model.learn(speed_now, acceleration, measured - now - self._in_force())
             self._expected = ahead
             goal = ahead - self._model.predict(speed_ahead, acceleration)
-        action = goal if self.action_mode == "joint_position" else (goal - commanded) / self._step
+        # After actions that came late on a real cell, what is left to go may be more than an action can ask for.
+        action = goal if self.action_mode == "joint_position" else np.clip((goal - commanded) / self._step, -1.0, 1.0)
         return action.reshape(*observation.shape[:-1], 12).astype(np.float32)
 
     def _continued(self, now: Array, ahead: Array, commanded: Array) -> Array:

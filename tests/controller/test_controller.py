@@ -48,7 +48,7 @@ PROGRAMS = (
     "def broken(:\nend\n",
     program("no_such_function()"),
 )
-BUTTONS = ["play", "pause", "stop", "power_on", "power_off", "release_brakes", "unlock_protective_stop"]
+BUTTONS = ["play", "resume", "pause", "stop", "power_on", "power_off", "release_brakes", "unlock_protective_stop"]
 BUTTONS += ["restart_safety"]
 MODES = st.integers(0, 255) | st.integers(3, 14)
 

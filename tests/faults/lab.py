@@ -158,13 +158,11 @@ class Lab:
         for arm, memory in zip(ARMS, self.runner.arms, strict=True):
             executed = self.executed(arm)
             sent, _ = memory.sent()
-            time_s, level = sent.period * tick_s, sent.target_rad
-            if len(level) < RING // 2:
-                assert {row.tobytes() for row in executed} <= {row.tobytes() for row in level}
+            if len(sent.target_rad) < RING // 2:
+                assert {row.tobytes() for row in executed} <= {row.tobytes() for row in sent.target_rad}
             most = (limits.speed_rad_s, limits.acceleration_rad_s2, limits.jerk_rad_s3)
             for order, (name, limit) in enumerate(zip(("speed", "acceleration", "jerk"), most, strict=True), start=1):
-                level = order * np.diff(level, axis=0) / (time_s[order:] - time_s[:-order])[:, None]
-                used = float((np.abs(level) / limit).max(initial=0.0))
+                used = float((np.abs(derivative(sent, order, tick_s)) / limit).max(initial=0.0))
                 assert used <= 1.0 + 1e-6, f"{arm}: {used:.4f} of the greatest {name}"
 
     def assert_within_hard_limits(self):
@@ -328,6 +326,14 @@ class Lab:
             self.close_env()
         self.latch.clear()
         self.cell.close()
+
+
+def derivative(sent, order, tick_s):
+    """Divided differences of what an arm was sent, (k, 6) in rad and s, whatever periods were left out."""
+    time_s, level = sent.period * tick_s, sent.target_rad
+    for each in range(1, order + 1):
+        level = each * np.diff(level, axis=0) / (time_s[each:] - time_s[:-each])[:, None]
+    return level
 
 
 def _end(process):

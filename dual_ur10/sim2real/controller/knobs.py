@@ -30,7 +30,16 @@ _MOST_LATE_S: Final = 60.0  # of packets and programs: they are kept meanwhile
 _MOST_MODE: Final = 255  # of the safety mode: what the primary interface can tell
 _FARTHEST_M: Final = 10.0
 _MOST_SETPOINTS: Final = 1000  # in one answer, which is not to keep a control period waiting
-_PRESSES: Final = ("play", "pause", "stop", "power_on", "power_off", "release_brakes", "unlock_protective_stop")
+_PRESSES: Final = (
+    "play",
+    "resume",
+    "pause",
+    "stop",
+    "power_on",
+    "power_off",
+    "release_brakes",
+    "unlock_protective_stop",
+)
 
 
 class Cell(Protocol):

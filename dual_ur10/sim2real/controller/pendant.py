@@ -5,9 +5,9 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 
-from dual_ur10.errors import UnknownNameError
+from dual_ur10.errors import OperationRefusedError, UnknownNameError
 from dual_ur10.sim2real.controller.controller import Controller
-from dual_ur10.sim2real.controller.modes import RobotMode
+from dual_ur10.sim2real.controller.modes import RobotMode, RuntimeState
 from dual_ur10.sim2real.controller.script import Program, parse
 
 log = logging.getLogger(__name__)
@@ -102,6 +102,16 @@ class Pendant:
 
     def play(self) -> None:
         """Start the loaded program, or let a paused one go on."""
+        self._controller.play()
+
+    def resume(self) -> None:
+        """Let a paused program go on; unlike `play`, it starts none.
+
+        Raises:
+            OperationRefusedError: The arm may not be moved, or no program is paused.
+        """
+        if self._controller.program.state not in (RuntimeState.PAUSED, RuntimeState.PAUSING):
+            raise OperationRefusedError("no program is paused")
         self._controller.play()
 
     def pause(self) -> None:

@@ -22,6 +22,9 @@ INTERRUPTED = 130
 
 _SAID_S = 30.0  # between lines where there is no terminal to draw a bar in
 
+_OPTIONS = {"env": "ENV", "settings": "--set", "change": "--setting"}
+"""What parameters are called on the command line that are not called so here."""
+
 Envs = Annotated[int | None, typer.Option("--envs", min=1, help="Cells that are stepped together.")]
 Random = Annotated[
     str | None, typer.Option("--randomization", metavar="PRESET", help="What differs from episode to episode.")
@@ -29,6 +32,7 @@ Random = Annotated[
 
 
 def train(
+    context: typer.Context,
     env: Annotated[
         str | None,
         typer.Argument(metavar="ENV", help="An id, such as DualUR10/SineTracking-v0; SineTracking will do."),
@@ -59,8 +63,13 @@ def train(
 
     common: dict[str, Any] = {"threads": threads}
     if resume is not None:
-        if env is not None or out is not None:
-            raise SettingsError("--resume goes on with what was asked: ENV and --out are those of its folder")
+        given = [each for each in context.params if _is_given(context, each)]
+        others = sorted(_OPTIONS.get(each, f"--{each}") for each in given if each not in ("resume", "steps", "threads"))
+        if others:
+            raise SettingsError(
+                f"--resume goes on with what was asked, which is kept in its folder: leave out {', '.join(others)}. "
+                "Only --steps and --threads can be others"
+            )
         run: Callable[..., Path] = trainings.resume
         arguments: dict[str, Any] = {"out": resume, "steps": steps, **common}
         where = resume
@@ -147,8 +156,11 @@ def collect(
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as shown:
         bar = shown.add_task("running", total=episodes)
+        well = 0
 
         def show(done: int, successes: int) -> None:
+            nonlocal well
+            well = successes
             shown.update(bar, completed=done, description=f"{successes} of {done} well")
 
         made = run(
@@ -165,11 +177,16 @@ def collect(
             on_progress=show,
         )
     console.print(
-        f"{escape(name)}: {made.total_episodes} episodes, {made.total_steps} steps; "
+        f"{escape(name)}: {made.total_episodes} episodes, {well} of them well, {made.total_steps} steps; "
         f"minari.load_dataset({escape(repr(name))})",
         highlight=False,
         soft_wrap=True,
     )
+
+
+def _is_given(context: typer.Context, name: str) -> bool:
+    source = context.get_parameter_source(name)
+    return source is not None and source.name != "DEFAULT"
 
 
 def _changes(texts: list[str] | None) -> dict[str, Any]:

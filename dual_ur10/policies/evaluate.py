@@ -94,7 +94,7 @@ def evaluate(
         raise UnknownNameError("policy", policy, NAMES)
     env = _make(env_id, min(num_envs, episodes), keywords)
     try:
-        actor = _actor(policy, env_id, keywords, env)
+        actor = actor_of(policy, env_id, keywords, env)
         core = env.unwrapped.core
         bound = _bound(core, max_steps)
 
@@ -286,7 +286,19 @@ def _make(env_id: str, num_envs: int, keywords: Mapping[str, Any]) -> Any:
         raise SettingsError(f"a keyword of {env_id} has the wrong type: {reason}") from error
 
 
-def _actor(policy: Policy | str, env_id: str, keywords: Mapping[str, Any], env: Any) -> Policy:
+def actor_of(policy: Policy | str, env_id: str, keywords: Mapping[str, Any], env: Any) -> Policy:
+    """What acts in a vector environment.
+
+    Args:
+        policy: It, or one of `NAMES`, or the folder of a checkpoint.
+        env_id: Id of the environment.
+        keywords: Of it.
+        env: The vector environment.
+
+    Raises:
+        UnknownNameError: No such policy.
+        CheckpointError: The checkpoint cannot be read, or was made for another environment.
+    """
     if not isinstance(policy, str):
         return policy
     if policy == "random":

@@ -8,15 +8,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10 import policies
 from dual_ur10.envs.names import env_id_of, task_name
 from dual_ur10.envs.vector_env import DualArmVectorEnv
 from dual_ur10.errors import DatasetError, DualUR10Error, MissingExtraError
-from dual_ur10.policies.evaluate import EpisodeAware
+from dual_ur10.policies.evaluate import EpisodeAware, actor_of
 from dual_ur10.policies.minari_export import to_minari
 from dual_ur10.policies.target import Described, described
 from dual_ur10.recording.describe import describe
 from dual_ur10.recording.run import ArmLog, Episode, Run
+from dual_ur10.training.settings import check_simulated
 from dual_ur10.ur10 import ARMS
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ def collect(
     Args:
         env_id: Of the environment, or its short name.
         dataset_id: As Minari wants it, such as "ur10/carry/scripted-v0"; it must not exist.
-        policy: Its name, or the folder of a checkpoint.
+        policy: One of `dual_ur10.policies.evaluate.NAMES`, or the folder of a checkpoint.
         episodes: How many.
         seed: Of the first one; the others count on.
         envs: Cells that are stepped together.
@@ -72,12 +72,12 @@ def collect(
         minari.dataset.minari_dataset.parse_dataset_id(dataset_id)
     except ValueError as error:
         raise DatasetError(f"{dataset_id!r:.80} is no name of a dataset: {error}") from None
-    actor = policies.load(policy, env_id, **keywords)
+    check_simulated(keywords, "collecting", "record a rollout with --cell, and make it a dataset with `to_minari`")
     env = DualArmVectorEnv(
         min(envs, episodes), task_name(env_id), autoreset_mode="Disabled", threads=threads, **keywords
     )
     try:
-        core = env.core
+        actor, core = actor_of(policy, env_id, keywords, env), env.core
         header = describe(
             env_id,
             keywords,
@@ -168,7 +168,7 @@ def _episode(own: dict[str, list[Any]], seed: int, number: int, success: bool, e
 
 
 def read_dataset(dataset_id: str, place: Described) -> tuple[Single, Single]:
-    """Observations, (k, O), and actions, (k, A), of the successful episodes of a dataset; of all, if none says so.
+    """Observations, (k, O), and actions, (k, A), of the successful episodes of a dataset; of all, if none says.
 
     Args:
         dataset_id: Of Minari, on this machine.
@@ -186,13 +186,9 @@ def read_dataset(dataset_id: str, place: Described) -> tuple[Single, Single]:
         raise DatasetError(f"the dataset {dataset_id!r:.120} cannot be read: {error!s:.200}") from error
     _check(dataset_id, spec, place)
     size = place.target.observation.shape[0] // 2
-    told = [
-        str(each.get("success", "unknown")) for each in dataset.storage.get_episode_metadata(dataset.episode_indices)
-    ]
-    chosen = [int(k) for k, text in zip(dataset.episode_indices, told, strict=True) if text == "true"]
     observations, actions = [], []
     try:
-        for episode in dataset.iterate_episodes(chosen or list(dataset.episode_indices)):
+        for episode in dataset.iterate_episodes(_chosen(dataset_id, dataset)):
             arms = np.stack([episode.observations[arm] for arm in ARMS], axis=1)[:-1]
             # Each agent's numbers begin with its half of what both observe.
             joint = arms[..., :size].reshape(len(arms), -1)
@@ -212,6 +208,20 @@ def read_dataset(dataset_id: str, place: Described) -> tuple[Single, Single]:
     ):
         raise DatasetError(f"{dataset_id} has actions of another size, or numbers that are not finite")
     return observation, action
+
+
+def _chosen(dataset_id: str, dataset: Any) -> list[int]:
+    """Episodes that succeeded; all, where none says whether it did.
+
+    Raises:
+        DatasetError: They say, and none did.
+    """
+    every = [int(each) for each in dataset.episode_indices]
+    told = [str(each.get("success", "unknown")) for each in dataset.storage.get_episode_metadata(every)]
+    chosen = [each for each, text in zip(every, told, strict=True) if text == "true"]
+    if chosen or all(text == "unknown" for text in told):
+        return chosen or every
+    raise DatasetError(f"{dataset_id} has {len(every)} episodes, of which none succeeded: there is nothing to learn")
 
 
 def _check(dataset_id: str, spec: Any, place: Described) -> None:

@@ -84,8 +84,10 @@ class TrainingFolder:
         return made
 
     @classmethod
-    def resume(cls, path: str | os.PathLike[str], steps: int | None = None) -> tuple[TrainingFolder, Tensors, Any]:
-        """That of a training which was interrupted, with the tensors and values of its state.
+    def resume(
+        cls, path: str | os.PathLike[str], steps: int | None = None
+    ) -> tuple[TrainingFolder, tuple[Tensors, dict[str, Any]] | None]:
+        """That of a training which was interrupted, with the tensors and values of its state; None: it has none yet.
 
         Args:
             path: The folder.
@@ -97,6 +99,9 @@ class TrainingFolder:
         folder = Path(os.path.abspath(path))
         training = _training_of(folder / _ASKED)
         made = cls(folder, training if steps is None else dataclasses.replace(training, steps=steps))
+        if not state.exists(folder / "state"):
+            made._write_down()
+            return made, None
         tensors, values = state.load(folder / "state")
         try:
             made.checks = [Check(**each) for each in values.pop("checks")]
@@ -108,7 +113,7 @@ class TrainingFolder:
             raise TrainingError(f"the state in {folder} is not of this version: {error!s:.200}") from error
         if steps is not None:
             made._write_down()
-        return made, tensors, values
+        return made, (tensors, values)
 
     def _write_down(self) -> None:
         try:
@@ -152,6 +157,11 @@ class TrainingFolder:
                 (self.path / "progress.csv").rename(kept)
             self._logger = configure(str(self.path), formats)
         return self._logger
+
+    def log(self, steps: int) -> None:
+        """Write down what was recorded since, at so many steps of the environment."""
+        self.logger.record("time/steps", steps, exclude="tensorboard")  # which has them as its axis
+        self.logger.dump(steps)
 
     def close(self) -> None:
         """Close the logs."""
@@ -211,7 +221,7 @@ class TrainingFolder:
         for name in ("mean_return", "success_rate"):
             logger.record(f"check/{name}", getattr(check, name))
         logger.record("time/seconds", check.seconds)
-        logger.dump(check.steps)
+        self.log(check.steps)
 
     def save(self, name: str, networks: Networks, manifest: Manifest) -> Path:
         """Write a checkpoint; with a number behind its name where there is one already.

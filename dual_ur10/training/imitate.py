@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from dual_ur10.envs.names import task_name
 from dual_ur10.envs.vector_env import DualArmVectorEnv
 from dual_ur10.errors import SettingsError, TrainingError
-from dual_ur10.policies import checkpoint
 from dual_ur10.policies.learned import LearnedPolicy
 from dual_ur10.policies.manifest import Manifest
 from dual_ur10.policies.target import Described, described
@@ -27,8 +26,10 @@ from dual_ur10.training.expert import Expert
 from dual_ur10.training.fit import Fit, reproducible
 from dual_ur10.training.folder import TrainingFolder
 from dual_ur10.training.gather import gather
+from dual_ur10.training.given import beginning
 from dual_ur10.training.progress import OnProgress, Progress
 from dual_ur10.training.settings import Imitation
+from dual_ur10.training.time_left import TimeLeft
 
 Single = NDArray[np.float32]
 
@@ -65,10 +66,14 @@ class Imitator:
         self._told, self._shown_s = on_progress, 0.0
         self._progress = Progress(0, self._asked.steps)
         self._rounds, self._longest = 0, 1
+        self._time_left = TimeLeft()
         self._samples: list[tuple[Single, Single]] = []
         if values is not None:
-            self._rounds, self._progress.steps = int(values["rounds"]), int(values["steps"])
-            self._longest = int(values["longest"])
+            try:
+                self._rounds, self._longest, steps = (int(values[name]) for name in ("rounds", "longest", "steps"))
+            except (KeyError, TypeError, ValueError) as error:
+                raise TrainingError(f"the state in {folder.path} cannot be read: {error!s:.200}") from error
+            self._progress.steps = steps
             self._samples = [self._load_samples(k) for k in range(self._rounds)]
 
     def run(self) -> Path:
@@ -82,10 +87,9 @@ class Imitator:
         begun = time.monotonic() - self._folder.seconds
         if self._asked.dataset and not self._samples:
             self._add(read_dataset(self._asked.dataset, self._place), begun)
-            self._progress.steps = self._asked.steps
         env = None
         try:
-            while self._progress.steps < self._asked.steps:
+            while not self._has_all:
                 if env is None:
                     env = DualArmVectorEnv(
                         self._asked.envs,
@@ -101,6 +105,13 @@ class Imitator:
         self._fit(self._rounds, begun)
         return self._folder.finish()
 
+    @property
+    def _has_all(self) -> bool:
+        """Whether there is nothing more to gather. Cloning from a dataset asks no expert."""
+        if self._asked.algorithm == "bc" and self._asked.dataset:
+            return True
+        return self._progress.steps >= self._asked.steps
+
     def _round(self, env: Any, begun: float) -> None:
         number, asked = self._rounds, self._asked
         learner, share = None, 1.0
@@ -113,8 +124,10 @@ class Imitator:
 
         def on_step(steps: int) -> None:
             self._progress.steps = before + steps
-            self._progress.rate = steps / max(1e-9, time.monotonic() - start)
-            self._tell("gathering", begun)
+            took_s = time.monotonic() - start
+            self._progress.rate = steps / max(1e-9, took_s)
+            self._time_left.gathered(steps, took_s)
+            self._tell("gathering")
 
         first = seeds.episodes_of(asked.seed) + number * asked.envs
         found = gather(
@@ -166,6 +179,7 @@ class Imitator:
         what it is for.
         """
         asked, steps = self._asked, self._settings.fit_steps
+        self._time_left.fit_begins()
         observation, action = (np.concatenate(each) for each in zip(*self._samples, strict=True))
         parts = self._split(observation, action)
         with reproducible(_seed_of(asked.seed, number)):
@@ -180,11 +194,12 @@ class Imitator:
                 loss = fit(*part, steps, rng, on_step)
                 self._folder.logger.record(f"fit/loss{k or ''}", loss)
         self._folder.logger.record("fit/samples", len(observation))
-        self._folder.logger.dump(self._progress.steps)
+        self._folder.log(self._progress.steps)
         networks = [fit.layers() for fit in fits]
         self._tell("looking")
         seconds = time.monotonic() - begun
         self._folder.consider(networks, lambda found: self._manifest(fits, found), self._progress.steps, seconds)
+        self._time_left.fit_ends()
         return self._folder.policy_of(networks, self._manifest(fits))
 
     def _split(self, observation: Single, action: Single) -> list[tuple[Single, Single]]:
@@ -207,22 +222,16 @@ class Imitator:
         found = sorted({number % own for number in self._settings.unseen})
         return [arm * own + number for arm in range(arms) for number in found]
 
+    @property
+    def _count(self) -> int:
+        return sum(len(observation) for observation, _ in self._samples)
+
     def _given(self, count: int) -> list[tuple[Any, Any]]:
         """Layers and normaliser to begin with, for each network."""
         if not self._asked.init:
             return [(None, None)] * count
-        policy = checkpoint.load(self._asked.init, self._asked.env_id, **self._asked.keywords)
-        manifest = policy.manifest
-        wanted = (self._asked.agents, self._settings.hidden, self._settings.activation, "clip")
-        found = (
-            manifest.agents,
-            manifest.network.layers[1:-1],
-            manifest.network.activation,
-            manifest.network.squashing,
-        )
-        if found != wanted:
-            raise TrainingError(f"{self._asked.init} has a network {found}, this training makes {wanted}")
-        normalisers = manifest.normalisers or (None,) * count
+        policy = beginning(self._asked, self._place)
+        normalisers = policy.manifest.normalisers or (None,) * count
         return list(zip(policy.layers, normalisers, strict=True))
 
     def _manifest(self, fits: list[Fit], evaluation: dict[str, object] | None = None) -> Manifest:
@@ -231,19 +240,21 @@ class Imitator:
             agents=self._asked.agents,  # type: ignore[arg-type]  # checked
             network=fits[0].shape(),
             normalisers=tuple(fit.normaliser for fit in fits if fit.normaliser is not None),
-            training={**self._folder.described(), "steps": self._progress.steps},
+            training={**self._folder.described(), "steps": self._progress.steps, "samples": self._count},
             seed=self._asked.seed,
             evaluation=evaluation,
         )
 
-    def _tell(self, doing: str, begun: float | None = None) -> None:
+    def _tell(self, doing: str) -> None:
         now = time.monotonic()
         if now - self._shown_s < _SHOWN_S:
             return
         self._shown_s, self._progress.doing = now, doing
-        if begun is not None and self._progress.steps:
-            left = self._asked.steps - self._progress.steps
-            self._progress.seconds_left = max(0.0, left * (now - begun) / self._progress.steps)
+        done, asked = self._progress.steps, self._asked
+        rounds = self._rounds - bool(asked.dataset)
+        if rounds > 0:
+            left, refits = max(0, asked.steps - done), asked.algorithm == "dagger"
+            self._progress.seconds_left = self._time_left(left, done / rounds, refits=refits)
         self._told(self._progress)
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from dual_ur10.errors import MissingExtraError, TrainingError
 from dual_ur10.policies.learned import LearnedPolicy
-from dual_ur10.policies.network import Layer, Normaliser
 from dual_ur10.training.settings import Reinforcement
 from dual_ur10.training.state import Tensors
 
@@ -64,42 +63,20 @@ def make(algorithm: str, env: VecEnv, settings: Reinforcement, seed: int) -> tup
 
 
 def begin_with(models: list[tuple[Any, VecNormalize]], policy: LearnedPolicy) -> None:
-    """Begin with the networks of a checkpoint: what acts, not what judges.
-
-    Raises:
-        TrainingError: Its networks are others.
-    """
-    networks = list(policy.layers)
-    normalisers = policy.manifest.normalisers or (None,) * len(networks)
-    if len(networks) != len(models):
-        raise TrainingError(
-            f"the checkpoint has {len(networks)} networks for {len(models)} models: agents must be equal"
-        )
-    for (model, around), layers, normaliser in zip(models, networks, normalisers, strict=True):
-        _begin_with(model, around, layers, normaliser, policy.manifest.network.activation)
-
-
-def _begin_with(model: Any, around: VecNormalize, layers: Any, normaliser: Normaliser | None, activation: str) -> None:
-    if not isinstance(model, PPO):
-        raise TrainingError("only PPO can begin with a checkpoint: SAC's network has another form")
-    modules: list[Any] = [each for each in model.policy.mlp_extractor.policy_net if isinstance(each, torch.nn.Linear)]
-    modules.append(model.policy.action_net)
-    given: list[Layer] = list(layers)
-    if activation != "tanh" or [tuple(each.weight.shape) for each in modules] != [w.shape for w, _ in given]:
-        raise TrainingError(
-            f"the checkpoint has {activation} layers of {[w.shape for w, _ in given]}, this training has tanh layers "
-            f"of {[tuple(each.weight.shape) for each in modules]}"
-        )
-    with torch.no_grad():
-        for module, (weight, bias) in zip(modules, given, strict=True):
-            module.weight.copy_(torch.from_numpy(np.array(weight)))
-            module.bias.copy_(torch.from_numpy(np.array(bias)))
-    if normaliser is None:
-        around.norm_obs = False
-        return
-    rms: Any = around.obs_rms
-    rms.mean, rms.var, rms.count = np.array(normaliser.mean), np.array(normaliser.var), _SURE
-    around.clip_obs, around.epsilon = normaliser.clip, normaliser.epsilon
+    """Begin PPO's models with the networks of a checkpoint, which are alike: what acts, not what judges."""
+    normalisers = policy.manifest.normalisers or (None,) * len(models)
+    for (model, around), layers, normaliser in zip(models, policy.layers, normalisers, strict=True):
+        modules = [each for each in model.policy.mlp_extractor.policy_net if isinstance(each, torch.nn.Linear)]
+        with torch.no_grad():
+            for module, (weight, bias) in zip([*modules, model.policy.action_net], layers, strict=True):
+                module.weight.copy_(torch.from_numpy(np.array(weight)))
+                module.bias.copy_(torch.from_numpy(np.array(bias)))
+        if normaliser is None:
+            around.norm_obs = False
+            continue
+        rms: Any = around.obs_rms
+        rms.mean, rms.var, rms.count = np.array(normaliser.mean), np.array(normaliser.var), _SURE
+        around.clip_obs, around.epsilon = normaliser.clip, normaliser.epsilon
 
 
 def tensors_of(model: Any, around: VecNormalize, prefix: str) -> Tensors:
@@ -114,6 +91,8 @@ def tensors_of(model: Any, around: VecNormalize, prefix: str) -> Tensors:
         value = getattr(model, name)
         if isinstance(value, torch.Tensor):
             result[f"{prefix}variable.{name}"] = np.array(value.detach().numpy())
+    around_as: Any = (around.norm_obs, around.clip_obs, around.epsilon)  # `begin_with` sets them
+    result[f"{prefix}normaliser"] = np.array(around_as, dtype=np.float64)
     rms: Any
     for name, rms in (("obs", around.obs_rms), ("ret", around.ret_rms)):
         for part in ("mean", "var", "count"):
@@ -137,6 +116,8 @@ def restore(model: Any, around: VecNormalize, prefix: str, tensors: Tensors) -> 
             if isinstance(value, torch.Tensor):
                 with torch.no_grad():
                     value.copy_(torch.from_numpy(tensors[f"{prefix}variable.{name}"]))
+        seen, clip, epsilon = tensors[f"{prefix}normaliser"].tolist()
+        around.norm_obs, around.clip_obs, around.epsilon = bool(seen), clip, epsilon
         rms: Any
         for name, rms in (("obs", around.obs_rms), ("ret", around.ret_rms)):
             for part in ("mean", "var", "count"):

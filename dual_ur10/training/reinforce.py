@@ -12,12 +12,13 @@ import numpy as np
 from dual_ur10.envs.names import task_name
 from dual_ur10.envs.sb3_bridge import CellsVecEnv, JointVecEnv, TwoAgentVecEnv
 from dual_ur10.errors import MissingExtraError, TrainingError
-from dual_ur10.policies import checkpoint
 from dual_ur10.policies.from_sb3 import converted
 from dual_ur10.policies.manifest import Manifest
+from dual_ur10.policies.target import described
 from dual_ur10.training import models, seeds
 from dual_ur10.training.fit import reproducible
 from dual_ur10.training.folder import TrainingFolder
+from dual_ur10.training.given import beginning
 from dual_ur10.training.progress import OnProgress, Progress
 from dual_ur10.training.settings import Reinforcement
 from dual_ur10.training.state import Tensors
@@ -55,7 +56,10 @@ class Reinforcer:
             raise TrainingError(f"{self._asked.algorithm} is no reinforcement learning")
         self._settings: Reinforcement = self._asked.settings
         self._state, self._told = state, on_progress
-        self.steps = 0 if state is None else int(state[1]["steps"])
+        try:
+            self.steps = 0 if state is None else int(state[1]["steps"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise TrainingError(f"the state in {folder.path} cannot be read: {error!s:.200}") from error
         self._models: list[tuple[Any, Any]] = []
         self._begun = time.monotonic() - folder.seconds
         self._first_steps, self._first_s = self.steps, time.monotonic()
@@ -94,7 +98,7 @@ class Reinforcer:
             for k, (model, around) in enumerate(self._models):
                 models.restore(model, around, f"{k}.", self._state[0])
         elif asked.init:
-            models.begin_with(self._models, checkpoint.load(asked.init, asked.env_id, **asked.keywords))
+            models.begin_with(self._models, beginning(asked, described(asked.env_id, asked.keywords)))
         for k, (model, _) in enumerate(self._models):
             model.set_logger(self._folder.logger if k == 0 else _silent())
         per_step = 1 if asked.agents == "joint" or turns is not None else 2
@@ -112,14 +116,29 @@ class Reinforcer:
         except KeyboardInterrupt:
             self.save()
             raise
+        except ValueError as error:  # of torch, to which numbers that are not finite are no distribution
+            if self._finite:
+                raise
+            raise TrainingError(
+                f"it diverged after {self.steps} steps: what was saved before is as it was. Try a smaller "
+                f"learning_rate, found {self._settings.learning_rate:g}"
+            ) from error
         self.save()
 
     def save(self) -> None:
         """Keep what is needed to go on."""
-        tensors: Tensors = {}
+        self._folder.save_state(self._tensors, {"steps": self.steps}, time.monotonic() - self._begun)
+
+    @property
+    def _tensors(self) -> Tensors:
+        found: Tensors = {}
         for k, (model, around) in enumerate(self._models):
-            tensors.update(models.tensors_of(model, around, f"{k}."))
-        self._folder.save_state(tensors, {"steps": self.steps}, time.monotonic() - self._begun)
+            found.update(models.tensors_of(model, around, f"{k}."))
+        return found
+
+    @property
+    def _finite(self) -> bool:
+        return all(bool(np.isfinite(each).all()) for each in self._tensors.values())
 
     def _next_look(self) -> int:
         return self.steps + max(1, self._asked.steps // _LOOKS)

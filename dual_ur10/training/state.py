@@ -54,16 +54,25 @@ def save(folder: Path, tensors: Mapping[str, NDArray[Any]], values: Mapping[str,
     shutil.rmtree(old, ignore_errors=True)
 
 
+def exists(folder: Path) -> bool:
+    """Whether there is a state that was saved."""
+    return any(each.is_dir() for each in _places(folder))
+
+
 def load(folder: Path) -> tuple[Tensors, dict[str, Any]]:
     """The last state that was saved.
 
     Raises:
         TrainingError: There is none, or it cannot be read.
     """
-    for each in (folder, folder.with_name(folder.name + ".old")):
+    for each in _places(folder):
         if each.is_dir():
             return _read(each)
     raise TrainingError(f"{folder} does not exist: nothing was saved that could be gone on with")
+
+
+def _places(folder: Path) -> tuple[Path, Path]:
+    return folder, folder.with_name(folder.name + ".old")
 
 
 def save_tensors(path: Path, tensors: Mapping[str, NDArray[Any]]) -> None:

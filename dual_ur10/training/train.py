@@ -10,6 +10,7 @@ from typing import Any
 
 from dual_ur10.errors import DualUR10Error, TrainingError
 from dual_ur10.training.folder import TrainingFolder
+from dual_ur10.training.given import check_given
 from dual_ur10.training.progress import OnProgress
 from dual_ur10.training.settings import Training
 from dual_ur10.training.state import Tensors
@@ -40,10 +41,12 @@ def train(
     Raises:
         TrainingError: The folder is not empty, or something cannot be saved; what was saved before is as it was.
         DatasetError: The dataset cannot be read or is of another environment.
+        CheckpointError: So is the checkpoint to begin with.
         MissingExtraError: Stable-Baselines3 is not installed.
         KeyboardInterrupt: It was interrupted. `resume` goes on.
     """
     _needs(training)
+    check_given(training)
     return _run(TrainingFolder.create(out, training), None, on_progress, threads)
 
 
@@ -55,6 +58,8 @@ def resume(
     threads: int | None = None,
 ) -> Path:
     """Go on with a training that was interrupted, or with more steps than it had.
+
+    One that had saved nothing yet begins. What comes of it is a checkpoint of its own: `policy-2` beside a `policy`.
 
     Args:
         out: Its folder.
@@ -68,8 +73,9 @@ def resume(
     Raises:
         TrainingError: There is no such training, or its files cannot be read.
     """
-    folder, tensors, values = TrainingFolder.resume(out, steps)
-    return _run(folder, (tensors, values), on_progress, threads)
+    folder, state = TrainingFolder.resume(out, steps)
+    _needs(folder.training)
+    return _run(folder, state, on_progress, threads)
 
 
 def _needs(training: Training) -> None:

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from dual_ur10 import policies
-from dual_ur10.errors import DatasetError
+from dual_ur10.errors import DatasetError, SettingsError
 from dual_ur10.policies.evaluate import evaluate
 from dual_ur10.policies.target import described
+from dual_ur10.sim2real.cell_file import starting_text
 from dual_ur10.training.dataset import collect, read_dataset
 
 minari = pytest.importorskip("minari")
+h5py = pytest.importorskip("h5py")
 
 SINE = "DualUR10/SineTracking-v0"
 KEYWORDS = {"duration_s": 2.0, "action_latency_ticks": 5, "randomization": "mild"}
@@ -70,6 +72,48 @@ def test_only_what_went_well_is_learned_from():
     np.testing.assert_array_equal(half, whole[50:])
 
 
+def test_nothing_is_learned_where_nothing_went_well():
+    made(episodes=2)
+    storage = minari.load_dataset("ur10/sine/scripted-v0").storage
+    place = described(SINE, KEYWORDS)
+    storage.update_episode_metadata([{"success": "false"}] * 2, [0, 1])
+    with pytest.raises(DatasetError, match="2 episodes, of which none succeeded"):
+        read_dataset("ur10/sine/scripted-v0", place)
+    storage.update_episode_metadata([{"success": "unknown"}] * 2, [0, 1])
+    assert len(read_dataset("ur10/sine/scripted-v0", place)[0]) == 100
+
+
+def test_a_damaged_one_is_named(tmp_path):
+    made(episodes=2)
+    path = minari.load_dataset("ur10/sine/scripted-v0").storage.data_path / "main_data.hdf5"
+    place, whole = described(SINE, KEYWORDS), path.read_bytes()
+    with h5py.File(path, "a") as file:
+        del file["episode_1"]
+    with pytest.raises(DatasetError, match=r"ur10/sine/scripted-v0 .*cannot be read"):
+        read_dataset("ur10/sine/scripted-v0", place)
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(DatasetError, match=r"ur10/sine/scripted-v0.* cannot be read"):
+        read_dataset("ur10/sine/scripted-v0", place)
+
+
+@pytest.mark.parametrize("policy", ["zero", "random"])
+def test_every_named_policy_can_be_collected_from(policy):
+    dataset = made(policy=policy, episodes=2)
+    actions = next(iter(dataset.iterate_episodes())).actions["left"]
+    assert actions.any() == (policy == "random")
+
+
+@pytest.mark.parametrize(
+    ("keywords", "match"),
+    [({"observation": "pixels"}, "observation='state' alone"), ({"cell": "lab.toml"}, "two controllers.*to_minari")],
+)
+def test_only_states_in_simulation_are_collected(tmp_path, monkeypatch, keywords, match):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lab.toml").write_text(starting_text("emulated", None, None, "cb3", None, "lab.toml"))
+    with pytest.raises(SettingsError, match=match):
+        made(env_kwargs=keywords)
+
+
 @pytest.mark.parametrize(
     ("other", "match"),
     [
@@ -118,20 +162,57 @@ def test_one_that_does_not_say_what_it_is_of_is_refused():
             read_dataset("ur10/sine/scripted-v0", described(SINE, KEYWORDS))
 
 
-def test_cloning_learns_from_one(tmp_path):
+def test_cloning_learns_from_one_and_from_nothing_else(tmp_path, monkeypatch):
     pytest.importorskip("stable_baselines3")
     from dual_ur10.policies import checkpoint
     from dual_ur10.training import imitate
-    from dual_ur10.training.train import train
+    from dual_ur10.training.train import resume, train
     from tests.training.small import small
 
     made(episodes=4)
     asked = small("bc", dataset="ur10/sine/scripted-v0")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(imitate, "gather", lambda *_, **__: pytest.fail("it asked the expert"))
-        path = train(asked, tmp_path / "out")
+    monkeypatch.setattr(imitate, "gather", lambda *_, **__: pytest.fail("it asked the expert"))
+    path = train(asked, tmp_path / "out")
     manifest = checkpoint.read_manifest(path)
     assert manifest.training["from_dataset"] is True
+    assert (manifest.training["steps"], manifest.training["samples"]) == (0, 200)
     assert "ur10/sine" not in (path / "manifest.json").read_text()
+
+    with monkeypatch.context() as patch:
+        patch.setattr(imitate, "Fit", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            train(asked, tmp_path / "interrupted")
+    for out in ("interrupted", "out"):
+        again = checkpoint.read_manifest(resume(tmp_path / out))
+        assert again.weights_sha256 == manifest.weights_sha256
+
+
+def test_dagger_begins_with_one(tmp_path):
+    pytest.importorskip("stable_baselines3")
+    from dual_ur10.policies import checkpoint
+    from dual_ur10.training.train import train
+    from tests.training.small import STEPS, small
+
+    made(episodes=4)
+    path = train(small("dagger", rounds=2, dataset="ur10/sine/scripted-v0"), tmp_path / "out")
+    assert len(list(path.parent.glob("samples-*"))) == 3
+    looked = [checkpoint.read_manifest(each).training for each in path.parent.glob("steps-*")]
+    assert {(each["steps"], each["samples"]) for each in looked} <= {
+        (0, 200),
+        (2 * STEPS, 200 + 2 * STEPS),
+        (4 * STEPS, 200 + 4 * STEPS),
+    }
+    assert any(each["steps"] == 0 for each in looked)  # a pupil drives from the beginning
+
+
+def test_one_that_does_not_fit_is_refused_before_anything_is_made(tmp_path):
+    pytest.importorskip("stable_baselines3")
+    from dual_ur10.training.train import train
+    from tests.training.small import small
+
+    made(episodes=1)
     with pytest.raises(DatasetError, match="with rate"):
         train(small("bc", dataset="ur10/sine/scripted-v0", keywords={"action_latency_ticks": 0}), tmp_path / "b")
+    with pytest.raises(DatasetError, match="cannot be read"):
+        train(small("dagger", dataset="no/such-v0"), tmp_path / "b")
+    assert not (tmp_path / "b").exists()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import errno
 import json
 import os
+import shutil
 
 import gymnasium as gym
 import numpy as np
@@ -43,7 +45,9 @@ def test_its_folder_has_all_that_it_says(whole):
     assert kept
     assert names == {"training.json", "state", "policy", "curve.png", "progress.csv", "events", *samples, *kept}
     assert (folder / "curve.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
-    assert "check/success_rate" in (folder / "progress.csv").read_text()
+    table = list(csv.DictReader((folder / "progress.csv").read_text().splitlines()))
+    assert [int(each["time/steps"]) for each in table] == [100, 100, 200, 200, 300, 300]  # a fit and a look each
+    assert table[1]["check/success_rate"]
     assert json.loads((folder / "training.json").read_text())["algorithm"] == "dagger"
 
 
@@ -98,11 +102,17 @@ def test_one_that_was_interrupted_comes_to_the_same(whole, tmp_path, monkeypatch
         train(small(rounds=3), tmp_path / "out")
     monkeypatch.undo()
     assert not (tmp_path / "out" / "policy").exists()
-    if at == 0:
-        with pytest.raises(TrainingError, match="nothing was saved"):
-            resume(tmp_path / "out")
-        return
     assert sha_of(resume(tmp_path / "out")) == sha_of(whole)
+
+
+@pytest.mark.parametrize("name", ["rounds", "longest", "steps"])
+@pytest.mark.parametrize("value", ["x", None, []])
+def test_a_state_that_cannot_be_is_named(whole, tmp_path, name, value):
+    copied = shutil.copytree(whole.parent, tmp_path / "out")
+    path = copied / "state" / "values.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), name: value}))
+    with pytest.raises(TrainingError, match=r"the state in .* cannot be read"):
+        resume(copied)
 
 
 def test_more_steps_can_be_asked_for(tmp_path):
@@ -167,7 +177,7 @@ def test_a_checkpoint_can_be_begun_with(whole, tmp_path):
         np.testing.assert_allclose(a, c, rtol=1e-4, atol=1e-5)
         np.testing.assert_allclose(b, d, rtol=1e-4, atol=1e-5)
     assert checkpoint.read_manifest(tmp_path / "out" / "policy").training["from_checkpoint"] is True
-    with pytest.raises(TrainingError, match="has a network"):
+    with pytest.raises(TrainingError, match="both must be the same"):
         train(small("bc", rounds=1, init=str(whole), changes={"hidden": (8,)}), tmp_path / "wrong")
 
 

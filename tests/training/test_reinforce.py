@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ pytest.importorskip("stable_baselines3")
 
 from dual_ur10 import policies
 from dual_ur10.envs.sb3_bridge import JointVecEnv
-from dual_ur10.errors import TrainingError
+from dual_ur10.errors import SettingsError, TrainingError
 from dual_ur10.policies import checkpoint
 from dual_ur10.training import folder, models, reinforce, state
 from dual_ur10.training.train import resume, train
@@ -106,16 +108,57 @@ def test_ppo_begins_with_what_dagger_has_learned(tmp_path):
 @pytest.mark.parametrize(
     ("algorithm", "agents", "hidden", "match"),
     [
-        ("ppo", "joint", (8,), "layers of"),
-        ("ppo", "independent", (16,), "networks for 2 models"),
-        ("sac", "joint", (16,), "only PPO"),
+        ("ppo", "joint", (8,), "68 - 16 - 12 tanh clip; this training makes joint, 68 - 8 - 12"),
+        ("ppo", "independent", (16,), "is joint.* makes independent, 41 - 16 - 6"),
+        ("dagger", "joint", (8,), "makes joint, 68 - 8 - 12"),
+        ("sac", "joint", (16,), "use ppo"),
     ],
 )
-def test_a_checkpoint_that_does_not_fit_is_refused(tmp_path, algorithm, agents, hidden, match):
+def test_a_checkpoint_that_does_not_fit_is_refused_before_anything_is_made(tmp_path, algorithm, agents, hidden, match):
     teacher = train(small("bc", rounds=1), tmp_path / "bc")
-    asked = small(algorithm, agents, init=str(teacher), steps=32, changes={"hidden": hidden})
-    with pytest.raises(TrainingError, match=match):
-        train(asked, tmp_path / "out")
+    with pytest.raises((TrainingError, SettingsError), match=match):
+        train(
+            small(algorithm, agents, init=str(teacher), steps=32, changes={"hidden": hidden}),
+            tmp_path / "out",
+        )
+    assert not (tmp_path / "out").exists()
+
+
+def test_one_that_began_without_a_normaliser_goes_on_without(tmp_path):
+    teacher = train(small("bc", rounds=1), tmp_path / "bc")
+    learned = checkpoint.load(teacher)
+    checkpoint.save(tmp_path / "bare", learned.layers, dataclasses.replace(learned.manifest, normalisers=()))
+    asked = small("ppo", init=str(tmp_path / "bare"), steps=32)
+    path = train(asked, tmp_path / "out")
+    assert checkpoint.read_manifest(path).normalisers == ()
+    model, around = models.make("ppo", JointVecEnv("SineTracking", 2, **asked.keywords), asked.settings, 0)
+    assert around.norm_obs
+    models.restore(model, around, "0.", state.load(tmp_path / "out" / "state")[0])
+    assert around.norm_obs is False
+    around.close()
+
+
+def test_one_that_diverges_is_told(tmp_path, monkeypatch):
+    real = reinforce.Reinforcer.watch
+
+    def spoiled(self, infos, steps):
+        real(self, infos, steps)
+        if steps >= 40:
+            for each in self._models[0][0].policy.parameters():
+                each.data.fill_(float("nan"))
+
+    monkeypatch.setattr(reinforce.Reinforcer, "watch", spoiled)
+    with pytest.raises(TrainingError, match=r"diverged after \d+ steps.* smaller learning_rate, found 0.0003"):
+        train(small("ppo", steps=128), tmp_path / "out")
+
+
+def test_an_error_that_is_no_divergence_is_told_as_it_is(tmp_path, monkeypatch):
+    def broken(self, infos, steps):
+        raise ValueError("something else")
+
+    monkeypatch.setattr(reinforce.Reinforcer, "watch", broken)
+    with pytest.raises(ValueError, match="something else"):
+        train(small("ppo", steps=128), tmp_path / "out")
 
 
 def test_the_state_of_another_training_is_refused(tmp_path):

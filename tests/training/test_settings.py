@@ -9,6 +9,7 @@ import pytest
 
 from dual_ur10 import ENV_IDS
 from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.sim2real.cell_file import starting_text
 from dual_ur10.training import seeds
 from dual_ur10.training.settings import SETTINGS, Imitation, Reinforcement, defaults
 from tests.training.small import small
@@ -84,12 +85,38 @@ def test_unknown_names_are_refused(wrong):
         {"changes": {"unseen": (1000,)}},
         {"changes": {"patience": -1.0}},
         {"randomization": "mild", "keywords": {"randomization": "none"}},
-        {"dataset": "a/b-v0"},  # dagger asks the expert
+        {"changes": {"expert_share": 1.5}},
+        {"changes": {"learning_rate": 2.0}},
+        {"changes": {"batch_size": 1}},
+        {"changes": {"batch_size": True}},
+        {"keywords": {"observation": "pixels"}},
     ],
 )
 def test_impossible_values_are_refused(wrong):
     with pytest.raises(SettingsError):
         defaults("SineTracking", "dagger", **wrong)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"dataset": "a/b-v0"},
+        {"changes": {"gamma": 2.0}},
+        {"changes": {"gae_lambda": 1.1}},
+        {"envs": 1, "changes": {"steps_per_update": 1}},
+    ],
+)
+def test_what_ppo_cannot_learn_with_is_refused(wrong):
+    with pytest.raises(SettingsError):
+        defaults("SineTracking", "ppo", **wrong)
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac", "bc", "dagger"])
+def test_nothing_is_trained_on_two_controllers(tmp_path, algorithm):
+    path = tmp_path / "lab.toml"
+    path.write_text(starting_text("emulated", None, None, "cb3", None, str(path)))
+    with pytest.raises(SettingsError, match="is of two controllers, and training is in simulation: train without"):
+        defaults("SineTracking", algorithm, envs=1, randomization="none", keywords={"cell": str(path)})
 
 
 def test_no_training_learns_from_episodes_it_is_judged_by():

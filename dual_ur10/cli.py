@@ -14,6 +14,7 @@ from rich.table import Table
 
 from dual_ur10 import ENV_IDS, __version__, policies
 from dual_ur10.cli_cell import app as cell_commands
+from dual_ur10.cli_convert import convert
 from dual_ur10.cli_demo import demo
 from dual_ur10.cli_doctor import doctor
 from dual_ur10.cli_emulate import emulate
@@ -199,6 +200,7 @@ def view(
 app.command()(evaluate)
 app.command()(train)
 app.command()(collect)
+app.command()(convert)
 app.command()(emulate)
 app.command()(doctor)
 app.command()(status)

@@ -54,6 +54,10 @@ def test_list_names_every_environment_with_its_sizes() -> None:
         (("demo",), ("--out", "--quick", "report.html")),
         (("rollout",), ("ENV", "--policy", "--episodes", "--seed", "--set", "--perturbed", "KEY=VALUE")),
         (("view",), ("ENV", "--policy", "--seconds", "browser")),
+        (
+            ("convert",),
+            ("MODEL", "ENV", "--out", "--trust-pickle", "--vec-normalize", "--algo", "--agents", "KEY=VALUE"),
+        ),
     ],
 )
 def test_help_names_what_there_is(command: tuple[str, ...], words: tuple[str, ...]) -> None:

@@ -421,6 +421,8 @@ BAD_KEYWORDS = [
     ({"policy_rate_hz": 1000}, errors.RateError, "125 Hz"),
     ({"action_mode": "torque"}, errors.UnknownNameError, "joint_delta"),
     ({"action_latency_ticks": -1}, errors.SettingsError, "whole number"),
+    ({"action_latency_ticks": "x"}, errors.SettingsError, "whole number"),
+    ({"action_latency_ticks": True}, errors.SettingsError, "whole number"),
     ({"action_latency_ticks": 0.5}, errors.SettingsError, "whole number"),
     ({"render_mode": "ansi"}, errors.UnknownNameError, "rgb_array"),
     ({"camera": "nose"}, errors.UnknownNameError, "perspective"),

@@ -97,7 +97,8 @@ def test_imports_run_downwards():
         ["cli_options"],
     ]
     floors += [
-        ["cli_cell", "cli_demo", "cli_doctor", "cli_emulate", "cli_evaluate", "cli_runs", "cli_status", "cli_train"],
+        ["cli_cell", "cli_convert", "cli_demo", "cli_doctor", "cli_emulate", "cli_evaluate"],
+        ["cli_runs", "cli_status", "cli_train"],
         ["cli"],
         ["__main__"],
     ]

@@ -12,6 +12,7 @@ import numpy as np
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.sim2real.adapter import ActionMode
 from dual_ur10.sim2real.cell import CellConfig
+from dual_ur10.sim2real.command_queue import checked_latency
 from dual_ur10.ur10 import ARMS
 
 DEFAULT_RATE_HZ = 25.0
@@ -75,9 +76,11 @@ class EnvOptions:
         for name in ("compensate_lag", "shadows"):
             if not isinstance(getattr(self, name), bool | np.bool_):
                 raise SettingsError(f"{name} is {getattr(self, name)!r}: it must be True or False")
-        for name in ("policy_rate_hz", "action_latency_ticks", "width", "height"):
+        for name in ("policy_rate_hz", "width", "height"):
             if isinstance(getattr(self, name), bool):
                 raise SettingsError(f"{name} is {getattr(self, name)!r}: it must be a number")
+        if self.action_latency_ticks is not None:
+            checked_latency(self.action_latency_ticks)
         if self.confirm is not None and not callable(self.confirm):
             raise SettingsError(f"confirm is {self.confirm!r}: it must be a function that is given a text, or None")
         if self.arm is not None and self.arm not in ARMS:

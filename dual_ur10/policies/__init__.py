@@ -7,12 +7,13 @@ import importlib
 import os
 from typing import Any
 
+from dual_ur10 import ENV_IDS
 from dual_ur10.envs.core import load_task
 from dual_ur10.envs.names import env_id_of
 from dual_ur10.envs.options import split_keywords
 from dual_ur10.envs.randomization import resolve_randomization
 from dual_ur10.envs.task import Timing, task_settings
-from dual_ur10.errors import UnknownNameError
+from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.policies import shipped
 from dual_ur10.policies.policy import Policy
 from dual_ur10.sim2real.cell import resolve_cell
@@ -36,7 +37,7 @@ def is_path(name: object) -> bool:
     return name not in NAMES and "\0" not in name and (os.sep in name or os.path.lexists(name))
 
 
-def load(name: str | os.PathLike[str], env_id: str, **keywords: Any) -> Policy:
+def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: Any) -> Policy:
     """A policy by name, for an environment made with these keywords; or that of a checkpoint, checked against it.
 
     A scripted policy is told of the rate and latency of actions, of where the arms stand and how fast they may move,
@@ -44,14 +45,16 @@ def load(name: str | os.PathLike[str], env_id: str, **keywords: Any) -> Policy:
 
     Args:
         name: One of `NAMES`, or the path of a checkpoint's folder, with a "/" in it if there is no such folder.
-        env_id: Id of the environment.
-        **keywords: As given to `gym.make`. Those that concern neither task nor cell do not matter to a policy.
+        env_id: Id of the environment. None: that of the checkpoint, which a name does not have.
+        **keywords: As given to `gym.make`. Those that concern neither task nor cell do not matter to a policy. With
+            neither `env_id` nor keywords, those of the checkpoint.
 
     Raises:
         UnknownNameError: No such policy, or no such environment.
+        SettingsError: A name is given, and no environment.
         CheckpointError: The checkpoint cannot be read, or was made for another environment.
     """
-    if name in shipped.NAMES:
+    if name in shipped.NAMES and env_id is not None:
         name = shipped.folder_of(str(name), env_id)
     if is_path(name):
         from dual_ur10.policies.checkpoint import load as load_checkpoint
@@ -59,6 +62,11 @@ def load(name: str | os.PathLike[str], env_id: str, **keywords: Any) -> Policy:
         return load_checkpoint(name, env_id, **keywords)
     if name not in NAMES:
         raise UnknownNameError("policy", str(name), [*NAMES, "the path of a checkpoint"])
+    if env_id is None:
+        raise SettingsError(
+            f"policy {str(name)!r} needs an environment: name one of {', '.join(ENV_IDS)}; only the path of a "
+            "checkpoint does without"
+        )
     task = load_task(env_id_of(env_id).split("/")[1].rsplit("-v", 1)[0])
     options, own = split_keywords(keywords)
     config = resolve_cell(options.cell)

@@ -16,8 +16,10 @@ import hashlib
 import logging
 import os
 import re
+import shlex
 import shutil
 import stat
+import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -62,14 +64,7 @@ def save(folder: str | os.PathLike[str], networks: Networks, manifest: Manifest)
         CheckpointError: The folder exists, cannot be written (a full disk), or has no legal name; or the weights are
             not those of the manifest. There is no such folder then, unless there was one.
     """
-    target = Path(os.path.abspath(folder))
-    if not _NAME.fullmatch(target.name):
-        raise CheckpointError(
-            f"{target.name!r:.80} is no name of a checkpoint: use at most 64 letters, digits and _ . -, first of "
-            "all a letter, a digit or _"
-        )
-    if os.path.lexists(target):
-        raise CheckpointError(f"{target} exists, and nothing is written over: choose another name, or move it away")
+    target = check_new(folder)
     weights = _serialised(_tensors(networks, manifest))
     written = dataclasses.replace(manifest, weights_sha256=hashlib.sha256(weights).hexdigest())
     text = written.text().encode()
@@ -90,6 +85,29 @@ def save(folder: str | os.PathLike[str], networks: Networks, manifest: Manifest)
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return written
+
+
+def check_new(folder: str | os.PathLike[str]) -> Path:
+    """Make sure that a checkpoint could be saved here: before, not after, the work that it is to hold.
+
+    Args:
+        folder: Of the checkpoint.
+
+    Returns:
+        Its absolute path.
+
+    Raises:
+        CheckpointError: It exists, or has no legal name.
+    """
+    target = Path(os.path.abspath(folder))
+    if not _NAME.fullmatch(target.name):
+        raise CheckpointError(
+            f"{target.name!r:.80} is no name of a checkpoint: use at most 64 letters, digits and _ . -, first of "
+            "all a letter, a digit or _"
+        )
+    if os.path.lexists(target):
+        raise CheckpointError(f"{target} exists, and nothing is written over: choose another name, or move it away")
+    return target
 
 
 def load(folder: str | os.PathLike[str], env: Any = None, **keywords: Any) -> LearnedPolicy:
@@ -192,9 +210,10 @@ def _read(path: Path) -> tuple[Manifest, list[list[Layer]]]:
         # All through one handle of the folder: what is exchanged meanwhile does not matter.
         folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
     except (OSError, ValueError) as error:
+        found = "it is a file" if path.is_file() else str(error)
         raise CheckpointError(
-            f"{path} cannot be read as a checkpoint: {error}. It must be a folder, and no link to one, with {MANIFEST} "
-            f"and {WEIGHTS}"
+            f"{path} cannot be read as a checkpoint: {found}. A checkpoint is a folder, and no link to one, with "
+            f"{MANIFEST} and {WEIGHTS} in it{_remedy_of(path)}"
         ) from None
     try:
         where = f"{path}/{MANIFEST}"
@@ -211,6 +230,17 @@ def _read(path: Path) -> tuple[Manifest, list[list[Layer]]]:
             f"{manifest.weights_sha256[:12] or 'none'}...: get the checkpoint anew"
         )
     return manifest, _layers(weights, manifest, where)
+
+
+def _remedy_of(path: Path) -> str:
+    """What to do with a file in place of a checkpoint. Nothing in it is read but whether it is a zip."""
+    if not (path.is_file() and zipfile.is_zipfile(path)):
+        return ""
+    return (
+        ". It looks like a file of Stable-Baselines3, which runs whatever code is in it when it is read: if you know "
+        f"who made it, `dual-ur10 convert {shlex.quote(str(path))} ENV --out FOLDER --trust-pickle` makes a checkpoint "
+        "of it"
+    )
 
 
 def _content(folder: int, name: str, most: int, where: str) -> bytes:

@@ -1,15 +1,19 @@
 """From Stable-Baselines3's models to checkpoints: the actor's network, and what its observations are normalised by.
 
 Stable-Baselines3 keeps models as zip files with pickles in them, which run whatever code they hold when they are read.
+Beside them is JSON, which says what a model is without that.
 """
 
 from __future__ import annotations
 
 import hashlib
 import importlib
+import json
 import logging
 import os
 import pickle
+import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -27,7 +31,46 @@ log = logging.getLogger(__name__)
 Algorithm = Literal["ppo", "sac"]
 
 _CLASSES: Final = {"ppo": "PPO", "sac": "SAC"}
+_SETTINGS: Final[dict[str, Algorithm]] = {"clip_range": "ppo", "target_entropy": "sac"}  # that no other one has
+_MOST_DATA: Final = 64 * 1024 * 1024  # of a model's JSON, with the last observations of some thousand cells
 _ACTIVATIONS: Final[dict[str, Activation]] = {"Tanh": "tanh", "ReLU": "relu"}
+
+
+def glance(path: str | os.PathLike[str]) -> tuple[Algorithm | None, int | None]:
+    """What the file of a model says of itself. Only JSON in it is read: no code in it is run.
+
+    Args:
+        path: Of the zip file.
+
+    Returns:
+        What trained it, and how many numbers it observes; None: the file does not say it, or it is another algorithm.
+
+    Raises:
+        CheckpointError: It cannot be read, or is no file of Stable-Baselines3.
+    """
+    where = os.fspath(path)
+    if not os.path.isfile(where):
+        raise CheckpointError(f"{where} cannot be read: there is no such file; name a zip file of Stable-Baselines3")
+    if not zipfile.is_zipfile(where):
+        raise CheckpointError(f"{where} is no file of Stable-Baselines3, or is damaged: it is no zip file")
+    try:
+        with zipfile.ZipFile(where) as archive, archive.open("data") as stream:
+            content = stream.read(_MOST_DATA + 1)
+        data = json.loads(content) if len(content) <= _MOST_DATA else {}
+    except Exception as error:  # zipfile raises what its parts do
+        raise CheckpointError(
+            f"{where} is no file of Stable-Baselines3, or is damaged: a model's has 'data' in JSON in it, found "
+            f"{type(error).__name__}: {error!s:.200}"
+        ) from None
+    if len(content) > _MOST_DATA:
+        raise CheckpointError(f"{where} has more than {_MOST_DATA} bytes of 'data' in it: no model needs so many")
+    if not isinstance(data, dict) or not {"policy_class", "observation_space"} <= data.keys():
+        raise CheckpointError(f"{where} is no file of Stable-Baselines3: its 'data' speaks of no model")
+    algorithms = {algorithm for name, algorithm in _SETTINGS.items() if name in data}
+    space = data["observation_space"]
+    shape: Any = space.get("_shape") if isinstance(space, dict) else None
+    size = shape[0] if isinstance(shape, list) and len(shape) == 1 and type(shape[0]) is int else None
+    return algorithms.pop() if len(algorithms) == 1 else None, size
 
 
 def from_sb3(
@@ -40,7 +83,7 @@ def from_sb3(
     trust_pickle: bool = False,
     **keywords: Any,
 ) -> LearnedPolicy:
-    """The policy of a model that Stable-Baselines3 has saved. It says nothing of its environment: the caller does.
+    """The policy of a model that Stable-Baselines3 has saved. Which environment it is for, the caller must say.
 
     Args:
         path: Of the zip file.
@@ -55,34 +98,43 @@ def from_sb3(
         CheckpointError: They are not to be trusted, cannot be read, or hold a network of another kind.
         MissingExtraError: Stable-Baselines3 is not installed.
         UnknownNameError: No such algorithm.
+        DualUR10Error: The keywords make no environment.
     """
     if algorithm not in _CLASSES:
         raise UnknownNameError("algorithm", str(algorithm), list(_CLASSES))
     if trust_pickle is not True:
         raise CheckpointError(
             f"{os.fspath(path)} is a file of Stable-Baselines3, which runs whatever code is in it when it is read. Use "
-            "a checkpoint's folder; or, if you know who made the file, say so with --trust-pickle (trust_pickle=True)"
+            "a checkpoint's folder; or, if you know who made the file, make one of it: `dual-ur10 convert` does so "
+            "with --trust-pickle (in Python: trust_pickle=True)"
         )
     if agents == "independent":
         raise CheckpointError("a file of Stable-Baselines3 holds one model: with agents='independent' there are two")
     try:
         kind = getattr(importlib.import_module("stable_baselines3"), _CLASSES[algorithm])
+        around = importlib.import_module("stable_baselines3.common.vec_env").VecNormalize
     except ImportError:
         raise MissingExtraError("stable-baselines3", "train", "reading one of its files") from None
-    try:
-        sha256 = hashlib.sha256(Path(path).read_bytes()).hexdigest()
-        log.warning("%s (sha256 %s) may run code: you said that it is to be trusted", path, sha256)
-        model = kind.load(os.fspath(path), device="cpu")
-        normaliser = None
-        if vec_normalize is not None:
-            with open(vec_normalize, "rb") as file:
-                normaliser = pickle.load(file)
-    except Exception as error:  # a pickle raises what it likes
-        raise CheckpointError(f"{os.fspath(path)} cannot be read: {type(error).__name__}: {error!s:.200}") from error
+    place = described(env, keywords) if isinstance(env, str) else described_env(env)
+    for each in (path, vec_normalize):
+        if each is not None and not os.path.isfile(each):
+            raise CheckpointError(f"{os.fspath(each)} cannot be read: there is no such file")
+    sha256 = _read(path, lambda: hashlib.sha256(Path(path).read_bytes()).hexdigest())
+    log.warning("%s (sha256 %s) may run code: you said that it is to be trusted", path, sha256)
+    model = _read(path, lambda: kind.load(os.fspath(path), device="cpu"))
+    normaliser = None
+    if vec_normalize is not None:
+        normaliser = _read(vec_normalize, lambda: pickle.loads(Path(vec_normalize).read_bytes()))
+        if not isinstance(normaliser, around):
+            raise CheckpointError(f"{os.fspath(vec_normalize)} holds {type(normaliser).__name__}, and no VecNormalize")
     networks, manifest = converted(
         model, env, agents=agents, vec_normalize=normaliser, training={"sb3_sha256": sha256}, **keywords
     )
-    place = described(env, keywords) if isinstance(env, str) else described_env(env)
+    if agents == "shared" and manifest.network.layers[0] != place.agent_size:
+        raise CheckpointError(
+            f"{manifest.network.layers[0]} numbers go into the network: each agent of {place.target.env_id} observes "
+            f"{place.agent_size}"
+        )
     return LearnedPolicy(manifest, networks, place)
 
 
@@ -175,14 +227,21 @@ def normaliser_of(vec_normalize: Any) -> Normaliser | None:
     if vec_normalize is None or not vec_normalize.norm_obs:
         return None
     rms = vec_normalize.obs_rms
-    if isinstance(rms, dict):
-        raise CheckpointError("VecNormalize is of observations with names: observation must be 'state'")
+    if isinstance(rms, dict) or np.ndim(rms.mean) != 1:
+        raise CheckpointError("VecNormalize is of observations with names or of images: observation must be 'state'")
     return Normaliser(
         tuple(np.asarray(rms.mean, dtype=np.float64).tolist()),
         tuple(np.asarray(rms.var, dtype=np.float64).tolist()),
         float(vec_normalize.clip_obs),
         float(vec_normalize.epsilon),
     )
+
+
+def _read(path: str | os.PathLike[str], read: Callable[[], Any]) -> Any:
+    try:
+        return read()
+    except Exception as error:  # a pickle raises what it likes
+        raise CheckpointError(f"{os.fspath(path)} cannot be read: {type(error).__name__}: {error!s:.200}") from error
 
 
 def _array(tensor: Any) -> Any:

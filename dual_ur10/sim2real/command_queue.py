@@ -14,6 +14,17 @@ Rows = NDArray[np.intp]
 MAX_LATENCY_TICKS = 125
 
 
+def checked_latency(ticks: object) -> int:
+    """A latency of actions, in control periods.
+
+    Raises:
+        SettingsError: It is none.
+    """
+    if isinstance(ticks, int | np.integer) and not isinstance(ticks, bool) and 0 <= ticks <= MAX_LATENCY_TICKS:
+        return int(ticks)
+    raise SettingsError(f"action_latency_ticks is {ticks!r:.80}: a whole number, 0 to {MAX_LATENCY_TICKS}")
+
+
 class CommandQueue:
     """Commands of [t_k + L, t_k + L + period) come in at t_k; those of [t_k, t_k + period) go out.
 
@@ -29,9 +40,7 @@ class CommandQueue:
     """
 
     def __init__(self, n: int, latency_ticks: int) -> None:
-        if not (isinstance(latency_ticks, int | np.integer) and 0 <= latency_ticks <= MAX_LATENCY_TICKS):
-            raise SettingsError(f"action_latency_ticks is {latency_ticks!r}: a whole number, 0 to {MAX_LATENCY_TICKS}")
-        self.latency_ticks = int(latency_ticks)
+        self.latency_ticks = checked_latency(latency_ticks)
         self._targets: Array = np.zeros((n, self.latency_ticks, 2, 6))
         self._openings: Array = np.full((n, self.latency_ticks, 2), GRIPPER_OPENING_M)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from dual_ur10.errors import CheckpointError, TrainingError
 from dual_ur10.policies import checkpoint
 from dual_ur10.policies.learned import LearnedPolicy
@@ -37,7 +35,7 @@ def shape_of(training: Training, place: Described) -> NetworkShape:
     """
     sees, acts = place.target.observation.shape[0], place.target.action.shape[0]
     if training.agents != "joint":
-        sees, acts = place.split(np.zeros((1, sees))).shape[-1], acts // 2
+        sees, acts = place.agent_size, acts // 2
     settings = training.settings
     activation = settings.activation if isinstance(settings, Imitation) else "tanh"
     try:

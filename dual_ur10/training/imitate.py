@@ -60,9 +60,8 @@ class Imitator:
         self._settings: Imitation = self._asked.settings
         self._threads = threads
         self._place: Described = described(self._asked.env_id, self._asked.keywords)
-        nothing = np.zeros((1, *self._place.target.observation.shape))
         joint = self._asked.agents == "joint"
-        self._blind = self._unseen(nothing.shape[1] if joint else self._place.split(nothing).shape[-1])
+        self._blind = self._unseen(self._place.target.observation.shape[0] if joint else self._place.agent_size)
         self._told, self._shown_s = on_progress, 0.0
         self._progress = Progress(0, self._asked.steps)
         self._rounds, self._longest = 0, 1

@@ -334,6 +334,20 @@ def test_after_a_limit_was_met_the_arms_follow_again(
     np.testing.assert_allclose(adapter.commanded_q_rad - now, np.tile(wanted, (1, 2, 1)), rtol=1e-3)
 
 
+@pytest.mark.parametrize(("profile", "ticks"), [(CB3, 5), (E_SERIES, 20)])
+def test_commands_that_jump_lead_no_arm_the_wrong_way(profile: ServojProfile, ticks: int) -> None:
+    """As where a policy goes on after a late action has stopped both arms: a little back, then on as before."""
+    adapter = at_home(profile=profile, ticks=ticks, limits=MotionLimits(speed_rad_s=(1.0,) * 6))
+    direction = np.array([[0.1, 0.5, -0.5, 0.1, 0.0, 1.0], [-0.1, -0.8, 1.0, -0.2, 0.0, 0.8]])
+    behind = []
+    for share in [0.1] + 24 * [-0.23]:
+        adapter(share * direction[None])
+        now = adapter._state[:, _NOW].reshape(1, 2, 6)
+        behind.append(float(np.abs(adapter.commanded_q_rad - now).max()))
+    assert max(behind) < 0.03  # beyond 0.08, if a cubic through the commands is followed wherever it leads
+    assert behind[-1] < 1e-4
+
+
 @pytest.mark.parametrize("compensate_lag", [True, False])
 @pytest.mark.parametrize("mode", ["joint_delta", "joint_position"])
 @pytest.mark.parametrize("direction", [-1.0, 1.0])

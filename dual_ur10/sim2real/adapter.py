@@ -130,6 +130,7 @@ class ServojAdapter:
         self._lower = self._approach * (np.tile(self.limits.lower_rad, 2) + _GOAL_MARGIN_RAD)
         self._upper = self._approach * (np.tile(self.limits.upper_rad, 2) - _GOAL_MARGIN_RAD)
         speed = np.tile(self.limits.speed_rad_s, 2)
+        self._going_on = np.stack([speed, np.full(12, self.limits.acceleration_rad_s2)])
         self._leash = speed * (speed / (2 * self.limits.acceleration_rad_s2) + self.period_s)
         self._joint_step = np.tile(self.limits.speed_rad_s, 2) * self.period_s
         # Turns vectors of the cell frame into each arm's `base`, which is half a turn from base_link.
@@ -137,6 +138,9 @@ class ServojAdapter:
         self._to_base = quat_to_matrix(quat_from_rotvec(turns))
         meetings = path.meetings(self.period_s)
         self._plans = [self._plan(meeting) for meeting in meetings]
+        # A cubic that no arm could follow says nothing of where the commands go: through some that jumped, it may lead
+        # far the wrong way.
+        self._cubics = {k: self._continuation(each) for k, each in enumerate(meetings) if each.points > 2}
         # A few targets per period can look legal on a path that is not.
         self._between = [self._acceleration(meeting) for meeting in meetings] if ticks < _MANY_TICKS else []
         self._resume = self._resume_matrix()
@@ -158,6 +162,12 @@ class ServojAdapter:
         end = np.zeros((4, HISTORY + path.VALUES))
         end[:, HISTORY:] = rows.end
         return np.vstack([window[HISTORY:], end, self.envelope.rows @ window])
+
+    def _continuation(self, meeting: path.Meeting) -> Array:
+        """Speed and acceleration, (2, state), that the commands have where the path meets them again."""
+        rows = np.zeros((2, HISTORY + path.VALUES))
+        rows[:, HISTORY:] = path.continuation(self.period_s, meeting)[1:]
+        return rows
 
     def _acceleration(self, meeting: path.Meeting) -> Array:
         """Share of the acceleration limit that the path itself uses between targets, as a matrix on the state."""
@@ -284,7 +294,7 @@ class ServojAdapter:
             plan = later @ (state if len(left) == len(state) else state[left])
             targets = plan[:, :ticks]
             use = self.envelope.signed_use(plan[:, ticks + 4 :])
-            legal = self._limiter.is_legal(use, past[left], targets)
+            legal = self._limiter.is_legal(use, past[left], targets) & self._can_go_on(k, state[left])
             if self._between:
                 legal &= np.abs(self._between[k] @ state[left]).max(axis=(1, 2)) <= 1.0
             result[left[legal]] = plan[legal, : ticks + 4]
@@ -294,6 +304,17 @@ class ServojAdapter:
         limited = self._limiter.limit(use, past[left], targets)
         window = np.concatenate([past[left], limited, state[left, _NOW : _SPEED + 1]], axis=1)
         result[left] = np.concatenate([limited, self._resume @ window], axis=1)
+        return result
+
+    def _can_go_on(self, number: int, state: Array) -> NDArray[np.bool_]:
+        """(rows,) whether the commands' continuation, where a path meets it, keeps the limits of all joints.
+
+        A line through the last two goes on as they do.
+        """
+        if number not in self._cubics:
+            return np.ones(len(state), dtype=bool)
+        use = np.abs(self._cubics[number] @ state) / self._going_on
+        result: NDArray[np.bool_] = use.max(axis=(1, 2)) <= 1.0 + 1e-6
         return result
 
     def _joint_delta(self, action: Array) -> Array:

@@ -44,11 +44,13 @@ def meetings(period_s: float) -> tuple[Meeting, ...]:
 
     The first follows a smooth motion within micrometres; the later ones take larger jumps for the same acceleration. At
     25 Hz they are 5 and 10 periods; what counts is the time that the limits leave, so it is as long at other rates.
-    Chosen so that a disturbance dies away under each of them (0.91 and 0.96 per period at 25 Hz when every command is
-    the path's own position, 0.61 and 0.79 when it is a fixed one), and so that the following error that the last leaves
-    is small enough for the second, and likewise for the first.
+    Chosen so that a disturbance dies away under each of them (0.91, 0.85 and 0.96 per period at 25 Hz when every
+    command is the path's own position, 0.61, 0.61 and 0.79 when it is a fixed one), and so that the following error
+    that the last leaves is small enough for the second, and likewise for the first. The second draws the commands on by
+    a cubic, which follows a smooth motion, but leads anywhere after commands that jumped: the third is for those.
     """
-    return (Meeting(1, 4), Meeting(max(5, round(0.2 / period_s)), 4), Meeting(max(10, round(0.4 / period_s)), 2))
+    soon, late = max(5, round(0.2 / period_s)), max(10, round(0.4 / period_s))
+    return (Meeting(1, 4), Meeting(soon, 4), Meeting(soon, 2), Meeting(late, 2))
 
 
 class PathRows(NamedTuple):
@@ -76,7 +78,7 @@ def path(period_s: float, times_s: Array, meeting: Meeting) -> PathRows:
     horizon = meeting.periods * period_s
     unit = np.eye(VALUES)
     conditions = [(0.0, 0, unit[POSITION]), (0.0, 1, unit[SPEED]), (0.0, 2, unit[ACCELERATION])]
-    conditions += [(1.0, order, row) for order, row in enumerate(_continuation(period_s, meeting))]
+    conditions += [(1.0, order, row) for order, row in enumerate(continuation(period_s, meeting))]
     if meeting.periods > 1:
         # The jerk goes on without a jump, too. Where the path would end with the period, that would ring for ever:
         # what is left of the jerk at the start returns at the end with the other sign.
@@ -91,7 +93,7 @@ def path(period_s: float, times_s: Array, meeting: Meeting) -> PathRows:
     return PathRows(position[:-1], speed[:-1], acceleration[:-1], np.stack([row[-1] for row in rows]))
 
 
-def _continuation(period_s: float, meeting: Meeting) -> Array:
+def continuation(period_s: float, meeting: Meeting) -> Array:
     """(3, 8) position, speed and acceleration of the commands' continuation at the meeting."""
     times = -period_s * np.arange(meeting.points)[::-1]
     fit = np.linalg.inv(np.vander(times, increasing=True))

@@ -216,7 +216,7 @@ def test_the_gate_refuses_a_motion_into_an_obstacle(obstacle: Obstacle) -> None:
     push = np.zeros((1, 2, 6))
     push[0, 0, 1] = 0.6  # the left arm leans forward, the right one keeps still
     refused, motion = [], []
-    for obstacles, periods in (((), 8), ((obstacle,), 40)):
+    for obstacles, periods in (((), 5), ((obstacle,), 40)):
         adapter = ServojAdapter(ServojProfile("cb3"), HARD, 5, n=1)
         adapter.reset(HOME_Q_RAD[None])
         gate = gate_of(SceneSettings(obstacles=obstacles))
@@ -224,8 +224,8 @@ def test_the_gate_refuses_a_motion_into_an_obstacle(obstacle: Obstacle) -> None:
             result = gate(adapter(push).targets_rad.copy())
             motion.append(result.targets_rad[0])
             refused += result.verdicts.values()
-            assert bool(obstacles and period >= 7) <= bool(result.verdicts) <= bool(obstacles)
-    motion = motion[8:]
+            assert bool(obstacles and period >= 3) <= bool(result.verdicts) <= bool(obstacles)
+    motion = motion[5:]
     assert refused[0].kind == "distance"
     assert refused[0].subject.startswith("left/")
     assert refused[0].subject.endswith(f" and obstacle/{obstacle.name}")

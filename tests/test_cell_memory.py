@@ -8,7 +8,7 @@ from dataclasses import astuple
 
 import pytest
 
-from dual_ur10.errors import SettingsError
+from dual_ur10.errors import LinkError, SettingsError
 from dual_ur10.sim2real.arm_memory import ArmMemory
 from dual_ur10.sim2real.cell_memory import CellMemory
 from dual_ur10.sim2real.pace import Pace
@@ -103,6 +103,34 @@ def test_a_pace_is_read_whole_while_it_is_written(pair):
         seen, wrong = map(int, process.stdout.read().split())
     assert seen > 1
     assert wrong == 0
+
+
+def test_a_pace_that_is_written_again_while_it_is_read_is_read_again(pair, monkeypatch):
+    mine, theirs = pair
+    mine.set_pace(Pace(1.0, 1.0))
+    paces, sequence = theirs._paces, theirs._ints
+
+    class Slow:
+        """The writer goes round all rows while this one is copied."""
+
+        times = 0
+
+        def __getitem__(self, row):
+            values = paces[row].copy()
+            if Slow.times:
+                Slow.times -= 1
+                values[:] = -1.0  # torn
+                for number in range(4):
+                    mine.set_pace(Pace(10.0 + number, 2.0))
+            return values
+
+    monkeypatch.setattr(theirs, "_paces", Slow())
+    Slow.times = 3
+    assert theirs.pace == Pace(13.0, 2.0)
+    Slow.times = 10_000
+    with pytest.raises(LinkError, match="faster than it can be read"):
+        theirs.pace  # noqa: B018
+    assert sequence[0] > 16
 
 
 def test_the_first_fault_stays(pair):

@@ -35,8 +35,6 @@ def run(*arguments):
         (("--resume", "x", "--seed", 5, "--steps", 9, "--set", "a=1"), "leave out --seed, --set. Only --steps and"),
         (("--resume", "no_such_folder"), "is no folder of a training"),
         (("SineTracking", "--algo", "ppo", "--dataset", "a/b-v0"), "learns from no dataset"),
-        (("SineTracking", "--init", "nowhere"), "nowhere cannot be read"),
-        (("SineTracking", "--setting", "hidden=[2100,2100]"), "hidden is (2100, 2100): the network has 4"),
     ],
 )
 def test_what_cannot_be_is_said_in_one_line(arguments, said, tmp_path, monkeypatch):
@@ -45,6 +43,22 @@ def test_what_cannot_be_is_said_in_one_line(arguments, said, tmp_path, monkeypat
     assert result.exit_code == 2
     assert said in result.stderr
     assert result.stderr.startswith("error:")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--init", "nowhere"), "nowhere cannot be read"),
+        (("--setting", "hidden=[2100,2100]"), "hidden is (2100, 2100): the network has 4"),
+    ],
+)
+def test_what_cannot_be_begun_is_said_before_a_folder_is_made(arguments, said, tmp_path, monkeypatch):
+    pytest.importorskip("stable_baselines3")
+    monkeypatch.chdir(tmp_path)
+    result = run("train", "SineTracking", *arguments)
+    assert result.exit_code == 2
+    assert said in result.stderr
     assert not list(tmp_path.iterdir())
 
 

@@ -8,16 +8,19 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from dual_ur10.errors import LinkError
 from dual_ur10.sim2real.pace import Pace
 from dual_ur10.sim2real.shared_block import Layout, SharedBlock
 
 _TEXT: Final = 2048
+_PACES: Final = 4  # kept, so that one is whole while the next is written
+_TRIES: Final = 1000
 _SEQUENCE, _FAULT, _LIVE, _CLOSING, _READY = range(5)
 _WATCH_S, _FRESH, _BEGIN_S = range(3)
 _LAYOUT: Final[Layout] = {
     "ints": (np.int64, (8,)),
     "floats": (np.float64, (8,)),
-    "paces": (np.float64, (4, 7)),
+    "paces": (np.float64, (_PACES, 7)),
     "text": (np.uint8, (_TEXT,)),
 }
 
@@ -69,7 +72,7 @@ class CellMemory:
     def set_pace(self, pace: Pace) -> None:
         """From a control period on that is still to come, time passes like this."""
         following = int(self._ints[_SEQUENCE]) + 1
-        self._paces[following % 4] = astuple(pace)
+        self._paces[following % _PACES] = astuple(pace)
         self._ints[_SEQUENCE] = following
 
     def watched(self, now_s: float) -> None:
@@ -88,8 +91,18 @@ class CellMemory:
 
     @property
     def pace(self) -> Pace:
-        """How time passes."""
-        return Pace(*self._paces[int(self._ints[_SEQUENCE]) % 4].tolist())
+        """How time passes.
+
+        Raises:
+            LinkError: It is written faster than it can be read.
+        """
+        for _ in range(_TRIES):
+            before = int(self._ints[_SEQUENCE])
+            values = self._paces[before % _PACES].tolist()
+            # A reader may stand still for long: the row is whole as long as nobody has begun to write it again.
+            if int(self._ints[_SEQUENCE]) - before < _PACES - 1:
+                return Pace(*values)
+        raise LinkError("how fast time passes is written faster than it can be read: look at what writes it")
 
     @property
     def begin_s(self) -> float:

@@ -111,6 +111,7 @@ def test_a_file_says_what_stands_in_it(tmp_path: Path) -> None:
             task="DualUR10/SyncCarry-v0",
             rt_priority=80,
             left__serial_number="2010300001",
+            left__safety_checksum=0x57F4285B,
             left__gripper={"kind": "robotiq", "port": 1234},
             right__gripper={"kind": "digital_output", "output": 16, "open_level": True},
             left__servoj={"lookahead_s": 0.05, "gain": 500},
@@ -140,6 +141,7 @@ def test_a_file_says_what_stands_in_it(tmp_path: Path) -> None:
     assert left.mount.dh.theta_rad[0] == 1e-4
     assert left.mount.dh.a_m == tuple(ur10.DH_A_M)
     assert left.checksum == (1, 2, 3, 4, 5, 4294967295)
+    assert left.safety_checksum == 0x57F4285B
     assert (left.base_uncertainty_m, left.base_uncertainty_rad) == (0.002, 0.0)
     assert left.tcp == (0.0, 0.0, 0.17, 0.0, 0.0, 1.0)
     assert (left.payload_kg, left.payload_cog_m) == (1.2, (0.0, 0.01, 0.05))
@@ -164,7 +166,14 @@ def test_defaults_of_an_emulated_cell(tmp_path: Path) -> None:
     assert dataclasses.replace(cell.config(), kind="mujoco", file=None) == CellConfig()
     assert (cell.speed_factor, cell.rt_priority, cell.name, cell.task) == (1.0, 0, "cell", None)
     assert cell.left.gripper == NoGripper()
-    assert cell.left.tcp is cell.left.payload_kg is cell.left.serial_number is cell.left.checksum is None
+    assert (
+        cell.left.tcp
+        is cell.left.payload_kg
+        is cell.left.serial_number
+        is cell.left.checksum
+        is cell.left.safety_checksum
+        is None
+    )
     assert cell.tracker is cell.emulator is None
     assert cell.obstacles == ()
     assert loaded(tmp_path, edited(SMALL, left__gripper={"kind": "robotiq"})).left.gripper == RobotiqSocket(port=63352)
@@ -617,11 +626,17 @@ def test_arms_that_differ_are_refused_for_now(tmp_path: Path, edits: dict[str, A
 
 def test_notes_name_what_a_real_cell_leaves_open(tmp_path: Path) -> None:
     text = "\n".join(loaded(tmp_path, edited(GOOD, speed_factor=0.5)).notes())
-    for word in ("left.calibration is", "right.calibration.checksum", "left.serial_number", "speed_factor is 0.5"):
+    for word in (
+        "left.calibration is",
+        "right.calibration.checksum",
+        "left.serial_number",
+        "left.safety_checksum",
+        "speed_factor is 0.5",
+    ):
         assert word in text
     sure: dict[str, Any] = {}
     for arm in ur10.ARMS:
-        sure |= {f"{arm}__serial_number": "1", f"{arm}__base_uncertainty_rad": 0.01}
+        sure |= {f"{arm}__serial_number": "1", f"{arm}__safety_checksum": 1, f"{arm}__base_uncertainty_rad": 0.01}
         sure |= {f"{arm}__calibration": {"theta_rad": [1e-4, 0, 0, 0, 0, 0], "checksum": [1] * 6}}
     assert loaded(tmp_path, edited(GOOD, **sure)).notes() == []
     assert loaded(tmp_path, SMALL).notes() == []
@@ -706,7 +721,15 @@ def test_every_sample_is_legal() -> None:
 
 def test_units_are_in_the_names() -> None:
     bare = {"kind", "name", "task", "speed_factor", "rt_priority", "host", "family", "serial_number", "port", "pid"}
-    bare |= {"output", "open_level", "gain", "checksum", "arm", "normal"}  # numbers without a unit, and texts
+    bare |= {
+        "output",
+        "open_level",
+        "gain",
+        "checksum",
+        "safety_checksum",
+        "arm",
+        "normal",
+    }  # numbers without a unit, and texts
     for path, key in rows():
         assert key.name in bare or re.search(r"_(m|rad|kg|s|s2|s3)$", key.name), path
 

@@ -14,12 +14,14 @@ from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.sim2real import doctor
 from dual_ur10.sim2real.controller.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.controller.primary_packet import kinematics_checksums
+from dual_ur10.sim2real.controller.profile import PROFILES
 from dual_ur10.sim2real.controller.rtde_codec import Kind
 from dual_ur10.sim2real.doctor import REGISTERS, ExpectedArm, Finding, any_fails, check_arm, check_cell
 from dual_ur10.sim2real.doctor_state import (
     calibration_findings,
     flange_error_m,
     round_trip_findings,
+    safety_findings,
     stream_findings,
     tool_findings,
 )
@@ -33,7 +35,10 @@ from tests.test_arm_status import status_of
 TIMED = ("RTDE rate", "RTDE jitter", "round trip")
 """Depend on what else this machine does: judged by pure functions, which have tests of their own."""
 
-BARE = {"dh": NOMINAL_DH, "tcp": (0.0,) * 6, "payload_kg": 0.0, "payload_cog_m": (0.0,) * 3}
+SAFETY = PROFILES["cb3"].safety_checksum
+BARE = {
+    "dh": NOMINAL_DH, "tcp": (0.0,) * 6, "payload_kg": 0.0, "payload_cog_m": (0.0,) * 3, "safety_checksum": SAFETY,
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +83,7 @@ def override(cell, **values):
 
 ALL = {
     "ports", "calibration", "family", "robot mode", "safety mode", "program", "speed slider", "at rest", "TCP",
-    "payload", "registers", "model", "robot type",
+    "payload", "registers", "model", "robot type", "safety checksum",
 }  # fmt: skip
 
 
@@ -115,10 +120,11 @@ def test_nothing_is_left_behind(cb3):
 
 
 def test_what_is_not_expected_is_told_and_warned_of(cb3):
-    findings = bad(look(cb3, dh=None, tcp=None, payload_kg=None))
-    assert findings.keys() == {"calibration", "TCP", "payload"}
+    findings = bad(look(cb3, dh=None, tcp=None, payload_kg=None, safety_checksum=None))
+    assert findings.keys() == {"calibration", "TCP", "payload", "safety checksum"}
     assert {each.level for each in findings.values()} == {"warn"}
     assert "0.000 mm off the nominal" in findings["calibration"].found
+    assert f"safety_checksum = 0x{SAFETY:08x} in the cell file" in findings["safety checksum"].remedy
 
 
 # One thing is wrong.
@@ -446,6 +452,24 @@ def test_a_payload_is_compared(mass, cog, level):
     assert [each.level for each in tool_findings("left", wanted, status)][1] == level
 
 
+def test_other_safety_settings_fail(cb3):
+    cb3.ask("pretend", arm="left", safety_checksum=0xBEEF)
+    try:
+        finding = look(cb3)["safety checksum"]
+    finally:
+        cb3.ask("pretend", arm="left", safety_checksum=SAFETY)
+    assert (finding.level, finding.found, finding.expected) == ("fail", "0x0000beef", f"0x{SAFETY:08x}")
+    assert "assess the risk" in finding.remedy
+
+
+@pytest.mark.parametrize("wanted", [None, SAFETY])
+def test_a_controller_that_tells_no_safety_checksum_is_warned_of(wanted):
+    facts = PrimaryFacts((3, 15, 8, 1), 2, (0,) * 6, *[(0.0,) * 6] * 4)
+    (finding,) = safety_findings("left", ExpectedArm(host="127.0.0.1", safety_checksum=wanted), facts)
+    assert (finding.level, finding.found) == ("warn", "not told by this software")
+    assert "pendant" in finding.remedy
+
+
 def test_flange_errors_are_distances():
     longer = DHParameters(a_m=(DH_A_M[0], DH_A_M[1] + 0.002, *DH_A_M[2:]))
     assert flange_error_m(NOMINAL_DH, NOMINAL_DH) == 0.0
@@ -503,7 +527,7 @@ def test_the_command_is_content_with_warnings(cb3, monkeypatch):
     monkeypatch.setattr(doctor, "stream_findings", lambda *_: [])
     code, text = run("--left", cb3.left, "--right", cb3.right)
     assert code == 0, text
-    assert "6 warnings, 0 failed" in text
+    assert "8 warnings, 0 failed" in text
 
 
 @pytest.mark.parametrize(

@@ -50,10 +50,12 @@ def test_an_emulated_controller_says_what_it_is(family):
         assert facts.robot_type == 2
         assert facts.dh() == NOMINAL_DH
         assert facts.checksums == kinematics_checksums(NOMINAL_DH)
+        assert facts.safety_checksum == PROFILES[family].safety_checksum
         cell.ask("calibration", arm="left", error_m=0.003)
-        cell.ask("pretend", arm="left", robot_type=1)
+        cell.ask("pretend", arm="left", robot_type=1, safety_checksum=0xFEDCBA98)
         facts = read_primary(cell.left)
         assert facts.robot_type == 1
+        assert facts.safety_checksum == 0xFEDCBA98
         assert facts.a_m == pytest.approx([each + 0.003 * bool(each) for each in NOMINAL_DH.a_m], abs=1e-12)
         assert facts.checksums != kinematics_checksums(NOMINAL_DH)
         for fault in ({"mute": True}, {"half_open": True}):
@@ -110,6 +112,7 @@ WHOLE = VERSION + state()
         (b"HTTP/1.1 400 Bad Request\r\n", "packet of 1213486160 bytes"),
         (VERSION + packet(16, sub_package(5, b"\0" * 20)), "too short"),
         (VERSION + packet(16, sub_package(6, b"\0" * 20)), "too short"),
+        (VERSION + packet(16, sub_package(10, b"\0" * 3)), "too short"),
         (VERSION + packet(16, struct.pack(">iB", 4, 5)), "sub-package 5 of 4 bytes"),
         (VERSION + packet(16, struct.pack(">iB", 500, 5)), "sub-package 5 of 500 bytes"),
         (VERSION + packet(16, b"\0\0"), "too short"),

@@ -162,6 +162,8 @@ class CellFile:
                 notes.append(f"{name}.calibration.checksum is not said: another calibration would not be noticed")
             if arm.serial_number is None:
                 notes.append(f"{name}.serial_number is not said: swapped arms may not be noticed")
+            if arm.safety_checksum is None:
+                notes.append(f"{name}.safety_checksum is not said: other safety settings would not be noticed")
             if not (arm.base_uncertainty_m and arm.base_uncertainty_rad):
                 notes.append(f"{name}.base_uncertainty_m or _rad is 0: no base is where it is believed to be")
         if self.speed_factor > FIRST_SPEED_FACTOR:

@@ -75,6 +75,7 @@ class ArmEntry:
             and its rotation vector; None: not said.
         payload_kg, payload_cog_m: Payload as the controller should have it; None: not said.
         serial_number: Of the robot; None: not said.
+        safety_checksum: Of the safety settings, as `doctor` shows it; None: not said.
         checksum: The controller's six checksums of its kinematics; None: not said.
         gripper: What is on the flange.
         limits: What its targets may not exceed.
@@ -91,6 +92,7 @@ class ArmEntry:
     payload_kg: float | None = None
     payload_cog_m: Three | None = None
     serial_number: str | None = None
+    safety_checksum: int | None = None
     checksum: tuple[int, ...] | None = None
     gripper: NoGripper | RobotiqSocket | DigitalGripper = NoGripper()
     limits: ArmLimits = ArmLimits()
@@ -136,6 +138,7 @@ PLAIN: Final = (
     "payload_kg",
     "payload_cog_m",
     "serial_number",
+    "safety_checksum",
 )
 """Attributes of an arm that are keys of its table, as they are."""
 

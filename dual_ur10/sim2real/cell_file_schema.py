@@ -282,6 +282,15 @@ ARM_KEYS: Final = (
         pattern=("[A-Za-z0-9-]{1,32}", "up to 32 letters, digits and hyphens, in quotes"),
         example="2010300001",
     ),
+    Key(
+        "safety_checksum",
+        "of the safety settings, to refuse others",
+        "integer",
+        0,
+        2**32 - 1,
+        note="the number that `doctor` shows, not what the pendant shows",
+        example=0x57F4285B,
+    ),
 )
 
 CELL: Final = Table(

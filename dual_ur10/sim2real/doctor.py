@@ -25,6 +25,7 @@ from dual_ur10.sim2real.doctor_state import (
     family_findings,
     model_findings,
     round_trip_findings,
+    safety_findings,
     state_findings,
     stream_findings,
     tool_findings,
@@ -209,6 +210,7 @@ def _dashboard(arm: _Arm) -> Iterator[Finding]:
 def _primary(arm: _Arm) -> Iterator[Finding]:
     arm.facts = read_primary(arm.expected.host, arm.timeout_s, name=arm.name)
     yield from calibration_findings(arm.name, arm.expected, arm.facts)
+    yield from safety_findings(arm.name, arm.expected, arm.facts)
 
 
 def _rtde(arm: _Arm) -> Iterator[Finding]:

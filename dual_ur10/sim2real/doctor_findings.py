@@ -69,6 +69,7 @@ class ExpectedArm:
         family: "cb3" or "e-series".
         dh: Its kinematics, as calibrated.
         checksums: (6,) of the calibration.
+        safety_checksum: Of the safety settings.
         tcp: (6,) tool centre point from the flange: x, y, z in m, rotation vector in rad.
         payload_kg: Mass at the flange.
         payload_cog_m: (3,) its centre of mass from the flange.
@@ -83,6 +84,7 @@ class ExpectedArm:
     family: Family = "cb3"
     dh: DHParameters | None = None
     checksums: tuple[int, ...] | None = None
+    safety_checksum: int | None = None
     tcp: tuple[float, ...] | None = None
     payload_kg: float | None = None
     payload_cog_m: tuple[float, ...] | None = None
@@ -108,6 +110,7 @@ def expected_of(arm: ArmEntry) -> ExpectedArm:
         family=arm.family,
         dh=arm.mount.dh,
         checksums=arm.checksum,
+        safety_checksum=arm.safety_checksum,
         tcp=arm.tcp,
         payload_kg=arm.payload_kg,
         payload_cog_m=arm.payload_cog_m,

@@ -189,6 +189,29 @@ def calibration_findings(arm: str, expected: ExpectedArm, facts: PrimaryFacts) -
         )
 
 
+def safety_findings(arm: str, expected: ExpectedArm, facts: PrimaryFacts) -> Iterator[Finding]:
+    """Whether the safety settings are those with which the risk was assessed."""
+    found, wanted = facts.safety_checksum, expected.safety_checksum
+    text = "not told by this software" if found is None else f"0x{found:08x}"
+    look = "compare the checksum that the pendant shows with the one in your risk assessment"
+    if wanted is None:
+        remedy = look if found is None else f"{look}, then write safety_checksum = {text} in the cell file"
+        yield Finding(arm, "safety checksum", "warn", text, "", remedy)
+        return
+    yield judged(
+        arm,
+        "safety checksum",
+        found == wanted,
+        text,
+        f"0x{wanted:08x}",
+        look
+        if found is None
+        else "the safety settings were changed: look at them on the pendant, assess the risk "
+        "anew, and only then correct the cell file",
+        otherwise="warn" if found is None else "fail",
+    )
+
+
 def flange_error_m(found: DHParameters, expected: DHParameters) -> float:
     """Largest distance of the flange, over some postures, between two calibrations of an arm, m."""
     one, other = (flange_pose(_POSTURES_RAD, dh)[0] for dh in (found, expected))

@@ -1,4 +1,4 @@
-"""What a controller says of itself on its primary interface: version, model and calibration, read once."""
+"""What a controller says of itself on its primary interface, once: version, model, calibration, safety settings."""
 
 from __future__ import annotations
 
@@ -16,9 +16,11 @@ from dual_ur10.ur10 import DHParameters
 PORT: Final = 30001
 
 # Layouts: UR's client interface article, and the parsers of Universal Robots' client library.
+# That the safety data, whose layout is not published, begin with the checksum of the safety settings, and come once
+# those are applied: Universal Robots' forum, topic 988.
 _HEADER: Final = struct.Struct(">iB")
 _VERSION: Final = 3  # kind of message
-_KINEMATICS, _CONFIGURATION = 5, 6  # kinds of sub-packages
+_KINEMATICS, _CONFIGURATION, _SAFETY = 5, 6, 10  # kinds of sub-packages
 _KINEMATICS_DATA: Final = struct.Struct(">6I24d")
 _BEFORE_TYPE: Final = 53 * 8 + 2 * 4  # of the configuration: limits, defaults and lengths, masterboard and box
 _LARGEST: Final = 1 << 16  # of a packet; a robot state has about 1.4 KiB
@@ -33,6 +35,7 @@ class PrimaryFacts(NamedTuple):
         robot_type: UR's number: 1 UR5, 2 UR10 and UR10e, 3 UR3, ...
         checksums: (6,) of the calibration, one per joint.
         theta_rad, a_m, d_m, alpha_rad: (6,) Denavit-Hartenberg parameters as calibrated.
+        safety_checksum: Of the safety settings: a number of 32 bits, not what the pendant shows. None: not told.
     """
 
     version: tuple[int, int, int, int]
@@ -42,6 +45,7 @@ class PrimaryFacts(NamedTuple):
     a_m: tuple[float, ...]
     d_m: tuple[float, ...]
     alpha_rad: tuple[float, ...]
+    safety_checksum: int | None = None
 
     def dh(self) -> DHParameters:
         """The parameters of this arm.
@@ -88,6 +92,7 @@ class _Reader:
         self._version: tuple[int, int, int, int] | None = None
         self._kinematics: tuple[float, ...] | None = None
         self._robot_type: int | None = None
+        self._safety_checksum: int | None = None
 
     @property
     def facts(self) -> PrimaryFacts | None:
@@ -96,7 +101,8 @@ class _Reader:
         if self._version is None or flat is None or self._robot_type is None:
             return None
         rows = [flat[start : start + 6] for start in range(6, 30, 6)]
-        return PrimaryFacts(self._version, self._robot_type, tuple(map(int, flat[:6])), *rows)
+        checksums = tuple(map(int, flat[:6]))
+        return PrimaryFacts(self._version, self._robot_type, checksums, *rows, safety_checksum=self._safety_checksum)
 
     def feed(self, data: bytes) -> None:
         """Take what came.
@@ -129,6 +135,8 @@ class _Reader:
                         self._kinematics = _KINEMATICS_DATA.unpack_from(data)
                     elif which == _CONFIGURATION:
                         (self._robot_type,) = struct.unpack_from(">I", data, _BEFORE_TYPE)
+                    elif which == _SAFETY:
+                        (self._safety_checksum,) = struct.unpack_from(">I", data)
         except struct.error as error:
             raise ProtocolError(f"packet of kind {kind} is too short: {error}") from error
 

@@ -453,7 +453,7 @@ def test_clients_are_told_of_another_controller(cell):
     for bad in (
         {"version": [1, 2, 3]}, {"version": [300, 1, 1, 1]}, {"version": [-1, 1, 1, 1]}, {"version": "abcd"},
         {"version": 5}, {"version": [5, 1, 1, 2**70]}, {"model": 5}, {"serial_number": [1]}, {"robot_type": "x"},
-        {"robot_type": -1}, {"robot_type": 2**40},
+        {"robot_type": -1}, {"robot_type": 2**40}, {"safety_checksum": -1}, {"safety_checksum": 2**32},
     ):  # fmt: skip
         cell.refused("pretend", arm="left", **bad)
     assert versions(0)[:3] == (rtde, lines, primary)

@@ -81,7 +81,7 @@ def test_sizes_of_an_e_series():
 
 def test_sizes_of_a_cb3():
     # 46 is a size by which clients of a CB3 read the robot mode.
-    sizes = {0: 46, 1: 251, 4: 101, 5: 225, 9: 53, 3: 72, 2: 37, 6: 445, 7: 61, 8: 8}
+    sizes = {0: 46, 1: 251, 4: 101, 5: 225, 9: 53, 3: 72, 2: 37, 6: 445, 7: 61, 8: 8, 10: 43}
     assert {kind: len(part) for kind, part in state(CB3).items()} == sizes
 
 

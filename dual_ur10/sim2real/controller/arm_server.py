@@ -167,7 +167,7 @@ class ArmServer:
         try:
             primary = PrimaryPacket(profile, kinematics)
         except struct.error as error:
-            raise SettingsError(f"no controller can be of version {profile.version}: {error}") from error
+            raise SettingsError(f"no controller can say this: {error}") from error
         self.primary, self.shown, self.kinematics = primary, profile, kinematics
         self._rtde.profile = profile
 

@@ -275,12 +275,18 @@ class Knobs:
         model: str | None = None,
         serial_number: str | None = None,
         robot_type: int | None = None,
+        safety_checksum: int | None = None,
     ) -> None:
-        """New clients are told of another version, model or serial number."""
-        given: dict[str, Any] = {"model": model, "serial_number": serial_number, "robot_type": robot_type}
+        """New clients are told of another version, model or serial number, or of other safety settings."""
+        given: dict[str, Any] = {
+            "model": model,
+            "serial_number": serial_number,
+            "robot_type": robot_type,
+            "safety_checksum": safety_checksum,
+        }
         values = {name: value for name, value in given.items() if value is not None}
         for name, value in values.items():
-            kind = int if name == "robot_type" else str
+            kind = str if name in ("model", "serial_number") else int
             if not isinstance(value, kind):
                 raise SettingsError(f"{name} is {value!r}: it must be {'a number' if kind is int else 'text'}")
         if version is not None:

@@ -27,7 +27,6 @@ Values = Mapping[str, Any]
 
 _CALIBRATED: Final = 2  # assumption: "calibration status" of a calibrated arm; 0 says it is the nominal one
 _EMERGENCY: Final = SafetyBits.SYSTEM_EMERGENCY_STOPPED | SafetyBits.ROBOT_EMERGENCY_STOPPED
-_SAFETY_CHECKSUM: Final = 0x57F4285B  # of the safety settings; never compared with anything
 
 # Defaults of the pendant for movej and movel: URScript manual, a=1.4, v=1.05, a=1.2, v=0.25.
 _DEFAULTS: Final = (1.05, 1.4, 0.25, 1.2)
@@ -44,10 +43,11 @@ class PrimaryPacket:
 
     def __init__(self, profile: ControllerProfile, kinematics: DHParameters) -> None:
         self._e_series = profile.family == "e-series"
+        self._safety_checksum = struct.pack(">I", profile.safety_checksum)
         self._version = version_message(profile)
         self._kinematics = _package(5, _kinematics(kinematics))
         self._configuration = _package(6, _configuration(profile, kinematics))
-        # Assumption: a CB3 has no safety data and no data of the tool's connector.
+        # Assumption: a CB3 has no data of the tool's connector.
         packers: tuple[Callable[[Values], bytes], ...] = (
             self._robot_mode,
             _joints,
@@ -59,8 +59,9 @@ class PrimaryPacket:
             lambda _: self._configuration,
             _force_mode,
             self._additional,
+            self._safety,
         )
-        self._packers = (*packers, _safety, _tool_connector, _tool_mode) if self._e_series else packers
+        self._packers = (*packers, _tool_connector, _tool_mode) if self._e_series else packers
 
     def version_message(self) -> bytes:
         """What is sent first on every connection."""
@@ -123,7 +124,7 @@ class PrimaryPacket:
             0,  # no Euromap 67 interface
         )
         # Assumption: a CB3 ends with the reserved number.
-        rest = struct.pack(">I3B", _SAFETY_CHECKSUM, 1, 1, 1) if self._e_series else struct.pack(">I", _SAFETY_CHECKSUM)
+        rest = self._safety_checksum + bytes((1, 1, 1)) if self._e_series else self._safety_checksum
         return _package(3, fields + rest)
 
     def _additional(self, values: Values) -> bytes:
@@ -131,6 +132,10 @@ class PrimaryPacket:
         # Assumption: a CB3 has no reserved byte here either.
         fields = struct.pack(">B??", freedrive, True, False)
         return _package(8, fields + b"\1" if self._e_series else fields)
+
+    def _safety(self, values: Values) -> bytes:
+        """Not documented but for the first number, the checksum; then come the elbow's position and a radius."""
+        return _package(10, self._safety_checksum + struct.pack(">2B4d", 1, 1, *values["elbow_position"], 0.13))
 
 
 NAMES: Final = (
@@ -250,11 +255,6 @@ def _force_mode(values: Values) -> bytes:
 def _calibration(_: Values) -> bytes:
     """Numbers that UR keeps to itself."""
     return _package(9, bytes(48))
-
-
-def _safety(values: Values) -> bytes:
-    """What UR keeps to itself, too; it has the checksum, the elbow's position and a radius."""
-    return _package(10, struct.pack(">I2B4d", _SAFETY_CHECKSUM, 1, 1, *values["elbow_position"], 0.13))
 
 
 def _tool(values: Values) -> bytes:

@@ -67,6 +67,7 @@ class ControllerProfile:
         serial_number: Digits.
         model: As the dashboard says it.
         robot_type: As the primary interface says it; 2 is the UR10.
+        safety_checksum: Of its safety settings, as the primary interface says it; 0 to 2**32 - 1.
         assumptions: What no document settles.
     """
 
@@ -76,6 +77,7 @@ class ControllerProfile:
     serial_number: str
     model: str = "UR10"
     robot_type: int = 2
+    safety_checksum: int = 0x57F4285B
     assumptions: Assumptions = field(default_factory=Assumptions)
 
     @property

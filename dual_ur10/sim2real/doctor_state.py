@@ -194,6 +194,7 @@ def safety_findings(arm: str, expected: ExpectedArm, facts: PrimaryFacts) -> Ite
     found, wanted = facts.safety_checksum, expected.safety_checksum
     text = "not told by this software" if found is None else f"0x{found:08x}"
     look = "compare the checksum that the pendant shows with the one in your risk assessment"
+    changed = "they were changed: look at them on the pendant, assess the risk anew, then correct the cell file"
     if wanted is None:
         remedy = look if found is None else f"{look}, then write safety_checksum = {text} in the cell file"
         yield Finding(arm, "safety checksum", "warn", text, "", remedy)
@@ -204,10 +205,7 @@ def safety_findings(arm: str, expected: ExpectedArm, facts: PrimaryFacts) -> Ite
         found == wanted,
         text,
         f"0x{wanted:08x}",
-        look
-        if found is None
-        else "the safety settings were changed: look at them on the pendant, assess the risk "
-        "anew, and only then correct the cell file",
+        look if found is None else changed,
         otherwise="warn" if found is None else "fail",
     )
 

@@ -100,9 +100,9 @@ class _Reader:
         flat = self._kinematics
         if self._version is None or flat is None or self._robot_type is None:
             return None
-        rows = [flat[start : start + 6] for start in range(6, 30, 6)]
         checksums = tuple(map(int, flat[:6]))
-        return PrimaryFacts(self._version, self._robot_type, checksums, *rows, safety_checksum=self._safety_checksum)
+        theta, a, d, alpha = (flat[start : start + 6] for start in range(6, 30, 6))
+        return PrimaryFacts(self._version, self._robot_type, checksums, theta, a, d, alpha, self._safety_checksum)
 
     def feed(self, data: bytes) -> None:
         """Take what came.

@@ -20,7 +20,7 @@ RING: Final = 4096
 """Targets, sendings and states that are kept: half a minute at 125 Hz, eight seconds at 500 Hz."""
 
 _TEXT: Final = 1024
-_END, _SENT, _PHASE, _STOP, _SKIPPED, _STATES = range(6)
+_END, _SENT, _PHASE, _STOP, _SKIPPED, _STATES, _PROCESS = range(7)
 _BEAT_S = 0
 _LAYOUT: Final[Layout] = {
     "ints": (np.int64, (16,)),
@@ -116,6 +116,10 @@ class ArmMemory:
 
     # Written by the arm's process.
 
+    def note_process(self, pid: int) -> None:
+        """The process has begun."""
+        self._ints[_PROCESS] = pid
+
     def note_sent(self, period: int, index: float, at_s: float, late_s: float, target_rad: Array) -> None:
         """A target was sent."""
         count = int(self._ints[_SENT])
@@ -161,6 +165,11 @@ class ArmMemory:
     def beat_s(self) -> float:
         """When the process last showed that it lives; 0: not yet."""
         return float(self._floats[_BEAT_S])
+
+    @property
+    def process(self) -> int:
+        """Its number; 0: it has not begun yet."""
+        return int(self._ints[_PROCESS])
 
     @property
     def stop_asked(self) -> bool:

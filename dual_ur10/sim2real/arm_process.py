@@ -1,13 +1,14 @@
 """The process of one arm: it owns the connections to its controller, and nothing else does.
 
-Constructors of `ur_rtde` hold Python's global lock while they wait, its reconnection can end the process, and it may
-block for seconds. None of that must reach the other arm.
+Constructors of `ur_rtde` hold Python's global lock while they wait, and it may block for seconds. None of that must
+reach the other arm. Nor may it connect again when it has lost the controller: it would start its script there anew.
 """
 
 from __future__ import annotations
 
 import gc
 import os
+import resource
 import time
 from dataclasses import dataclass
 from typing import Any, Final
@@ -30,6 +31,7 @@ WATCHDOG_HZ: Final = 10.0
 CONNECT_S: Final = 10.0
 
 _MOST_PRIORITY: Final = 90
+_STANDARD: Final = 3  # files that every process has
 
 _KEPT: Final[list[Any]] = []
 """Interfaces of ur_rtde, which are never destroyed: that waits for a controller, for ever if it is lost."""
@@ -111,12 +113,14 @@ class ArmProcess:
 def main(connection: ArmConnection, names: tuple[str, ...], parent: int, watched: bool) -> None:
     """Run in the process of an arm."""
     memory, cell, others = ArmMemory(names[0]), CellMemory(names[1]), [ArmMemory(name) for name in names[2:]]
+    memory.note_process(os.getpid())
     try:
         link = RtdeLink(connection.host, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES, name=connection.name)
         _settle()
         hasten(connection.rt_priority)
         control = _control(connection)  # from here on the watchdog wants to be fed
         _KEPT.append(control)
+        bar_connections()
         name, servoj = connection.name, connection.servoj
         ArmSender(name, servoj, link, control, memory, cell, others, parent=parent, watched=watched).run()
     except DualUR10Error as error:
@@ -144,6 +148,20 @@ def _control(connection: ArmConnection) -> Any:
     if not control.setWatchdog(WATCHDOG_HZ):
         raise LinkError(f"{connection.host} did not take the watchdog: nothing is moved without")
     return control
+
+
+def bar_connections() -> None:
+    """From here on this process opens no file and no connection.
+
+    `ur_rtde` reconnects by itself when it loses a controller, at any time and in a thread of its own, starts its script
+    there anew and sends the last command again, without a watchdog. No setting keeps it from that, but the operating
+    system does: the numbers of standard input, output and errors are taken, and no higher ones are given.
+    """
+    number = 0
+    while number < _STANDARD:  # some programs are started without them
+        number = os.open(os.devnull, os.O_RDWR)
+    os.close(number)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (_STANDARD, _STANDARD))
 
 
 def _settle() -> None:

@@ -53,6 +53,9 @@ class Control(Protocol):
     ) -> bool:
         """Send a target."""
 
+    def isConnected(self) -> bool:  # noqa: N802
+        """Whether it has not lost the controller."""
+
     def servoStop(self, a: float, /) -> bool:  # noqa: N802
         """End servoing."""
 
@@ -201,6 +204,8 @@ class ArmSender:
         self._check(target_rad, periods)
         self._rate = (target_rad - self._sent[-1]) / periods if self._sent else np.zeros(6)
         self._sent, self._period, self._index = [target_rad], period, index
+        if not self.control.isConnected():
+            raise LinkError(f"{self.name}: ur_rtde has lost the controller; look at its network")
         self._sent_s = time.monotonic()
         profile = self.servoj
         return self.control.servoJ(target_rad.tolist(), 0.0, 0.0, profile.tick_s, profile.lookahead_s, profile.gain)

@@ -95,14 +95,20 @@ class DashboardLink:
             )
         deadline_s = time.monotonic() + self._timeout_s
         try:
-            self._check_that_nothing_waits()
+            self.check()
             self._socket.send(command.encode("ascii") + b"\n", deadline_s)
             return self._line(deadline_s)
         except LinkError:
             self._socket.close()
             raise
 
-    def _check_that_nothing_waits(self) -> None:
+    def check(self) -> None:
+        """See that it still stands, and that nothing was said unasked. It does not wait.
+
+        Raises:
+            LinkError: It was lost, or something was said.
+            ClosedError: It was closed.
+        """
         data = self._socket.receive_now()
         if data == b"":
             raise self._socket.ended()

@@ -1,42 +1,39 @@
 """The process that watches both arms by connections of its own, and stops both for good when anything is wrong.
 
 It commands nothing but a stop. It does not need the processes of the arms, which may hang, nor `ur_rtde`: it reads the
-state of both controllers itself, and where an arm's process cannot end a program any more, it asks the dashboard to.
+state of both controllers itself, and where an arm's process does not end its program, it ends that process and asks the
+dashboard to.
 """
 
 from __future__ import annotations
 
 import gc
 import logging
+import math
 import os
 import select
 import time
 from collections.abc import Sequence
 from typing import Final
 
-from dual_ur10.errors import DualUR10Error, LinkError
+from dual_ur10.errors import LinkError
 from dual_ur10.sim2real.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.arm_sender import STALE_S
 from dual_ur10.sim2real.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
 from dual_ur10.sim2real.cell_file import CellFile
 from dual_ur10.sim2real.cell_memory import CellMemory
 from dual_ur10.sim2real.child import Child
-from dual_ur10.sim2real.dashboard_link import DashboardLink
 from dual_ur10.sim2real.latch import Latch
 from dual_ur10.sim2real.pace import taken_down
 from dual_ur10.sim2real.priority import hasten
 from dual_ur10.sim2real.rtde_link import RtdeLink
+from dual_ur10.sim2real.second_stop import ANSWER_S, SecondStop
 from dual_ur10.sim2real.watch import Watch, WatchSettings
 from dual_ur10.ur10 import ARMS
 
 log = logging.getLogger(__name__)
 
-STOPPED_S: Final = 0.4
-"""How long the arms' own processes have to end their programs, before the dashboard is asked to."""
-
-_SECOND_STOP_S: Final = 3.0  # for which it is asked for
 _AHEAD_PERIODS: Final = 3  # from which on a new pace holds
-_CONNECT_S: Final = 2.0
 
 
 class Supervisor:
@@ -56,13 +53,12 @@ class Supervisor:
         self._file, self._settings, self._arms, self._cell, self._parent = file, settings, arms, cell, parent
         self._watch = Watch(settings, arms, cell)
         self._links: list[RtdeLink] = []
-        self._dashboards: list[DashboardLink] = []
 
     def run(self) -> None:
         """Watch until the program ends or both arms have been stopped."""
         for name, arm in zip(ARMS, self._file.arms, strict=True):
             self._links.append(RtdeLink(arm.host, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES, name=name))
-            self._dashboards.append(DashboardLink(arm.host, _CONNECT_S, name=name))
+        self._second = SecondStop(self._arms, [arm.host for arm in self._file.arms])
         self._cell.enter_ready()
         reason = None
         while reason is None:
@@ -81,7 +77,12 @@ class Supervisor:
 
     def _look(self, now: float) -> str | None:
         """Take in what both controllers tell, for at most a control period."""
-        ready, _, _ = select.select([each.fileno() for each in self._links], [], [], self._settings.tick_s)
+        links = [each.fileno() for each in self._links]
+        ready, _, _ = select.select([*links, *self._second.files], [], [], self._settings.tick_s)
+        try:
+            self._second.check()
+        except LinkError as error:
+            return f"the second way to stop is lost: {error}"
         for arm, link in enumerate(self._links):
             if link.fileno() not in ready and link.age_s(now) < STALE_S:
                 continue
@@ -117,36 +118,20 @@ class Supervisor:
         reason = self._cell.fault  # somebody else may have been first, and this what came of it
         for memory in self._arms:
             memory.stop()
+        self._second.begin()
+        self._see_it_done(ANSWER_S)  # a disk may be slow, and a process that hangs must not wait for it
         try:
             Latch(self._file).set(reason)
         finally:
             self._see_it_done()
+            self._second.close()
             log.error("both arms were stopped: %s", reason)
 
-    def _see_it_done(self) -> None:
-        """Wait for both programs to end, and ask the dashboards where they do not."""
-        begin = time.monotonic()
-        asked: set[int] = set()
-        while time.monotonic() - begin < _SECOND_STOP_S:
-            time.sleep(self._settings.tick_s)
+    def _see_it_done(self, within_s: float = math.inf) -> None:
+        """Wait for both programs to end, and end what does not."""
+        while self._second.look() <= within_s and self._second.waits:
             self._cell.watched(time.monotonic())
-            left = [arm for arm, memory in enumerate(self._arms) if memory.phase != Phase.STOPPED]
-            if not left:
-                return
-            if time.monotonic() - begin < STOPPED_S:
-                continue
-            for arm in left:
-                if arm not in asked:
-                    asked.add(arm)
-                    self._ask_dashboard(arm)
-            if len(asked) == len(self._arms) or set(left) <= asked:
-                return
-
-    def _ask_dashboard(self, arm: int) -> None:
-        try:
-            self._dashboards[arm].stop()
-        except DualUR10Error as error:
-            log.error("%s: the dashboard did not stop its program (%s): its watchdog does", ARMS[arm], error)
+            time.sleep(self._settings.tick_s / 4)
 
 
 class SupervisorProcess:

@@ -95,6 +95,28 @@ def test_19_a_connection_that_ends_stops_both_and_is_not_made_again(lab, port, r
     assert lab.programs() == before + 2  # one for each arm: none was started anew
 
 
+@pytest.mark.parametrize("trial", range(soak.scaled(60)))
+def test_19_ur_rtde_alone_that_loses_its_connection_starts_nothing_anew(lab, trial):
+    """What it would do by itself: connect again, start its script anew and send its last command, all without a
+    watchdog. The other connections of an arm's process stand, and notice nothing."""
+    arm = ARMS[trial % 2]
+    lab.begin()
+    before = lab.programs()
+    lab.cell.ask("drop", arm=arm, port="rtde", writers=True, reset=bool(trial // 2 % 2))
+    error = lab.step_until_faulted()
+    lab.assert_stopped(error, f"{arm}: ")
+    time.sleep(0.5)
+    assert lab.programs() == before + 2
+
+
+@pytest.mark.parametrize("arm", ARMS if soak.SOAK else ["right"])
+def test_19_the_second_way_to_stop_is_not_lost_unseen(lab, arm):
+    lab.begin()
+    lab.cell.ask("drop", arm=arm, port="dashboard")
+    error = lab.step_until_faulted()
+    lab.assert_stopped(error, "the second way to stop is lost", f"{arm} arm, dashboard")
+
+
 @pytest.mark.parametrize("arm", ARMS if soak.SOAK else ["left"])
 def test_20_a_controller_that_falls_silent_stops_both(lab, arm):
     lab.begin()

@@ -237,10 +237,14 @@ class Knobs:
         for which in self._ports(arm, port):
             which.listen()
 
-    def do_drop(self, arm: str, port: str, reset: bool = False) -> None:
-        """All connections of a port end, with a reset if asked for."""
+    def do_drop(self, arm: str, port: str, reset: bool = False, writers: bool = False) -> None:
+        """All connections of a port end, or those alone that write inputs, with a reset if asked for."""
         for which in self._ports(arm, port):
-            which.disconnect("a fault was asked for", reset=bool(reset))
+            which.disconnect(
+                "a fault was asked for",
+                reset=bool(reset),
+                whose=lambda peer: not writers or (isinstance(peer, RtdePeer) and peer.session.writes),
+            )
 
     def do_refuse(self, arm: str, port: str) -> None:
         """A port takes no new clients."""

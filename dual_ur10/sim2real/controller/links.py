@@ -296,10 +296,11 @@ class Port:
         for connection in list(self.connections):
             connection.send(data, droppable=True)
 
-    def disconnect(self, reason: str, *, reset: bool = False) -> None:
-        """End all connections."""
+    def disconnect(self, reason: str, *, reset: bool = False, whose: Callable[[Peer], bool] = lambda _: True) -> None:
+        """End all connections, or those of some peers."""
         for connection in list(self.connections):
-            connection.close(reason, reset=reset)
+            if whose(connection.peer):
+                connection.close(reason, reset=reset)
 
     def close(self) -> None:
         """End the connections and stop listening."""

@@ -165,6 +165,11 @@ class RtdeSession:
             return b""
         return frame(Kind.TEXT_MESSAGE, text_payload(message, source, kind, self.version))
 
+    @property
+    def writes(self) -> bool:
+        """Whether it has set up inputs."""
+        return bool(self._inputs)
+
     def close(self) -> None:
         """End the session: others can use its inputs at once. Closing it again does nothing."""
         self._closed, self.started = True, False

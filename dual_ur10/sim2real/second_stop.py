@@ -1,0 +1,119 @@
+"""Ends the programs of arms whose processes do not: one that hangs is ended itself, and the dashboard stops its arm."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import signal
+import threading
+import time
+from collections.abc import Sequence
+from typing import Final
+
+from dual_ur10.errors import DualUR10Error, LinkError
+from dual_ur10.sim2real.arm_memory import ArmMemory, Phase
+from dual_ur10.sim2real.dashboard_link import DashboardLink
+from dual_ur10.ur10 import ARMS
+
+log = logging.getLogger(__name__)
+
+ANSWER_S: Final = 0.03
+"""Within which an arm's process must have begun to stop its arm. One that has not hangs, as `ur_rtde` may for seconds:
+it must not wake and go on."""
+
+STOPPED_S: Final = 0.4
+"""How long it has then until its program has ended: longer than any ramp takes."""
+
+_CONNECT_S: Final = 2.0
+
+
+class SecondStop:
+    """Sees that both arms stop.
+
+    Args:
+        arms: Memories of both arms' processes.
+        hosts: Addresses of both controllers.
+
+    Raises:
+        LinkError: A dashboard server cannot be reached.
+    """
+
+    def __init__(self, arms: Sequence[ArmMemory], hosts: Sequence[str]) -> None:
+        self._arms, self._hosts = arms, hosts
+        self._dashboards = [DashboardLink(host, _CONNECT_S, name=name) for name, host in zip(ARMS, hosts, strict=True)]
+        self._processes: list[int | None] = [None for _ in arms]
+        self._left = set(range(len(arms)))
+        self._begun_s = 0.0
+        self._asking: list[threading.Thread] = []
+
+    @property
+    def files(self) -> list[int]:
+        """Readable when a connection is not as it should be any more: see `check`."""
+        return [each.fileno() for each in self._dashboards]
+
+    def check(self) -> None:
+        """See that this stop can still be made.
+
+        Raises:
+            LinkError: A dashboard server is lost.
+        """
+        for arm, link in enumerate(self._dashboards):
+            link.check()
+            pid = self._arms[arm].process
+            if self._processes[arm] is None and pid:
+                with contextlib.suppress(OSError):  # it has ended, which others see
+                    self._processes[arm] = os.pidfd_open(pid)
+
+    def begin(self) -> None:
+        """Both arms were told to stop just now."""
+        self._begun_s = time.monotonic()
+
+    @property
+    def waits(self) -> bool:
+        """Whether an arm may still stop by itself."""
+        return bool(self._left)
+
+    def look(self) -> float:
+        """End what should have stopped by now.
+
+        Returns:
+            Time since the beginning, s.
+        """
+        passed = time.monotonic() - self._begun_s
+        for arm in sorted(self._left):
+            phase = self._arms[arm].phase
+            if phase == Phase.STOPPED:
+                self._left.discard(arm)
+            elif phase == Phase.FAULTED or passed > (STOPPED_S if phase == Phase.STOPPING else ANSWER_S):
+                self._left.discard(arm)
+                self._end(arm)
+        return passed
+
+    def close(self) -> None:
+        """Wait for the dashboards' answers."""
+        for thread in self._asking:
+            thread.join(2 * _CONNECT_S)
+
+    def _end(self, arm: int) -> None:
+        process = self._processes[arm]
+        if process is not None:
+            with contextlib.suppress(OSError):  # it has ended
+                signal.pidfd_send_signal(process, signal.SIGKILL)
+        self._arms[arm].enter(
+            Phase.FAULTED, f"{ARMS[arm]}: its process did not stop its program by itself, and was ended"
+        )
+        # One arm's dashboard, which may be silent, must not keep the other one waiting.
+        thread = threading.Thread(target=self._ask, args=(arm,), daemon=True)
+        thread.start()
+        self._asking.append(thread)
+
+    def _ask(self, arm: int) -> None:
+        try:
+            try:
+                self._dashboards[arm].stop()
+            except LinkError:
+                with DashboardLink(self._hosts[arm], _CONNECT_S, name=ARMS[arm]) as link:
+                    link.stop()
+        except DualUR10Error as error:
+            log.error("%s: the dashboard did not stop its program (%s): its watchdog does", ARMS[arm], error)

@@ -63,6 +63,9 @@ class EmulatorOptions:
         powered: Whether the arms have power, and their brakes released, from the start.
         view: Whether MuJoCo's web viewer shows the cell.
         cell: Where to write the cell file; None: nowhere.
+        phase_s: How long after whole multiples of a control period, by this machine's monotonic clock, control periods
+            begin; None: whenever the cell begins to run. Two cells with an arm each are so two controllers that do not
+            keep step.
     """
 
     left: str | None = None
@@ -75,6 +78,7 @@ class EmulatorOptions:
     powered: bool = True
     view: bool = False
     cell: str | None = None
+    phase_s: float | None = None
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> EmulatorOptions:
@@ -178,6 +182,8 @@ class Emulator:
         hasten()
         sys.setswitchinterval(_SWITCH_S)
         due = time.monotonic()
+        if self.options.phase_s is not None:
+            due = (due // self.tick_s + 1) * self.tick_s + self.options.phase_s % self.tick_s
         while not self.ended:
             self._hub.poll(due)
             late = time.monotonic() - due

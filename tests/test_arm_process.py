@@ -9,7 +9,7 @@ import pytest
 
 from dual_ur10.errors import LinkError, SettingsError
 from dual_ur10.sim2real.arm_memory import ArmMemory, Phase
-from dual_ur10.sim2real.arm_process import ArmConnection, ArmProcess
+from dual_ur10.sim2real.arm_process import ArmConnection, ArmProcess, _round_trip_s
 from dual_ur10.sim2real.cell_memory import CellMemory
 from dual_ur10.sim2real.controller.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.ramp import STOP_RAD_S2, STOP_RAD_S3
@@ -111,6 +111,23 @@ def pair(cell):
     made.close()
 
 
+class TwoCells:
+    """A left arm of one emulated cell and a right arm of another, whose control periods begin apart."""
+
+    def __init__(self, left, right):
+        self.left, self.right = left.left, right.right
+        self._cells = dict(zip(ARMS, (left, right), strict=True))
+
+    def ask(self, do, *, arm, **values):
+        return self._cells[arm].ask(do, arm=arm, **values)
+
+    def wait_until(self, arm, *what):
+        self._cells[arm].wait_until(arm, *what)
+
+    def setpoints(self, arm, since):
+        return self._cells[arm].setpoints(arm, since)
+
+
 def numbers_of(pair, arm):
     """Number of the target, or between which two, for all that a controller has executed."""
     return (np.array(pair.executed(arm))[:, 1] - pair.home[arm][1]) / STEP_RAD
@@ -150,6 +167,32 @@ def test_what_is_put_is_what_the_controllers_execute(pair):
         assert all(each in put for each in executed[: len(known) - 1])
         assert_rests_on_path(pair, arm)
     pair.stand()
+
+
+@pytest.mark.parametrize("apart_s", [0.003, 0.0055])
+def test_controllers_whose_periods_begin_apart_are_sent_what_belongs_to_the_same_time(apart_s):
+    with EmulatedCell(plant="nominal", phase_s=0.0) as one, EmulatedCell(plant="nominal", phase_s=apart_s) as other:
+        pair = Pair(TwoCells(one, other))
+        try:
+            pair.begin()
+            pair.move(250)
+            left, right = (memory.sent()[0] for memory in pair.memories)
+        finally:
+            pair.close()
+    # Which target belongs to a time is the same for both.
+    skew = np.interp(right.sent_s, left.sent_s, left.index)[20:-20] - right.index[20:-20]
+    assert abs(np.median(skew)) < 0.12
+
+
+def test_the_round_trip_is_measured(cell):
+    quick = _round_trip_s(ArmConnection("left", cell.left, SERVOJ))
+    cell.ask("link", arm="left", port="rtde", delay_s=0.003)
+    try:
+        slow = _round_trip_s(ArmConnection("left", cell.left, SERVOJ))
+    finally:
+        cell.ask("heal", arm="left")
+    assert 0.0 < quick < slow
+    assert slow > 0.006  # there and back
 
 
 @pytest.mark.parametrize("mode", [3, 5, 21])

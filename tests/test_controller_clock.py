@@ -84,3 +84,14 @@ def test_packets_that_waited_until_they_were_read_say_little(waited):
         clock.note(timestamp, max(arrival, read_s))
     timestamp, _, true = stream[-1]
     assert clock.local_s(timestamp) - true == pytest.approx(0.0002, abs=0.0005)
+
+
+def test_what_is_sent_earlier_by_a_round_trip_arrives_in_the_same_period():
+    near, far = ControllerClock(0.008), ControllerClock(0.008, 0.003)
+    for packet in range(50):
+        near.note(5.0 + 0.008 * packet, 105.0 + 0.008 * packet)
+        far.note(5.0 + 0.008 * packet, 105.0 + 0.0015 + 0.008 * packet)  # half of it
+    number, at = near.next_period(105.5, 0.5)
+    assert far.moment(number, 0.5) == pytest.approx(at - 0.0015, abs=1e-9)
+    assert far.next_period(at - 0.0015 - 1e-6, 0.5)[0] == number
+    assert far.next_period(at - 0.0015 + 1e-6, 0.5)[0] == number + 1

@@ -21,7 +21,7 @@ RING: Final = 4096
 
 _TEXT: Final = 1024
 _END, _SENT, _PHASE, _STOP, _SKIPPED, _STATES, _PROCESS = range(7)
-_BEAT_S = 0
+_BEAT_S, _FIRST_S = range(2)
 _LAYOUT: Final[Layout] = {
     "ints": (np.int64, (16,)),
     "floats": (np.float64, (16,)),
@@ -142,6 +142,10 @@ class ArmMemory:
         """The process lives."""
         self._floats[_BEAT_S] = now_s
 
+    def note_first(self, at_s: float) -> None:
+        """When the first target is to be sent."""
+        self._floats[_FIRST_S] = at_s
+
     def enter(self, phase: Phase, text: str = "") -> None:
         """Go on to another phase, and say why; never back to one before."""
         if phase > self._ints[_PHASE]:
@@ -165,6 +169,11 @@ class ArmMemory:
     def beat_s(self) -> float:
         """When the process last showed that it lives; 0: not yet."""
         return float(self._floats[_BEAT_S])
+
+    @property
+    def first_s(self) -> float:
+        """When the first target is to be sent; 0: that is not known yet."""
+        return float(self._floats[_FIRST_S])
 
     @property
     def process(self) -> int:

@@ -22,8 +22,9 @@ from dual_ur10.sim2real.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES
 from dual_ur10.sim2real.cell_memory import CellMemory
 from dual_ur10.sim2real.child import Child
 from dual_ur10.sim2real.priority import hasten
-from dual_ur10.sim2real.rtde_link import RtdeLink
+from dual_ur10.sim2real.rtde_link import PORT, RtdeClient, RtdeLink
 from dual_ur10.sim2real.servoj import ServojProfile
+from dual_ur10.ur10 import ARMS
 
 WATCHDOG_HZ: Final = 10.0
 """How often the controller must hear of us, or it ends the program. Armed before anything moves."""
@@ -31,6 +32,7 @@ WATCHDOG_HZ: Final = 10.0
 CONNECT_S: Final = 10.0
 
 _MOST_PRIORITY: Final = 90
+_ROUND_TRIPS: Final = 20
 _STANDARD: Final = 3  # files that every process has
 
 _KEPT: Final[list[Any]] = []
@@ -115,6 +117,7 @@ def main(connection: ArmConnection, names: tuple[str, ...], parent: int, watched
     memory, cell, others = ArmMemory(names[0]), CellMemory(names[1]), [ArmMemory(name) for name in names[2:]]
     memory.note_process(os.getpid())
     try:
+        round_trip_s = _round_trip_s(connection)
         link = RtdeLink(connection.host, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES, name=connection.name)
         _settle()
         hasten(connection.rt_priority)
@@ -122,13 +125,35 @@ def main(connection: ArmConnection, names: tuple[str, ...], parent: int, watched
         _KEPT.append(control)
         bar_connections()
         name, servoj = connection.name, connection.servoj
-        ArmSender(name, servoj, link, control, memory, cell, others, parent=parent, watched=watched).run()
+        ArmSender(
+            name,
+            servoj,
+            link,
+            control,
+            memory,
+            cell,
+            others,
+            parent=parent,
+            watched=watched,
+            leader=others[0] if others and name != ARMS[0] else None,
+            round_trip_s=round_trip_s,
+        ).run()
     except DualUR10Error as error:
         memory.enter(Phase.FAULTED, f"{connection.name}: {error}")
     except Exception as error:  # whatever it is, the other arm and the program must hear of it
         memory.enter(Phase.FAULTED, f"{connection.name}: {type(error).__name__}: {error}")
     # At once: what ur_rtde has lost, it tries to reach again, and starts its script there anew.
     os._exit(0)
+
+
+def _round_trip_s(connection: ArmConnection) -> float:
+    """How long the quickest answers of the controller take: its clock is known by the quickest packets, too."""
+    deadline_s = time.monotonic() + CONNECT_S
+    client = RtdeClient(connection.name, connection.host, PORT, deadline_s)
+    try:
+        return min(client.round_trips_s(_ROUND_TRIPS, deadline_s))
+    finally:
+        client.socket.close_and_wait(deadline_s)
 
 
 def _control(connection: ArmConnection) -> Any:

@@ -35,6 +35,10 @@ command timeout."""
 START_GAP_RAD: Final = 0.02
 """How far the first target may be from where the arm is."""
 
+TOGETHER_S: Final = 0.002
+"""How far apart the control periods of two controllers may begin without that one arm's targets are shifted: more than
+estimates of their clocks scatter by."""
+
 MOST_LATE_S: Final = 0.1
 """How far the sending may fall behind before it is given up: the watchdog in the controller waits as long."""
 
@@ -96,6 +100,8 @@ class ArmSender:
         others: Memories of the other arms: if one of them stops, so does this one.
         parent: Process that the targets come from; None: nobody looks.
         watched: Whether there is a supervisor that must live.
+        leader: Memory of the arm that this one keeps step with; None: the others keep step with this one.
+        round_trip_s: How long an answer of the controller takes.
     """
 
     def __init__(
@@ -110,11 +116,14 @@ class ArmSender:
         *,
         parent: int | None = None,
         watched: bool = True,
+        leader: ArmMemory | None = None,
+        round_trip_s: float = 0.0,
     ) -> None:
         self.name, self.servoj, self.link, self.control = name, servoj, link, control
         self.memory, self.cell, self.others = memory, cell, others
         self._parent, self._watched = parent, watched
-        self.clock = ControllerClock(servoj.tick_s)
+        self.clock = ControllerClock(servoj.tick_s, round_trip_s)
+        self._leader = leader
         self._following = Following(servoj)
         self._sent: list[Array] = []
         self._sent_s = 0.0
@@ -131,7 +140,7 @@ class ArmSender:
         try:
             self._settle()
             self.memory.enter(Phase.READY)
-            self._stream(self._wait_for_beginning())
+            self._stream(*self._wait_for_beginning())
         except StopError as reason:
             self._stop(str(reason), on_path=not isinstance(reason, TargetError))
         except LinkError as error:
@@ -146,14 +155,32 @@ class ArmSender:
             self._kick()
             self._listen(time.monotonic() + self.servoj.tick_s, playing=False)
 
-    def _wait_for_beginning(self) -> int:
-        """Keep the watchdog quiet until it is known when to begin. Returns the first control period."""
+    def _wait_for_beginning(self) -> tuple[int, float]:
+        """Keep the watchdog quiet until it is time to begin.
+
+        Returns:
+            The first control period, and which target belongs there: a fraction of one, where the controllers' periods
+            do not begin together.
+        """
+        first = None
         while True:
             now, begin_s = time.monotonic(), self.cell.begin_s
-            if 0.0 < begin_s < now + _KICK_S:
-                return self.clock.next_period(max(now, begin_s), SHARE)[0]
+            if begin_s and first is None:
+                first, at_s = self.clock.next_period(begin_s, SHARE)
+                self.memory.note_first(at_s)
+            if first is not None and begin_s < now + _KICK_S:
+                return first, self._ahead()
             self._kick()
             self._listen(now + self.servoj.tick_s)
+
+    def _ahead(self) -> float:
+        """By how many control periods this arm's periods are behind those of the arm that it keeps step with."""
+        if self._leader is None:
+            return 0.0
+        if not self._leader.first_s:
+            raise StopError("the other arm does not begin: this machine is too busy")
+        ahead = (self.memory.first_s - self._leader.first_s) / self.servoj.tick_s
+        return round(ahead) if abs(ahead - round(ahead)) * self.servoj.tick_s < TOGETHER_S else ahead
 
     def _kick(self) -> None:
         """Feed the watchdog while there are no targets, which feed it, too."""
@@ -166,8 +193,8 @@ class ArmSender:
                     "watchdog"
                 )
 
-    def _stream(self, first: int) -> None:
-        """Send in control period `first` + k the target that belongs to period k."""
+    def _stream(self, first: int, ahead: float) -> None:
+        """Send in control period `first` + k the target that belongs to period k + `ahead`."""
         self.memory.enter(Phase.STREAMING)
         self._first = first
         drift = Drift(self.servoj.tick_s, self.clock.offset_s)
@@ -186,7 +213,7 @@ class ArmSender:
                     )
                 self.memory.note_skipped(passed)
                 period += passed
-            index = self.cell.pace.at(period + drift(self.clock.offset_s, 1 + passed))
+            index = self.cell.pace.at(period + ahead + drift(self.clock.offset_s, 1 + passed))
             target = self.memory.target(index)
             self._send(target, first + period, index)
             self.memory.note_sent(period, index, self._sent_s, late, target)

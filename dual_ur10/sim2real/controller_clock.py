@@ -26,10 +26,12 @@ class ControllerClock:
 
     Args:
         tick_s: The controller's period.
+        round_trip_s: How long an answer of the controller takes. What is sent so much earlier arrives in time: the
+            way of the packets is in the estimate, and the way back is still to come.
     """
 
-    def __init__(self, tick_s: float) -> None:
-        self.tick_s = tick_s
+    def __init__(self, tick_s: float, round_trip_s: float = 0.0) -> None:
+        self.tick_s, self.round_trip_s = tick_s, round_trip_s
         self._offsets: deque[tuple[float, float]] = deque()  # arrival and offset, offsets rising: the first is least
         self._offset_s = math.nan
         self._last: tuple[float, float] | None = None
@@ -81,31 +83,31 @@ class ControllerClock:
         return timestamp_s + self._offset_s
 
     def next_period(self, now_s: float, share: float) -> tuple[int, float]:
-        """The next control period of which `share` has not passed yet.
+        """The next control period of which `share` will not have passed when something that is sent now arrives.
 
         Args:
             now_s: This machine's clock.
             share: 0 to 1: where in the period a target is to arrive.
 
         Returns:
-            The period's number, counted from that of the first packet, and when that point is, by this machine's clock.
+            The period's number, counted from that of the first packet, and when to send, by this machine's clock.
 
         Raises:
             LinkError: Nothing is known of the controller's clock yet.
         """
-        number = math.floor((now_s - self._origin()) / self.tick_s)
+        number = math.floor((now_s + self.round_trip_s - self._origin()) / self.tick_s)
         at = self.moment(number, share)
         while at <= now_s:  # twice, where rounding has put the present a period back
             number, at = number + 1, self.moment(number + 1, share)
         return number, at
 
     def moment(self, number: int, share: float) -> float:
-        """When `share` of a control period has passed, by this machine's clock.
+        """When to send what is to arrive as `share` of a control period has passed, by this machine's clock.
 
         Raises:
             LinkError: Nothing is known of the controller's clock yet.
         """
-        return self._origin() + (number + share) * self.tick_s
+        return self._origin() + (number + share) * self.tick_s - self.round_trip_s
 
     def _origin(self) -> float:
         """When period 0 began: that of the first packet."""

@@ -247,11 +247,7 @@ def _registers(arm: _Arm) -> Iterator[Finding]:
     deadline_s = arm.deadline_s()
     client = RtdeClient(arm.name, arm.expected.host, PORTS["rtde"], deadline_s)
     try:
-        round_trips_s = []
-        for _ in range(_ROUND_TRIPS):
-            begin = time.monotonic()
-            client.ask_version(deadline_s)
-            round_trips_s.append(time.monotonic() - begin)
+        round_trips_s = client.round_trips_s(_ROUND_TRIPS, deadline_s)
         number, types = client.set_up(Kind.SETUP_INPUTS, REGISTERS, b"", deadline_s)
     finally:
         client.socket.close_and_wait(arm.deadline_s())

@@ -78,6 +78,19 @@ class RtdeClient:
         major, minor, bugfix, build = struct.unpack(">4I", answer)
         return major, minor, bugfix, build
 
+    def round_trips_s(self, count: int, deadline_s: float) -> list[float]:
+        """How long so many answers take, s.
+
+        Raises:
+            LinkError: They do not come by then.
+        """
+        found = []
+        for _ in range(count):
+            begin = time.monotonic()
+            self.ask_version(deadline_s)
+            found.append(time.monotonic() - begin)
+        return found
+
     def request(self, kind: Kind, payload: bytes, deadline_s: float) -> bytes:
         """The answer to a request.
 

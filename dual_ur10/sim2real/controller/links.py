@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import random
 import selectors
 import socket
@@ -80,6 +81,10 @@ class _Delayed:
     def put(self, due_s: float, data: bytes, droppable: bool = False) -> None:
         self.last_s = max(due_s, self.last_s)
         self.waiting.append((self.last_s, data, droppable))
+
+    @property
+    def next_s(self) -> float:
+        return self.waiting[0][0] if self.waiting else math.inf
 
     def due(self, now_s: float) -> list[tuple[bytes, bool]]:
         ready = []
@@ -194,6 +199,11 @@ class Connection:
         self.send(reply)
         if self.peer.finished:
             self.close("")
+
+    @property
+    def next_s(self) -> float:
+        """When the next bytes arrive that are late."""
+        return min(self._coming.next_s, self._going.next_s)
 
     def pass_time(self, now_s: float) -> None:
         """Let bytes that are late arrive."""
@@ -360,7 +370,9 @@ class Hub:
         """Serve clients until a time of the monotonic clock; at least once."""
         end = max(until_s, time.monotonic() + _SERVED_S)
         while True:
-            left = until_s - time.monotonic()
+            connections = [each for port in self.ports for each in port.connections]
+            left = min((each.next_s for each in connections), default=until_s)
+            left = min(left, until_s) - time.monotonic()
             # The selector waits in whole milliseconds and may be late by one: the rest is slept.
             ready = self.selector.select(max(0.0, left - 0.001))
             # Who has waited longest comes first: where there is no time for all, nobody is left out again and again.
@@ -379,9 +391,8 @@ class Hub:
                 if time.monotonic() > end:
                     break  # the others are served after the control period, which does not wait
             now = time.monotonic()
-            for port in self.ports:
-                for connection in list(port.connections):
-                    connection.pass_time(now)
+            for connection in [each for port in self.ports for each in port.connections]:
+                connection.pass_time(now)
             left = until_s - time.monotonic()
             if left <= 0.0:
                 return

@@ -8,6 +8,9 @@ Importing the package registers the environments with Gymnasium and PettingZoo a
     env = gym.make("DualUR10/SineTracking-v0")
 """
 
+from dual_ur10 import loading  # noqa: F401  # first, so that Ctrl-C during what follows gives one line
+
+# isort: split
 import pettingzoo  # type: ignore[import-untyped]  # has no types
 from gymnasium.envs.registration import register, registry
 

@@ -41,6 +41,7 @@ from dual_ur10.cli_runs import compare, fit, replay
 from dual_ur10.cli_status import status
 from dual_ur10.cli_train import collect, train
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
+from dual_ur10.loading import INTERRUPTED, begin_program, end_interrupted
 from dual_ur10.policies import shipped
 
 USAGE_ERROR = 2
@@ -48,7 +49,7 @@ USAGE_ERROR = 2
 
 
 class _Commands(typer.core.TyperGroup):
-    """Turns this package's errors into one red line each."""
+    """Turns this package's errors, and Ctrl-C where no command has more to say of it, into one line each."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -56,6 +57,8 @@ class _Commands(typer.core.TyperGroup):
         except (DualUR10Error, gym.error.Error) as error:
             errors.print(f"[bold red]error:[/] [red]{escape(' '.join(str(error).split()))}[/]", soft_wrap=True)
             raise typer.Exit(USAGE_ERROR) from None
+        except KeyboardInterrupt:
+            end_interrupted()
 
 
 app = typer.Typer(
@@ -149,6 +152,14 @@ def rollout(
                 mark = "[green]yes[/]" if found.success else "[red]no[/]"
                 row = (str(episode), str(seed + episode), str(found.steps), f"{total:.2f}", mark, *figures)
                 table.add_row(*row, escape(found.ended_by))
+    except KeyboardInterrupt:
+        if cell is None:
+            raise
+        runner = made.unwrapped.core.cell.runner
+        made.close()
+        end = "both arms are at rest" if runner.came_to_rest else "look at both arms, one was not seen to come to rest"
+        errors.print(f"interrupted: {end}", highlight=False, soft_wrap=True)
+        raise typer.Exit(INTERRUPTED) from None
     finally:
         made.close()
     console.print(table)
@@ -268,7 +279,11 @@ def _make(env: str, policy: str, keywords: dict[str, Any], seed: int) -> tuple[A
 
 def main() -> None:
     """Run the command line."""
-    app(prog_name="dual-ur10")
+    try:
+        begin_program()
+        app(prog_name="dual-ur10")
+    except KeyboardInterrupt:  # between two of them
+        end_interrupted()
 
 
 if __name__ == "__main__":

@@ -23,15 +23,13 @@ from dual_ur10.cli_options import (
 )
 from dual_ur10.errors import SettingsError
 from dual_ur10.files import check_target
+from dual_ur10.loading import INTERRUPTED
 
 if TYPE_CHECKING:
     from dual_ur10.policies.evaluation import Evaluation
 
 BELOW = 1
 """Exit code when fewer episodes succeed than wanted."""
-
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells have it."""
 
 
 def evaluate(

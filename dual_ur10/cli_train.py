@@ -13,12 +13,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from dual_ur10.cli_options import EnvName, PolicyName, Settings, console, env_id_of, keywords_of, randomize
 from dual_ur10.errors import SettingsError
+from dual_ur10.loading import INTERRUPTED
 
 if TYPE_CHECKING:
     from dual_ur10.training import progress as told
-
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells have it."""
 
 _SAID_S = 30.0  # between lines where there is no terminal to draw a bar in
 

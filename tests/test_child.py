@@ -12,7 +12,7 @@ import time
 
 import pytest
 
-from dual_ur10.sim2real.child import Child
+from dual_ur10.sim2real.child import LOST, Child
 
 WITHIN_S = 30.0
 PROGRAM = """
@@ -24,6 +24,48 @@ print("begins", flush=True)
 child = Child(os.mkdir, sys.argv[1])
 assert child.wait(30.0)
 print(child.code, flush=True)
+"""
+
+# A program that is interrupted at hundreds of instants, in what asks for the end of its children.
+INTERRUPTED = """
+import random
+import signal
+import sys
+import time
+from dual_ur10.sim2real.child import Child
+
+
+def interrupt(*heard):
+    raise KeyboardInterrupt
+
+
+signal.signal(signal.SIGALRM, interrupt)
+chance = random.Random(0)
+interrupted = 0
+
+
+def during(work, within_s):
+    global interrupted
+    try:
+        signal.setitimer(signal.ITIMER_REAL, chance.uniform(1e-6, within_s))
+        while True:
+            work()
+    except KeyboardInterrupt:
+        interrupted += 1
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+child = Child(time.sleep, 600.0)
+for _ in range(300):
+    during(lambda: child.is_alive, 1e-3)
+    during(lambda: child.wait(0.0), 1e-3)
+    during(lambda: child.wait(5e-4), 3e-3)
+assert child.is_alive
+during(child.kill, 1e-3)
+child.kill()
+assert child.code == -signal.SIGKILL and child.wait(0.0)
+print("interrupted", interrupted)
 """
 
 
@@ -92,6 +134,47 @@ def test_it_is_killed_and_waited_for():
     assert child.code == -signal.SIGKILL
     assert child.wait(0.0)
     child.kill()  # it has ended already
+
+
+def test_no_interrupt_at_any_instant_keeps_it_from_being_asked_and_ended():
+    done = subprocess.run([sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.stdout.split(), done.stderr) == (["interrupted", "901"], "")
+
+
+def test_one_that_is_interrupted_while_it_is_started_leaves_no_process():
+    started = []
+
+    class Noted(subprocess.Popen):
+        def __init__(self, *given, **more):
+            super().__init__(*given, **more)
+            started.append(self.pid)
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(subprocess, "Popen", Noted)
+        with pytest.raises(KeyboardInterrupt):
+            Child(time.sleep, 60.0)
+    (pid,) = started
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+def test_one_whose_end_somebody_else_has_noted_is_over():
+    child = Child(time.sleep, 0.0)
+    os.waitpid(child.pid, 0)
+    assert (child.wait(WITHIN_S), child.code) == (True, LOST)
+    child.kill()
+
+
+def test_one_that_does_not_end_when_killed_is_not_waited_for_for_ever(monkeypatch, caplog):
+    child = Child(time.sleep, 60.0)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "kill", lambda *_: None)
+        child.kill(0.01)
+    assert f"process {child.pid} was killed and has not ended" in caplog.text
+    assert child.is_alive
+    child.kill()
+    assert not child.is_alive
 
 
 @pytest.mark.parametrize(("function", "argument", "code"), [(sys.exit, 3, 3), (os._exit, 7, 7), (sys.exit, 0, 0)])

@@ -187,3 +187,44 @@ def test_view_ends_after_so_many_seconds() -> None:
     text, _ = process.communicate(timeout=WAIT_S)
     assert process.returncode == 0
     assert "Traceback" not in text
+
+
+# Python runs this before the program: Ctrl-C comes when a module is looked for.
+AT = """
+import os
+import signal
+import sys
+
+
+class At:
+    def find_spec(self, name, *_):
+        if name == os.environ["INTERRUPT_AT"]:
+            sys.meta_path.remove(self)
+            signal.raise_signal(signal.SIGINT)
+
+
+sys.meta_path.insert(0, At())
+"""
+
+
+@pytest.mark.parametrize(
+    "module",
+    ["pettingzoo", "gymnasium", "dual_ur10.__main__", "dual_ur10.cli", "typer", "mujoco", "dual_ur10.envs.core"],
+)
+def test_ctrl_c_while_it_loads_is_one_line_and_code_130(module: str, tmp_path: Any) -> None:
+    (tmp_path / "sitecustomize.py").write_text(AT)
+    path = os.pathsep.join([str(tmp_path), *(each or os.getcwd() for each in sys.path)])
+    done = subprocess.run(
+        [sys.executable, "-m", "dual_ur10", "rollout", "SineTracking", "-n", "1", "--no-record", *SHORT],
+        env={**os.environ, "PYTHONPATH": path, "INTERRUPT_AT": module},
+        capture_output=True,
+        text=True,
+        timeout=WAIT_S,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
+
+
+def test_another_program_that_loads_the_package_keeps_its_own_way_with_ctrl_c() -> None:
+    code = "import signal, dual_ur10; assert signal.getsignal(signal.SIGINT) is signal.default_int_handler"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=WAIT_S)

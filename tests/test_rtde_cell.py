@@ -28,7 +28,7 @@ from dual_ur10.policies.rollout import rollout
 from dual_ur10.recording.reader import read_run
 from dual_ur10.sim2real.approach import Approach
 from dual_ur10.sim2real.latch import state_folder
-from tests.faults.lab import Lab, Swing, derivative
+from tests.faults.lab import Lab, Swing, assert_gone, derivative, descendants
 
 HANDOVER, SINE = "DualUR10/Handover-v0", "DualUR10/SineTracking-v0"
 
@@ -352,6 +352,37 @@ def test_an_interrupted_close_can_be_done_again(lab, monkeypatch):
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
     lab.make()  # the lock is free
+
+
+@pytest.mark.parametrize("after_s", [0.1, 0.5, 0.9])
+def test_a_make_that_is_interrupted_twice_ends_and_leaves_nothing_behind(lab, after_s):
+    def interrupt():
+        for pause_s in (after_s, 0.1):
+            time.sleep(pause_s)
+            os.kill(os.getpid(), signal.SIGINT)
+
+    before = set(descendants(os.getpid()))
+    heard = []
+    thread = threading.Thread(target=interrupt)
+    for work in (lambda: (thread.start(), lab.make(), time.sleep(30.0)), thread.join):
+        try:
+            work()
+        except KeyboardInterrupt as error:
+            heard.append(error)
+    thread.join()
+    assert heard
+    heard.clear()  # with them goes what they hold
+    assert_gone(set(descendants(os.getpid())) - before)
+    lab.make()  # the lock is free
+
+
+def test_ctrl_c_while_arms_move_says_that_they_are_at_rest(lab):
+    process = lab.program("rollout", "SineTracking", "-n", "1", "--no-record")
+    lab.wait_until_moving(process)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(30.0) == 130
+    assert process.stdout.read().splitlines()[-1] == "interrupted: both arms are at rest"
+    lab.assert_at_rest()
 
 
 def test_a_make_that_fails_late_leaves_nothing_behind(lab):

@@ -7,19 +7,37 @@ alone.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import logging
 import os
 import pickle
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
+from dual_ur10.sim2real.interrupts import held_back
+
+log = logging.getLogger(__name__)
+
+LOST: Final = 255
+"""Code of a process whose end somebody else has taken note of."""
+
+KILLED_S: Final = 5.0
+"""How long a process that is killed is waited for: one that waits for a device may take its time."""
+
 _MODULE: Final = "dual_ur10.sim2real.child"
+_LOOK_S: Final = 0.002
 
 
 class Child:
     """A process that runs one function, and ends with it.
+
+    It can be asked for its end at any time and however often that is interrupted: `Popen.poll` and `Popen.wait` cannot,
+    for an interrupt leaves their lock taken, and whoever asks next waits for ever.
 
     Args:
         function: Of this package.
@@ -29,20 +47,25 @@ class Child:
 
     def __init__(self, function: Callable[..., None], *arguments: Any, files: Sequence[int] = ()) -> None:
         work = pickle.dumps((function.__module__, function.__qualname__, os.getpid(), arguments))
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", _MODULE],
-            stdin=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(each or os.getcwd() for each in sys.path)},
-            start_new_session=True,
-            pass_fds=tuple(files),
-        )
-        stdin = self._process.stdin
-        if stdin is not None:
-            try:
-                stdin.write(work)
-                stdin.close()
-            except OSError:  # it has ended already, which `is_alive` tells
-                pass
+        self._code: int | None = None
+        process = None
+        try:
+            with held_back():  # an interrupt comes before there is a process, or once it is known here
+                self._process = process = subprocess.Popen(
+                    [sys.executable, "-P", "-m", _MODULE],
+                    stdin=subprocess.PIPE,
+                    env={**os.environ, "PYTHONPATH": os.pathsep.join(each or os.getcwd() for each in sys.path)},
+                    start_new_session=True,
+                    pass_fds=tuple(files),
+                )
+            if process.stdin is not None:
+                with contextlib.suppress(OSError):  # it has ended already, which `is_alive` tells
+                    process.stdin.write(work)
+                    process.stdin.close()
+        except BaseException:
+            if process is not None:
+                self.kill()
+            raise
 
     @property
     def pid(self) -> int:
@@ -52,30 +75,51 @@ class Child:
     @property
     def is_alive(self) -> bool:
         """Whether it runs."""
-        return self._process.poll() is None
+        return self.code is None
 
     @property
     def code(self) -> int | None:
         """Its exit code; below 0 the signal that ended it; None: it runs."""
-        return self._process.poll()
+        if self._code is None:
+            try:
+                found = os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+            except ChildProcessError:
+                self._code = LOST
+            else:
+                if found is None:
+                    return None
+                self._code = found.si_status if found.si_code == os.CLD_EXITED else -found.si_status
+        if self._process.returncode is None:  # known first, then taken from the system: in this order, nothing is lost
+            with contextlib.suppress(ChildProcessError):
+                os.waitpid(self.pid, os.WNOHANG)
+            self._process.returncode = self._code
+        return self._code
 
     def wait(self, within_s: float) -> bool:
         """Wait for its end. Returns whether it has come."""
-        try:
-            self._process.wait(within_s)
-        except subprocess.TimeoutExpired:
-            return False
+        end = time.monotonic() + within_s
+        while self.is_alive:
+            left = end - time.monotonic()
+            if left <= 0.0:
+                return False
+            time.sleep(min(left, _LOOK_S))
         return True
 
-    def kill(self) -> None:
-        """End it at once."""
-        self._process.kill()
-        self._process.wait()
+    def kill(self, within_s: float = KILLED_S) -> None:
+        """End it at once, and wait for that, but not for ever."""
+        if self.is_alive:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.pid, signal.SIGKILL)
+        if not self.wait(within_s):
+            log.error("process %d was killed and has not ended within %g s: see what it waits for", self.pid, within_s)
 
 
 def main() -> None:
     """Run in the new process: what to do comes by its input."""
-    module, name, parent, arguments = pickle.loads(sys.stdin.buffer.read())
+    told = sys.stdin.buffer.read()
+    if not told:
+        return  # the program has ended before it could say
+    module, name, parent, arguments = pickle.loads(told)
     if os.getppid() != parent:
         return  # the program has ended meanwhile
     getattr(importlib.import_module(module), name)(*arguments)

@@ -22,6 +22,7 @@ from dual_ur10.sim2real.cell_memory import CellMemory
 from dual_ur10.sim2real.doctor import any_fails, check_cell
 from dual_ur10.sim2real.doctor_findings import expected_of
 from dual_ur10.sim2real.doctor_state import REST_RAD_S
+from dual_ur10.sim2real.interrupts import held_back
 from dual_ur10.sim2real.latch import CellLock, Latch
 from dual_ur10.sim2real.pace import Pace
 from dual_ur10.sim2real.supervisor import SupervisorProcess
@@ -53,6 +54,9 @@ class Runner:
         config: The same, with a task's equipment.
         coupled: Whether both arms hold one object.
 
+    Attributes:
+        came_to_rest: Once it is closed: whether the processes of both arms said that their arm is at rest.
+
     Raises:
         CellFaulted: The arms were stopped, and nobody has cleared that.
         CellBusyError: Another program moves one of them.
@@ -72,6 +76,7 @@ class Runner:
         self.margin_ticks = margin_ticks(self.tick_s)
         self._fault = ""
         self._closed = False
+        self.came_to_rest = False
         self._pid = os.getpid()
         self.arms: list[ArmMemory] = []
         self.processes: list[ArmProcess] = []
@@ -80,12 +85,13 @@ class Runner:
             check(file)
             self.cell = CellMemory()
             self.arms = [ArmMemory(), ArmMemory()]
-            for arm, (name, entry) in enumerate(zip(ARMS, file.arms, strict=True)):
-                connection = ArmConnection(name, entry.host, entry.servoj, file.rt_priority)
-                others = (self.arms[1 - arm],)
-                self.processes.append(ArmProcess(connection, self.arms[arm], self.cell, others))
             settings = WatchSettings((config.left, config.right), self.tick_s, coupled)
-            self.supervisor = SupervisorProcess(file, settings, self.arms, self.cell)
+            with held_back():  # no process without its being known here
+                for arm, (name, entry) in enumerate(zip(ARMS, file.arms, strict=True)):
+                    connection = ArmConnection(name, entry.host, entry.servoj, file.rt_priority)
+                    others = (self.arms[1 - arm],)
+                    self.processes.append(ArmProcess(connection, self.arms[arm], self.cell, others))
+                self.supervisor = SupervisorProcess(file, settings, self.arms, self.cell)
             for process in self.processes:
                 process.wait_until_ready(_READY_S)
             self.supervisor.wait_until_ready(_READY_S)
@@ -277,18 +283,20 @@ class Runner:
         try:
             if self.arms:
                 self._wait_for_end(_END_S)
-        finally:  # a second Ctrl-C shortens the waits, and leaves nothing running
-            for process in self.processes:
-                if not process.wait(_STOP_S):
-                    process.kill()
-            if self.supervisor is not None and not self.supervisor.wait(_STOP_S):
-                self.supervisor.kill()
-            self._lock.release()
-            self._closed = True
-            if self.arms:
-                self.cell.close()
-                for memory in self.arms:
-                    memory.close()
+        finally:  # a second Ctrl-C shortens the waits, and leaves nothing running; one more has to wait for that
+            with held_back():
+                for process in self.processes:
+                    if not process.wait(_STOP_S):
+                        process.kill()
+                if self.supervisor is not None and not self.supervisor.wait(_STOP_S):
+                    self.supervisor.kill()
+                self._lock.release()
+                self._closed = True
+                self.came_to_rest = all(memory.phase == Phase.STOPPED for memory in self.arms)
+                if self.arms:
+                    self.cell.close()
+                    for memory in self.arms:
+                        memory.close()
 
 
 def margin_ticks(tick_s: float) -> int:

@@ -1,0 +1,42 @@
+"""What Ctrl-C does while this program is being loaded and once it ends: one line, and no traceback.
+
+The first thing that `dual_ur10` imports. Where the package is imported by another program it changes nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from typing import Any, Final
+
+INTERRUPTED: Final = 130
+"""Exit code after Ctrl-C, as shells have it."""
+
+
+def end_interrupted(*_: Any) -> None:
+    """Say one line and end. What is being done comes to its end first, as by any other exception.
+
+    Raises:
+        SystemExit: With code `INTERRUPTED`.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # what still has to be ended takes a bounded time
+    sys.stderr.write("interrupted\n")
+    raise SystemExit(INTERRUPTED)
+
+
+def begin_program() -> None:
+    """Everything is loaded: from here on Ctrl-C is a `KeyboardInterrupt` again, by which commands end in order."""
+    if signal.getsignal(signal.SIGINT) is end_interrupted:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _is_program() -> bool:
+    """Whether what is loaded is the command line: `-m` is its first argument for as long as modules are looked for."""
+    begun = sys.argv[0] if sys.argv else ""
+    return (begun == "-m" and "dual_ur10" in sys.orig_argv) or os.path.basename(begun) == "dual-ur10"
+
+
+# Only where it would be a KeyboardInterrupt: a program in the background ignores it.
+if _is_program() and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    signal.signal(signal.SIGINT, end_interrupted)

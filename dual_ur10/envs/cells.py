@@ -7,7 +7,7 @@ from collections.abc import Collection
 from dual_ur10.envs.mujoco_cell import MujocoCell
 from dual_ur10.envs.options import EnvOptions
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.cell import Cell, CellConfig
+from dual_ur10.sim2real.cell import Cell, CellConfig, Perturbation
 from dual_ur10.sim2real.clearance import Clearance
 from dual_ur10.sim2real.limits import MotionLimits
 
@@ -80,3 +80,5 @@ def check_for_controllers(config: CellConfig, n: int, *, autoreset: bool, random
         )
     if randomized:
         raise SettingsError("randomization is of simulated cells: leave it out on controllers, which are as they are")
+    if config.perturbation != Perturbation():
+        raise SettingsError("a perturbation is of simulated cells: leave it out on controllers, which are as they are")

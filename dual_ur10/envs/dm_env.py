@@ -18,6 +18,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from dual_ur10.envs.names import env_id_of, task_name
+from dual_ur10.errors import ResetNeededError
 
 Array = NDArray[np.float64]
 
@@ -26,7 +27,8 @@ class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has
     """Two UR10s and a task behind dm_env's interface.
 
     An episode that the safety gate, the physics or the task ends has discount 0 at its last step; one whose time runs
-    out keeps 1. A step after the last one begins the next episode, whatever its action. Steps equal those of
+    out keeps 1. A step after the last one begins the next episode, whatever its action; on two controllers it is an
+    error, for arms move to where an episode begins when somebody resets them. Steps equal those of
     `dual_ur10.envs.dual_arm_env.DualArmEnv` bit for bit.
 
     Attributes:
@@ -62,8 +64,13 @@ class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has
 
         Raises:
             ActionError: The action is malformed. Nothing has moved.
+            ResetNeededError: No episode is running, on two controllers. Nothing has moved.
         """
         if self._over:
+            if self.env.core.config.file is not None:
+                raise ResetNeededError(
+                    "no episode is running, and on a cell of controllers none begins by itself: call reset() first"
+                )
             return self.reset()
         observation, reward, terminated, truncated, self.info = self.env.step(action)
         self._over = terminated or truncated

@@ -8,6 +8,8 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from dual_ur10.envs.autoreset import is_by_itself
+from dual_ur10.envs.cells import check_for_controllers
 from dual_ur10.envs.core import PHYSICS_ERROR, Core
 from dual_ur10.envs.infos import of_row
 from dual_ur10.envs.options import DEFAULT_RATE_HZ
@@ -48,7 +50,7 @@ class DualArmEnv(gym.Env[Any, Array]):
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise UnknownNameError("render mode", str(render_mode), [*RENDER_MODES, "None"])
         self.render_mode = render_mode
-        self.core = Core(task, keywords)
+        self.core = Core(task, keywords, autoreset=is_by_itself())
         try:
             self._observer = Observer(self.core)
         except BaseException:
@@ -75,9 +77,11 @@ class DualArmEnv(gym.Env[Any, Array]):
         """Begin an episode; see `gymnasium.Env.reset`.
 
         Raises:
-            SettingsError: There are options.
+            SettingsError: There are options; or, on two controllers, something resets by itself that wraps this.
             RenderError: Images are observed, and no OpenGL backend was found.
         """
+        if self.core.config.file is not None:
+            check_for_controllers(self.core.config, 1, autoreset=is_by_itself(), randomized=False)
         if options:
             raise SettingsError(f"reset takes no options, found {sorted(options)}: set keywords at gym.make")
         super().reset(seed=seed)

@@ -9,10 +9,13 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from dual_ur10.envs.cells import check_for_controllers
 from dual_ur10.envs.names import env_id_of, task_name
+from dual_ur10.envs.options import EnvOptions
 from dual_ur10.envs.two_agents import Share, agent_spaces, check_count, check_options
 from dual_ur10.envs.vector_env import DualArmVectorEnv
 from dual_ur10.errors import ActionError, MissingExtraError, SettingsError
+from dual_ur10.sim2real.cell import resolve_cell
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
@@ -26,8 +29,8 @@ Indices = None | int | Iterable[int]
 class CellsVecEnv(VecEnv):
     """n cells as n rows or more, stepped together as in `dual_ur10.envs.vector_env.DualArmVectorEnv`.
 
-    The rows of a cell end together and begin anew at once. Infos have `TimeLimit.truncated`, and at an end
-    `terminal_observation`.
+    The rows of a cell end together and begin anew at once, so a cell of two controllers is refused. Infos have
+    `TimeLimit.truncated`, and at an end `terminal_observation`.
 
     Args:
         task: Name of the task, or an id.
@@ -57,6 +60,9 @@ class CellsVecEnv(VecEnv):
     ) -> None:
         check_options("shared", keywords)
         check_count("num_cells", num_cells)
+        # Its steps reset the cells, which are told that they will not by themselves.
+        config = resolve_cell(keywords.get("cell", EnvOptions.cell))
+        check_for_controllers(config, num_cells, autoreset=True, randomized=False)
         self.cells = DualArmVectorEnv(
             num_cells,
             task_name(env_id_of(task)),

@@ -34,7 +34,9 @@ class Sensing:
         self._frames = Frames((config.left, config.right))
         self._period_s, self.n = period_s, n
         joint, speed = randomization.joint_noise_rad, randomization.joint_speed_noise_rad_s
-        force, torque = config.wrench_noise if config.equipment.grippers else (0.0, 0.0)
+        # What two controllers say has been measured: nothing is added to it.
+        simulated = config.file is None
+        force, torque = config.wrench_noise if simulated and config.equipment.grippers else (0.0, 0.0)
         self._sigma = np.repeat([joint, speed, force, torque], [12, 12, 6, 6])
         self._noisy = bool(self._sigma.any())
         # Which of the drawn values there are at all.

@@ -268,8 +268,8 @@ class CellConfig:
         uncertainty: How well the place of each base is known, (m, rad) for left and right: all distances that depend on
             it are kept the larger.
         file: The cell file of two controllers; None in simulation.
-        wrench_noise: Standard deviation of the force (N) and torque (N·m) that the controllers report. A CB3 reads
-            them from its motors' currents.
+        wrench_noise: Standard deviation of the force (N) and torque (N·m) that simulated controllers report. A CB3
+            reads them from its motors' currents. To what two controllers measure, nothing is added.
         equipment: Grippers and what they handle; set by the task.
 
     Raises:

@@ -207,3 +207,22 @@ def elbow_and_flange(q_rad: Array) -> Array:
     angles += _PHASE
     positions: Array = np.sin(angles, out=angles) @ _WEIGHTS
     return positions
+
+
+def tips(q_rad: Array, tcp_m: Sequence[Sequence[float]]) -> Array:
+    """Where elbow, flange and, where one has it beyond its flange, tool centre point of both nominal arms are.
+
+    Args:
+        q_rad: (..., 2, 6) joint angles of both arms.
+        tcp_m: (2, 3) tool centre points in the flange frames; zeros: at the flange.
+
+    Returns:
+        (..., 2, 2 or 3, 3) positions in each arm's `base`, in m.
+    """
+    points = elbow_and_flange(q_rad.reshape(*q_rad.shape[:-3], -1, 6)).reshape(*q_rad.shape[:-1], 2, 3)
+    offset = np.asarray(tcp_m, dtype=np.float64)
+    if not offset.any():
+        return points
+    rotation = flange_pose(q_rad)[1]
+    tool = points[..., 1, :] + (rotation @ offset[..., None])[..., 0]
+    return np.concatenate([points, tool[..., None, :]], axis=-2)

@@ -18,6 +18,9 @@ NARROW = MotionLimits(
     lower_rad=(-1.0, -2.2, 0.9, -3.0, -2.5, 0.4),
     upper_rad=(0.7, -0.9, 2.6, -1.1, -0.6, 2.2),
 )
+TOOL = MotionLimits(
+    speed_rad_s=1.2, tcp_speed_m_s=0.25, tcp_m=((0.02, -0.03, 0.19), (0.0, 0.25, 0.1))
+)  # tools that are faster than their flanges
 
 ACTION_KINDS = ("huge", "alternating", "denormal", "zero", "random", "constant", "steps", "float32", "sine")
 
@@ -55,9 +58,11 @@ def elbow_position(q_rad: np.ndarray) -> np.ndarray:
     return np.stack([np.cos(q_rad[..., 0]) * reach, np.sin(q_rad[..., 0]) * reach, height], axis=-1)
 
 
-def tip_speed(sent: np.ndarray, tick_s: float) -> np.ndarray:
-    """(n, t - 1) largest speed of both arms' elbows and flanges over (n, t, 2, 6) targets."""
-    points = np.stack([elbow_position(sent), flange_pose(sent)[0]])
+def tip_speed(sent: np.ndarray, tick_s: float, tcp_m: object = ((0, 0, 0), (0, 0, 0))) -> np.ndarray:
+    """(n, t - 1) largest speed of both arms' elbows, flanges and tool centre points over (n, t, 2, 6) targets."""
+    position, rotation = flange_pose(sent)
+    tool = position + np.einsum("ntaij,aj->ntai", rotation, np.asarray(tcp_m))
+    points = np.stack([elbow_position(sent), position, tool])
     moved = np.linalg.norm(np.diff(points, axis=2), axis=-1) / tick_s
     return moved.max(axis=(0, 3))
 
@@ -73,7 +78,7 @@ def worst_use(sent: np.ndarray, limits: MotionLimits, tick_s: float) -> dict[str
         "acceleration": float(np.abs(acceleration).max() / limits.acceleration_rad_s2),
         "jerk": float(np.abs(jerk).max() / limits.jerk_rad_s3),
         "position": 1.0 + float(beyond),
-        "tip": float(tip_speed(sent, tick_s).max() / limits.tcp_speed_m_s),
+        "tip": float(tip_speed(sent, tick_s, limits.tcp_m).max() / limits.tcp_speed_m_s),
     }
 
 

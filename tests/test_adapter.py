@@ -24,7 +24,7 @@ from dual_ur10.sim2real.limiter import Limiter
 from dual_ur10.sim2real.limits import HISTORY, Envelope, MotionLimits
 from dual_ur10.sim2real.servoj import ServojLaw, ServojProfile
 from dual_ur10.ur10 import JOINT_RANGE_RAD
-from tests.motion_checks import ACTION_KINDS, HARD, NARROW, TIGHT, adversarial_action, assert_within
+from tests.motion_checks import ACTION_KINDS, HARD, NARROW, TIGHT, TOOL, adversarial_action, assert_within
 
 MODES = ("joint_delta", "joint_position", "tcp_delta")
 CB3, E_SERIES = ServojProfile(), ServojProfile(family="e-series")
@@ -160,13 +160,14 @@ def test_at_full_speed_no_bit_is_another(mode: str, profile: ServojProfile, limi
     assert (played(slow, actions) != played(at_home(5, profile, limits=limits, mode=mode), actions)).any()
 
 
-@pytest.mark.parametrize("factor", [0.5, 0.1])
+@pytest.mark.parametrize("limits", [TIGHT, TOOL])
+@pytest.mark.parametrize("factor", [1.0, 0.5, 0.1])
 @pytest.mark.parametrize("mode", MODES)
-def test_slowed_down_no_limit_is_exceeded(mode: str, factor: float) -> None:
-    adapter = at_home(9, limits=TIGHT, mode=mode, speed_factor=factor)
+def test_at_any_speed_no_limit_is_exceeded(mode: str, factor: float, limits: MotionLimits) -> None:
+    adapter = at_home(9, limits=limits, mode=mode, speed_factor=factor)
     sent = played(adapter, actions_of_all_kinds(9, 60))
     before = np.tile(HOME_Q_RAD, (9, 3, 1, 1))
-    assert_within(np.concatenate([before, sent], axis=1), TIGHT, 0.008)
+    assert_within(np.concatenate([before, sent], axis=1), limits, 0.008)
     assert np.ptp(sent, axis=1).max() > 0.05  # they move
 
 

@@ -322,3 +322,15 @@ class Free:
 
     def is_clear(self, q_rad):
         return np.ones(len(q_rad), dtype=bool)
+
+
+def test_a_tool_is_no_faster_than_a_flange_may_be():
+    tool = ((0.0, 0.3, 0.1), (0.0, 0.0, 0.0))
+    start = np.asarray(HOME_Q_RAD, dtype=np.float64).reshape(12)
+    end = start.copy()
+    end[5] += 1.5  # turns about the flange's own axis
+    rates = Rates(tcp_speed_m_s=0.04, tcp_m=tool)
+    way = Approach([start, end], rates=rates)
+    fastest = tip_speed(way.targets(0.008)[None], 0.008, tool).max()
+    assert 0.039 < fastest <= 0.04 * (1 + 1e-6)
+    assert way.duration_s > 1.3 * Approach([start, end], rates=Rates(tcp_speed_m_s=0.04)).duration_s

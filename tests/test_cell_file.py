@@ -584,26 +584,56 @@ def test_its_configuration_has_mounts_servoj_and_caps(tmp_path: Path) -> None:
     for arm in ur10.ARMS:
         edits |= {f"{arm}__family": "e-series", f"{arm}__servoj": {"lookahead_s": 0.1, "gain": 300}}
     edits |= {"left__limits": {"speed_rad_s": 0.5, "tcp_speed_m_s": 0.4}, "right__limits": {"tcp_speed_m_s": 0.25}}
-    edits |= {"left__calibration": {"theta_rad": [1e-3, 0, 0, 0, 0, 0]}}
+    edits |= {"left__calibration": {"theta_rad": [1e-3, 0, 0, 0, 0, 0]}, "right__tcp_position_m": [0.0, 0.1, 0.2]}
     cell = loaded(tmp_path, edited(GOOD, **edits))
     config = cell.config()
     assert config.servoj == ServojProfile("e-series", 0.1, 300.0)
     assert (config.left, config.right) == (cell.left.mount, cell.right.mount)
     assert config.left.dh.theta_rad[0] == 1e-3
     assert (config.speed_rad_s, config.tcp_speed_m_s) == (0.5, 0.25)
-    assert loaded(tmp_path, GOOD).config().speed_rad_s is None
+    assert config.tcp_m == (tuple(GOOD["left"]["tcp_position_m"]), (0.0, 0.1, 0.2))
+    assert config.capped(MotionLimits()).tcp_m == config.tcp_m
+    assert loaded(tmp_path, edited(GOOD, commissioned=True)).config().speed_rad_s is None
+
+
+def test_a_real_cell_is_as_slow_as_in_first_runs_until_somebody_has_signed(tmp_path: Path) -> None:
+    limits = {"speed_rad_s": 1.5, "tcp_speed_m_s": 1.0}
+    fast = edited(GOOD, left__limits=limits, right__limits=limits)
+    for values in (GOOD, fast):
+        config = loaded(tmp_path, values).config()
+        assert (config.speed_rad_s, config.tcp_speed_m_s) == (0.5, 0.25)
+        assert (config.acceleration_rad_s2, config.jerk_rad_s3) == (None, None)
+    tight = loaded(tmp_path, edited(GOOD, right__limits={"speed_rad_s": 0.1, "tcp_speed_m_s": 0.05})).config()
+    assert (tight.speed_rad_s, tight.tcp_speed_m_s) == (0.1, 0.05)
+    signed = loaded(tmp_path, edited(fast, commissioned=True)).config()
+    assert (signed.speed_rad_s, signed.tcp_speed_m_s) == (1.5, 1.0)
+    emulated = loaded(tmp_path, SMALL).config()
+    assert (emulated.speed_rad_s, emulated.tcp_speed_m_s) == (None, None)
+
+
+def test_notes_name_limits_that_are_not_those_of_first_runs(tmp_path: Path) -> None:
+    edits = {"left__limits": {"speed_rad_s": 0.6, "tcp_speed_m_s": 0.25}, "commissioned": True}
+    notes = [each for each in loaded(tmp_path, edited(GOOD, **edits)).notes() if "limits" in each]
+    assert notes == [
+        "left.limits.speed_rad_s is 0.6: first runs are made at 0.5 rad/s",
+        "right.limits.speed_rad_s is not said: first runs are made at 0.5 rad/s",
+        "right.limits.tcp_speed_m_s is not said: first runs are made at 0.25 m/s",
+    ]
+    text = "\n".join(loaded(tmp_path, GOOD).notes())
+    assert "commissioned is false: no arm exceeds 0.5 rad/s and 0.25 m/s" in text
 
 
 def test_the_tighter_limits_of_both_arms_hold(tmp_path: Path) -> None:
     tight = {"left__limits": {"speed_rad_s": 0.5, "jerk_rad_s3": 100}, "right__limits": {"acceleration_rad_s2": 3}}
-    cell = loaded(tmp_path, edited(GOOD, **tight, right__limits__jerk_rad_s3=90, speed_factor=1.0))
+    cell = loaded(tmp_path, edited(GOOD, **tight, right__limits__jerk_rad_s3=90, speed_factor=1.0, commissioned=True))
     upper = (1.0,) * 6
     found = cell.config().capped(MotionLimits(tcp_speed_m_s=1.2, upper_rad=upper))
     assert found.speed_rad_s == (0.5,) * 6
     assert (found.acceleration_rad_s2, found.jerk_rad_s3, found.tcp_speed_m_s) == (3.0, 90.0, 1.2)
     assert found.upper_rad == upper
     hard = MotionLimits()
-    assert loaded(tmp_path, GOOD).config().capped(hard) == hard
+    bare = edited(SMALL, left__family="cb3")
+    assert loaded(tmp_path, bare).config().capped(hard) == hard
     np.testing.assert_array_equal(hard.speed_rad_s, ur10.HARD_SPEED_RAD_S)
 
 
@@ -638,6 +668,8 @@ def test_notes_name_what_a_real_cell_leaves_open(tmp_path: Path) -> None:
     for arm in ur10.ARMS:
         sure |= {f"{arm}__serial_number": "1", f"{arm}__safety_checksum": 1, f"{arm}__base_uncertainty_rad": 0.01}
         sure |= {f"{arm}__calibration": {"theta_rad": [1e-4, 0, 0, 0, 0, 0], "checksum": [1] * 6}}
+        sure |= {f"{arm}__limits": {"speed_rad_s": 0.5, "tcp_speed_m_s": 0.25}}
+    sure |= {"commissioned": True}
     assert loaded(tmp_path, edited(GOOD, **sure)).notes() == []
     assert loaded(tmp_path, SMALL).notes() == []
 
@@ -722,6 +754,8 @@ def test_every_sample_is_legal() -> None:
 def test_units_are_in_the_names() -> None:
     bare = {"kind", "name", "task", "speed_factor", "rt_priority", "host", "family", "serial_number", "port", "pid"}
     bare |= {
+        "commissioned",
+        "allow_reduced_mode",
         "output",
         "open_level",
         "gain",

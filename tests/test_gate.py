@@ -17,7 +17,7 @@ from dual_ur10.sim2real.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.gate import SafetyGate
 from dual_ur10.sim2real.limits import MotionLimits
 from dual_ur10.sim2real.servoj import ServojProfile
-from tests.motion_checks import HARD, NARROW, TIGHT, AlwaysClear, assert_within
+from tests.motion_checks import HARD, NARROW, TIGHT, TOOL, AlwaysClear, assert_within
 
 TICKS = 5
 TICK_S = {"cb3": 0.008, "e-series": 0.002}
@@ -131,7 +131,7 @@ def push_beyond(kind: str, last: np.ndarray, targets: np.ndarray, rng: np.random
     kind=st.sampled_from(["jump", "walk", "huge", "subtle", "zero"]),
     family=st.sampled_from(["cb3", "e-series"]),
     ticks=st.sampled_from([1, 2, 5, 25]),
-    limits=st.sampled_from([HARD, TIGHT, NARROW]),
+    limits=st.sampled_from([HARD, TIGHT, NARROW, TOOL]),
     seed=st.integers(0, 2**31),
 )
 def test_whatever_comes_a_refused_row_brakes_to_rest_within_all_limits(
@@ -166,6 +166,7 @@ def test_whatever_comes_a_refused_row_brakes_to_rest_within_all_limits(
         MotionLimits(jerk_rad_s3=150.0),
         MotionLimits(jerk_rad_s3=15.0, acceleration_rad_s2=3.0),
         NARROW,
+        TOOL,
     ],
 )
 def test_motion_that_grows_into_a_limit_is_stopped_before_it(stricter: MotionLimits, tick_s: float) -> None:

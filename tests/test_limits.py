@@ -7,9 +7,9 @@ import pytest
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics import flange_pose
-from dual_ur10.sim2real.limits import HISTORY, REACH_FROM_JOINT_M, Envelope, MotionLimits
+from dual_ur10.sim2real.limits import HISTORY, POINTS, REACH_FROM_JOINT_M, Envelope, MotionLimits
 from dual_ur10.ur10 import HARD_SPEED_RAD_S, JOINT_RANGE_RAD
-from tests.motion_checks import HARD, NARROW, TIGHT, assert_within, braked, tip_speed
+from tests.motion_checks import HARD, NARROW, TIGHT, TOOL, assert_within, braked, tip_speed
 
 SLUGGISH = MotionLimits(speed_rad_s=1.0, acceleration_rad_s2=0.5, jerk_rad_s3=2.0)
 LIMITS = (HARD, TIGHT, NARROW, SLUGGISH)
@@ -147,7 +147,7 @@ def test_the_resting_row_is_where_the_brake_ends() -> None:
     np.testing.assert_allclose(rest, end, atol=1e-4)
 
 
-@pytest.mark.parametrize("limits", [HARD, TIGHT, NARROW])
+@pytest.mark.parametrize("limits", [HARD, TIGHT, NARROW, TOOL])
 @pytest.mark.parametrize("tick_s", TICKS_S)
 @pytest.mark.parametrize("moving", [(0,), (1,), (0, 1, 2), (3, 4), (4,), (0, 1, 2, 3, 4, 5)])
 def test_the_tip_speed_of_window_and_brake_is_never_underestimated(
@@ -171,7 +171,7 @@ def test_the_tip_speed_of_window_and_brake_is_never_underestimated(
         ],
         axis=1,
     ).reshape(len(windows), -1, 2, 6)
-    peak = tip_speed(motion, tick_s).max(axis=1) / limits.tcp_speed_m_s
+    peak = tip_speed(motion, tick_s, limits.tcp_m).max(axis=1) / limits.tcp_speed_m_s
     share = envelope.tip_share(windows)[0].max(axis=1)
     assert len(windows) > 20
     assert (share >= peak * (1 - 1e-9)).all()
@@ -186,9 +186,22 @@ def test_the_tip_share_says_which_point_is_faster() -> None:
     pan[0, :, 7] = np.arange(4) * 0.001
     pan[0, :, 8] = -np.arange(4) * 0.004  # folds while it lifts
     pan[0, :, 8] -= 2.6
-    share, elbow = envelope.tip_share(pan)
-    assert share.shape == elbow.shape == (1, 2)
-    assert not elbow[0, 0]
+    share, point = envelope.tip_share(pan)
+    assert share.shape == point.shape == (1, 2)
+    assert POINTS[point[0, 0]] == "flange"
+    turn = np.zeros((1, 4, 12))
+    turn[0, :, 5] = np.arange(4) * 0.001  # the last joint moves no flange, but a tool beside its axis
+    turn[0, :, 11] = np.arange(4) * 0.001
+    beside = Envelope(MotionLimits(tcp_speed_m_s=0.25, tcp_m=((0.2, 0.0, 0.1), (0.0, 0.0, 0.1))), 0.008, 1)
+    (share,), (point,) = beside.tip_share(turn)
+    np.testing.assert_allclose(share, [0.2 * 0.001 / 0.008 / 0.25, 0.0], rtol=1e-2, atol=1e-9)
+    assert POINTS[point[0]] == "TCP"
+
+
+@pytest.mark.parametrize("tcp_m", [((0, 0, 0),), (0.1, 0.2), ((0, 0, float("nan")), (0, 0, 0)), "x", None])
+def test_tool_centre_points_are_three_numbers_for_each_arm(tcp_m: object) -> None:
+    with pytest.raises(SettingsError, match="tcp_m is"):
+        MotionLimits(tcp_m=tcp_m)  # type: ignore[arg-type]
 
 
 def test_no_posture_puts_the_flange_further_from_an_axis_than_assumed() -> None:

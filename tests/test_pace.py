@@ -10,7 +10,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from dual_ur10.sim2real.pace import SLOPE_PER_S, SLOWING_PER_S, STEP, Pace, taken_down
+from dual_ur10.sim2real.pace import FULL, SLOPE_PER_S, SLOWING_PER_S, STEP, Pace, taken_down
 
 TICKS_S = (0.008, 0.002)
 RATES = st.one_of(st.sampled_from([0.0, STEP, 0.25, 0.5, 1.0]), st.floats(0.0, 1.0))
@@ -149,7 +149,8 @@ def test_how_late_a_policy_is_does_not_depend_on_whether_time_begins_to_go_on():
 
 def test_sliders_are_taken_down_to_a_step():
     assert taken_down(1.0) == taken_down(1.5) == 1.0
-    assert taken_down(0.99) == 1.0 - STEP
+    assert taken_down(FULL) == taken_down(0.9995) == 1.0
+    assert taken_down(0.99) == taken_down(math.nextafter(FULL, 0.0)) == 1.0 - STEP
     assert taken_down(0.5) == 0.5
     assert taken_down(0.3) == 0.25
     assert taken_down(STEP) == STEP
@@ -166,5 +167,5 @@ def test_a_slider_that_is_no_number_is_not_full_speed(slider):
 @given(st.floats(0.0, 1.0))
 def test_taken_down_is_never_faster(fraction):
     found = taken_down(fraction)
-    assert fraction - STEP < found <= fraction + 1e-9
+    assert fraction - STEP < found <= (fraction + 1e-9 if fraction < FULL else 1.0)
     assert (found / STEP).is_integer()

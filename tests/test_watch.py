@@ -17,7 +17,7 @@ from dual_ur10.sim2real.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.arm_sender import STALE_S
 from dual_ur10.sim2real.cell_memory import CellMemory
 from dual_ur10.sim2real.pace import Pace
-from dual_ur10.sim2real.watch import APART_M, APART_RAD, POLICY_S, Watch, WatchSettings
+from dual_ur10.sim2real.watch import APART_M, APART_RAD, POLICY_S, REDUCED_PACE, Watch, WatchSettings
 from tests.test_arm_status import status_of
 
 TICK_S = 0.008
@@ -102,6 +102,22 @@ def test_the_slower_slider_counts(parts):
     assert judge.slowest == 0.3
     judge.state(1, status_of(target_speed_fraction=1.0, speed_scaling=1.0))
     assert judge.slowest == 0.7
+
+
+@pytest.mark.parametrize("arm", [0, 1])
+def test_reduced_mode_alone_is_let_go_on_and_slows_where_that_is_allowed(parts, arm):
+    parts[1].let_reduced()
+    judge = watch(parts)
+    full = {"target_speed_fraction": 1.0}
+    reduced = {**full, "safety_mode": 2, "safety_status_bits": 2}
+    assert [mode for mode in range(256) if judge.state(arm, status_of(safety_mode=mode)) is None] == [1, 2]
+    assert judge.state(arm, status_of(**reduced)) is None
+    assert judge.slowest == REDUCED_PACE  # by itself, for a controller does not slow down what it is sent
+    assert judge.state(arm, status_of(**{**reduced, "target_speed_fraction": 0.5})) is None
+    assert judge.slowest == REDUCED_PACE / 2
+    assert judge.state(arm, status_of(**full)) is None
+    assert judge.slowest == 1.0
+    assert judge.state(arm, status_of(**{**reduced, "safety_status_bits": 2 | 4})) is not None
 
 
 @pytest.mark.parametrize("values", [{"target_speed_fraction": math.nan}, {"speed_scaling": math.nan}])

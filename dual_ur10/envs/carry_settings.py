@@ -17,7 +17,7 @@ from dual_ur10.envs.holding import flanges_of
 from dual_ur10.envs.poses import Poses, after, yawed
 from dual_ur10.envs.task import check_numbers
 from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError
-from dual_ur10.forward_kinematics import elbow_and_flange
+from dual_ur10.forward_kinematics import tips
 from dual_ur10.frames import Frames
 from dual_ur10.kinematics import try_nearest
 from dual_ur10.rotations import quat_conjugate, quat_to_matrix, rotate
@@ -113,7 +113,7 @@ def path_rate(settings: CarrySettings, scene: SceneSettings, limits: MotionLimit
                 )
             q[:, k, arm] = near
     speeds = np.abs(np.diff(q, axis=1)).max(axis=(0, 1, 2)) / _STEP_S
-    points = elbow_and_flange(q.reshape(len(starts), -1, 6)).reshape(len(starts), len(times), -1, 3)
+    points = tips(q, limits.tcp_m)
     tip = np.sqrt((np.diff(points, axis=1) ** 2).sum(axis=-1)).max() / _STEP_S
     needed = max(float((speeds / limits.speed_rad_s).max()), float(tip) / limits.tcp_speed_m_s)
     return min(1.0, _ROOM / needed)

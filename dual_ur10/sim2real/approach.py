@@ -12,19 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import StartError
-from dual_ur10.forward_kinematics import elbow_and_flange_position
+from dual_ur10.forward_kinematics import tips
 from dual_ur10.sim2real.clearance import Clearance
 from dual_ur10.ur10 import ARMS, JOINT_RANGE_RAD, JOINTS
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.cell import CellConfig
-    from dual_ur10.sim2real.limits import MotionLimits
+    from dual_ur10.sim2real.limits import MotionLimits, Three
 
 Array = NDArray[np.float64]
 
 SPEED_RAD_S: Final = 0.2
 TCP_SPEED_M_S: Final = 0.25
-"""Most that a joint, and a flange or elbow, does on the way to a start: reduced speed of ISO 10218-1."""
+"""Most that a joint, and a flange, elbow or tool centre point, does on the way to a start: reduced speed of ISO
+10218-1."""
 
 ACCELERATION_RAD_S2: Final = 0.5
 
@@ -41,21 +42,23 @@ class Rates:
 
     Attributes:
         speed_rad_s: Speed of a joint.
-        tcp_speed_m_s: Speed of a flange or elbow.
+        tcp_speed_m_s: Speed of a flange, elbow or tool centre point.
         acceleration_rad_s2: Acceleration of a joint.
         jerk_rad_s3: Its jerk.
+        tcp_m: Tool centre point of the left and the right arm in its flange's frame.
     """
 
     speed_rad_s: float = SPEED_RAD_S
     tcp_speed_m_s: float = TCP_SPEED_M_S
     acceleration_rad_s2: float = ACCELERATION_RAD_S2
     jerk_rad_s3: float = math.inf
+    tcp_m: tuple[Three, Three] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
     def capped(self, config: CellConfig) -> Rates:
         """The same, as far as a cell allows it."""
-        own = {each.name: getattr(config, each.name) for each in fields(self)}
+        own = {each.name: getattr(config, each.name) for each in fields(self) if each.name != "tcp_m"}
         given = {name: min(value, getattr(self, name)) for name, value in own.items() if value is not None}
-        return replace(self, **given)
+        return replace(self, tcp_m=config.tcp_m, **given)
 
     def within(self, limits: MotionLimits, speed_factor: float) -> Rates:
         """The same, as far as the safety gate lets through what has these limits in the time of its targets."""
@@ -65,6 +68,7 @@ class Rates:
             # Half of it, for the brake begins while the arms still gather speed.
             min(self.acceleration_rad_s2, limits.acceleration_rad_s2 / 2 * speed_factor**2),
             min(self.jerk_rad_s3, limits.jerk_rad_s3 / 2 * speed_factor**3),
+            limits.tcp_m,
         )
 
 
@@ -114,8 +118,8 @@ class Approach:
             return 0.0
         shares = np.linspace(0.0, 1.0, 2 + math.ceil(way / _STEP_RAD))
         along = start + shares[:, None] * (end - start)
-        tips = np.stack(elbow_and_flange_position(along.reshape(-1, 2, 6)))
-        tip = float(np.linalg.norm(np.diff(tips, axis=1), axis=-1).max()) / (shares[1] - shares[0])
+        points = tips(along.reshape(-1, 2, 6), self._rates.tcp_m)
+        tip = float(np.linalg.norm(np.diff(points, axis=0), axis=-1).max()) / (shares[1] - shares[0])
         rates = self._rates
         by_speed: float = _PEAK_SPEED * max(way / rates.speed_rad_s, tip / rates.tcp_speed_m_s)
         by_acceleration = math.sqrt(_PEAK_ACCELERATION * way / rates.acceleration_rad_s2)

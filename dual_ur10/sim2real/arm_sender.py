@@ -284,7 +284,8 @@ class ArmSender:
                 status = ArmStatus.from_sample(sample)
                 self._measured_rad = np.array(status.q_rad)
                 self.memory.note_state(status)
-                reason = stop_reason(status, playing=playing) or self._following(status)
+                reason = stop_reason(status, allow_reduced=self.cell.allow_reduced, playing=playing)
+                reason = reason or self._following(status)
                 if reason is not None:
                     raise StopError(reason)
             age = self.link.age_s(time.monotonic())

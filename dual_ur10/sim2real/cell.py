@@ -21,7 +21,7 @@ from dual_ur10.errors import RateError, SettingsError, UnknownNameError
 from dual_ur10.sim2real import base_uncertainty
 from dual_ur10.sim2real.adapter import Command
 from dual_ur10.sim2real.clearance import MINIMUM_M
-from dual_ur10.sim2real.limits import MotionLimits
+from dual_ur10.sim2real.limits import MotionLimits, Three, checked_tcp
 from dual_ur10.sim2real.servoj import ServojProfile
 
 if TYPE_CHECKING:
@@ -260,7 +260,10 @@ class CellConfig:
         perturbation: How the simulated plant differs from what is believed of it.
         meshes: Draw real meshes, if the package example-robot-data is installed.
         speed_rad_s: Joint speed that no task's targets may exceed here; None: as the task says.
-        tcp_speed_m_s: Speed of flange and elbow that no task's targets may exceed here; None: as the task says.
+        tcp_speed_m_s: Speed of flange, elbow and tool centre point that no task's targets may exceed here; None: as the
+            task says.
+        tcp_m: Tool centre point of the left and the right arm in its flange's frame, whose speed is limited, too;
+            zeros: at the flange.
         acceleration_rad_s2, jerk_rad_s3: Likewise of the joints.
         speed_factor: How fast the time of a task passes on two controllers, above 0 and at most 1. What targets may
             not exceed, they may not exceed in real time.
@@ -288,6 +291,7 @@ class CellConfig:
     meshes: bool = False
     speed_rad_s: float | None = None
     tcp_speed_m_s: float | None = None
+    tcp_m: tuple[Three, Three] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     acceleration_rad_s2: float | None = None
     jerk_rad_s3: float | None = None
     speed_factor: float = 1.0
@@ -327,6 +331,7 @@ class CellConfig:
         if (self.kind == "mujoco") is not (self.file is None):
             raise SettingsError(f"a cell of kind {self.kind!r} is made of a cell file: pass its path as `cell`")
         base_uncertainty.checked(self.uncertainty)
+        object.__setattr__(self, "tcp_m", checked_tcp(self.tcp_m))
         noise = self.wrench_noise
         if not (isinstance(noise, tuple | list) and len(noise) == 2):
             raise SettingsError(f"wrench_noise is {noise!r}: it must be two numbers (N, N·m)")
@@ -371,6 +376,7 @@ class CellConfig:
             tcp_speed_m_s=cap(limits.tcp_speed_m_s, self.tcp_speed_m_s, 1),
             acceleration_rad_s2=cap(limits.acceleration_rad_s2, self.acceleration_rad_s2, 2),
             jerk_rad_s3=cap(limits.jerk_rad_s3, self.jerk_rad_s3, 3),
+            tcp_m=self.tcp_m,
         )
 
     @property

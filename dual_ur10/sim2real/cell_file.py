@@ -45,6 +45,9 @@ MOST_DOTS: Final = 100  # in one line
 FIRST_SPEED_FACTOR: Final = 0.25
 FIRST_SPEED_RAD_S: Final = 0.5
 FIRST_TCP_SPEED_M_S: Final = 0.25
+_FIRST: Final = {"speed_rad_s": (FIRST_SPEED_RAD_S, "rad/s"), "tcp_speed_m_s": (FIRST_TCP_SPEED_M_S, "m/s")}
+
+_PLAIN: Final = ("kind", "name", "task", "speed_factor", "commissioned", "allow_reduced_mode", "rt_priority")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +60,9 @@ class CellFile:
         name: What the cell is called.
         task: Id of the environment that it is set up for; None: any.
         speed_factor: How fast the clock of a task runs, above 0 and at most 1.
+        commissioned: Whether a person has signed for a real cell. Until then no target exceeds what first runs are
+            made at, whatever the limits are.
+        allow_reduced_mode: Whether both arms go on, slower, where a controller is in reduced mode.
         rt_priority: Real-time priority of the senders; 0: none.
         emulator: The process that emulates the cell, if one does.
         tracker: Where the poses of objects come from; None: there are none.
@@ -73,6 +79,8 @@ class CellFile:
     name: str = "cell"
     task: str | None = None
     speed_factor: float = 1.0
+    commissioned: bool = False
+    allow_reduced_mode: bool = False
     rt_priority: int = 0
     emulator: EmulatorEntry | None = None
     tracker: Tracker | None = None
@@ -97,6 +105,8 @@ class CellFile:
                 "name": self.name,
                 "task": self.task,
                 "speed_factor": self.speed_factor,
+                "commissioned": self.commissioned,
+                "allow_reduced_mode": self.allow_reduced_mode,
                 "rt_priority": self.rt_priority,
                 **{name: arm.mapping() for name, arm in zip(ARMS, self.arms, strict=True)},
                 "emulator": None if self.emulator is None else plain(self.emulator),
@@ -142,13 +152,17 @@ class CellFile:
                     (self.right.base_uncertainty_m, self.right.base_uncertainty_rad),
                 ),
                 file=self,
+                tcp_m=(self.left.tcp_position_m or ZERO, self.right.tcp_position_m or ZERO),
                 **{each.name: self._tighter(each.name) for each in fields(ArmLimits)},  # type: ignore[arg-type]  # floats
             )
         except SettingsError as error:
             raise _error(self.source, [str(error)]) from error
 
     def _tighter(self, name: str) -> float | None:
-        return min((each for arm in self.arms if (each := getattr(arm.limits, name)) is not None), default=None)
+        said = [each for arm in self.arms if (each := getattr(arm.limits, name)) is not None]
+        if self.kind == "real" and not self.commissioned and name in _FIRST:
+            said.append(_FIRST[name][0])
+        return min(said, default=None)
 
     def notes(self) -> list[str]:
         """What is legal and deserves a look before real arms move, a line each."""
@@ -166,6 +180,18 @@ class CellFile:
                 notes.append(f"{name}.safety_checksum is not said: other safety settings would not be noticed")
             if not (arm.base_uncertainty_m and arm.base_uncertainty_rad):
                 notes.append(f"{name}.base_uncertainty_m or _rad is 0: no base is where it is believed to be")
+            for key, (first, unit) in _FIRST.items():
+                limit = getattr(arm.limits, key)
+                if limit is None:
+                    notes.append(f"{name}.limits.{key} is not said: first runs are made at {first:g} {unit}")
+                elif limit > first:
+                    notes.append(f"{name}.limits.{key} is {limit:g}: first runs are made at {first:g} {unit}")
+        if not self.commissioned:
+            speeds = " and ".join(f"{first:g} {unit}" for first, unit in _FIRST.values())
+            notes.append(
+                f"commissioned is false: no arm exceeds {speeds}, whatever its limits are, until the checklist of "
+                "docs/real_robot.md is signed and it is true"
+            )
         if self.speed_factor > FIRST_SPEED_FACTOR:
             notes.append(f"speed_factor is {self.speed_factor:g}: first runs are made at {FIRST_SPEED_FACTOR:g}")
         return notes
@@ -226,7 +252,9 @@ def starting_text(
         }
         for arm, host, mount in zip(ARMS, hosts, SceneSettings().mounts, strict=True)
     }
-    values = {"kind": kind, "name": "cell", "task": task, "speed_factor": FIRST_SPEED_FACTOR, "rt_priority": 0, **arms}
+    signed = {"commissioned": False} if real else {}
+    values: dict[str, Any] = {"kind": kind, "name": "cell", "task": task, "speed_factor": FIRST_SPEED_FACTOR, **signed}
+    values |= {"rt_priority": 0, **arms}
     text = commented(said(values))
     _, findings = examine_text(text, source)
     if findings:
@@ -321,7 +349,7 @@ def _built(values: Mapping[str, Any], source: str) -> CellFile:
         tracker=None if tracker is None else cast(Tracker, of_kind(TRACKERS, tracker)),
         obstacles=tuple(of_kind(OBSTACLES, each) for each in values["obstacle"]),
         source=source,
-        **{name: values[name] for name in ("kind", "name", "task", "speed_factor", "rt_priority")},
+        **{name: values[name] for name in _PLAIN},
     )
 
 

@@ -175,7 +175,7 @@ ARM_TABLES: Final = (
             ),
             Key(
                 "tcp_speed_m_s",
-                "speed of flange and elbow",
+                "speed of flange, elbow and tool centre point",
                 low=0.01,
                 high=ur10.HARD_TCP_SPEED_M_S,
                 note="the hard limit",
@@ -320,6 +320,18 @@ CELL: Final = Table(
             required="real",
             default=1.0,
             example=0.25,
+        ),
+        Key(
+            "commissioned",
+            "whether the checklist of a real cell was signed; until then, its arms are as slow as in first runs",
+            "switch",
+            default=False,
+        ),
+        Key(
+            "allow_reduced_mode",
+            "whether both arms go on, at half their speed, where a controller is in reduced mode",
+            "switch",
+            default=False,
         ),
         Key("rt_priority", "real-time priority of the senders; 0 is off", "integer", 0, 90, default=0),
     ),

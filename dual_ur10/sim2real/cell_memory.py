@@ -15,7 +15,7 @@ from dual_ur10.sim2real.shared_block import Layout, SharedBlock
 _TEXT: Final = 2048
 _PACES: Final = 4  # kept, so that one is whole while the next is written
 _TRIES: Final = 1000
-_SEQUENCE, _FAULT, _LIVE, _CLOSING, _READY = range(5)
+_SEQUENCE, _FAULT, _LIVE, _CLOSING, _READY, _REDUCED = range(6)
 _WATCH_S, _FRESH, _BEGIN_S = range(3)
 _LAYOUT: Final[Layout] = {
     "ints": (np.int64, (8,)),
@@ -48,6 +48,10 @@ class CellMemory:
         self._paces: NDArray[np.float64] = self._block["paces"]
 
     # Written by the program.
+
+    def let_reduced(self) -> None:
+        """Arms may go on in reduced mode."""
+        self._ints[_REDUCED] = 1
 
     def begin(self, at_s: float) -> None:
         """Control period 0 begins at this time of the monotonic clock."""
@@ -123,6 +127,11 @@ class CellMemory:
     def ending(self) -> bool:
         """Whether the program is about to end in order."""
         return bool(self._ints[_CLOSING])
+
+    @property
+    def allow_reduced(self) -> bool:
+        """Whether arms may go on in reduced mode."""
+        return bool(self._ints[_REDUCED])
 
     @property
     def fresh(self) -> float:

@@ -12,6 +12,7 @@ from dual_ur10.rotations import quat_conjugate, quat_from_rotvec, quat_multiply,
 from dual_ur10.sim2real.arm_status import ArmStatus, name_of, stop_reason
 from dual_ur10.sim2real.controller.modes import RobotMode, RuntimeState, SafetyMode
 from dual_ur10.sim2real.doctor_findings import ExpectedArm, Finding, judged
+from dual_ur10.sim2real.pace import FULL
 from dual_ur10.sim2real.primary_link import PrimaryFacts
 from dual_ur10.sim2real.rtde_stream import Sample
 from dual_ur10.ur10 import NOMINAL_DH, DHParameters
@@ -28,7 +29,6 @@ WRONG_CALIBRATION_M, OTHER_CALIBRATION_M = 1e-3, 1e-4
 _TCP_M, _TCP_RAD = 1e-4, 1e-3
 _PAYLOAD_KG, _COG_M = 0.05, 5e-3
 _MOST_JITTER_S = 0.1  # then the state counts as stale, and both arms are stopped
-_FULL = 0.999  # the slider, as a fraction
 
 MOST_ROUND_TRIP_S = 0.004
 """Half a control period of a CB3."""
@@ -115,7 +115,7 @@ def state_findings(arm: str, status: ArmStatus) -> Iterator[Finding]:
     yield judged(
         arm,
         "speed slider",
-        status.slider >= _FULL,
+        status.slider >= FULL,
         f"{100 * status.slider:.0f} %",
         "100 %",
         "move the slider on the pendant to 100 %; speed_factor in the cell file makes both arms slower together",

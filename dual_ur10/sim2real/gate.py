@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import ActionError
-from dual_ur10.sim2real.limits import HISTORY, Envelope, MotionLimits
+from dual_ur10.sim2real.limits import HISTORY, POINTS, Envelope, MotionLimits
 from dual_ur10.ur10 import ARMS, JOINTS
 
 Array = NDArray[np.float64]
@@ -185,10 +185,10 @@ class SafetyGate:
                 found, allowed = abs(found), half
             subject = f"{ARMS[column // 6]}/{JOINTS[column % 6]}"
             return Verdict(kind, subject, float(found), float(allowed), tick)
-        (fastest,), (elbow,) = envelope.tip_share(window[[row]])
+        (fastest,), (point,) = envelope.tip_share(window[[row]])
         arm = int(fastest.argmax())
         if fastest[arm] > _TOLERANCE:
-            subject = f"{ARMS[arm]}/{'elbow' if elbow[arm] else 'flange'}"
+            subject = f"{ARMS[arm]}/{POINTS[point[arm]]}"
             limit = self.limits.tcp_speed_m_s
             return Verdict("tip speed", subject, float(fastest[arm] * limit), limit, tick)
         pair, distance, allowed = self._clearance.worst(quantities[row, envelope.rest_row])

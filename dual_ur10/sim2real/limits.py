@@ -22,10 +22,14 @@ from numpy.typing import NDArray
 
 from dual_ur10 import ur10
 from dual_ur10.errors import SettingsError
-from dual_ur10.forward_kinematics import elbow_and_flange
+from dual_ur10.forward_kinematics import tips
 
 Array = NDArray[np.float64]
 Six = tuple[float, float, float, float, float, float]
+Three = tuple[float, float, float]
+
+POINTS = ("elbow", "flange", "TCP")
+"""Points of an arm whose speed is limited."""
 
 HISTORY = 3
 """Targets that stand before the first one of a window: a third difference reaches back that far."""
@@ -54,6 +58,22 @@ REACH_FROM_JOINT_M: Array = np.array(
 )
 
 
+def checked_tcp(values: Any) -> tuple[Three, Three]:
+    """Tool centre points of both arms as plain numbers.
+
+    Raises:
+        SettingsError: They are not three finite numbers for each arm.
+    """
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape != (2, 3) or not np.isfinite(array).all():
+        raise SettingsError(f"tcp_m is {values!r}: it must be three finite numbers for each of the two arms")
+    left, right = array.tolist()
+    return (*left,), (*right,)
+
+
 def _six(values: Any) -> Six:
     try:
         array = np.broadcast_to(np.asarray(values, dtype=np.float64), (6,))
@@ -76,9 +96,10 @@ class MotionLimits:
         speed_rad_s: Six joint speeds, or one for all.
         acceleration_rad_s2: Second difference of the targets.
         jerk_rad_s3: Third difference of the targets.
-        tcp_speed_m_s: Speed of the flange and of the elbow of a nominal arm; a calibrated one differs by its
+        tcp_speed_m_s: Speed of flange, elbow and tool centre point of a nominal arm; a calibrated one differs by its
             deviation in length.
         lower_rad, upper_rad: Joint positions; the arm must also be able to stop inside them.
+        tcp_m: Tool centre point of the left and the right arm in its flange's frame; zeros: at the flange.
 
     Raises:
         SettingsError: A limit is not positive and finite, or wider than the hard limits of `dual_ur10.ur10`.
@@ -90,6 +111,7 @@ class MotionLimits:
     tcp_speed_m_s: float = ur10.HARD_TCP_SPEED_M_S
     lower_rad: Six = _LOWER_RAD
     upper_rad: Six = _UPPER_RAD
+    tcp_m: tuple[Three, Three] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
     def __post_init__(self) -> None:
         for name in ("speed_rad_s", "lower_rad", "upper_rad"):
@@ -103,6 +125,7 @@ class MotionLimits:
             value = np.asarray(getattr(self, name))
             if not (np.isfinite(value).all() and (value > 0).all() and (value <= hard).all()):
                 raise SettingsError(f"limit {name} is {getattr(self, name)}: it must be above 0 and at most {hard}")
+        object.__setattr__(self, "tcp_m", checked_tcp(self.tcp_m))
         lower, upper = np.asarray(self.lower_rad), np.asarray(self.upper_rad)
         if not ((lower >= -ur10.JOINT_RANGE_RAD) & (upper <= ur10.JOINT_RANGE_RAD) & (lower < upper)).all():
             raise SettingsError(
@@ -185,8 +208,11 @@ class Envelope:
         # Speeds come first.
         self._speed_rows = slice(0, self.kinds.count("joint speed"))
         # Share of the tip speed limit that each joint uses at its own full speed, at most.
-        lever = np.asarray(limits.speed_rad_s) * REACH_FROM_JOINT_M * (_BETWEEN_INSTANTS / limits.tcp_speed_m_s)
-        self._lever = np.kron(np.eye(2), lever[:, None])
+        self._lever = np.zeros((12, 2))
+        for arm, tcp_m in enumerate(limits.tcp_m):
+            reach = REACH_FROM_JOINT_M + math.hypot(*tcp_m)
+            lever = np.asarray(limits.speed_rad_s) * reach * (_BETWEEN_INSTANTS / limits.tcp_speed_m_s)
+            self._lever[6 * arm : 6 * arm + 6, arm] = lever
         self._brake_samples = self._sampled_brake()
         self._middle = np.tile(self.middle, 2)
         self.scale: Array = 1.0 / np.tile(self.half, 2)
@@ -297,13 +323,13 @@ class Envelope:
         return bound
 
     def tip_share(self, window: Array) -> tuple[Array, Array]:
-        """Used share of the speed limit of elbow and flange, in the window and along the brake after it.
+        """Used share of the speed limit of elbow, flange and TCP, in the window and along the brake after it.
 
         Args:
             window: (n, 3 + ticks, 12) targets.
 
         Returns:
-            (n, 2) share of each arm, and (n, 2) whether the elbow is the faster point.
+            (n, 2) share of each arm, and (n, 2) which of `POINTS` is its fastest.
         """
         n, half = len(window), len(self._brake_samples) // 2
         starts, ends = [window[:, HISTORY - 1 : -1]], [window[:, HISTORY:]]
@@ -312,12 +338,13 @@ class Envelope:
             start = brake[:, :half]
             starts.append(start)
             ends.append(start + _BETWEEN_INSTANTS * (brake[:, half:] - start))
-        positions = elbow_and_flange(np.concatenate(starts + ends, axis=1).reshape(n, -1, 6))
-        # Start or end, instant, arm, elbow or flange, x y z.
-        positions = positions.reshape(n, 2, -1, 2, 2, 3)
+        postures = np.concatenate(starts + ends, axis=1)
+        # Start or end, instant, arm, point, x y z.
+        positions = tips(postures.reshape(n, -1, 2, 6), self.limits.tcp_m)
+        positions = positions.reshape(n, 2, -1, *positions.shape[-3:])
         moved = positions[:, 1] - positions[:, 0]
         fastest = np.sqrt(np.add.reduce(moved * moved, axis=-1).max(axis=1)) / (self.tick_s * self.limits.tcp_speed_m_s)
-        return fastest.max(axis=-1), fastest[..., 0] > fastest[..., 1]
+        return fastest.max(axis=-1), fastest.argmax(axis=-1)
 
 
 def _hull_corners(points: Array) -> list[int]:

@@ -24,6 +24,9 @@ SLOPE_PER_S: Final = 1.0
 STEP: Final = 1 / 16
 """Paces that are told apart. What the slider says is taken down to the next one below it."""
 
+FULL: Final = 0.999
+"""A slider from which on it counts as at 100 %: controllers tell fractions."""
+
 _SLOWEST: Final = 1e-3
 _ROUNDING: Final = 1e-6  # of a target's number: what is reached by less is reached
 
@@ -113,7 +116,7 @@ class Pace:
 
 def taken_down(fraction: float) -> float:
     """A slider's fraction as a pace: 1 for all of it, else down to a whole number of steps; 0 for what is no number."""
-    if fraction >= 1.0:
+    if fraction >= FULL:
         return 1.0
     if not fraction > 0.0:
         return 0.0

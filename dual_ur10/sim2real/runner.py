@@ -84,6 +84,8 @@ class Runner:
         try:
             check(file)
             self.cell = CellMemory()
+            if file.allow_reduced_mode:
+                self.cell.let_reduced()
             self.arms = [ArmMemory(), ArmMemory()]
             settings = WatchSettings((config.left, config.right), self.tick_s, coupled)
             with held_back():  # no process without its being known here
@@ -148,7 +150,7 @@ class Runner:
             StartError: An arm is not ready, or moves.
         """
         for name, status in zip(ARMS, self.statuses(), strict=True):
-            reason = stop_reason(status, playing=True)
+            reason = stop_reason(status, allow_reduced=self.cell.allow_reduced, playing=True)
             fastest = max(map(abs, status.qd_rad_s))
             if reason is None and not fastest < REST_RAD_S:
                 reason = f"it moves at {fastest:.3f} rad/s, allowed are {REST_RAD_S:g}: wait until it stands"

@@ -17,6 +17,7 @@ from dual_ur10.sim2real.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.arm_sender import STALE_S, first_reason
 from dual_ur10.sim2real.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.cell_memory import CellMemory
+from dual_ur10.sim2real.controller.modes import SafetyMode
 from dual_ur10.sim2real.tracking import Tracking
 from dual_ur10.ur10 import ARMS
 
@@ -28,6 +29,10 @@ POLICY_S: Final = 0.5
 APART_M: Final = 0.01
 APART_RAD: Final = np.deg2rad(3.0)
 """How far the flanges of two arms that hold one object may be from where they should be, seen from each other."""
+
+REDUCED_PACE: Final = 0.5
+"""How fast the time of the targets passes where a controller is in reduced mode and may be. UR's controllers keep the
+reduced limits by a stop, and slow no stream of targets down for them."""
 
 _ROWS: Final = 3
 
@@ -70,13 +75,14 @@ class Watch:
 
     @property
     def slowest(self) -> float:
-        """The smaller one of what both controllers make of their speed sliders, 0 to 1."""
-        return min((min(each.slider, each.speed_scaling) for each in self._latest if each is not None), default=1.0)
+        """The smaller one of what both controllers make of their speed sliders, and of reduced mode, 0 to 1."""
+        return min((_speed(each) for each in self._latest if each is not None), default=1.0)
 
     def state(self, arm: int, status: ArmStatus) -> str | None:
         """What a controller's new state says."""
         self._latest[arm] = status
-        reason = stop_reason(status, playing=self._arms[arm].phase == Phase.STREAMING)
+        playing = self._arms[arm].phase == Phase.STREAMING
+        reason = stop_reason(status, allow_reduced=self._cell.allow_reduced, playing=playing)
         reason = reason or self._tracking[arm](status)
         if reason is not None:
             return f"{ARMS[arm]}: {reason}"
@@ -119,6 +125,12 @@ class Watch:
             f"the arms, which hold one object, are {1e3 * apart_m:.1f} mm and {np.degrees(apart_rad):.1f}° from where "
             f"they should be to each other, allowed are {1e3 * APART_M:g} mm and {np.degrees(APART_RAD):.0f}°"
         )
+
+
+def _speed(status: ArmStatus) -> float:
+    """How fast an arm may go, as a fraction. Emulated controllers tell all of it as their speed scaling."""
+    reduced = REDUCED_PACE if status.safety_mode == SafetyMode.REDUCED else 1.0
+    return min(status.slider * reduced, status.speed_scaling)
 
 
 def _seen(q_rad: Sequence[Sequence[float]], mounts: Sequence[ArmMount], frames: Frames) -> tuple[Array, Array]:

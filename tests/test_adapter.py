@@ -52,11 +52,14 @@ def actions_of_all_kinds(n: int, periods: int, seed: int = 0, size: int = 6) -> 
 # ------------------------------------------------------------------------------------------------ following
 
 
-def sine_error(profile: ServojProfile, compensate_lag: bool) -> float:
-    """Largest distance of the law's output, at the ends of the periods, from a 0.5 Hz, 0.25 rad sine, once settled."""
+def sine_error(profile: ServojProfile, compensate_lag: bool, true_s: float | None = None, **more) -> float:
+    """Largest distance of the law's output, at the ends of the periods, from a 0.5 Hz, 0.25 rad sine, once settled.
+
+    `true_s` is the lookahead of the arms; None: what their controllers are told.
+    """
     ticks = profile.ticks_per_action(25)
-    adapter = at_home(profile=profile, ticks=ticks, mode="joint_position", compensate_lag=compensate_lag)
-    transition = ServojLaw(profile.lookahead_s, profile.gain).transition(profile.tick_s)
+    adapter = at_home(profile=profile, ticks=ticks, mode="joint_position", compensate_lag=compensate_lag, **more)
+    transition = ServojLaw(true_s or profile.lookahead_s, profile.gain).transition(profile.tick_s)
     start = adapter.commanded_q_rad.reshape(12).copy()
     state, worst, phase = np.stack([start, np.zeros(12)]), 0.0, np.linspace(0.0, 1.0, 12)
     # All joints together would be too fast for the tip.
@@ -81,6 +84,19 @@ def test_compensated_the_arm_is_where_it_was_commanded(family: str, lookahead_s:
     profile = ServojProfile(family, lookahead_s, gain)
     assert sine_error(profile, compensate_lag=True) < (7e-6 if family == "cb3" else 5e-6)
     assert sine_error(profile, compensate_lag=False) > 0.25 * np.pi * lookahead_s  # positive control
+
+
+@pytest.mark.parametrize("true_s", [0.024, 0.045])
+def test_the_lag_that_was_measured_is_taken_out(true_s: float) -> None:
+    assert sine_error(CB3, True, true_s) > 0.2 * np.pi * abs(true_s - CB3.lookahead_s)
+    assert sine_error(CB3, True, true_s, lookahead_s=true_s) < 1e-5
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_what_is_measured_as_told_changes_no_bit(mode: str) -> None:
+    actions = actions_of_all_kinds(5, 40)
+    plain, measured = (at_home(5, mode=mode, **more) for more in ({}, {"lookahead_s": CB3.lookahead_s}))
+    np.testing.assert_array_equal(played(measured, actions), played(plain, actions))
 
 
 # ------------------------------------------------------------------------------------------------ slowed down

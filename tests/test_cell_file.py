@@ -20,9 +20,10 @@ from hypothesis import strategies as st
 from dual_ur10 import ENV_IDS, ur10
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.emulator import Emulator, EmulatorOptions
+from dual_ur10.envs.dual_arm_env import DualArmEnv
 from dual_ur10.errors import CellFileError, DualUR10Error, SettingsError
 from dual_ur10.sim2real import cell_file as module
-from dual_ur10.sim2real.cell import CellConfig
+from dual_ur10.sim2real.cell import CellConfig, Perturbation
 from dual_ur10.sim2real.cell_file import CellFile, examine_text, load_cell_file, starting_text
 from dual_ur10.sim2real.cell_file_entries import (
     ArmLimits,
@@ -621,6 +622,38 @@ def test_notes_name_limits_that_are_not_those_of_first_runs(tmp_path: Path) -> N
     ]
     text = "\n".join(loaded(tmp_path, GOOD).notes())
     assert "commissioned is false: no arm exceeds 0.5 rad/s and 0.25 m/s" in text
+
+
+def test_what_was_measured_is_used_for_compensation_and_for_its_simulation(tmp_path: Path) -> None:
+    bare = loaded(tmp_path, GOOD)
+    assert bare.config().measured_lookahead_s is None
+    assert bare.simulated() == dataclasses.replace(bare.config(), kind="mujoco", file=None)
+    edits: dict[str, Any] = {"left__measured": {"lookahead_s": 0.036, "latency_s": 0.004}}
+    one = loaded(tmp_path, edited(GOOD, **edits))
+    assert one.config().measured_lookahead_s == pytest.approx((0.036 + 0.03) / 2)
+    assert one.config().perturbation == Perturbation()
+    edits |= {"right__measured": {"lookahead_s": 0.045, "latency_s": 0.3}}
+    cell = loaded(tmp_path, edited(GOOD, **edits))
+    assert cell.config().measured_lookahead_s == pytest.approx(0.0405)
+    found = cell.simulated()
+    assert (found.kind, found.file, found.measured_lookahead_s) == ("mujoco", None, cell.config().measured_lookahead_s)
+    assert found.perturbation.lookahead_scale == pytest.approx((1.2, 1.5))
+    assert found.perturbation.latency_s == (0.004, 0.2)  # the most that a simulation takes
+
+
+def test_the_environment_takes_out_the_lag_that_was_measured(tmp_path: Path) -> None:
+    edits = {"left__measured": {"lookahead_s": 0.05}, "speed_factor": 1.0, "commissioned": True}
+    cell = loaded(tmp_path, edited(GOOD, **edits)).simulated()
+    env = DualArmEnv("SineTracking", cell=cell)
+    law = env.core.pipeline.adapter._law
+    assert (law.lookahead_s, law.gain) == (0.04, cell.servoj.gain)
+    env.close()
+
+
+@pytest.mark.parametrize("value", [0.0, 0.6, float("nan"), "x"])
+def test_a_measured_lookahead_has_bounds(value: Any) -> None:
+    with pytest.raises(SettingsError, match="measured_lookahead_s of the cell is"):
+        CellConfig(measured_lookahead_s=value)
 
 
 def test_the_tighter_limits_of_both_arms_hold(tmp_path: Path) -> None:

@@ -16,7 +16,8 @@ from dual_ur10.files import check_target, write_text
 from dual_ur10.recording.run import Header
 from dual_ur10.sim2real.cell_file import CellFile, examine_text, load_cell_file
 from dual_ur10.sim2real.cell_file_entries import Measured
-from dual_ur10.sim2real.cell_file_schema import MEASURED_LOOKAHEAD_S, MOST_LATENCY_S
+from dual_ur10.sim2real.cell_file_schema import MOST_LATENCY_S
+from dual_ur10.sim2real.servoj import MEASURED_LOOKAHEAD_S
 from dual_ur10.ur10 import ARMS
 
 _MOST_BACKUPS: Final = 1000

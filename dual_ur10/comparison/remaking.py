@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
 
@@ -84,7 +84,7 @@ def _simulated(header: Header) -> CellConfig:
         cell, findings = examine_text(header.cell_file, "the recording's cell file")
         if cell is None:
             raise CellFileError(findings[0])
-        return replace(cell.config(), kind="mujoco", file=None)
+        return cell.simulated()
     left, right = mounts_of(header)
     profile = header.servoj[0]
     servoj = ServojProfile(header.family, profile["lookahead_s"], profile["gain"])  # type: ignore[arg-type]  # checked

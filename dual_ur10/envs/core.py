@@ -152,6 +152,7 @@ class Core:
             dh=[mount.dh for mount in mounts],
             yaw_rad=[mount.yaw_rad for mount in mounts],
             speed_factor=config.speed_factor,
+            lookahead_s=config.measured_lookahead_s,
         )
         self.n, self.config = n, config
         randomized = not self._randomization.is_none

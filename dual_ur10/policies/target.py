@@ -214,6 +214,7 @@ def described(env_id: str, keywords: Mapping[str, Any]) -> Described:
         dh=[mount.dh for mount in mounts],
         yaw_rad=[mount.yaw_rad for mount in mounts],
         speed_factor=config.speed_factor,
+        lookahead_s=config.measured_lookahead_s,
     )
     period_s = adapter.period_s
     timing = Timing(period_s, period_s + options.latency_ticks(config) * config.servoj.tick_s)

@@ -92,6 +92,7 @@ class ServojAdapter:
         yaw_rad: Turn of each base about the vertical, for "tcp_delta".
         speed_factor: How fast the time of targets passes in real time. At 0.25 a second of the task takes four, in
             which the controllers' law does four times as much.
+        lookahead_s: Of the law that the arms are found to follow; None: what the controllers are told.
     """
 
     def __init__(
@@ -107,6 +108,7 @@ class ServojAdapter:
         dh: Sequence[DHParameters] = (NOMINAL_DH, NOMINAL_DH),
         yaw_rad: Sequence[float] = (0.0, 0.0),
         speed_factor: float = 1.0,
+        lookahead_s: float | None = None,
     ) -> None:
         goals: dict[str, Callable[[Array], Array]] = {
             "joint_delta": self._joint_delta,
@@ -119,7 +121,8 @@ class ServojAdapter:
         self.mode, self.gripper, self.compensate_lag, self.dh = mode, gripper, compensate_lag, tuple(dh)
         self.period_s, self.speed_factor = ticks * profile.tick_s, speed_factor
         # The law as it is in the time of the targets.
-        self._law = ServojLaw(profile.lookahead_s * speed_factor, profile.gain / speed_factor**2)
+        lookahead_s = profile.lookahead_s if lookahead_s is None else lookahead_s
+        self._law = ServojLaw(lookahead_s * speed_factor, profile.gain / speed_factor**2)
         self._lead_s = profile.tick_s * speed_factor / 2 if compensate_lag else 0.0
         self.envelope = Envelope(self.limits, profile.tick_s, ticks)
         self._limiter = Limiter(self.envelope)

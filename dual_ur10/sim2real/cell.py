@@ -22,7 +22,7 @@ from dual_ur10.sim2real import base_uncertainty
 from dual_ur10.sim2real.adapter import Command
 from dual_ur10.sim2real.clearance import MINIMUM_M
 from dual_ur10.sim2real.limits import MotionLimits, Three, checked_tcp
-from dual_ur10.sim2real.servoj import ServojProfile
+from dual_ur10.sim2real.servoj import MEASURED_LOOKAHEAD_S, ServojProfile
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.cell_file import CellFile
@@ -265,6 +265,8 @@ class CellConfig:
         tcp_m: Tool centre point of the left and the right arm in its flange's frame, whose speed is limited, too;
             zeros: at the flange.
         acceleration_rad_s2, jerk_rad_s3: Likewise of the joints.
+        measured_lookahead_s: Lookahead with which the law of `servoj` moves as both arms do, which the lag compensation
+            takes out; None: that of `servoj`.
         speed_factor: How fast the time of a task passes on two controllers, above 0 and at most 1. What targets may
             not exceed, they may not exceed in real time.
         obstacles: What stands in the workspace; see `dual_ur10.assets.obstacles`.
@@ -294,6 +296,7 @@ class CellConfig:
     tcp_m: tuple[Three, Three] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     acceleration_rad_s2: float | None = None
     jerk_rad_s3: float | None = None
+    measured_lookahead_s: float | None = None
     speed_factor: float = 1.0
     obstacles: tuple[Obstacle, ...] = ()
     uncertainty: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
@@ -326,6 +329,11 @@ class CellConfig:
             value = getattr(self, name)
             if value is not None and not _number(name, value) >= LEAST_CAP:
                 raise SettingsError(f"{name} of the cell is {value!r}: it must be {LEAST_CAP} or more, or None")
+        lookahead_s, (low, high) = self.measured_lookahead_s, MEASURED_LOOKAHEAD_S
+        if lookahead_s is not None and not low <= _number("measured_lookahead_s", lookahead_s) <= high:
+            raise SettingsError(
+                f"measured_lookahead_s of the cell is {lookahead_s!r}: allowed are {low} to {high}, or None"
+            )
         if not 0.0 < _number("speed_factor", self.speed_factor) <= 1.0:
             raise SettingsError(f"speed_factor of the cell is {self.speed_factor!r}: it must be above 0 and at most 1")
         if (self.kind == "mujoco") is not (self.file is None):

@@ -6,16 +6,17 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple, cast
 
 from dual_ur10.assets.obstacles import Obstacle
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.errors import CellFileError, SettingsError
-from dual_ur10.sim2real.cell import CellConfig
+from dual_ur10.sim2real.cell import CellConfig, Perturbation
 from dual_ur10.sim2real.cell_file_entries import (
     GRIPPERS,
     OBSTACLES,
@@ -152,11 +153,36 @@ class CellFile:
                     (self.right.base_uncertainty_m, self.right.base_uncertainty_rad),
                 ),
                 file=self,
+                measured_lookahead_s=self._lookahead_s(),
                 tcp_m=(self.left.tcp_position_m or ZERO, self.right.tcp_position_m or ZERO),
                 **{each.name: self._tighter(each.name) for each in fields(ArmLimits)},  # type: ignore[arg-type]  # floats
             )
         except SettingsError as error:
             raise _error(self.source, [str(error)]) from error
+
+    def simulated(self) -> CellConfig:
+        """The simulated cell that is like this one, with the lookahead and latency that were measured of its arms.
+
+        Raises:
+            CellFileError: As of `config`.
+        """
+        scales, latencies = [], []
+        for arm in self.arms:
+            measured, servoj = arm.measured, arm.servoj
+            scales.append(1.0 if measured.lookahead_s is None else measured.lookahead_s / servoj.lookahead_s)
+            latencies.append(measured.latency_s or 0.0)
+        plant = Perturbation(
+            lookahead_scale=tuple(min(max(each, 0.1), 10.0) for each in scales),
+            latency_s=tuple(min(each, 0.2) for each in latencies),
+        )
+        known = plant if any(arm.measured != Measured() for arm in self.arms) else Perturbation()
+        return replace(self.config(), kind="mujoco", file=None, perturbation=known)
+
+    def _lookahead_s(self) -> float | None:
+        """Mean of both arms, which one adapter leads; None: nothing was measured."""
+        if all(arm.measured.lookahead_s is None for arm in self.arms):
+            return None
+        return math.fsum(arm.measured.lookahead_s or arm.servoj.lookahead_s for arm in self.arms) / len(self.arms)
 
     def _tighter(self, name: str) -> float | None:
         said = [each for arm in self.arms if (each := getattr(arm.limits, name)) is not None]

@@ -12,7 +12,7 @@ from typing import Any, Final, Literal, get_args
 
 from dual_ur10 import ur10
 from dual_ur10.sim2real.cell_file_keys import Key, Table
-from dual_ur10.sim2real.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S, Family, ServojProfile
+from dual_ur10.sim2real.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S, MEASURED_LOOKAHEAD_S, Family, ServojProfile
 from dual_ur10.ur10 import ARMS, DH_A_M, DH_ALPHA_RAD, DH_D_M
 
 Kind = Literal["real", "emulated"]
@@ -23,7 +23,6 @@ NAME: Final = "[A-Za-z0-9_-]{1,64}"
 MOST_OBSTACLES: Final = 64
 ROBOTIQ_PORT: Final = 63352  # Robotiq's URCap
 LEAST_SPEED_FACTOR: Final = 0.05
-MEASURED_LOOKAHEAD_S: Final = (0.005, 0.5)
 MOST_LATENCY_S: Final = 0.3
 _TURN: Final = 2 * math.pi
 _ROOM_M: Final = 20.0

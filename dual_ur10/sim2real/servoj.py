@@ -33,6 +33,9 @@ MAX_PERIOD_S: Final = 2.0
 """Longest policy period: distances are checked once in it."""
 
 # Ranges of the arguments of servoj: UR's article "Servoj command", and the argument checks of ur_rtde 1.6.5.
+MEASURED_LOOKAHEAD_S: Final = (0.005, 0.5)
+"""Lookaheads that an arm may be found to follow."""
+
 LOOKAHEAD_RANGE_S: Final = (0.03, 0.2)
 GAIN_RANGE: Final = (100.0, 2000.0)
 

@@ -31,8 +31,8 @@ APART_RAD: Final = np.deg2rad(3.0)
 """How far the flanges of two arms that hold one object may be from where they should be, seen from each other."""
 
 REDUCED_PACE: Final = 0.5
-"""How fast the time of the targets passes where a controller is in reduced mode and may be. UR's controllers keep the
-reduced limits by a stop, and slow no stream of targets down for them."""
+"""How fast the time of the targets passes where a controller is in reduced mode and may be. It is assumed that UR's
+controllers keep the reduced limits by a stop, and slow no stream of targets down for them."""
 
 _ROWS: Final = 3
 

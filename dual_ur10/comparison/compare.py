@@ -10,13 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.settings import ArmMount
+from dual_ur10.comparison.clock import uneven_s
 from dual_ur10.comparison.lags import lag
+from dual_ur10.comparison.numbering import rests
 from dual_ur10.comparison.parity import Parity, parity
 from dual_ur10.comparison.series import NO_SPREAD, Spread, Value, at, lengths, none, rising, spread
 from dual_ur10.comparison.timing import Timing, timing
 from dual_ur10.comparison.tracks import Track, flange_of, mounts_of, tracks
 from dual_ur10.errors import RecordingError
 from dual_ur10.recording.run import Header, Run
+from dual_ur10.ur10 import ARMS
 
 Array = NDArray[np.float64]
 Mounts = tuple[ArmMount, ArmMount]
@@ -248,6 +251,8 @@ def _notes(runs: tuple[Run, Run], mounts: tuple[Mounts, Mounts], count: int) -> 
     for name, run in zip("AB", runs, strict=True):
         if not run.complete:
             notes.append(f"run {name} was cut off: what is whole of it was compared")
+        notes += _rests(name, run)
+        notes += _uneven(name, run)
     if len(runs[0].episodes) != len(runs[1].episodes):
         numbers = " and ".join(str(len(each.episodes)) for each in runs)
         notes.append(f"the runs have {numbers} episodes: the first {count} of each were compared")
@@ -257,13 +262,48 @@ def _notes(runs: tuple[Run, Run], mounts: tuple[Mounts, Mounts], count: int) -> 
         ("ticks per action", a.period_ticks, b.period_ticks),
         ("latencies in ticks", a.latency_ticks, b.latency_ticks),
         ("settings of servoj", _profiles(a), _profiles(b)),
-        ("seeds", a.seed, b.seed),
+        ("seeds", _seeds(runs[0], count), _seeds(runs[1], count)),
     ):
         if left != right:
             notes.append(f"{what} differ: {left} in run A, {right} in run B")
     if mounts[0] != mounts[1]:
         notes.append("bases or calibrations differ: each run's flanges are by its own")
     return notes
+
+
+def _rests(name: str, run: Run) -> list[str]:
+    if run.header.source != "mujoco" and any(each.first_target is None for each in run.episodes):
+        return [
+            f"run {name} is of an earlier version, which did not record when actions came too late: behind such a one "
+            "it is compared at wrong times of the task"
+        ]
+    count = rests(run)
+    if not count:
+        return []
+    what = "1 action came" if count == 1 else f"{count} actions came"
+    return [
+        f"run {name}: {what} too late, and both arms came to rest each time. One action's time of the task counts for "
+        "that, however long it took: there the arms are where they rest, and not where the other run's are"
+    ]
+
+
+def _uneven(name: str, run: Run) -> list[str]:
+    """Clocks that do not run through."""
+    found = []
+    for arm, each in zip(ARMS, run.arms, strict=True):
+        by_s = uneven_s(each, run.header.tick_s)
+        if by_s:
+            found.append(
+                f"run {name}: the clock of the {arm} controller did not run through, as that of an emulated one on a "
+                f"machine that stands still: it was off by up to {by_s:.3f} s. When its states were is known by their "
+                "arrival alone"
+            )
+    return found
+
+
+def _seeds(run: Run, count: int) -> str:
+    """Those of the episodes that are compared."""
+    return ", ".join("none" if each.seed is None else str(each.seed) for each in run.episodes[:count])
 
 
 def _profiles(header: Header) -> str:

@@ -38,7 +38,9 @@ class Parity:
 
 
 def parity(episodes: Sequence[tuple[Track, Track]], later: int = 0) -> Parity:
-    """Compare what was sent to one arm, episode by episode. Targets between two numbers are left out.
+    """Compare what was sent to one arm, episode by episode.
+
+    Targets between two numbers are left out, and those by which arms came to rest.
 
     Args:
         episodes: What both runs did.
@@ -75,7 +77,7 @@ def bits_equal(a: Array, b: Array) -> NDArray[np.bool_]:
 
 
 def _whole(track: Track) -> tuple[NDArray[np.int64], Array]:
-    """Numbers of the targets that are whole, and these targets; the first that was sent for each number."""
-    whole = track.index == np.rint(track.index)
+    """Numbers of the actions' targets that are whole, and these targets; the first that was sent for each number."""
+    whole = (track.index == np.rint(track.index)) & ~track.resting
     index, rows = np.unique(track.index[whole].astype(np.int64), return_index=True)
     return index, track.target_rad[whole][rows]

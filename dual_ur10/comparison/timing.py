@@ -182,7 +182,7 @@ def _late(arms: list[Track]) -> Late:
 
 def _skews(left: Track, right: Track) -> Array:
     """When the same target was sent to the left arm and to the right one, the difference."""
-    both = [(each.index[ordered], each.sent_s[ordered]) for each in (left, right) for ordered in [rising(each.index)]]
+    both = [(each.number[ordered], each.sent_s[ordered]) for each in (left, right) for ordered in [rising(each.number)]]
     (index_l, sent_l), (index_r, sent_r) = both
     inside = (index_l >= index_r[0]) & (index_l <= index_r[-1])
     # Where one arm missed a target, there is none to compare with, and none is made up.

@@ -1,7 +1,8 @@
 """What one arm did in one episode of a recorded run, on two clocks: that of the run, and that of the task.
 
-The task's clock is that of the targets' numbers. Where a cell runs slower than the task, by its `speed_factor` or the
-slider, a second of the task takes longer; two runs at different speeds are the same motion on the task's clock.
+The task's clock is that of the targets' numbers, but where both arms had to rest (`numbering`). Where a cell runs
+slower than the task, by its `speed_factor` or the slider, a second of the task takes longer; two runs at different
+speeds are the same motion on the task's clock.
 """
 
 from __future__ import annotations
@@ -13,17 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.settings import ArmMount
+from dual_ur10.comparison.clock import times_of
+from dual_ur10.comparison.numbering import Numbering, around, numbering
 from dual_ur10.comparison.series import rising
 from dual_ur10.errors import RecordingError, SettingsError
 from dual_ur10.kinematics import BASE_TO_BASE_LINK, flange_pose
-from dual_ur10.recording.run import ArmLog, Episode, Header, Run
+from dual_ur10.recording.run import Header, Run
 from dual_ur10.rotations import quat_from_rotvec, quat_to_matrix
 from dual_ur10.ur10 import ARMS, DHParameters
 
 Array = NDArray[np.float64]
 
-_NEAR: Final = 25  # ticks by which the beginning of an episode may be off the target that it is found by
-_BLOCK_S: Final = 2.0  # the quickest packet of so long shows how the clocks stand to each other
+_STRAIGHT_TICKS: Final = 2.0  # by which targets may be off a straight line and it is one
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,9 @@ class Track:
         sent_s: (k,) when each target was sent.
         late_s: (k,) by how much too late.
         period: (k,) control periods.
-        index: (k,) numbers of the targets, 0 for the episode's first; between two where time was slowed down.
+        number: (k,) numbers of the targets, as they were sent; between two where time was slowed down.
+        index: (k,) ticks of the task's clock that they belong to, 0 for the episode's first.
+        resting: (k,) whether they belong to no action, for both arms come to rest because one came too late.
         target_rad: (k, 6).
         time_s: (j,) when each state was, strictly rising.
         task_s: (j,) the same on the task's clock.
@@ -45,7 +49,9 @@ class Track:
     sent_s: Array
     late_s: Array
     period: Array
+    number: Array
     index: Array
+    resting: NDArray[np.bool_]
     target_rad: Array
     time_s: Array
     task_s: Array
@@ -96,7 +102,8 @@ def track(run: Run, number: int, arm: int) -> Track:
     if not 0 <= number < len(run.episodes):
         raise RecordingError(f"the recording has {len(run.episodes)} episodes: there is no number {number}")
     episode, header, log = run.episodes[number], run.header, run.arms[arm]
-    sent, first = _sent(run, number, arm)
+    numbers = numbering(run, number)
+    sent = _sent(run, number, arm, numbers)
     if len(sent["index"]) < 2:
         raise RecordingError(
             f"{ARMS[arm]}: {len(sent['index'])} targets were recorded in episode {number}: 2 or more are needed. "
@@ -104,11 +111,11 @@ def track(run: Run, number: int, arm: int) -> Track:
         )
     begin_s = episode.begin_s
     sent_s = sent["sent_s"] - begin_s
-    index = sent["index"] - first
+    index, resting = numbers(sent["index"])
     # When each target was due: free of the jitter with which it was sent.
-    due_s = _line(sent["period"], sent_s - sent["late_s"])
+    due_s = _line(sent["period"], sent_s - sent["late_s"], _STRAIGHT_TICKS * header.tick_s)
     end_s = due_s[-1] + header.tick_s
-    time_s = _times(log) - begin_s
+    time_s = times_of(log) - begin_s
     # Where an episode begins, another may just have ended: its last state is none of this one.
     kept = (time_s > header.tick_s / 4) & (time_s <= end_s + header.tick_s / 2)
     kept &= np.isfinite(log.state["q_rad"]).all(axis=1)
@@ -125,7 +132,9 @@ def track(run: Run, number: int, arm: int) -> Track:
         sent_s=sent_s,
         late_s=sent["late_s"],
         period=sent["period"],
+        number=sent["index"],
         index=index,
+        resting=resting,
         target_rad=sent["target_rad"],
         time_s=time_s,
         task_s=_task_times(time_s, due_s, index * header.tick_s),
@@ -139,49 +148,23 @@ def tracks(run: Run, number: int) -> tuple[Track, Track]:
     return track(run, number, 0), track(run, number, 1)
 
 
-def _sent(run: Run, number: int, arm: int) -> tuple[dict[str, Array], float]:
-    """Targets sent in an episode, and the number of the first."""
-    episode, header, sent = run.episodes[number], run.header, run.arms[arm].sent
-    tick_s, ticks = header.tick_s, episode.targets_rad.shape[0] * episode.targets_rad.shape[1]
-    later = [each.begin_s for each in run.episodes if each.begin_s > episode.begin_s]
-    end_s = min(later, default=np.inf)
-    kept = (sent["sent_s"] >= episode.begin_s - _NEAR * tick_s) & (sent["sent_s"] < end_s - tick_s / 2)
-    rows = {name: values[kept] for name, values in sent.items()}
-    if not kept.any():
-        return rows, 0.0
-    first = _first(rows, episode, header, arm)
-    inside = (rows["index"] > first - 0.5) & (rows["index"] < first + ticks - 0.5)
-    return {name: values[inside] for name, values in rows.items()}, first
+def _sent(run: Run, number: int, arm: int, numbers: Numbering) -> dict[str, Array]:
+    """Targets sent to an arm in an episode."""
+    kept = around(run, number, arm)
+    rows = {name: values[kept] for name, values in run.arms[arm].sent.items()}
+    inside = (rows["index"] > numbers.first - 0.5) & (rows["index"] < numbers.behind - 0.5)
+    return {name: values[inside] for name, values in rows.items()}
 
 
-def _first(rows: dict[str, Array], episode: Episode, header: Header, arm: int) -> float:
-    """Number of an episode's first target: that near its beginning with which what was sent is what was let out."""
-    near = float(np.rint(rows["index"][np.abs(rows["sent_s"] - episode.begin_s).argmin()]))
-    out = episode.targets_rad[:, :, arm].reshape(-1, 6)
-    if not len(out):
-        return near
-    best, found = np.inf, near
-    for away in sorted(range(-_NEAR, _NEAR + 1), key=abs):
-        place = rows["index"] - (near + away) - header.latency_ticks
-        inside = (place >= 0) & (place <= len(out) - 1)
-        if inside.sum() < min(len(out), len(place)) / 2:
-            continue
-        below = place[inside].astype(int)
-        difference = rows["target_rad"][inside] - out[below]
-        miss = float((difference * difference).mean())
-        if miss < best * (1 - 1e-9):
-            best, found = miss, near + away
-    return found
-
-
-def _line(period: Array, times_s: Array) -> Array:
-    """Times as a straight line over control periods; as they are where periods do not say enough."""
+def _line(period: Array, times_s: Array, most_s: float) -> Array:
+    """Times as a straight line over control periods; as they are where periods do not say enough, or it is none."""
     if len(period) < 3 or np.ptp(period) < 2:
         return times_s
     middle = period - period.mean()
     slope = float((middle * times_s).sum() / (middle * middle).sum())
     result: Array = times_s.mean() + slope * middle
-    return result
+    # A controller's clock may have stood still.
+    return result if float(np.abs(result - times_s).max()) <= most_s else times_s
 
 
 def _task_times(time_s: Array, due_s: Array, task_s: Array) -> Array:
@@ -191,25 +174,3 @@ def _task_times(time_s: Array, due_s: Array, task_s: Array) -> Array:
     result: Array = np.interp(time_s, due_s, task_s)
     result += np.minimum(time_s - due_s[0], 0.0) + np.maximum(time_s - due_s[-1], 0.0)
     return result
-
-
-def _times(log: ArmLog) -> Array:
-    """When states were, on the run's clock: by the controller's own clock, which no network delays."""
-    arrival_s = log.state["arrival_s"]
-    stamps_s = log.state.get("timestamp_s")
-    if stamps_s is None or len(arrival_s) < 2 or not np.isfinite(stamps_s).all() or (np.diff(stamps_s) <= 0).any():
-        return arrival_s
-    away_s = arrival_s - stamps_s
-    # The rest, which is no whole block, belongs to the last one.
-    last = max(int((stamps_s[-1] - stamps_s[0]) // _BLOCK_S) - 1, 0)
-    numbers = np.minimum((stamps_s - stamps_s[0]) // _BLOCK_S, last)
-    blocks = np.unique(numbers, return_index=True)[1]
-    least = np.minimum.reduceat(away_s, blocks)
-    quickest = np.array([begin + int(away_s[begin:end].argmin()) for begin, end in _spans(blocks, len(away_s))])
-    result: Array = stamps_s + np.interp(stamps_s, stamps_s[quickest], least)
-    return result
-
-
-def _spans(begins: NDArray[np.intp], count: int) -> list[tuple[int, int]]:
-    ends = [*begins[1:].tolist(), count]
-    return list(zip(begins.tolist(), ends, strict=True))

@@ -48,6 +48,8 @@ class MujocoCell:
     ) -> None:
         self.config, self.ticks, self.n = config, ticks, n
         self.rested_q_rad: Array | None = None
+        self.first_target: int | None = None
+        self.late_periods = 0
         self.threads = threads
         self.steps = ticks * config.substeps
         self._queue = CommandQueue(n, latency_ticks)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.recording.describe import plain
 from dual_ur10.recording.rows import BeginRow, RunRecorder, StepRow, Trace
+from dual_ur10.recording.run import LATE, NOT_TOLD
 from dual_ur10.sim2real.adapter import Command
 from dual_ur10.sim2real.cell import CellState
 
@@ -19,7 +20,15 @@ Array = NDArray[np.float64]
 
 @runtime_checkable
 class RecordedCell(Protocol):
-    """A simulated cell. Of others, states and targets are recorded where they come from."""
+    """A cell that tells what only it knows. Of controllers, states and targets are recorded where they come from.
+
+    Attributes:
+        first_target: Number of the first target that the last action was for; None: the recorder counts them itself.
+        late_periods: How many actions came too late.
+    """
+
+    first_target: int | None
+    late_periods: int
 
     @property
     def trace(self) -> Trace | None:
@@ -50,10 +59,12 @@ class RecordHook:
             self._cell.record()
         self._rng = ""
         self._seed: int | None = None
+        self._step = self._late = 0
 
     def resetting(self, rngs: Sequence[np.random.Generator], seed: int | None) -> None:
         """A reset begins: what it will draw follows from the generator as it is now."""
-        self._seed = seed
+        self._seed, self._step = seed, 0
+        self._late = 0 if self._cell is None else self._cell.late_periods
         self._rng = json.dumps(plain(rngs[0].bit_generator.state))
 
     def reset(
@@ -106,5 +117,22 @@ class RecordHook:
             q_rad=state.q_rad[0],
             flange_m=state.flange_m[0],
             observation=step.observation[0],
+            first_target=self._first_target(),
         )
+        self._step += 1
         self.recorder.step(row, None if self._cell is None else self._cell.trace)
+
+    def _first_target(self) -> int:
+        """Number of the step's first target, or what stands for it. That the action came too late is an event."""
+        cell = self._cell
+        if cell is None or cell.first_target is None:
+            return NOT_TOLD
+        late, self._late = cell.late_periods > self._late, cell.late_periods
+        if not late:
+            return cell.first_target
+        self.recorder.event(
+            "late",
+            f"the action of step {self._step} came too late for target {cell.first_target}: both arms came to rest, "
+            "and go on from there",
+        )
+        return LATE

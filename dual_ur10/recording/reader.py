@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,9 +21,11 @@ from dual_ur10.recording.schemas import (
     EPISODE_TOPIC,
     EVENT,
     EVENT_TOPIC,
+    FORMER_STEP,
     SENT_COLUMNS,
     SINGLE,
     STATE_COLUMNS,
+    STEP,
     STEP_TOPIC,
     Columns,
     columns_of,
@@ -71,14 +74,21 @@ def _run(found: Scanned, allow_partial: bool) -> Run:
     header = header_of(found.metadata[METADATA_NAME])
     for topic in _WANTED - found.schemas.keys():
         raise RecordingError(found.reason or f"it has no channel {topic}")
+    former = found.schemas[STEP_TOPIC] == (FORMER_STEP.name, FORMER_STEP.text)
     for topic, schema in SINGLE.items():
-        if found.schemas[topic] != (schema.name, schema.text):
+        if found.schemas[topic] != (schema.name, schema.text) and not (former and topic == STEP_TOPIC):
             raise RecordingError(f"{topic} is defined otherwise than this version does")
     left, right = (_arm(found, arm, finite=not allow_partial) for arm in ARMS)
     black_box = bool(header.extra.get("black_box"))
     episodes = read_episodes(
-        found.messages[EPISODE_TOPIC], found.messages[STEP_TOPIC], header.period_ticks, from_within=black_box
+        found.messages[EPISODE_TOPIC],
+        found.messages[STEP_TOPIC],
+        header.period_ticks,
+        from_within=black_box,
+        schema=FORMER_STEP if former else STEP,
     )
+    if header.seed is None and episodes and not black_box:
+        header = replace(header, seed=episodes[0].seed)  # a file's header is written before its first reset
     events = [_event(row, data) for row, data in enumerate(found.messages[EVENT_TOPIC])]
     return Run(header, (left, right), episodes, events, found.complete)
 

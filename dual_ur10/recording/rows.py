@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from dual_ur10.recording.run import NOT_TOLD
 from dual_ur10.recording.schemas import BEGIN, STEP
 
 Array = NDArray[np.float64]
@@ -85,6 +86,8 @@ class StepRow:
         q_rad: (2, 6) at its end.
         flange_m: (2, 3) at its end.
         observation: (O,) at its end, or None.
+        first_target: Number of the first of `targets_rad` among those that are sent; `LATE`: none of them is;
+            `NOT_TOLD`.
     """
 
     action: NDArray[Any]
@@ -100,6 +103,7 @@ class StepRow:
     q_rad: Array
     flange_m: Array
     observation: Array | None = None
+    first_target: int = NOT_TOLD
 
     def encode(self, episode: int, step: int) -> bytes:
         """The message of step `step` of the run's episode `episode`."""

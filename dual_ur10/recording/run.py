@@ -7,12 +7,18 @@ time with the run's episodes one after the other.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+LATE: Final = -1
+"""In place of a target's number: the action came too late, and nothing of it was sent."""
+
+NOT_TOLD: Final = -2
+"""In place of a target's number: it is not known."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +39,9 @@ class Header:
         servoj: Per arm `lookahead_s` and `gain`.
         versions: Of this package and of those it stands on.
         started_utc: When the run began, ISO 8601.
-        policy: Its name.
-        policy_sha256: Of the policy's file.
+        policy: Its name; empty: none was told.
+        policy_sha256: Of a checkpoint's manifest, which holds that of its weights. None: it is no checkpoint; of a
+            scripted policy, `versions` say which it was.
         cell_file: Text of the cell file.
         cell_sha256: Of the cell file.
         extra: Anything else; only what JSON can hold.
@@ -95,6 +102,8 @@ class Episode:
         q_rad: (m+1, 2, 6).
         flange_m: (m+1, 2, 3).
         initial_state: Of MuJoCo after the reset; None outside simulation.
+        first_target: (m,) number of the first of each step's targets, among those that were sent (`ArmLog.sent`,
+            "index"); `LATE` where nothing of it was sent. None: it was not recorded.
     """
 
     seed: int | None
@@ -114,6 +123,7 @@ class Episode:
     q_rad: Array
     flange_m: Array
     initial_state: bytes | None
+    first_target: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True)

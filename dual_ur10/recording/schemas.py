@@ -81,8 +81,7 @@ BEGIN: Final = _schema(
 )
 """An empty observation or state: there is none. An empty seed: none was given."""
 
-STEP: Final = _schema(
-    "Step",
+_STEP: Final = (
     "float64 time_s",
     "int64 episode",
     "int64 step",
@@ -99,7 +98,11 @@ STEP: Final = _schema(
     "float64[] gripper_m",
     "float64[] observation",
 )
-"""`time_s` is the task's; success -1: not known."""
+STEP: Final = _schema("Step", *_STEP, "int64 first_target")
+"""`time_s` is the task's; success -1: not known; first_target -1: the action came too late, -2: not known."""
+
+FORMER_STEP: Final = _schema("Step", *_STEP)
+"""As it was before, which is still read."""
 
 EVENT: Final = _schema("Event", "float64 time_s", "string kind", "string text", "string arm")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -43,7 +44,7 @@ class SimulationRecord:
     failure = ""  # that of a simulation is raised
 
     def __init__(self, folder: Path, header: Header, *, least_free_bytes: int = LEAST_FREE_BYTES) -> None:
-        self._tick_s = header.tick_s
+        self._tick_s, self._latency_ticks = header.tick_s, header.latency_ticks
         self._dh = [_parameters(mount) for mount in header.mounts]
         self._begin_s = 0.0
         self._ticks = self._step = 0
@@ -78,6 +79,7 @@ class SimulationRecord:
             raise ResetNeededError("a step was to be recorded before the first episode: call begin_episode first")
         ticks = len(row.targets_rad)
         if trace is not None:
+            row = replace(row, first_target=self._sent + 1 + self._latency_ticks)
             self._trace(trace)
         self._ticks += ticks
         self.writer.single(STEP_TOPIC, self.now_s, row.encode(self._episode, self._step))

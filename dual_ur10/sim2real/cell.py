@@ -112,10 +112,12 @@ class Cell(Protocol):
         n: Number of cells.
         rested_q_rad: (n, 2, 6) where the arms have come to rest in the last period instead of doing what was commanded,
             because that came too late; None: they have not.
+        late_periods: How often they have, since the cell was made.
     """
 
     n: int
     rested_q_rad: Array | None
+    late_periods: int
 
     def reset(
         self,

@@ -108,6 +108,7 @@ class RtdeCell:
         self.config, self.file, self.ticks, self.latency_ticks = config, config.file, ticks, int(latency_ticks)
         self.rested_q_rad: Array | None = None
         self.late_periods = 0
+        self.first_target: int | None = None
         self._tick_s = config.servoj.tick_s
         envelope = Envelope(limits, self._tick_s, 1)
         count = math.ceil(_BRAKE_TIMES / (envelope.brake_rate * self._tick_s))
@@ -218,6 +219,7 @@ class RtdeCell:
         if self._origin is None:
             self._origin = runner.next
         first = self._origin + self._elapsed + self.latency_ticks
+        self.first_target = first
         self._elapsed += self.ticks
         self.rested_q_rad = None
         if not self._write(runner, first, command.targets_rad[0]):
@@ -245,7 +247,11 @@ class RtdeCell:
     def _rest(self, runner: Runner) -> CellState:
         """The action came too late: both arms have begun to brake, and are let come to rest."""
         self.late_periods += 1
-        log.warning("an action came too late: both arms come to rest, and go on from there")
+        if self.late_periods == 1:  # more of them would hide what else is said
+            log.warning(
+                "an action came too late: both arms come to rest, and go on from there. Further ones are counted, and "
+                "in the record"
+            )
         runner.cell.expect(runner.end, live=True)
         runner.wait_for(runner.end)
         rest = runner.last()

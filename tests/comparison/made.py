@@ -149,3 +149,49 @@ def with_arm(made: Run, arm: int, **logs: dict[str, Array]) -> Run:
         {**arms[arm].sent, **logs.get("sent", {})},
     )
     return replace(made, arms=(arms[0], arms[1]))
+
+
+def rested(
+    seconds: float = 6.0,
+    *,
+    at: tuple[int, ...] = (40,),
+    pause: int = 60,
+    sent_later_s: float = 0.0,
+    told: bool = True,
+    first_index: int = 4711,
+    **values: Any,
+) -> Run:
+    """The motion of `run` where the actions of some steps came too late: both arms then stand for `pause` targets.
+
+    Args:
+        at: These steps.
+        sent_later_s: By how much later the right arm's targets are sent.
+        told: Whether the steps say with which targets they begin.
+    """
+    head = header(source="emulated", **values)
+    tick_s, ticks, late = head.tick_s, head.period_ticks, head.latency_ticks
+    steps = round(seconds / tick_s / ticks)
+    out = motion(steps * ticks, tick_s).reshape(steps, ticks, 2, 6)
+    wire, begins = [out[0, :1][:0], *[out[0, :1]] * late], []
+    for step in range(steps):
+        begins.append(-1 if step in at else first_index + sum(map(len, wire)))
+        last = np.concatenate([out[0, :1], *wire])[-1:]
+        wire.append(np.repeat(last, pause, axis=0) if step in at else out[step])
+    targets = np.concatenate(wire)
+    sends = len(targets)
+    arms = []
+    for arm in range(2):
+        way = led(targets[:, arm], 0.03, head.servoj[arm]["gain"], tick_s, 0)
+        times = 1.0 + np.arange(sends) * tick_s
+        state = {"arrival_s": np.append(times, times[-1] + tick_s), "q_rad": way, "target_q_rad": way}
+        sent = {
+            "period": np.arange(sends) + 0.0,
+            "index": first_index + np.arange(sends) + 0.0,
+            "sent_s": times + arm * sent_later_s,
+            "late_s": np.zeros(sends),
+            "target_rad": targets[:, arm],
+        }
+        arms.append(ArmLog({**state, "timestamp_s": 500.0 + state["arrival_s"]}, sent))
+    plain = run(seconds, **values).episodes[0]
+    episode = replace(plain, first_target=np.array(begins) if told else None)
+    return Run(head, (arms[0], arms[1]), [episode], [], True)

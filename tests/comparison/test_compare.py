@@ -16,7 +16,7 @@ from dual_ur10.comparison.series import at, smoothed, spread
 from dual_ur10.comparison.timing import LATE_S, ripple_of, timing
 from dual_ur10.comparison.tracks import flange_of, mounts_of, track, tracks
 from dual_ur10.errors import RecordingError
-from tests.comparison.made import DH, header, run, with_arm
+from tests.comparison.made import DH, header, rested, run, with_arm
 from tests.soak import scaled
 
 TICK_S = 0.008
@@ -190,6 +190,105 @@ def test_fewer_episodes_and_a_cut_off_run_are_noted() -> None:
     assert len(found.pairs) == 2
     assert "3 and 2 episodes: the first 2" in " ".join(found.notes)
     assert "run B was cut off" in " ".join(found.notes)
+
+
+# Actions that came too late, and clocks that do not run through.
+
+
+@pytest.mark.parametrize("latency", [0, 5])
+@pytest.mark.parametrize("late", [(40,), (40, 41), (30, 90), (0, 60), (60, 149)])
+def test_behind_a_rest_the_same_actions_are_compared(late: tuple[int, ...], latency: int) -> None:
+    found = compare(run(latency_ticks=latency), rested(at=late, latency_ticks=latency, pause=77))
+    for arm in found.arms:
+        assert arm.sent.is_exact, arm.sent
+        # Ticks of the dropped actions are compared with nothing, and at the end, those of which nothing was sent.
+        dropped = 5 * len(late) - (latency if 149 in late else 0) + (latency if 0 in late else 0)
+        assert arm.sent.compared == 750 - dropped
+    pair = found.pairs[0]
+    quiet = pair.time_s > (max(each for each in late if each < 149) + 25) * 0.04
+    quiet &= pair.time_s < (149 * 0.04 if 149 in late else 9.0)
+    apart = np.linalg.norm(pair.flange_m[0] - pair.flange_m[1], axis=-1)[quiet]
+    assert len(apart) > 100
+    assert apart.max() < 1e-4
+    word = "1 action came" if len(late) == 1 else f"{len(late)} actions came"
+    assert f"run B: {word} too late" in " ".join(found.notes)
+    assert np.diff(tracks(rested(at=late), 0)[0].task_s).min() > 0.0
+
+
+def test_a_run_with_rests_is_read_to_its_end() -> None:
+    plain, made = tracks(run(), 0), tracks(rested(at=(20, 50, 80), pause=60), 0)
+    for ours, theirs in zip(plain, made, strict=True):
+        assert theirs.index[-1] == ours.index[-1] == 749
+        assert theirs.task_s[-1] == pytest.approx(ours.task_s[-1], abs=1e-9)
+        assert len(theirs.index) == 750 + 3 * (60 - 5)
+        assert theirs.resting.sum() == 3 * 60
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_skew_is_between_equal_targets_whatever_rests_there_were(told: bool) -> None:
+    found = timing(rested(at=(20, 90), sent_later_s=0.7e-3, told=told))
+    assert np.abs(found.skews_s + 0.7e-3).max() < 1e-9
+    assert len(found.skews_s) > 700
+
+
+def test_a_recording_that_does_not_tell_of_rests_has_one_beginning_for_both_arms() -> None:
+    made = rested(at=(20, 90), told=False)
+    # The right arm stood still so long that other beginnings would fit it as well.
+    still = np.repeat(made.arms[1].sent["target_rad"][:1], len(made.arms[1].sent["index"]), axis=0)
+    made = with_arm(made, 1, sent={"target_rad": still})
+    left, right = tracks(made, 0)
+    assert left.index[0] == right.index[0] == 0.0
+    assert left.number[0] == right.number[0] == 4711.0
+    assert "run B is of an earlier version" in " ".join(compare(run(), made).notes)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_clock_that_loses_time_mistimes_no_state(seed: int) -> None:
+    made, plain = run(), run()
+    rng = np.random.default_rng(seed)
+    for arm in range(2):
+        state = plain.arms[arm].state
+        at_s = state["arrival_s"]
+        # It stands still for long, and then goes on at half the speed for a while: what it does not tell, it never was.
+        lives = ~((at_s > 3.1) & (at_s < 4.0)) & ~((at_s > 4.5) & (at_s < 5.7) & (np.arange(len(at_s)) % 2 == 0))
+        delayed_s = np.where(rng.random(len(at_s)) < 0.3, rng.exponential(0.002, len(at_s)), 0.0)
+        told = {name: values[lives] for name, values in state.items()}
+        told["arrival_s"] = np.maximum.accumulate(at_s + delayed_s)[lives]
+        told["timestamp_s"] = 500.0 + TICK_S * np.arange(lives.sum())
+        made = with_arm(made, arm, state=told)
+        found, expected = track(made, 0, arm), track(plain, 0, arm)
+        mistimed_s = np.abs(found.time_s - expected.time_s[lives[-len(expected.time_s) :]])
+        assert len(mistimed_s) == lives.sum() - 1
+        assert np.median(mistimed_s) < 1e-9
+        assert mistimed_s.max() < 0.015
+    notes = " ".join(compare(plain, made).notes)
+    for arm in ("left", "right"):
+        assert f"run B: the clock of the {arm} controller did not run through" in notes
+    assert "off by up to 1.4" in notes or "off by up to 1.5" in notes
+    assert "run A: the clock" not in notes
+
+
+def test_targets_of_a_clock_that_loses_time_are_due_when_they_were_sent() -> None:
+    made = run()
+    sent = made.arms[0].sent
+    behind_s = 1.3 * (sent["sent_s"] > 4.0)
+    period = sent["period"] - np.floor(behind_s / TICK_S)
+    again = track(with_arm(made, 0, sent={"period": period}), 0, 0)
+    assert np.abs(again.task_s - track(made, 0, 0).task_s).max() < 1e-9
+
+
+def test_clocks_that_drift_as_clocks_do_are_not_mentioned() -> None:
+    made = run(20.0)
+    for arm in range(2):
+        stamps_s = made.arms[arm].state["timestamp_s"]
+        made = with_arm(made, arm, state={"timestamp_s": stamps_s * (1 + 3e-4)})
+    assert compare(run(20.0), made).notes == ()
+
+
+def test_seeds_that_differ_are_mentioned() -> None:
+    made = run(seconds=2.0, episodes=2)
+    other = replace(made, episodes=[made.episodes[0], replace(made.episodes[1], seed=9)])
+    assert "seeds differ: 3, none in run A, 3, 9 in run B" in compare(made, other).notes
 
 
 # What a run says of itself.

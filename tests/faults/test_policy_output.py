@@ -9,6 +9,8 @@ import pytest
 from dual_ur10 import policies
 from dual_ur10.errors import ActionError, CellFaulted
 from dual_ur10.policies.rollout import rollout
+from dual_ur10.recording.reader import read_run
+from dual_ur10.recording.run import LATE
 from tests import soak
 from tests.faults.lab import ARMS, Swing, assert_gone, descendants
 
@@ -108,8 +110,8 @@ def test_7_the_same_action_for_ever_ends_at_rest_short_of_everything(lab):
 
 
 @pytest.mark.parametrize(("row", "late_s"), [(8, 0.08), (9, 0.3)])
-def test_8_9_an_action_that_comes_late_finds_both_arms_at_rest_and_goes_on(lab, row, late_s):
-    lab.begin()
+def test_8_9_an_action_that_comes_late_finds_both_arms_at_rest_and_goes_on(lab, row, late_s, tmp_path):
+    lab.begin(record=str(tmp_path))
     cell = lab.env.unwrapped.core.cell
     before = cell.late_periods
     time.sleep(late_s)
@@ -121,6 +123,22 @@ def test_8_9_an_action_that_comes_late_finds_both_arms_at_rest_and_goes_on(lab, 
     lab.assert_within_limits()
     for memory in lab.runner.arms:  # none of what was late was made up for in a hurry
         assert (np.diff(memory.sent()[0].period) >= 1).all()
+    # What was sent for each action, and for which there was nothing, is in the record.
+    lab.close_env()
+    run = read_run(next(tmp_path.iterdir()))
+    (episode,) = run.episodes
+    late = np.flatnonzero(episode.first_target == LATE)
+    assert len(late) == sum(each.kind == "late" for each in run.events) > 0
+    for arm in range(2):
+        sent = run.arms[arm].sent
+        known = dict(zip(sent["index"].tolist(), sent["target_rad"], strict=True))
+        out = [
+            (known[float(first)] == episode.targets_rad[step, 0, arm]).all()
+            for step, first in enumerate(episode.first_target.tolist())
+            if first != LATE and float(first) in known
+        ]
+        assert out
+        assert all(out)
 
 
 def test_10_a_policy_that_is_silent_for_long_stops_both(lab):
@@ -145,6 +163,8 @@ import ctypes, os, signal, sys
 import gymnasium as gym
 import dual_ur10
 from dual_ur10.policies.rollout import rollout
+from dual_ur10.recording.reader import read_run
+from dual_ur10.recording.run import LATE
 from tests.faults.lab import Swing
 
 class Dying(Swing):

@@ -35,7 +35,9 @@ from dual_ur10.cli_options import (
     env_id_of,
     errors,
     keywords_of,
+    late_text,
     power_on,
+    record_in,
 )
 from dual_ur10.cli_runs import compare, fit, replay
 from dual_ur10.cli_status import status
@@ -127,14 +129,14 @@ def rollout(
     if power:
         power_on(cell)
     if not no_record:
-        keywords.setdefault("record", str(record))
+        record_in(keywords, record, _about(policy, env))
     made, actor = _make(env, policy, keywords, seed)
     table = Table(header_style="bold")
     for header in ("episode", "seed", "steps", "return", "success", "RMS error\n[dim]mm[/]", "largest\n[dim]mm[/]"):
         table.add_column(header, justify="center" if header == "success" else "right")
     table.add_column("ended by")
     returns, successes = [], 0
-    made.unwrapped.core.note("policy", policy)
+    late = 0
     try:
         # Somebody may be asked something at the terminal.
         with contextlib.nullcontext() if cell else console.status("running") as shown:
@@ -152,6 +154,7 @@ def rollout(
                 mark = "[green]yes[/]" if found.success else "[red]no[/]"
                 row = (str(episode), str(seed + episode), str(found.steps), f"{total:.2f}", mark, *figures)
                 table.add_row(*row, escape(found.ended_by))
+                late = made.unwrapped.core.late_actions
     except KeyboardInterrupt:
         if cell is None:
             raise
@@ -168,7 +171,8 @@ def rollout(
     if cell is not None:
         plant = f"{made.unwrapped.core.config.kind} cell"
     console.print(
-        f"success {successes} of {episodes}, return {np.mean(returns):.2f}{spread} ({plant})", highlight=False
+        f"success {successes} of {episodes}, return {np.mean(returns):.2f}{spread} ({plant}){late_text(late)}",
+        highlight=False,
     )
 
 
@@ -250,6 +254,13 @@ class _Zero:
 
 
 _SIMPLE: dict[str, Any] = {"random": _Random, "zero": _Zero}
+
+
+def _about(policy: str, env: str) -> dict[str, Any]:
+    """What a record says of a policy."""
+    from dual_ur10.policies.origin import about
+
+    return about(policy, env_id_of(env))
 
 
 def _make(env: str, policy: str, keywords: dict[str, Any], seed: int) -> tuple[Any, Any]:

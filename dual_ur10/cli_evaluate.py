@@ -6,19 +6,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from dual_ur10.cli_options import (
+    RUNS,
     CellFileName,
     EnvName,
+    NoRecord,
+    OneArm,
     Perturbed,
     PolicyName,
+    PowerOn,
     Seed,
     Settings,
     console,
     env_id_of,
     errors,
     keywords_of,
+    late_text,
+    power_on,
+    progress_of,
     randomize,
 )
 from dual_ur10.errors import SettingsError
@@ -51,18 +58,36 @@ def evaluate(
     ] = None,
     perturbed: Perturbed = False,
     cell: CellFileName = None,
+    arm: OneArm = None,
+    power: PowerOn = False,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            "--record",
+            metavar="FOLDER",
+            help="A folder with the record of this run is made in it: with --cell in runs/ if nothing is said, in "
+            "simulation only if it is, and then one episode runs at a time.",
+        ),
+    ] = None,
+    no_record: NoRecord = False,
 ) -> None:
     """Run many episodes of a policy, and print how often and how well it succeeds."""
     from dual_ur10.policies.evaluate import evaluate as run
 
-    env_id, keywords = env_id_of(env), keywords_of(settings, perturbed, cell)
-    envs = envs if cell is None else 1
+    env_id, keywords = env_id_of(env), keywords_of(settings, perturbed, cell, arm)
     randomize(keywords, randomization)
+    if no_record and record is not None:
+        raise SettingsError("--record and --no-record do not go together: leave one out")
+    if not no_record and (record is not None or cell is not None):
+        keywords.setdefault("record", str(record or RUNS))
+    envs = envs if cell is None and "record" not in keywords else 1
     if min_success is not None and not 0.0 <= min_success <= 1.0:
         raise SettingsError(f"--min-success is {min_success:g}: it must be a share from 0 to 1, such as 0.95")
     targets = [path for path in (json, csv) if path is not None]
     if len({check_target(path) for path in targets}) < len(targets):
         raise SettingsError(f"--json and --csv both name {json}")
+    if power:
+        power_on(cell)
     found: Evaluation | None = None
     columns = (
         TextColumn("{task.description}"),
@@ -72,7 +97,7 @@ def evaluate(
         TimeRemainingColumn(),
     )
     try:
-        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        with progress_of(console, cell, *columns) as progress:
             bar = progress.add_task("running", total=episodes)
 
             def show(so_far: Evaluation) -> None:
@@ -80,6 +105,9 @@ def evaluate(
                 found = so_far
                 text = f"success {100 * so_far.success_rate:.1f} %"
                 progress.update(bar, description=text, completed=len(so_far.episodes))
+                if cell is not None:  # there is no bar
+                    done = f"{len(so_far.episodes)} of {episodes} episodes, {text}{late_text(so_far.late_actions)}"
+                    console.print(done, highlight=False)
 
             found = run(
                 env_id, policy, episodes=episodes, seed=seed, num_envs=envs, env_kwargs=keywords, on_progress=show

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.progress import Progress, ProgressColumn
 
 from dual_ur10 import ENV_IDS
 from dual_ur10.errors import SettingsError, UnknownNameError
@@ -110,6 +111,24 @@ def randomize(keywords: dict[str, Any], preset: str | None) -> None:
     if "randomization" in keywords:
         raise SettingsError("randomization is set twice: --randomization sets it")
     keywords["randomization"] = preset
+
+
+def record_in(keywords: dict[str, Any], folder: Path, about: dict[str, Any]) -> None:
+    """Let an environment record its run in a folder, unless --set names another, and say what is known of the run."""
+    keywords.setdefault("record", str(folder))
+    keywords.setdefault("record_about", about)
+
+
+def progress_of(console: Console, cell: Path | None, *columns: ProgressColumn) -> Progress:
+    """A bar for work that takes a while. None where arms move: it would be drawn over what a person is asked."""
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal or cell is not None)
+
+
+def late_text(count: int) -> str:
+    """What to append where actions came too late."""
+    if not count:
+        return ""
+    return f", {count} late action{'' if count == 1 else 's'}"
 
 
 def power_on(cell: Path | None) -> None:

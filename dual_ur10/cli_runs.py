@@ -7,10 +7,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 from rich.table import Table
 
-from dual_ur10.cli_options import RUNS, NoRecord, Record, console, errors
+from dual_ur10.cli_options import (
+    RUNS,
+    NoRecord,
+    OneArm,
+    PowerOn,
+    Record,
+    console,
+    errors,
+    keywords_of,
+    late_text,
+    power_on,
+    progress_of,
+    record_in,
+)
 from dual_ur10.files import check_target
 
 if TYPE_CHECKING:
@@ -31,9 +44,8 @@ def replay(
         Path | None, typer.Option("--cell", metavar="FILE", help="A cell file: play it there, not in simulation.")
     ] = None,
     episode: Annotated[int, typer.Option("--episode", "-e", min=0, help="Which episode of the run.")] = 0,
-    arm: Annotated[
-        str | None, typer.Option("--arm", help="left or right: only this arm moves, the other is held.")
-    ] = None,
+    arm: OneArm = None,
+    power: PowerOn = False,
     allow_partial: Partial = False,
     record: Record = RUNS,
     no_record: NoRecord = False,
@@ -44,27 +56,30 @@ def replay(
     arms, the targets that the gate lets out are compared.
     """
     from dual_ur10.comparison.replaying import replay as play
+    from dual_ur10.comparison.replaying import source_of
     from dual_ur10.recording.reader import read_run
 
+    keywords = keywords_of(None, perturbed=False, cell=cell, arm=arm)
+    keywords.pop("cell", None)
     recorded = read_run(run, allow_partial=allow_partial)
-    columns = (TextColumn("playing"), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+    if not no_record:
+        record_in(keywords, record, source_of(run, episode))
+    if power:
+        power_on(cell)
+    with progress_of(console, cell, TextColumn("playing"), BarColumn(), MofNCompleteColumn()) as progress:
         bar = progress.add_task("playing")
-        # A cell asks a person before arms move: only then is there anything to show.
         found = play(
             recorded,
             cell,
             episode=episode,
-            keywords={
-                **({} if arm is None else {"arm": arm}),
-                **({} if no_record else {"record": str(record)}),
-            },
+            keywords=keywords,
             on_step=lambda done, total: progress.update(bar, completed=done, total=total),
         )
     ticks = found.targets_rad.shape[0] * found.targets_rad.shape[1]
+    ended = f", ended by {escape(found.ended_by)}" if found.ended_by else ""
     console.print(
         f"{found.steps} of {found.recorded} steps, {found.equal_targets} of {ticks} ticks with the recorded targets "
-        f"in every bit{f', ended by {escape(found.ended_by)}' if found.ended_by else ''}",
+        f"in every bit{ended}{late_text(found.late_actions)}",
         highlight=False,
         soft_wrap=True,
     )
@@ -129,6 +144,7 @@ def fit(
     """Estimate lookahead and latency of each arm from a recorded run in which both arms move."""
     from dual_ur10.comparison.cell_update import write_back
     from dual_ur10.comparison.fit import fit as fitted
+    from dual_ur10.comparison.fit import remark
     from dual_ur10.recording.reader import read_run
 
     if write is not None:
@@ -143,8 +159,9 @@ def fit(
     for arm, each in zip(("left", "right"), found, strict=True):
         for what, estimate in (("controller alone", each.law), ("controller and arm", each.arm)):
             table.add_row(f"{arm}, {what}", *_figures(estimate))
-            if estimate.reason:
-                reasons.append(f"{arm}, {what}: {estimate.reason}")
+            reason = estimate.reason or remark(estimate, recorded.header.tick_s)
+            if reason:
+                reasons.append(f"{arm}, {what}: {reason}")
     console.print(table)
     for reason in reasons:
         console.print(f"[yellow]note:[/] {escape(reason)}", highlight=False, soft_wrap=True)

@@ -103,6 +103,21 @@ def fit(run: Run, episode: int | None = None) -> tuple[ArmFit, ArmFit]:
     return found[0], found[1]
 
 
+def remark(found: Estimate, tick_s: float) -> str:
+    """What is to be known of an estimate that there is; "" if nothing."""
+    if found.reason or found.latency_s >= 0.0:
+        return ""
+    if found.latency_s < -tick_s - 3 * found.latency_sigma_s:
+        return (
+            f"the latency is below 0 by more than a control period of {1e3 * tick_s:g} ms, which no controller's is: "
+            "clocks or settings of servoj are not what the recording says. Fit another run"
+        )
+    return (
+        "the latency is below 0 by a part of a control period, which counts as none: of which instant within its "
+        "control period a controller tells the state is not known, and the least delay of its packets is taken for 0"
+    )
+
+
 def _with(law: Estimate, track: Track, lookahead_s: float, gain: float) -> Estimate:
     """The estimate of an arm whose controller is known, if it is."""
     if law.reason:

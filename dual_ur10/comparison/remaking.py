@@ -25,7 +25,17 @@ BASE_M: Final = 0.05
 BASE_RAD: Final = 0.1
 """A base may stand so far from where it stood when the run was recorded, as a measured one from a planned one."""
 
-_SEEN: Final = ("render_mode", "camera", "width", "height", "shadows", "confirm", "record", "record_failure")
+_SEEN: Final = (
+    "render_mode",
+    "camera",
+    "width",
+    "height",
+    "shadows",
+    "confirm",
+    "record",
+    "record_failure",
+    "record_about",
+)
 """Keywords that change no motion."""
 
 _SIMULATED: Final = ("randomization", "observation", "cameras", "pixels_rate_hz", *_SEEN)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,9 @@ from numpy.typing import NDArray
 from dual_ur10.comparison.parity import bits_equal
 from dual_ur10.comparison.remaking import check_replayable, check_same_actions, generator_of, keywords_of, resets_of
 from dual_ur10.errors import RecordingError
+from dual_ur10.recording.reader import file_of
 from dual_ur10.recording.run import Episode, Run
+from dual_ur10.recording.scan import open_regular
 from dual_ur10.sim2real.arm_sender import START_GAP_RAD
 from dual_ur10.sim2real.cell import CellConfig, resolve_cell
 from dual_ur10.ur10 import ARMS, JOINTS
@@ -28,6 +31,26 @@ AWAY_RAD: Final = 0.02
 Steps of joints go on from where arms are led to. Where a limit is tighter, or arms had to rest because an action came
 too late, the same steps lead elsewhere, and to what is there.
 """
+
+
+def source_of(path: str | Path, episode: int) -> dict[str, Any]:
+    """What the record of a replay says of what it replays, as `record_about` of an environment takes it.
+
+    Args:
+        path: The recording that was read: its folder, or its file.
+        episode: Which of its episodes.
+
+    Raises:
+        RecordingError: It cannot be read.
+    """
+    file = file_of(path)
+    opened, _ = open_regular(file)
+    digest = hashlib.sha256()
+    with opened:
+        while piece := opened.read(2**20):
+            digest.update(piece)
+    run = file.resolve().parent.name
+    return {"policy": f"replay of {run}", "replays": {"run": run, "sha256": digest.hexdigest(), "episode": episode}}
 
 
 class RecordedPolicy:
@@ -84,6 +107,7 @@ class Replay:
         success: Whether the task says that it was done well; None: the episode did not come to its end.
         ended_by: What ended it, such as the gate's verdict, or that another motion came of the actions; "" if nothing
             did.
+        late_actions: How many actions came too late on two controllers, so that both arms came to rest.
     """
 
     steps: int
@@ -95,6 +119,7 @@ class Replay:
     difference: str
     success: bool | None
     ended_by: str
+    late_actions: int = 0
 
     @property
     def is_exact(self) -> bool:
@@ -245,6 +270,7 @@ def _play(
         difference=difference,
         success=success,
         ended_by=ended_by,
+        late_actions=env.unwrapped.core.late_actions,
     )
 
 

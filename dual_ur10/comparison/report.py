@@ -151,16 +151,30 @@ def _runs(found: Comparison, names: tuple[str, str]) -> str:
         row("recording", names),
         row("what moved", (_SOURCES.get(a.source, a.source), _SOURCES.get(b.source, b.source))),
         row("begun", (a.started_utc, b.started_utc)),
-        row("policy", (a.policy, b.policy)),
+        row("policy", (a.policy or "—", b.policy or "—")),
+        row("its sha256", (_short(a.policy_sha256), _short(b.policy_sha256))),
+        row("replays", (_replays(a), _replays(b))),
         row("controllers", (_rate(a), _rate(b))),
         row("servoj", (_profile(a), _profile(b))),
         row("speed factor", (f"{a.speed_factor:g}", f"{b.speed_factor:g}")),
         row("action latency in ticks", (a.latency_ticks, b.latency_ticks)),
-        row("seed", (a.seed, b.seed)),
+        row("seed", ("—" if a.seed is None else a.seed, "—" if b.seed is None else b.seed)),
         row("version", (a.versions.get("dual_ur10", "—"), b.versions.get("dual_ur10", "—"))),
         row("recorded to the end", ("yes" if found.complete[0] else "no", "yes" if found.complete[1] else "no")),
     ]
     return table("runs", (("run A", ""), ("run B", "")), rows)
+
+
+def _short(sha256: object) -> str:
+    return f"{sha256[:16]}…" if isinstance(sha256, str) and sha256 else "—"
+
+
+def _replays(header: Header) -> str:
+    """Which run it plays again."""
+    told = header.extra.get("replays")
+    if not isinstance(told, dict):
+        return "—"
+    return f"episode {told.get('episode')} of {told.get('run')}, {_short(told.get('sha256'))}"
 
 
 def _rate(header: Header) -> str:

@@ -232,7 +232,11 @@ class Core:
         self._clearance.check_start(start.q_rad, rows)
         self.pipeline.reset(start.q_rad, rows, start.gripper_m)
         plant = on_top({name: value[rows] for name, value in self._plant.items()}, drawn)
-        state = cell.reset(start, rows, seeds=seeds, perturbation=plant)
+        try:
+            state = cell.reset(start, rows, seeds=seeds, perturbation=plant)
+        except DualUR10Error as error:
+            self.note("fault" if isinstance(error, CellFaulted) else "not begun", str(error))
+            raise
         self._go_on_from_rest(cell, start.gripper_m)
         self._sensing.reset(state, rows, seeds, drawn)
         sensed = state if self._sensing.is_exact else self._sensing.begun(state)
@@ -357,6 +361,11 @@ class Core:
         """Write an event into the record of this run, if there is one."""
         if self.recorder is not None:
             self.recorder.event(kind, text)
+
+    @property
+    def late_actions(self) -> int:
+        """How many actions came too late so far, so that both arms came to rest."""
+        return 0 if self.cell is None else self.cell.late_periods
 
     def record(self, recorder: RunRecorder) -> None:
         """Let `recorder` take note of every episode from the next reset on. It is the caller's to close.

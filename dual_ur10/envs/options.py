@@ -52,6 +52,8 @@ class EnvOptions:
             last ten seconds before a stop are kept in any case.
         record_failure: What to do on two controllers when the record cannot be written any more, because the disk is
             full: "go on", which is logged, or "stop".
+        record_about: What the record is to say of the run: `policy` (a name), `policy_sha256`, and anything else that
+            JSON can hold. None: nothing.
     """
 
     cell: object = "mujoco"
@@ -71,6 +73,7 @@ class EnvOptions:
     arm: str | None = None
     record: str | os.PathLike[str] | None = None
     record_failure: Literal["go on", "stop"] = "go on"
+    record_about: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         for name in ("compensate_lag", "shadows"):
@@ -89,6 +92,8 @@ class EnvOptions:
             raise SettingsError(f"record is {self.record!r}: it must be the path of a folder, or None")
         if self.record_failure not in ("go on", "stop"):
             raise UnknownNameError("record_failure", str(self.record_failure), ["go on", "stop"])
+        if self.record_about is not None:
+            _check_about(self.record_about)
         if not isinstance(self.action_mode, str):
             raise UnknownNameError("action mode", str(self.action_mode), get_args(ActionMode))
         if self.observation not in get_args(ObservationKind):
@@ -108,6 +113,15 @@ class EnvOptions:
     def latency_ticks(self, cell: CellConfig) -> int:
         """The action's latency in this cell."""
         return cell.latency_ticks if self.action_latency_ticks is None else self.action_latency_ticks
+
+
+def _check_about(about: object) -> None:
+    """Make sure that this can be said of a run."""
+    if not isinstance(about, Mapping) or not all(isinstance(name, str) for name in about):
+        raise SettingsError(f"record_about is {about!r:.200}: it must be a mapping, such as {{'policy': 'mine'}}")
+    for name in ("policy", "policy_sha256"):
+        if not isinstance(about.get(name, ""), str):
+            raise SettingsError(f"record_about says {name} {about[name]!r:.200}: it must be a text")
 
 
 OPTION_NAMES = tuple(each.name for each in dataclasses.fields(EnvOptions))

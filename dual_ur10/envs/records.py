@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,13 +12,14 @@ from dual_ur10.errors import SettingsError
 from dual_ur10.recording.describe import describe
 from dual_ur10.recording.recorder import RecorderProcess
 from dual_ur10.recording.rows import RunRecorder
+from dual_ur10.recording.run import Header
 from dual_ur10.recording.simulation import SimulationRecord
 from dual_ur10.recording.writer import new_folder
 from dual_ur10.sim2real.cell import Cell, CellConfig
 from dual_ur10.sim2real.latch import state_folder
 from dual_ur10.sim2real.rtde_cell import RtdeCell
 
-_LEFT_OUT = ("cell", "confirm", "record", "record_failure")
+_LEFT_OUT = ("cell", "confirm", "record", "record_failure", "record_about")
 
 
 def recorder_of(
@@ -43,7 +45,7 @@ def recorder_of(
         return None
     if cell.n > 1:
         raise SettingsError(f"{cell.n} cells are stepped together: only one alone can be recorded")
-    file = config.file
+    file, about = config.file, dict(options.record_about or {})
     header = describe(
         f"DualUR10/{task}-v0",
         {
@@ -57,10 +59,24 @@ def recorder_of(
         source=config.kind,
         speed_factor=config.speed_factor,
         cell_file=None if file is None else file.text(),
+        policy=about.pop("policy", ""),
+        policy_sha256=about.pop("policy_sha256", None),
+        extra=about,
     )
     folder = None if options.record is None else new_folder(Path(options.record), header)
-    if not isinstance(cell, RtdeCell):
-        return None if folder is None else SimulationRecord(folder, header)
+    try:
+        if not isinstance(cell, RtdeCell):
+            return None if folder is None else SimulationRecord(folder, header)
+        return _of_arms(cell, folder, header)
+    except BaseException:
+        if folder is not None:
+            with contextlib.suppress(OSError):  # what is in it already stays
+                folder.rmdir()
+        raise
+
+
+def _of_arms(cell: RtdeCell, folder: Path | None, header: Header) -> RecorderProcess:
+    """What records two controllers."""
     boxes = state_folder() / "black_boxes" if folder is None else folder
     boxes.mkdir(mode=0o700, exist_ok=True)
     recorder = RecorderProcess(cell.memory_names, folder, header, boxes)

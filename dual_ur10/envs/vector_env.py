@@ -120,7 +120,7 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
         else:
             drawn = {row: seeding.np_random(seeds[row])[0] for row in rows.tolist() if seeds[row] is not None}
             self._rngs = [drawn.get(row, rng) for row, rng in enumerate(self._rngs)]
-        observation, info = self._begin(rows)
+        observation, info = self._begin(rows, seeds[0])
         mask = np.zeros(self.num_envs, dtype=bool)
         mask[rows] = True
         return observation, masked(info, mask)
@@ -137,10 +137,11 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
             )
         return np.flatnonzero(mask)
 
-    def _begin(self, rows: Rows) -> tuple[Any, dict[str, NDArray[Any]]]:
+    def _begin(self, rows: Rows, seed: int | None = None) -> tuple[Any, dict[str, NDArray[Any]]]:
+        """Begin episodes; the seed is that of the first row, which is recorded where there is no other."""
         self._steps[rows] = 0
         self._done[rows] = False
-        state, info = self.core.reset([self._rngs[row] for row in rows.tolist()], rows)
+        state, info = self.core.reset([self._rngs[row] for row in rows.tolist()], rows, seed=seed)
         return self._observer.begin(state, rows), info
 
     def step(  # type: ignore[override]  # Gymnasium types the flags as it types rewards

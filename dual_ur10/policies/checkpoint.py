@@ -147,6 +147,21 @@ def read_manifest(folder: str | os.PathLike[str]) -> Manifest:
     return _read(Path(os.path.abspath(folder)))[0]
 
 
+def sha256_of(folder: str | os.PathLike[str]) -> str:
+    """The hash of a checkpoint's manifest, which holds that of its weights, after both were checked.
+
+    Raises:
+        CheckpointError: It cannot be read, or is not as it was saved.
+    """
+    path = Path(os.path.abspath(folder))
+    read_manifest(path)
+    number = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        return hashlib.sha256(_content(number, MANIFEST, schema.MOST_BYTES, f"{path}/{MANIFEST}")).hexdigest()
+    finally:
+        os.close(number)
+
+
 def target_of(env: Any, **keywords: Any) -> Target:
     """What a manifest says of an environment that a policy is made for.
 

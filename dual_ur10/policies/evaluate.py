@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from dual_ur10 import ENV_IDS, __version__, policies
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 from dual_ur10.policies.evaluation import Episode, Evaluation
+from dual_ur10.policies.origin import about
 from dual_ur10.policies.policy import Policy
 from dual_ur10.ur10 import ARMS
 
@@ -34,6 +35,7 @@ UNITS = ("_m", "_rad", "_n", "_s")
 
 _LONGEST_S = 600.0  # simulated time after which an episode counts as endless, if its task is not set to be longer
 _OWN = ("id", "task", "num_envs", "vectorization_mode", "autoreset_mode", "vector_kwargs", "wrappers")
+_RECORD = ("record", "record_failure", "record_about")  # what is recorded of an evaluation changes nothing in it
 _PACKAGES = ("mujoco", "gymnasium", "numpy")
 
 
@@ -74,7 +76,8 @@ def evaluate(
         episodes: Number of episodes, 1 or more.
         seed: Seed of the first episode, 0 or more.
         num_envs: Number of episodes that run beside each other.
-        env_kwargs: Keywords of the environment, its vector form's `threads` and `max_episode_steps` among them.
+        env_kwargs: Keywords of the environment, its vector form's `threads` and `max_episode_steps` among them. With
+            `record`, `num_envs` has to be 1: only one cell can be recorded.
         max_steps: Steps after which an episode that has not ended is an error. None: those of 600 s of simulated time,
             or twice the task's `duration_s` where that is longer.
         on_progress: Told what was found whenever the number of leading episodes grows that have ended: the evaluation
@@ -92,7 +95,11 @@ def evaluate(
     keywords = dict(env_kwargs or {})
     if isinstance(policy, str) and policy not in NAMES and not policies.is_path(policy):
         raise UnknownNameError("policy", policy, NAMES)
-    env = _make(env_id, min(num_envs, episodes), keywords)
+    given = keywords
+    if keywords.get("record") is not None and env_id in gym.registry:
+        given = {"record_about": about(policy, env_id), **keywords}
+    keywords = {name: value for name, value in keywords.items() if name not in _RECORD}
+    env = _make(env_id, min(num_envs, episodes), given)
     try:
         actor = actor_of(policy, env_id, keywords, env)
         core = env.unwrapped.core
@@ -107,6 +114,7 @@ def evaluate(
                 stages=tuple(getattr(core.task, "stages", ())),
                 episodes=tuple(found),
                 versions={"dual_ur10": __version__, **{name: version(name) for name in _PACKAGES}},
+                late_actions=getattr(core, "late_actions", 0),
             )
 
         def report(found: Sequence[Episode]) -> None:

@@ -90,6 +90,7 @@ class Evaluation:
         stages: Names of the task's stages; empty if it has none.
         episodes: In the order of their seeds, one or more.
         versions: Of the packages that the result depends on, by name.
+        late_actions: How many actions came too late on two controllers, so that both arms came to rest.
     """
 
     env_id: str
@@ -99,6 +100,7 @@ class Evaluation:
     stages: tuple[str, ...]
     episodes: tuple[Episode, ...]
     versions: Mapping[str, str]
+    late_actions: int = 0
 
     def __post_init__(self) -> None:
         if not self.episodes:
@@ -184,6 +186,7 @@ class Evaluation:
             "median_time_s": self.median_time_s,
             "p90_time_s": self.p90_time_s,
             "cut_short": len(self.cut_short),
+            **({"late_actions": self.late_actions} if self.late_actions else {}),
             "stage_scores": self.stage_scores,
             "spreads": {name: dataclasses.asdict(spread) for name, spread in self.spreads.items()},
         }
@@ -211,6 +214,8 @@ class Evaluation:
             first = self.cut_short[0]
             table.add_row("cut short", str(len(self.cut_short)))
             table.add_row("the first of them", f"seed {first.seed}: {escape(first.ended_by)}")
+        if self.late_actions:
+            table.add_row("late actions, both arms rested", str(self.late_actions))
         if self.spreads:
             table.add_section()
             table.add_row("[dim]peaks of the episodes[/]", "[dim]largest · median · median at the end[/]")

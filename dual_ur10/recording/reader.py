@@ -39,6 +39,7 @@ from dual_ur10.ur10 import ARMS
 Array = NDArray[np.float64]
 
 _WANTED: Final = frozenset({*SINGLE, *map(state_topic, ARMS), *map(sent_topic, ARMS)})
+_MOST_NAMED: Final = 5
 _MUST_BE_FINITE: Final = ("arrival_s", "timestamp_s", "q_rad", "qd_rad_s", "target_q_rad")
 
 
@@ -54,16 +55,35 @@ def read_run(path: str | Path, *, allow_partial: bool = False, most_bytes: int =
     Raises:
         RecordingError: There is none, it is cut off, damaged or hostile. It names the row and the reason.
     """
-    path = Path(path)
-    if path.is_dir() and not path.is_symlink():
-        path = path / RUN_FILE
+    path = file_of(path)
     found = scan(path, wanted=_WANTED, most_bytes=most_bytes)
     try:
         if not found.complete and not allow_partial:
-            raise RecordingError(f"{found.reason}. What is whole can be read with allow_partial")
+            raise RecordingError(f"{found.reason}. What is whole of it can be read: --allow-partial")
         return _run(found, allow_partial)
     except RecordingError as error:
         raise RecordingError(f"{path}: {error}") from None
+
+
+def file_of(path: str | Path) -> Path:
+    """The file of a record, which is named itself, or by the folder of its run.
+
+    Raises:
+        RecordingError: It is a link, or a folder without a run of its own.
+    """
+    path = Path(path)
+    if path.is_symlink():
+        raise RecordingError(f"cannot read {path}: links are not followed. Name what it points to: {path.resolve()}")
+    if not path.is_dir() or (path / RUN_FILE).exists() or (path / RUN_FILE).is_symlink():
+        return path / RUN_FILE if path.is_dir() else path
+    runs = sorted((each.parent for each in path.glob(f"*/{RUN_FILE}")), reverse=True)  # their names begin with a time
+    if not runs:
+        raise RecordingError(f"cannot read {path}: there is no {RUN_FILE} in it. Name the folder of a run")
+    more = f", and {len(runs) - _MOST_NAMED} more" if len(runs) > _MOST_NAMED else ""
+    raise RecordingError(
+        f"cannot read {path}: it is a folder of runs, without a {RUN_FILE} of its own. Name one of them: "
+        f"{', '.join(map(str, runs[:_MOST_NAMED]))}{more}"
+    )
 
 
 def _run(found: Scanned, allow_partial: bool) -> Run:

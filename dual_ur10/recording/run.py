@@ -28,7 +28,8 @@ class Header:
     Attributes:
         env_id: Of the environment, as `dual_ur10.make` takes it.
         kwargs: Its settings; only what JSON can hold.
-        seed: Of the first reset; None: no seed was given.
+        seed: Of the first reset; None: no seed was given. A file's header is written before: what reads it takes it
+            from the first episode.
         source: "mujoco", "emulated" or "real".
         family: "cb3" or "e-series".
         tick_s: Length of a control period.
@@ -44,7 +45,8 @@ class Header:
             scripted policy, `versions` say which it was.
         cell_file: Text of the cell file.
         cell_sha256: Of the cell file.
-        extra: Anything else; only what JSON can hold.
+        extra: Anything else; only what JSON can hold. Of a replay, "replays" says of what: "run" (the name of its
+            folder), "sha256" of its file, and "episode".
     """
 
     env_id: str

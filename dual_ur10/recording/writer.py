@@ -46,17 +46,40 @@ def check_name(name: str) -> str:
     return name
 
 
-def new_folder(root: Path, header: Header) -> Path:
-    """Make the folder of a new run, `<UTC time>-<task>-<source>`, within a folder that exists or is made.
+def check_room(folder: Path, least_free_bytes: int) -> None:
+    """Make sure that there is room on the disk of a folder.
 
     Raises:
-        RecordingError: It cannot be made.
+        RecordingError: There is not.
+        OSError: Nobody knows.
     """
+    free = shutil.disk_usage(folder).free
+    if free < least_free_bytes:
+        raise RecordingError(
+            f"cannot record in {folder}: {free / 2**20:.0f} MiB are free, {least_free_bytes / 2**20:.0f} MiB "
+            "are needed: make room, or record elsewhere"
+        )
+
+
+def new_folder(root: Path, header: Header, *, least_free_bytes: int = LEAST_FREE_BYTES) -> Path:
+    """Make the folder of a new run, `<UTC time>-<task>-<source>`, within a folder that exists or is made.
+
+    Args:
+        root: That folder.
+        header: Of the run.
+        least_free_bytes: Room that there must be on the disk.
+
+    Raises:
+        RecordingError: It cannot be made, or there is too little room.
+    """
+    if root.exists() and not root.is_dir():
+        raise RecordingError(f"cannot make a folder for the run in {root}: it is no folder. Name one to record in")
     time = re.sub(r"[^0-9T]", "", header.started_utc.split(".")[0].split("+")[0])
     task = header.env_id.split("/")[-1]
     name = check_name(f"{time}-{task}-{header.source}")
     try:
         root.mkdir(parents=True, exist_ok=True)
+        check_room(root, least_free_bytes)
         for number in range(1, _MOST_FOLDERS + 1):
             folder = root / (name if number == 1 else f"{name}-{number}")
             with contextlib.suppress(FileExistsError):
@@ -105,12 +128,7 @@ class RunWriter:
         self._crc = self.size = 0
         self._failure = ""
         try:
-            free = shutil.disk_usage(folder).free
-            if free < least_free_bytes:
-                raise RecordingError(
-                    f"cannot record in {folder}: {free / 2**20:.0f} MiB are free, {least_free_bytes / 2**20:.0f} MiB "
-                    "are needed: make room, or record elsewhere"
-                )
+            check_room(folder, least_free_bytes)
             flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
             self._file = os.open(self.path, flags, 0o644)
         except OSError as error:

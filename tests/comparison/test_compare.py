@@ -268,6 +268,16 @@ def test_a_clock_that_loses_time_mistimes_no_state(seed: int) -> None:
     assert "run A: the clock" not in notes
 
 
+def test_a_clock_that_is_fast_mistimes_no_state() -> None:
+    made, plain = run(), run()
+    for arm in range(2):
+        stamps_s = 500.0 + 1.05 * plain.arms[arm].state["timestamp_s"]
+        made = with_arm(made, arm, state={"timestamp_s": stamps_s})
+        found, expected = (track(each, 0, arm).time_s for each in (made, plain))
+        assert np.abs(found[-740:] - expected[-740:]).max() < 0.015
+    assert "off by up to 0.29" in " ".join(compare(plain, made).notes)
+
+
 def test_targets_of_a_clock_that_loses_time_are_due_when_they_were_sent() -> None:
     made = run()
     sent = made.arms[0].sent

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from dual_ur10 import cli_runs
 from dual_ur10.comparison.cell_update import write_back
-from dual_ur10.comparison.fit import ArmFit, Estimate, fit, respond
+from dual_ur10.comparison.fit import ArmFit, Estimate, fit, remark, respond
 from dual_ur10.errors import CellFileError, RecordingError
 from dual_ur10.sim2real.cell_file import load_cell_file
 from dual_ur10.sim2real.cell_file_entries import Measured
@@ -235,3 +236,31 @@ def test_an_illegal_cell_file_stays_as_it_is(tmp_path: Path) -> None:
         write_back(path, emulated(), fits())
     assert path.read_text() == "kind = 3\n"
     assert [each.name for each in tmp_path.iterdir()] == ["lab.toml"]
+
+
+@pytest.mark.parametrize(
+    ("latency_s", "words"),
+    [
+        (0.0, ""),
+        (0.004, ""),
+        (-0.004217, "counts as none"),
+        (-0.0081, "counts as none"),
+        (-0.012, "no controller's is"),
+    ],
+)
+def test_a_latency_below_zero_is_explained(latency_s: float, words: str) -> None:
+    found = remark(Estimate(0.03, latency_s, 1e-4, 1e-4, 1e-5), 0.008)
+    assert (words in found) if words else not found
+    assert not remark(replace(Estimate(0.03, latency_s, 1e-4, 1e-4, 1e-5), reason="too short"), 0.008)
+
+
+def test_fit_says_so_at_the_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    early = Estimate(0.03, -0.004217, 1e-4, 1e-4, 1e-5)
+    arm = ArmFit(early, replace(early, latency_s=0.001), 0.03, 2000.0)
+    monkeypatch.setattr("dual_ur10.comparison.fit.fit", lambda run, episode: (arm, arm))
+    monkeypatch.setattr("dual_ur10.recording.reader.read_run", lambda path, allow_partial: run(1.0))
+    with cli_runs.console.capture() as shown:
+        cli_runs.fit(tmp_path)
+    text = shown.get()
+    assert text.count("counts as none") == 2
+    assert "note: left, controller alone: the latency is below 0" in text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +64,18 @@ def test_a_report_without_figures_says_why() -> None:
         compare(apart, made)
 
 
+def test_the_report_tells_policies_seeds_and_what_was_replayed() -> None:
+    replays = {"replays": {"run": "20260101T000000-Sine", "sha256": "ab" * 32, "episode": 4}}
+    ours, theirs = run(2.0, policy="learned", policy_sha256="cd" * 32), run(2.0, policy="", extra=replays)
+    ours = replace(ours, header=replace(ours.header, seed=7))
+    theirs = replace(theirs, header=replace(theirs.header, seed=None))
+    text = report(compare(ours, theirs))
+    assert "<td>learned</td><td>—</td>" in text
+    assert f"<td>{'cd' * 8}…</td><td>—</td>" in text
+    assert f"<td>—</td><td>episode 4 of 20260101T000000-Sine, {'ab' * 8}…</td>" in text
+    assert "<td>7</td><td>—</td>" in text
+
+
 def test_hostile_headers_stay_text() -> None:
     made = run(2.0, policy="<script>alert(1)</script>", started_utc="<img src=x>")
     text = report(compare(made, made))
@@ -105,7 +118,7 @@ def test_what_does_not_work_is_said_before_it_takes_time(tmp_path: Path) -> None
         called("replay", one, "--cell", str(tmp_path / "lab.toml"))
     whole = (tmp_path / "one" / "run.mcap").read_bytes()
     (tmp_path / "one" / "run.mcap").write_bytes(whole[: int(len(whole) * 0.6)])
-    with pytest.raises(RecordingError, match="allow_partial"):
+    with pytest.raises(RecordingError, match="--allow-partial"):
         called("replay", one)
 
 
@@ -113,7 +126,7 @@ def test_a_replay_that_differs_ends_with_code_1(tmp_path: Path, monkeypatch: pyt
     made = record(tmp_path / "one", "DualUR10/SineTracking-v0", [3], 5)
     made.episodes[0].q_rad[3, 0, 0] = np.nextafter(made.episodes[0].q_rad[3, 0, 0], 9.0)
     monkeypatch.setattr("dual_ur10.recording.reader.read_run", lambda path, allow_partial: made)
-    code, text = called("replay", "anything")
+    code, text = called("replay", "anything", "--no-record")
     assert code == cli_runs.DIFFERENT == 1
     assert "different: joints in step 2 differ: left shoulder_pan_joint" in text
 

@@ -256,7 +256,7 @@ def test_what_is_no_regular_file_is_refused(tmp_path, rng):
     (tmp_path / "run.mcap").symlink_to(other / "run.mcap")
     refused(tmp_path, "links are not followed")
     (tmp_path / "run.mcap").unlink()
-    refused(tmp_path, "No such file")
+    refused(tmp_path, "it is a folder of runs", str(other))
     os.mkfifo(tmp_path / "run.mcap")
     refused(tmp_path, "no regular file")
     (tmp_path / "run.mcap").unlink()

@@ -152,7 +152,7 @@ def test_on_two_controllers_power_comes_first_and_no_bar_hides_a_question(
     def act(*arguments: Any, **named: Any) -> None:
         keywords = named.get("env_kwargs") or named["keywords"]
         order.append((keywords["record"], keywords["arm"], named.get("num_envs", 1)))
-        order.append(cli_options.console._live_stack)  # what is drawn again and again
+        order.append(list(cli_options.console._live_stack))  # what is drawn again and again
         raise Asked
 
     monkeypatch.setattr("dual_ur10.policies.evaluate.evaluate", act)

@@ -111,8 +111,10 @@ def emulated_section(found: Emulated) -> str:
     parts = [
         "<h2 id='emulated'>The same tasks on two emulated controllers</h2>",
         lead(
-            "The same scripted policies, through the same adapter and safety gate, by the unmodified "
-            "<code>ur_rtde</code>, with a process for each arm and a supervisor: <code>gym.make(…, cell=FILE)</code>. "
+            "SineTracking is replayed: the actions that were recorded in simulation. SyncCarry and Handover are done "
+            "by the same scripted policies, which act on what they see there. All go through the same adapter and "
+            "safety gate, by the unmodified <code>ur_rtde</code>, with a process for each arm and a supervisor: "
+            "<code>gym.make(…, cell=FILE)</code>. "
             "What stands for UR's controllers is software of this package on this machine. <b>Emulated is not "
             "real</b>: no real arm has run any of this."
         ),
@@ -168,10 +170,11 @@ def _timing(results: Sequence[EmulatedResult]) -> str:
             "Figures of the worse arm. Path: way between the simulated flange and the emulated one at the same time "
             "of the task, by each run's own kinematics. Lag: of the emulated arm behind the simulated one by the "
             "times of sending; half a control period, 4 ms, is always in it, because targets are sent so long before "
-            "a controller takes them. Equal targets: those of both arms that are the same in every bit; a policy "
-            "answers to what it is told was measured, and on two clocks that differs, and so do its targets: by how "
-            "much at most stands beside it. The same recorded actions give the same targets in every bit: "
-            "<code>python -m dual_ur10 replay RUN --cell FILE</code>. Where a policy waits for something, such as a "
+            "a controller takes them. Equal targets: those of both arms that are the same in every bit. The same "
+            "recorded actions give the same targets, all of them, unless an action came too late: so it is with "
+            "SineTracking, as with <code>python -m dual_ur10 replay RUN --cell FILE</code>. A policy that acts on what "
+            "is told was measured finds something else on two clocks, and so its targets differ: by how much at most "
+            "stands beside it. Where a policy waits for something, such as a "
             "grip, it may go on a step of 40 ms sooner or later, and the paths differ by the way of that. Skew: "
             "between the sends of one target to both arms. Late: sends that came so much after their time. Late "
             "actions: those that came too late for their period, so that both arms came to rest and went on from "

@@ -1,5 +1,8 @@
 """The scripted tasks once in simulation and once on two emulated controllers, through `ur_rtde`, and what came of both.
 
+SineTracking is replayed there: the recorded actions of the simulated episode, whatever is measured. Where something is
+to be gripped, the same policy acts on what it sees: it goes on where an object is, and where an action came too late.
+
 Both are recorded, so that they can be compared again: `python -m dual_ur10 compare`.
 """
 
@@ -18,7 +21,9 @@ import gymnasium as gym
 
 from dual_ur10 import policies
 from dual_ur10.comparison.compare import Comparison, compare
+from dual_ur10.comparison.replaying import RecordedPolicy, source_of
 from dual_ur10.errors import DualUR10Error, MissingExtraError
+from dual_ur10.policies.origin import about
 from dual_ur10.policies.rollout import Info, Record, Trace, rollout
 from dual_ur10.recording.reader import read_run
 from dual_ur10.runs import SINE_ID
@@ -47,6 +52,8 @@ class EmulatedRun:
         duration_s: About how long an episode is.
         keywords: Of the environment.
         seed: Of both episodes.
+        replayed: Whether the emulated cell gets the actions that were recorded in simulation; else the policy acts
+            there, too.
     """
 
     name: str
@@ -55,12 +62,13 @@ class EmulatedRun:
     duration_s: float
     keywords: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
+    replayed: bool = False
 
 
 def sine_run(duration_s: float) -> EmulatedRun:
     """The sine, for so long."""
     keywords = {"duration_s": duration_s, "randomize": False}
-    return EmulatedRun("sine", "SineTracking", SINE_ID, duration_s, keywords)
+    return EmulatedRun("sine", "SineTracking", SINE_ID, duration_s, keywords, replayed=True)
 
 
 CARRY = EmulatedRun("carry", "SyncCarry", CARRY_ID, 36.0)
@@ -172,22 +180,31 @@ def _both(run: EmulatedRun, path: Path, folder: Path, on_share: OnShare) -> Emul
     alike = replace(config, kind="mujoco", file=None)
     latency = {"action_latency_ticks": config.latency_ticks}
     whole_s = PREPARING_S + run.duration_s
-    simulated = _episode(run, folder, lambda _: None, cell=alike, **latency)
+    simulated = _episode(run, folder, None, lambda _: None, cell=alike, **latency)
     on_share(PREPARING_S / 2 / whole_s)
+    played = simulated.folder if run.replayed else None
     emulated = _episode(
-        run, folder, lambda time_s: on_share((PREPARING_S + time_s) / whole_s), cell=str(path), **latency
+        run, folder, played, lambda time_s: on_share((PREPARING_S + time_s) / whole_s), cell=str(path), **latency
     )
     load = os.getloadavg()[0]
     found = compare(read_run(simulated.folder), read_run(emulated.folder))
     return EmulatedResult(run, simulated, emulated, found, load)
 
 
-def _episode(run: EmulatedRun, folder: Path, on_time: Callable[[float], None], **cell: Any) -> Side:
-    """Run one, and record it."""
+def _episode(
+    run: EmulatedRun, folder: Path, played: Path | None, on_time: Callable[[float], None], **cell: Any
+) -> Side:
+    """Run one, by the scripted policy or with the actions of a recording, and record it."""
     before = set(folder.glob("*/"))
-    env: Any = gym.make(run.env_id, disable_env_checker=True, record=str(folder), **run.keywords, **cell)
+    told = about("scripted", run.env_id) if played is None else source_of(played, 0)
+    keywords = {"record": str(folder), "record_about": told, **run.keywords, **cell}
+    env: Any = gym.make(run.env_id, disable_env_checker=True, **keywords)
     try:
-        policy = policies.load("scripted", run.env_id, **run.keywords, **cell)
+        policy: policies.Policy
+        if played is None:
+            policy = policies.load("scripted", run.env_id, **run.keywords, **cell)
+        else:
+            policy = RecordedPolicy(read_run(played))
         trace = Trace()
         period_s = env.unwrapped.core.timing.period_s
 
@@ -196,7 +213,7 @@ def _episode(run: EmulatedRun, folder: Path, on_time: Callable[[float], None], *
             on_time(len(trace) * period_s)
 
         record = rollout(env, policy, seed=run.seed, on_step=keep)
-        late = getattr(env.unwrapped.core.cell, "late_periods", 0)
+        late = env.unwrapped.core.late_actions
     finally:
         env.close()
     (made,) = set(folder.glob("*/")) - before

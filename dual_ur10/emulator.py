@@ -115,6 +115,7 @@ class Emulator:
         self.ended = False
         self.ticks = 0
         self.lateness_s: deque[float] = deque(maxlen=_LATENESS)
+        self.late_ticks = 0
         self.lost_s = 0.0
         self._told = False
         self.servers: list[ArmServer] = []
@@ -188,6 +189,7 @@ class Emulator:
             self._hub.poll(due)
             late = time.monotonic() - due
             self.lateness_s.append(late)
+            self.late_ticks += late > self.tick_s
             if late > MOST_BEHIND_S:
                 log.warning("the machine stood still for %.0f ms: the cell's time stood still, too", 1e3 * late)
                 self.lost_s += late
@@ -234,6 +236,7 @@ class Emulator:
             "lateness_p50_s": float(np.quantile(lateness, 0.5)),
             "lateness_p99_s": float(np.quantile(lateness, 0.99)),
             "lateness_max_s": float(lateness.max()),
+            "late_ticks": self.late_ticks,
             "lost_s": self.lost_s,
             "cpu_s": time.process_time(),
             "physics_failed": self.world.failed,

@@ -22,8 +22,8 @@ from tests.soak import scaled
 
 DOCS = Path(__file__).parents[2] / "docs" / "emulated_cell.md"
 REQUESTS = sorted(
-    ["info", "state", "pose", "place", "setpoints", "clients", "stop", "release", "reduce", "press", "slider", "remote",
-     "input", "program", "link", "heal", "drop", "refuse", "override", "script_delay", "pretend", "calibration",
+    ["info", "state", "pose", "place", "setpoints", "received", "clients", "stop", "release", "reduce", "press", "slider", "remote",
+     "input", "program", "link", "heal", "drop", "refuse", "override", "watchdog", "script_delay", "pretend", "calibration",
      "shutdown"]
 )  # fmt: skip
 
@@ -192,6 +192,59 @@ def test_setpoints_are_numbered(cell):
     assert (some["first"], len(some["setpoints"])) == (kept, 40)
     for bad in (float("nan"), "x", None, 10**30):
         cell.refused("setpoints", arm="left", since=bad)
+
+
+def test_what_moves_an_arm_is_counted_whoever_sent_it(cell):
+    doubles = [f"input_double_register_{k}" for k in range(6)]
+    with Client(cell, 0, "rtde") as rtde:
+        rtde.answer(
+            rtde_bytes.VERSION_2
+            + rtde_bytes.inputs(["input_int_register_0", *doubles])
+            + rtde_bytes.inputs(["input_int_register_24", "input_double_register_24"])
+            + rtde_bytes.inputs(["input_int_register_1"])
+        )
+        sent = cell.emulator.servers[0].controller.ticks
+        rtde.answer(rtde_bytes.data(1, "i6d", 11, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6))
+        rtde.answer(rtde_bytes.data(1, "i6d", 16, *[9.0] * 6))  # servoStop
+        rtde.answer(rtde_bytes.data(1, "i6d", 0, *[9.0] * 6) + rtde_bytes.data(1, "i6d", 255, *[9.0] * 6))
+        rtde.answer(rtde_bytes.data(3, "i", 11))  # another register
+        rtde.answer(rtde_bytes.data(2, "id", 9, 0.7))
+    with Client(cell, 0, "realtime") as one, Client(cell, 0, "secondary") as other:
+        one.answer(program("sync()").encode())
+        other.answer(b"this is none\n")
+    cell.serve(2)
+    found = cell.get("received", arm="left")
+    assert found["motion"] == found["count"] == 2
+    (at, command, target), (later, speed, _) = found["packages"]
+    assert (command, target, speed) == (11, [0.1, 0.2, 0.3, 0.4, 0.5, 0.6], 9)
+    assert sent <= at < later == found["motion_tick"] < found["upload_tick"] <= found["tick"]
+    assert found["uploads"] == 2
+    assert cell.get("received", arm="left", since=1)["packages"] == found["packages"][1:]
+    assert cell.get("received", arm="right")["motion"] == cell.get("received", arm="right")["uploads"] == 0
+
+
+def test_stops_ends_and_watchdogs_are_noted(cell):
+    found = cell.get("received", arm="left")
+    assert [found[name] for name in ("stop_tick", "ended_tick", "watchdog", "upload_tick")] == [None] * 4
+    controller = cell.emulator.servers[0].controller
+    controller.run_script(program('rtde_set_watchdog("input_int_register_0", 10, "stop")\nwhile True:\n  sync()\nend'))
+    cell.tick(3)
+    assert cell.get("received", arm="left")["watchdog"] == [1, 10.0, "stop"]
+    cell.get("stop", arm="left", mode=9)
+    cell.tick(3)
+    found = cell.get("received", arm="left")
+    assert (found["stop_tick"], found["ended_tick"], found["tick"]) == (4, 4, 6)
+
+
+def test_a_watchdog_can_be_kept_from_acting(cell):
+    controller = cell.emulator.servers[0].controller
+    cell.get("watchdog", arm="left", on=False)
+    controller.run_script(program('rtde_set_watchdog("input_int_register_0", 10, "stop")\nwhile True:\n  sync()\nend'))
+    cell.tick(40)
+    assert cell.get("state", arm="left", names=["runtime_state"]) == {"runtime_state": 2}
+    cell.get("watchdog", arm="left", on=True)
+    cell.tick(2)
+    assert cell.get("state", arm="left", names=["runtime_state"])["runtime_state"] != 2
 
 
 def test_clients_are_counted(cell):

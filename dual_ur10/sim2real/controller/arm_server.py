@@ -147,7 +147,13 @@ class ArmServer:
         self._hub = hub
         # Control periods do not wait for programs to be read, and one arm's not for the other's.
         self._reader = ThreadPoolExecutor(1, f"{controller.name} programs")
-        self._rtde = RtdePort(controller.profile, controller.registers, controller.values, controller.inputs)
+        self._rtde = RtdePort(
+            controller.profile,
+            controller.registers,
+            controller.values,
+            controller.inputs,
+            lambda names: controller.received.package(names, controller.ticks),
+        )
         self._realtime = RealtimePacket(controller.profile)
         self.pretend(controller.profile, controller.dh)
         name = controller.name
@@ -204,6 +210,7 @@ class ArmServer:
             add("gripper", lambda: LinePeer(gripper.answer, end=""))
 
     def _take_script(self, text: str) -> None:
+        self.controller.received.upload(self.controller.ticks)
         if len(self._scripts) >= _MOST_SCRIPTS:
             raise ProtocolError(f"{_MOST_SCRIPTS} programs wait to be started already")
         found = self._reader.submit(read, text, self.controller.program.builtins)

@@ -124,6 +124,7 @@ def io_builtins(controller: Controller) -> Builtins:
         if action not in _WATCHDOG_ACTIONS:
             raise MotionError(f"a watchdog's action is {action!r}: it must be one of {', '.join(_WATCHDOG_ACTIONS)}")
         controller.watchdog = _watchdog(controller, variable_name, float(number(min_frequency)), action)
+        controller.received.watchdog = (controller.ticks, float(min_frequency), action)
 
     # Every function that stands above is one of URScript's.
     own = locals()

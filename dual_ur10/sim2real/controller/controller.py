@@ -21,6 +21,7 @@ from dual_ur10.sim2real.controller.modes import JointMode, RobotBits, RobotMode,
 from dual_ur10.sim2real.controller.motion import Motion
 from dual_ur10.sim2real.controller.profile import ControllerProfile
 from dual_ur10.sim2real.controller.program import ProgramRunner
+from dual_ur10.sim2real.controller.received import Received
 from dual_ur10.sim2real.controller.registers import Registers
 from dual_ur10.sim2real.controller.rtde_variables import zero_values
 from dual_ur10.sim2real.controller.safety import Demand, Safety
@@ -131,6 +132,7 @@ class Controller:
         self.ticks = 0
         self.boot_s = boot_s
         self.registers = Registers()
+        self.received = Received(self.registers)
         self.io = InputsOutputs()
         self.safety = Safety(profile.assumptions, powered=powered)
         self.motion = Motion(
@@ -149,6 +151,7 @@ class Controller:
         self.popup = ""
         self.messages: deque[bytes] = deque(maxlen=_MESSAGES)
         self.watchdog: Watchdog | None = None
+        self.watchdog_acts = True
         self.wrench: Array = np.zeros(6)
         self._wanted: Array = np.array(q_rad, dtype=float)
         self._deviating = 0
@@ -183,8 +186,10 @@ class Controller:
             demand, may_move=self.safety.may_move, resumes=self.safety.resumes, slider=self.io.slider * limit
         )
         self._watch()
-        if self._ran and self.program.machine is None and not self.profile.assumptions.output_registers_persist:
-            self.registers.clear_outputs()
+        if self._ran and self.program.machine is None:
+            self.received.ended_tick = self.ticks
+            if not self.profile.assumptions.output_registers_persist:
+                self.registers.clear_outputs()
         self._ran = self.program.machine is not None
         before = self.motion.qd.copy()
         plan: Array = self.motion.plan(self.program.speed, wrench=self.wrench, q_actual=reading.q_rad)
@@ -267,7 +272,7 @@ class Controller:
         if watchdog.is_fed(self.registers, self.profile.assumptions.watchdog_counts_unchanged):
             return
         watchdog.since_s += self.profile.tick_s
-        if watchdog.since_s > watchdog.period_s:
+        if watchdog.since_s > watchdog.period_s and self.watchdog_acts:
             log.warning("%s: the watchdog on %s was not fed for %.3g s", self.name, watchdog.name, watchdog.since_s)
             text = f"no client wrote {watchdog.name} for {watchdog.since_s:.3g} s: {watchdog.action}"
             self.messages.append(messages.key_message(self.time_s, "RTDE_WATCHDOG", text))

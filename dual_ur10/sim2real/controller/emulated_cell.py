@@ -114,11 +114,22 @@ class EmulatedCell:
         Returns:
             For each: tick, target (6), t, lookahead, gain.
         """
+        return self._pages("setpoints", "setpoints", arm, since)
+
+    def packages(self, arm: str, since: int = 0) -> list[Any]:
+        """All RTDE packages with a motion command that a controller was sent from number `since` on, if it keeps them.
+
+        Returns:
+            For each: tick, `ur_rtde`'s number of the command, the first six numbers that belong to it.
+        """
+        return self._pages("received", "packages", arm, since)
+
+    def _pages(self, do: str, name: str, arm: str, since: int) -> list[Any]:
         found: list[Any] = []
         while True:
-            answer = self.ask("setpoints", arm=arm, since=since)
-            found += answer["setpoints"]
-            since = answer["first"] + len(answer["setpoints"])
+            answer = self.ask(do, arm=arm, since=since)
+            found += answer[name]
+            since = answer["first"] + len(answer[name])
             if since >= answer["count"]:
                 return found
 

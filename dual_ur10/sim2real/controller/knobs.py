@@ -156,13 +156,18 @@ class Knobs:
     def do_setpoints(self, arm: str, since: int = 0) -> dict[str, Any]:
         """Executed servoj targets from number `since`, at most 1000: tick, target, t, lookahead, gain."""
         controller = self._arm(arm).controller
-        first = controller.setpoints_count - len(controller.setpoints)
-        begin = max(0, int(since) - first)
-        chosen = list(itertools.islice(controller.setpoints, begin, begin + _MOST_SETPOINTS))
+        return _page("setpoints", controller.setpoints, controller.setpoints_count, since)
+
+    def do_received(self, arm: str, since: int = 0) -> dict[str, Any]:
+        """What the controller was sent that moves its arm: see `Received`.
+
+        Of the packages with motion commands, those from number `since`, at most 1000: tick, command, six numbers.
+        """
+        received = self._arm(arm).controller.received
         return {
-            "first": first + begin,
-            "count": controller.setpoints_count,
-            "setpoints": [list(each) for each in chosen],
+            **received.counts(),
+            "tick": self._arm(arm).controller.ticks,
+            **_page("packages", received.motion, received.motion_count, since),
         }
 
     def do_clients(self, arm: str) -> dict[str, list[dict[str, Any]]]:
@@ -181,7 +186,9 @@ class Knobs:
         """A condition comes to hold: any number of RTDE's `safety_mode` but 1 and 2."""
         if not 0 <= mode <= _MOST_MODE:
             raise SettingsError(f"a safety mode is {mode!r}: allowed are 0 to {_MOST_MODE}")
-        self._arm(arm).controller.safety.stop(int(mode), str(reason))
+        controller = self._arm(arm).controller
+        controller.safety.stop(int(mode), str(reason))
+        controller.received.stop_tick = controller.ticks + 1
 
     def do_release(self, arm: str, mode: int) -> None:
         """It ends: a button is turned, a gate closed."""
@@ -266,6 +273,10 @@ class Knobs:
         for name, value in told.items():
             controller.override(name, value)
 
+    def do_watchdog(self, arm: str, on: bool) -> None:
+        """Whether watchdogs of programs end or pause them, as they do on a controller."""
+        self._arm(arm).controller.watchdog_acts = bool(on)
+
     def do_script_delay(self, arm: str, seconds: float) -> None:
         """Programs start late."""
         if not 0.0 <= seconds <= _MOST_LATE_S:
@@ -324,6 +335,14 @@ class Knobs:
         if port not in ports:
             raise UnknownNameError("port", str(port), (*ports, "all"))
         return [ports[port]]
+
+
+def _page(name: str, kept: deque[Any], count: int, since: int) -> dict[str, Any]:
+    """Some of what is kept of all that was counted, from number `since` on."""
+    first = count - len(kept)
+    begin = max(0, int(since) - first)
+    chosen = [list(each) for each in itertools.islice(kept, begin, begin + _MOST_SETPOINTS)]
+    return {"first": first + begin, "count": count, name: chosen}
 
 
 def _apply(faults: LinkFaults, values: Mapping[str, Any]) -> None:

@@ -48,6 +48,7 @@ class RtdePort:
         registers: Clients write the input registers at once, so that the last one wins within a control period.
         values: All variables that are no registers, by name. They are read whenever a package is published.
         inputs: Called with the variables of a package that are no registers, by name, if there are any.
+        written: Called after every package with the names of its recipe's variables.
 
     Raises:
         SettingsError: `values` lacks a variable.
@@ -59,11 +60,13 @@ class RtdePort:
         registers: Registers,
         values: Mapping[str, Value],
         inputs: Callable[[Mapping[str, Any]], None],
+        written: Callable[[Sequence[str]], None] = lambda names: None,
     ) -> None:
         missing = zero_values(profile).keys() - values.keys()
         if missing:
             raise SettingsError(f"values lack {', '.join(sorted(missing))}: begin with zero_values(profile)")
         self.profile, self.registers, self.values, self.inputs = profile, registers, values, inputs
+        self.written = written
         self.output_types = output_types(profile)
         self.input_types = input_types(profile)
         self.rate_hz = 1.0 / profile.tick_s
@@ -195,6 +198,7 @@ class RtdeSession:
         others = recipe.apply(values)
         if others:
             self._port.inputs(others)
+        self._port.written(recipe.names)
 
     def _request_version(self, payload: bytes) -> bytes:
         (wanted,) = _unpack(">H", payload, "a protocol version")

@@ -43,6 +43,7 @@ MOST_BEHIND_S: Final = 0.25
 
 _FRAME_S: Final = 1 / 30
 _SWITCH_S: Final = 0.0002  # for how long the thread that reads programs may keep a control period waiting
+_LATE: Final = 200  # control periods that began more than a period late, whose numbers are kept
 _LATENESS: Final = 20_000  # control periods whose lateness is kept
 _LATENESS_LOOKED_AT: Final = 10_000
 BOOT_S: Final = (1000.0, 2345.676)
@@ -115,7 +116,7 @@ class Emulator:
         self.ended = False
         self.ticks = 0
         self.lateness_s: deque[float] = deque(maxlen=_LATENESS)
-        self.late_ticks = 0
+        self.late_ticks: deque[int] = deque(maxlen=_LATE)
         self.lost_s = 0.0
         self._told = False
         self.servers: list[ArmServer] = []
@@ -189,7 +190,8 @@ class Emulator:
             self._hub.poll(due)
             late = time.monotonic() - due
             self.lateness_s.append(late)
-            self.late_ticks += late > self.tick_s
+            if late > self.tick_s:
+                self.late_ticks.append(self.ticks)
             if late > MOST_BEHIND_S:
                 log.warning("the machine stood still for %.0f ms: the cell's time stood still, too", 1e3 * late)
                 self.lost_s += late
@@ -236,7 +238,7 @@ class Emulator:
             "lateness_p50_s": float(np.quantile(lateness, 0.5)),
             "lateness_p99_s": float(np.quantile(lateness, 0.99)),
             "lateness_max_s": float(lateness.max()),
-            "late_ticks": self.late_ticks,
+            "late_ticks": list(self.late_ticks),
             "lost_s": self.lost_s,
             "cpu_s": time.process_time(),
             "physics_failed": self.world.failed,

@@ -70,7 +70,7 @@ def pytest_pyfunc_call(pyfuncitem):
     """Try again where this machine could not keep up: emulated controllers and their clients run in real time.
 
     With a `tests.faults.lab.Lab`: where arms were stopped because of it. With others: where it stood still meanwhile.
-    What fails for another reason fails every time.
+    What fails for another reason fails every time. What was sent to an arm that must not be is never tried again.
     """
     labs = [each for each in pyfuncitem.funcargs.values() if hasattr(each, "busy")]
     names = pyfuncitem._fixtureinfo.argnames
@@ -81,6 +81,10 @@ def pytest_pyfunc_call(pyfuncitem):
         try:
             pyfuncitem.obj(**{name: pyfuncitem.funcargs[name] for name in names})
         except Exception as error:
+            if getattr(error, "never_retried", False):
+                raise
+            for lab in labs:
+                lab.audit()  # nothing is tried again that was not safe
             faults = [fault.text for fault in (lab.latch.read() for lab in labs) if fault is not None]
             told = any(word in text for word in _BUSY for text in (str(error), *faults))
             if not told and [lab.busy() for lab in labs] == starved:

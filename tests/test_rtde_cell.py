@@ -28,7 +28,8 @@ from dual_ur10.policies.rollout import rollout
 from dual_ur10.recording.reader import read_run
 from dual_ur10.sim2real.approach import Approach
 from dual_ur10.sim2real.latch import state_folder
-from tests.faults.lab import Lab, Swing, assert_gone, derivative, descendants
+from tests.faults.lab import Lab, Swing, assert_gone, descendants
+from tests.faults.wire import derivative
 
 HANDOVER, SINE = "DualUR10/Handover-v0", "DualUR10/SineTracking-v0"
 
@@ -241,7 +242,7 @@ def test_a_program_that_stands_still_on_the_way_to_a_start_sends_nothing_over_th
     real(cell.runner.end)
     sent, _ = memory.sent(first)
     assert len(sent.period) > 50
-    assert np.abs(derivative(sent, 2, tick_s)).max() < 1e-3 / tick_s**2
+    assert np.abs(derivative(sent.period, sent.target_rad, 2, tick_s)).max() < 1e-3 / tick_s**2
 
 
 @pytest.mark.parametrize("spoiled", ["jump", "table", "nan"])
@@ -272,12 +273,14 @@ def test_nothing_goes_to_a_start_past_the_gate(lab, spoiled):
 def test_dead_processes_are_a_fault(lab):
     env = lab.make()
     env.reset(seed=0)
+    lab.assert_watched()
+    lab.policy = Swing(env.action_space.shape[0])
+    for _ in range(20):
+        env.step(lab.policy())
+    lab.note()
     for pid in lab.pids:
         os.kill(pid, signal.SIGKILL)
-    lab.policy = Swing(env.action_space.shape[0])
-    error = lab.step_until_faulted()
-    assert "does nothing any more" in str(error)
-    assert lab.latch.read() is not None
+    lab.assert_stopped(lab.step_until_faulted(), "does nothing any more")
 
 
 def test_the_collector_leaves_alone_what_stood_when_the_episode_began(lab, monkeypatch):

@@ -22,9 +22,9 @@ from tests.soak import scaled
 
 DOCS = Path(__file__).parents[2] / "docs" / "emulated_cell.md"
 REQUESTS = sorted(
-    ["info", "state", "pose", "place", "setpoints", "received", "clients", "stop", "release", "reduce", "press", "slider", "remote",
-     "input", "program", "link", "heal", "drop", "refuse", "override", "watchdog", "script_delay", "pretend", "calibration",
-     "shutdown"]
+    ["info", "state", "pose", "place", "setpoints", "received", "clients", "stop", "release", "reduce", "press",
+     "slider", "remote", "input", "program", "link", "heal", "drop", "refuse", "override", "watchdog", "script_delay",
+     "pretend", "calibration", "shutdown"]
 )  # fmt: skip
 
 

@@ -7,7 +7,9 @@ import time
 import pytest
 
 from dual_ur10.errors import AddressError, ProtocolError
-from dual_ur10.sim2real.controller.links import MOST_CONNECTIONS, Hub, check_loopback, listening
+from dual_ur10.sim2real.controller.links import MOST_CONNECTIONS, Hub, LinkFaults, check_loopback, listening
+from dual_ur10.sim2real.controller.rtde_codec import Frames, Kind
+from tests.controller import rtde_bytes
 
 HOST = "127.0.0.1"
 
@@ -308,3 +310,16 @@ def test_an_error_of_ours_ends_one_connection_only(harness, monkeypatch, caplog)
     assert harness.answer(first, b"x") == b""
     assert "a mistake" in caplog.text
     assert harness.answer(second, b"fine") == b"fine"
+
+
+def test_packages_that_are_damaged_keep_to_their_own_length():
+    package = rtde_bytes.data(1, "3B", 1, 2, 3)
+    for name, payload in (
+        ("short", b"\x01\x01\x02"),
+        ("long", b"\x01\x01\x02\x03\0"),
+        ("foreign", b"\xfe\x01\x02\x03"),
+    ):
+        faults = LinkFaults(**{name: 1})
+        assert list(Frames().feed(faults.damage(package))) == [(Kind.DATA_PACKAGE, payload)]
+        assert faults == LinkFaults()
+        assert faults.damage(package) == package

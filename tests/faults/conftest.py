@@ -15,4 +15,5 @@ def the_lab(tmp_path_factory):
 @pytest.fixture
 def lab(the_lab):
     yield the_lab
+    the_lab.audit()
     the_lab.mend()

@@ -16,15 +16,16 @@ import pytest
 
 import dual_ur10  # noqa: F401  # registers the environments
 from dual_ur10.errors import CellFaulted, DualUR10Error
-from dual_ur10.sim2real.arm_memory import RING
 from dual_ur10.sim2real.arm_status import ROW
 from dual_ur10.sim2real.cell_file import load_cell_file
 from dual_ur10.sim2real.controller.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.latch import Latch
-from dual_ur10.ur10 import HARD_SPEED_RAD_S
+from tests.faults.wire import SPARE_TICKS, Wire, demand, ramp_ticks
 
 ARMS = ("left", "right")
 _MOST_STEPS = 250
+_SEEN_TICKS = 3  # from a stop of one arm until both slow down, and what is on its way then
+_FAST_RAD_S = 0.1
 _PROGRAM = re.compile(r"program .* ends:|program is refused|program stopped:|not started")
 _START = dict(zip((name for name, _ in ROW), np.cumsum([0, *(size for _, size in ROW)]).tolist(), strict=False))
 
@@ -60,7 +61,10 @@ class Lab:
         self.env = None
         self.policy = Swing()
         self.first = [0, 0]
+        self.tick_s = self.file.config().servoj.tick_s
+        self.wires = [Wire(self.cell, arm) for arm in ARMS]
         self._home = [list(self.ask(arm, "actual_q")[0]) for arm in ARMS]
+        self._tick = None  # of the fault
         self._undo = []
 
     @property
@@ -79,10 +83,40 @@ class Lab:
         assert old in text
         self.path.write_text(text.replace(old, new))
 
-    def turn(self, do, back, **values):
-        """Turn a knob of the cell until the end of the test, when it is turned `back`."""
-        self._undo.append((do, {**values, **back}))
+    def note(self):
+        """What goes wrong does so now. Returns the number of control periods that have begun."""
+        self._tick = self.now
+        return self._tick
+
+    @property
+    def now(self):
+        """How many control periods have begun."""
+        return self.cell.ask("received", arm="left", since=1 << 40)["tick"]
+
+    @property
+    def fault_tick(self):
+        """When it went wrong."""
+        assert self._tick is not None, "the test does not say when it went wrong: see `note`"
+        return self._tick
+
+    def do(self, do, **values):
+        """Turn a knob of the cell by which something goes wrong."""
+        self.note()
         self.cell.ask(do, **values)
+        if do == "stop":
+            self._tick = self.cell.ask("received", arm=values["arm"])["stop_tick"]
+
+    def turn(self, do, back, **values):
+        """The same until the end of the test, when it is turned `back`."""
+        self._undo.append((do, {**values, **back}))
+        self.do(do, **values)
+
+    def play(self, arm, line):
+        """Have an arm do something by a program of our own."""
+        self.wires[ARMS.index(arm)].uploads_before += 1
+        with socket.create_connection((getattr(self.cell, arm), 30003)) as client:
+            client.sendall(f"{line}\n".encode())
+            self.cell.wait_until(arm, "runtime_state", 2)
 
     def override(self, arm, **values):
         """Clients of a controller are told these values until the end of the test."""
@@ -92,22 +126,35 @@ class Lab:
     def mark(self):
         """From here on `executed` counts."""
         self.first = [self.cell.ask("setpoints", arm=arm)["count"] for arm in ARMS]
+        for wire in self.wires:
+            wire.begin()
+        self._tick = None
 
     def make(self, **keywords):
         """An environment on the cell. A new one ends the one before."""
         self.close_env()
         self.mark()
         self.env = gym.make(f"DualUR10/{self.task}-v0", cell=str(self.path), disable_env_checker=True, **keywords)
+        for wire, memory in zip(self.wires, self.runner.arms, strict=True):
+            wire.memory = memory
         return self.env
 
-    def begin(self, steps=15, **keywords):
-        """Make, reset and move."""
+    def begin(self, steps=None, **keywords):
+        """Make, reset and move, so many steps, or until both arms move fast enough for a ramp to be seen."""
         self.make(**keywords)
         self.policy.reset()
         observation, _ = self.env.reset(seed=0)
-        for _ in range(steps):
+        self.assert_watched()
+        for step in range(_MOST_STEPS if steps is None else steps):
             observation = self.env.step(self.policy(observation))[0]
+            # Looked at now and then only: it takes time, and actions must not be late.
+            if steps is None and step >= 15 and step % 4 == 3 and min(self.speeds_rad_s()) >= _FAST_RAD_S:
+                break
         return observation
+
+    def speeds_rad_s(self):
+        """How fast both controllers were led last."""
+        return [float(wire.speeds_rad_s(self.tick_s)[-1:].max(initial=0.0)) for wire in self.wires]
 
     @property
     def runner(self):
@@ -151,51 +198,91 @@ class Lab:
         return min(float(clearance.distances_m(q.reshape(1, 12)).min()) for q in self.measured()[0][::3])
 
     def assert_within_limits(self):
-        """What both arms were sent keeps to the limits of speed, acceleration and jerk, by divided differences: those
-        of targets some of whose periods were left out are means of those of all targets. Nothing else was executed."""
-        core = self.env.unwrapped.core
-        limits, tick_s = core.pipeline.gate.limits, core.config.servoj.tick_s
-        for arm, memory in zip(ARMS, self.runner.arms, strict=True):
-            executed = self.executed(arm)
-            sent, _ = memory.sent()
-            if len(sent.target_rad) < RING // 2:
-                assert {row.tobytes() for row in executed} <= {row.tobytes() for row in sent.target_rad}
-            most = (limits.speed_rad_s, limits.acceleration_rad_s2, limits.jerk_rad_s3)
-            for order, (name, limit) in enumerate(zip(("speed", "acceleration", "jerk"), most, strict=True), start=1):
-                used = float((np.abs(derivative(sent, order, tick_s)) / limit).max(initial=0.0))
-                assert used <= 1.0 + 1e-6, f"{arm}: {used:.4f} of the greatest {name}"
+        """What both controllers received keeps to the limits of speed, acceleration, jerk; nothing else was executed.
+
+        Divided differences of targets some of whose periods were left out are means of those of all targets.
+        """
+        limits = self.env.unwrapped.core.pipeline.gate.limits
+        for wire in self.wires:
+            wire.collect()
+        time.sleep(0.05)  # what was noted as sent is on its way
+        return [wire.assert_limits(limits, self.tick_s, self.executed(wire.arm)) for wire in self.wires]
 
     def assert_within_hard_limits(self):
-        """What both controllers have executed is within what an arm's process lets out, whoever asks. A target that
-        came late is found two periods on."""
-        tick_s = self.file.config().servoj.tick_s
-        for arm in ARMS:
-            targets = self.executed(arm)
-            assert np.isfinite(targets).all()
-            assert (np.abs(targets[2:] - targets[:-2]) <= 3 * tick_s * HARD_SPEED_RAD_S).all()
+        """What both controllers have received is within what an arm's process lets out, whoever asks."""
+        for wire in self.wires:
+            wire.assert_hard_limits(self.tick_s)
 
-    def assert_stopped(self, error, *words, arms=ARMS):
-        """Both stand, both programs have ended, nothing more is sent, and it stays so until a person clears it."""
+    def assert_watched(self):
+        """Both controllers were told to end their programs if nobody is heard of for 0.1 s, before anything moved."""
+        for wire in self.wires:
+            found = wire.received()["watchdog"]
+            demand(found is not None and found[1:] == [10.0, "stop"], f"{wire.arm}: watchdog {found}")
+            ticks, _ = wire.packages()
+            demand(not len(ticks) or found[0] <= ticks[0], f"{wire.arm}: it moved before its watchdog was set")
+
+    def audit(self):
+        """What must hold of every test, whatever else failed."""
+        self.assert_within_hard_limits()
+        for wire in self.wires:
+            demand(wire.uploads <= 1, f"{wire.arm}: {wire.uploads} programs were uploaded, one is needed")
+
+    def assert_nothing_more(self, seen_ticks=_SEEN_TICKS):
+        """Since the fault both controllers were sent no more than the targets of a ramp, and no program.
+
+        Args:
+            seen_ticks: Control periods within which the fault is to be seen, and what was on its way has come.
+        """
+        packages = [wire.packages()[0] for wire in self.wires]
+        around = self.fault_tick - 5, self.fault_tick + seen_ticks
+        speed = 0.0
+        for wire, ticks in zip(self.wires, packages, strict=True):
+            near = (ticks >= around[0]) & (ticks <= around[1])
+            speed = max(speed, float(wire.speeds_rad_s(self.tick_s)[near].max(initial=0.0)))
+        allowed = seen_ticks + ramp_ticks(speed, self.tick_s) + SPARE_TICKS
+        # Packages wait while the emulated controllers stand still, and come at once.
+        allowed += sum(self._tick - 5 <= tick <= self._tick + allowed for tick in self.cell.ask("info")["late_ticks"])
+        for wire, ticks in zip(self.wires, packages, strict=True):
+            after = int((ticks >= self._tick).sum())
+            demand(
+                after <= allowed,
+                f"{wire.arm}: {after} targets came after the fault, allowed are {allowed} from {speed:.2f} rad/s",
+            )
+            uploads = wire.uploads
+            demand(uploads == 1, f"{wire.arm}: {uploads} programs were uploaded, allowed is one")
+
+    def assert_stopped(self, error, *words, arms=ARMS, seen_ticks=_SEEN_TICKS, ramped=()):
+        """Both stand, both programs have ended, nothing more is sent, and it stays so until a person clears it.
+
+        Args:
+            error: What was raised.
+            words: That it and the latch must have.
+            arms: Whose programs must have ended.
+            seen_ticks: As in `assert_nothing_more`.
+            ramped: Arms that must have been led to rest.
+        """
         if isinstance(error, CellFaulted):
             for word in words:
                 assert word in str(error), str(error)
             assert "cell clear" in str(error)
         self.assert_at_rest(arms)
-        quiet = self._traffic()
+        self.assert_nothing_more(seen_ticks)
+        for arm in ramped:
+            self.wires[ARMS.index(arm)].assert_rested(self.fault_tick, self.tick_s)
+        quiet = self.traffic()
         for again in (lambda: self.env.step(self.policy()), lambda: self.env.reset(seed=1)):
             with pytest.raises(CellFaulted, match="cell clear") as found:
                 again()
         for word in words:
             assert word in str(found.value), str(found.value)
         time.sleep(0.25)
-        assert self._traffic() == quiet, "something was sent after the fault"
+        demand(self.traffic() == quiet, "something was sent after the fault")
         fault = self.latch.read()
         assert fault is not None
         assert fault.text in str(found.value) or str(found.value).startswith("both arms were stopped")
         self.close_env()
-        assert self._traffic() == quiet, "closing sent something"
+        demand(self.traffic() == quiet, "closing sent something")
         self.assert_latched(*words)
-        assert self._traffic() == quiet, "a new start sent something"
 
     def assert_latched(self, *words):
         """Nothing begins before a person clears the fault, which is told."""
@@ -203,9 +290,11 @@ class Lab:
         assert fault is not None
         for word in words:
             assert word in fault.text, fault.text
+        quiet = self.traffic()
         with pytest.raises(CellFaulted, match=re.escape(fault.text[:40])):
             self.make()
         self.assert_at_rest()
+        demand(self.traffic() == quiet, "a new start sent something")
 
     def assert_at_rest(self, arms=ARMS):
         """Programs have ended, and both arms come to stand and stay where they are."""
@@ -219,21 +308,26 @@ class Lab:
         raise AssertionError("an arm still moves")
 
     def assert_nothing_executed(self):
-        """No target since the last `make` or `mark`."""
-        assert [len(self.executed(arm)) for arm in ARMS] == [0, 0]
+        """No target came since the last `make` or `mark`."""
+        demand([len(self.executed(arm)) for arm in ARMS] == [0, 0], "targets were executed")
+        demand([len(wire.packages()[0]) for wire in self.wires] == [0, 0], "targets were sent")
 
-    def assert_nothing_has_moved(self):
-        """The same, and no program runs."""
+    def assert_nothing_has_moved(self, uploads=(0, 0)):
+        """The same, and no program runs, or was uploaded but so many."""
         self.assert_nothing_executed()
         self.assert_at_rest()
+        found = tuple(wire.uploads for wire in self.wires)
+        demand(found == uploads, f"{found} programs were uploaded to the left and the right arm, allowed are {uploads}")
 
     def programs(self):
         """How many programs have ended or were refused so far, by the log of the cell."""
         return sum(1 for line in self._log.read_text().splitlines() if _PROGRAM.search(line))
 
-    def _traffic(self):
+    def traffic(self):
         """What must not change after a fault: executed targets, what programs do, and how many there were."""
         counts = [self.cell.ask("setpoints", arm=arm)["count"] for arm in ARMS]
+        for found in (wire.received() for wire in self.wires):
+            counts += [found["motion"], found["uploads"]]
         return [*counts, *(self.ask(arm, "runtime_state")[0] for arm in ARMS), self.programs()]
 
     def suspend(self, *pids):
@@ -279,6 +373,8 @@ class Lab:
     def close_env(self):
         """End the environment."""
         env, self.env = self.env, None
+        for wire in self.wires:
+            wire.memory = None  # it ends with its process
         if env is not None:
             env.close()
 
@@ -326,14 +422,6 @@ class Lab:
             self.close_env()
         self.latch.clear()
         self.cell.close()
-
-
-def derivative(sent, order, tick_s):
-    """Divided differences of what an arm was sent, (k, 6) in rad and s, whatever periods were left out."""
-    time_s, level = sent.period * tick_s, sent.target_rad
-    for each in range(1, order + 1):
-        level = each * np.diff(level, axis=0) / (time_s[each:] - time_s[:-each])[:, None]
-    return level
 
 
 def _end(process):

@@ -114,7 +114,7 @@ def test_52_arms_that_hold_one_object_stop_when_one_is_not_where_it_should_be(ca
     told[joint] += away
     lab.override("left", actual_q=told)
     error = lab.step_until_faulted()
-    lab.assert_stopped(error, "the arms, which hold one object, are ", "allowed are 10 mm and 3°")
+    lab.assert_stopped(error, "the arms, which hold one object, are ", "allowed are 10 mm and 3°", seen_ticks=7)
 
 
 def test_34_what_two_arms_hold_is_not_torn_by_a_slider(carry):

@@ -46,11 +46,12 @@ MORE = [
 @pytest.mark.filterwarnings("ignore:overflow encountered")
 @pytest.mark.parametrize(("row", "action", "text"), MALFORMED + (MORE if soak.SOAK else []))
 def test_1_2_3_4_what_is_no_action_stops_both(lab, row, action, text):
-    lab.begin(steps=5 + int(row))
+    lab.begin()
+    lab.note()
     with pytest.raises(ActionError) as found:
         lab.env.unwrapped.step(action())
     assert text in str(found.value)
-    lab.assert_stopped(found.value, "the policy's action was refused", text)
+    lab.assert_stopped(found.value, "the policy's action was refused", text, ramped=ARMS)
 
 
 @pytest.mark.parametrize(
@@ -143,11 +144,15 @@ def test_8_9_an_action_that_comes_late_finds_both_arms_at_rest_and_goes_on(lab, 
 
 def test_10_a_policy_that_is_silent_for_long_stops_both(lab):
     lab.begin()
+    lab.note()
     time.sleep(1.0)
     with pytest.raises(CellFaulted) as found:
         lab.env.step(lab.policy())
     lab.assert_within_limits()
-    lab.assert_stopped(found.value, "the policy gave no action for")
+    # Half a second after the last action's targets, which are no more than these, rest and brake.
+    core = lab.env.unwrapped.core
+    waiting = 0.5 / lab.tick_s + core.cell.latency_ticks + core.cell.ticks
+    lab.assert_stopped(found.value, "the policy gave no action for", seen_ticks=waiting + 3, ramped=ARMS)
 
 
 ENDINGS = {
@@ -183,8 +188,12 @@ def test_11_a_policy_that_takes_its_process_with_it_stops_both(lab, end):
     lab.wait_until_moving(process)
     pids = descendants(process.pid)
     assert process.wait(60.0) != 0, process.stdout.read()
+    lab.note()  # or some time after it
     lab.assert_at_rest()
     assert_gone(pids)
+    lab.assert_nothing_more()
+    for wire in lab.wires:
+        wire.assert_rested(lab.fault_tick, lab.tick_s)
     if end != "sys.exit":  # that ends in order, and is no fault
         lab.assert_latched("the program that gives targets has ended")
     lab.assert_within_hard_limits()
@@ -194,6 +203,7 @@ def test_12_a_policy_that_fails_stops_both_and_its_traceback_is_kept(lab):
     class Failing(Swing):
         def __call__(self, observation=None):
             if self._steps == 20:
+                lab.note()
                 raise ZeroDivisionError("of this policy")
             return super().__call__(observation)
 
@@ -212,21 +222,24 @@ def test_13_agents_are_told_by_their_names_and_there_are_two(lab, wrong):
     lab.mark()
     lab.env = env = parallel_env("SineTracking", cell=str(lab.path))
     env.reset(seed=0)
-    lab.mark()
+    lab.assert_watched()
+    begin = [len(lab.executed(arm)) for arm in ARMS]
     actions = dict(zip(ARMS, np.zeros((2, 6), dtype=np.float32), strict=True))
     actions["left"][4] = 0.2
     for _ in range(10):
         env.step(dict(reversed(actions.items())))
-    moved = [np.abs(lab.executed(arm)[-1] - lab.executed(arm)[0]).max() for arm in ARMS]
+    moved = [np.abs(np.ptp(lab.executed(arm)[first:], axis=0)).max() for arm, first in zip(ARMS, begin, strict=True)]
     assert moved[0] > 1e-3
     assert moved[1] < 1e-4
     if wrong == "missing":
         del actions["right"]
     else:
         actions["middle"] = actions["left"]
+    lab.note()
     with pytest.raises(ActionError, match=r"right|middle"):
         env.step(actions)
     lab.assert_at_rest()
+    lab.assert_nothing_more()
     lab.close_env()
     lab.assert_latched("the policy")
 
@@ -247,4 +260,5 @@ def test_16_a_policy_for_other_observations_is_refused_before_it_acts(lab):
     policy = policies.load("scripted", "DualUR10/SyncCarry-v0")
     with pytest.raises(ActionError):
         rollout(lab.env, policy, seed=0)
+    lab.note()  # they rest, where the episode begins
     lab.assert_stopped(None, "the policy failed: ActionError")

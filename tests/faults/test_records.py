@@ -11,11 +11,14 @@ import pytest
 from dual_ur10.comparison.replaying import replay
 from dual_ur10.errors import RecordingError
 from dual_ur10.recording.reader import read_run
-from tests.faults.lab import Swing
+from tests.faults.lab import ARMS, Swing
+
+WRITTEN_TICKS = 150  # until the recorder writes, and the program hears of it
 
 
 def full(lab):
     """From now on the disk has no room for what is recorded."""
+    lab.note()
     process = lab.env.unwrapped.core.recorder.process
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (1000, 1000))
 
@@ -23,7 +26,9 @@ def full(lab):
 def test_59_a_disk_that_is_full_is_said_and_stops_both_if_that_was_asked_for(lab, tmp_path):
     lab.begin(record=str(tmp_path), record_failure="stop")
     full(lab)
-    lab.assert_stopped(lab.step_until_faulted(), "the run is not recorded any more", "File too large")
+    error = lab.step_until_faulted()
+    words = "the run is not recorded any more", "File too large"
+    lab.assert_stopped(error, *words, seen_ticks=WRITTEN_TICKS, ramped=ARMS)
     folder = max(tmp_path.iterdir())
     assert not read_run(folder, allow_partial=True).complete
 

@@ -18,14 +18,18 @@ MODES = [3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22
 ALL = [(arm, mode) for mode in MODES for arm in ARMS]
 
 
+def other(arm):
+    return ARMS[1 - ARMS.index(arm)]
+
+
 @pytest.mark.parametrize(("arm", "mode"), ALL if soak.SOAK else [("left", 3), ("right", 5), ("left", 7), ("right", 21)])
 def test_29_30_31_a_stop_of_one_arm_stops_both_and_stays(lab, arm, mode):
     lab.begin()
-    lab.cell.ask("stop", arm=arm, mode=mode)
+    lab.do("stop", arm=arm, mode=mode)
     error = lab.step_until_faulted()
     lab.cell.ask("release", arm=arm, mode=mode)
     time.sleep(0.1)
-    lab.assert_stopped(error, f"{arm}: ", str(mode))
+    lab.assert_stopped(error, f"{arm}: ", f"safety mode {mode} (", ramped=[other(arm)])
 
 
 def test_29_the_reason_is_that_of_the_arm_that_stopped_first():
@@ -39,7 +43,7 @@ def test_29_the_reason_is_that_of_the_arm_that_stopped_first():
 @pytest.mark.skipif(not soak.SOAK, reason="waits until it could be: in a soak")
 def test_29_a_protective_stop_is_not_unlocked(lab):
     lab.begin()
-    lab.cell.ask("stop", arm="right", mode=3)
+    lab.do("stop", arm="right", mode=3)
     error = lab.step_until_faulted()
     time.sleep(10.0)  # from 5 s on it could be
     assert lab.ask("right", "safety_mode") == [3]
@@ -56,13 +60,13 @@ def test_31_bits_of_a_stop_alone_stop_both(lab, bits):
 
 def test_32_a_program_that_is_stopped_at_the_pendant_stops_both(lab):
     lab.begin()
-    lab.cell.ask("press", arm="left", button="stop")
-    lab.assert_stopped(lab.step_until_faulted(), "left: program state")
+    lab.do("press", arm="left", button="stop")
+    lab.assert_stopped(lab.step_until_faulted(), "left: program state", ramped=["right"])
 
 
 def test_33_a_program_that_is_paused_and_resumed_does_not_go_on(lab):
     lab.begin()
-    lab.cell.ask("press", arm="right", button="pause")
+    lab.do("press", arm="right", button="pause")
     error = lab.step_until_faulted()
     with contextlib.suppress(EmulatorError):  # it has ended already
         lab.cell.ask("press", arm="right", button="resume")
@@ -98,7 +102,7 @@ def test_34_a_speed_slider_slows_both_arms_alike(lab, arm, fraction):
 
 def test_35_reduced_mode_stops_both_and_nothing_begins_in_it(lab):
     lab.begin()
-    lab.cell.ask("reduce", arm="left", on=True)
+    lab.do("reduce", arm="left", on=True)
     lab.assert_stopped(lab.step_until_faulted(), "left: safety mode 2 (REDUCED)")
     lab.latch.clear()
     with pytest.raises(StartError, match=r"left, safety mode: 2 \(REDUCED\), expected: 1 \(NORMAL\); "):
@@ -111,7 +115,7 @@ def test_42_an_arm_that_does_not_go_where_it_is_led_stops_both(lab):
     here = list(lab.ask("left", "target_q")[0])
     here[4] += 0.2
     lab.override("left", actual_q=here)
-    lab.assert_stopped(lab.step_until_faulted(), "left: wrist_2_joint is ", "allowed are 0.100")
+    lab.assert_stopped(lab.step_until_faulted(), "left: wrist_2_joint is ", "allowed are 0.100", seen_ticks=6)
 
 
 def test_42_a_joint_that_gets_hot_is_told(lab, caplog):
@@ -141,7 +145,7 @@ def test_38_an_arm_that_loses_its_power_or_its_senses_stops_both(lab, values):
 
 def test_30_an_emergency_stop_and_power_that_comes_back_move_nothing(lab):
     lab.begin()
-    lab.cell.ask("stop", arm="left", mode=7)
+    lab.do("stop", arm="left", mode=7)
     error = lab.step_until_faulted()
     lab.cell.ask("release", arm="left", mode=7)
     lab.cell.wait_until("left", "safety_mode", 1)

@@ -1,7 +1,6 @@
 """Arms that are not as they should be when somebody wants to begin: rows 26 to 47 and 58 of `docs/safety.md`."""
 
 import os
-import socket
 import subprocess
 import sys
 
@@ -21,12 +20,6 @@ def refused(lab, *words, **keywords):
     for word in words:
         assert word in str(found.value), str(found.value)
     lab.assert_nothing_has_moved()
-
-
-def send(lab, arm, line):
-    with socket.create_connection((getattr(lab.cell, arm), 30003)) as client:
-        client.sendall(f"{line}\n".encode())
-        lab.cell.wait_until(arm, "runtime_state", 2)
 
 
 def joints(lab, arm):
@@ -105,7 +98,7 @@ def test_44_far_from_the_start_a_person_agrees_to_a_slow_way(lab):
     lab.env.reset(seed=0)
     lab.close_env()
     home = {arm: joints(lab, arm) for arm in ARMS}
-    send(lab, "left", f"movej({(home['left'] + AWAY).tolist()}, a=2.0, v=1.0)")
+    lab.play("left", f"movej({(home['left'] + AWAY).tolist()}, a=2.0, v=1.0)")
     lab.cell.wait_until("left", "runtime_state", 1)
     asked = []
 
@@ -145,10 +138,10 @@ def test_44_a_first_target_that_is_not_where_the_arm_is_is_not_sent(lab):
 def test_45_an_arm_that_moves_is_refused(lab):
     there = joints(lab, "right")
     there[5] += 0.5
-    send(lab, "right", f"movej({there.tolist()}, a=0.3, v=0.1)")
+    lab.play("right", f"movej({there.tolist()}, a=0.3, v=0.1)")
     with pytest.raises(StartError, match=r"right, program: 2 \(PLAYING\), expected: 1 \(STOPPED\); stop the program"):
         lab.make()
-    send(lab, "right", f"movej({joints(lab, 'right').tolist()}, a=1, v=1)")
+    lab.play("right", f"movej({joints(lab, 'right').tolist()}, a=1, v=1)")
     lab.cell.wait_until("right", "runtime_state", 1)
     lab.override("right", actual_qd=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
     with pytest.raises(StartError, match=r"right, at rest: 0\.1000 rad/s, expected: less than 0\.01 rad/s; "):
@@ -265,5 +258,11 @@ def test_36_39_local_mode_and_another_family_are_refused(e_lab):
 def test_29_an_e_series_arm_that_stops_stops_both(e_lab):
     e_lab.begin()
     e_lab.assert_within_limits()
-    e_lab.cell.ask("stop", arm="right", mode=3)
-    e_lab.assert_stopped(e_lab.step_until_faulted(), "right: safety mode 3 (PROTECTIVE_STOP)", arms=["left"])
+    e_lab.do("stop", arm="right", mode=3)
+    e_lab.assert_stopped(
+        e_lab.step_until_faulted(),
+        "right: safety mode 3 (PROTECTIVE_STOP)",
+        arms=["left"],
+        ramped=["left"],
+        seen_ticks=15,
+    )

@@ -60,6 +60,8 @@ class LinkFaults:
         jitter_s: By how much more, at most, at random; nothing overtakes.
         lose: So many packets of the data stream that come next are lost.
         corrupt: In so many packets that come next one byte is changed.
+        short, long: So many RTDE packages of the data stream that come next lack their last byte, or have one more.
+        foreign: So many of them have the number of another recipe.
     """
 
     mute: bool = False
@@ -69,6 +71,23 @@ class LinkFaults:
     jitter_s: float = 0.0
     lose: int = 0
     corrupt: int = 0
+    short: int = 0
+    long: int = 0
+    foreign: int = 0
+
+    def damage(self, package: bytes) -> bytes:
+        """An RTDE package of the data stream, as it arrives."""
+        size = int.from_bytes(package[:2], "big")
+        if self.short > 0:
+            self.short -= 1
+            return (size - 1).to_bytes(2, "big") + package[2:-1]
+        if self.long > 0:
+            self.long -= 1
+            return (size + 1).to_bytes(2, "big") + package[2:] + b"\0"
+        if self.foreign > 0:
+            self.foreign -= 1
+            return package[:3] + bytes([package[3] ^ 0xFF]) + package[4:]
+        return package
 
 
 @dataclass
@@ -124,6 +143,8 @@ class Connection:
         if droppable and faults.lose > 0:
             faults.lose -= 1
             return
+        if droppable:
+            data = faults.damage(data)
         if faults.corrupt > 0:
             faults.corrupt -= 1
             where = self.hub.random.randrange(len(data))

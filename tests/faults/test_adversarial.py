@@ -1,0 +1,61 @@
+"""Policies that want to harm, for a long time: what both controllers receive keeps to every limit."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from tests import soak
+
+TICKS = 200_000 if soak.SOAK else 2_000
+"""Of both arms together: a twentieth would take 40 s and more."""
+
+_COLLECTED = 200  # steps
+
+
+def at_random(rng):
+    """Anything the action space has."""
+    while True:
+        yield rng.uniform(-1.0, 1.0, 12)
+
+
+def extreme(rng):
+    """Its corners."""
+    while True:
+        yield rng.choice([-1.0, 1.0], 12)
+
+
+def beyond(rng):
+    """Far out of it."""
+    while True:
+        yield rng.choice([-1.0, 1.0], 12) * 10.0 ** rng.integers(0, 30)
+
+
+def alternating(rng):
+    """From bound to bound at every rate, all joints or some."""
+    for steps in itertools.cycle((1, 2, 3, 5, 8, 13)):
+        way = rng.choice([-1.0, 0.0, 1.0], 12)
+        for k in range(6):
+            for _ in range(steps):
+                yield way * (-1.0) ** k
+
+
+KINDS = (at_random, extreme, beyond, alternating)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=[each.__name__ for each in KINDS])
+def test_5_6_nothing_that_a_policy_does_gets_past_the_limits(lab, kind):
+    rng = np.random.default_rng(KINDS.index(kind))
+    lab.make()
+    lab.env.reset(seed=0)
+    actions, share = kind(rng), TICKS // len(KINDS)
+    for step in range(share // len(lab.wires) // lab.env.unwrapped.core.cell.ticks):
+        if lab.env.step(next(actions))[2]:
+            lab.env.reset(seed=step)
+        if step % _COLLECTED == 0:
+            for wire in lab.wires:
+                wire.collect()
+    assert lab.latch.read() is None
+    assert sum(lab.assert_within_limits()) >= 0.95 * share
+    for wire in lab.wires:
+        assert np.ptp(wire.packages()[1], axis=0).max() > 1e-3, f"{wire.arm} has not moved"

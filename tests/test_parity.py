@@ -16,6 +16,7 @@ LATENCY = 100  # so long that no machine is too slow, and nothing else changes b
 PERIOD = 5
 AHEAD = 13  # targets that may be left out in a row, because their time had passed: 0.1 s later arms are stopped
 TRIES = 3
+SHARE = 0.9  # of all targets that controllers receive, however busy the machine is
 
 
 class Wild:
@@ -45,31 +46,30 @@ def test_the_same_actions_give_the_same_targets_to_the_last_bit(tmp_path):
     while PERIOD * len(actions) < TICKS:
         actions.append(policy(observation))
         observation, _, terminated, _, _ = env.step(actions[-1])
-        if terminated:  # the gate has refused something: what went before is compared
-            break
+        assert not terminated, "the gate has refused something: choose another seed"
     env.close()
     (episode,) = read_run(next(tmp_path.iterdir())).episodes
     expected = episode.targets_rad.reshape(-1, 2, 6)
-    assert len(expected) >= min(TICKS, 400)
+    assert len(expected) >= TICKS
     assert np.abs(np.diff(expected, axis=0)).max() > 1e-3
 
     for number in range(TRIES):
-        executed, shifted = executed_by_controllers(tmp_path / str(number), keywords, actions)
-        whole = all(tuple(expected[-1, arm]) in {tuple(each) for each in executed[arm]} for arm in range(2))
+        received, shifted = received_by_controllers(tmp_path / str(number), keywords, actions)
+        whole = all(tuple(expected[-1, arm]) in {tuple(each) for each in received[arm]} for arm in range(2))
         if whole and not shifted:
             break
     assert not shifted, "a machine that stands still again and again: clocks were shifted in every try"
     assert whole, "a machine that stands still again and again: the last targets came too late in every try"
     for arm in range(2):
-        found, followed = aligned(executed[arm], expected[:, arm])
+        found, followed = aligned(received[arm], expected[:, arm])
         assert found[-1] == len(expected) - 1
-        # A busy machine leaves some out, or two in one control period; none is another.
-        assert len(set(found)) > len(expected) / 2
+        # A busy machine leaves some out; none is another.
+        assert len(set(found)) >= SHARE * len(expected)
         assert not followed or len(found) > 100  # what follows is the brake
 
 
-def executed_by_controllers(folder, keywords, actions):
-    """Set-points that each emulated controller executed, and whether a stall has shifted a clock against them.
+def received_by_controllers(folder, keywords, actions):
+    """Targets that each emulated controller received, and whether a stall has shifted a clock against them.
 
     Where a controller stands still for a while its periods lie between targets afterwards, until the shift is gone.
     """
@@ -78,17 +78,17 @@ def executed_by_controllers(folder, keywords, actions):
         for arm in ARMS:
             cell.wait_until(arm, "robot_mode", 7)
         env = gym.make("DualUR10/SineTracking-v0", cell=str(folder / "lab.toml"), disable_env_checker=True, **keywords)
-        executed = [[], []]
+        received = [[], []]
         seen = [0, 0]
 
         def collect():
             for arm, name in enumerate(ARMS):
-                rows = cell.setpoints(name, seen[arm])
+                rows = cell.packages(name, seen[arm])
                 seen[arm] += len(rows)
-                executed[arm] += [each[1] for each in rows]
+                received[arm] += [each[2] for each in rows]
 
         try:
-            seen = [cell.ask("setpoints", arm=arm)["count"] for arm in ARMS]
+            seen = [cell.ask("received", arm=arm)["motion"] for arm in ARMS]
             env.reset(seed=3)
             shifted = False
             arms = env.unwrapped.core.cell.runner.arms
@@ -105,7 +105,7 @@ def executed_by_controllers(folder, keywords, actions):
             collect()
         finally:
             env.close()
-    return executed, shifted
+    return received, shifted
 
 
 def aligned(executed, expected):

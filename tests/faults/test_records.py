@@ -65,19 +65,19 @@ def test_60_a_recording_is_played_by_the_arms(lab, recorded):
 
 
 @pytest.mark.parametrize(
-    ("change", "word"),
+    ("change", "word", "uploads"),
     [
-        ({"tick_s": 0.002, "family": "e-series"}, "e-series"),
-        ({"period_ticks": 3}, "ticks per action: 3"),
-        ({"speed_factor": 2.0}, "speed_factor"),
+        ({"tick_s": 0.002, "family": "e-series"}, "e-series", 0),
+        ({"period_ticks": 3}, "ticks per action: 3", 1),  # which the environment says, on arms that are connected
+        ({"speed_factor": 2.0}, "speed_factor", 0),
     ],
 )
-def test_60_a_recording_of_another_robot_or_rate_is_refused(lab, recorded, change, word):
+def test_60_a_recording_of_another_robot_or_rate_is_refused(lab, recorded, change, word, uploads):
     run = read_run(recorded)
     lab.mark()
     with pytest.raises(RecordingError, match=word):
         replay(dataclasses.replace(run, header=dataclasses.replace(run.header, **change)), str(lab.path))
-    lab.assert_nothing_has_moved()
+    lab.assert_nothing_has_moved((uploads, uploads))
 
 
 def test_60_numbers_that_are_none_are_refused_by_their_row(lab, recorded):

@@ -264,7 +264,9 @@ def _notes(runs: tuple[Run, Run], mounts: tuple[Mounts, Mounts], count: int) -> 
         ("settings of servoj", _profiles(a), _profiles(b)),
         ("seeds", _seeds(runs[0], count), _seeds(runs[1], count)),
     ):
-        if left != right:
+        # A replay begins where the run that it replays began, and draws nothing.
+        replayed = what == "seeds" and any("replays" in each.extra for each in (a, b))
+        if left != right and not replayed:
             notes.append(f"{what} differ: {left} in run A, {right} in run B")
     if mounts[0] != mounts[1]:
         notes.append("bases or calibrations differ: each run's flanges are by its own")

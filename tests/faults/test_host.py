@@ -94,7 +94,7 @@ def test_56_a_machine_that_was_asleep_sends_nothing_when_it_wakes(lab, who):
     lab.wake(*chosen[who])
     assert process.wait(30.0) == 2
     assert_gone(started)
-    demand(lab.traffic() == count, "what woke up sent something")
+    demand(lab.traffic() == count, f"what woke up sent something: {count} before, {lab.traffic()} now")
     # The policy alone: its targets come to rest, and 0.5 s later it is a fault.
     lab.assert_nothing_more(80 if who == "program" else SILENT_TICKS)
     lab.assert_latched()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from dual_ur10.envs.task import Task, Timing, task_settings
 from dual_ur10.errors import ActionError, CellFaulted, ClosedError, DualUR10Error, ResetNeededError, UnknownNameError
 from dual_ur10.recording.hook import RecordHook
 from dual_ur10.recording.rows import RunRecorder
+from dual_ur10.recording.writer import prepare
 from dual_ur10.sim2real.adapter import Command, ServojAdapter
 from dual_ur10.sim2real.cell import Cell, CellState, resolve_cell
 from dual_ur10.sim2real.clearance import Clearance
@@ -183,6 +185,8 @@ class Core:
         self.action_space = self._action_space()
         bound = self.task.observation_bound
         self.observation_space = spaces.Box(-bound, bound, dtype=np.float64)
+        if options.record is not None:
+            prepare(Path(options.record))  # before anything is connected
         self.cell: Cell | None = make_cell(
             config,
             options,

@@ -61,6 +61,21 @@ def check_room(folder: Path, least_free_bytes: int) -> None:
         )
 
 
+def prepare(root: Path, *, least_free_bytes: int = LEAST_FREE_BYTES) -> None:
+    """See that runs can be recorded in a folder, which is made if it does not exist.
+
+    Raises:
+        RecordingError: They cannot, or there is too little room.
+    """
+    if root.exists() and not root.is_dir():
+        raise RecordingError(f"cannot make a folder for the run in {root}: it is no folder. Name one to record in")
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        check_room(root, least_free_bytes)
+    except OSError as error:
+        raise RecordingError(f"cannot make a folder for the run in {root}: {error}") from error
+
+
 def new_folder(root: Path, header: Header, *, least_free_bytes: int = LEAST_FREE_BYTES) -> Path:
     """Make the folder of a new run, `<UTC time>-<task>-<source>`, within a folder that exists or is made.
 
@@ -72,14 +87,11 @@ def new_folder(root: Path, header: Header, *, least_free_bytes: int = LEAST_FREE
     Raises:
         RecordingError: It cannot be made, or there is too little room.
     """
-    if root.exists() and not root.is_dir():
-        raise RecordingError(f"cannot make a folder for the run in {root}: it is no folder. Name one to record in")
+    prepare(root, least_free_bytes=least_free_bytes)
     time = re.sub(r"[^0-9T]", "", header.started_utc.split(".")[0].split("+")[0])
     task = header.env_id.split("/")[-1]
     name = check_name(f"{time}-{task}-{header.source}")
     try:
-        root.mkdir(parents=True, exist_ok=True)
-        check_room(root, least_free_bytes)
         for number in range(1, _MOST_FOLDERS + 1):
             folder = root / (name if number == 1 else f"{name}-{number}")
             with contextlib.suppress(FileExistsError):

@@ -139,7 +139,7 @@ def assert_no_gap(run):
     """All states that a controller told are there, up to the end."""
     for arm in run.arms:
         times = arm.state["timestamp_s"]
-        assert len(times) > 100
+        assert len(times) > 20
         assert np.unique(np.diff(times).round(4)).tolist() == [TICK_S]
         assert all(np.isfinite(arm.state[name]).all() for name in ("q_rad", "qd_rad_s", "target_q_rad"))
         assert np.isfinite(arm.sent["target_rad"]).all()

@@ -18,7 +18,7 @@ _BUSY = (
     "round trip",
 )
 _TRIES = 3
-_STILL_S = 0.06  # half a watchdog of 10 Hz
+_STILL_S = 0.03  # four control periods of a CB3, fifteen of an e-Series
 
 
 def pytest_addoption(parser):
@@ -75,7 +75,7 @@ def pytest_pyfunc_call(pyfuncitem):
     labs = [each for each in pyfuncitem.funcargs.values() if hasattr(each, "busy")]
     names = pyfuncitem._fixtureinfo.argnames
     if not labs:
-        return _again(pyfuncitem, names) if pyfuncitem.path.parent.name == "controller" else None
+        return _again(pyfuncitem, names) if pyfuncitem.path.parent.name in ("controller", "conformance") else None
     for _ in range(_TRIES - 1):
         starved = [lab.busy() for lab in labs]
         try:

@@ -103,13 +103,13 @@ def test_two_grippers_lift_the_bar_and_hold_it():
     assert rig.data.body("bar").xpos[2] - height == pytest.approx(0.1, abs=0.004)
     for arm, start in zip(ARMS, starts, strict=True):
         assert slip_m(start, rig.in_hand(arm, f"{arm}_grip")) < 2e-4
-    # Both wrists together carry the bar.
+    # Both wrists together carry the bar, which quivers by some thousandths: by how much depends on the processor.
     slices = scene.sensor_slices(rig.model)
     carried = sum(
         (rig.data.site(f"{arm}/wrench").xmat.reshape(3, 3) @ rig.data.sensordata[slices[f"{arm}/wrench_force"]])[2]
         for arm in ARMS
     )
-    assert carried == pytest.approx((BAR_MASS_KG + 2 * scene.MASS_KG) * 9.81, rel=1e-3)
+    assert carried == pytest.approx((BAR_MASS_KG + 2 * scene.MASS_KG) * 9.81, rel=5e-3)
 
 
 @pytest.fixture(params=[0.001, 0.002])

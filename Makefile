@@ -67,17 +67,17 @@ test: $(VENV)/.dev  ## install, lint, type-check and run all tests
 	@$(VENV)/bin/ruff check .
 	@$(VENV)/bin/ruff format --check .
 	@$(VENV)/bin/mypy
-	@$(VENV)/bin/python -m pytest -n 2
+	@$(VENV)/bin/python tests/run_all.py
 
-# Faults and controllers are of processes and wires, the same with every version of MuJoCo and Gymnasium.
-test-oldest: $(OLDEST)/.dev  ## the tests again with MuJoCo 3.17 and Gymnasium 1.2.2, without those of faults and controllers
-	@$(OLDEST)/bin/python -m pytest -n 2 --ignore tests/faults --ignore tests/controller
+# Controllers are of processes and wires, the same with every version of MuJoCo and Gymnasium.
+test-oldest: $(OLDEST)/.dev  ## the tests again with MuJoCo 3.17 and Gymnasium 1.2.2, without those of controllers
+	@$(OLDEST)/bin/python -m pytest -n 2 -m "not real_time" --ignore tests/faults --ignore tests/controller
 
 test-dist: $(DIST)/.dev  ## training on Ray RLlib with two workers on this machine
 	@$(DIST)/bin/python -m pytest tests/distributed
 
 soak: $(VENV)/.dev  ## the tests with their full counts (about twenty times as long)
-	@DUAL_UR10_SOAK=1 $(VENV)/bin/python -m pytest -n 2 --durations=15
+	@DUAL_UR10_SOAK=1 $(VENV)/bin/python tests/run_all.py --durations=15
 
 bench: $(VENV)/.dev  ## all benchmarks, figures to out/*.json
 	@mkdir -p out

@@ -17,6 +17,7 @@ _BUSY = (
     "RTDE rate",
     "round trip",
 )
+_REAL_TIME = ("faults", "conformance", "test_cli_cell.py", "test_demo.py", "test_testing.py")
 _TRIES = 3
 _STILL_S = 0.03  # four control periods of a CB3, fifteen of an e-Series
 
@@ -31,6 +32,14 @@ def pytest_addoption(parser):
 def pytest_configure(config):
     if config.getoption("--host") and not config.getoption("--family"):
         raise pytest.UsageError("--host needs --family, either cb3 or e-series")
+
+
+def pytest_itemcollected(item):
+    """Tests of emulated controllers are marked: `run_all.py` runs one of them at a time."""
+    if {item.path.parent.name, item.path.name} & {*_REAL_TIME} or any(
+        name in vars(item.module) for name in ("EmulatedCell", "Lab")
+    ):
+        item.add_marker(pytest.mark.real_time)
 
 
 @pytest.fixture(scope="session", autouse=True)

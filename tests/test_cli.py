@@ -11,11 +11,11 @@ import urllib.request
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from dual_ur10 import ENV_IDS, __version__, cli, cli_options
+from dual_ur10 import ENV_IDS, __version__, cli_options
 from dual_ur10.errors import SettingsError
 from dual_ur10.policies import shipped
+from tests.command import run
 
 WAIT_S = 60.0
 SHORT = ("--set", "duration_s=0.4")
@@ -25,13 +25,6 @@ SHORT = ("--set", "duration_s=0.4")
 def _somewhere_else(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs are recorded where one stands."""
     monkeypatch.chdir(tmp_path)
-
-
-def run(*arguments: str) -> tuple[int, str]:
-    result = CliRunner().invoke(cli.app, list(arguments), env={"COLUMNS": "160"})
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result.exit_code, re.sub(r"\x1b\[[0-9;]*m", "", result.output)
 
 
 def test_list_names_every_environment_with_its_sizes() -> None:

@@ -12,9 +12,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from rich.console import Console
-from typer.testing import CliRunner
 
-from dual_ur10 import cli, cli_options
+from dual_ur10 import cli_options
 from dual_ur10.envs.core import Core
 from dual_ur10.errors import CellFaulted, RecordingError, SettingsError, StartError
 from dual_ur10.policies.evaluate import evaluate
@@ -23,6 +22,7 @@ from dual_ur10.policies.shipped import folder_of
 from dual_ur10.recording.reader import read_run
 from dual_ur10.recording.run import Run
 from dual_ur10.recording.writer import new_folder
+from tests.command import run
 from tests.recording.runs import header
 
 SINE = "DualUR10/SineTracking-v0"
@@ -33,13 +33,6 @@ CELL = "kind = 'emulated'\n[left]\nhost='127.0.0.2'\n[right]\nhost='127.0.0.3'\n
 @pytest.fixture(autouse=True)
 def _somewhere_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-
-
-def run(*arguments: str) -> tuple[int, str]:
-    result = CliRunner().invoke(cli.app, list(arguments), env={"COLUMNS": "160"})
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result.exit_code, re.sub(r"\x1b\[[0-9;]*m", "", result.output)
 
 
 def only_run(folder: str = "runs") -> Run:

@@ -13,17 +13,14 @@ from typing import Final
 
 from dual_ur10.errors import DualUR10Error, LinkError
 from dual_ur10.sim2real.arm_memory import ArmMemory, Phase
+from dual_ur10.sim2real.arm_sender import STALE_S
 from dual_ur10.sim2real.dashboard_link import DashboardLink
 from dual_ur10.ur10 import ARMS
 
 log = logging.getLogger(__name__)
 
-ANSWER_S: Final = 0.03
-"""Within which an arm's process must have begun to stop its arm. One that has not hangs, as `ur_rtde` may for seconds:
-it must not wake and go on."""
-
-STOPPED_S: Final = 0.4
-"""How long it has then until its program has ended: longer than any ramp takes."""
+STOPPED_S: Final = 1.0
+"""How long an arm's process has until its program has ended: longer than the ramp from the greatest speed, 0.65 s."""
 
 _CONNECT_S: Final = 2.0
 
@@ -75,17 +72,20 @@ class SecondStop:
         return bool(self._left)
 
     def look(self) -> float:
-        """End what should have stopped by now.
+        """End what should have stopped by now, and what hangs, as `ur_rtde` may: it must not wake and go on.
 
         Returns:
             Time since the beginning, s.
         """
-        passed = time.monotonic() - self._begun_s
+        now = time.monotonic()
+        passed = now - self._begun_s
         for arm in sorted(self._left):
-            phase = self._arms[arm].phase
+            memory = self._arms[arm]
+            phase = memory.phase
+            hangs = phase < Phase.STOPPING and now - memory.beat_s > STALE_S
             if phase == Phase.STOPPED:
                 self._left.discard(arm)
-            elif phase == Phase.FAULTED or passed > (STOPPED_S if phase == Phase.STOPPING else ANSWER_S):
+            elif phase == Phase.FAULTED or hangs or passed > STOPPED_S:
                 self._left.discard(arm)
                 self._end(arm)
         return passed

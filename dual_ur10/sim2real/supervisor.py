@@ -27,7 +27,7 @@ from dual_ur10.sim2real.latch import Latch
 from dual_ur10.sim2real.pace import taken_down
 from dual_ur10.sim2real.priority import hasten
 from dual_ur10.sim2real.rtde_link import RtdeLink
-from dual_ur10.sim2real.second_stop import ANSWER_S, SecondStop
+from dual_ur10.sim2real.second_stop import SecondStop
 from dual_ur10.sim2real.watch import Watch, WatchSettings
 from dual_ur10.ur10 import ARMS
 
@@ -119,7 +119,7 @@ class Supervisor:
         for memory in self._arms:
             memory.stop()
         self._second.begin()
-        self._see_it_done(ANSWER_S)  # a disk may be slow, and a process that hangs must not wait for it
+        self._see_it_done(STALE_S)  # a disk may be slow, and what hangs must be ended all the same
         try:
             Latch(self._file).set(reason)
         finally:

@@ -43,7 +43,7 @@ def test_54_a_process_that_is_held_up_for_short_leaves_out_what_is_late(lab, per
     lab.assert_within_limits()
 
 
-DASHBOARD_TICKS = 30  # 0.1 s until it counts as lost, 0.03 s for it to answer, and then it is asked for
+DASHBOARD_TICKS = 30  # 0.1 s until it counts as lost, and then it is asked for
 SILENT_TICKS = 17  # 0.1 s until what is silent counts as lost, and what is on its way
 
 

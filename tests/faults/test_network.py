@@ -104,7 +104,7 @@ def test_19_ur_rtde_alone_that_loses_its_connection_starts_nothing_anew(lab, tri
     arm = ARMS[trial % 2]
     lab.begin()
     before = lab.programs()
-    lab.cell.ask("drop", arm=arm, port="rtde", writers=True, reset=bool(trial // 2 % 2))
+    lab.do("drop", arm=arm, port="rtde", writers=True, reset=bool(trial // 2 % 2))
     error = lab.step_until_faulted()
     lab.assert_stopped(error, f"{arm}: ")
     time.sleep(0.5)
@@ -114,7 +114,7 @@ def test_19_ur_rtde_alone_that_loses_its_connection_starts_nothing_anew(lab, tri
 @pytest.mark.parametrize("arm", ARMS if soak.SOAK else ["right"])
 def test_19_the_second_way_to_stop_is_not_lost_unseen(lab, arm):
     lab.begin()
-    lab.cell.ask("drop", arm=arm, port="dashboard")
+    lab.do("drop", arm=arm, port="dashboard")
     error = lab.step_until_faulted()
     lab.assert_stopped(error, "the second way to stop is lost", f"{arm} arm, dashboard")
 

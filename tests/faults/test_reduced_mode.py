@@ -39,7 +39,7 @@ def test_35_other_stops_stop_both_where_reduced_mode_is_allowed(lab):
     lab.turn("reduce", {"on": False}, arm="left", on=True)
     for _ in range(5):
         lab.env.step(lab.policy())
-    lab.cell.ask("stop", arm="left", mode=3)
+    lab.do("stop", arm="left", mode=3)
     lab.assert_stopped(lab.step_until_faulted(), "left: ")
     lab.latch.clear()
     with pytest.raises(StartError, match="safety mode"):  # a start needs normal mode in any case

@@ -13,6 +13,9 @@ from typing import Any, Final
 INTERRUPTED: Final = 130
 """Exit code after Ctrl-C, as shells have it."""
 
+CHILD: Final = "dual_ur10.sim2real.child"
+"""Module that the processes of a cell begin with."""
+
 
 def end_interrupted(*_: Any) -> None:
     """Say one line and end. What is being done comes to its end first, as by any other exception.
@@ -29,6 +32,11 @@ def begin_program() -> None:
     """Everything is loaded: from here on Ctrl-C is a `KeyboardInterrupt` again, by which commands end in order."""
     if signal.getsignal(signal.SIGINT) is end_interrupted:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def is_child() -> bool:
+    """Whether this is a process of a cell, of an arm for instance, and no program of a user."""
+    return CHILD in sys.orig_argv
 
 
 def _is_program() -> bool:

@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
+from dual_ur10.loading import CHILD
 from dual_ur10.sim2real.interrupts import held_back
 
 log = logging.getLogger(__name__)
@@ -29,7 +30,6 @@ LOST: Final = 255
 KILLED_S: Final = 5.0
 """How long a process that is killed is waited for: one that waits for a device may take its time."""
 
-_MODULE: Final = "dual_ur10.sim2real.child"
 _LOOK_S: Final = 0.002
 
 
@@ -52,7 +52,7 @@ class Child:
         try:
             with held_back():  # an interrupt comes before there is a process, or once it is known here
                 self._process = process = subprocess.Popen(
-                    [sys.executable, "-P", "-m", _MODULE],
+                    [sys.executable, "-P", "-m", CHILD],
                     stdin=subprocess.PIPE,
                     env={**os.environ, "PYTHONPATH": os.pathsep.join(each or os.getcwd() for each in sys.path)},
                     start_new_session=True,

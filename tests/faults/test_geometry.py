@@ -98,7 +98,8 @@ def carry(the_carry):
 
 def go(lab, observation, steps):
     for _ in range(steps):
-        observation = lab.env.step(lab.policy(observation))[0]
+        observation, _, terminated, _, info = lab.env.step(lab.policy(observation))
+        assert not terminated, info
     return observation
 
 

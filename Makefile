@@ -71,7 +71,7 @@ test: $(VENV)/.dev  ## install, lint, type-check and run all tests
 
 # Controllers are of processes and wires, the same with every version of MuJoCo and Gymnasium.
 test-oldest: $(OLDEST)/.dev  ## the tests again with MuJoCo 3.17 and Gymnasium 1.2.2, without those of controllers
-	@$(OLDEST)/bin/python -m pytest -n 2 -m "not real_time" --ignore tests/faults --ignore tests/controller
+	@$(OLDEST)/bin/python -m pytest -n 2 -m "not emulated" --ignore tests/controller
 
 test-dist: $(DIST)/.dev  ## training on Ray RLlib with two workers on this machine
 	@$(DIST)/bin/python -m pytest tests/distributed

@@ -17,7 +17,19 @@ _BUSY = (
     "RTDE rate",
     "round trip",
 )
-_REAL_TIME = ("faults", "conformance", "test_cli_cell.py", "test_demo.py", "test_testing.py")
+_EMULATED = ("conformance", "faults", "test_cli_cell.py", "test_demo.py", "test_testing.py")
+_REAL_TIME = (
+    "faults",
+    "test_arm_process.py",
+    "test_cli_cell.py",
+    "test_demo.py",
+    "test_grasp.py",
+    "test_official_examples.py",
+    "test_parity.py",
+    "test_rtde_cell.py",
+    "test_testing.py",
+    "test_ur_rtde.py",
+)
 _TRIES = 3
 _STILL_S = 0.03  # four control periods of a CB3, fifteen of an e-Series
 
@@ -35,10 +47,11 @@ def pytest_configure(config):
 
 
 def pytest_itemcollected(item):
-    """Tests of emulated controllers are marked: `run_all.py` runs one of them at a time."""
-    if {item.path.parent.name, item.path.name} & {*_REAL_TIME} or any(
-        name in vars(item.module) for name in ("EmulatedCell", "Lab")
-    ):
+    """Mark tests of emulated controllers, and those of them that stream to arms: see `run_all.py`."""
+    names = {item.path.parent.name, item.path.name}
+    if names & set(_EMULATED) or any(name in vars(item.module) for name in ("EmulatedCell", "Lab")):
+        item.add_marker(pytest.mark.emulated)
+    if names & set(_REAL_TIME):
         item.add_marker(pytest.mark.real_time)
 
 

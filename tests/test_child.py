@@ -89,6 +89,23 @@ def test_it_runs_a_function_with_its_arguments_in_a_session_of_its_own(tmp_path)
     assert rest == ""  # it waits for nobody to type
 
 
+def modules(path: pathlib.Path) -> None:
+    import dual_ur10.recording.recorder_process
+    import dual_ur10.sim2real.arm_process
+    import dual_ur10.sim2real.supervisor  # noqa: F401
+
+    path.write_text(" ".join(sys.modules))
+
+
+def test_an_arm_a_supervisor_and_a_recorder_wait_for_nothing_of_the_environments(tmp_path):
+    """Each of them is a process that starts whenever an environment is made on arms."""
+    out = tmp_path / "modules"
+    assert Child(modules, out).wait(WITHIN_S)
+    loaded = {each.partition(".")[0] for each in out.read_text().split()}
+    assert "numpy" in loaded
+    assert not loaded & {"gymnasium", "pettingzoo", "mujoco", "scipy", "pinocchio", "torch"}
+
+
 def test_arguments_may_be_larger_than_a_pipe(tmp_path):
     values = bytes(range(256)) * 20_000
     assert told(tmp_path / "out", values)[0][0] == values

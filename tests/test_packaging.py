@@ -73,7 +73,7 @@ def test_readme_and_module_say_the_same_version():
 
 def test_imports_run_downwards():
     floors = [
-        ["ur10", "errors", "files", "loading", "rotations", "versions"],
+        ["ur10", "errors", "files", "loading", "registration", "rotations", "versions"],
         ["assets", "kinematics", "dynamics"],
         ["frames"],
         ["sim2real"],

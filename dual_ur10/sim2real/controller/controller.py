@@ -160,7 +160,6 @@ class Controller:
         self._wrench_zero: Array = np.zeros(6)
         self.program = ProgramRunner(profile, self.motion, builtins_of(self), self._script_failed)
         self.reading = ArmReading(np.array(q_rad, dtype=float), np.zeros(6), np.zeros(6), np.zeros(6), None)
-        self._pose = self.motion.tcp_pose(self.reading.q_rad)
         self._elbow: Array = elbow_and_flange_position(self.reading.q_rad)[0]
         self._constant_values()
         self._publish(np.zeros(6))
@@ -295,9 +294,9 @@ class Controller:
             wrench[2] += weight
             _, rotation = flange_pose(reading.q_rad, self.dh)
             wrench[3:] += cross(rotation @ self.payload.cog_m, np.array([0.0, 0.0, weight]))
-        self._pose = self.motion.tcp_pose(reading.q_rad)
         if any(self.motion.tcp[:3]):
-            lever = np.subtract(self._pose[:3], self.motion.flange_pose(reading.q_rad)[:3])
+            tcp, flange = self.motion.tcp_pose(reading.q_rad), self.motion.flange_pose(reading.q_rad)
+            lever = np.subtract(tcp[:3], flange[:3])
             wrench[3:] -= cross(lever, wrench[:3])
         self._raw_wrench = wrench
         self.wrench = wrench - self._wrench_zero
@@ -332,10 +331,10 @@ class Controller:
         values["actual_robot_current"] = 0.5 + 0.1 * float(np.abs(current).sum())
         values["actual_q"] = tuple(reading.q_rad.tolist())
         values["actual_qd"] = tuple(reading.qd_rad_s.tolist())
-        values["actual_TCP_pose"] = self._pose
-        values["actual_TCP_speed"] = motion.tcp_speed(reading.q_rad, reading.qd_rad_s)
-        values["target_TCP_pose"] = motion.tcp_pose(motion.q)
-        values["target_TCP_speed"] = motion.tcp_speed(motion.q, motion.qd)
+        q, qd = np.stack([reading.q_rad, motion.q]), np.stack([reading.qd_rad_s, motion.qd])
+        poses, speeds = motion.tcp_poses_and_speeds(q, qd)
+        values["actual_TCP_pose"], values["target_TCP_pose"] = poses
+        values["actual_TCP_speed"], values["target_TCP_speed"] = speeds
         elbow = elbow_and_flange_position(reading.q_rad)[0]
         values["elbow_velocity"] = tuple(((elbow - self._elbow) / self.profile.tick_s).tolist())
         values["elbow_position"], self._elbow = tuple(elbow.tolist()), elbow

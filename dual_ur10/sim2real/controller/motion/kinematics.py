@@ -10,6 +10,7 @@ import numpy as np
 
 from dual_ur10.forward_kinematics import flange_pose, pose_and_jacobian
 from dual_ur10.inverse_kinematics import try_nearest
+from dual_ur10.rotations import cross
 from dual_ur10.ur10 import Array, DHParameters
 
 Pose = tuple[float, ...]
@@ -107,13 +108,19 @@ class ArmKinematics:
         """Pose of the TCP at joint angles (6,)."""
         return tool.tcp(Frame(*flange_pose(q, self.dh)))
 
+    def tcp_and_jacobian(self, q: Array, tool: Tool) -> tuple[Frame, Array]:
+        """Poses of the TCP at joint angles (n, 6), and (n, 6, 6): its m/s and rad/s per rad/s of each joint."""
+        position, rotation, jacobian = pose_and_jacobian(q, self.dh)
+        if tool.is_flange:
+            return Frame(position, rotation), jacobian
+        lever = rotation @ tool.position
+        # The TCP's speed has the rotation's cross product with where it is from the flange.
+        jacobian[:, :3] += cross(jacobian[:, 3:].swapaxes(1, 2), lever[:, None]).swapaxes(1, 2)
+        return Frame(position + lever, rotation @ tool.rotation), jacobian
+
     def jacobian(self, q: Array, tool: Tool) -> Array:
         """(6, 6): m/s and rad/s of the TCP per rad/s of each joint."""
-        _, rotation, jacobian = pose_and_jacobian(q, self.dh)
-        if not tool.is_flange:
-            x, y, z = (rotation @ tool.position).tolist()
-            # The TCP is at (x, y, z) from the flange: its speed has the rotation's cross product with that.
-            jacobian[:3] -= np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ jacobian[3:]
+        jacobian: Array = self.tcp_and_jacobian(q[None], tool)[1][0]
         return jacobian
 
     def joints(self, tcp: Frame, near: Array, tool: Tool) -> tuple[Array, bool]:

@@ -39,12 +39,15 @@ class Tooled(Reference):
         """Pose of the flange at joint angles (6,)."""
         return pose_of(self.arm.tcp(q, Tool()))
 
+    def tcp_poses_and_speeds(self, q: Array, qd: Array) -> tuple[list[Pose], list[tuple[float, ...]]]:
+        """Poses (6,) and speeds (6,), m/s and rad/s in base, of the TCP at joint angles and speeds (n, 6)."""
+        frames, jacobian = self.arm.tcp_and_jacobian(q, self.tool)
+        poses = [pose_of(Frame(*each)) for each in zip(*frames, strict=True)]
+        return poses, [tuple(each) for each in (jacobian @ qd[..., None])[..., 0].tolist()]
+
     def tcp_speed(self, q: Sequence[float] | Array, qd: Sequence[float] | Array) -> tuple[float, ...]:
         """Speed (6,) of the TCP, m/s and rad/s in base."""
-        speeds = np.asarray(qd, dtype=np.float64)
-        if not speeds.any():
-            return (0.0,) * 6
-        return tuple((self.arm.jacobian(np.asarray(q, dtype=np.float64), self.tool) @ speeds).tolist())
+        return self.tcp_poses_and_speeds(np.array([q], dtype=np.float64), np.array([qd], dtype=np.float64))[1][0]
 
     def forward(self, q: Sequence[float] | Array, tcp: Sequence[float] | None = None) -> Pose:
         """`get_forward_kin`: pose of a TCP, or of the one set, at joint angles (6,).

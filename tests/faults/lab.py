@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import dual_ur10  # noqa: F401  # registers the environments
-from dual_ur10.errors import CellFaulted, DualUR10Error
+from dual_ur10.errors import CellFaulted, DualUR10Error, StartError
 from dual_ur10.sim2real.arm_status import ROW
 from dual_ur10.sim2real.cell_file import load_cell_file
 from dual_ur10.sim2real.controller.emulated_cell import EmulatedCell
@@ -318,6 +318,14 @@ class Lab:
         self.assert_at_rest()
         found = tuple(wire.uploads for wire in self.wires)
         demand(found == uploads, f"{found} programs were uploaded to the left and the right arm, allowed are {uploads}")
+
+    def assert_refused(self, *words, **keywords):
+        """`make` says these words, and has moved nothing."""
+        with pytest.raises(StartError) as found:
+            self.make(**keywords)
+        for word in words:
+            assert word in str(found.value), str(found.value)
+        self.assert_nothing_has_moved()
 
     def programs(self):
         """How many programs have ended or were refused so far, by the log of the cell."""

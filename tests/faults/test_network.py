@@ -9,7 +9,7 @@ from dual_ur10.sim2real import runner
 from dual_ur10.sim2real.controller.rtde_codec import Kind
 from dual_ur10.sim2real.rtde_link import RtdeClient
 from tests import soak
-from tests.faults.lab import ARMS, Lab
+from tests.faults.lab import ARMS
 
 PORTS = {"dashboard": 29999, "primary": 30001, "realtime": 30003, "rtde": 30004}
 SILENT_TICKS = 17  # 0.1 s until what is silent counts as lost, and what is on its way
@@ -196,26 +196,3 @@ def test_24_lost_packets_are_no_fault_and_many_are(lab):
         lab.env.step(lab.policy())
     lab.do("link", arm="left", port="rtde", lose=100)
     lab.assert_stopped(lab.step_until_faulted(), "left: ", "stood still", seen_ticks=SILENT_TICKS)
-
-
-@pytest.fixture
-def e_lab(tmp_path):
-    made = Lab(tmp_path, family="e-series")
-    yield made
-    made.close()
-
-
-def test_25_26_two_addresses_of_one_robot_and_swapped_robots_are_refused(e_lab):
-    lab = e_lab
-    serial = {arm: f"20215{number:05d}" for number, arm in enumerate(ARMS, start=1)}
-    for arm in ARMS:
-        lab.cell.ask("pretend", arm=arm, serial_number=serial["left"])
-    with pytest.raises(StartError, match=f"serial numbers {serial['left']} and {serial['left']}.*one controller"):
-        lab.make()
-    for arm in ARMS:
-        lab.cell.ask("pretend", arm=arm, serial_number=serial[arm])
-        table = f"[{arm}]\n"
-        lab.rewrite(table, f'{table}serial_number = "{serial[OTHER[arm]]}"\n')
-    with pytest.raises(StartError, match=f"left, serial number: {serial['left']}, .*swapped"):
-        lab.make()
-    lab.assert_nothing_has_moved()

@@ -11,15 +11,7 @@ import pytest
 from dual_ur10.errors import CellBusyError, CellFaulted, SettingsError, StartError
 from dual_ur10.sim2real.latch import state_folder
 from tests import soak
-from tests.faults.lab import ARMS, Lab
-
-
-def refused(lab, *words, **keywords):
-    with pytest.raises(StartError) as found:
-        lab.make(**keywords)
-    for word in words:
-        assert word in str(found.value), str(found.value)
-    lab.assert_nothing_has_moved()
+from tests.faults.lab import ARMS
 
 
 def joints(lab, arm):
@@ -28,7 +20,7 @@ def joints(lab, arm):
 
 def test_35_reduced_mode_is_refused(lab):
     lab.cell.ask("reduce", arm="right", on=True)
-    refused(lab, "right, safety mode: 2 (REDUCED), expected: 1 (NORMAL); find the cause")
+    lab.assert_refused("right, safety mode: 2 (REDUCED), expected: 1 (NORMAL); find the cause")
 
 
 def test_37_a_cb3_is_not_asked_for_remote_control(lab):
@@ -39,10 +31,10 @@ def test_37_a_cb3_is_not_asked_for_remote_control(lab):
 def test_38_power_and_brakes_are_for_a_person(lab):
     lab.cell.ask("press", arm="left", button="power_off")
     lab.cell.wait_until("left", "robot_mode", 3)
-    refused(lab, "left, robot mode: 3 (POWER_OFF), expected: 7 (RUNNING); power the arm on")
+    lab.assert_refused("left, robot mode: 3 (POWER_OFF), expected: 7 (RUNNING); power the arm on")
     lab.cell.ask("press", arm="left", button="power_on")
     lab.cell.wait_until("left", "robot_mode", 5)
-    refused(lab, "left, robot mode: 5 (IDLE), expected: 7 (RUNNING); ", "brakes")
+    lab.assert_refused("left, robot mode: 5 (IDLE), expected: 7 (RUNNING); ", "brakes")
     assert lab.ask("left", "robot_mode") == [5]
 
 
@@ -50,7 +42,7 @@ def test_38_power_and_brakes_are_for_a_person(lab):
 def test_38_a_stopped_arm_is_refused(lab, mode):
     lab.cell.ask("stop", arm="right", mode=mode)
     lab.cell.wait_until("right", "safety_mode", mode)
-    refused(lab, "right", f"{mode} (", "expected: ")
+    lab.assert_refused("right", f"{mode} (", "expected: ")
 
 
 @pytest.mark.parametrize(
@@ -64,12 +56,12 @@ def test_39_another_robot_is_refused(lab, told, word):
     back = {"version": [3, 15, 8, 106339], "model": "UR10", "robot_type": 2}
     lab.turn("remote", {"on": True}, arm="left", on=True)
     lab.turn("pretend", back, arm="left", **told)
-    refused(lab, word)
+    lab.assert_refused(word)
 
 
 def test_40_another_calibration_is_refused(lab):
     lab.turn("calibration", {"error_m": 0.0}, arm="right", error_m=0.003)
-    refused(lab, "right, calibration: flange ", "expected: at most 0.1 mm; read the calibration")
+    lab.assert_refused("right, calibration: flange ", "expected: at most 0.1 mm; read the calibration")
 
 
 @pytest.mark.parametrize(
@@ -81,13 +73,13 @@ def test_40_another_calibration_is_refused(lab):
 )
 def test_41_another_payload_or_tool_is_refused(lab, line, word):
     lab.rewrite("[left]\n", f"[left]\n{line}")
-    refused(lab, word, "expected: ", "correct it in the installation on the pendant")
+    lab.assert_refused(word, "expected: ", "correct it in the installation on the pendant")
 
 
 def test_34_a_slider_that_is_down_is_refused(lab):
     lab.cell.ask("slider", arm="right", fraction=0.5)
     lab.cell.wait_until("right", "target_speed_fraction", 0.5)
-    refused(lab, "right, speed slider: 50 %, expected: 100 %; ")
+    lab.assert_refused("right, speed slider: 50 %, expected: 100 %; ")
 
 
 AWAY = [0.3, 0.0, 0.0, 0.0, 0.2, 0.0]
@@ -234,35 +226,3 @@ def test_58_a_lock_that_leads_elsewhere_is_refused(lab, tmp_path):
     finally:
         path.unlink()
     assert target.read_text() == "mine"
-
-
-# An e-Series controller.
-
-
-@pytest.fixture
-def e_lab(tmp_path):
-    made = Lab(tmp_path, family="e-series")
-    yield made
-    made.close()
-
-
-def test_36_39_local_mode_and_another_family_are_refused(e_lab):
-    lab = e_lab
-    lab.cell.ask("remote", arm="right", on=False)
-    refused(lab, "right, remote control: local, expected: remote; switch right to Remote Control on its pendant")
-    lab.cell.ask("remote", arm="right", on=True)
-    lab.rewrite('family = "e-series"', 'family = "cb3"')
-    refused(lab, "left, family: e-series, software ", "expected: cb3")
-
-
-def test_29_an_e_series_arm_that_stops_stops_both(e_lab):
-    e_lab.begin()
-    e_lab.assert_within_limits()
-    e_lab.do("stop", arm="right", mode=3)
-    e_lab.assert_stopped(
-        e_lab.step_until_faulted(),
-        "right: safety mode 3 (PROTECTIVE_STOP)",
-        arms=["left"],
-        ramped=["left"],
-        seen_ticks=15,
-    )

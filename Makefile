@@ -58,6 +58,15 @@ $(DIST)/.dev: pyproject.toml constraints-dist.txt | check-python
 	@$(DIST)/bin/python -m pip install $(PIP_FLAGS) -c constraints-dist.txt -e '.[dist]' psutil pytest
 	@touch $@
 
+# Streaming to arms asks for more than half of two cores, in real time: these tests run one at a time, with nothing
+# beside them. Controllers that wait more than they work come in pairs, apart from what works all the time.
+define all_tests
+$(VENV)/bin/python -m pytest $(1) -m real_time; code=$$?; \
+$(VENV)/bin/python -m pytest $(1) -n 2 -m "emulated and not real_time" || code=$$?; \
+$(VENV)/bin/python -m pytest $(1) -n 2 -m "not emulated" || code=$$?; \
+exit $$code
+endef
+
 install: $(VENV)/.dev  ## set up .venv for the tests
 
 demo: $(VENV)/.demo  ## install, run the scripted policies, also on emulated arms; write out/report.html and videos
@@ -67,7 +76,7 @@ test: $(VENV)/.dev  ## install, lint, type-check and run all tests
 	@$(VENV)/bin/ruff check .
 	@$(VENV)/bin/ruff format --check .
 	@$(VENV)/bin/mypy
-	@$(VENV)/bin/python tests/run_all.py
+	@$(call all_tests,)
 
 # Controllers are of processes and wires, the same with every version of MuJoCo and Gymnasium.
 test-oldest: $(OLDEST)/.dev  ## the tests again with MuJoCo 3.17 and Gymnasium 1.2.2, without those of controllers
@@ -77,7 +86,7 @@ test-dist: $(DIST)/.dev  ## training on Ray RLlib with two workers on this machi
 	@$(DIST)/bin/python -m pytest tests/distributed
 
 soak: $(VENV)/.dev  ## the tests with their full counts (about twenty times as long)
-	@DUAL_UR10_SOAK=1 $(VENV)/bin/python tests/run_all.py --durations=15
+	@export DUAL_UR10_SOAK=1; $(call all_tests,--durations=15)
 
 bench: $(VENV)/.dev  ## all benchmarks, figures to out/*.json
 	@mkdir -p out

@@ -47,7 +47,7 @@ def pytest_configure(config):
 
 
 def pytest_itemcollected(item):
-    """Mark tests of emulated controllers, and those of them that stream to arms: see `run_all.py`."""
+    """Mark tests of emulated controllers, and those of them that stream to arms: `make test` runs them apart."""
     names = {item.path.parent.name, item.path.name}
     if names & set(_EMULATED) or any(name in vars(item.module) for name in ("EmulatedCell", "Lab")):
         item.add_marker(pytest.mark.emulated)

@@ -113,7 +113,7 @@ def pytest_pyfunc_call(pyfuncitem):
                 raise
             for lab in labs:
                 lab.mend()
-            time.sleep(2.0)  # what keeps the machine busy may be over then
+            _rest(pyfuncitem)
         else:
             return True
     return None
@@ -128,7 +128,16 @@ def _again(pyfuncitem, names):
         except AssertionError:
             if _pulse.misses == missed:
                 raise
-            time.sleep(2.0)
+            _rest(pyfuncitem)
         else:
             return True
     return None
+
+
+def _rest(pyfuncitem):
+    """Wait, as what keeps the machine busy may be over then. What a test finds in its folder is its own again."""
+    time.sleep(2.0)
+    path = pyfuncitem.funcargs.get("tmp_path")
+    if path is not None:
+        pyfuncitem.funcargs["tmp_path"] = path.with_name(f"{path.name}-again")
+        pyfuncitem.funcargs["tmp_path"].mkdir()

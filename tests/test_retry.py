@@ -26,16 +26,20 @@ class Starved:
         pass
 
 
-def tried(lab, error, monkeypatch):
+def tried(lab, error, monkeypatch, **others):
     monkeypatch.setattr("time.sleep", lambda seconds: None)
 
-    def test(lab):
+    def test(lab, tmp_path=None):
+        if tmp_path is not None:
+            assert not list(tmp_path.iterdir())
+            (tmp_path / "run").touch()
         lab.tries += 1
         if lab.tries == 1:
             raise error
 
+    values = {"lab": lab, **others}
     item = SimpleNamespace(
-        funcargs={"lab": lab}, obj=test, _fixtureinfo=SimpleNamespace(argnames=("lab",)), path=SimpleNamespace()
+        funcargs=values, obj=test, _fixtureinfo=SimpleNamespace(argnames=tuple(values)), path=SimpleNamespace()
     )
     return pytest_pyfunc_call(item)
 
@@ -43,6 +47,12 @@ def tried(lab, error, monkeypatch):
 def test_what_a_busy_machine_spoils_is_tried_again(monkeypatch):
     lab = Starved()
     assert tried(lab, AssertionError("late"), monkeypatch) is True
+    assert lab.tries == 2
+
+
+def test_every_try_has_a_folder_of_its_own(monkeypatch, tmp_path):
+    lab = Starved()
+    assert tried(lab, AssertionError("late"), monkeypatch, tmp_path=tmp_path) is True
     assert lab.tries == 2
 
 

@@ -420,9 +420,13 @@ class Lab:
         for arm in ARMS:
             self.cell.wait_until(arm, "runtime_state", 1)
 
-    def busy(self):
+    def starved(self):
         """How often a watchdog in a controller was not fed, by the log of the cell."""
         return self._log.read_text().count("was not fed for")
+
+    def busy(self):
+        """How often this machine was too slow: a watchdog was not fed, or an action came late."""
+        return self.starved() + (0 if self.env is None else self.env.unwrapped.core.late_actions)
 
     def close(self):
         """End everything."""

@@ -34,7 +34,7 @@ def go(lab, observation, steps):
 
 
 @pytest.mark.parametrize(("joint", "away"), [(5, 0.06), (0, 0.03)] if soak.SOAK else [(5, 0.06)])
-def test_52_arms_that_hold_one_object_stop_when_one_is_not_where_it_should_be(carry, joint, away):
+def test_52_arms_that_hold_one_object_stop_when_one_is_not_where_it_should_be(lab, joint, away):
     go(lab, lab.begin(steps=0), 5)
     hold = np.zeros(14, dtype=np.float32)
     lab.policy = lambda observation=None: hold

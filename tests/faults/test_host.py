@@ -64,14 +64,14 @@ def test_54_a_process_that_is_held_up_for_long_stops_both(lab, who):
 @pytest.mark.parametrize("who", ["left", "right"] if soak.SOAK else ["right"])
 def test_54_the_supervisor_ends_a_program_whose_process_and_watchdog_do_nothing(lab, who):
     lab.begin()
-    starved = lab.busy()
+    starved = lab.starved()
     lab.turn("watchdog", {"on": True}, arm=who, on=False)
     tick = lab.note()
     lab.suspend(lab.pids[("left", "right").index(who)])
     lab.cell.wait_until(who, "runtime_state", 1)
     wire = lab.wires[("left", "right").index(who)]
     assert wire.received()["ended_tick"] - tick <= DASHBOARD_TICKS
-    assert lab.busy() == starved, "a watchdog came before"
+    assert lab.starved() == starved, "a watchdog came before"
     lab.assert_stopped(lab.step_until_faulted(), who, "does nothing any more", seen_ticks=SILENT_TICKS)
 
 

@@ -13,7 +13,9 @@ from tests.faults.lab import ARMS
 
 PORTS = {"dashboard": 29999, "primary": 30001, "realtime": 30003, "rtde": 30004}
 SILENT_TICKS = 17  # 0.1 s until what is silent counts as lost, and what is on its way
-UNFOLLOWED_TICKS = 200  # until what was sent is farther ahead than a controller may be behind: slow arms take long
+# Until what was sent is farther ahead than a controller may be behind. Slow arms take long; in a whole period of the
+# swing they are as fast as they get.
+UNFOLLOWED_TICKS = 250
 OTHER = {"left": "right", "right": "left"}
 
 
@@ -130,7 +132,7 @@ def test_20_a_controller_that_falls_silent_stops_both(lab, arm):
 @pytest.mark.parametrize("arm", ARMS if soak.SOAK else ["right"])
 def test_21_23_a_controller_that_takes_nothing_stops_both_and_old_targets_go_nowhere(lab, arm):
     lab.begin()
-    starved = lab.busy()
+    starved = lab.starved()
     lab.turn("watchdog", {"on": True}, arm=arm, on=False)  # it would be starved, too: this shows who else stops the arm
     lab.turn("link", {"frozen": False}, arm=arm, port="rtde", frozen=True)
     error = lab.step_until_faulted()
@@ -140,7 +142,7 @@ def test_21_23_a_controller_that_takes_nothing_stops_both_and_old_targets_go_now
     time.sleep(0.3)
     assert lab.cell.ask("setpoints", arm=arm)["count"] == count
     lab.assert_stopped(error, f"{arm}: ", "the controller does not follow", seen_ticks=UNFOLLOWED_TICKS)
-    assert lab.busy() == starved, "its watchdog came before"
+    assert lab.starved() == starved, "its watchdog came before"
 
 
 def test_23_a_network_that_stalls_and_then_delivers_all_at_once_stops_both(lab):

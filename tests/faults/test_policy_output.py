@@ -128,18 +128,18 @@ def test_8_9_an_action_that_comes_late_finds_both_arms_at_rest_and_goes_on(lab, 
     lab.close_env()
     run = read_run(next(tmp_path.iterdir()))
     (episode,) = run.episodes
-    late = np.flatnonzero(episode.first_target == LATE)
-    assert len(late) == sum(each.kind == "late" for each in run.events) > 0
+    late = episode.first_target == LATE
+    assert late.sum() == sum(each.kind == "late" for each in run.events) > 0
     for arm in range(2):
         sent = run.arms[arm].sent
-        known = dict(zip(sent["index"].tolist(), sent["target_rad"], strict=True))
-        out = [
-            (known[float(first)] == episode.targets_rad[step, 0, arm]).all()
-            for step, first in enumerate(episode.first_target.tolist())
-            if first != LATE and float(first) in known
-        ]
-        assert out
-        assert all(out)
+        index, target_rad = sent["index"], sent["target_rad"]
+        first = episode.first_target[~late]
+        first_rad = episode.targets_rad[~late, 0, arm]
+        within = (first >= index[0]) & (first <= index[-1])
+        assert within.sum() >= 5
+        # Where a clock is followed, what is sent lies between two targets: on a line, but for what they bend by.
+        found = np.stack([np.interp(first[within], index, each) for each in target_rad.T], axis=1)
+        assert np.abs(found - first_rad[within]).max() < 5e-4
 
 
 def test_10_a_policy_that_is_silent_for_long_stops_both(lab):

@@ -6,9 +6,10 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v p
 VENV := .venv
 OLDEST := .venv-oldest
 DIST := .venv-dist
-PIP_FLAGS := --quiet --disable-pip-version-check
+# What is imported is compiled then: compiling all that torch and others bring takes longer than all the rest.
+PIP_FLAGS := --quiet --disable-pip-version-check --no-compile
 # The tests run the examples that come with ur_rtde's source.
-FETCH_EXAMPLES = $(VENV)/bin/python -m pip download $(PIP_FLAGS) --no-deps --no-binary :all: ur_rtde==1.6.5 -d
+FETCH_EXAMPLES = $(VENV)/bin/python -m pip download --quiet --disable-pip-version-check --no-deps --no-binary :all: ur_rtde==1.6.5 -d
 # Small matrices gain nothing from BLAS threads, which would compete with the simulation's own.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1

@@ -23,12 +23,9 @@ _REAL_TIME = (
     "test_arm_process.py",
     "test_cli_cell.py",
     "test_demo.py",
-    "test_grasp.py",
-    "test_official_examples.py",
     "test_parity.py",
     "test_rtde_cell.py",
     "test_testing.py",
-    "test_ur_rtde.py",
 )
 _TRIES = 3
 _STILL_S = 0.03  # four control periods of a CB3, fifteen of an e-Series
@@ -97,7 +94,7 @@ def pytest_pyfunc_call(pyfuncitem):
     labs = [each for each in pyfuncitem.funcargs.values() if hasattr(each, "busy")]
     names = pyfuncitem._fixtureinfo.argnames
     if not labs:
-        return _again(pyfuncitem, names) if pyfuncitem.path.parent.name in ("controller", "conformance") else None
+        return _again(pyfuncitem, names) if pyfuncitem.get_closest_marker("emulated") else None
     for _ in range(_TRIES - 1):
         starved = [lab.busy() for lab in labs]
         try:

@@ -122,8 +122,9 @@ def _again(pyfuncitem, names):
         missed = _pulse.misses
         try:
             pyfuncitem.obj(**{name: pyfuncitem.funcargs[name] for name in names})
-        except AssertionError:
-            if _pulse.misses == missed:
+        except Exception as error:
+            told = any(word in str(error) for word in _BUSY)
+            if getattr(error, "never_retried", False) or not (told or _pulse.misses > missed):
                 raise
             _rest(pyfuncitem)
         else:

@@ -250,9 +250,11 @@ def beside(tmp_path_factory: pytest.TempPathFactory) -> runs_emulated.EmulatedRe
         if isinstance(found, runs_emulated.EmulatedResult):
             assert told == sorted(told)
             assert 0.9 < told[-1] <= 1.0
-            return found
-        assert found.reason.startswith("CellFaulted"), found
-    raise AssertionError(found)
+            if found.emulated.late_actions == 0:
+                return found
+        else:
+            assert found.reason.startswith("CellFaulted"), found
+    raise AssertionError(f"{found}, and an action was late in every try, or an arm was stopped")
 
 
 def test_a_task_is_run_alike_in_simulation_and_on_emulated_controllers(beside: runs_emulated.EmulatedResult) -> None:

@@ -318,6 +318,7 @@ def test_a_policy_that_fails_on_controllers_stops_both(tmp_path):
                 action[3] = 2.0
             return action
 
+    before = set(state_folder().glob("fault-*"))
     probe = Later()
     check_policy(probe, SINE, steps=10)
     policy = Later()
@@ -332,4 +333,4 @@ def test_a_policy_that_fails_on_controllers_stops_both(tmp_path):
         assert cell.fault == ""
         for arm in ("left", "right"):
             cell.wait_until(arm, "runtime_state", 1)
-    assert not list(state_folder().glob("fault-*"))
+    assert set(state_folder().glob("fault-*")) == before

@@ -44,12 +44,11 @@ def test_a_program_reads_the_inputs_that_rtde_writes(controller, token):
 @pytest.mark.parametrize(
     "wrong",
     [
-        "write_output_integer_register(10, {bad})\nif True:\nend\nend\nend",
         "write_output_integer_register(10, {bad})\n1 = = 2",
         "write_output_integer_register(10, {bad}",
         "write_output_integer_register(10, {bad})\nthere_is_no_such_function(1)",
     ],
-    ids=["an end too many", "no expression", "a bracket that stays open", "an unknown function"],
+    ids=["no expression", "a bracket that stays open", "an unknown function"],
 )
 def test_a_program_that_cannot_be_read_does_not_run_and_the_next_one_does(controller, token, wrong):
     with controller.rtde(TRACE) as rtde:

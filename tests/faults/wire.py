@@ -21,8 +21,6 @@ _IN_STEP = 0.6  # of the packages come in the control period that they are for
 class ViolationError(AssertionError):
     """An arm was sent what it must never be sent. It is told at the first time, however busy the machine is."""
 
-    never_retried = True
-
 
 def demand(holds, text):
     """Raise unless this holds."""

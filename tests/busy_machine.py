@@ -15,8 +15,9 @@ _TOLD = (
 )
 _PULSE_S = 0.01
 _STILL_S = 0.03  # four control periods of a CB3, fifteen of an e-Series
-_TRIES = 3
+_RERUNS = 5
 _REST_S = 2.0  # what keeps the machine busy may be over then
+_LONGER = 2.0  # each time
 
 
 class _Pulse(threading.Thread):
@@ -51,7 +52,11 @@ class BusyMachine:
     def mark():
         """The marker."""
         return pytest.mark.flaky(
-            reruns=_TRIES - 1, reruns_delay=_REST_S, condition=_is_spoiled, rerun_except=["^ViolationError"]
+            reruns=_RERUNS,
+            reruns_delay=_REST_S,
+            reruns_delay_backoff_factor=_LONGER,
+            condition=_is_spoiled,
+            rerun_except=["^ViolationError"],
         )
 
     def pytest_sessionstart(self):

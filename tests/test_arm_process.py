@@ -301,6 +301,7 @@ def test_a_process_that_was_suspended_sends_nothing_when_it_wakes(pair):
     os.kill(pair.arms[0].process.pid, signal.SIGSTOP)
     pair.cell.wait_until("left", "runtime_state", 1)
     count = pair.cell.ask("setpoints", arm="left")["count"]
+    time.sleep(0.15)  # longer than a program of ours waits, by this clock, too
     os.kill(pair.arms[0].process.pid, signal.SIGCONT)
     assert pair.arms[0].wait(20.0)
     assert pair.memories[0].phase == Phase.FAULTED

@@ -15,9 +15,9 @@ _TOLD = (
 )
 _PULSE_S = 0.01
 _STILL_S = 0.03  # four control periods of a CB3, fifteen of an e-Series
-_RERUNS = 5
+_RERUNS = 7
 _REST_S = 2.0  # what keeps the machine busy may be over then
-_LONGER = 2.0  # each time
+_LONGER = 1.5  # each time
 
 
 class _Pulse(threading.Thread):

@@ -99,7 +99,7 @@ def test_what_an_error_says_is_believed(outcomes):
 
 
 def test_what_always_fails_fails(outcomes):
-    assert outcomes("def test(lab):\n  assert False, 'its RTDE stood still'") == {"failed": 1, "rerun": 5}
+    assert outcomes("def test(lab):\n  assert False, 'its RTDE stood still'") == {"failed": 1, "rerun": 7}
 
 
 def test_what_fails_for_another_reason_is_not_tried_again(outcomes):

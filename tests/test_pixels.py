@@ -158,7 +158,7 @@ def test_drawing_changes_no_bit_of_the_physics(kind):
     plain, drawn = gym.make(SINE), single(kind, **keywords)
     left, right = plain.reset(seed=5), drawn.reset(seed=5)
     assert same(left[1], right[1])
-    for action in actions(24):
+    for action in actions(12):
         left, right = plain.step(action), drawn.step(action)
         drawn.render()
         if kind == "both":

@@ -10,7 +10,7 @@ from dual_ur10.envs.carry_path import MOVES, CarryPath
 from dual_ur10.envs.carry_settings import bar_pose
 from dual_ur10.envs.poses import Poses, after, angle, seen_from
 from dual_ur10.rotations import quat_from_rotvec, rotate
-from tests.soak import SOAK
+from tests.soak import SOAK, scaled
 
 CARRY = "DualUR10/SyncCarry-v0"
 SHORT = 220  # steps after which the bar of the default path is 0.2 m above the table
@@ -319,10 +319,11 @@ def test_an_unpickled_environment_goes_on_as_it_was(keywords):
 )
 def test_it_gets_down_to_the_bar_on_other_cells(cell, rate):
     keywords = {"cell": cell, "policy_rate_hz": rate}
-    env = gym.make_vec(CARRY, num_envs=6, autoreset_mode="Disabled", **keywords)
+    n = scaled(60)
+    env = gym.make_vec(CARRY, num_envs=n, autoreset_mode="Disabled", **keywords)
     policy = policies.load("scripted", CARRY, **keywords)
     observation, _ = env.reset(seed=0)
-    clock = np.full(6, -1.0)
+    clock = np.full(n, -1.0)
     while (clock < 0.3).all():
         observation, _, terminated, _, info = env.step(policy(observation))
         assert not terminated.any(), info["safety"]

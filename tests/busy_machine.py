@@ -69,12 +69,14 @@ class BusyMachine:
 
     def _watched(self, item):
         """Note on what is raised meanwhile that the machine was busy, if it was."""
-        missed, starved = self._pulse.misses, _starved(item)
+        labs = _labs(item)  # those that there are: one that is made meanwhile has not been starved by that
+        missed, starved = self._pulse.misses, [lab.busy() for lab in labs]
         try:
             return (yield)
         except Exception as error:
             time.sleep(2 * _PULSE_S)  # until it is noticed
-            if self._pulse.misses > missed or _starved(item) != starved or any(map(_is_told, _faults(item))):
+            starved = [lab.busy() for lab in labs] != starved
+            if self._pulse.misses > missed or starved or any(map(_is_told, _faults(labs))):
                 error.add_note(_TOLD[0])
             raise
 
@@ -103,12 +105,8 @@ def _labs(item):
     return [each for each in (getattr(item, "funcargs", None) or {}).values() if hasattr(each, "busy")]
 
 
-def _starved(item):
-    return [lab.busy() for lab in _labs(item)]
-
-
-def _faults(item):
-    return [fault.text for fault in (lab.latch.read() for lab in _labs(item)) if fault is not None]
+def _faults(labs):
+    return [fault.text for fault in (lab.latch.read() for lab in labs) if fault is not None]
 
 
 def _is_told(text):

@@ -106,6 +106,18 @@ def test_what_fails_for_another_reason_is_not_tried_again(outcomes):
     assert outcomes("def test(lab):\n  assert Lab.tries == 2") == {"failed": 1}
 
 
+def test_fixtures_that_fail_for_another_reason_are_not_made_again(outcomes):
+    code = """
+@pytest.fixture
+def made(lab):
+    assert Lab.tries == 2
+
+def test(lab, made):
+    pass
+"""
+    assert outcomes(code) == {"error": 1}
+
+
 def test_what_was_not_safe_is_told_at_the_first_time(outcomes):
     assert outcomes("def test(lab):\n  raise ViolationError('sent after it stood still')") == {"failed": 1}
 

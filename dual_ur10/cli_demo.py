@@ -42,9 +42,9 @@ def demo(
         ON_FAILURE,
         TASK_HEADERS,
         TIMING_HEADERS,
-        cut_short,
         figures_of_task,
         figures_of_timing,
+        remarks,
     )
     from dual_ur10.report_handover import HANDOVER_HEADERS, figures_of_episode
     from dual_ur10.report_sine import HEADERS, figures_of
@@ -97,7 +97,7 @@ def demo(
         console.print(f"[yellow]no video:[/] {escape(found.missing)}", soft_wrap=True, highlight=False)
     failures = [each for each in found.emulated if isinstance(each, EmulatedFailure)]
     warnings = [f"not on emulated controllers: {each.run.title}: {each.reason}" for each in failures]
-    for warning in (*warnings, *filter(None, map(cut_short, beside))):
+    for warning in (*warnings, *(each for result in beside for each in remarks(result))):
         console.print(f"[yellow]{escape(warning)}[/]", soft_wrap=True, highlight=False)
     if failures:
         console.print(ON_FAILURE, soft_wrap=True, highlight=False)

@@ -116,7 +116,8 @@ def evaluate(
         if found is not None:
             console.print(found.as_table())
         done = 0 if found is None else len(found.episodes)
-        console.print(f"interrupted after {done} of {episodes} episodes; no file was written", highlight=False)
+        arms = "" if cell is None else "; both arms were told to come to rest: look at them"
+        console.print(f"interrupted after {done} of {episodes} episodes; no result was written{arms}", highlight=False)
         raise typer.Exit(INTERRUPTED) from None
     console.print(found.as_table())
     if json is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 from pathlib import Path
 
 from dual_ur10.errors import DualUR10Error
@@ -48,6 +49,8 @@ def write_text(path: str | Path, text: str) -> None:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
+        if target.exists():
+            part.chmod(stat.S_IMODE(target.stat().st_mode))  # who may read it does not change
         part.replace(target)
     except OSError as error:
         raise DualUR10Error(f"cannot write {path}: {error}") from error

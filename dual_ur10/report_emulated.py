@@ -135,19 +135,26 @@ def _task(result: EmulatedResult) -> str:
         (
             f"<h3>{escape(title)}: simulated and emulated, side by side</h3>",
             table(f"emulated-{name}", TASK_HEADERS[name], rows),
-            text(escape(cut_short(result))) if cut_short(result) else "",
+            *map(text, map(escape, remarks(result))),
             image(figures_emulated.side_by_side(result), f"{title}: errors simulated and emulated over time"),
         )
     )
 
 
-def cut_short(result: EmulatedResult) -> str:
-    """What ended an episode early; "": nothing did."""
-    return " ".join(
-        f"{result.run.title}, {name}: ended after {side.record.time_s[-1]:.2f} s, because {side.record.ended_by}."
+def remarks(result: EmulatedResult) -> list[str]:
+    """What explains figures of an episode: that it was ended early, that this machine kept both arms waiting."""
+    title = result.run.title
+    found = [
+        f"{title}, {name}: ended after {side.record.time_s[-1]:.2f} s, because {side.record.ended_by}."
         for name, side in (("simulated", result.simulated), ("emulated", result.emulated))
         if side.record.ended_by
-    )
+    ]
+    if late := result.emulated.late_actions:
+        found.append(
+            f"{title}, emulated: {late} action{' was' if late == 1 else 's were'} too late, and each time both arms "
+            "came to rest and went on from there: this machine was busy. Run it again when it is quiet."
+        )
+    return found
 
 
 def _words() -> str:

@@ -307,6 +307,20 @@ def test_the_section_shows_both_sides_of_a_task(beside: runs_emulated.EmulatedRe
     assert emulated_section([]) == ""
 
 
+def test_the_section_says_what_ended_an_episode_and_that_the_machine_was_busy(
+    beside: runs_emulated.EmulatedResult,
+) -> None:
+    record = dataclasses.replace(beside.emulated.record, ended_by="<the table>")
+    spoiled = dataclasses.replace(beside.emulated, record=record, late_actions=3)
+    page = Page(emulated_section([dataclasses.replace(beside, emulated=spoiled)]))
+    assert "SineTracking, emulated: ended after" in page.text
+    assert "because <the table>." in page.text
+    assert "3 actions were too late" in page.text
+    assert "SineTracking, simulated" not in page.text
+    quiet = dataclasses.replace(beside.emulated, late_actions=0)
+    assert "too late, and each time" not in Page(emulated_section([dataclasses.replace(beside, emulated=quiet)])).text
+
+
 def test_a_fault_on_emulated_controllers_is_told_and_leaves_nothing_behind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

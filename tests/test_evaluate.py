@@ -697,7 +697,7 @@ def test_randomization_is_a_keyword_of_the_environment(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(module, "evaluate", record)
     code, text = run("SineTracking", "--randomization", "plant", "--set", "randomize=false")
-    assert (code, text) == (130, "interrupted after 0 of 300 episodes; no file was written\n")
+    assert (code, text) == (130, "interrupted after 0 of 300 episodes; no result was written\n")
     assert seen["env_kwargs"] == {"randomization": "plant", "randomize": False}
     assert (seen["episodes"], seen["seed"], seen["num_envs"]) == (300, 0, 8)
 

@@ -58,6 +58,32 @@ def test_the_arms_follow_the_law():
             assert np.abs(trace[:, 0, arm, joint] - expected[TICKS * 4 - 1 :: TICKS * 4]).max() < 5e-6
 
 
+@pytest.mark.parametrize("slow", [0.25, 0.5, 0.8])
+@pytest.mark.parametrize("latency_s", [0.0, 0.016])
+def test_where_time_is_slowed_down_the_law_is_as_much_quicker(slow, latency_s):
+    """As two controllers do it: a curve through the targets, taken every control period, which is a part of a tick."""
+    periods, fine = 50, 800
+    perturbation = Perturbation(latency_s=np.full((1, 2), latency_s))
+    trace, cell = run(perturbation, periods, speed_factor=slow)
+    ticks = np.arange(periods * TICKS + 1)
+    late_s = round(latency_s * slow / STEP_S) * STEP_S
+    times = np.arange(fine * periods) / fine * TICKS  # in ticks of the task
+    transition = ServojLaw(LOOKAHEAD_S * slow, GAIN / slow**2).transition(TICKS * 0.008 / fine)
+    targets = np.concatenate([home(), np.concatenate([wave(k)[0] for k in range(periods)])])
+    for arm, joint in ((0, 0), (1, 3)):
+        # Target k acts from tick k on, and what is held for a control period is late by half of it.
+        held = np.interp(times - slow / 2 - late_s / 0.008 + 1.0, ticks, targets[:, arm, joint])
+        state, end = np.array([targets[0, arm, joint], 0.0]), []
+        for target in held:
+            state = transition @ (state - [target, 0.0]) + [target, 0.0]
+            end.append(state[0])
+        assert np.abs(trace[5:, 0, arm, joint] - np.array(end)[fine - 1 :: fine][5:]).max() < 6e-5
+    state = cell.reset(Start(home()))
+    for _ in range(3):  # nothing of before is left
+        state = cell.advance(Command(np.tile(HOME_Q_RAD, (1, TICKS, 1, 1))))
+    assert np.abs(state.q_rad - home()).max() < 1e-9
+
+
 def test_a_wrong_lookahead_and_a_latency_are_those_of_the_law():
     trace, _ = run(Perturbation(lookahead_scale=np.array([[1.05, 1.2]]), latency_s=np.array([[0.004, 0.006]])))
     targets = np.concatenate([wave(k)[0] for k in range(50)])

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+
+import tomlkit
+from tomlkit.items import InlineTable
 
 from dual_ur10.comparison.fit import ArmFit
 from dual_ur10.errors import CellFileError, DualUR10Error, RecordingError
@@ -40,7 +42,7 @@ def write_back(path: str | Path, header: Header, found: Sequence[ArmFit]) -> Pat
 
     Raises:
         RecordingError: The run is not one of this cell, or there is no certain estimate for an arm. Nothing is written.
-        CellFileError: The cell file is not legal. Nothing is written.
+        CellFileError: The cell file is not legal, or would not be. Nothing is written.
         DualUR10Error: A file cannot be written. The cell file is as it was.
     """
     target = check_target(path)
@@ -113,23 +115,28 @@ def _check_same_cell(cell: CellFile, header: Header) -> None:
 
 
 def _updated(text: str, wanted: CellFile, measured: Sequence[Measured]) -> str:
-    """The file with its comments, if it can be changed in place; else as the cell writes itself."""
-    changed = text
+    """The file with what was measured, and all else as it stands there.
+
+    Raises:
+        CellFileError: What comes of it is not what is wanted.
+    """
+    document = tomlkit.parse(text)
     for arm, each in zip(ARMS, measured, strict=True):
-        table = f"[{arm}.measured]\nlookahead_s = {each.lookahead_s!r}\nlatency_s = {each.latency_s!r}\n"
-        # The table's header, and lines of keys, comments and nothing up to the next header.
-        place = re.compile(
-            rf"^[ \t]*\[[ \t]*{arm}[ \t]*\.[ \t]*measured[ \t]*\][^\n]*\n(?:[ \t]*[a-z_]+_s[^\n]*\n?)*", re.M
+        entry: Any = document[arm]
+        if "measured" not in entry:
+            inline = isinstance(entry, InlineTable)
+            entry["measured"] = tomlkit.inline_table() if inline else tomlkit.table()
+        entry["measured"]["lookahead_s"], entry["measured"]["latency_s"] = each.lookahead_s, each.latency_s
+    changed = document.as_string()
+    found, findings = examine_text(changed)
+    if found is None or replace(found, source=wanted.source) != wanted:
+        reason = findings[0] if findings else "it would say something else"
+        raise CellFileError(
+            f"{wanted.source}: what was measured cannot be put into this file: {reason}. Nothing was changed; put "
+            + "".join(f"[{arm}.measured] {each}, " for arm, each in zip(ARMS, measured, strict=True))
+            + "into it by hand"
         )
-        if place.search(changed):
-            changed = place.sub(lambda found, table=table: table, changed, count=1)  # type: ignore[misc]  # bound now
-        else:
-            changed = f"{changed.rstrip()}\n\n{table}"
-    with contextlib.suppress(CellFileError):
-        cell, _ = examine_text(changed)
-        if cell is not None and cell == wanted:
-            return changed
-    return wanted.text()
+    return changed
 
 
 def _keep(target: Path) -> Path:

@@ -14,6 +14,7 @@ from dual_ur10.comparison.clock import uneven_s
 from dual_ur10.comparison.lags import lag
 from dual_ur10.comparison.numbering import rests
 from dual_ur10.comparison.parity import Parity, parity
+from dual_ur10.comparison.remaking import replayed_keywords
 from dual_ur10.comparison.series import NO_SPREAD, Spread, Value, at, lengths, none, rising, spread
 from dual_ur10.comparison.timing import Timing, timing
 from dual_ur10.comparison.tracks import Track, flange_of, mounts_of, tracks
@@ -126,16 +127,16 @@ def compare(run_a: Run, run_b: Run) -> Comparison:
     step_s = max(each.header.tick_s for each in runs)
     mounts = (mounts_of(run_a.header), mounts_of(run_b.header))
     count = min(len(each.episodes) for each in runs)
-    both = [(tracks(run_a, number), tracks(run_b, number)) for number in range(count)]
-    grids = [_common(number, each, step_s) for number, each in enumerate(both)]
+    kept, left_out = _shared(runs, count, step_s)
+    both, grids = [each[1] for each in kept], [each[2] for each in kept]
     lags = [_lag(both, grids, arm, step_s) for arm in range(2)]
-    pairs = tuple(_pair(k, *each, grid, lags, mounts) for k, (each, grid) in enumerate(zip(both, grids, strict=True)))
+    pairs = tuple(_pair(number, *each, grid, lags, mounts) for number, each, grid in kept)
     arms = [
         ArmComparison(
             lag=lags[arm],
             found=_differences(pairs, arm, mounts, free=False),
             free=None if lags[arm].reason else _differences(pairs, arm, mounts, free=True),
-            sent=parity([(a[arm], b[arm]) for a, b in both], run_b.header.latency_ticks - run_a.header.latency_ticks),
+            sent=_parity(runs, [(a[arm], b[arm]) for a, b in both]),
         )
         for arm in range(2)
     ]
@@ -149,8 +150,50 @@ def compare(run_a: Run, run_b: Run) -> Comparison:
         timing=(timing(run_a), timing(run_b)),
         pairs=pairs,
         step_s=step_s,
-        notes=tuple(_notes(runs, mounts, count)),
+        notes=(*_notes(runs, mounts, count), *left_out),
     )
+
+
+_Tracks = tuple[tuple[Track, Track], tuple[Track, Track]]
+
+
+def _shared(runs: tuple[Run, Run], count: int, step_s: float) -> tuple[list[tuple[int, _Tracks, Array]], list[str]]:
+    """Episodes that can be compared, with the times at which they are, and why others cannot.
+
+    Raises:
+        RecordingError: None can.
+    """
+    kept: list[tuple[int, _Tracks, Array]] = []
+    left_out: list[str] = []
+    first: RecordingError | None = None
+    for number in range(count):
+        try:
+            _check_begin(runs, number)
+            each = tracks(runs[0], number), tracks(runs[1], number)
+            kept.append((number, each, _common(number, each, step_s)))
+        except RecordingError as error:
+            first = first or error
+            left_out.append(f"episode {number} was left out: {error}")
+    if first is not None and not kept:
+        raise first
+    return kept, left_out
+
+
+def _check_begin(runs: tuple[Run, Run], number: int) -> None:
+    for name, run in zip("AB", runs, strict=True):
+        first = run.episodes[number].first_step
+        if first:
+            raise RecordingError(
+                f"in run {name} it begins with its step {first}, as in a black box: only whole episodes are compared. "
+                "Compare the run that it is of"
+            )
+
+
+def _parity(runs: tuple[Run, Run], episodes: list[tuple[Track, Track]]) -> Parity:
+    a, b = (each.header for each in runs)
+    if a.tick_s != b.tick_s:
+        return Parity(0, 0, None, 0.0)  # target n is for another time
+    return parity(episodes, b.latency_ticks - a.latency_ticks)
 
 
 def _check(runs: tuple[Run, Run]) -> None:
@@ -268,6 +311,13 @@ def _notes(runs: tuple[Run, Run], mounts: tuple[Mounts, Mounts], count: int) -> 
         replayed = what == "seeds" and any("replays" in each.extra for each in (a, b))
         if left != right and not replayed:
             notes.append(f"{what} differ: {left} in run A, {right} in run B")
+    if a.tick_s != b.tick_s:
+        notes.append("control periods differ: whether the same targets were sent is not compared")
+    ours, theirs = (replayed_keywords(each) for each in (a, b))
+    for name in sorted({*ours, *theirs}):
+        left, right = (repr(each[name]) if name in each else "not given" for each in (ours, theirs))
+        if left != right:
+            notes.append(f"{name} of the environment differs: {left:.200} in run A, {right:.200} in run B")
     if mounts[0] != mounts[1]:
         notes.append("bases or calibrations differ: each run's flanges are by its own")
     return notes

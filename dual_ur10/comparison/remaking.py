@@ -42,6 +42,8 @@ _SIMULATED: Final = ("randomization", "observation", "cameras", "pixels_rate_hz"
 """Keywords that mean nothing to arms."""
 
 
+_LATENCY: Final = "action_latency_ticks"
+
 _KINDS: Final[dict[type[Any], dict[str, type[Any]]]] = {
     CellConfig: {
         "left": ArmMount,
@@ -74,18 +76,26 @@ def keywords_of(header: Header, cell: str | Path | CellConfig | None = None) -> 
         )
     left_out = _SEEN if cell is None and header.source == "mujoco" else _SIMULATED
     keywords = {name: value for name, value in header.kwargs.items() if name not in (*left_out, "task")}
-    keywords["action_latency_ticks"] = header.latency_ticks
+    keywords[_LATENCY] = header.latency_ticks
     if cell is not None:
         needed = resolve_cell(cell).latency_ticks
-        return {**keywords, "cell": cell, "action_latency_ticks": max(header.latency_ticks, needed)}
+        return {**keywords, "cell": cell, _LATENCY: max(header.latency_ticks, needed)}
     try:
         if header.source != "mujoco":
             keywords["cell"] = _simulated(header)
         elif isinstance(keywords.get("cell"), Mapping):
             keywords["cell"] = _built(CellConfig, keywords["cell"])
+        elif keywords.get("cell", "mujoco") != "mujoco":
+            # A path would be that of arms, which nobody asked to move.
+            raise SettingsError(f"it is {keywords['cell']!r:.80}, and a simulated run's is not a file")
     except (SettingsError, UnknownNameError, LookupError, TypeError, ValueError) as error:
         raise RecordingError(f"the cell of the recording is not legal: {error}. It is damaged") from error
     return keywords
+
+
+def replayed_keywords(header: Header) -> dict[str, Any]:
+    """Keywords of a run's environment that a replay passes on, wherever it plays it."""
+    return {name: value for name, value in header.kwargs.items() if name not in (*_SIMULATED, "task", "cell", _LATENCY)}
 
 
 def _simulated(header: Header) -> CellConfig:
@@ -131,7 +141,8 @@ def generator_of(run: Run, number: int) -> np.random.Generator | None:
         RecordingError: What was recorded is no generator.
     """
     texts = [each.text for each in run.events if each.kind == "generator"]
-    if number >= len(texts):
+    number -= bool(run.episodes and run.episodes[0].first_step)  # that of an episode whose beginning is gone is gone
+    if not 0 <= number < len(texts):
         return None
     try:
         generator = np.random.default_rng(0)
@@ -166,8 +177,8 @@ def check_replayable(header: Header, config: CellConfig) -> None:
     for name, factor in (("recording", header.speed_factor), ("cell", config.speed_factor)):
         if not 0.0 < factor <= 1.0:
             raise RecordingError(
-                f"the speed_factor of the {name} is {factor!r}: above 0 and at most 1 is expected. Nothing is played "
-                "faster than it was commanded; correct the cell file, or record the run anew"
+                f"the speed_factor of the {name} is {factor!r}: above 0 and at most 1 is expected, for nothing is "
+                "played faster than in the time of its task. Correct the cell file, or record the run anew"
             )
     servoj = config.servoj
     if header.family not in TICK_S or abs(TICK_S[header.family] - header.tick_s) > 1e-9:

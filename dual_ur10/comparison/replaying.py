@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.comparison.parity import bits_equal
 from dual_ur10.comparison.remaking import check_replayable, check_same_actions, generator_of, keywords_of, resets_of
-from dual_ur10.errors import RecordingError
+from dual_ur10.errors import DualUR10Error, RecordingError
 from dual_ur10.recording.reader import file_of
 from dual_ur10.recording.run import Episode, Run
 from dual_ur10.recording.scan import open_regular
@@ -137,6 +137,11 @@ def episode_of(run: Run, number: int) -> Episode:
         have = f"episodes 0 to {len(run.episodes) - 1}" if run.episodes else "no episode"
         raise RecordingError(f"the recording has {have}: there is no episode {number}. Name another")
     episode = run.episodes[number]
+    if episode.first_step:
+        raise RecordingError(
+            f"episode {number} of the recording begins with its step {episode.first_step}, as in a black box: it "
+            "cannot be played from where it began. Replay the run that it is of"
+        )
     if not len(episode.action):
         raise RecordingError(f"episode {number} of the recording has no action: there is nothing to play. Name another")
     if not np.isfinite(episode.action).all():
@@ -176,7 +181,15 @@ def replay(
     if cell is not None:
         check_replayable(header, resolve_cell(cell))  # before anything is connected to
     made = keywords_of(header, cell)
-    env = gym.make(header.env_id, disable_env_checker=True, **{**made, **(keywords or {})})
+    made |= {"disable_env_checker": True, **(keywords or {})}
+    try:
+        env = gym.make(header.env_id, **made)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, DualUR10Error):
+            raise
+        raise RecordingError(
+            f"the environment of the recording cannot be made: {error}. It is damaged, or of another version"
+        ) from error
     try:
         core = env.unwrapped.core  # type: ignore[attr-defined]  # Gymnasium knows only Env
         check_replayable(header, core.config)

@@ -22,6 +22,7 @@ from dual_ur10.comparison.series import (
     spread,
 )
 from dual_ur10.comparison.tracks import Track, flange_of, mounts_of, tracks
+from dual_ur10.errors import RecordingError
 from dual_ur10.recording.run import Run
 
 Array = NDArray[np.float64]
@@ -133,9 +134,9 @@ def timing(run: Run) -> Timing:
     """Figures of a run, over all its episodes.
 
     Raises:
-        RecordingError: Nothing was recorded of an arm in an episode.
+        RecordingError: Of no episode enough was recorded of both arms.
     """
-    episodes = [tracks(run, number) for number in range(len(run.episodes))]
+    episodes = _episodes(run)
     arms = [
         ArmTiming(
             behind=_first_of([behind(each[arm], run.header.tick_s) for each in episodes]),
@@ -149,6 +150,19 @@ def timing(run: Run) -> Timing:
     skews_s = np.concatenate(skews) if skews else np.zeros(0)
     reason = "" if skews_s.size else "no target was sent to both arms"
     return Timing((arms[0], arms[1]), spread(skews_s), reason, skews_s)
+
+
+def _episodes(run: Run) -> list[tuple[Track, Track]]:
+    """Those of which enough was recorded: an episode that was ended at once says nothing of the others."""
+    found, first = [], None
+    for number in range(len(run.episodes)):
+        try:
+            found.append(tracks(run, number))
+        except RecordingError as error:
+            first = first or error
+    if first is not None and not found:
+        raise first
+    return found
 
 
 def _first_of(values: list[Value]) -> Value:
@@ -223,8 +237,8 @@ def _ripple(run: Run, arms: list[Track], arm: int) -> Ripple:
 
 
 def _repeatability(run: Run, arm: int) -> Repeatability:
-    count = len(run.episodes)
-    starts = [each.q_rad[0, arm] for each in run.episodes]
+    starts = [each.q_rad[0, arm] for each in run.episodes if not each.first_step]
+    count = len(starts)
     same = [each for each in starts if np.abs(each - starts[0]).max() <= SAME_START_RAD]
     if len(same) < 2:
         few = f"of {count} episodes, no other begins at the pose of the first"

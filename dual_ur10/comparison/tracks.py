@@ -25,6 +25,8 @@ from dual_ur10.ur10 import ARMS, DHParameters
 
 Array = NDArray[np.float64]
 
+_MOST_APART: Final = 100.0  # ticks from state to state, on average
+_MOST_PAUSED_S: Final = 600.0
 _STRAIGHT_TICKS: Final = 2.0  # by which targets may be off a straight line and it is one
 
 
@@ -97,7 +99,7 @@ def track(run: Run, number: int, arm: int) -> Track:
         arm: 0 or 1.
 
     Raises:
-        RecordingError: There is no such episode, or nothing was recorded of the arm in it.
+        RecordingError: There is no such episode, or not enough was recorded of the arm in it.
     """
     if not 0 <= number < len(run.episodes):
         raise RecordingError(f"the recording has {len(run.episodes)} episodes: there is no number {number}")
@@ -127,6 +129,11 @@ def track(run: Run, number: int, arm: int) -> Track:
             "Compare another episode, or another recording"
         )
     time_s = time_s[ordered]
+    if time_s[-1] - time_s[0] > _MOST_PAUSED_S + _MOST_APART * header.tick_s * len(time_s):
+        raise RecordingError(
+            f"{ARMS[arm]}: {len(time_s)} states were recorded in {time_s[-1] - time_s[0]:.0f} s of episode {number}, "
+            f"not one in {header.tick_s:g} s. The recording is damaged; compare another episode, or another recording"
+        )
     reference = log.state.get("target_q_rad")
     return Track(
         sent_s=sent_s,

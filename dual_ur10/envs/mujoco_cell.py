@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.envs.physics import Physics
-from dual_ur10.envs.reference import ServojReference, TargetDelay
+from dual_ur10.envs.reference import ServojReference, SlowedTargets, TargetDelay
 from dual_ur10.errors import ClosedError, SettingsError
 from dual_ur10.recording.rows import Trace
 from dual_ur10.sim2real.adapter import Command
@@ -53,8 +53,10 @@ class MujocoCell:
         self.threads = threads
         self.steps = ticks * config.substeps
         self._queue = CommandQueue(n, latency_ticks)
-        self._delay = TargetDelay(n, config.substeps)
-        self._reference = ServojReference(config.servoj, n, config.substeps, ticks)
+        slow = config.speed_factor
+        self._slowed = None if slow == 1.0 else SlowedTargets(n, config.substeps, slow)
+        self._delay = TargetDelay(n, 1 if self._slowed else config.substeps)
+        self._reference = ServojReference(config.servoj, n, config.substeps, ticks, slow)
         self._elapsed = np.zeros(n, dtype=np.int64)
         self._tick_s = np.float64(config.servoj.tick_s)
         self._values = config.perturbation.expanded(n)
@@ -68,11 +70,13 @@ class MujocoCell:
     def _perturb(self, rows: Rows) -> None:
         """Let the plant of `rows` differ from what is believed of it, as `_values` says."""
         values = self._values
-        step_s = self.config.timestep_s or self.config.scene.timestep_s
+        # Time that passes for controllers is less of the task's, where that is slowed down.
+        step_s = (self.config.timestep_s or self.config.scene.timestep_s) / self.config.speed_factor
         self._delay.latency = np.rint(values["latency_s"] / step_s).astype(np.int64)
         self._delay.jitter = np.rint(values["jitter_s"] / step_s).astype(np.int64)
         self._delay.loss = values["loss"]
-        self._reference.set_lookahead(values["lookahead_scale"], delayed=self._delayed, uneven=self._uneven)
+        delayed = self._delayed or self._slowed is not None
+        self._reference.set_lookahead(values["lookahead_scale"], delayed=delayed, uneven=self._uneven)
         self._open.perturb(values, rows)
 
     def reset(
@@ -101,6 +105,8 @@ class MujocoCell:
         physics.reset(start, rows)
         self._queue.reset(q, rows, start.gripper_m)
         self._delay.reset(q, rows, [0] * len(rows) if seeds is None else seeds)
+        if self._slowed is not None:
+            self._slowed.reset(q, rows)
         self._reference.reset(q, rows)
         self._elapsed[rows] = 0
         self._trace = None
@@ -117,6 +123,8 @@ class MujocoCell:
         """
         physics, command = self._open, self._queue(command)
         targets = command.targets_rad
+        if self._slowed is not None:
+            targets = self._slowed(targets)
         if self._delayed:
             targets = self._delay(targets)
         motion = self._reference(targets)

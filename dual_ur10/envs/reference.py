@@ -78,6 +78,38 @@ class TargetDelay:
         self._arrivals = np.where(np.arange(first, known.shape[1])[None, :, None] < latest[:, None], _NEVER, kept)
 
 
+class SlowedTargets:
+    """What controllers are sent where a task's time is slowed down: a curve through its targets.
+
+    Each of their control periods is a small part of one of the task's; here each physics step is one. The next targets
+    are not known yet, so the curve goes on from the last three by a parabola.
+
+    Args:
+        n: Number of cells.
+        substeps: Physics steps per tick.
+        speed_factor: How fast the task's time passes.
+    """
+
+    def __init__(self, n: int, substeps: int, speed_factor: float) -> None:
+        # What is held for a control period is late by half of it, which is so much of the task's.
+        ahead = (np.arange(substeps) + 0.5) / substeps - speed_factor / 2
+        weights = [1.0 + ahead * (1.5 + 0.5 * ahead), -ahead * (2.0 + ahead), ahead * (0.5 + 0.5 * ahead)]
+        self._weights: Array = np.array(weights)[:, :, None, None]
+        self._past: Array = np.zeros((n, 2, 2, 6))
+
+    def reset(self, q_rad: Array, rows: Rows) -> None:
+        """Start `rows` with nothing but the target `q_rad`, (len(rows), 2, 6)."""
+        self._past[rows] = q_rad[:, None]
+
+    def __call__(self, targets: Array) -> Array:
+        """Targets of each physics step, (n, ticks * substeps, 2, 6), from those of each tick, (n, ticks, 2, 6)."""
+        known = np.concatenate([self._past, targets], axis=1)
+        self._past = known[:, -2:]
+        last, before, first = known[:, 2:, None], known[:, 1:-1, None], known[:, :-2, None]
+        curve: Array = self._weights[0] * last + self._weights[1] * before + self._weights[2] * first
+        return curve.reshape(len(targets), -1, 2, 6)
+
+
 class ServojReference:
     """The servoj law of every arm, and the motion it asks for at every physics step.
 
@@ -90,10 +122,12 @@ class ServojReference:
         n: Number of cells.
         substeps: Physics steps per tick.
         ticks: Ticks per call.
+        speed_factor: How fast the time of the targets passes: seen from there, the law is so much quicker.
     """
 
-    def __init__(self, profile: ServojProfile, n: int, substeps: int, ticks: int) -> None:
+    def __init__(self, profile: ServojProfile, n: int, substeps: int, ticks: int, speed_factor: float = 1.0) -> None:
         self.profile, self.n, self.substeps, self.ticks = profile, n, substeps, ticks
+        self._slow = speed_factor
         self.steps = ticks * substeps
         # Rows: position, speed, and the last difference of positions over the physics step.
         self._state: Array = np.zeros((n, 3, 12))
@@ -127,7 +161,7 @@ class ServojReference:
 
     def _matrix(self, scale: float, hold: int) -> Array:
         """Rows: positions before, speeds after and accelerations in every step; then the state at the end."""
-        law = ServojLaw(self.profile.lookahead_s * scale, self.profile.gain)
+        law = ServojLaw(self.profile.lookahead_s * scale * self._slow, self.profile.gain / self._slow**2)
         dt, steps = self.profile.tick_s / self.substeps, self.steps
         response = law.response(dt, steps, hold)
         inputs = 3 + response.shape[2] - 2

@@ -175,14 +175,7 @@ def _simulated(cell: str | os.PathLike[str]) -> tuple[CellConfig, int]:
     from dual_ur10.sim2real.cell_file import load_cell_file
 
     file = load_cell_file(os.fspath(cell))
-    config, latency = file.simulated(), file.config().latency_ticks
-    slow = config.speed_factor
-    # A simulation's time is that of its task: what may not be exceeded in real time is more in that.
-    caps: dict[str, Any] = {
-        limit: None if (value := getattr(config, limit)) is None else value / slow**power
-        for limit, power in (("speed_rad_s", 1), ("tcp_speed_m_s", 1), ("acceleration_rad_s2", 2), ("jerk_rad_s3", 3))
-    }
-    return dataclasses.replace(config, speed_factor=1.0, **caps), latency
+    return file.simulated(), file.config().latency_ticks
 
 
 def _budget_s(env: Any) -> float:

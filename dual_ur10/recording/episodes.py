@@ -126,4 +126,5 @@ def _episode(head: dict[str, Any], steps: list[dict[str, Any]], ticks: int) -> E
         flange_m=all_of("flange_m", 2, 3, begin=True),
         initial_state=head["initial_state"] or None,
         first_target=all_of("first_target", dtype=np.int64) if told else None,
+        first_step=first,
     )

@@ -15,6 +15,7 @@ SOURCES: Final = ("mujoco", "emulated", "real")
 _FAMILIES: Final = ("cb3", "e-series")
 _MOST_TEXT: Final = 16 * 2**20
 _MOST_TICKS: Final = 10_000
+_MOST_SERVOJ: Final = 1e6
 
 # Types of JSON for each annotation of `Header`.
 _TYPES: Final[dict[str, tuple[type, ...]]] = {
@@ -60,6 +61,14 @@ def header_of(metadata: dict[str, str]) -> Header:
     for name, allowed in (("source", SOURCES), ("family", _FAMILIES)):
         if values[name] not in allowed:
             raise RecordingError(f"its header says {name} {values[name]!r:.80}: allowed are {', '.join(allowed)}")
+    for arm in values["servoj"]:
+        for name in ("lookahead_s", "gain"):
+            number = arm.get(name)
+            if isinstance(number, bool) or not isinstance(number, int | float) or not 0.0 < number < _MOST_SERVOJ:
+                raise RecordingError(
+                    f"its header says servoj {name} {number!r:.80}: a number above 0 and below {_MOST_SERVOJ:g} is "
+                    "expected"
+                )
     return Header(**values)
 
 

@@ -18,6 +18,7 @@ from dual_ur10.recording.run import Event, Header
 from dual_ur10.recording.schemas import EPISODE_TOPIC, EVENT, EVENT_TOPIC, STEP_TOPIC, TOPICS
 from dual_ur10.recording.writer import LEAST_FREE_BYTES
 from dual_ur10.sim2real.child import Child
+from dual_ur10.sim2real.interrupts import held_back
 
 _LOG: Final = logging.getLogger(__name__)
 
@@ -138,7 +139,9 @@ class RecorderProcess:
     def _single(self, topic: str, time_s: float, data: bytes) -> None:
         self._tell(TOPICS.index(topic), time_s, data)
 
+    @held_back()
     def _tell(self, kind: int, time_s: float, data: bytes) -> None:
+        # Not to be interrupted: what was written to the pipe, and not taken out of what waits, would be written twice.
         if self._connection.closed:
             return
         if len(self._waiting) > _MOST_WAITING:

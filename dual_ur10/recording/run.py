@@ -106,6 +106,7 @@ class Episode:
         initial_state: Of MuJoCo after the reset; None outside simulation.
         first_target: (m,) number of the first of each step's targets, among those that were sent (`ArmLog.sent`,
             "index"); `LATE` where nothing of it was sent. None: it was not recorded.
+        first_step: Number of step 0 here in the episode: above 0 in a black box that begins within one.
     """
 
     seed: int | None
@@ -126,6 +127,7 @@ class Episode:
     flange_m: Array
     initial_state: bytes | None
     first_target: NDArray[np.int64] | None = None
+    first_step: int = 0
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,10 @@ def scan(path: Path, *, wanted: frozenset[str], most_bytes: int = MOST_BYTES) ->
     file, size = open_regular(path)
     with file:
         if size > most_bytes:
-            raise RecordingError(f"{path} has {size} bytes: allowed are {most_bytes}")
+            raise RecordingError(
+                f"{path} has {size} bytes: allowed are {most_bytes}, as all of it is held in memory. It is whole, and "
+                "other programs read it; record fewer episodes in one run"
+            )
         try:
             return _Scan(file, size, wanted).run()
         except RecordingError as error:

@@ -17,6 +17,7 @@ from dual_ur10.recording.run import Event, Header
 from dual_ur10.recording.schemas import EPISODE_TOPIC, SIMULATED_COLUMNS, STEP_TOPIC
 from dual_ur10.recording.writer import LEAST_FREE_BYTES, RunWriter
 from dual_ur10.rotations import quat_to_rotvec
+from dual_ur10.sim2real.interrupts import held_back
 from dual_ur10.ur10 import NOMINAL_DH, DHParameters
 
 Array = NDArray[np.float64]
@@ -27,7 +28,8 @@ _ROW: Final = sum(size for _, size in SIMULATED_COLUMNS)
 class SimulationRecord:
     """Records a run of one simulated cell, step by step, as a `dual_ur10.recording.rows.RunRecorder`.
 
-    The run's clock is the simulated time of its episodes, one after the other.
+    The run's clock is the simulated time of its episodes, one after the other. Ctrl-C waits until what is written is
+    whole: a message that is half in the file, or not in its checksum, would make all of it unreadable.
 
     Args:
         folder: Of the run; it exists.
@@ -57,6 +59,7 @@ class SimulationRecord:
         """Where the run's clock stands."""
         return self._begin_s + self._ticks * self._tick_s
 
+    @held_back()
     def begin_episode(self, row: BeginRow) -> None:
         """An episode begins where the one before ended.
 
@@ -68,6 +71,7 @@ class SimulationRecord:
         self.writer.single(EPISODE_TOPIC, self._begin_s, row.encode(self._episode, self._begin_s))
         self.writer.flush()
 
+    @held_back()
     def step(self, row: StepRow, trace: Trace | None = None) -> None:
         """A step is done. Of a step whose physics diverged, what is finite is kept.
 
@@ -109,6 +113,7 @@ class SimulationRecord:
             sent[:, 2], sent[:, 4:] = sent_s, trace.sent_rad[:, arm]
             self.writer.sent(arm, sent)
 
+    @held_back()
     def event(self, kind: str, text: str, arm: str = "", time_s: float | None = None) -> None:
         """Something happened.
 
@@ -120,6 +125,7 @@ class SimulationRecord:
         self.writer.flush()
         self._log(event)
 
+    @held_back()
     def close(self) -> None:
         """The run is over. May be called twice.
 

@@ -192,6 +192,63 @@ def test_fewer_episodes_and_a_cut_off_run_are_noted() -> None:
     assert "run B was cut off" in " ".join(found.notes)
 
 
+@pytest.mark.parametrize("short", [0, 1, 2])
+def test_an_episode_that_says_too_little_is_left_out_and_the_others_are_compared(short: int) -> None:
+    made, whole = run(seconds=2.0, episodes=3), run(seconds=2.0, episodes=3)
+    episodes = list(made.episodes)
+    # It was ended by a reset before its first step.
+    episodes[short] = replace(
+        episodes[short], action=np.zeros((0, 12)), targets_rad=np.zeros((0, 5, 2, 6)), reward=np.zeros(0)
+    )
+    for a, b in ((replace(made, episodes=episodes), whole), (whole, replace(made, episodes=episodes))):
+        found = compare(a, b)
+        assert [each.number for each in found.pairs] == [k for k in range(3) if k != short]
+        assert f"episode {short} was left out: left: 0 targets were recorded" in " ".join(found.notes)
+        assert found.arms[0].sent.is_exact
+        assert [each.arms[0].late.targets for each in found.timing] == [500 + 250 * (each is whole) for each in (a, b)]
+    with pytest.raises(RecordingError, match="0 targets were recorded"):
+        compare(replace(made, episodes=episodes[short : short + 1]), whole)
+
+
+def test_a_black_box_is_compared_with_nothing() -> None:
+    whole = run(seconds=2.0, episodes=2)
+    within = replace(whole, episodes=[replace(whole.episodes[0], first_step=7), whole.episodes[1]])
+    found = compare(whole, within)
+    assert [each.number for each in found.pairs] == [1]
+    assert "in run B it begins with its step 7" in " ".join(found.notes)
+    assert (
+        "of 1 episodes" in found.timing[1].arms[0].repeatability.reason or found.timing[1].arms[0].repeatability.reason
+    )
+    with pytest.raises(RecordingError, match="in run A it begins with its step 7, as in a black box"):
+        compare(replace(within, episodes=within.episodes[:1]), whole)
+
+
+def test_states_that_are_years_apart_fill_no_memory() -> None:
+    made = run(seconds=2.0)
+    state = {name: values.copy() for name, values in made.arms[0].state.items()}
+    sent = {name: values.copy() for name, values in made.arms[0].sent.items()}
+    for values in (state["arrival_s"], state["timestamp_s"], sent["sent_s"]):
+        values[-1] += 1e8
+    with pytest.raises(RecordingError, match=r"left: \d+ states were recorded in 1000000\d\d s of episode 0"):
+        timing(with_arm(made, 0, state=state, sent=sent))
+
+
+def test_environments_that_differ_are_mentioned() -> None:
+    a = run(seconds=2.0, kwargs={"amplitude_m": 0.03, "cell": {"x": 1}, "randomization": "mild"})
+    b = run(seconds=2.0, kwargs={"amplitude_m": 0.1, "axis": "z"})
+    text = " ".join(compare(a, b).notes)
+    assert "amplitude_m of the environment differs: 0.03 in run A, 0.1 in run B" in text
+    assert "axis of the environment differs: not given in run A, 'z' in run B" in text
+    assert "cell of" not in text
+    assert "randomization of" not in text
+
+
+def test_targets_of_other_control_periods_are_not_held_against_each_other() -> None:
+    found = compare(run(seconds=2.0), run(seconds=2.0, family="e-series", tick_s=0.002))
+    assert found.arms[0].sent.compared == 0
+    assert "control periods differ" in " ".join(found.notes)
+
+
 # Actions that came too late, and clocks that do not run through.
 
 

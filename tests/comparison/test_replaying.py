@@ -132,6 +132,19 @@ def test_a_run_of_controllers_is_played_in_simulation(sine: Run) -> None:
     assert found.steps == STEPS
 
 
+@pytest.mark.parametrize("slow", [0.25, 0.5])
+def test_a_run_that_was_slowed_down_is_replayed_without_another_lag(tmp_path: Path, slow: float) -> None:
+    full = record(tmp_path / "full", SINE, [5], 100)
+    cell = CellConfig(speed_factor=slow)
+    slowed = record(tmp_path / "slowed", SINE, [5], 100, cell=cell)
+    found = compare(full, slowed)
+    # A law of 30 ms at full speed, 7.5 at a quarter: the adapter takes out what there is.
+    for arm in found.arms:
+        assert abs(arm.lag.value) < 2e-4
+        assert arm.found.flange_m.most < 1e-4
+    assert replay(slowed).is_exact
+
+
 def test_an_episode_that_ends_early_says_so(tmp_path: Path) -> None:
     run = record(tmp_path / "run", SINE, [1], 10_000, duration_s=1.0)
     episode = run.episodes[0]
@@ -241,6 +254,31 @@ def test_a_cell_is_refused_before_anything_is_made(sine: Run, tmp_path: Path) ->
     path.write_text(text)
     with pytest.raises(RecordingError, match="the cell has e-series"):
         replay(sine, path)
+
+
+@pytest.mark.parametrize("cell", ["lab.toml", "/root/lab.toml", "./x/y"])
+def test_a_recording_that_says_it_is_simulated_moves_no_arms(sine: Run, tmp_path: Path, cell: str) -> None:
+    with pytest.raises(RecordingError, match="a simulated run's is not a file"):
+        replay(replace(sine, header=replace(sine.header, kwargs={"cell": cell})))
+
+
+@pytest.mark.parametrize("keywords", [{"cameras": [[1]]}, {"id": "x"}])
+def test_keywords_that_no_environment_takes_are_refused(sine: Run, keywords: dict[str, Any]) -> None:
+    with pytest.raises(RecordingError, match=r"cannot be made|not legal"):
+        replay(replace(sine, header=replace(sine.header, kwargs=keywords)))
+
+
+def test_what_begins_within_an_episode_is_not_played(sine: Run) -> None:
+    within = replace(
+        sine, episodes=[replace(sine.episodes[0], first_step=3), *sine.episodes[1:]], events=sine.events[1:]
+    )
+    with pytest.raises(RecordingError, match="begins with its step 3, as in a black box"):
+        replay(within)
+    texts = [each.text for each in sine.events if each.kind == "generator"]
+    assert len(texts) == len(sine.episodes)
+    events = [each for each in sine.events if each.text != texts[0]]
+    assert replay(replace(within, events=events), episode=2).is_exact  # by its own generator
+    assert replay(replace(within, events=events), episode=1).is_exact
 
 
 def test_on_controllers_nothing_of_simulation_is_asked_for(tmp_path: Path) -> None:

@@ -118,8 +118,14 @@ def moves(host):
     return done
 
 
+def _seen(receive):
+    """Time and q of one package; `None` where they were of two, as the values of two calls may be."""
+    before, q = receive.getTimestamp(), receive.getActualQ()
+    return [before, q] if receive.getTimestamp() == before else None
+
+
 def servo(host, count, period_s):
-    """Stream servoJ with a time of its own per call, and come to rest. Returns all targets."""
+    """Stream servoJ with a time of its own per call, and come to rest. Returns targets, and one q after them."""
     control, receive = _interfaces(host)
     home = receive.getActualQ()
     targets, late = [], 0
@@ -133,11 +139,15 @@ def servo(host, count, period_s):
         left = due - time.monotonic()
         late += left < 0
         time.sleep(max(0.0, left))
+    time.sleep(0.05)
+    seen = None
+    for _ in range(1000):  # at once, but where a package comes in between
+        seen = seen or _seen(receive)
     time.sleep(0.5)
     end = receive.getActualQ()
     control.servoStop()
     control.stopScript()
-    return {"home": home, "targets": targets, "end": end, "late": late}
+    return {"home": home, "targets": targets, "seen": seen, "end": end, "late": late}
 
 
 def servo_both(hosts, count, period_s):
@@ -155,10 +165,7 @@ def servo_both(hosts, count, period_s):
         for arm in range(2):
             sent[arm].append(_shifted(home[arm], [swing, -swing, swing, swing, -swing, k * 1e-7]))
             control[arm].servoJ(sent[arm][-1], 0.0, 0.0, period_s, 0.05, 800)
-            # The values of two calls may be of two packages: only where the time is the same before and after.
-            before, q = receive[arm].getTimestamp(), receive[arm].getActualQ()
-            if receive[arm].getTimestamp() == before:
-                seen[arm].append([before, q])
+            seen[arm] += [each for each in [_seen(receive[arm])] if each]
         due += period_s
         left = due - time.monotonic()
         late += left < 0

@@ -22,6 +22,8 @@ def test_29_the_other_arm_is_sent_its_last_target_within_two_periods(lab):
     ways = itertools.cycle(ways)
     way = next(ways)
     while len(found) < TRIALS:
+        ready(lab.cell)
+        lab.latch.clear()
         try:
             found.append(stop(lab.file, lab.cell, *way, 0.4 + 0.3 * drawn.random()))
         except SpoiledError as error:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import signal
+import sys
 
 import gymnasium as gym
 import numpy as np
@@ -16,6 +18,7 @@ from dual_ur10.recording.describe import describe
 from dual_ur10.recording.reader import read_run
 from dual_ur10.recording.simulation import SimulationRecord
 from dual_ur10.recording.writer import LOG_FILE, new_folder
+from tests.soak import scaled
 
 TASKS = ("SineTracking", "Handover")
 
@@ -146,6 +149,39 @@ def test_a_refusal_of_the_gate_is_recorded(tmp_path):
     assert terminated == episode.terminated[-1] == episode.gated[-1]
     assert episode.ended_by == str(info.get("safety", ""))
     assert episode.success is False if terminated else episode.success is None
+
+
+def test_an_interrupt_at_any_instant_leaves_a_whole_record(tmp_path):
+    """Wherever Ctrl-C comes: between two calls of the system, in the middle of encoding, before the checksum."""
+    calls, wanted = [0], [0]
+
+    def profile(frame, event, argument):
+        if event in ("call", "c_call") and "dual_ur10/recording" in frame.f_code.co_filename:
+            calls[0] += 1
+            if calls[0] == wanted[0]:
+                signal.raise_signal(signal.SIGINT)
+
+    for number in range(1, scaled(2000) + 1):
+        calls[0], wanted[0] = 0, (number * 37) % 1400
+        folder, env, heard = tmp_path / str(number), None, False
+        env = gym.make("DualUR10/SineTracking-v0", record=str(folder), disable_env_checker=True)
+        sys.setprofile(profile)
+        try:
+            env.reset(seed=1)
+            for action in actions(env, 3):
+                env.step(action)
+        except KeyboardInterrupt:
+            heard = True
+        finally:
+            sys.setprofile(None)
+        if heard:
+            env.reset(seed=2)  # as in a notebook
+            env.step(actions(env, 1)[0])
+        env.close()
+        (found,) = folder.iterdir()
+        run = read_run(found)
+        assert run.complete
+        assert len(run.episodes[-1].reward) == (1 if heard else 3)
 
 
 def test_events_are_in_the_record_and_in_the_log(tmp_path):

@@ -155,3 +155,9 @@ def test_memory_that_is_closed_is_gone():
     with pytest.raises(SettingsError, match="is another's"):
         CellMemory(arm.name)
     arm.close()
+
+
+def test_a_reason_that_cannot_be_written_is_a_reason(pair):
+    mine, theirs = pair
+    mine.enter_fault("policy: cannot open weights\udc80.npz")
+    assert theirs.fault == "policy: cannot open weights?.npz"

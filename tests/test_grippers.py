@@ -415,6 +415,22 @@ def test_of_several_that_are_due_the_last_is_sent(thread, link):
     assert [opening_m for opening_m, _ in link.sent] == [99e-4]
 
 
+def test_a_command_that_does_not_hold_any_more_when_it_is_due_is_not_sent(link):
+    """Both arms were stopped meanwhile: what is held stays held."""
+    allowed = True
+    thread = GripperThread("left", link, 0.005, may=lambda: allowed)
+    thread.command(0.01, time.monotonic())
+    until(lambda: link.sent)
+    thread.command(0.08, time.monotonic() + 0.1)
+    allowed = False
+    time.sleep(0.2)
+    allowed = True
+    time.sleep(0.05)
+    assert [opening_m for opening_m, _ in link.sent] == [0.01]
+    link.gate.set()
+    thread.close()
+
+
 def test_commands_from_before_an_activation_are_forgotten(thread, link):
     thread.command(0.01, time.monotonic() + 0.02)
     thread.activate()

@@ -238,3 +238,27 @@ def test_a_link_in_its_place_is_refused_and_not_followed(cell, tmp_path):
         CellLock(cell)
     assert victim.read_text() == "what is here"
     CellLock(made(tmp_path, "127.0.0.2", "127.0.0.9")).release()  # the other one was let go of
+
+
+def test_a_process_that_was_forked_meanwhile_does_not_keep_the_lock(cell):
+    """As workers of a data loader are."""
+    lock = CellLock(cell)
+    read, write = os.pipe()
+    child = os.fork()
+    if not child:
+        os.close(write)
+        os.read(read, 1)
+        lock.release()  # it does not let others in, for the parent still moves the arms, or somebody else
+        os._exit(0)
+    try:
+        os.close(read)
+        lock.release()
+        other = CellLock(cell)
+        os.write(write, b"x")
+        os.waitpid(child, 0)
+        with pytest.raises(CellBusyError, match="is moved by this program already"):
+            CellLock(cell)
+        other.release()
+        CellLock(cell).release()
+    finally:
+        os.close(write)

@@ -169,3 +169,14 @@ def test_taken_down_is_never_faster(fraction):
     found = taken_down(fraction)
     assert fraction - STEP < found <= (fraction + 1e-9 if fraction < FULL else 1.0)
     assert (found / STEP).is_integer()
+
+
+@pytest.mark.parametrize("full", [1.0, 0.5, 0.25])
+def test_what_is_slow_already_is_not_slowed_down_faster(full):
+    """An arm at a quarter of its speed takes as long from all of it to half of it as one at full speed."""
+    tick_s = 0.008
+    down = Pace(0.0, 0.0, full, full).towards(full / 2, 10.0, tick_s, full)
+    up = Pace(0.0, 0.0, full / 2, full / 2).towards(full, 10.0, tick_s, full)
+    assert down.period_of(down.index) == 10.0
+    assert (full - down.rate_at(11.0)) / tick_s == pytest.approx(SLOWING_PER_S * full)
+    assert (up.rate_at(11.0) - full / 2) / tick_s == pytest.approx(SLOPE_PER_S * full)

@@ -14,7 +14,7 @@ from dual_ur10.frames import Frames
 from dual_ur10.inverse_kinematics import try_nearest
 from dual_ur10.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix, rotate
 from dual_ur10.sim2real.arm_memory import ArmMemory, Phase
-from dual_ur10.sim2real.arm_sender import STALE_S
+from dual_ur10.sim2real.arm_sender import STALE_S, WAITING_S
 from dual_ur10.sim2real.cell_memory import CellMemory
 from dual_ur10.sim2real.pace import Pace
 from dual_ur10.sim2real.watch import APART_M, APART_RAD, POLICY_S, REDUCED_PACE, Watch, WatchSettings
@@ -136,6 +136,38 @@ def test_whether_anything_moves(parts, phase):
 
 
 # Two arms that hold one object.
+
+
+def led(parts, late, size=0.4, arm=0):
+    """Both arms turn their first joints at 0.2 rad/s; one is sent its targets `late` ticks later than the other."""
+    arms, _ = parts
+    ticks = np.arange(400)
+    targets = np.array([HOME_Q_RAD + np.array([1.0, 0, 0, 0, 0, 0]) * size * k * TICK_S for k in ticks])
+    for which, memory in enumerate(arms):
+        for begin in range(0, len(ticks), 100):
+            memory.put(begin, targets[begin : begin + 100, which])
+        index = 300 - (late if which == arm else 0)
+        memory.note_sent(index, float(index), 0.0, 0.0, targets[index, which])
+    return targets
+
+
+@pytest.mark.parametrize("arm", [0, 1])
+@pytest.mark.parametrize("late", [0, 2, 11])
+@pytest.mark.parametrize("lag", [0, 5, 12])
+def test_an_arm_that_is_late_as_a_whole_is_not_where_it_should_be(parts, late, lag, arm):
+    """Where its controller wants it lags as well, and says nothing. A lag that both have is none."""
+    targets = led(parts, late, arm=arm)
+    judge = watch(parts, coupled=True)
+    reason = None
+    for _ in range(5):
+        for which in (0, 1):
+            q = targets[300 - lag - (late if which == arm else 0), which]
+            reason = judge.state(which, at(q))
+    if late == 11:  # 88 ms at 0.4 rad/s and a lever of about a metre
+        assert reason is not None
+        assert "hold one object" in reason
+    else:
+        assert reason is None
 
 
 def moved(arm, away_m=(0.0, 0.0, 0.0), turn_rad=(0.0, 0.0, 0.0), mounts=MOUNTS):
@@ -283,9 +315,40 @@ def test_a_process_that_does_nothing_any_more_stops_both(parts, arm):
     assert judge.processes(10.0 + 1.01 * STALE_S) == f"{ARM[arm]}: its process does nothing any more"
 
 
-@pytest.mark.parametrize("phase", [Phase.STARTING, Phase.READY])
-def test_one_that_sends_nothing_yet_may_take_its_time(parts, phase):
-    assert watch(parts, phase=phase).processes(1e6) is None
+def test_one_that_connects_may_take_its_time(parts):
+    assert watch(parts, phase=Phase.STARTING).processes(1e6) is None
+
+
+@pytest.mark.parametrize("arm", [0, 1])
+def test_one_that_waits_for_the_beginning_must_live(parts, arm):
+    judge = watch(parts, phase=Phase.READY)
+    parts[0][1 - arm].beat(10.0 + WAITING_S)
+    parts[0][arm].beat(10.0)
+    assert judge.processes(10.0 + 0.99 * WAITING_S) is None
+    assert judge.processes(10.0 + 1.01 * WAITING_S) == f"{ARM[arm]}: its process does nothing any more"
+
+
+@pytest.mark.parametrize("arm", [0, 1])
+def test_one_that_does_not_begin_when_both_should_stops_both(parts, arm):
+    judge = watch(parts, phase=Phase.READY)
+    parts[0][1 - arm].enter(Phase.STREAMING)
+    parts[1].begin(10.0)
+
+    def found(now):
+        for memory in parts[0]:
+            memory.beat(now)
+        return judge.processes(now)
+
+    assert found(10.0 + 0.99 * STALE_S) is None
+    assert found(10.0 + 1.01 * STALE_S) == f"{ARM[arm]}: it does not begin: this machine is too busy"
+
+
+@pytest.mark.parametrize(("told", "ended"), [(0, False), (1, True), (2, False), (4, False)])
+def test_a_program_has_ended_when_its_controller_says_so(parts, told, ended):
+    judge = watch(parts)
+    assert judge.ended == [False, False]
+    judge.note(1, status_of(runtime_state=told))
+    assert judge.ended == [False, ended]
 
 
 # What the policy owes.

@@ -171,6 +171,7 @@ def _control(connection: ArmConnection) -> Any:
     except RuntimeError as error:
         raise LinkError(f"{connection.host} takes no control script: {error}") from error
     if not control.setWatchdog(WATCHDOG_HZ):
+        control.stopScript()
         raise LinkError(f"{connection.host} did not take the watchdog: nothing is moved without")
     return control
 

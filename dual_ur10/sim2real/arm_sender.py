@@ -39,6 +39,9 @@ TOGETHER_S: Final = 0.002
 """How far apart the control periods of two controllers may begin without that one arm's targets are shifted: more than
 estimates of their clocks scatter by."""
 
+WAITING_S: Final = 0.5
+"""The same for another process while nothing moves yet."""
+
 MOST_LATE_S: Final = 0.1
 """How far the sending may fall behind before it is given up: the watchdog in the controller waits as long."""
 
@@ -72,11 +75,19 @@ class Control(Protocol):
 
 _ASKED: Final = "a stop was asked for"
 _OTHER: Final = "the other arm stops"
+_WHILE: Final = "and while stopping"
+_REST_RAD_S: Final = 0.01
+_REST_S: Final = 0.5  # for which states are told behind a stop, until the arm rests
 
 
 def first_reason(texts: Sequence[str]) -> str:
     """Of what arms that stopped say, at least one text: what says why, and not that others wanted it."""
     return next((each for each in texts if _ASKED not in each and _OTHER not in each), texts[0])
+
+
+def was_asked_for(text: str) -> bool:
+    """Whether an arm says that it stopped because it was asked to, and that nothing else was wrong."""
+    return _ASKED in text and _WHILE not in text
 
 
 class StopError(Exception):
@@ -307,9 +318,12 @@ class ArmSender:
             phase = other.phase
             if phase >= Phase.STOPPING:
                 raise StopError(f"{_OTHER}: {other.text}")
-            if phase == Phase.STREAMING and now - other.beat_s > STALE_S:
-                other_name = next(each for each in ARMS if each != self.name)
+            limit_s = STALE_S if self._sent or phase == Phase.STREAMING else WAITING_S
+            other_name = next(each for each in ARMS if each != self.name)
+            if phase in (Phase.READY, Phase.STREAMING) and now - other.beat_s > limit_s:
                 raise StopError(f"the process of the {other_name} arm does nothing any more")
+            if self._sent and phase < Phase.STREAMING and now - self.cell.begin_s > STALE_S:
+                raise StopError(f"the {other_name} arm does not begin: this machine is too busy")
         if self._parent is not None and os.getppid() != self._parent:
             raise StopError("the program that gives targets has ended")
         if self._watched and self._sent and now - self.cell.watched_s > STALE_S:
@@ -329,25 +343,58 @@ class ArmSender:
             self.memory.enter(Phase.FAULTED, f"{self.name}: {reason}")
             return
         try:
-            self._rest_somehow(on_path=on_path)
+            taken = self._rest_somehow(on_path=on_path)
             self.control.servoStop(_STOP_RAD_S2)
             self.control.stopScript()
         except (LinkError, RuntimeError) as error:
-            self.memory.enter(Phase.FAULTED, f"{self.name}: {reason}; and while stopping: {error}")
+            self.memory.enter(Phase.FAULTED, f"{self.name}: {reason}; {_WHILE}: {error}")
             return
-        self.memory.enter(Phase.STOPPED, f"{self.name}: {reason}")
+        more = "" if taken else f"; {_WHILE}: its control script took no targets any more"
+        self.memory.enter(Phase.STOPPED, f"{self.name}: {reason}{more}")
+        self._watch_rest()
 
-    def _rest_somehow(self, *, on_path: bool) -> None:
-        """Come to rest on the way of the targets, or where that cannot be gone, straight on, or else at once."""
+    def _rest_somehow(self, *, on_path: bool) -> bool:
+        """Come to rest on the way of the targets, or where that cannot be gone, straight on, or else at once.
+
+        Returns:
+            Whether the controller took all that was sent.
+        """
         for way in (True, False) if on_path else (False,):
             try:
-                self._come_to_rest(on_path=way)
+                return self._come_to_rest(on_path=way)
             except TargetError:
                 continue
-            return
+        return True
 
-    def _come_to_rest(self, *, on_path: bool) -> None:
+    def _hear(self, until_s: float) -> bool:
+        """Note what the controller tells until a time, whatever it is: the arm stops already.
+
+        Returns:
+            Whether it still tells something.
+        """
+        while (left := until_s - time.monotonic()) > 0.0:
+            select.select([self.link.fileno()], [], [], left)
+            try:
+                for sample in self.link.poll():
+                    self.memory.note_state(ArmStatus.from_sample(sample))
+            except LinkError:
+                time.sleep(max(0.0, until_s - time.monotonic()))
+                return False
+        return True
+
+    def _watch_rest(self) -> None:
+        """Let the record see the arm come to rest."""
+        end = time.monotonic() + _REST_S
+        while time.monotonic() < end and self._hear(time.monotonic() + 2 * self.servoj.tick_s):
+            status = self.memory.status
+            if status is not None and max(map(abs, status.qd_rad_s)) < _REST_RAD_S:
+                return
+
+    def _come_to_rest(self, *, on_path: bool) -> bool:
         """Send targets that slow down.
+
+        Returns:
+            Whether the controller took them.
 
         Raises:
             TargetError: They are none that may be sent.
@@ -355,7 +402,7 @@ class ArmSender:
         tick_s = self.servoj.tick_s
         now = self.clock.next_period(time.monotonic(), SHARE)[0]
         if not self._sent or now - self._period > _MOST_PERIODS:
-            return  # the arm has come to rest at the last target meanwhile, or does so
+            return True  # the arm has come to rest at the last target meanwhile, or does so
         last, rate, begin, advance = self._sent[-1], self._rate, self._index, self._advance
         # Both arms slow down alike, as the faster one must.
         speed = max([np.abs(rate).max() / tick_s, *(_speed(other, tick_s) for other in self.others)])
@@ -364,15 +411,16 @@ class ArmSender:
         gone = 0.0
         while not ramp.at_rest:
             number, due = self.clock.next_period(time.monotonic(), SHARE)
-            time.sleep(max(0.0, due - time.monotonic()))
+            self._hear(due)
             # Time passes for the ramp, too, where a period has gone by without a target.
             for _ in range(min(max(1, number - self._period), _MOST_PERIODS)):
                 gone = float(ramp()[0]) / (speed * tick_s)  # in control periods at the speed before
             index = begin + gone * advance if on_path else begin
             way = self.memory.target(index) if on_path else last + gone * rate
             if not self._pass_on(way, number, index):
-                return  # the controller stopped it
+                return False  # the controller stopped it
             self.memory.note_sent(number - self._first, index, self._sent_s, self._sent_s - due, way)
+        return True
 
 
 def _speed(memory: ArmMemory, tick_s: float) -> float:

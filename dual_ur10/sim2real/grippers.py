@@ -41,14 +41,17 @@ class GripperThread:
         name: Of the arm.
         link: To the gripper; it is this object's from now on.
         poll_s: How often it is asked how it is.
+        may: Asked in its thread when a command is due: whether that still holds.
 
     Raises:
         LinkError: It does not tell.
     """
 
-    def __init__(self, name: str, link: GripperLink, poll_s: float = _POLL_S) -> None:
+    def __init__(
+        self, name: str, link: GripperLink, poll_s: float = _POLL_S, may: Callable[[], bool] = lambda: True
+    ) -> None:
         self.name = name
-        self._link, self._poll_s = link, poll_s
+        self._link, self._poll_s, self._may = link, poll_s, may
         self._reading = link.read()
         self._read_s = time.monotonic()
         self._lost = ""
@@ -194,7 +197,7 @@ class GripperThread:
         with self._changed:
             while self._waiting and self._waiting[0][0] <= time.monotonic():
                 opening_m = self._waiting.popleft()[1]
-        return opening_m
+        return opening_m if opening_m is not None and self._may() else None
 
     def close(self) -> None:
         """End the connection. Nothing is sent: what is held stays held. May be called twice."""
@@ -213,6 +216,7 @@ class Grippers:
     Args:
         cell_file: Of the cell.
         force_n: Grip force, 20 to 235 N; a gripper at a digital output has its own.
+        may: Asked, in a thread, when a command is due: whether it still holds. After a stop it does not.
 
     Attributes:
         each: The left and the right arm's; None where there is none.
@@ -222,12 +226,12 @@ class Grippers:
         LinkError: A gripper cannot be reached. None is connected then.
     """
 
-    def __init__(self, cell_file: CellFile, *, force_n: float = 60.0) -> None:
+    def __init__(self, cell_file: CellFile, *, force_n: float = 60.0, may: Callable[[], bool] = lambda: True) -> None:
         self.each: list[GripperThread | None] = []
         try:
             for name, arm in zip(ARMS, cell_file.arms, strict=True):
                 link = link_to(arm, force_n, name)
-                self.each.append(None if link is None else _started(name, link))
+                self.each.append(None if link is None else _started(name, link, may))
         except BaseException:
             self.close()
             raise
@@ -328,9 +332,9 @@ def link_to(arm: ArmEntry, force_n: float, name: str = "") -> GripperLink | None
     return None
 
 
-def _started(name: str, link: GripperLink) -> GripperThread:
+def _started(name: str, link: GripperLink, may: Callable[[], bool]) -> GripperThread:
     try:
-        return GripperThread(name, link)
+        return GripperThread(name, link, may=may)
     except BaseException:
         link.close()
         raise

@@ -139,6 +139,7 @@ class CellLock:
     def __init__(self, cell: CellFile) -> None:
         self._files: list[IO[str]] = []
         self._keys = _keys(cell)
+        self._pid = os.getpid()
         self.left_moving = False
         folder = state_folder()
         try:
@@ -179,7 +180,9 @@ class CellLock:
     def release(self) -> None:
         """Let others in: nothing moves any more, or what did is noted as a fault. May be called twice."""
         for file in self._files:
-            _write(file, f"{os.getpid()}\n")
+            if os.getpid() == self._pid:
+                _write(file, f"{self._pid}\n")
+                fcntl.flock(file, fcntl.LOCK_UN)  # a process that was forked meanwhile has the file open, too
             file.close()
         self._files = []
 

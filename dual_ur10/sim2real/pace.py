@@ -103,10 +103,13 @@ class Pace:
             low, high = (middle, high) if self.at(middle) < index else (low, middle)
         return high
 
-    def towards(self, goal: float, period: float, tick_s: float) -> Pace:
-        """The pace that goes on from this one in a control period, towards another rate."""
+    def towards(self, goal: float, period: float, tick_s: float, full: float = 1.0) -> Pace:
+        """The pace that goes on from this one in a control period, towards another rate.
+
+        `full` is the rate at a slider of 100 %: what the arms do is that much slower, and so is every change.
+        """
         rate = self.rate_at(period)
-        slope = (SLOWING_PER_S if goal < rate else SLOPE_PER_S) * tick_s
+        slope = (SLOWING_PER_S if goal < rate else SLOPE_PER_S) * full * tick_s
         if period <= self.period:  # what was before stays what was before
             return Pace(self.period, self.index, self.rate, goal, slope, self.bend, self.plateau)
         changes = rate != self.goal

@@ -13,12 +13,13 @@ import math
 import time
 import weakref
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.errors import ClosedError, LinkError, SettingsError, StartError
+from dual_ur10.errors import ClosedError, DualUR10Error, LinkError, SettingsError, StartError
 from dual_ur10.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, rotate
 from dual_ur10.sim2real.adapter import GRIPPER_OPENING_M, Command
 from dual_ur10.sim2real.approach import Approach, Leaving, Rates, plan
@@ -49,8 +50,12 @@ START_RAD: Final = 1e-4
 MEASURED_RAD: Final = 0.02
 """How near to it they must be measured to be."""
 
+_OF_TASK: Final = ("equipment", "timestep_s", "gains", "meshes", "wrench_noise", "perturbation", "minimum_clearance_m")
+"""What of a cell is the task's, for looks, or for simulation alone."""
+
 _BRAKE_TIMES: Final = 14.0  # of the brake's decay: what is left of any speed then is less than counts as rest
-_AHEAD_TICKS: Final = 300  # that are written ahead on the way to a start
+_AHEAD_S: Final = 1.0  # that are written ahead on the way to a start, in real time
+_AHEAD_TICKS: Final = 300  # at most
 _SETTLE_S: Final = 3.0
 _LOOK_S: Final = 0.01
 _OPENING_S: Final = 4.0
@@ -74,7 +79,7 @@ class RtdeCell:
         only: "left" or "right": the arm that moves, while the other one stays where it is; None: both.
 
     Raises:
-        SettingsError: There is no cell file, or the latency is not legal.
+        SettingsError: There is no cell file, the configuration is not what that says, or the latency is not legal.
         CellFaulted: The arms were stopped, and nobody has cleared that.
         CellBusyError: Another program moves one of them.
         StartError: A controller is not ready.
@@ -103,6 +108,7 @@ class RtdeCell:
                 f"action_latency_ticks is {latency_ticks!r}: two controllers need {least} to "
                 f"{MAX_LATENCY_TICKS}, the time from a measurement to the first target that follows from it"
             )
+        _check_as_said(config)
         if config.equipment.welded:
             raise SettingsError("arms that are welded to what they hold exist in simulation only: use a friction grasp")
         self.config, self.file, self.ticks, self.latency_ticks = config, config.file, ticks, int(latency_ticks)
@@ -146,7 +152,8 @@ class RtdeCell:
             for name, arm in zip(ARMS, file.arms, strict=True):
                 if arm.gripper.kind == "none":
                     raise SettingsError(f"this task needs grippers, and {name}.gripper in {file.source} is of none")
-            self._grippers = Grippers(file, force_n=equipment.grip_force_n)
+            runner = self._open
+            self._grippers = Grippers(file, force_n=equipment.grip_force_n, may=lambda: runner.moves_on)
         self._tracker = tracker_of(file, equipment.prop or "")
         if file.emulator is not None:
             self._knobs = EmulatorKnobs(file.left.host, file.emulator.port)
@@ -344,6 +351,18 @@ class RtdeCell:
         Raises:
             StartError: The gate refuses some, or this program stood still. Both arms rest on the way.
         """
+        cell = self._open.cell
+        try:
+            self._lead(start_rad, targets_rad)
+        except DualUR10Error:
+            cell.expect(0.0, live=False)  # both arms come to rest: the brake lies behind what was written
+            raise
+        except BaseException:
+            # An interrupt: what was written goes on meanwhile, and who hears no more from this program stops both.
+            cell.expect(self._open.now, live=True)
+            raise
+
+    def _lead(self, start_rad: Array, targets_rad: Array) -> None:
         runner, ticks = self._open, self.ticks
         gate = SafetyGate(self._limits, self._tick_s, ticks, Leaving(self._clearance, start_rad))
         gate.reset(start_rad[None])
@@ -351,7 +370,8 @@ class RtdeCell:
         windows = math.ceil(len(targets_rad) / ticks)
         rest = np.repeat(targets_rad[-1:], windows * ticks - len(targets_rad), axis=0)
         waiting = np.concatenate([targets_rad, rest]).reshape(windows, 1, ticks, 2, 6)
-        at_once = max(1, _AHEAD_TICKS // 2 // ticks)
+        ahead = self._ahead_ticks
+        at_once = max(1, ahead // 2 // ticks)
         first = runner.next + 3
         for begin in range(0, windows, at_once):
             passed = [gate(window) for window in waiting[begin : begin + at_once]]
@@ -360,11 +380,20 @@ class RtdeCell:
             if not (why or self._write(runner, first, block)):
                 why = "this program stood still"
             if why:
+                runner.cell.expect(0.0, live=False)
                 runner.wait_for(runner.end)
                 raise StartError(f"the way to the start was not finished, both arms rest on it, reset again; {why}")
             first += len(block)
-            runner.wait_for(first - _AHEAD_TICKS // 2)
+            # Who hangs here is late behind what was written, as in an episode.
+            runner.cell.expect(first, live=begin + at_once < windows)
+            runner.wait_for(first - ahead // 2)
         runner.wait_for(first)
+
+    @property
+    def _ahead_ticks(self) -> int:
+        """How many targets are written ahead on the way to a start: few, so that an interrupt means something."""
+        least = 2 * (margin_ticks(self._tick_s) + self.ticks)
+        return min(max(math.ceil(_AHEAD_S / self._tick_s * self.file.speed_factor), least), _AHEAD_TICKS)
 
     def _settled(self, goal_rad: Array) -> list[ArmStatus]:
         """Wait until both arms are where they should be.
@@ -469,6 +498,21 @@ class RtdeCell:
         seen = self._tracker.pose(time.monotonic(), Flanges(state.flange_m[0], state.flange_quat[0]))
         thing = (np.asarray(seen.position_m), np.asarray(seen.quat))
         return self._twin.follow(time_s, q, qd / slow, gripper_m=opening, wrench=wrench, thing=thing)
+
+
+def _check_as_said(config: CellConfig) -> None:
+    """Make sure that the environment has the cell that the processes of the arms have: what the cell file says.
+
+    Raises:
+        SettingsError: It has another one.
+    """
+    said = None if config.file is None else config.file.config()
+    for field in fields(config):
+        if field.name not in _OF_TASK and getattr(config, field.name) != getattr(said, field.name):
+            raise SettingsError(
+                f"{field.name} of the cell is {getattr(config, field.name)!r:.200}, and its cell file says "
+                f"{getattr(said, field.name)!r:.200}: write it there, and pass the path of that file as `cell`"
+            )
 
 
 def _is_off(found_m: float | None, wanted_m: float | None) -> bool:

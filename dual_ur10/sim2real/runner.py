@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dual_ur10.errors import CellFaulted, ClosedError, StartError
 from dual_ur10.sim2real.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.arm_process import ArmConnection, ArmProcess
-from dual_ur10.sim2real.arm_sender import first_reason
+from dual_ur10.sim2real.arm_sender import STALE_S, first_reason, was_asked_for
 from dual_ur10.sim2real.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.cell import CellConfig
 from dual_ur10.sim2real.cell_file import CellFile
@@ -69,10 +69,13 @@ class Runner:
         self.latch = Latch(file)
         self.latch.check()
         self._lock = CellLock(file)
-        if self._lock.left_moving:
-            self.latch.set("the program that moved the arms before ended without stopping them in order")
+        try:
+            if self._lock.left_moving:
+                self.latch.set("the program that moved the arms before ended without stopping them in order")
+            self.latch.check()  # once more: the program that had the lock may have stopped them meanwhile
+        except BaseException:
             self._lock.release()
-            self.latch.check()
+            raise
         self.margin_ticks = margin_ticks(self.tick_s)
         self._fault = ""
         self._closed = False
@@ -108,6 +111,13 @@ class Runner:
     def begun(self) -> bool:
         """Whether targets are sent."""
         return self.cell.begin_s > 0.0
+
+    @property
+    def moves_on(self) -> bool:
+        """Whether nobody has stopped the arms: only then may a gripper do what it was told before. It never waits."""
+        if self._closed or self.cell.ending or self.cell.fault:
+            return False
+        return all(memory.phase < Phase.STOPPING for memory in self.arms)
 
     @property
     def now(self) -> float:
@@ -152,6 +162,9 @@ class Runner:
         for name, status in zip(ARMS, self.statuses(), strict=True):
             reason = stop_reason(status, allow_reduced=self.cell.allow_reduced, playing=True)
             fastest = max(map(abs, status.qd_rad_s))
+            age_s = time.monotonic() - status.arrival_s
+            if reason is None and not age_s < STALE_S:
+                reason = f"its process does nothing any more: its newest state is {1e3 * age_s:.0f} ms old"
             if reason is None and not fastest < REST_RAD_S:
                 reason = f"it moves at {fastest:.3f} rad/s, allowed are {REST_RAD_S:g}: wait until it stands"
             if reason is not None:
@@ -179,14 +192,9 @@ class Runner:
         return True
 
     def _put(self, first: int, targets_rad: Array) -> None:
-        try:
+        with held_back():  # never one arm without the other
             for arm, memory in enumerate(self.arms):
                 memory.put(first, targets_rad[:, arm])
-        except KeyboardInterrupt:
-            # Never one arm without the other.
-            for arm, memory in enumerate(self.arms):
-                memory.put(first, targets_rad[:, arm])
-            raise
 
     def last(self) -> Array:
         """The last target, (2, 6)."""
@@ -254,6 +262,22 @@ class Runner:
             self.cell.enter_fault(reason)
             self._fail()
 
+    def _is_stopping(self) -> bool:
+        """Whether an arm stops that had begun."""
+        return self.begun and any(memory.phase >= Phase.STOPPING for memory in self.arms)
+
+    def _not_as_asked(self) -> str:
+        """Why an arm that had begun and was asked to stop did not, or not because of that; "": all is well."""
+        if not (self.arms and self.begun):
+            return ""
+        texts = []
+        for name, memory in zip(ARMS, self.arms, strict=True):
+            if memory.phase < Phase.STOPPED:
+                texts.append(f"{name}: its process did not stop by itself, and was ended")
+            elif memory.phase == Phase.FAULTED or not was_asked_for(memory.text):
+                texts.append(memory.text)
+        return first_reason(texts) if texts else ""
+
     def _fail(self) -> None:
         for memory in self.arms:
             memory.stop()
@@ -279,6 +303,8 @@ class Runner:
         if self._closed or os.getpid() != self._pid:
             return
         if self.arms:
+            if not (self._fault or self.cell.ending) and self._is_stopping():
+                self._fail()  # nobody has looked since then
             self.cell.end()
             for memory in self.arms:
                 memory.stop()
@@ -290,15 +316,20 @@ class Runner:
                 for process in self.processes:
                     if not process.wait(_STOP_S):
                         process.kill()
-                if self.supervisor is not None and not self.supervisor.wait(_STOP_S):
+                if self.supervisor is not None and not self.supervisor.wait(_END_S):
                     self.supervisor.kill()
-                self._lock.release()
-                self._closed = True
                 self.came_to_rest = all(memory.phase == Phase.STOPPED for memory in self.arms)
-                if self.arms:
-                    self.cell.close()
-                    for memory in self.arms:
-                        memory.close()
+                try:
+                    if not self._fault and (why := self._not_as_asked()):
+                        self._fault = self.cell.fault or why
+                        self.latch.set(self._fault)
+                finally:
+                    self._lock.release()
+                    self._closed = True
+                    if self.arms:
+                        self.cell.close()
+                        for memory in self.arms:
+                            memory.close()
 
 
 def margin_ticks(tick_s: float) -> int:

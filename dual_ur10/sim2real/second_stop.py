@@ -71,8 +71,12 @@ class SecondStop:
         """Whether an arm may still stop by itself."""
         return bool(self._left)
 
-    def look(self) -> float:
+    def look(self, ended: Sequence[bool]) -> float:
         """End what should have stopped by now, and what hangs, as `ur_rtde` may: it must not wake and go on.
+
+        Args:
+            ended: Whether each controller says that its program has ended. A program that is only paused, as by a
+                protective stop, is ended by the dashboard: it could go on to where it was sent last.
 
         Returns:
             Time since the beginning, s.
@@ -83,8 +87,13 @@ class SecondStop:
             memory = self._arms[arm]
             phase = memory.phase
             hangs = phase < Phase.STOPPING and now - memory.beat_s > STALE_S
-            if phase == Phase.STOPPED:
+            if phase == Phase.STOPPED and (ended[arm] or passed > STOPPED_S):
                 self._left.discard(arm)
+                if not ended[arm]:
+                    log.error("%s: its program has not ended: the dashboard is asked to end it", ARMS[arm])
+                    self._ask_dashboard(arm)
+            elif phase == Phase.STOPPED:
+                continue
             elif phase == Phase.FAULTED or hangs or passed > STOPPED_S:
                 self._left.discard(arm)
                 self._end(arm)
@@ -103,7 +112,10 @@ class SecondStop:
         self._arms[arm].enter(
             Phase.FAULTED, f"{ARMS[arm]}: its process did not stop its program by itself, and was ended"
         )
-        # One arm's dashboard, which may be silent, must not keep the other one waiting.
+        self._ask_dashboard(arm)
+
+    def _ask_dashboard(self, arm: int) -> None:
+        # One that is silent must not keep the other arm's waiting.
         thread = threading.Thread(target=self._ask, args=(arm,), daemon=True)
         thread.start()
         self._asking.append(thread)

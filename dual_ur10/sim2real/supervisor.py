@@ -7,6 +7,7 @@ dashboard to.
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import logging
 import math
@@ -18,7 +19,7 @@ from typing import Final
 
 from dual_ur10.errors import LinkError
 from dual_ur10.sim2real.arm_memory import ArmMemory, Phase
-from dual_ur10.sim2real.arm_sender import STALE_S
+from dual_ur10.sim2real.arm_sender import STALE_S, first_reason
 from dual_ur10.sim2real.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
 from dual_ur10.sim2real.cell_file import CellFile
 from dual_ur10.sim2real.cell_memory import CellMemory
@@ -65,15 +66,15 @@ class Supervisor:
             now = time.monotonic()
             self._cell.watched(now)
             if self._cell.ending:
-                return
+                return self._end()
             if os.getppid() != self._parent:
                 if not self._watch.moving:
-                    return  # nothing has moved
+                    return None  # nothing has moved
                 reason = "the program that gives targets has ended"
             reason = reason or self._cell.fault or self._look(now) or self._watch.processes(now)
             if reason and self._cell.ending:
-                return
-        self._stop(reason)
+                return self._end()
+        return self._stop(reason)
 
     def _look(self, now: float) -> str | None:
         """Take in what both controllers tell, for at most a control period."""
@@ -109,8 +110,19 @@ class Supervisor:
         if goal != pace.goal:
             tick_s = self._settings.tick_s
             period = max(float(int((now - cell.begin_s) / tick_s) + _AHEAD_PERIODS), pace.period)
-            cell.set_pace(pace.towards(goal, period, tick_s))
+            cell.set_pace(pace.towards(goal, period, tick_s, self._file.speed_factor))
             log.warning("both arms go on at %.0f %% of their speed", 100 * goal)
+
+    def _end(self) -> None:
+        """Both arms are asked to stop because the program ends: see that they do."""
+        if not self._cell.begin_s:
+            return  # nothing has moved
+        self._second.begin()
+        self._see_it_done()
+        failed = [memory.text for memory in self._arms if memory.phase == Phase.FAULTED]
+        if failed:
+            Latch(self._file).set(self._cell.fault or first_reason(failed))
+        self._second.close()
 
     def _stop(self, reason: str) -> None:
         """Stop both arms, and note why where it stays."""
@@ -129,9 +141,13 @@ class Supervisor:
 
     def _see_it_done(self, within_s: float = math.inf) -> None:
         """Wait for both programs to end, and end what does not."""
-        while self._second.look() <= within_s and self._second.waits:
+        while self._second.look(self._watch.ended) <= within_s and self._second.waits:
             self._cell.watched(time.monotonic())
             time.sleep(self._settings.tick_s / 4)
+            for arm, link in enumerate(self._links):
+                with contextlib.suppress(LinkError):  # what is not told counts as running
+                    for sample in link.poll():
+                        self._watch.note(arm, ArmStatus.from_sample(sample))
 
 
 class SupervisorProcess:

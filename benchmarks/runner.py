@@ -285,7 +285,7 @@ def sine(path, cell, folder, seconds, latency):
         keywords = {"cell": str(path), "compensate_lag": compensate, "action_latency_ticks": latency}
         runs = folder / f"sine{name}"
         errors, late_actions, done_s = [], 0, 0.0
-        spoiled = Spoiled(path, cell, max(3, round(length_s / 30.0)))
+        spoiled = Spoiled(path, cell, max(3, round(length_s / 15.0)))
         while done_s < length_s:
             env = stopped = None
             try:
@@ -338,7 +338,7 @@ def times_of(runs):
 
 def task(path, cell, name, episodes, latency):
     """Scripted episodes of a task with an object. One in which both arms were stopped is run again, and counted."""
-    found, late_actions, spoiled = [], 0, Spoiled(path, cell, max(3, episodes // 2))
+    found, late_actions, spoiled = [], 0, Spoiled(path, cell, max(3, episodes))
     while len(found) < episodes:
         keywords = {"cell": str(path), "action_latency_ticks": latency}
         try:

@@ -159,7 +159,7 @@ def remarks(result: EmulatedResult) -> list[str]:
 
 def _words() -> str:
     return text(
-        "One episode of each, of the same seed, with the action latency that two controllers take, and of a plant that "
+        "One episode of each, of the same seed, with an action latency of 80 ms, and of a plant that "
         "is as the policy believes: an artefact of an exact model, on both sides. Errors of SineTracking and SyncCarry "
         "are the largest of the whole episode if not RMS. On emulated controllers joints, forces and the object's pose "
         "are what the controllers and the tracker report, when they report it, by a clock of their own. In simulation, "

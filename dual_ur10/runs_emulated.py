@@ -176,9 +176,10 @@ def _emulated_cell(run: EmulatedRun, folder: Path) -> Iterator[tuple[Path, Emula
 
 def _both(run: EmulatedRun, path: Path, folder: Path, on_share: OnShare) -> EmulatedResult:
     config = load_cell_file(path).config()
-    # The same cell, simulated. Both are given the latency that controllers need.
+    # The same cell, simulated. Both are given twice the latency that controllers need: on a machine that runs
+    # controllers, arms and policy at once, an action would often be late.
     alike = replace(config, kind="mujoco", file=None)
-    latency = {"action_latency_ticks": config.latency_ticks}
+    latency = {"action_latency_ticks": 2 * config.latency_ticks}
     whole_s = PREPARING_S + run.duration_s
     simulated = _episode(run, folder, None, lambda _: None, cell=alike, **latency)
     on_share(PREPARING_S / 2 / whole_s)

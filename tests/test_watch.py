@@ -307,25 +307,17 @@ def test_one_that_stops_without_a_word(parts):
 
 
 @pytest.mark.parametrize("arm", [0, 1])
-def test_a_process_that_does_nothing_any_more_stops_both(parts, arm):
-    judge = watch(parts, phase=Phase.STREAMING)
-    parts[0][1 - arm].beat(10.0 + STALE_S)
+@pytest.mark.parametrize(("phase", "most_s"), [(Phase.STREAMING, STALE_S), (Phase.READY, WAITING_S)])
+def test_a_process_that_does_nothing_any_more_stops_both(parts, arm, phase, most_s):
+    judge = watch(parts, phase=phase)
+    parts[0][1 - arm].beat(10.0 + most_s)
     parts[0][arm].beat(10.0)
-    assert judge.processes(10.0 + 0.99 * STALE_S) is None
-    assert judge.processes(10.0 + 1.01 * STALE_S) == f"{ARM[arm]}: its process does nothing any more"
+    assert judge.processes(10.0 + 0.99 * most_s) is None
+    assert judge.processes(10.0 + 1.01 * most_s) == f"{ARM[arm]}: its process does nothing any more"
 
 
 def test_one_that_connects_may_take_its_time(parts):
     assert watch(parts, phase=Phase.STARTING).processes(1e6) is None
-
-
-@pytest.mark.parametrize("arm", [0, 1])
-def test_one_that_waits_for_the_beginning_must_live(parts, arm):
-    judge = watch(parts, phase=Phase.READY)
-    parts[0][1 - arm].beat(10.0 + WAITING_S)
-    parts[0][arm].beat(10.0)
-    assert judge.processes(10.0 + 0.99 * WAITING_S) is None
-    assert judge.processes(10.0 + 1.01 * WAITING_S) == f"{ARM[arm]}: its process does nothing any more"
 
 
 @pytest.mark.parametrize("arm", [0, 1])

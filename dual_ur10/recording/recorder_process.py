@@ -23,6 +23,7 @@ from dual_ur10.recording.run import Event, Header
 from dual_ur10.recording.schemas import EVENT, EVENT_TOPIC, TOPICS
 from dual_ur10.recording.writer import RunWriter
 from dual_ur10.sim2real.arm_memory import RING, ArmMemory, Phase
+from dual_ur10.sim2real.arm_sender import was_asked_for
 from dual_ur10.ur10 import ARMS
 
 Array = NDArray[np.float64]
@@ -40,7 +41,6 @@ AFTER_STOP_S: Final = 1.0
 ORPHAN_S: Final = 3.0
 """How long it goes on when the program has ended without a word, until both arms rest."""
 
-_ASKED: Final = "a stop was asked for"
 _MOST_TOLD: Final = 64 * 2**20
 
 
@@ -157,7 +157,7 @@ class Recorder:
             text = memory.text if phase >= Phase.STOPPING else ""
             self._phases[arm] = phase
             self.event("phase", f"{phase.name.lower()}{': ' if text else ''}{text}", ARMS[arm])
-            if phase >= Phase.STOPPING and _ASKED not in text:
+            if phase >= Phase.STOPPING and not was_asked_for(text):
                 self.ask_black_box(text)
 
     def _whole(self, arm: int, what: str, rows: Array, since: int, count: int, now: int) -> Array:

@@ -11,7 +11,7 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.errors import LinkError
+from dual_ur10.errors import ClosedError, LinkError
 from dual_ur10.sim2real.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.cell_memory import CellMemory
@@ -32,15 +32,15 @@ STALE_S: Final = 0.1
 """How long a controller's time, or another process, may stand still before it counts as lost: that of MoveIt Servo's
 command timeout."""
 
+WAITING_S: Final = 0.5
+"""The same for another process while nothing moves yet."""
+
 START_GAP_RAD: Final = 0.02
 """How far the first target may be from where the arm is."""
 
 TOGETHER_S: Final = 0.002
 """How far apart the control periods of two controllers may begin without that one arm's targets are shifted: more than
 estimates of their clocks scatter by."""
-
-WAITING_S: Final = 0.5
-"""The same for another process while nothing moves yet."""
 
 MOST_LATE_S: Final = 0.1
 """How far the sending may fall behind before it is given up: the watchdog in the controller waits as long."""
@@ -373,11 +373,11 @@ class ArmSender:
             Whether it still tells something.
         """
         while (left := until_s - time.monotonic()) > 0.0:
-            select.select([self.link.fileno()], [], [], left)
             try:
+                select.select([self.link.fileno()], [], [], left)
                 for sample in self.link.poll():
                     self.memory.note_state(ArmStatus.from_sample(sample))
-            except LinkError:
+            except (LinkError, ClosedError):  # the way to rest is gone on with all the same
                 time.sleep(max(0.0, until_s - time.monotonic()))
                 return False
         return True

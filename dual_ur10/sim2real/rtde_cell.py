@@ -50,7 +50,7 @@ START_RAD: Final = 1e-4
 MEASURED_RAD: Final = 0.02
 """How near to it they must be measured to be."""
 
-_OF_TASK: Final = ("equipment", "timestep_s", "gains", "meshes", "wrench_noise", "perturbation", "minimum_clearance_m")
+_OF_TASK: Final = ("equipment", "timestep_s", "gains", "meshes", "wrench_noise", "perturbation")
 """What of a cell is the task's, for looks, or for simulation alone."""
 
 _BRAKE_TIMES: Final = 14.0  # of the brake's decay: what is left of any speed then is less than counts as rest

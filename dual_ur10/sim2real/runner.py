@@ -262,6 +262,11 @@ class Runner:
             self.cell.enter_fault(reason)
             self._fail()
 
+    def _ask_to_end(self) -> None:
+        self.cell.end()
+        for memory in self.arms:
+            memory.stop()
+
     def _is_stopping(self) -> bool:
         """Whether an arm stops that had begun."""
         return self.begun and any(memory.phase >= Phase.STOPPING for memory in self.arms)
@@ -302,17 +307,16 @@ class Runner:
         """
         if self._closed or os.getpid() != self._pid:
             return
-        if self.arms:
-            if not (self._fault or self.cell.ending) and self._is_stopping():
-                self._fail()  # nobody has looked since then
-            self.cell.end()
-            for memory in self.arms:
-                memory.stop()
         try:
             if self.arms:
+                if not (self._fault or self.cell.ending) and self._is_stopping():
+                    self._fail()  # nobody has looked since then
+                self._ask_to_end()
                 self._wait_for_end(_END_S)
         finally:  # a second Ctrl-C shortens the waits, and leaves nothing running; one more has to wait for that
             with held_back():
+                if self.arms:
+                    self._ask_to_end()
                 for process in self.processes:
                     if not process.wait(_STOP_S):
                         process.kill()

@@ -55,9 +55,8 @@ class SharedBlock:
     def set_text(self, key: str, text: str) -> None:
         """Write a text, as far as it fits, into an array of bytes."""
         array = self._arrays[key]
-        line = text.encode("utf-8", "replace")[
-            : len(array) - 1
-        ]  # a reason that cannot be written must not keep a stop back
+        # A reason that cannot be written must not keep a stop back.
+        line = text.encode("utf-8", "replace")[: len(array) - 1]
         array[: len(line)] = np.frombuffer(line, np.uint8)
         array[len(line)] = 0
 

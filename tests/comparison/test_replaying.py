@@ -256,7 +256,7 @@ def test_a_cell_is_refused_before_anything_is_made(sine: Run, tmp_path: Path) ->
         replay(sine, path)
 
 
-@pytest.mark.parametrize("cell", ["lab.toml", "/root/lab.toml", "./x/y"])
+@pytest.mark.parametrize("cell", ["lab.toml", "/some/where/lab.toml", "./x/y"])
 def test_a_recording_that_says_it_is_simulated_moves_no_arms(sine: Run, tmp_path: Path, cell: str) -> None:
     with pytest.raises(RecordingError, match="a simulated run's is not a file"):
         replay(replace(sine, header=replace(sine.header, kwargs={"cell": cell})))

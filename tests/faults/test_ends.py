@@ -9,9 +9,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from dual_ur10.errors import CellFaulted, SettingsError, StartError
+from dual_ur10.errors import CellFaulted, ClosedError, LinkError, SettingsError, StartError
 from dual_ur10.recording.reader import read_run
 from dual_ur10.sim2real.arm_memory import Phase
+from dual_ur10.sim2real.arm_sender import ArmSender
 
 
 @pytest.mark.parametrize("arm", [0, 1])
@@ -147,7 +148,7 @@ def test_measured_states_of_a_stop_are_in_the_black_box(lab, tmp_path):
     assert run.arms[1].sent["sent_s"][-1] < state["arrival_s"][-1] + 2 * lab.tick_s
 
 
-@pytest.mark.parametrize("change", [{"speed_factor": 0.5}, {"speed_rad_s": 0.7}, {"tcp_m": ((0.0, 0.0, 0.1),) * 2}])
+@pytest.mark.parametrize("change", [{"speed_factor": 0.5}, {"speed_rad_s": 0.7}, {"minimum_clearance_m": 0.01}])
 def test_a_configuration_that_is_not_what_the_cell_file_says_is_refused(lab, change):
     """The processes of the arms go by the file: limits that only one of both knows are none."""
     lab.mark()
@@ -155,3 +156,31 @@ def test_a_configuration_that_is_not_what_the_cell_file_says_is_refused(lab, cha
     with pytest.raises(SettingsError, match=f"{next(iter(change))} of the cell is .* its cell file says"):
         gym.make("DualUR10/SineTracking-v0", cell=config)
     lab.assert_nothing_has_moved()
+
+
+def test_an_arm_is_led_to_rest_also_where_nothing_is_heard_of_it_any_more():
+    """Its link breaks within the ramp, and is closed then."""
+
+    class Link:
+        polled = 0
+
+        def fileno(self):
+            if self.polled:
+                raise ClosedError("closed")
+            return number
+
+        def poll(self):
+            self.polled += 1
+            raise LinkError("lost")
+
+    number = os.memfd_create("always readable")
+    sender = object.__new__(ArmSender)
+    sender.link = Link()
+    try:
+        for _ in range(3):
+            begun = time.monotonic()
+            assert not sender._hear(begun + 0.02)
+            assert time.monotonic() >= begun + 0.02
+    finally:
+        os.close(number)
+    assert sender.link.polled == 1

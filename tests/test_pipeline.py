@@ -301,9 +301,9 @@ def test_distances_are_measured_to_where_a_held_arm_stays() -> None:
     class Seen(AlwaysClear):
         postures: list[np.ndarray] = []  # noqa: RUF012
 
-        def is_clear(self, q_rad):
+        def spare_m(self, q_rad):
             self.postures.append(np.array(q_rad).reshape(-1, 2, 6))
-            return super().is_clear(q_rad)
+            return super().spare_m(q_rad)
 
     seen = Seen()
     pipeline = pipeline_at_home(clearance=seen, held=0)
@@ -330,9 +330,9 @@ def test_a_refused_row_keeps_its_openings() -> None:
 
         calls = 0
 
-        def is_clear(self, q_rad):
+        def spare_m(self, q_rad):
             self.calls += 1
-            return np.array([True, self.calls < 3])
+            return np.array([[0.1], [0.1 if self.calls < 3 else -0.1]])
 
         def worst(self, q_rad):
             return "left/palm and table", 0.0, 0.02

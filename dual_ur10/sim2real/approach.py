@@ -31,6 +31,7 @@ ACCELERATION_RAD_S2: Final = 0.5
 
 _ROOM: Final = 0.9  # of a limit of speed
 _END_RAD: Final = 0.1  # of a joint's range, from which nothing begins: a turn too many is near
+_ROUNDING_M: Final = 1e-6  # by which a pair that stays as far apart as it is may seem to be closer
 _STEP_RAD: Final = 0.02  # between postures at which distances are looked at
 # Of the polynomial of fifth degree from rest to rest.
 _PEAK_SPEED, _PEAK_ACCELERATION, _PEAK_JERK = 1.875, 10 / math.sqrt(3), 60.0
@@ -82,15 +83,29 @@ class Leaving:
 
     def __init__(self, clearance: Clearance, start_rad: Array) -> None:
         self._clearance = clearance
-        self._short = np.maximum(clearance.shortfall_m(np.asarray(start_rad).reshape(12)), 0.0)
+        short = clearance.shortfall_m(np.asarray(start_rad).reshape(12))
+        self._short = np.where(short > 0.0, short + _ROUNDING_M, 0.0)
 
-    def is_clear(self, q_rad: Array) -> NDArray[np.bool_]:
-        """(1,) whether no pair is closer than allowed, or than it was at the beginning, at a posture (1, 12)."""
-        return np.array([bool((self._clearance.shortfall_m(q_rad[0]) <= self._short).all())])
+    def spare_m(self, q_rad: Array) -> Array:
+        """(1, pairs) by how much each pair is farther apart than allowed, or than at the beginning, at (1, 12)."""
+        spare: Array = self._short - self._clearance.shortfall_m(q_rad[0])
+        return spare[None]
+
+    def spare_of_balls_m(self) -> Array:
+        """As `Clearance.spare_of_balls_m`: no more may be needed than there."""
+        return self._clearance.spare_of_balls_m()
+
+    def travel_m(self, way_rad: Array) -> Array:
+        """As `Clearance.travel_m`."""
+        return self._clearance.travel_m(way_rad)
+
+    def alone(self) -> Leaving:
+        """Itself: there is one posture at a time."""
+        return self
 
     def worst(self, q_rad: Array) -> tuple[str, float, float]:
-        """As `Clearance.worst`."""
-        return self._clearance.worst(q_rad)
+        """As `Clearance.worst`, of what comes closer than it may here."""
+        return self._clearance.worst(q_rad, self._short)
 
 
 class Approach:
@@ -183,7 +198,7 @@ def _is_clear(start: Array, end: Array, clearance: Clearance) -> bool:
     short = clearance.shortfall_m(start)
     for posture in _along(start, end):
         now = clearance.shortfall_m(posture)
-        if (now > np.maximum(short, 0.0) + 1e-6).any():
+        if (now > np.maximum(short, 0.0) + _ROUNDING_M).any():
             return False
         short = np.minimum(short, now)
     return True

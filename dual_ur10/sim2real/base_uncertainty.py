@@ -72,6 +72,8 @@ class BaseUncertainty:
         furthest = np.array([reach for _, reach in reaches])
         self.most_m: Array = self._shift + (furthest[self._pairs] * self._turn).sum(axis=0)
         """(pairs,) what it is at most, at any posture."""
+        self.per_m: Array = self._turn.sum(axis=0)
+        """(pairs,) how much it changes at most where the geoms of a pair move by a metre in all."""
         self.turns = bool(self._turn.any())
         """Whether it depends on the posture."""
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.obstacles import geom_name
+from dual_ur10.assets.reach import levers_m
 from dual_ur10.assets.scene import CLEARANCE_CUTOFF_M, SceneSettings, build_clearance_model, clearance_pairs
 from dual_ur10.errors import CollisionAtStartError, SettingsError, UnknownNameError
 from dual_ur10.sim2real.base_uncertainty import BaseUncertainty, Uncertainty
@@ -71,8 +72,13 @@ class Clearance:
         self.minimum_m = minimum_m
         self._known = np.array([closer.get(pair, minimum_m) for pair in self.pairs])
         exempt = [pair in closer for pair in self.pairs]
-        self._uncertainty = BaseUncertainty(uncertainty, settings, build_clearance_model(settings), exempt)
+        model = build_clearance_model(settings)
+        self._uncertainty = BaseUncertainty(uncertainty, settings, model, exempt)
+        self._levers = (levers_m(model) * (1.0 + self._uncertainty.per_m[:, None])).T.copy()
         self._allowed = self._known + self._uncertainty.most_m
+        self._geoms = model.sensor_objid.copy(), model.sensor_refid.copy()
+        radius = np.where(model.geom_rbound > 0.0, model.geom_rbound, np.inf)  # that of a plane is told as 0
+        self._balls: Array = radius[self._geoms[0]] + radius[self._geoms[1]] + self._allowed
         for row in np.flatnonzero((self._allowed >= CLEARANCE_CUTOFF_M) & (self._allowed > self._known))[:1]:
             raise SettingsError(
                 f"{' and '.join(self.pairs[row])} must stay {self._known[row]:.4g} m apart, and up to "
@@ -92,10 +98,11 @@ class Clearance:
         self._qpos: Array = self._batch.bind("qpos")
         self._distance: Array = self._batch.bind("sensordata")
         self._center: Array = self._batch.bind("geom_xpos").reshape(n, -1, 3)
+        self._alone: Clearance | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()
-        for key in ("_batch", "_qpos", "_distance", "_center"):
+        for key in ("_batch", "_qpos", "_distance", "_center", "_alone"):
             del state[key]
         return state
 
@@ -126,9 +133,39 @@ class Clearance:
         self._batch.forward(stage=self._stage)
         return self._distance
 
+    def spare_m(self, q_rad: Array) -> Array:
+        """(n, pairs) by how much each pair is at least farther apart than it must be at the postures, (n, 12).
+
+        It is below 0 where a pair is closer than allowed.
+        """
+        spare: Array = self.distances_m(q_rad) - self._allowed_here()
+        return spare
+
+    def spare_of_balls_m(self) -> Array:
+        """The same at the postures that were measured last, for the balls around bodies: less, and without an end."""
+        first, second = self._geoms
+        between = self._center[:, first] - self._center[:, second]
+        spare: Array = np.sqrt(np.einsum("npk,npk->np", between, between)) - self._balls
+        return spare
+
+    def travel_m(self, way_rad: Array) -> Array:
+        """(n, pairs) by how much that can shrink at most, where the joints move by (n, 12) in all, none below 0."""
+        travel: Array = way_rad @ self._levers
+        return travel
+
+    def alone(self) -> Clearance:
+        """The same for one posture at a time."""
+        settings, n, _ = self._arguments
+        if n == 1:
+            return self
+        if self._alone is None:
+            self._alone = object.__new__(Clearance)
+            self._alone.__setstate__({**self.__getstate__(), "_arguments": (settings, 1, 1)})
+        return self._alone
+
     def is_clear(self, q_rad: Array) -> NDArray[np.bool_]:
         """(n,) mask of the postures, (n, 12), at which no pair is closer than allowed."""
-        clear: NDArray[np.bool_] = np.all(self.distances_m(q_rad) >= self._allowed_here(), axis=1)
+        clear: NDArray[np.bool_] = np.all(self.spare_m(q_rad) >= 0.0, axis=1)
         return clear
 
     def shortfall_m(self, q_rad: Array) -> Array:
@@ -137,15 +174,16 @@ class Clearance:
         shortfall: Array = (self.allowed_m(postures) - self._distance)[0]
         return shortfall
 
-    def worst(self, q_rad: Array) -> tuple[str, float, float]:
+    def worst(self, q_rad: Array, granted_m: Array | float = 0.0) -> tuple[str, float, float]:
         """The pair that is nearest to its limit or furthest beyond it, its distance and the smallest legal one.
 
         Args:
             q_rad: (12,) posture.
+            granted_m: (pairs,) by how much pairs may be closer than allowed.
         """
         allowed = self.allowed_m(np.broadcast_to(q_rad, self._qpos.shape))[0]
         distance = self._distance[0]
-        pair = int((distance - allowed).argmin())
+        pair = int((distance - allowed + granted_m).argmin())
         return " and ".join(self.pairs[pair]), float(distance[pair]), float(allowed[pair])
 
     def check_start(self, q_rad: Array, rows: NDArray[np.intp]) -> None:

@@ -1,20 +1,21 @@
 """The safety gate: the last function before a target leaves for the arms, in simulation and on a robot.
 
 It trusts nobody: it keeps its own record of what it let out, and checks every window of targets against all limits,
-against the brake that would follow, and against the distances at the posture where that brake would end. There is no
-switch to turn it off. A period that fails is replaced by the brake from the last target that left; that this brake is
-legal was part of accepting that target.
+against the brake that would follow, and against the distances at the posture where that brake would end and on the way
+there. There is no switch to turn it off. A period that fails is replaced by the brake from the last target that left;
+that this brake is legal was part of accepting that target.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import ActionError
+from dual_ur10.sim2real.between import Between, Distances
 from dual_ur10.sim2real.limits import HISTORY, POINTS, Envelope, MotionLimits
 from dual_ur10.ur10 import ARMS, JOINTS
 
@@ -73,16 +74,6 @@ class GateResult(NamedTuple):
     verdicts: dict[int, Verdict]
 
 
-class Distances(Protocol):
-    """Knows how near bodies come to each other; see `dual_ur10.sim2real.clearance.Clearance`."""
-
-    def is_clear(self, q_rad: Array) -> Mask:
-        """(n,) mask of the postures, (n, 12), at which no pair is closer than allowed."""
-
-    def worst(self, q_rad: Array) -> tuple[str, float, float]:
-        """The pair that is furthest beyond its limit at a posture, (12,), its distance and the smallest legal one."""
-
-
 class SafetyGate:
     """Checks every target that leaves.
 
@@ -101,6 +92,8 @@ class SafetyGate:
         self._past: Array = np.zeros((n, HISTORY, 12))
         self._sent = np.zeros(n, dtype=np.int64)
         self._verdicts: dict[int, Verdict] = {}
+        self._between = Between(clearance, self.envelope.whole_brake(), ticks)
+        self._postures: dict[int, Array] = {}  # by row: where on its way something is too close
 
     @property
     def last_targets_rad(self) -> Array:
@@ -112,6 +105,7 @@ class SafetyGate:
         index = np.arange(self.n) if rows is None else rows
         self._past[index] = np.asarray(q_rad).reshape(-1, 1, 12)
         self._sent[index] = 0
+        self._between.reset(index)
         for row in index.tolist():
             self._verdicts.pop(row, None)
 
@@ -138,9 +132,15 @@ class SafetyGate:
         kept = envelope.within(share, _TOLERANCE, 1.0)
         if not kept and not np.isfinite(targets_rad).all():
             raise ActionError(_not_finite(targets_rad))
-        legal = self._clearance.is_clear(quantities[:, envelope.rest_row])
+        turning, rest = quantities[:, envelope.rest_row - 1], quantities[:, envelope.rest_row]
+        spare = self._clearance.spare_m(rest)
+        legal = np.logical_and.reduce(spare >= 0.0, axis=1)
         if not kept:
             legal = legal & self._in_detail(window, share)
+        going = legal.copy()
+        going[list(self._verdicts)] = False
+        self._postures = self._between(window, turning, rest, spare, going)
+        legal[list(self._postures)] = False
         if self._verdicts or not np.logical_and.reduce(legal):
             self._refuse(np.flatnonzero(~legal), window, quantities, share)
         self._past = window[:, -HISTORY:]
@@ -191,7 +191,8 @@ class SafetyGate:
             subject = f"{ARMS[arm]}/{POINTS[point[arm]]}"
             limit = self.limits.tcp_speed_m_s
             return Verdict("tip speed", subject, float(fastest[arm] * limit), limit, tick)
-        pair, distance, allowed = self._clearance.worst(quantities[row, envelope.rest_row])
+        posture = self._postures.get(row, quantities[row, envelope.rest_row])
+        pair, distance, allowed = self._clearance.worst(posture)
         return Verdict("distance", pair, distance, allowed, tick)
 
 

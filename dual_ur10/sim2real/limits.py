@@ -41,6 +41,9 @@ _BRAKE_GAP, _BRAKE_PEAK, _BRAKE_LAST = 0.2, 2.0, 3.0
 """Instants along the brake, in units of 1 / w, at which the tip speed is looked at: the gap between two, and the last.
 It can rise at first, where the joints were still accelerating, and is over its peak before 2 / w."""
 
+_BRAKE_TIMES = 14.0
+"""The same for the whole brake: what is left of any speed then is less than counts as rest."""
+
 _BETWEEN_INSTANTS = 1.006
 """By how much a peak between two of them can be higher: its curvature is at most w², half a gap is 0.1 / w."""
 
@@ -245,6 +248,10 @@ class Envelope:
         for _ in range(ticks):
             rows.append(rows[-1] + 2 * r * (rows[-1] - rows[-2]) - r * r * (rows[-2] - rows[-3]))
         return np.array(rows[HISTORY:])
+
+    def whole_brake(self) -> Array:
+        """Rows (k, 3) that continue three past targets with the brake until it is at rest."""
+        return self._brake(math.ceil(_BRAKE_TIMES / (self.brake_rate * self.tick_s)))
 
     def _coast(self, ticks: int) -> Array:
         """Rows (ticks, 3) that continue three past targets at their speed, while the acceleration dies away."""

@@ -19,24 +19,24 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.errors import ClosedError, DualUR10Error, LinkError, SettingsError, StartError
+from dual_ur10.errors import ClosedError, LinkError, SettingsError, StartError
 from dual_ur10.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, rotate
 from dual_ur10.sim2real.adapter import GRIPPER_OPENING_M, Command
-from dual_ur10.sim2real.approach import Approach, Leaving, Rates, plan
-from dual_ur10.sim2real.arm_memory import RING
+from dual_ur10.sim2real.approach import Approach, Rates, plan
 from dual_ur10.sim2real.arm_status import ArmStatus
+from dual_ur10.sim2real.braked_targets import BrakedTargets
 from dual_ur10.sim2real.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.clearance import Clearance
 from dual_ur10.sim2real.command_queue import MAX_LATENCY_TICKS
 from dual_ur10.sim2real.emulator_knobs import EmulatorKnobs
-from dual_ur10.sim2real.gate import SafetyGate
 from dual_ur10.sim2real.grippers import Grippers
-from dual_ur10.sim2real.limits import HISTORY, Envelope, MotionLimits
+from dual_ur10.sim2real.limits import MotionLimits
 from dual_ur10.sim2real.object_tracker import Flanges, ObjectTracker, tracker_of
 from dual_ur10.sim2real.people import Confirm, confirmation
 from dual_ur10.sim2real.runner import Runner, margin_ticks
 from dual_ur10.sim2real.tracking import Heat
 from dual_ur10.sim2real.twin import Twin
+from dual_ur10.sim2real.way_to_start import AHEAD_TICKS, WayToStart
 from dual_ur10.ur10 import ARMS
 
 log = logging.getLogger(__name__)
@@ -44,19 +44,9 @@ log = logging.getLogger(__name__)
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-START_RAD: Final = 1e-4
-"""How near to the start of a task the controllers must want their arms to be, before an episode begins."""
-
-MEASURED_RAD: Final = 0.02
-"""How near to it they must be measured to be."""
-
 _OF_TASK: Final = ("equipment", "timestep_s", "gains", "meshes", "wrench_noise", "perturbation")
 """What of a cell is the task's, for looks, or for simulation alone."""
 
-_BRAKE_TIMES: Final = 14.0  # of the brake's decay: what is left of any speed then is less than counts as rest
-_AHEAD_S: Final = 1.0  # that are written ahead on the way to a start, in real time
-_AHEAD_TICKS: Final = 300  # at most
-_SETTLE_S: Final = 3.0
 _LOOK_S: Final = 0.01
 _OPENING_S: Final = 4.0
 _OPENING_M: Final = 0.003  # that a gripper may be from what was asked, where nothing is between its fingers
@@ -116,19 +106,11 @@ class RtdeCell:
         self.late_periods = 0
         self.first_target: int | None = None
         self._tick_s = config.servoj.tick_s
-        envelope = Envelope(limits, self._tick_s, 1)
-        count = math.ceil(_BRAKE_TIMES / (envelope.brake_rate * self._tick_s))
-        most = RING // 2 - max(_AHEAD_TICKS, ticks)
-        if count > most:
-            raise SettingsError(
-                f"the limits of this cell need a brake of {count * self._tick_s:.1f} s, {most * self._tick_s:.1f} s is "
-                "the most that is kept ready: allow more acceleration or jerk, or less speed"
-            )
-        self._brake: Array = Envelope(limits, self._tick_s, count).brake
+        self._targets = BrakedTargets(limits, self._tick_s, max(AHEAD_TICKS, ticks))
+        self._way = WayToStart(limits, clearance, self._tick_s, ticks, self.file.speed_factor, self._targets)
         self._limits, self._clearance, self._confirm = limits, clearance, confirm
         self._only = None if only is None else ARMS.index(only)
         self._twin = Twin(config.scene)
-        self._past: Array = np.zeros((HISTORY, 2, 6))  # the last targets but those of the brake
         self._origin: int | None = None  # number of the target that belongs to tick 0 of the episode
         self._elapsed = 0
         self._heat = [Heat(name) for name in ARMS]
@@ -199,8 +181,8 @@ class RtdeCell:
         self._open_grippers(start)
         if not runner.begun:
             runner.begin(now)
-        self._go(now, approach.targets(self._tick_s))
-        statuses = self._settled(goal)
+        self._way.go(runner, now, approach.targets(self._tick_s))
+        statuses = self._way.arrived(runner, goal)
         if self._knobs is not None and start.object_pose is not None:
             pose = np.asarray(start.object_pose).reshape(7)
             self._knobs.place(pose[:3].tolist(), pose[3:].tolist())
@@ -229,7 +211,7 @@ class RtdeCell:
         self.first_target = first
         self._elapsed += self.ticks
         self.rested_q_rad = None
-        if not self._write(runner, first, command.targets_rad[0]):
+        if not self._targets.write(runner, first, command.targets_rad[0]):
             return self._rest(runner)
         runner.cell.expect(first + self.ticks, live=True)
         try:
@@ -262,7 +244,7 @@ class RtdeCell:
         runner.cell.expect(runner.end, live=True)
         runner.wait_for(runner.end)
         rest = runner.last()
-        self._past = np.tile(rest, (HISTORY, 1, 1))
+        self._targets.rest_at(rest)
         self._origin = runner.next - self._elapsed
         self.rested_q_rad = rest[None]
         runner.cell.expect(self._origin + self._elapsed + self.latency_ticks, live=True)
@@ -331,93 +313,6 @@ class RtdeCell:
 
     def __getstate__(self) -> dict[str, Any]:
         raise SettingsError("a cell of two controllers cannot be pickled or copied: there is one of it")
-
-    # Targets.
-
-    def _write(self, runner: Runner, first: int, targets_rad: Array) -> bool:
-        """Write targets, (k, 2, 6), and the brake behind them, if there still is time. Returns whether there was."""
-        last = np.concatenate([self._past, targets_rad])[-HISTORY:]
-        past = last.reshape(HISTORY, 12)
-        brake = past[-1] + self._brake @ (past - past[-1])
-        whole = np.concatenate([targets_rad, brake.reshape(-1, 2, 6)])
-        if not runner.write(first, whole):
-            return False
-        self._past = last
-        return True
-
-    def _go(self, start_rad: Array, targets_rad: Array) -> None:
-        """Send what a safety gate lets out of targets, (k, 2, 6), from rest at `start_rad`, (2, 6), to rest.
-
-        Raises:
-            StartError: The gate refuses some, or this program stood still. Both arms rest on the way.
-        """
-        cell = self._open.cell
-        try:
-            self._lead(start_rad, targets_rad)
-        except DualUR10Error:
-            cell.expect(0.0, live=False)  # both arms come to rest: the brake lies behind what was written
-            raise
-        except BaseException:
-            # An interrupt: what was written goes on meanwhile, and who hears no more from this program stops both.
-            cell.expect(self._open.now, live=True)
-            raise
-
-    def _lead(self, start_rad: Array, targets_rad: Array) -> None:
-        runner, ticks = self._open, self.ticks
-        gate = SafetyGate(self._limits, self._tick_s, ticks, Leaving(self._clearance, start_rad))
-        gate.reset(start_rad[None])
-        self._past = np.tile(start_rad, (HISTORY, 1, 1))
-        windows = math.ceil(len(targets_rad) / ticks)
-        rest = np.repeat(targets_rad[-1:], windows * ticks - len(targets_rad), axis=0)
-        waiting = np.concatenate([targets_rad, rest]).reshape(windows, 1, ticks, 2, 6)
-        ahead = self._ahead_ticks
-        at_once = max(1, ahead // 2 // ticks)
-        first = runner.next + 3
-        for begin in range(0, windows, at_once):
-            passed = [gate(window) for window in waiting[begin : begin + at_once]]
-            why = next((f"the safety gate refuses it: {each.verdicts[0]}" for each in passed if each.verdicts), "")
-            block = np.concatenate([each.targets_rad[0] for each in passed])
-            if not (why or self._write(runner, first, block)):
-                why = "this program stood still"
-            if why:
-                runner.cell.expect(0.0, live=False)
-                runner.wait_for(runner.end)
-                raise StartError(f"the way to the start was not finished, both arms rest on it, reset again; {why}")
-            first += len(block)
-            # Who hangs here is late behind what was written, as in an episode.
-            runner.cell.expect(first, live=begin + at_once < windows)
-            runner.wait_for(first - ahead // 2)
-        runner.wait_for(first)
-
-    @property
-    def _ahead_ticks(self) -> int:
-        """How many targets are written ahead on the way to a start: few, so that an interrupt means something."""
-        least = 2 * (margin_ticks(self._tick_s) + self.ticks)
-        return min(max(math.ceil(_AHEAD_S / self._tick_s * self.file.speed_factor), least), _AHEAD_TICKS)
-
-    def _settled(self, goal_rad: Array) -> list[ArmStatus]:
-        """Wait until both arms are where they should be.
-
-        Raises:
-            StartError: One does not get there.
-        """
-        runner = self._open
-        end = time.monotonic() + _SETTLE_S
-        while True:
-            runner.check()
-            statuses = runner.statuses()
-            wanted = np.abs(np.array([each.target_q_rad for each in statuses]) - goal_rad).max(axis=1)
-            found = np.abs(np.array([each.q_rad for each in statuses]) - goal_rad).max(axis=1)
-            if (wanted <= START_RAD).all() and (found <= MEASURED_RAD).all():
-                return statuses
-            if time.monotonic() > end:
-                arm = int(np.maximum(wanted / START_RAD, found / MEASURED_RAD).argmax())
-                raise StartError(
-                    f"{ARMS[arm]} does not come to where the task begins: its controller is {wanted[arm]:.2g} rad "
-                    f"from there, allowed are {START_RAD:g}, and it is measured {found[arm]:.2g} rad from there, "
-                    f"allowed are {MEASURED_RAD:g}. Look at what holds it, and at its payload"
-                )
-            time.sleep(_LOOK_S)
 
     # People and things.
 

@@ -22,6 +22,7 @@ from dual_ur10.sim2real.limiter import Limiter
 from dual_ur10.sim2real.limits import HISTORY, Envelope, MotionLimits
 from dual_ur10.sim2real.pace import between
 from dual_ur10.sim2real.servoj import ServojLaw, ServojProfile
+from dual_ur10.sim2real.singularity import share_of_step
 from dual_ur10.ur10 import NOMINAL_DH, DHParameters
 
 Array = NDArray[np.float64]
@@ -85,7 +86,8 @@ class ServojAdapter:
         mode: Meaning of an action's six numbers per arm. "joint_delta": steps of the six joints from the last
             command, in shares of the speed limit times the period, -1 to 1. "joint_position": six positions, rad.
             "tcp_delta": step and turn (rotation vector) of the flange from its last command, along the axes of the
-            cell frame, in shares of 0.25 m/s and 0.5 rad/s; a step out of reach leaves that arm where it is.
+            cell frame, in shares of 0.25 m/s and 0.5 rad/s; a step out of reach leaves that arm where it is, and steps
+            towards a singularity become smaller until there are none (`singularity`).
         gripper: Whether an action has a seventh number per arm, the gripper's opening: -1 closed, 1 open.
         compensate_lag: Send targets ahead by the law's inverse, so that the arms do not lag.
         dh: The arms' kinematics, for "tcp_delta".
@@ -135,6 +137,7 @@ class ServojAdapter:
         speed = np.tile(self.limits.speed_rad_s, 2)
         self._going_on = np.stack([speed, np.full(12, self.limits.acceleration_rad_s2)])
         self._leash = speed * (speed / (2 * self.limits.acceleration_rad_s2) + self.period_s)
+        self._steps_to_rest = 2.0 / (self.envelope.brake_rate * self.period_s)  # along a critically damped decay
         self._joint_step = np.tile(self.limits.speed_rad_s, 2) * self.period_s
         # Turns vectors of the cell frame into each arm's `base`, which is half a turn from base_link.
         turns = np.array([[0.0, 0.0, -np.pi - yaw] for yaw in yaw_rad])
@@ -333,17 +336,23 @@ class ServojAdapter:
 
     def _tcp_delta(self, action: Array) -> Array:
         now = self.commanded_q_rad
-        share = np.clip(action, -1.0, 1.0)
+        asked = np.clip(action, -1.0, 1.0)
         goal = now.copy()
         for arm, dh in enumerate(self.dh):
             position, rotation = flange_pose(now[:, arm], dh)
             # One small product per cell, so that its last bit does not depend on how many others there are.
-            vectors = share[:, arm].reshape(-1, 2, 3) @ self._to_base[arm].T
+            vectors = asked[:, arm].reshape(-1, 2, 3) @ self._to_base[arm].T
             step = vectors[:, 0] * (TCP_STEP_M_S * self.period_s)
             turn = vectors[:, 1] * (TCP_TURN_RAD_S * self.period_s)
-            wanted = quat_to_matrix(quat_from_rotvec(turn[:, None]))[:, 0] @ rotation
-            q, reached = try_nearest(position + step, wanted, now[:, arm], dh)
-            goal[reached, arm] = q[reached]
+            here = now[:, arm]
+            goal[:, arm] = _moved(position, rotation, step, turn, here, dh)
+            share = share_of_step(here, goal[:, arm] - here, self._steps_to_rest, dh)[:, None]
+            slow = np.flatnonzero(share < 1.0)
+            if slow.size:
+                part = share[slow]
+                goal[slow, arm] = _moved(
+                    position[slow], rotation[slow], part * step[slow], part * turn[slow], here[slow], dh
+                )
         return self._inside(goal.reshape(self.n, 12))
 
     def _opening(self, action: Array) -> Array | None:
@@ -352,6 +361,13 @@ class ServojAdapter:
             return None
         opening = (np.clip(action[..., 6], -1.0, 1.0) + 1.0) * (GRIPPER_OPENING_M / 2)
         return np.repeat(opening[:, None], self.ticks, axis=1)
+
+
+def _moved(position: Array, rotation: Array, step: Array, turn: Array, here: Array, dh: DHParameters) -> Array:
+    """(n, 6) joint angles of flanges that have gone a step, (n, 3), and turned, (n, 3); `here` where out of reach."""
+    wanted = quat_to_matrix(quat_from_rotvec(turn[:, None]))[:, 0] @ rotation
+    q, reached = try_nearest(position + step, wanted, here, dh)
+    return np.where(reached[:, None], q, here)
 
 
 def _parabola(after: float) -> Array:

@@ -10,6 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsed
 
 from dual_ur10.cli_options import (
     RUNS,
+    TOLD_TO_REST,
     CellFileName,
     EnvName,
     NoRecord,
@@ -116,7 +117,7 @@ def evaluate(
         if found is not None:
             console.print(found.as_table())
         done = 0 if found is None else len(found.episodes)
-        arms = "" if cell is None else "; both arms were told to come to rest: look at them"
+        arms = "" if cell is None else f"; {TOLD_TO_REST}"
         console.print(f"interrupted after {done} of {episodes} episodes; no result was written{arms}", highlight=False)
         raise typer.Exit(INTERRUPTED) from None
     console.print(found.as_table())

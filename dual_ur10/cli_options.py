@@ -124,6 +124,10 @@ def progress_of(console: Console, cell: Path | None, *columns: ProgressColumn) -
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal or cell is not None)
 
 
+TOLD_TO_REST = "both arms were told to come to rest: look at them"
+"""What to say of the arms of a cell where somebody has interrupted."""
+
+
 def late_text(count: int) -> str:
     """What to append where actions came too late."""
     if not count:

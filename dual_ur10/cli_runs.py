@@ -12,6 +12,7 @@ from rich.table import Table
 
 from dual_ur10.cli_options import (
     RUNS,
+    TOLD_TO_REST,
     NoRecord,
     OneArm,
     PowerOn,
@@ -25,6 +26,7 @@ from dual_ur10.cli_options import (
     record_in,
 )
 from dual_ur10.files import check_target
+from dual_ur10.loading import INTERRUPTED
 
 if TYPE_CHECKING:
     from dual_ur10.comparison.fit import Estimate
@@ -66,15 +68,21 @@ def replay(
         record_in(keywords, record, source_of(run, episode))
     if power:
         power_on(cell)
-    with progress_of(console, cell, TextColumn("playing"), BarColumn(), MofNCompleteColumn()) as progress:
-        bar = progress.add_task("playing")
-        found = play(
-            recorded,
-            cell,
-            episode=episode,
-            keywords=keywords,
-            on_step=lambda done, total: progress.update(bar, completed=done, total=total),
-        )
+    try:
+        with progress_of(console, cell, TextColumn("playing"), BarColumn(), MofNCompleteColumn()) as progress:
+            bar = progress.add_task("playing")
+            found = play(
+                recorded,
+                cell,
+                episode=episode,
+                keywords=keywords,
+                on_step=lambda done, total: progress.update(bar, completed=done, total=total),
+            )
+    except KeyboardInterrupt:
+        if cell is None:
+            raise
+        errors.print(f"interrupted; {TOLD_TO_REST}", highlight=False, soft_wrap=True)
+        raise typer.Exit(INTERRUPTED) from None
     ticks = found.targets_rad.shape[0] * found.targets_rad.shape[1]
     ended = f", ended by {escape(found.ended_by)}" if found.ended_by else ""
     console.print(

@@ -144,8 +144,11 @@ def _runs(arm: Any) -> str:
 
 
 def _slider(arm: Any) -> str:
+    from dual_ur10.sim2real.pace import FULL
+
     known = arm.status
-    return f"{_coloured(f'{100 * known.slider:.0f} %', known.slider >= 1.0)}, scaling {100 * known.speed_scaling:.0f} %"
+    at = _coloured(f"{100 * known.slider:.0f} %", known.slider >= FULL)
+    return f"{at}, scaling {100 * known.speed_scaling:.0f} %"
 
 
 def _pose(arm: Any) -> str:

@@ -235,6 +235,7 @@ def test_another_calibration(cb3, error_m, level):
     finally:
         cb3.ask("calibration", arm="left", error_m=0.0)
     assert finding.level == level
+    assert "nominal UR10's, which the cell file goes by" in finding.found  # it gives no other
     off_m = float(re.search(r"([\d.]+) mm", finding.found)[1]) / 1e3
     assert error_m <= off_m <= 2 * error_m + 1e-6
 

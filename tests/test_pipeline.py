@@ -60,6 +60,23 @@ def test_shapes_of_many_cells(shape: tuple[int, ...]) -> None:
     np.testing.assert_array_equal(pipeline_at_home(3).check(action), action.reshape(3, 2, 6))
 
 
+def test_actions_beyond_the_action_space_are_counted() -> None:
+    pipeline = pipeline_at_home(2, gripper=True)
+    action = np.zeros((2, 2, 7))
+    for value, arm, number, counted in ((1.0, 0, 2, 0), (-1.0, 1, 6, 0), (1.01, 0, 2, 1), (-7.0, 1, 6, 2)):
+        action[:] = 0.0
+        action[1, arm, number] = value
+        pipeline(action)
+        assert pipeline.clipped_actions == counted
+    pipeline(np.full((2, 2, 7), -1e9))
+    assert pipeline.clipped_actions == 4
+    positions = pipeline_at_home(mode="joint_position")
+    low, high = positions.adapter.action_bounds
+    for bound in (low, high):
+        positions(bound.astype(np.float32))  # as policies know it
+    assert positions.clipped_actions == 0
+
+
 @pytest.mark.parametrize("shape", [(1, 2, 6), (1, 12), (2, 6), (12,)])
 def test_shapes_of_one_cell(shape: tuple[int, ...]) -> None:
     assert pipeline_at_home().check(np.zeros(shape)).shape == (1, 2, 6)

@@ -371,6 +371,11 @@ class Core:
         """How many actions came too late so far, so that both arms came to rest."""
         return 0 if self.cell is None else self.cell.late_periods
 
+    @property
+    def clipped_actions(self) -> int:
+        """How many actions so far were beyond the action space, so that they were clipped to it; of all cells."""
+        return self.pipeline.clipped_actions
+
     def record(self, recorder: RunRecorder) -> None:
         """Let `recorder` take note of every episode from the next reset on. It is the caller's to close.
 

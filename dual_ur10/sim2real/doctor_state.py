@@ -169,11 +169,12 @@ def calibration_findings(arm: str, expected: ExpectedArm, facts: PrimaryFacts) -
     if expected.dh is None:
         yield Finding(arm, "calibration", "warn", f"{text} the nominal UR10's", "", _GIVE)
     else:
+        of = "the nominal UR10's, which the cell file goes by" if expected.dh.is_nominal else "that of the cell file"
         yield judged(
             arm,
             "calibration",
             error_m <= OTHER_CALIBRATION_M,
-            f"{text} that of the cell file",
+            f"{text} {of}",
             f"at most {1e3 * OTHER_CALIBRATION_M:g} mm",
             remedy,
             otherwise="fail" if error_m > WRONG_CALIBRATION_M else "warn",

@@ -13,6 +13,8 @@ from dual_ur10.ur10 import ARMS
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
+_ROUNDING = 1e-6  # bounds are float32 where a policy sees them
+
 
 class ServojPipeline:
     """Checks an action, turns it into targets, and lets the gate decide.
@@ -23,11 +25,17 @@ class ServojPipeline:
         adapter: Turns actions into targets.
         gate: Decides what leaves.
         held: Number of an arm that stays where it is, whatever the actions are; None: none.
+
+    Attributes:
+        clipped_actions: How many actions so far were beyond the action space, so that they were clipped to it.
     """
 
     def __init__(self, adapter: ServojAdapter, gate: SafetyGate, *, held: int | None = None) -> None:
         self.adapter, self.gate, self._held = adapter, gate, held
         self._shape = (adapter.n, 2, adapter.action_size)
+        low, high = adapter.action_bounds
+        self._lowest, self._highest = low - _ROUNDING, high + _ROUNDING
+        self.clipped_actions = 0
         self._openings: Array = np.zeros((adapter.n, 2))  # let out last: where the gripper of a stopped arm is held
 
     def reset(self, q_rad: Array, rows: Rows | None = None, gripper_m: Array | None = None) -> None:
@@ -55,7 +63,10 @@ class ServojPipeline:
         Raises:
             ActionError: Not numbers, the wrong shape, NaN or infinity. Nothing is sent and nothing changes.
         """
-        targets, gripper, _ = self.adapter(self.check(action))
+        checked = self.check(action)
+        beyond = (checked < self._lowest) | (checked > self._highest)
+        self.clipped_actions += int(np.logical_or.reduce(beyond, axis=(1, 2)).sum())
+        targets, gripper, _ = self.adapter(checked)
         if self._held is not None:
             targets[:, :, self._held] = self.gate.last_targets_rad[:, None, self._held]
         result = self.gate(targets)

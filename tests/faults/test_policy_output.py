@@ -86,6 +86,7 @@ def test_5_what_is_out_of_the_action_space_is_clipped_as_in_simulation(lab):
         core = made.unwrapped.core
         for action in wild:
             made.unwrapped.step(action)
+        assert core.clipped_actions == 2  # the first one is within
         ends.append(core.pipeline.gate.last_targets_rad)
     env.close()
     assert np.array_equal(*ends)

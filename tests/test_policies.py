@@ -1,5 +1,6 @@
 import subprocess
 import sys
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
@@ -7,8 +8,13 @@ import pytest
 
 from dual_ur10 import errors, policies
 from dual_ur10.assets.scene import ArmMount
+from dual_ur10.envs import cells
+from dual_ur10.envs.mujoco_cell import MujocoCell
+from dual_ur10.envs.sine_tracking import SineTracking
+from dual_ur10.envs.sync_carry import SyncCarry
 from dual_ur10.policies.lag_model import DeviationModel
 from dual_ur10.sim2real.cell import TYPICAL_PERTURBATION, CellConfig
+from dual_ur10.sim2real.limits import Envelope
 from dual_ur10.ur10 import DH_A_M, DHParameters
 
 SINE = "DualUR10/SineTracking-v0"
@@ -20,7 +26,7 @@ def errors_mm(axis="y", seed=0, keywords=None, learn=True, **cell):
     settings = {"cell": CellConfig(**UNEVEN, **cell), "axis": axis, "duration_s": 12.0, **(keywords or {})}
     env = gym.make(SINE, **settings)
     policy = policies.load("scripted", SINE, **settings)
-    policy.learn = learn
+    policy.learn &= learn
     observation, _ = env.reset(seed=seed)
     trace, over = [], False
     while not over:
@@ -64,6 +70,96 @@ def test_a_slow_policy_tracks_too(latency):
 def test_learning_is_what_reaches_it():
     trace, _ = errors_mm(learn=False, perturbation=TYPICAL_PERTURBATION)
     assert np.sqrt((trace**2).mean(axis=0)).min() > 0.8
+
+
+class LateOnce(MujocoCell):
+    """Where an action comes too late: along the gate's brake both arms come to rest, as on two controllers."""
+
+    late, limits = 100, SineTracking.limits
+    actions = 0
+
+    def advance(self, command):
+        self.actions += 1
+        self.rested_q_rad = None
+        if self.actions != self.late:
+            return super().advance(command)
+        elapsed = self._elapsed + self.ticks  # while they come to rest, the task's time stands still
+        past = self._queue._targets[0, -3:].reshape(3, 12)
+        rows = Envelope(self.limits, self.config.servoj.tick_s, 1).whole_brake()
+        brake = (past[-1] + rows @ (past - past[-1])).reshape(1, -1, 2, 6)
+        brake = np.concatenate([brake, np.repeat(brake[:, -1:], 40 + -(len(rows) + 40) % self.ticks, axis=1)], axis=1)
+        self.rested_q_rad = brake[:, -1]
+        for first in range(0, brake.shape[1], self.ticks):
+            state = super().advance(command._replace(targets_rad=brake[:, first : first + self.ticks]))
+        self._elapsed = elapsed
+        return state._replace(time_s=elapsed * self._tick_s)
+
+
+@pytest.mark.parametrize("late", [100, 104, 108, 112, 116, 140])
+def test_arms_that_had_to_rest_go_back_without_overshoot_and_nothing_wrong_is_learned(monkeypatch, late):
+    """At full speed, and near a reversal, where the arms rest not far from where they were to be."""
+    monkeypatch.setattr(LateOnce, "late", late)
+    monkeypatch.setattr(cells, "MujocoCell", LateOnce)
+    trace, _ = errors_mm(keywords={"action_latency_ticks": 10}, perturbation=TYPICAL_PERTURBATION)
+    assert trace[late - 1 : late + 2].max() > 2.0, "nothing was late: this test tests nothing"
+    assert trace[late + 1 :].max() < trace[late - 1 : late + 1].max()  # 72 mm behind 34 where a command jumped
+    assert trace[late + 20 :].max() < 1.0  # 0.7 to 5.9 mm where it learned
+
+
+@pytest.mark.parametrize(("rate", "late"), [(5.0, 20), (12.5, 58), (125.0, 500)])
+@pytest.mark.parametrize("mode", ["joint_delta", "joint_position"])
+def test_at_other_rates_arms_that_had_to_rest_go_back_as_well(monkeypatch, rate, late, mode):
+    monkeypatch.setattr(LateOnce, "late", late)
+    monkeypatch.setattr(cells, "MujocoCell", LateOnce)
+    keywords = {"action_latency_ticks": 10, "policy_rate_hz": rate, "action_mode": mode}
+    trace, _ = errors_mm(keywords=keywords)
+    least = trace[: late - 1].max()
+    assert trace[late - 1 :].max() > 5.0, "nothing was late: this test tests nothing"
+    assert trace[late + 2 :].max() < trace[late - 1 : late + 2].max()  # the reference goes on before the arms do
+    assert trace[late + int(2.0 * rate) :].max() < least + 1.0
+
+
+@pytest.mark.parametrize("latency", [5, 8, 10, 12])
+def test_short_periods_behind_a_long_latency(latency):
+    """It learned from its own start: 50 to 380 mm."""
+    trace, _ = errors_mm(seed=1, keywords={"policy_rate_hz": 125.0, "action_latency_ticks": latency, "duration_s": 4.0})
+    assert trace.max() < 5.0
+    assert trace[200:].max() < 0.1
+
+
+@pytest.mark.parametrize("late", [32, 34, 40, 280])
+def test_a_carry_goes_on_where_arms_had_to_rest(monkeypatch, late):
+    """On the way down to the table, a few millimetres above it, and near a reversal."""
+    monkeypatch.setattr(LateOnce, "late", late)
+    monkeypatch.setattr(LateOnce, "limits", SyncCarry.limits)
+    monkeypatch.setattr(cells, "MujocoCell", LateOnce)
+    settings = {"action_latency_ticks": 5}
+    env, policy = (make("DualUR10/SyncCarry-v0", **settings) for make in (gym.make, partial(policies.load, "scripted")))
+    observation, _ = env.reset(seed=1)
+    over, squeeze = False, []
+    while not over:
+        observation, _, terminated, over, info = env.step(policy(observation))
+        assert not terminated, info  # refused near the table where a command jumped
+        squeeze.append(info["squeeze_n"].max())
+    assert np.max(squeeze) < 5.0
+
+
+@pytest.mark.parametrize(("late", "steps"), [(8, 1), (8, 3), (12, 2), (20, 3)])
+def test_measurements_that_were_late_spoil_little(late, steps):
+    """As where a machine stands still early in an episode, when a single sample teaches much: 60 to 76 mm then."""
+    settings = {"action_latency_ticks": 10}
+    env, policy = gym.make(SINE, **settings), policies.load("scripted", SINE, **settings)
+    observation, _ = env.reset(seed=0)
+    before, trace = [observation], []
+    for step in range(120):
+        seen = observation.copy().reshape(2, 34)
+        if late <= step < late + steps:
+            seen[:, :12] = before[-1 - steps].reshape(2, 34)[:, :12]  # joints and their speeds
+            assert np.abs(seen - observation.reshape(2, 34)).max() > 1e-3
+        observation, *_, info = env.step(policy(seen.reshape(68)))
+        before.append(observation)
+        trace.append(1e3 * info["flange_error_m"])
+    assert np.max(trace) < 6.0
 
 
 def test_success_over_random_episodes():

@@ -27,6 +27,9 @@ class DeviationModel:
     _PRIOR_RAD = 5e-3
     _NOISE_RAD = 1e-4
     _MEMORY = 0.99
+    # What is further from what was expected comes from something else, such as a measurement that was late: it counts
+    # as if it were so far. A deviation that stays is learned all the same, in some more samples.
+    _SURPRISE_RAD = 1e-3
     _SPEED_RAD_S, _ACCELERATION_RAD_S2 = 0.5, 2.0
     # A step of the correction at a reversal would be more acceleration than the adapter may command: it is spread over
     # some periods, and what is learned is put to use gradually, for the same reason.
@@ -56,17 +59,26 @@ class DeviationModel:
             axis=-1,
         )
 
-    def learn(self, speed: Array, acceleration: Array, deviation: Array) -> None:
-        """Take in one sample: measured minus commanded position while moving so."""
+    def learn(self, speed: Array, acceleration: Array, deviation: Array, rows: NDArray[np.bool_] | None = None) -> None:
+        """Take in one sample: measured minus commanded position while moving so; of the masked rows, or of all."""
         feature = self._features(speed, acceleration)
         spread = (self._covariance @ feature[..., None])[..., 0]
         gain = spread / (self._MEMORY + (feature * spread).sum(axis=-1, keepdims=True))
-        self._weights += gain * (deviation - (self._weights * feature).sum(axis=-1))[..., None]
-        self._trusted += self._TRUST * (self._weights - self._trusted)
-        covariance = (self._covariance - gain[..., None] * spread[..., None, :]) / self._MEMORY
+        surprise = deviation - (self._weights * feature).sum(axis=-1)
+        share = self._SURPRISE_RAD / np.maximum(np.abs(surprise), self._SURPRISE_RAD)
+        weights = self._weights + gain * (share * surprise)[..., None]
+        trusted = self._trusted + self._TRUST * (weights - self._trusted)
+        covariance = (self._covariance - (share[..., None] * gain)[..., None] * spread[..., None, :]) / self._MEMORY
         # What is not excited must not grow without bound.
         trace = np.trace(covariance, axis1=-2, axis2=-1)[..., None, None]
-        self._covariance = covariance * np.minimum(1.0, _FEATURES * self._limit / trace)
+        covariance = covariance * np.minimum(1.0, _FEATURES * self._limit / trace)
+        if rows is not None and not rows.all():
+            weights[~rows], trusted[~rows], covariance[~rows] = (
+                self._weights[~rows],
+                self._trusted[~rows],
+                self._covariance[~rows],
+            )
+        self._weights, self._trusted, self._covariance = weights, trusted, covariance
 
     def predict(self, speed: Array, acceleration: Array) -> Array:
         """The deviation to expect while moving so."""

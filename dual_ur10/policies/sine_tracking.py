@@ -14,6 +14,7 @@ from dual_ur10.envs.task import Timing
 from dual_ur10.errors import ActionError, SettingsError
 from dual_ur10.kinematics import nearest
 from dual_ur10.policies.lag_model import DeviationModel
+from dual_ur10.policies.rejoin import Rejoin
 from dual_ur10.rotations import quat_multiply, quat_to_matrix
 from dual_ur10.sim2real.limits import MotionLimits
 
@@ -21,12 +22,15 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 # Where the parts of one arm's 34 numbers are; see the table of `SineTracking`.
-_Q, _COMMANDED, _FLANGE_QUAT = slice(0, 6), slice(12, 18), slice(21, 25)
+_Q, _SPEED, _COMMANDED, _FLANGE_QUAT = slice(0, 6), slice(6, 12), slice(12, 18), slice(21, 25)
 _REFERENCE, _AHEAD, _TURN = slice(25, 28), slice(28, 31), slice(31, 34)
 _SIZE = 34
 
 _RESTART_RAD = 2e-3  # a reference that is so far from where it was going belongs to another episode
+_CHANGE_RAD_S3 = 5.0  # with long periods it goes elsewhere by itself: more than the jerk of a sine of 0.2 rad at 0.5 Hz
+_SETTLE_S = 0.5  # for which arms that did not obey, or rested, move otherwise than is wanted: nothing is learned then
 _LATENCY_S = 0.12  # beyond it limits hold back the first commands of an episode, and it would learn from that
+_LATENCY_PERIODS = 6.5  # as much, with short periods
 
 
 class SineTrackingPolicy:
@@ -38,8 +42,8 @@ class SineTrackingPolicy:
         mounts: Where the arms stand, and their kinematics.
         limits: What the arms may do, as the cell allows it.
         settings: Those of the task; they do not matter.
-        learn: Whether to learn the deviation while moving. Without it, and with a latency beyond 0.12 s, the policy
-            commands the reference as it is.
+        learn: Whether to learn the deviation while moving. Without it, and with a latency beyond 0.12 s or six
+            periods, the policy commands the reference as it is.
     """
 
     def __init__(
@@ -55,9 +59,13 @@ class SineTrackingPolicy:
         if action_mode not in ("joint_delta", "joint_position"):
             raise SettingsError(f"the scripted policy commands joints: action_mode {action_mode!r} is not for it")
         self.timing, self.action_mode = timing, action_mode
-        self.learn = learn and timing.ahead_s - timing.period_s <= _LATENCY_S
+        latency_s = timing.ahead_s - timing.period_s
+        self.learn = learn and latency_s <= min(_LATENCY_S, _LATENCY_PERIODS * timing.period_s)
+        self._restart_rad = max(_RESTART_RAD, _CHANGE_RAD_S3 * timing.period_s**3)
         self.dh = [mount.dh for mount in (SceneSettings().mounts if mounts is None else mounts)]
-        self._step = np.tile((limits or SineTracking.limits).speed_rad_s, 2) * timing.period_s
+        allowed = limits or SineTracking.limits
+        self._step = np.tile(allowed.speed_rad_s, 2) * timing.period_s
+        self._rejoin: Rejoin | None = Rejoin(allowed, timing.period_s)
         # Derivatives of the parabola through the wanted positions one period ago, now and ahead, at the latter two.
         h, ahead = timing.period_s, timing.ahead_s
         times = np.array([-h, 0.0, ahead])
@@ -73,11 +81,14 @@ class SineTrackingPolicy:
         self._before: Array | None = None
         self._predicted: Array | None = None
         self._expected: Array | None = None
+        self._unsettled: Array | None = None
         self._added: list[Array] = []
+        if self._rejoin is not None:
+            self._rejoin.reset()
 
     def teach(self) -> None:
         """See `dual_ur10.policies.policy.Teaching`: what it learned from commands of others would be wrong."""
-        self.learn = False
+        self.learn, self._rejoin = False, None
 
     def begin(self, rows: Rows, seeds: Sequence[int]) -> None:
         """Rows of the batch begin episodes; see `dual_ur10.policies.evaluate.EpisodeAware`."""
@@ -110,10 +121,13 @@ class SineTrackingPolicy:
             # What the last motion ended with beyond what was wanted there: a limit may have kept it from the rest.
             self._added.append(commanded - self._expected)
             measured = arms[..., _Q].reshape(n, 12)
-            self._model.learn(speed_now, acceleration, measured - now - self._in_force())
+            settled = self._settled(commanded)
+            self._model.learn(speed_now, acceleration, measured - now - self._in_force(), settled)
             self._expected = ahead
             goal = ahead - self._model.predict(speed_ahead, acceleration)
-        # After actions that came late on a real cell, what is left to go may be more than an action can ask for.
+        if self._rejoin is not None:
+            goal = self._rejoin(goal, commanded, arms[..., _SPEED].reshape(n, 12))
+        # What is left to go may be more than an action can ask for.
         action = goal if self.action_mode == "joint_position" else np.clip((goal - commanded) / self._step, -1.0, 1.0)
         return action.reshape(*observation.shape[:-1], 12).astype(np.float32)
 
@@ -127,14 +141,28 @@ class SineTrackingPolicy:
             return linear
         if self._before.shape != now.shape:
             raise ActionError(f"{len(now)} observations after {len(self._before)}: call reset() before another number")
-        fresh = np.abs(now - self._predicted).max(axis=1) > _RESTART_RAD
+        fresh = np.abs(now - self._predicted).max(axis=1) > self._restart_rad
         if fresh.any():
             self._before = np.where(fresh[:, None], linear, self._before)
+            if self._rejoin is not None:
+                self._rejoin.forget(fresh, commanded)
             if self._model is not None and self._expected is not None:
                 self._model.forget(fresh)
                 self._expected = np.where(fresh[:, None], commanded, self._expected)
+                if self._unsettled is not None:
+                    self._unsettled[fresh] = 0.0
                 self._added = [np.where(fresh[:, None], 0.0, added) for added in self._added]
         return self._before
+
+    def _settled(self, commanded: Array) -> NDArray[np.bool_]:
+        """(n,) where the arms have long enough done what they were commanded to."""
+        if self._unsettled is None:
+            self._unsettled = np.zeros(len(commanded))
+        if self._rejoin is not None:
+            left = self._unsettled - self.timing.period_s
+            self._unsettled = np.where(self._rejoin.off(commanded), _SETTLE_S + self.timing.ahead_s, left)
+        settled: NDArray[np.bool_] = self._unsettled <= 0.0
+        return settled
 
     def _in_force(self) -> Array:
         """What was added to the command that is in force now, which the action latency has held back since."""

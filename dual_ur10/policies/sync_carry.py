@@ -17,6 +17,7 @@ from dual_ur10.envs.task import Timing, slower
 from dual_ur10.errors import ActionError, SettingsError
 from dual_ur10.policies.carrying import TAUGHT_HIGHER_M, lying, poses_at, postures
 from dual_ur10.policies.free_motion import FreeMotion, Waypoint
+from dual_ur10.policies.rejoin import Rejoin
 from dual_ur10.sim2real.limits import MotionLimits
 
 Array = NDArray[np.float64]
@@ -67,6 +68,7 @@ class SyncCarryPolicy:
         self._skip = 0 if self.settings.rigid else 1
         self.size = 61 + self._skip
         self._higher_m, self._teaches = 0.0, False
+        self._rejoin = Rejoin(allowed, timing.period_s)
         self.reset()
 
     def teach(self) -> None:
@@ -80,6 +82,7 @@ class SyncCarryPolicy:
     def reset(self) -> None:
         """Forget everything: an episode begins."""
         self._clock: Array | None = None
+        self._rejoin.reset()
 
     def begin(self, rows: Rows, seeds: Sequence[int]) -> None:
         """Rows of the batch begin episodes; see `dual_ur10.policies.evaluate.EpisodeAware`."""
@@ -132,6 +135,10 @@ class SyncCarryPolicy:
             goal[row] = motion.at(end).reshape(2, 6)
             closed[row] = -1.0 if end > motion.duration_s + _CLOSE_AFTER_S else 1.0
         self._time_s += self.timing.period_s
+        if not self._teaches:
+            self._rejoin.forget(fresh, commanded.reshape(n, 12))
+            whole = self._rejoin(goal.reshape(n, 12), commanded.reshape(n, 12), arms[..., 6:12].reshape(n, 12))
+            goal = whole.reshape(n, 2, 6)
         step = self._step.reshape(2, 6)
         action = goal if self.action_mode == "joint_position" else (goal - commanded) / step
         if self._skip:

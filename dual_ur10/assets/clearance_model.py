@@ -12,6 +12,7 @@ import numpy as np
 
 from dual_ur10.assets.arm import strip
 from dual_ur10.assets.cell_tree import cell_tree, child_of, compiled, document_of, joint_names, text_of
+from dual_ur10.assets.held import HELD, PAIRS, add_held
 from dual_ur10.assets.obstacle_geoms import add_hulls, add_obstacles, hull_name
 from dual_ur10.assets.obstacles import geom_name
 from dual_ur10.assets.settings import Equipment, SceneSettings
@@ -64,8 +65,15 @@ CLEARANCE_PAIRS: Final = _pairs()
 _WITH_GRIPPERS: Final = CLEARANCE_PAIRS + _gripper_pairs()
 
 
+def _held(settings: SceneSettings) -> str | None:
+    """What the hands may hold."""
+    return settings.equipment.prop if settings.equipment.grippers else None
+
+
 def _obstacle_pairs(settings: SceneSettings) -> tuple[tuple[str, str], ...]:
     parts = (*LINKS, *_GRIPPER) if settings.equipment.grippers else LINKS
+    if _held(settings):
+        parts = (*parts, HELD)
     return tuple((f"{arm}/{part}", geom_name(each)) for each in settings.obstacles for arm in ARMS for part in parts)
 
 
@@ -80,13 +88,15 @@ def clearance_pairs(settings: SceneSettings) -> tuple[tuple[str, str], ...]:
 
     The pairs are all that can meet: each moving link with the other arm, the table and the floor, and the forearm and
     the wrists with those parts of their own arm that they can reach. Grippers add, after those, their `palm` and
-    `fingers` with all of these. Obstacles add, last, each link and each part of a gripper with each of them. Props are
-    not measured.
+    `fingers` with all of these; a prop adds what each hand `held`, as if it did so all the time, with all that it can
+    meet but the table and the other hand's fingers. Obstacles add, last, each of these parts with each of them. A prop
+    that lies somewhere is not measured.
 
     Args:
         settings: the cell.
     """
     pairs = _WITH_GRIPPERS if settings.equipment.grippers else CLEARANCE_PAIRS
+    pairs = pairs + PAIRS if _held(settings) else pairs
     return pairs + _obstacle_pairs(settings) if settings.obstacles else pairs
 
 
@@ -114,6 +124,8 @@ def compose_clearance(settings: SceneSettings) -> str:
         frame = root.find("attachment_frame", arm)
         strip(frame)
         _add_balls(frame)
+        if (prop := _held(settings)) is not None:
+            add_held(root.find("body", f"{arm}/gripper"), arm, prop)
     for unused in (
         *root.find_all("actuator"),
         *root.find_all("contact"),

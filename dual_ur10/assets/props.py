@@ -28,6 +28,9 @@ BLOCK_SIZE_M: Final = (0.2, 0.04, 0.04)
 
 BLOCK_MASS_KG: Final = 0.5
 
+BLOCK_GRIP_M: Final = 0.05
+"""From the block's middle to each grip, along its own x: the left hand holds it on the -x side, the right on the +x."""
+
 GRIP_QUAT: Final = (0.0, math.sqrt(0.5), -math.sqrt(0.5), 0.0)
 """w, x, y, z: orientation of either arm's tcp in the bar's frame when it grips from above.
 

@@ -11,7 +11,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.assets.props import BLOCK_GRIP_QUAT, BLOCK_SIZE_M
+from dual_ur10.assets.props import BLOCK_GRIP_M, BLOCK_GRIP_QUAT, BLOCK_SIZE_M
 from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
 from dual_ur10.envs.holding import flanges_of
 from dual_ur10.envs.poses import Poses, after, yawed
@@ -36,9 +36,6 @@ MEETING_YAW_RAD: Final = math.pi / 4
 """How far the block is turned about the vertical there. The wrists of both arms are offset to the same side: across the
 cell's y the left arm's hand would have to fold back onto its own forearm. So the hands meet on a diagonal, a little to
 the right."""
-
-GRIP_M: Final = 0.05
-"""From the block's middle to each grip, along its own x: the left hand holds it on the -x side, the right on the +x."""
 
 GRIP_HEIGHT_M: Final = 0.006
 """How far before the block's middle the fingers' middle grips, so that their tips stay off the table."""
@@ -95,7 +92,7 @@ def _grips(giver: int) -> Poses:
     position, quat = np.zeros((2, 3)), np.zeros((2, 4))
     for arm in (0, 1):
         gives = arm == giver
-        position[arm] = (2 * arm - 1) * GRIP_M, 0.0, GRIP_HEIGHT_M if gives else -GRIP_HEIGHT_M
+        position[arm] = (2 * arm - 1) * BLOCK_GRIP_M, 0.0, GRIP_HEIGHT_M if gives else -GRIP_HEIGHT_M
         quat[arm] = _GIVER_QUAT if gives else _RECEIVER_QUAT
     return Poses(position, quat)
 

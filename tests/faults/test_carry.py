@@ -1,4 +1,4 @@
-"""Two arms that hold one object: rows 34 and 52 of the table of faults in `docs/safety.md`."""
+"""Two arms that hold one object: rows 34, 50 and 52 of the table of faults in `docs/safety.md`."""
 
 import numpy as np
 import pytest
@@ -9,6 +9,15 @@ from dual_ur10.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
 from dual_ur10.sim2real.watch import _seen
 from tests import soak
 from tests.faults.lab import ARMS, Lab
+
+ROD = """
+[[obstacle]]
+name = "rod"
+kind = "capsule"
+from_m = [-0.6, 0.0, 0.25]
+to_m = [0.6, 0.0, 0.25]
+radius_m = 0.01
+"""
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +54,22 @@ def test_52_arms_that_hold_one_object_stop_when_one_is_not_where_it_should_be(la
     lab.override("left", actual_q=told)
     error = lab.step_until_faulted()
     lab.assert_stopped(error, "the arms, which hold one object, are ", "allowed are 10 mm and 3°", seen_ticks=7)
+
+
+def test_50_what_is_carried_meets_nothing(lab):
+    """The bar's middle would, half a metre from both hands."""
+    lab.path.write_text(lab.path.read_text() + ROD)
+    observation, terminated = lab.begin(steps=0), False
+    for _ in range(300):
+        observation, _, terminated, _, info = lab.env.step(lab.policy(observation))
+        for wire in lab.wires:
+            wire.note()
+        if terminated:
+            break
+    assert terminated
+    assert "held and obstacle/rod" in info["safety"].subject
+    assert lab.latch.read() is None  # it is no fault
+    lab.assert_within_limits()
 
 
 def test_34_what_two_arms_hold_is_not_torn_by_a_slider(lab):

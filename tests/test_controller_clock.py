@@ -86,6 +86,31 @@ def test_packets_that_waited_until_they_were_read_say_little(waited):
     assert clock.local_s(timestamp) - true == pytest.approx(0.0002, abs=0.0005)
 
 
+def test_packets_that_scatter_settle_nothing_until_some_agree():
+    clock = ControllerClock(0.008)
+    for packet in range(60):
+        assert not clock.is_settled
+        clock.note(5.0 + 0.008 * packet, 105.0 + 0.008 * packet + 0.001 * (60 - packet))
+    for packet in range(60, 63):  # and now the machine has time
+        assert not clock.is_settled
+        clock.note(5.0 + 0.008 * packet, 105.0 + 0.008 * packet + 0.0001)
+    assert clock.is_settled
+    assert clock.local_s(5.0) - 105.0 == pytest.approx(0.0001, abs=1e-9)
+
+
+@pytest.mark.parametrize("together", [1, 5])
+def test_packets_that_scatter_for_ever_settle_it_in_the_end(together):
+    clock = ControllerClock(0.008)
+    first_s = None
+    for packet in range(300):
+        batch = packet // together
+        read_s = 105.0 + 0.008 * together * (batch + 1) - 0.001 * batch  # each is quicker than the one before
+        first_s = read_s if first_s is None else first_s
+        clock.note(5.0 + 0.008 * packet, read_s)
+        assert clock.is_settled == (read_s - first_s > 2.0)
+    assert clock.is_settled
+
+
 def test_what_is_sent_earlier_by_a_round_trip_arrives_in_the_same_period():
     near, far = ControllerClock(0.008), ControllerClock(0.008, 0.003)
     for packet in range(50):

@@ -116,7 +116,7 @@ def answering(*answers):
 
 
 def test_a_silent_server_is_given_up_and_its_late_answer_is_not_heard(cb3):
-    link = DashboardLink(cb3.left, 0.3, name="left")
+    link = DashboardLink(cb3.left, 2.0, name="left")
     cb3.ask("link", arm="left", port="dashboard", mute=True)
     with pytest.raises(LinkError, match=r"left arm, dashboard at .*: no answer in time; "):
         link.ask("robotmode")
@@ -125,7 +125,7 @@ def test_a_silent_server_is_given_up_and_its_late_answer_is_not_heard(cb3):
         link.ask("safetymode")
     cb3.ask("link", arm="left", port="dashboard", half_open=True)
     with pytest.raises(LinkError, match="no answer in time"):
-        DashboardLink(cb3.left, 0.3)
+        DashboardLink(cb3.left, 2.0)
     cb3.ask("refuse", arm="left", port="dashboard")
     with pytest.raises(LinkError, match="no connection"):
         DashboardLink(cb3.left)

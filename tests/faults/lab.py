@@ -1,12 +1,14 @@
 """Two emulated controllers and an environment on them, to which things happen."""
 
 import contextlib
+import math
 import os
 import re
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -16,6 +18,7 @@ import pytest
 
 import dual_ur10  # noqa: F401  # registers the environments
 from dual_ur10.errors import CellFaulted, DualUR10Error, StartError
+from dual_ur10.sim2real.arm_sender import STALE_S
 from dual_ur10.sim2real.arm_status import ROW
 from dual_ur10.sim2real.cell_file import load_cell_file
 from dual_ur10.sim2real.controller.emulated_cell import EmulatedCell
@@ -26,6 +29,7 @@ ARMS = ("left", "right")
 _MOST_STEPS = 250
 _SEEN_TICKS = 3  # from a stop of one arm until both slow down, and what is on its way then
 _FAST_RAD_S = 0.1
+_NOTED_S = 2.0
 _PROGRAM = re.compile(r"program .* ends:|program is refused|program stopped:|not started")
 _START = dict(zip((name for name, _ in ROW), np.cumsum([0, *(size for _, size in ROW)]).tolist(), strict=False))
 
@@ -152,6 +156,23 @@ class Lab:
                 break
         return observation
 
+    def reset(self, **keywords):
+        """Begin an episode, however long the way to its start is: what is sent meanwhile is noted."""
+        ended = threading.Event()
+
+        def note():
+            while not ended.wait(_NOTED_S):
+                for wire in self.wires:
+                    wire.note()
+
+        thread = threading.Thread(target=note, name="note", daemon=True)
+        thread.start()
+        try:
+            return self.env.reset(**keywords)
+        finally:
+            ended.set()
+            thread.join()
+
     def speeds_rad_s(self):
         """How fast both controllers were led last."""
         return [float(wire.speeds_rad_s(self.tick_s)[-1:].max(initial=0.0)) for wire in self.wires]
@@ -203,9 +224,6 @@ class Lab:
         Divided differences of targets some of whose periods were left out are means of those of all targets.
         """
         limits = self.env.unwrapped.core.pipeline.gate.limits
-        for wire in self.wires:
-            wire.collect()
-        time.sleep(0.05)  # what was noted as sent is on its way
         return [wire.assert_limits(limits, self.tick_s, self.executed(wire.arm)) for wire in self.wires]
 
     def assert_within_hard_limits(self):
@@ -242,12 +260,12 @@ class Lab:
         allowed = seen_ticks + ramp_ticks(speed, self.tick_s) + SPARE_TICKS
         # Packages wait while the emulated controllers stand still, and come at once.
         allowed += sum(self._tick - 5 <= tick <= self._tick + allowed for tick in self.cell.ask("info")["late_ticks"])
+        asleep = math.ceil(STALE_S / self.tick_s)  # a process may be, on a busy machine, before it counts as lost
         for wire, ticks in zip(self.wires, packages, strict=True):
             after = int((ticks >= self._tick).sum())
-            demand(
-                after <= allowed,
-                f"{wire.arm}: {after} targets came after the fault, allowed are {allowed} from {speed:.2f} rad/s",
-            )
+            text = f"{wire.arm}: {after} targets came after the fault, allowed are {allowed} from {speed:.2f} rad/s"
+            demand(after <= allowed + asleep, text)
+            assert after <= allowed, text
             uploads = wire.uploads
             demand(uploads == 1, f"{wire.arm}: {uploads} programs were uploaded, allowed is one")
 

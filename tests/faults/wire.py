@@ -1,6 +1,7 @@
 """What emulated controllers received, and what must hold of it. Time is counted in their control periods."""
 
 import math
+import time
 
 import numpy as np
 
@@ -12,7 +13,8 @@ RAMP_TICKS = 3  # more than v/a + a/j
 SPARE_TICKS = 2  # for what is on its way
 _OVER = 5  # packages over which a speed is taken: a busy machine delivers two in one control period
 _EARLY_S = 0.004  # by which a package may come early or late; less than a control period of a CB3
-_ON_THE_WAY = 4  # packages
+_ARRIVED_S = 0.5  # until what was noted as sent has come, however busy the machine is
+_ON_THE_WAY = 4  # packages that a controller whose program ends does not take
 _NEAR = 25  # packages that are compared with each other
 _BETWEEN = 1.05  # of a limit; docs/safety.md
 _IN_STEP = 0.6  # of the packages come in the control period that they are for
@@ -69,14 +71,19 @@ class Wire:
         return self.received()["uploads"] - self.uploads_before
 
     def collect(self):
-        """Take in what is new, before the sender forgets what it has noted."""
-        if self.memory is not None and self.memory.sent_count > self._noted_next:  # it is all zeros when it was closed
-            sent, count = self.memory.sent(self._noted_next)
-            assert len(sent.period) == count - self._noted_next, "what was sent is forgotten: collect more often"
-            self._noted.append(np.column_stack([sent.period, sent.index, sent.target_rad]))
-            self._noted_next = count
+        """Take in what is new."""
+        self.note()
         self._packages += self._cell.packages(self.arm, self._next)
         self._next = self._first + len(self._packages)
+
+    def note(self):
+        """Take in what the sender has noted, before it forgets it."""
+        if self.memory is not None and self.memory.sent_count > self._noted_next:  # it is all zeros when it was closed
+            sent, count = self.memory.sent(self._noted_next)
+            new = count - self._noted_next
+            assert len(sent.period) == new, f"of {new} targets {len(sent.period)} are remembered: collect more often"
+            self._noted.append(np.column_stack([sent.period, sent.index, sent.target_rad]))
+            self._noted_next = count
 
     def packages(self):
         """Control periods in which packages came, (k,), and their targets, (k, 6)."""
@@ -112,6 +119,9 @@ class Wire:
         """
         self.collect()
         noted = np.concatenate(self._noted) if self._noted else np.zeros((0, 8))
+        end = time.monotonic() + _ARRIVED_S
+        while len(self.packages()[0]) < len(noted) and time.monotonic() < end:
+            time.sleep(0.01)
         ticks, targets = self.packages()
         on_the_way = max(0, len(noted) - len(targets))
         demand(on_the_way <= _ON_THE_WAY, f"{self.arm}: {len(noted)} targets were noted as sent, {len(targets)} came")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from dual_ur10.assets.scene import HOME_Q_RAD, ArmMount, SceneSettings
 from dual_ur10.errors import StartError
+from dual_ur10.sim2real import way_to_start
 from dual_ur10.sim2real.approach import ACCELERATION_RAD_S2, SPEED_RAD_S, TCP_SPEED_M_S, Approach, Leaving, Rates, plan
 from dual_ur10.sim2real.arm_memory import RING, ArmMemory
 from dual_ur10.sim2real.cell import CellConfig
@@ -16,6 +18,7 @@ from dual_ur10.sim2real.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.gate import SafetyGate
 from dual_ur10.sim2real.limits import MotionLimits
 from dual_ur10.sim2real.pace import Pace
+from dual_ur10.sim2real.way_to_start import WayToStart
 from dual_ur10.ur10 import JOINT_RANGE_RAD
 from tests.motion_checks import AlwaysClear, tip_speed
 
@@ -330,3 +333,44 @@ def test_a_tool_is_no_faster_than_a_flange_may_be():
     fastest = tip_speed(way.targets(0.008)[None], 0.008, tool).max()
     assert 0.039 < fastest <= 0.04 * (1 + 1e-6)
     assert way.duration_s > 1.3 * Approach([start, end], rates=Rates(tcp_speed_m_s=0.04)).duration_s
+
+
+@pytest.mark.parametrize(("tick_s", "ticks"), [(0.008, 5), (0.002, 1), (0.002, 20)])
+def test_looking_at_many_windows_before_the_first_target_takes_its_time(monkeypatch, tick_s, ticks):
+    """As many as there are within half a second, at up to 500 Hz: meanwhile time goes on."""
+    written = []
+
+    class Gate(SafetyGate):
+        def __call__(self, window):
+            runner.now += 0.0005 / tick_s
+            return super().__call__(window)
+
+    class Running:
+        now = 0.0
+        cell = SimpleNamespace(expect=lambda *_, **__: None)
+
+        @property
+        def next(self):
+            return int(np.ceil(self.now)) + 2
+
+        def wait_for(self, index):
+            self.now = max(self.now, index)
+
+    def write(_, first, block):
+        written.append((first, len(block)))
+        return first >= runner.next
+
+    runner = Running()
+    monkeypatch.setattr(way_to_start, "SafetyGate", Gate)
+    targets = SimpleNamespace(write=write, rest_at=lambda q_rad: None)
+    clearance = SimpleNamespace(
+        shortfall_m=lambda q_rad: np.zeros(1),
+        alone=lambda: clearance,
+        **{name: getattr(AlwaysClear(), name) for name in ("spare_of_balls_m", "travel_m")},
+    )
+    way = WayToStart(MotionLimits(), clearance, tick_s, ticks, 1.0, targets)
+    led = Approach([HOME, HOME + np.eye(12)[5]]).targets(tick_s)
+    way.go(runner, HOME.reshape(2, 6), led)
+    assert sum(count for _, count in written) >= len(led)
+    firsts = [first for first, _ in written]
+    assert firsts == list(np.cumsum([firsts[0], *(count for _, count in written[:-1])]))

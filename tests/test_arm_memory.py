@@ -92,6 +92,23 @@ def test_an_arm_at_rest_sees_no_target_before_its_time(pair, gap):
     np.testing.assert_array_equal(theirs.target(first), rows(100, 1)[0])
 
 
+def test_a_target_that_is_written_over_while_it_is_read_is_read_again(pair, monkeypatch):
+    """The reader was suspended between the number of the last target and the target."""
+    mine, theirs = pair
+    mine.put(0, rows(0, 10))
+    ends = []
+
+    def late(memory):
+        ends.append(int(memory._ints[0]))
+        if len(ends) == 1:
+            mine.put(RING - 10, rows(100, 40))  # round the ring, over where target 9 was
+        return ends[-1]
+
+    monkeypatch.setattr(ArmMemory, "end", property(late))
+    np.testing.assert_array_equal(theirs.target(RING - 12.0), rows(9, 1)[0])
+    assert len(ends) == 4
+
+
 def test_before_the_first_target_is_the_first(pair):
     mine, theirs = pair
     mine.put(0, rows(7, 3))

@@ -137,6 +137,21 @@ def test_a_silent_server_is_given_up_and_its_late_answer_is_not_heard(cb3):
     link.close()
 
 
+def test_an_answer_that_was_interrupted_is_not_taken_for_the_next_ones(monkeypatch):
+    with serving(answering(b"Robotmode: IDLE\n")) as port:
+        link = DashboardLink(HERE, port=port)
+
+        def interrupted(deadline_s):
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(link, "_line", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            link.ask("robotmode")
+        monkeypatch.undo()
+        with pytest.raises(ClosedError):
+            link.ask("safetymode")
+
+
 @pytest.mark.parametrize(
     ("answer", "text"),
     [

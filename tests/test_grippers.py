@@ -318,9 +318,27 @@ def test_a_command_is_sent_once_and_again_after_an_activation():
         assert [link.command(opening_m) for opening_m in commands] == [True, False, True, False, True]
         link.activate(5.0)
         assert link.command(0.0)
+        link.forget()  # somebody may have moved it
+        assert link.command(0.0)
         link.close()
     positions = [line for line in heard if "POS" in line]
-    assert positions == [f"SET POS {counts} SPE 255 FOR 128 GTO 1" for counts in (255, 254, 255, 255)]
+    assert positions == [f"SET POS {counts} SPE 255 FOR 128 GTO 1" for counts in (255, 254, 255, 255, 255)]
+
+
+def test_an_answer_that_was_interrupted_is_not_taken_for_the_next_ones(monkeypatch):
+    answers = {"SET": "ack", "STA": "STA 3\n"}
+    with serving(lambda connection: robotiq(connection, answers)) as port:
+        link = RobotiqLink(HERE, port)
+
+        def interrupted(deadline_s):
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(link._socket, "receive", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            link.needs_activation()
+        monkeypatch.undo()
+        with pytest.raises(ClosedError):
+            link.read()
 
 
 def test_only_what_is_asked_for_is_sent():
@@ -358,6 +376,9 @@ class Link:
     def command(self, opening_m):
         self.sent.append((opening_m, time.monotonic()))
         return True
+
+    def forget(self):
+        self.sent.clear()
 
     def needs_activation(self):
         return False
@@ -515,6 +536,8 @@ def test_a_digital_output(cell, output, open_level):
             until(lambda opens=opens: level() == (opens == open_level))
             until(lambda opens=opens: link.read() == GripperReading(OPENING_M if opens else 0.0, "", None))
             assert not link.command(opening_m)  # it is so already
+            link.forget()
+            assert link.command(opening_m)
             assert not link.command(0.5 * OPENING_M)  # between, it stays
         kept = level()
     time.sleep(0.1)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -49,3 +51,13 @@ def test_in_another_thread_it_does_nothing():
     thread.start()
     thread.join()
     assert found == [signal.default_int_handler]
+
+
+def test_where_an_interrupt_ends_the_program_it_still_does():
+    program = (
+        "import signal\nfrom dual_ur10.sim2real.interrupts import held_back\n"
+        "signal.signal(signal.SIGINT, signal.SIG_DFL)\n"
+        "with held_back():\n    signal.raise_signal(signal.SIGINT)\n    print('whole', flush=True)\nprint('behind')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout) == (-signal.SIGINT, "whole\n")

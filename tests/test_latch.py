@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from dual_ur10.errors import CellBusyError, CellFaulted, SettingsError
+from dual_ur10.sim2real import latch
 from dual_ur10.sim2real.cell_file import CellFile, load_cell_file
 from dual_ur10.sim2real.cell_file_entries import EmulatorEntry
 from dual_ur10.sim2real.latch import CellLock, Latch, state_folder
@@ -220,6 +221,43 @@ def test_the_lock_of_a_dead_process_is_taken_over(cell, tmp_path):
     lock = CellLock(cell)
     assert {path.read_text() for path in state_folder().glob("lock-*")} == {f"{os.getpid()}\n"}
     lock.release()
+
+
+def test_that_arms_were_moved_is_said_until_it_is_noted_or_looked_at(cell, tmp_path):
+    lock = CellLock(cell)
+    assert not lock.left_moving
+    lock.note_moving()
+    lock.release(in_order=False)  # its program was killed, or could not note the fault
+    for _ in range(2):  # and the next one was killed before it had noted it
+        lock = CellLock(cell)
+        assert lock.left_moving
+        lock.release(in_order=False)
+    other = made(tmp_path, left="127.0.0.2", right="127.0.0.4")
+    holder = CellLock(made(tmp_path, left="127.0.0.5", right="127.0.0.4"))
+    with pytest.raises(CellBusyError, match="right arm"):
+        CellLock(other)  # it had the left one for an instant
+    holder.release()
+    lock = CellLock(cell)
+    assert lock.left_moving
+    lock.release(in_order=False)
+    Latch(cell).clear()
+    lock = CellLock(cell)
+    assert not lock.left_moving
+    lock.release()
+
+
+def test_a_lock_that_cannot_be_written_is_released_all_the_same(cell, monkeypatch):
+    lock = CellLock(cell)
+
+    def full(file, text):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(latch, "_write", full)
+    with pytest.raises(SettingsError, match=r"cannot note in .*state/dual_ur10 that arms move.*No space"):
+        lock.note_moving()
+    lock.release()
+    monkeypatch.undo()
+    CellLock(cell).release()
 
 
 def test_processes_that_are_started_do_not_inherit_it(cell):

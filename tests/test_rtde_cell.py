@@ -253,6 +253,22 @@ def test_a_program_that_stands_still_on_the_way_to_a_start_sends_nothing_over_th
     assert np.abs(derivative(sent.period, sent.target_rad, 2, tick_s)).max() < 1e-3 / tick_s**2
 
 
+def test_a_stop_while_a_person_is_asked_leaves_grippers_alone(lab, monkeypatch):
+    def stop(question):
+        lab.do("stop", arm="left", mode=3)
+        end = time.monotonic() + 10.0
+        while not lab.runner.cell.fault and time.monotonic() < end:
+            time.sleep(0.01)
+        return True
+
+    env = lab.make(confirm=stop)
+    told = []
+    monkeypatch.setattr(env.unwrapped.core.cell._grippers, "activate", lambda *_, **__: told.append("activate"))
+    with pytest.raises(CellFaulted, match="left: safety mode 3"):
+        env.reset(seed=0)
+    assert not told
+
+
 @pytest.mark.parametrize("spoiled", ["jump", "table", "nan"])
 def test_nothing_goes_to_a_start_past_the_gate(lab, spoiled):
     lab.make().reset(seed=0)

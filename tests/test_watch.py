@@ -130,8 +130,9 @@ def test_a_slider_that_is_no_number_stops(parts, values):
 @pytest.mark.parametrize("phase", list(Phase))
 def test_whether_anything_moves(parts, phase):
     judge = watch(parts, phase=Phase.READY)
-    assert not judge.moving
     parts[0][1].enter(phase)
+    assert not judge.moving  # a start that failed has moved nothing
+    parts[1].begin(1.0)
     assert judge.moving == (phase >= Phase.STREAMING)
 
 
@@ -162,7 +163,8 @@ def test_an_arm_that_is_late_as_a_whole_is_not_where_it_should_be(parts, late, l
     for _ in range(5):
         for which in (0, 1):
             q = targets[300 - lag - (late if which == arm else 0), which]
-            reason = judge.state(which, at(q))
+            reason = reason or judge.state(which, at(q))
+        reason = reason or judge.together()
     if late == 11:  # 88 ms at 0.4 rad/s and a lever of about a metre
         assert reason is not None
         assert "hold one object" in reason
@@ -185,7 +187,8 @@ def apart(parts, left, right, **more):
     judge, found = watch(parts, **{"coupled": True, **more}), []
     for _ in range(4):
         assert judge.state(0, at(left, HOME_Q_RAD[0])) is None
-        found.append(judge.state(1, at(right, HOME_Q_RAD[1])))
+        assert judge.state(1, at(right, HOME_Q_RAD[1])) is None
+        found.append(judge.together())
     return found
 
 
@@ -271,15 +274,47 @@ def test_arms_that_are_where_they_should_be_are_so_in_every_posture(parts, seed)
     for _ in range(4):
         assert judge.state(0, at(found[0], wanted[0])) is None
         assert judge.state(1, at(found[1], wanted[1])) is None
+        assert judge.together() is None
 
 
 def test_one_state_alone_is_let_pass(parts):
     judge = watch(parts, coupled=True)
     good, bad = at(HOME_Q_RAD[1]), at(moved(1, (0.0, 0.02, 0.0)), HOME_Q_RAD[1])
-    assert judge.state(1, bad) is None  # of the left one nothing is known yet
-    judge.state(0, at(HOME_Q_RAD[0]))
     for _ in range(6):
-        assert [judge.state(1, each) for each in (bad, bad, good)] == [None] * 3
+        assert judge.state(1, bad) is None
+        assert judge.together() is None  # of the left one nothing is known yet
+    for _ in range(6):
+        for each in (bad, bad, good):
+            judge.state(0, at(HOME_Q_RAD[0]))
+            judge.state(1, each)
+            assert judge.together() is None
+    for _ in range(6):
+        judge.state(1, bad)
+        assert judge.together() is None  # of the left one nothing new is known
+
+
+def test_states_that_waited_are_judged_with_those_of_the_same_time(parts):
+    """A supervisor that stood still reads all of one arm's, then all of the other's."""
+    targets = led(parts, 0)
+    judge = watch(parts, coupled=True)
+    for newest in range(100, 250, 15):  # 120 ms each: 24 mrad, and as many mm
+        for arm in (0, 1):
+            for tick in range(newest - 15, newest):
+                assert judge.state(arm, at(targets[tick, arm])) is None
+            parts[0][arm].note_sent(newest, float(newest), 0.0, 0.0, targets[newest, arm])
+        assert judge.together() is None
+
+
+def test_an_e_series_may_be_apart_for_as_long_as_a_cb3(parts):
+    arms, cell = parts
+    judge = Watch(WatchSettings(MOUNTS, 0.002, coupled=True), arms, cell)
+    bad = at(moved(1, (0.0, 0.02, 0.0)), HOME_Q_RAD[1])
+    said = []
+    for _ in range(14):
+        judge.state(0, at(HOME_Q_RAD[0]))
+        judge.state(1, bad)
+        said.append(judge.together())
+    assert [each is None for each in said] == [True] * 11 + [False] * 3
 
 
 # What the processes show.

@@ -98,9 +98,10 @@ class Rejoin:
     def _plan(self, rows: Mask, wanted: Array, commanded: Array) -> None:
         """From rest at `commanded` to the wanted motion: a quintic, with what is wanted at the last command's time."""
         before, at, after = wanted[:, rows]
+        before = np.where(np.isnan(before), 2 * at - after, before)  # it has only just begun: straight on
         distance = commanded[rows] - at
-        speed = -np.nan_to_num(after - before) / (2 * self._period_s)
-        acceleration = -np.nan_to_num(after - 2 * at + before) / self._period_s**2
+        speed = -(after - before) / (2 * self._period_s)
+        acceleration = -(after - 2 * at + before) / self._period_s**2
         way, rate = np.abs(distance), np.abs(speed)
         duration = np.maximum(
             (_SPEED_OF_WAY * way / self._speed).max(axis=1),

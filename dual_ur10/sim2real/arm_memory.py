@@ -20,6 +20,7 @@ RING: Final = 4096
 """Targets, sendings and states that are kept: half a minute at 125 Hz, eight seconds at 500 Hz."""
 
 _TEXT: Final = 1024
+_AGAIN: Final = 5  # what is read while it is written is read again
 _END, _SENT, _PHASE, _STOP, _SKIPPED, _STATES, _PROCESS = range(7)
 _BEAT_S, _FIRST_S = range(2)
 _LAYOUT: Final[Layout] = {
@@ -211,7 +212,15 @@ class ArmMemory:
         Raises:
             SettingsError: There are none.
         """
-        last = self.end - 1
+        for _ in range(_AGAIN):
+            end = self.end
+            target = self._target(index, end - 1)
+            if end == self.end:
+                break
+            # Targets far behind a pause may have been written over it meanwhile.
+        return target
+
+    def _target(self, index: float, last: int) -> Array:
         if last < 0:
             raise SettingsError("there are no targets")
         index = max(index, 0.0)

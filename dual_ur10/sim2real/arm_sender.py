@@ -47,7 +47,7 @@ MOST_LATE_S: Final = 0.1
 
 _KICK_S: Final = 0.02
 _LOOKED_AT: Final = 5  # targets of the other arm, of which the last ones may slow it down already
-_MOST_PERIODS: Final = 3  # that a ramp may have missed: then the arm has come to rest by itself
+_ALONE_S: Final = 0.024  # without a target, behind which an arm is at the last one, or all but: no ramp begins there
 _TURN: Final = 3.0  # times the hard acceleration: path, pace and what lies between two targets together
 _STOP_RAD_S2: Final = 10.0  # of servoStop, at rest already
 
@@ -145,6 +145,7 @@ class ArmSender:
         self._advance = 0.0  # numbers per control period
         self._rate: Array = np.zeros(6)  # per control period, of what was sent
         self._measured_rad: Array = np.full(6, np.nan)
+        self._alone = ""
 
     def run(self) -> None:
         """Wait for the beginning, send targets, and come to rest when anything is wrong or a stop is asked for."""
@@ -349,7 +350,7 @@ class ArmSender:
         except (LinkError, RuntimeError) as error:
             self.memory.enter(Phase.FAULTED, f"{self.name}: {reason}; {_WHILE}: {error}")
             return
-        more = "" if taken else f"; {_WHILE}: its control script took no targets any more"
+        more = self._alone if taken else f"; {_WHILE}: its control script took no targets any more"
         self.memory.enter(Phase.STOPPED, f"{self.name}: {reason}{more}")
         self._watch_rest()
 
@@ -400,9 +401,13 @@ class ArmSender:
             TargetError: They are none that may be sent.
         """
         tick_s = self.servoj.tick_s
-        now = self.clock.next_period(time.monotonic(), SHARE)[0]
-        if not self._sent or now - self._period > _MOST_PERIODS:
-            return True  # the arm has come to rest at the last target meanwhile, or does so
+        most = round(_ALONE_S / tick_s)
+        missed = self.clock.next_period(time.monotonic(), SHARE)[0] - self._period
+        if not self._sent:
+            return True
+        if missed > most:
+            self._alone = f"; sent nothing for {1e3 * missed * tick_s:.0f} ms, it came to rest at its last target"
+            return True
         last, rate, begin, advance = self._sent[-1], self._rate, self._index, self._advance
         # Both arms slow down alike, as the faster one must.
         speed = max([np.abs(rate).max() / tick_s, *(_speed(other, tick_s) for other in self.others)])
@@ -412,8 +417,12 @@ class ArmSender:
         while not ramp.at_rest:
             number, due = self.clock.next_period(time.monotonic(), SHARE)
             self._hear(due)
+            missed = max(1, number - self._period)
+            if missed > most:
+                self._alone = f"; sent nothing for {1e3 * missed * tick_s:.0f} ms, it came to rest by itself"
+                return True
             # Time passes for the ramp, too, where a period has gone by without a target.
-            for _ in range(min(max(1, number - self._period), _MOST_PERIODS)):
+            for _ in range(missed):
                 gone = float(ramp()[0]) / (speed * tick_s)  # in control periods at the speed before
             index = begin + gone * advance if on_path else begin
             way = self.memory.target(index) if on_path else last + gone * rate

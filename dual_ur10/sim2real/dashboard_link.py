@@ -10,7 +10,7 @@ import time
 from types import TracebackType
 from typing import Final, Self
 
-from dual_ur10.errors import LinkError, OperationRefusedError, ProtocolError, SettingsError
+from dual_ur10.errors import OperationRefusedError, ProtocolError, SettingsError
 from dual_ur10.sim2real.controller.lines import LineReader
 from dual_ur10.sim2real.link_socket import LinkSocket, checked_timeout
 
@@ -98,7 +98,7 @@ class DashboardLink:
             self.check()
             self._socket.send(command.encode("ascii") + b"\n", deadline_s)
             return self._line(deadline_s)
-        except LinkError:
+        except BaseException:  # an interrupt, too: its answer would be taken for the next one's
             self._socket.close()
             raise
 

@@ -146,6 +146,10 @@ class DigitalGripperLink:
         self._commanded, self._due_s = wanted, time.monotonic() + CHANGE_S
         return True
 
+    def forget(self) -> None:
+        """The next command is sent in any case."""
+        self._commanded = None
+
     def needs_activation(self) -> bool:
         """It needs none."""
         return False

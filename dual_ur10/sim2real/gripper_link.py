@@ -10,7 +10,7 @@ import time
 from typing import Final, NamedTuple, Protocol
 
 from dual_ur10.assets.gripper import FORCE_N, OPENING_M
-from dual_ur10.errors import LinkError, SettingsError
+from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.link_socket import LinkSocket, checked_timeout
 
 COUNTS: Final = 255
@@ -80,6 +80,10 @@ class GripperLink(Protocol):
         Raises:
             LinkError: It was lost.
         """
+        ...
+
+    def forget(self) -> None:
+        """What was commanded last may not hold any more, as somebody else may have moved it: the next one is sent."""
         ...
 
     def needs_activation(self) -> bool:
@@ -196,6 +200,10 @@ class RobotiqLink:
         self._commanded = counts
         return True
 
+    def forget(self) -> None:
+        """The next command is sent in any case."""
+        self._commanded = None
+
     def needs_activation(self) -> bool:
         """Whether it is not active, or has a fault that only activation ends.
 
@@ -261,7 +269,7 @@ class RobotiqLink:
                 if len(buffer) > _LONGEST:
                     raise self._socket.error(f"an answer of {len(buffer)} bytes", "this is no Robotiq gripper")
                 buffer += self._socket.receive(deadline_s)
-        except LinkError:
+        except BaseException:  # an interrupt, too
             self._socket.close()
             raise
 

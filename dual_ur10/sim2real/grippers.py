@@ -115,6 +115,14 @@ class GripperThread:
                 self._waiting.popleft()
             self._changed.notify()
 
+    def forget(self) -> None:
+        """Somebody else may have moved it: the next command is sent, also if it is the same as the last.
+
+        Raises:
+            LinkError: It was lost.
+        """
+        self._directly(self._link.forget)
+
     def needs_activation(self) -> bool:
         """Whether it must be activated before it takes commands. It is asked, and waited for.
 
@@ -266,6 +274,16 @@ class Grippers:
         for each, opening_m in zip(self.each, openings_m, strict=True):
             if each is not None and opening_m is not None:
                 each.command(float(opening_m), at_s)
+
+    def forget(self) -> None:
+        """Somebody else may have moved them: the next commands are sent in any case.
+
+        Raises:
+            LinkError: One was lost.
+        """
+        for each in self.each:
+            if each is not None:
+                each.forget()
 
     def activate(
         self, confirm: Callable[[str], bool], within_s: float = ACTIVATION_S, *, held: str | None = None

@@ -27,3 +27,5 @@ def held_back() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
         if waiting and callable(before):
             before(*waiting[-1])
+        elif waiting and before == signal.SIG_DFL:
+            signal.raise_signal(signal.SIGINT)

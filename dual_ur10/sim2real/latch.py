@@ -146,7 +146,7 @@ class CellLock:
             for arm, entry in zip(ARMS, cell.arms, strict=True):
                 self._lock(folder / f"lock-{entry.host}", arm, entry.host)
         except BaseException:
-            self.release()
+            self.release(in_order=False)
             raise
 
     def _lock(self, path: Path, arm: str, host: str) -> None:
@@ -168,23 +168,44 @@ class CellLock:
             raise CellBusyError(
                 f"the {arm} arm at {host} is moved by another program (process {holder}): end that first"
             ) from None
-        self.left_moving |= file.read(512).split()[1:] == ["moving", self._keys[len(self._files)]]
+        key = self._keys[len(self._files)]
+        moving = file.read(512).split()[1:] == ["moving", key]
+        self.left_moving |= moving
         self._files.append(file)
-        _write(file, f"{os.getpid()}\n")
+        # What is said there stays until it is noted as a fault, or until a person has looked.
+        _write(file, f"{os.getpid()} moving {key}\n" if moving else f"{os.getpid()}\n")
 
     def note_moving(self) -> None:
-        """The arms are moved from now on: if the program ends without a word, the next one is told."""
-        for file, key in zip(self._files, self._keys, strict=True):
-            _write(file, f"{os.getpid()} moving {key}\n")
+        """The arms are moved from now on: if the program ends without a word, the next one is told.
 
-    def release(self) -> None:
-        """Let others in: nothing moves any more, or what did is noted as a fault. May be called twice."""
-        for file in self._files:
-            if os.getpid() == self._pid:
-                _write(file, f"{self._pid}\n")
-                fcntl.flock(file, fcntl.LOCK_UN)  # a process that was forked meanwhile has the file open, too
-            file.close()
-        self._files = []
+        Raises:
+            SettingsError: It cannot be noted.
+        """
+        for file, key in zip(self._files, self._keys, strict=True):
+            try:
+                _write(file, f"{os.getpid()} moving {key}\n")
+            except OSError as error:
+                raise SettingsError(
+                    f"cannot note in {state_folder()} that arms move: {error}. Make room there"
+                ) from error
+
+    def release(self, *, in_order: bool = True) -> None:
+        """Let others in. May be called twice.
+
+        Args:
+            in_order: Nothing moves any more, or what did is noted as a fault. Else what was said of that stays.
+        """
+        files, self._files = self._files, []
+        for file in files:
+            with contextlib.suppress(OSError):
+                if os.getpid() == self._pid:
+                    try:
+                        if in_order:
+                            _write(file, f"{self._pid}\n")
+                    finally:
+                        fcntl.flock(file, fcntl.LOCK_UN)  # a process that was forked meanwhile has the file open, too
+            with contextlib.suppress(OSError):
+                file.close()
 
 
 def _write(file: IO[str], text: str) -> None:

@@ -178,7 +178,8 @@ class RtdeCell:
         rates = Rates().capped(self.config).within(self._limits, factor)
         approach = plan(now, goal, self._clearance, factor, rates)
         self._ask(self._question(approach, start))
-        self._open_grippers(start)
+        runner.check()  # a person may have taken minutes
+        self._open_grippers(runner, start)
         if not runner.begun:
             runner.begin(now)
         self._way.go(runner, now, approach.targets(self._tick_s))
@@ -338,11 +339,12 @@ class RtdeCell:
         if confirm(question) is not True:
             raise StartError("that the arms may move to where the task begins was not confirmed: they have not moved")
 
-    def _open_grippers(self, start: Start) -> None:
+    def _open_grippers(self, runner: Runner, start: Start) -> None:
         """Activate grippers where that is needed, and bring them to where an episode begins.
 
         Raises:
             StartError: One does not get there.
+            CellFaulted: The arms were stopped.
         """
         grippers = self._grippers
         if grippers is None:
@@ -354,9 +356,11 @@ class RtdeCell:
         wanted: list[float | None] = [float(each) for each in np.asarray(start.gripper_m).reshape(2)]
         if self._only is not None:
             wanted[1 - self._only] = None  # what that one holds stays held
+        grippers.forget()  # somebody may have moved them since
         grippers.command(wanted, time.monotonic())
         end = time.monotonic() + _OPENING_S
         while True:
+            runner.check()
             fault = grippers.fault_but(held)
             if fault:
                 raise StartError(f"a gripper does not do what it is told: {fault}")

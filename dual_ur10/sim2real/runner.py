@@ -74,10 +74,11 @@ class Runner:
                 self.latch.set("the program that moved the arms before ended without stopping them in order")
             self.latch.check()  # once more: the program that had the lock may have stopped them meanwhile
         except BaseException:
-            self._lock.release()
+            self._lock.release(in_order=False)
             raise
         self.margin_ticks = margin_ticks(self.tick_s)
         self._fault = ""
+        self._noted = True  # whether a fault is kept where the next start finds it
         self._closed = False
         self.came_to_rest = False
         self._pid = os.getpid()
@@ -289,7 +290,15 @@ class Runner:
         self._wait_for_end(_STOP_S)
         texts = [memory.text for memory in self.arms if memory.phase >= Phase.STOPPING]
         self._fault = self.cell.fault or first_reason(texts or ["an arm's process has ended"])
-        self.latch.set(self._fault)
+        self._note()
+
+    def _note(self) -> None:
+        """Keep the fault where the next start finds it. If that fails, the lock goes on saying that arms move."""
+        try:
+            self.latch.set(self._fault)
+        except OSError as error:
+            self._noted = False
+            log.error("both arms were stopped (%s), and that cannot be kept: %s", self._fault, error)
 
     def _wait_for_end(self, within_s: float) -> None:
         end = time.monotonic() + within_s
@@ -326,9 +335,9 @@ class Runner:
                 try:
                     if not self._fault and (why := self._not_as_asked()):
                         self._fault = self.cell.fault or why
-                        self.latch.set(self._fault)
+                        self._note()
                 finally:
-                    self._lock.release()
+                    self._lock.release(in_order=self._noted)
                     self._closed = True
                     if self.arms:
                         self.cell.close()

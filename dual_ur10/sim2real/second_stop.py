@@ -32,6 +32,9 @@ class SecondStop:
         arms: Memories of both arms' processes.
         hosts: Addresses of both controllers.
 
+    Attributes:
+        unended: What is to be told of programs that had not ended although the arm's process had ended them.
+
     Raises:
         LinkError: A dashboard server cannot be reached.
     """
@@ -43,6 +46,7 @@ class SecondStop:
         self._left = set(range(len(arms)))
         self._begun_s = 0.0
         self._asking: list[threading.Thread] = []
+        self.unended: list[str] = []
 
     @property
     def files(self) -> list[int]:
@@ -90,8 +94,10 @@ class SecondStop:
             if phase == Phase.STOPPED and (ended[arm] or passed > STOPPED_S):
                 self._left.discard(arm)
                 if not ended[arm]:
-                    log.error("%s: its program has not ended: the dashboard is asked to end it", ARMS[arm])
                     self._ask_dashboard(arm)
+                    text = f"{ARMS[arm]}: its program had not ended after {STOPPED_S:g} s, so its dashboard was asked"
+                    self.unended.append(text)
+                    log.error("%s", text)  # last: who reads it may keep it waiting
             elif phase == Phase.STOPPED:
                 continue
             elif phase == Phase.FAULTED or hangs or passed > STOPPED_S:

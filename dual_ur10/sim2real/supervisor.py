@@ -34,7 +34,7 @@ from dual_ur10.ur10 import ARMS
 
 log = logging.getLogger(__name__)
 
-_AHEAD_PERIODS: Final = 3  # from which on a new pace holds
+_AHEAD_S: Final = 0.024  # from which on a new pace holds
 
 
 class Supervisor:
@@ -54,6 +54,7 @@ class Supervisor:
         self._file, self._settings, self._arms, self._cell, self._parent = file, settings, arms, cell, parent
         self._watch = Watch(settings, arms, cell)
         self._links: list[RtdeLink] = []
+        self._made = False
 
     def run(self) -> None:
         """Watch until the program ends or both arms have been stopped."""
@@ -67,6 +68,7 @@ class Supervisor:
             self._cell.watched(now)
             if self._cell.ending:
                 return self._end()
+            self._made = self._made or all(each.phase in (Phase.READY, Phase.STREAMING) for each in self._arms)
             if os.getppid() != self._parent:
                 if not self._watch.moving:
                     return None  # nothing has moved
@@ -97,21 +99,25 @@ class Supervisor:
             age = link.age_s(time.monotonic())
             if age > STALE_S:
                 return f"{ARMS[arm]}: the controller's time has stood still for {1e3 * age:.0f} ms"
-        self._keep_pace(now)
-        return None
+        return self._watch.together() or self._keep_pace()
 
-    def _keep_pace(self, now: float) -> None:
-        """Slow both arms down alike, as the slower one's speed slider says."""
+    def _keep_pace(self) -> str | None:
+        """Slow both arms down alike, as the slower one's speed slider says. Returns why that was not possible."""
         cell = self._cell
-        if not cell.begin_s or now < cell.begin_s:
-            return
+        if not cell.begin_s or time.monotonic() < cell.begin_s:
+            return None
         goal = taken_down(self._watch.slowest) * self._file.speed_factor
         pace = cell.pace
-        if goal != pace.goal:
-            tick_s = self._settings.tick_s
-            period = max(float(int((now - cell.begin_s) / tick_s) + _AHEAD_PERIODS), pace.period)
-            cell.set_pace(pace.towards(goal, period, tick_s, self._file.speed_factor))
-            log.warning("both arms go on at %.0f %% of their speed", 100 * goal)
+        if goal == pace.goal:
+            return None
+        tick_s = self._settings.tick_s
+        at_s = time.monotonic() - cell.begin_s + _AHEAD_S
+        period = max(float(int(at_s / tick_s)), pace.period)
+        cell.set_pace(pace.towards(goal, period, tick_s, self._file.speed_factor))
+        if (time.monotonic() - cell.begin_s) / tick_s > period:  # an arm may have been sent what now is another time's
+            return "the supervisor stood still while it changed the pace of both arms: this machine is too busy"
+        log.warning("both arms go on at %.0f %% of their speed", 100 * goal)
+        return None
 
     def _end(self) -> None:
         """Both arms are asked to stop because the program ends: see that they do."""
@@ -119,7 +125,7 @@ class Supervisor:
             return  # nothing has moved
         self._second.begin()
         self._see_it_done()
-        failed = [memory.text for memory in self._arms if memory.phase == Phase.FAULTED]
+        failed = [memory.text for memory in self._arms if memory.phase == Phase.FAULTED] + self._second.unended
         if failed:
             Latch(self._file).set(self._cell.fault or first_reason(failed))
         self._second.close()
@@ -133,7 +139,8 @@ class Supervisor:
         self._second.begin()
         self._see_it_done(STALE_S)  # a disk may be slow, and what hangs must be ended all the same
         try:
-            Latch(self._file).set(reason)
+            if self._made or self._cell.begin_s:  # else it is a start that failed, which whoever started it is told
+                Latch(self._file).set(reason)
         finally:
             self._see_it_done()
             self._second.close()
@@ -198,5 +205,5 @@ def main(file: CellFile, settings: WatchSettings, names: tuple[str, ...], parent
         Supervisor(file, settings, arms, cell, parent).run()
     except Exception as error:  # whatever it is: without a supervisor nothing moves
         cell.enter_fault(f"the supervisor failed: {type(error).__name__}: {error}")
-        if any(memory.phase >= Phase.STREAMING for memory in arms):
+        if cell.begin_s:
             Latch(file).set(cell.fault)

@@ -37,7 +37,9 @@ REDUCED_PACE: Final = 0.5
 """How fast the time of the targets passes where a controller is in reduced mode and may be. It is assumed that UR's
 controllers keep the reduced limits by a stop, and slow no stream of targets down for them."""
 
-_ROWS: Final = 3
+APART_S: Final = 0.024
+"""For how long: three states of a CB3."""
+
 _LOOKS: Final = 10
 _NEAR: Final = 0.5  # of what is allowed: near enough to look no further
 
@@ -70,13 +72,14 @@ class Watch:
         self._settings, self._arms, self._cell = settings, arms, cell
         self._tracking = [Tracking() for _ in arms]
         self._latest: list[ArmStatus | None] = [None for _ in arms]
-        self._apart = 0
+        self._fresh = [False for _ in arms]
+        self._apart, self._most_apart = 0, round(APART_S / settings.tick_s)
         self._frames = Frames(settings.mounts)
 
     @property
     def moving(self) -> bool:
         """Whether targets are sent."""
-        return any(memory.phase >= Phase.STREAMING for memory in self._arms)
+        return self._cell.begin_s > 0.0 and any(memory.phase >= Phase.STREAMING for memory in self._arms)
 
     @property
     def slowest(self) -> float:
@@ -94,13 +97,13 @@ class Watch:
 
     def state(self, arm: int, status: ArmStatus) -> str | None:
         """What a controller's new state says."""
-        self._latest[arm] = status
+        self._latest[arm], self._fresh[arm] = status, True
         playing = self._arms[arm].phase == Phase.STREAMING
         reason = stop_reason(status, allow_reduced=self._cell.allow_reduced, playing=playing)
         reason = reason or self._tracking[arm](status)
         if reason is not None:
             return f"{ARMS[arm]}: {reason}"
-        return self._relative() if self._settings.coupled and arm == len(ARMS) - 1 else None
+        return None
 
     def processes(self, now_s: float) -> str | None:
         """What the processes of both arms say, and that of the policy."""
@@ -127,17 +130,22 @@ class Watch:
                 return f"the policy gave no action for {1e3 * late_s:.0f} ms more than it has: both arms rest"
         return None
 
-    def _relative(self) -> str | None:
-        """Whether two arms that hold one object are where they should be, seen from each other."""
-        latest = [each for each in self._latest if each is not None]
-        if len(latest) < len(ARMS):
+    def together(self) -> str | None:
+        """Whether two arms that hold one object are where they should be, seen from each other.
+
+        To be asked once all states that came are taken in: an older one of one arm does not belong to the newest of the
+        other.
+        """
+        latest = [each for each, fresh in zip(self._latest, self._fresh, strict=True) if each is not None and fresh]
+        if not self._settings.coupled or len(latest) < len(ARMS):
             return None
+        self._fresh = [False for _ in ARMS]
         mounts = self._settings.mounts
         found = _seen([each.q_rad for each in latest], mounts, self._frames)
         wanted = _seen([each.target_q_rad for each in latest], mounts, self._frames)
         apart_m, apart_rad = max(_apart(found, wanted), self._from_commanded(found), key=_share)
         self._apart = self._apart + 1 if apart_m > APART_M or apart_rad > APART_RAD else 0
-        if self._apart < _ROWS:
+        if self._apart < self._most_apart:
             return None
         return (
             f"the arms, which hold one object, are {1e3 * apart_m:.1f} mm and {np.degrees(apart_rad):.1f}° from where "

@@ -86,11 +86,13 @@ class WayToStart:
         rest = np.repeat(targets_rad[-1:], windows * ticks - len(targets_rad), axis=0)
         waiting = np.concatenate([targets_rad, rest]).reshape(windows, 1, ticks, 2, 6)
         at_once = max(1, self._ahead // 2 // ticks)
-        first = runner.next + 3
+        first = -1
         for begin in range(0, windows, at_once):
             passed = [gate(window) for window in waiting[begin : begin + at_once]]
             why = next((f"the safety gate refuses it: {each.verdicts[0]}" for each in passed if each.verdicts), "")
             block = np.concatenate([each.targets_rad[0] for each in passed])
+            if first < 0:  # many windows take a while
+                first = runner.next + 3
             if not (why or self._targets.write(runner, first, block)):
                 why = "this program stood still"
             if why:

@@ -65,6 +65,25 @@ def test_11_arms_that_stopped_because_nobody_watched_are_latched_by_closing(lab)
     lab.assert_latched("the supervisor does nothing any more")
 
 
+def test_59_a_stop_that_cannot_be_kept_is_told_to_the_next_start_all_the_same(lab):
+    """The disk is full, say; the supervisor, which keeps it as well, is gone."""
+    lab.begin()
+    lab.note()
+
+    def full(text):
+        raise OSError(28, "No space left on device")
+
+    lab.runner.latch.set = full
+    os.kill(lab.pids[2], signal.SIGKILL)
+    error = lab.step_until_faulted()
+    assert "the supervisor does nothing any more" in str(error)
+    lab.close_env()
+    assert lab.latch.read() is None
+    lab.assert_at_rest()
+    with pytest.raises(CellFaulted, match="ended without stopping them in order"):
+        lab.make()
+
+
 def test_29_a_stop_of_a_controller_while_its_arm_is_led_to_rest_is_latched(lab):
     lab.begin()
     runner = lab.runner

@@ -50,6 +50,7 @@ def test_18_a_controller_that_never_runs_the_control_script_is_given_up(lab, mon
     with pytest.raises(LinkError, match=f"right.*{lab.cell.right}"):
         lab.make()
     lab.assert_nothing_has_moved((1, 1))
+    assert lab.latch.read() is None  # a start that failed is no stop
 
 
 def test_22_a_network_that_is_too_slow_is_refused(lab):

@@ -1,6 +1,7 @@
 """What two arms do that are moved through `ur_rtde`, on the emulated cell: stops, time, accuracy, tasks.
 
-python benchmarks/runner.py [--parts stops,kills,sine,carry,handover] [--latency TICKS] [--share 1.0] [--json FILE]
+python benchmarks/runner.py [--parts stops,kills,sine,carry,handover] [--family cb3] [--latency TICKS] [--share 1.0]
+    [--json FILE]
 
 All of it takes an hour; `--share 0.05` is a look. Figures of time depend on what else the machine does: its load is
 printed beside them. A machine that stands still for longer than an action's latency leaves room for makes that action
@@ -36,6 +37,7 @@ from dual_ur10.sim2real.controller.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.latch import Latch
 from dual_ur10.sim2real.ramp import STOP_RAD_S2
 from dual_ur10.sim2real.runner import Runner
+from dual_ur10.sim2real.servoj import TICK_S
 
 ARMS = ("left", "right")
 LATENCY_TICKS = 10
@@ -395,9 +397,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--parts", default="stops,kills,sine,carry,handover")
     parser.add_argument("--share", type=float, default=1.0, help="of trials, seconds and episodes")
-    parser.add_argument("--latency", type=int, default=LATENCY_TICKS, help="action_latency_ticks of tasks, of 8 ms")
+    parser.add_argument("--family", choices=tuple(TICK_S), default="cb3", help="of both controllers")
+    parser.add_argument("--latency", type=int, default=LATENCY_TICKS, help="action latency of tasks, in ticks of 8 ms")
     parser.add_argument("--json", type=pathlib.Path)
     args = parser.parse_args()
+    latency = round(args.latency * TICK_S["cb3"] / TICK_S[args.family])
     figures = {}
     with tempfile.TemporaryDirectory() as name:
         folder = pathlib.Path(name)
@@ -406,7 +410,8 @@ def main() -> None:
             load = os.getloadavg()[0]
             scene = {"carry": "SyncCarry", "handover": "Handover"}.get(part, "SineTracking")
             path = folder / f"{part}.toml"
-            with EmulatedCell(task=scene, cell=str(path)) as cell:  # its plant is "mild", that is, not what is believed
+            # Its plant is "mild", that is, not what is believed.
+            with EmulatedCell(task=scene, cell=str(path), family=args.family) as cell:
                 for arm in ARMS:
                     cell.wait_until(arm, "robot_mode", 7)
                 if part == "stops":
@@ -416,9 +421,9 @@ def main() -> None:
                 elif part == "sine":
                     runs = folder / "runs"
                     runs.mkdir()
-                    found = sine(path, cell, runs, max(30.0, SECONDS * args.share), args.latency)
+                    found = sine(path, cell, runs, max(30.0, SECONDS * args.share), latency)
                 else:
-                    found = task(path, cell, scene, some(EPISODES, args.share), args.latency)
+                    found = task(path, cell, scene, some(EPISODES, args.share), latency)
             print(file=sys.stderr)
             figures |= {**found, f"{part}_load": load}
             for key, value in found.items():

@@ -69,6 +69,14 @@ class Recorder:
         return total
 
 
+def step_on(env: Any, action: np.ndarray, n: int) -> np.ndarray:
+    """The observation after a step, or that of the next episode; a batch begins those by itself."""
+    observation, _, terminated, truncated, _ = env.step(action)
+    if n == 1 and (terminated or truncated):
+        observation, _ = env.reset()
+    return observation
+
+
 def measure(
     env_id: str, n: int, actions: str, blocks: int, steps: int, threads: int, begin_after: int = 0
 ) -> dict[str, float]:
@@ -100,16 +108,14 @@ def measure(
                 known.append(policy(observation).astype(np.float32))
             else:
                 known.append(rng.uniform(-1, 1, env.action_space.shape).astype(np.float32))
-            observation = env.step(known[-1])[0]
+            observation = step_on(env, known[-1], n)
         env.reset(seed=block)
         for action in known[:begin_after]:
             env.step(action)
         recorder.recorded.clear()
         begin = time.perf_counter()
         for action in known[begin_after:]:
-            _, _, terminated, truncated, _ = env.step(action)
-            if n == 1 and (terminated or truncated):
-                env.reset()
+            step_on(env, action, n)
         env_time = time.perf_counter() - begin
         bare = recorder.replay()
         efficiency.append(bare / env_time)

@@ -49,7 +49,9 @@ def train(
         list[str] | None,
         typer.Option("--setting", metavar="KEY=VALUE", help="A setting of the algorithm. May be repeated."),
     ] = None,
-    dataset: Annotated[str, typer.Option("--dataset", metavar="ID", help="bc: a Minari dataset to learn from.")] = "",
+    dataset: Annotated[
+        str, typer.Option("--dataset", metavar="ID", help="bc, dagger: a Minari dataset to begin with.")
+    ] = "",
     init: Annotated[str, typer.Option("--init", metavar="FOLDER", help="A checkpoint to begin with.")] = "",
     resume: Annotated[
         Path | None, typer.Option("--resume", metavar="FOLDER", help="Go on with the training in this folder.")

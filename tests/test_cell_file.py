@@ -597,6 +597,26 @@ def test_its_configuration_has_mounts_servoj_and_caps(tmp_path: Path) -> None:
     assert loaded(tmp_path, edited(GOOD, commissioned=True)).config().speed_rad_s is None
 
 
+def test_hands_that_are_mounted_are_measured_whatever_the_task_needs(tmp_path: Path) -> None:
+    hand = {"right__gripper": {"kind": "digital_output", "output": 16}}
+    bare, handy = (loaded(tmp_path, edited(GOOD, **edits)) for edits in ({}, hand))
+    assert not bare.config().hands
+    assert handy.config().hands
+    assert handy.simulated().hands
+    looked_at = []
+    for cell in (bare, handy):
+        env = DualArmEnv("SineTracking", cell=cell.simulated())
+        assert env.action_space.shape == (12,)  # nothing that it could open or close
+        looked_at.append({pair for pair in env.core._clearance.pairs if {"left/fingers", "right/palm"} & set(pair)})
+        env.close()
+    assert not looked_at[0]
+    assert ("right/palm", "table") in looked_at[1]
+    low: dict[str, Any] = {"axis": "z", "center_m": ((0.0, 0.6, 0.3), (0.0, -0.6, 0.3))}
+    DualArmEnv("SineTracking", cell=bare.simulated(), **low).close()
+    with pytest.raises(SettingsError, match=r"sine's path .*/fingers and table come as close as"):
+        DualArmEnv("SineTracking", cell=handy.simulated(), **low)
+
+
 def test_a_real_cell_is_as_slow_as_in_first_runs_until_somebody_has_signed(tmp_path: Path) -> None:
     limits = {"speed_rad_s": 1.5, "tcp_speed_m_s": 1.0}
     fast = edited(GOOD, left__limits=limits, right__limits=limits)
@@ -703,6 +723,9 @@ def test_notes_name_what_a_real_cell_leaves_open(tmp_path: Path) -> None:
         sure |= {f"{arm}__calibration": {"theta_rad": [1e-4, 0, 0, 0, 0, 0], "checksum": [1] * 6}}
         sure |= {f"{arm}__limits": {"speed_rad_s": 0.5, "tcp_speed_m_s": 0.25}}
     sure |= {"commissioned": True}
+    (note,) = loaded(tmp_path, edited(GOOD, **sure, right__gripper={"kind": "robotiq"})).notes()
+    assert note.startswith("left.tcp_position_m is not at the flange and left.gripper is none: ")
+    sure |= {f"{arm}__gripper": {"kind": "robotiq"} for arm in ur10.ARMS}
     assert loaded(tmp_path, edited(GOOD, **sure)).notes() == []
     assert loaded(tmp_path, SMALL).notes() == []
 

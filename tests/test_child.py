@@ -142,7 +142,11 @@ def test_it_finds_what_the_program_finds_in_the_folder_it_is_in(tmp_path):
 
 
 def test_it_is_killed_and_waited_for():
-    child = Child(time.sleep, 60.0)
+    child = Child(time.sleep, 60.0, name="left")
+    end = time.monotonic() + WITHIN_S
+    while not (shown := pathlib.Path(f"/proc/{child.pid}/cmdline").read_bytes()) and time.monotonic() < end:
+        time.sleep(0.01)  # it is about to begin
+    assert shown.split(b"\0")[-2:] == [b"left", b""]
     assert child.is_alive
     assert child.code is None
     assert not child.wait(0.05)

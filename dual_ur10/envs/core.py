@@ -161,7 +161,7 @@ class Core:
         check_for_controllers(config, n, autoreset=autoreset, randomized=randomized)
         threads = threads or min(n, os.cpu_count() or 1)
         clearance = Clearance(
-            config.scene,
+            config.measured_scene,
             n=n,
             threads=threads,
             minimum_m=config.minimum_clearance_m,

@@ -161,7 +161,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         arm = np.repeat([6.5, 10.0, 6.5, 2.0, 1.01, 10.0, 10.0, 2.01], [6, 6, 6, 3, 4, 3, 3, 3])
         self.observation_bound = np.tile(arm, 2)
         mounts = (cell.left, cell.right)
-        check_path(settings, cell.scene, self.limits, cell.minimum_clearance_m, cell.uncertainty)
+        check_path(settings, cell.measured_scene, self.limits, cell.minimum_clearance_m, cell.uncertainty)
         frames = Frames(mounts)
         self._base_m, self._to_base = frames.base_m, frames.rotation
         # Pose of the other flange in each arm's `base`, (14,), from the numbers of both arms.

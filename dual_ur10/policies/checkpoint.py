@@ -330,7 +330,7 @@ _REMEDIES: Final = {
     "rate.latency_ticks": "set action_latency_ticks to what it was in training, or train with what it will be",
     "actions.mode": "set action_mode as it was in training",
     "actions.compensate_lag": "set compensate_lag as it was in training",
-    "actions.joint_step_rad": "take the cell's speed cap off, or train with it",
+    "actions.joint_step_rad": "train with the speed caps of this cell: they are there for a reason",
     "robot.family": "use controllers of that family, or train with it",
     "robot.lookahead_s": "set servoj's lookahead_s as it was in training",
     "robot.gain": "set servoj's gain as it was in training",

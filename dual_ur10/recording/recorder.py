@@ -68,7 +68,7 @@ class RecorderProcess:
         os.set_blocking(self._connection.fileno(), False)
         number = theirs.fileno()
         arguments = (number, memories, folder, header, black_boxes, self.begin_s, os.getpid(), least_free_bytes)
-        self.process = Child(serve, *arguments, files=[number])
+        self.process = Child(serve, *arguments, files=[number], name="recorder")
         theirs.close()
 
     def wait_until_ready(self, within_s: float = START_S) -> None:

@@ -82,7 +82,7 @@ class ArmProcess:
     ) -> None:
         self.connection, self.memory = connection, memory
         names = (memory.name, cell.name, *(other.name for other in others))
-        self.process = Child(main, connection, names, os.getpid(), watched)
+        self.process = Child(main, connection, names, os.getpid(), watched, name=connection.name)
 
     def wait_until_ready(self, within_s: float = CONNECT_S) -> None:
         """Wait until the arm would take targets.

@@ -277,6 +277,7 @@ class CellConfig:
         file: The cell file of two controllers; None in simulation.
         wrench_noise: Standard deviation of the force (N) and torque (N·m) that simulated controllers report. A CB3
             reads them from its motors' currents. To what two controllers measure, nothing is added.
+        hands: Whether grippers are mounted, also where a task has no use for them: distances are measured with them.
         equipment: Grippers and what they handle; set by the task.
 
     Raises:
@@ -304,6 +305,7 @@ class CellConfig:
     uncertainty: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
     file: CellFile | None = None
     wrench_noise: tuple[float, float] = (2.0, 0.2)
+    hands: bool = False
     equipment: Equipment = field(default_factory=Equipment)
 
     def __post_init__(self) -> None:
@@ -362,6 +364,12 @@ class CellConfig:
             obstacles=self.obstacles,
             **{name: value for name, value in given.items() if value is not None},  # type: ignore[arg-type]  # two types
         )
+
+    @property
+    def measured_scene(self) -> SceneSettings:
+        """The scene in which distances are measured: with the hands that are there, whatever the task needs."""
+        scene = self.scene
+        return replace(scene, equipment=replace(scene.equipment, grippers=True)) if self.hands else scene
 
     def furnished(self, equipment: Equipment, timestep_s: float, gains: str) -> CellConfig:
         """This cell with a task's equipment, and its physics step and servos where the cell leaves them open."""

@@ -27,6 +27,7 @@ from dual_ur10.sim2real.cell_file_entries import (
     ArmLimits,
     EmulatorEntry,
     Measured,
+    NoGripper,
     Tracker,
     of_kind,
     plain,
@@ -152,6 +153,7 @@ class CellFile:
                     (self.left.base_uncertainty_m, self.left.base_uncertainty_rad),
                     (self.right.base_uncertainty_m, self.right.base_uncertainty_rad),
                 ),
+                hands=any(not isinstance(arm.gripper, NoGripper) for arm in self.arms),
                 file=self,
                 measured_lookahead_s=self._lookahead_s(),
                 tcp_m=(self.left.tcp_position_m or ZERO, self.right.tcp_position_m or ZERO),
@@ -206,6 +208,11 @@ class CellFile:
                 notes.append(f"{name}.safety_checksum is not said: other safety settings would not be noticed")
             if not (arm.base_uncertainty_m and arm.base_uncertainty_rad):
                 notes.append(f"{name}.base_uncertainty_m or _rad is 0: no base is where it is believed to be")
+            if isinstance(arm.gripper, NoGripper) and any(arm.tcp_position_m or ZERO):
+                notes.append(
+                    f"{name}.tcp_position_m is not at the flange and {name}.gripper is none: what is mounted "
+                    "there does not exist for the safety gate"
+                )
             for key, (first, unit) in _FIRST.items():
                 limit = getattr(arm.limits, key)
                 if limit is None:

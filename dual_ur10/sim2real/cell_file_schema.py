@@ -96,7 +96,7 @@ _TRACKERS: Final[dict[str, tuple[Key, ...]]] = {
     "emulated": (
         Key("noise_m", "standard deviation of measured positions", low=0, high=0.1, default=0.0),
         Key("noise_rad", "standard deviation of measured orientations", low=0, high=0.5, default=0.0),
-        Key("delay_s", "age of a measured pose", low=0, high=1, default=0.0),
+        Key("delay_s", "age of a measured pose", low=0, high=0.499, default=0.0),
     ),
 }
 

@@ -43,16 +43,19 @@ class Child:
         function: Of this package.
         arguments: For it; they are pickled.
         files: Numbers of open files that it gets under the same numbers.
+        name: What a list of processes shows behind its command.
     """
 
-    def __init__(self, function: Callable[..., None], *arguments: Any, files: Sequence[int] = ()) -> None:
+    def __init__(
+        self, function: Callable[..., None], *arguments: Any, files: Sequence[int] = (), name: str = ""
+    ) -> None:
         work = pickle.dumps((function.__module__, function.__qualname__, os.getpid(), arguments))
         self._code: int | None = None
         process = None
         try:
             with held_back():  # an interrupt comes before there is a process, or once it is known here
                 self._process = process = subprocess.Popen(
-                    [sys.executable, "-P", "-m", CHILD],
+                    [sys.executable, "-P", "-m", CHILD, *filter(None, [name])],
                     stdin=subprocess.PIPE,
                     env={**os.environ, "PYTHONPATH": os.pathsep.join(each or os.getcwd() for each in sys.path)},
                     start_new_session=True,

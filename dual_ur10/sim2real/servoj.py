@@ -30,7 +30,7 @@ TICK_S: Final[dict[str, float]] = {"cb3": 0.008, "e-series": 0.002}
 """Control period of each controller family: UR's real-time client guide."""
 
 MAX_PERIOD_S: Final = 2.0
-"""Longest policy period: distances are checked once in it."""
+"""Longest policy period: what is too close is found once in it."""
 
 # Ranges of the arguments of servoj: UR's article "Servoj command", and the argument checks of ur_rtde 1.6.5.
 MEASURED_LOOKAHEAD_S: Final = (0.005, 0.5)

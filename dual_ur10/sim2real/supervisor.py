@@ -170,7 +170,7 @@ class SupervisorProcess:
     def __init__(self, file: CellFile, settings: WatchSettings, arms: Sequence[ArmMemory], cell: CellMemory) -> None:
         self._cell = cell
         names = (cell.name, *(memory.name for memory in arms))
-        self.process = Child(main, file, settings, names, os.getpid())
+        self.process = Child(main, file, settings, names, os.getpid(), name="supervisor")
 
     def wait_until_ready(self, within_s: float) -> None:
         """Wait until it sees both arms.

@@ -2,7 +2,8 @@
 
 training.json          what it was asked to do
 state/                 what it goes on from with --resume; see `dual_ur10.training.state`
-samples-0000/, ...     imitation: what was gathered in each round
+samples-0000.safetensors, ...
+                       imitation: what was gathered in each round
 steps-000102400/, ...  checkpoints on the way
 policy/                the checkpoint that came of it
 curve.png              success and return over steps

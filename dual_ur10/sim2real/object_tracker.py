@@ -12,7 +12,7 @@ from typing import Final, NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.errors import CellFileError, DualUR10Error, LinkError, SettingsError
+from dual_ur10.errors import CellFileError, DualUR10Error, LinkError
 from dual_ur10.rotations import quat_from_rotvec, quat_multiply, rotate
 from dual_ur10.sim2real import cell_file_entries as entries
 from dual_ur10.sim2real.cell_file import CellFile
@@ -125,17 +125,12 @@ class EmulatedTracker:
         rate_hz: How often it is asked.
 
     Raises:
-        SettingsError: Its poses would be too old from the start.
         LinkError: There is no cell, or no such body in it.
     """
 
     def __init__(
         self, knobs: EmulatorKnobs, body: str, entry: entries.EmulatedTracker, rate_hz: float = RATE_HZ
     ) -> None:
-        if entry.delay_s >= STALE_S:
-            raise SettingsError(
-                f"tracker.delay_s is {entry.delay_s:g}: poses older than {STALE_S:g} s are refused, so set less"
-            )
         self._knobs, self._body, self._entry, self._period_s = knobs, body, entry, 1.0 / rate_hz
         self.where = f"emulated camera at {knobs.host}:{knobs.port}, looking for {body!r}"
         self._lost = ""

@@ -81,7 +81,7 @@ test: $(VENV)/.dev  ## install, lint, type-check and run all tests
 
 # What neither steps MuJoCo nor knows Gymnasium is the same with every version of them.
 test-oldest: $(OLDEST)/.dev  ## the tests again with MuJoCo 3.17 and Gymnasium 1.2.2, without those of controllers
-	@$(OLDEST)/bin/python -m pytest -n 2 -m "not emulated" --ignore tests/controller --ignore tests/test_adapter.py
+	@$(OLDEST)/bin/python -m pytest -n 2 -m "not emulated" --ignore tests/sim2real/emulator --ignore tests/sim2real/control/test_adapter.py
 
 test-dist: $(DIST)/.dev  ## training on Ray RLlib with two workers on this machine
 	@$(DIST)/bin/python -m pytest tests/distributed

@@ -30,15 +30,15 @@ import numpy as np
 
 from dual_ur10 import kinematics
 from dual_ur10.assets.scene import HOME_Q_RAD
-from dual_ur10.envs.sine_path import SineSettings
-from dual_ur10.envs.sine_tracking import SineTracking
-from dual_ur10.frames import to_base
-from dual_ur10.policies.accuracy import accuracy
-from dual_ur10.runs import ASYMMETRIC_CELL, PERTURBED_CELL, Run, measure, speed_share
-from dual_ur10.sim2real.adapter import ServojAdapter
-from dual_ur10.sim2real.clearance import Clearance
-from dual_ur10.sim2real.gate import SafetyGate
-from dual_ur10.sim2real.pipeline import ServojPipeline
+from dual_ur10.cli.demo_report.runs import ASYMMETRIC_CELL, PERTURBED_CELL, Run, measure, speed_share
+from dual_ur10.envs.tasks.sine_tracking.path import SineSettings
+from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
+from dual_ur10.kinematics.frames import to_base
+from dual_ur10.policies.evaluation.accuracy import accuracy
+from dual_ur10.sim2real.control.adapter import ServojAdapter
+from dual_ur10.sim2real.control.clearance import Clearance
+from dual_ur10.sim2real.control.gate import SafetyGate
+from dual_ur10.sim2real.control.pipeline import ServojPipeline
 
 AXES = ("x", "y", "z")
 DURATION_S = 30.0

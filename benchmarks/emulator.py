@@ -16,8 +16,8 @@ import time
 import numpy as np
 import psutil
 
-from dual_ur10.sim2real.controller.emulated_cell import EmulatedCell
-from dual_ur10.sim2real.servoj import TICK_S
+from dual_ur10.sim2real.control.servoj import TICK_S
+from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 
 ROOT = pathlib.Path(__file__).parents[1]
 

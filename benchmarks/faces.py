@@ -93,7 +93,7 @@ def measure_faces(env_id: str, rounds: int, steps: int) -> dict[str, float]:
 def measure_rows(env_id: str, cells: int, rounds: int, steps: int) -> dict[str, float]:
     """Step of the vector environment in µs per cell, and what the rows of one policy take beyond it."""
     try:
-        from dual_ur10.envs.sb3_bridge import TwoAgentVecEnv
+        from dual_ur10.envs.api.sb3_bridge import TwoAgentVecEnv
     except MissingExtraError:
         return {}
     many = gym.make_vec(env_id, num_envs=cells, autoreset_mode="Disabled", threads=1)

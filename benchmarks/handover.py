@@ -23,10 +23,10 @@ from typing import Any
 from speeds import SpeedWatch
 
 from dual_ur10 import policies
-from dual_ur10.envs.handover import Handover
-from dual_ur10.envs.options import DEFAULT_RATE_HZ
-from dual_ur10.policies.evaluate import evaluate
-from dual_ur10.runs_handover import HANDOVER_ID, HANDOVER_RUNS, HandoverRun
+from dual_ur10.cli.demo_report.runs_handover import HANDOVER_ID, HANDOVER_RUNS, HandoverRun
+from dual_ur10.envs.core.options import DEFAULT_RATE_HZ
+from dual_ur10.envs.tasks.handover.task import Handover
+from dual_ur10.policies.evaluation.evaluate import evaluate
 
 EPISODES = 300
 

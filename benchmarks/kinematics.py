@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10 import kinematics
-from dual_ur10.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, JOINT_RANGE_RAD
+from dual_ur10.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, JOINT_RANGE_RAD
 
 Array = NDArray[np.float64]
 

@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 
 import dual_ur10
-from dual_ur10.policies import shipped
-from dual_ur10.policies.checkpoint import read_manifest
-from dual_ur10.policies.evaluate import evaluate
-from dual_ur10.policies.evaluation import Evaluation
+from dual_ur10.policies.evaluation.evaluate import evaluate
+from dual_ur10.policies.evaluation.results import Evaluation
+from dual_ur10.policies.learned import shipped
+from dual_ur10.policies.learned.checkpoint import read_manifest
 
 
 def main() -> None:

@@ -26,18 +26,18 @@ import numpy as np
 
 from dual_ur10 import policies
 from dual_ur10.assets.scene import HOME_Q_RAD
-from dual_ur10.comparison.timing import timing
 from dual_ur10.errors import CellFaulted, LinkError, StartError
-from dual_ur10.policies.evaluate import evaluate
-from dual_ur10.policies.rollout import rollout
-from dual_ur10.recording.reader import read_run
-from dual_ur10.sim2real.arm_memory import Phase
-from dual_ur10.sim2real.cell_file import load_cell_file
-from dual_ur10.sim2real.controller.emulated_cell import EmulatedCell
-from dual_ur10.sim2real.latch import Latch
-from dual_ur10.sim2real.ramp import STOP_RAD_S2
-from dual_ur10.sim2real.runner import Runner
-from dual_ur10.sim2real.servoj import TICK_S
+from dual_ur10.policies.evaluation.evaluate import evaluate
+from dual_ur10.policies.evaluation.rollout import rollout
+from dual_ur10.sim2real.analysis.timing import timing
+from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.control.servoj import TICK_S
+from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
+from dual_ur10.sim2real.recording.reader import read_run
+from dual_ur10.sim2real.runtime.arm_memory import Phase
+from dual_ur10.sim2real.runtime.latch import Latch
+from dual_ur10.sim2real.runtime.ramp import STOP_RAD_S2
+from dual_ur10.sim2real.runtime.runner import Runner
 
 ARMS = ("left", "right")
 LATENCY_TICKS = 10
@@ -49,8 +49,8 @@ STOPPED = (CellFaulted, LinkError, StartError)
 KILLED = """
 import sys, time
 import numpy as np
-from dual_ur10.sim2real.cell_file import load_cell_file
-from dual_ur10.sim2real.runner import Runner
+from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.runtime.runner import Runner
 sys.path.insert(0, sys.argv[2])
 from runner import Swing
 file = load_cell_file(sys.argv[1])

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dual_ur10.policies.evaluate import Rows
+from dual_ur10.types import Rows
 
 
 class SpeedWatch:

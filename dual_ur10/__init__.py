@@ -8,19 +8,17 @@ Importing the package registers the environments with Gymnasium and PettingZoo a
     env = gym.make("DualUR10/SineTracking-v0")
 """
 
-from dual_ur10 import loading  # first, so that Ctrl-C during what follows gives one line
+from dual_ur10.sim2real.processes import interrupts  # first, so that Ctrl-C during what follows gives one line
 
 __version__ = "0.1.0"
 
-ENV_IDS = ("DualUR10/SineTracking-v0", "DualUR10/SyncCarry-v0", "DualUR10/Handover-v0")
-"""All registered ids. An id is a promise: what changes a result gets a new version."""
-
-if not loading.is_child():  # what moves, stops or records arms has to be ready soon, and needs nothing of this
+if not interrupts.is_child():  # the processes that move, stop or record arms start faster without the rest
     from dual_ur10 import registration  # noqa: F401  # registers
-    from dual_ur10.assets.scene import ArmMount
-    from dual_ur10.sim2real.cell import TYPICAL_PERTURBATION, CellConfig, Perturbation
-    from dual_ur10.sim2real.servoj import ServojProfile
-    from dual_ur10.ur10 import DHParameters
+    from dual_ur10.ids import ENV_IDS
+    from dual_ur10.kinematics.frames import ArmMount
+    from dual_ur10.kinematics.ur10 import DHParameters
+    from dual_ur10.sim2real.config.cell import TYPICAL_PERTURBATION, CellConfig, Perturbation
+    from dual_ur10.sim2real.control.servoj import ServojProfile
 
 __all__ = [
     "ENV_IDS",

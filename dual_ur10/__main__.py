@@ -1,5 +1,5 @@
 """`python -m dual_ur10`."""
 
-from dual_ur10.cli import main
+from dual_ur10.cli.main import main
 
 main()

@@ -3,14 +3,14 @@
 import pettingzoo  # type: ignore[import-untyped]  # has no types
 from gymnasium.envs.registration import register, registry
 
-from dual_ur10 import ENV_IDS
+from dual_ur10.ids import ENV_IDS
 
 for _id in ENV_IDS:
     if _id not in registry:
         register(
             _id,
-            entry_point="dual_ur10.envs.dual_arm_env:DualArmEnv",
-            vector_entry_point="dual_ur10.envs.vector_env:DualArmVectorEnv",
+            entry_point="dual_ur10.envs.api.dual_arm_env:DualArmEnv",
+            vector_entry_point="dual_ur10.envs.api.vector_env:DualArmVectorEnv",
             kwargs={"task": _id.split("/")[1].rsplit("-", 1)[0]},
         )
     # Their registries warn of an id that they know.

@@ -22,15 +22,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from dual_ur10.errors import DualUR10Error, SettingsError
-from dual_ur10.policies.check import PolicyReport, check_policy
-from dual_ur10.sim2real.controller.emulated_cell import EmulatedCell
+from dual_ur10.policies.evaluation.check import PolicyReport, check_policy
+from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     import pytest
 
-    from dual_ur10.sim2real.latch import Latch
+    from dual_ur10.sim2real.runtime.latch import Latch
 
 __all__ = ["CellForTests", "PolicyReport", "check_policy"]
 
@@ -49,7 +49,7 @@ class CellForTests(EmulatedCell):
 
     Args:
         folder: Where its cell file and its log are written.
-        **options: See `dual_ur10.emulator.EmulatorOptions`; without `cell`.
+        **options: See `dual_ur10.sim2real.emulator.main.EmulatorOptions`; without `cell`.
 
     Attributes:
         path: The cell file, as text: `gym.make(..., cell=cell.path)`.
@@ -91,8 +91,8 @@ class CellForTests(EmulatedCell):
 
     @property
     def _latch(self) -> Latch:
-        from dual_ur10.sim2real.cell_file import load_cell_file
-        from dual_ur10.sim2real.latch import Latch
+        from dual_ur10.sim2real.config.cell_file import load_cell_file
+        from dual_ur10.sim2real.runtime.latch import Latch
 
         return Latch(load_cell_file(self.path))
 

@@ -4,7 +4,7 @@ import sys
 
 import minari
 
-from dual_ur10.training.dataset import collect
+from dual_ur10.policies.training.dataset import collect
 
 episodes = int(sys.argv[1]) if len(sys.argv) > 1 else 20
 name = sys.argv[2] if len(sys.argv) > 2 else "dual-ur10/sinetracking/example-v0"

@@ -5,9 +5,9 @@ import sys
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-from dual_ur10.envs.sb3_bridge import JointVecEnv
-from dual_ur10.policies import checkpoint
-from dual_ur10.policies.from_sb3 import converted
+from dual_ur10.envs.api.sb3_bridge import JointVecEnv
+from dual_ur10.policies.learned import checkpoint
+from dual_ur10.policies.learned.from_sb3 import converted
 
 steps = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
 folder = sys.argv[2] if len(sys.argv) > 2 else "sine_ppo"

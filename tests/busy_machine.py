@@ -40,8 +40,8 @@ class _Pulse(threading.Thread):
 class BusyMachine:
     """Plugin of pytest: where this machine was too busy, tests that bear `mark` are tried again, with new fixtures.
 
-    It was, where it stood still meanwhile, where an error says so, or where a `tests.faults.lab.Lab` says that arms
-    were stopped because of it. What fails for another reason fails at once, and what was sent to an arm that must not
+    It was, where it stood still meanwhile, where an error says so, or where a `tests.live.faults.lab.Lab` says that
+    arms were stopped because of it. What fails for another reason fails at once. What was sent to an arm that must not
     be (`ViolationError`) is never tried again.
     """
 

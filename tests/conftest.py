@@ -1,6 +1,7 @@
 """Same conditions wherever the tests run."""
 
 import os
+from pathlib import Path
 
 import pytest
 
@@ -9,18 +10,18 @@ from tests.busy_machine import BusyMachine
 # Workers of pytest-xdist get the width of the terminal; rich takes it when a console is made, at import.
 os.environ.pop("COLUMNS", None)
 
-_EMULATED = ("conformance", "faults", "test_cli_cell.py", "test_demo.py", "test_testing.py")
+_EMULATED = ("conformance", "live", "cli/test_cell.py", "cli/test_demo.py", "test_testing.py")
 _REAL_TIME = (
-    "faults",
-    "test_arm_process.py",
-    "test_cli_cell.py",
-    "test_demo.py",
-    "test_grasp.py",
-    "test_official_examples.py",
-    "test_parity.py",
-    "test_rtde_cell.py",
+    "live",
+    "cli/test_cell.py",
+    "cli/test_demo.py",
+    "sim2real/analysis/test_parity.py",
+    "sim2real/emulator/test_grasp.py",
+    "sim2real/emulator/test_official_examples.py",
+    "sim2real/emulator/test_ur_rtde.py",
+    "sim2real/runtime/test_arm_process.py",
+    "sim2real/runtime/test_rtde_cell.py",
     "test_testing.py",
-    "test_ur_rtde.py",
 )
 
 
@@ -39,11 +40,11 @@ def pytest_configure(config):
 
 def pytest_itemcollected(item):
     """Mark tests of emulated controllers, and those of them that stream to arms: `make test` runs them apart."""
-    names = {item.path.parent.name, item.path.name}
-    if names & set(_EMULATED) or any(name in vars(item.module) for name in ("EmulatedCell", "Lab")):
+    path = item.path.relative_to(Path(__file__).parent).as_posix()
+    if path.startswith(_EMULATED) or any(name in vars(item.module) for name in ("EmulatedCell", "Lab")):
         item.add_marker(pytest.mark.emulated)
         item.add_marker(BusyMachine.mark())
-    if names & set(_REAL_TIME):
+    if path.startswith(_REAL_TIME):
         item.add_marker(pytest.mark.real_time)
 
 

@@ -19,9 +19,9 @@ def test_the_table_of_faults_is_complete():
 
 
 def test_what_the_table_of_faults_names_exists():
-    """Each file is there, and one of `tests/faults` has a test with the number of the row in its name."""
+    """Each file is there, and one of `tests/live/faults` has a test with the number of the row in its name."""
     numbers = {}
-    for path in (ROOT / "tests" / "faults").glob("test_*.py"):
+    for path in (ROOT / "tests" / "live" / "faults").glob("test_*.py"):
         names = re.findall(r"^def test_((?:\d+_)+)", path.read_text(), re.MULTILINE)
         numbers[path.stem] = {int(each) for name in names for each in name.split("_") if each}
     for row, shown in rows():
@@ -29,8 +29,8 @@ def test_what_the_table_of_faults_names_exists():
         assert named or shown == "—", f"row {row} names no test and does not say so"
         for name in named:
             assert (ROOT / "tests" / f"{name}.py").is_file(), f"row {row}: {name}"
-            if name.startswith("faults/"):
-                assert row in numbers[name.removeprefix("faults/")], f"row {row}: {name} has no test of it"
+            if name.startswith("live/faults/"):
+                assert row in numbers[name.removeprefix("live/faults/")], f"row {row}: {name} has no test of it"
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)

@@ -43,7 +43,7 @@ def test_it_runs(name, tmp_path):
     text = run(name, *arguments, folder=tmp_path)
     assert text.strip()
     if name == "train_with_sb3":
-        from dual_ur10.policies.checkpoint import read_manifest
+        from dual_ur10.policies.learned.checkpoint import read_manifest
 
         assert read_manifest(tmp_path / "sine_ppo").target.env_id == "DualUR10/SineTracking-v0"
     if name == "collect_dataset":

@@ -10,7 +10,7 @@ import pytest
 
 from dual_ur10 import policies
 from dual_ur10.errors import CellFaulted, PolicyError, SettingsError, UnknownNameError
-from dual_ur10.sim2real.latch import state_folder
+from dual_ur10.sim2real.runtime.latch import state_folder
 from dual_ur10.testing import CellForTests, check_policy
 
 SINE = "DualUR10/SineTracking-v0"
@@ -217,7 +217,7 @@ def test_observations_with_pictures():
 
 def test_a_slow_policy_is_a_note_and_no_error(monkeypatch, caplog):
     now = iter(np.arange(0.0, 1e4, 0.03))
-    monkeypatch.setattr("dual_ur10.policies.check.time.perf_counter", lambda: float(next(now)))
+    monkeypatch.setattr("dual_ur10.policies.evaluation.check.time.perf_counter", lambda: float(next(now)))
     with caplog.at_level(logging.WARNING):
         report = check_policy(Good(), SINE, steps=3)
     assert report.median_s == pytest.approx(0.03)

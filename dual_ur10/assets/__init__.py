@@ -1,1 +1,4 @@
-"""The robot, the table and how they are composed into one MuJoCo model."""
+"""MuJoCo models: arm, gripper, props, obstacles, the scene they make, and the collision model of the gate.
+
+Imports `kinematics` only. Imported by `sim2real` (clearance, scene settings) and `envs` (simulation, rendering).
+"""

@@ -10,7 +10,8 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.assets.settings import GAINS
-from dual_ur10.ur10 import JOINTS, LINKS, NOMINAL_DH, Array, DHParameters
+from dual_ur10.kinematics.ur10 import JOINTS, LINKS, NOMINAL_DH, DHParameters
+from dual_ur10.types import Array
 
 _ARM_FILE: Final = Path(__file__).with_name("ur10") / "ur10.xml"
 

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from dual_ur10.assets.arm import arm_tree, composer, quat_z
 from dual_ur10.assets.gripper import FINGER_JOINTS, add_gripper
-from dual_ur10.assets.settings import FLOOR_Z_M, TABLE_THICKNESS_M, SceneSettings
+from dual_ur10.assets.settings import TABLE_THICKNESS_M, SceneSettings
 from dual_ur10.errors import DualUR10Error
-from dual_ur10.ur10 import ARMS, JOINTS
+from dual_ur10.kinematics.frames import FLOOR_Z_M
+from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 
 if TYPE_CHECKING:
     import mujoco  # type: ignore[import-untyped, unused-ignore]  # has no types of its own

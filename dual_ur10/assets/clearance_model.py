@@ -16,7 +16,7 @@ from dual_ur10.assets.held import HELD, PAIRS, add_held
 from dual_ur10.assets.obstacle_geoms import add_hulls, add_obstacles, hull_name
 from dual_ur10.assets.obstacles import geom_name
 from dual_ur10.assets.settings import Equipment, SceneSettings
-from dual_ur10.ur10 import ARMS, LINKS
+from dual_ur10.kinematics.ur10 import ARMS, LINKS
 
 if TYPE_CHECKING:
     import mujoco  # type: ignore[import-untyped, unused-ignore]  # has no types of its own

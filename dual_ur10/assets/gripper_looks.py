@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.assets.gripper import FINGERTIP_M, PAD_LENGTH_M, PAD_THICK_M, PAD_WIDTH_M, PALM_LENGTH_M, TCP_M
-from dual_ur10.ur10 import ARMS
+from dual_ur10.kinematics.ur10 import ARMS
 
 _MATERIALS: Final = {
     "shell": ((0.21, 0.22, 0.24, 1), 0.5, 0.5),

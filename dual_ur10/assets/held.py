@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from dual_ur10.assets.gripper import TCP_M
 from dual_ur10.assets.props import BAR_LENGTH_M, BAR_WIDTH_M, BLOCK_GRIP_M, BLOCK_SIZE_M, GRIP_DISTANCE_M
-from dual_ur10.ur10 import ARMS, LINKS
+from dual_ur10.kinematics.ur10 import ARMS, LINKS
 
 HELD: Final = "held"
 """Name of the geom of each arm: a capsule in the prop, of its width. Its edges stand out by 8 mm."""

@@ -10,7 +10,7 @@ from typing import Final
 
 from dual_ur10.assets.cell_tree import child_of
 from dual_ur10.errors import DualUR10Error, MissingExtraError
-from dual_ur10.ur10 import ARMS
+from dual_ur10.kinematics.ur10 import ARMS
 
 # Frames of the mesh files in the body frames of ur10.xml: position in m, quaternion w, x, y, z.
 _HALF = math.sqrt(0.5)

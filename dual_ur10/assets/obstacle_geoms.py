@@ -9,7 +9,7 @@ from typing import Final
 
 from dual_ur10.assets.cell_tree import child_of
 from dual_ur10.assets.obstacles import Box, Obstacle, Plane, geom_name
-from dual_ur10.rotations import quat_from_rotvec
+from dual_ur10.kinematics.rotations import quat_from_rotvec
 
 _POINT_M: Final = 1e-6  # MuJoCo has no capsule of no length
 _COLOUR: Final = "0.78 0.42 0.30 1"

@@ -10,8 +10,8 @@ import re
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
-from dual_ur10.assets.checks import numbers
 from dual_ur10.errors import SettingsError
+from dual_ur10.types import numbers
 
 Three = tuple[float, float, float]
 

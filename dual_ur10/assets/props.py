@@ -10,7 +10,7 @@ from dual_ur10.assets.cell_tree import child_of
 from dual_ur10.assets.gripper import stiff
 from dual_ur10.assets.settings import PROPS, SceneSettings
 from dual_ur10.errors import UnknownNameError
-from dual_ur10.ur10 import ARMS
+from dual_ur10.kinematics.ur10 import ARMS
 
 BAR_LENGTH_M: Final = 1.2
 """Along the bar's own y."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.ur10 import ARMS
+from dual_ur10.kinematics.ur10 import ARMS
 
 if TYPE_CHECKING:
     import mujoco  # type: ignore[import-untyped, unused-ignore]  # has no types of its own

@@ -47,19 +47,17 @@ from dual_ur10.assets.props import (
 )
 from dual_ur10.assets.settings import (
     BASE_RADIUS_M,
-    FLOOR_Z_M,
     GAINS,
     GRIP_FORCE_N,
     HOME_Q_RAD,
     MIN_BASE_DISTANCE_M,
     PROPS,
     TABLE_THICKNESS_M,
-    ArmMount,
     Equipment,
     SceneSettings,
 )
 from dual_ur10.assets.surroundings import CAMERAS, add_surroundings, cameras
-from dual_ur10.ur10 import ARMS
+from dual_ur10.kinematics.ur10 import ARMS
 
 if TYPE_CHECKING:
     import mujoco  # type: ignore[import-untyped, unused-ignore]  # has no types of its own
@@ -75,7 +73,6 @@ __all__ = [
     "CAMERAS",
     "CLEARANCE_CUTOFF_M",
     "CLEARANCE_PAIRS",
-    "FLOOR_Z_M",
     "FORCE_N",
     "GAINS",
     "GRIP_DISTANCE_M",
@@ -89,7 +86,6 @@ __all__ = [
     "SPEED_M_S",
     "TABLE_THICKNESS_M",
     "TCP_M",
-    "ArmMount",
     "Box",
     "Capsule",
     "Equipment",

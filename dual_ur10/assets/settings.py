@@ -9,10 +9,11 @@ import math
 from dataclasses import dataclass, field
 from typing import Final
 
-from dual_ur10.assets.checks import numbers
 from dual_ur10.assets.obstacles import Obstacle, checked
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.ur10 import ARMS, NOMINAL_DH, DHParameters, constant
+from dual_ur10.kinematics.frames import MAX_MOUNT_M, ArmMount
+from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.types import constant, numbers
 
 GAINS: Final[dict[str, tuple[tuple[float, ...], tuple[float, ...]]]] = {
     "stiff": ((20000.0, 20000.0, 10000.0, 3000.0, 3000.0, 3000.0), (1000.0, 1000.0, 500.0, 60.0, 60.0, 60.0)),
@@ -21,7 +22,6 @@ GAINS: Final[dict[str, tuple[tuple[float, ...], tuple[float, ...]]]] = {
 """kp in N·m/rad and kv in N·m·s/rad per joint: "stiff" for free motion, "compliant" where both arms hold one thing."""
 
 TABLE_THICKNESS_M: Final = 0.06
-FLOOR_Z_M: Final = -0.75
 BASE_RADIUS_M: Final = 0.15
 """Room around a base's axis that its turning shoulder takes."""
 
@@ -33,46 +33,11 @@ PROPS: Final = ("bar", "block")
 GRIP_FORCE_N: Final = (20.0, 235.0)
 """Least and largest grip force that can be set on a Robotiq 2F-85, by its data sheet."""
 
-_MAX_MOUNT_M: Final = 3.0
-
 # Elbow up, tool z straight down, flange x towards the base: the rotation vector (pi, 0, 0) in UR's base frame.
 _HOME: Final = (-0.22036724, -1.4126697, 1.84438035, -2.00250698, -math.pi / 2, 1.35042908)
 
 HOME_Q_RAD: Final = constant([_HOME, _HOME])
 """(2, 6) rad: flanges 0.75 m in front of the bases and 0.4 m above them, at (0, ±0.6, 0.4) with default mounts."""
-
-
-@dataclass(frozen=True)
-class ArmMount:
-    """Where one arm stands.
-
-    Attributes:
-        position_m: (3,) position of `base_link` in the cell frame.
-        yaw_rad: turn of `base_link` about the cell's z axis; 0 looks along +x.
-        dh: kinematics of this arm, nominal or as calibrated.
-
-    Raises:
-        SettingsError: A number is not finite, more than 3 m from the cell's origin, below the floor, or beyond ±2π.
-    """
-
-    position_m: tuple[float, float, float]
-    yaw_rad: float = 0.0
-    dh: DHParameters = NOMINAL_DH
-
-    def __post_init__(self) -> None:
-        position = numbers("mount position_m", self.position_m, 3)
-        (yaw,) = numbers("mount yaw_rad", (self.yaw_rad,), 1)
-        if max(map(abs, position)) > _MAX_MOUNT_M or position[2] < FLOOR_Z_M:
-            raise SettingsError(
-                f"mount position_m is {position}: each coordinate must be within ±{_MAX_MOUNT_M} m and z not below "
-                f"the floor at {FLOOR_Z_M} m"
-            )
-        if abs(yaw) > 2 * math.pi:
-            raise SettingsError(f"mount yaw_rad is {yaw:.6g}: must be within ±2π (radians, not degrees)")
-        if not isinstance(self.dh, DHParameters):
-            raise SettingsError(f"mount dh must be DHParameters, found {type(self.dh).__name__}")
-        object.__setattr__(self, "position_m", position)
-        object.__setattr__(self, "yaw_rad", yaw)
 
 
 @dataclass(frozen=True)
@@ -154,10 +119,10 @@ class SceneSettings:
             raise UnknownNameError("gains", str(self.gains), tuple(GAINS))
         center = numbers("table_center_m", self.table_center_m, 2)
         size = numbers("table_size_m", self.table_size_m, 2)
-        if min(size) < 0.1 or max(size) > 2 * _MAX_MOUNT_M or max(map(abs, center)) > _MAX_MOUNT_M:
+        if min(size) < 0.1 or max(size) > 2 * MAX_MOUNT_M or max(map(abs, center)) > MAX_MOUNT_M:
             raise SettingsError(
-                f"table of {size} m at {center} m: sides must be 0.1 to {2 * _MAX_MOUNT_M} m long and the centre "
-                f"within ±{_MAX_MOUNT_M} m"
+                f"table of {size} m at {center} m: sides must be 0.1 to {2 * MAX_MOUNT_M} m long and the centre "
+                f"within ±{MAX_MOUNT_M} m"
             )
         if not isinstance(self.equipment, Equipment):
             raise SettingsError(f"equipment must be Equipment, found {type(self.equipment).__name__}")
@@ -169,7 +134,7 @@ class SceneSettings:
 
     @property
     def mounts(self) -> tuple[ArmMount, ArmMount]:
-        """Both mounts in the order of [ARMS][dual_ur10.ur10.ARMS]."""
+        """Both mounts in the order of [ARMS][dual_ur10.kinematics.ur10.ARMS]."""
         return self.left, self.right
 
     def _check_bases(self) -> None:

@@ -6,8 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.assets.settings import FLOOR_Z_M, TABLE_THICKNESS_M, SceneSettings
-from dual_ur10.ur10 import ARMS
+from dual_ur10.assets.settings import TABLE_THICKNESS_M, SceneSettings
+from dual_ur10.kinematics.frames import FLOOR_Z_M
+from dual_ur10.kinematics.ur10 import ARMS
 
 _Point = tuple[float, float, float]
 

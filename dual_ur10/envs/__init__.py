@@ -5,11 +5,11 @@
     env = parallel_env("SineTracking", reward="individual", max_cycles=100)
 
 These three take the name of a task or an id, load MuJoCo only when called, and have the names of their modules: import
-the classes from those (`from dual_ur10.envs.parallel_env import DualArmParallelEnv`).
+the classes from those (`from dual_ur10.envs.api.parallel_env import DualArmParallelEnv`).
 """
 
 # Bound here and now, not when first asked for: a module imported later would take its function's place.
-from dual_ur10.envs.dm_env import dm_env
-from dual_ur10.envs.parallel_env import aec_env, parallel_env
+from dual_ur10.envs.api.dm_env import dm_env
+from dual_ur10.envs.api.parallel_env import aec_env, parallel_env
 
 __all__ = ["aec_env", "dm_env", "parallel_env"]

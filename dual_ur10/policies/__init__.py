@@ -7,16 +7,16 @@ import importlib
 import os
 from typing import Any
 
-from dual_ur10 import ENV_IDS
-from dual_ur10.envs.core import load_task
-from dual_ur10.envs.names import env_id_of
-from dual_ur10.envs.options import split_keywords
-from dual_ur10.envs.randomization import resolve_randomization
-from dual_ur10.envs.task import Timing, task_settings
+from dual_ur10.envs.api.names import env_id_of
+from dual_ur10.envs.core.core import load_task
+from dual_ur10.envs.core.options import split_keywords
+from dual_ur10.envs.core.randomization import resolve_randomization
+from dual_ur10.envs.tasks.task import Timing, task_settings
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.policies import shipped
+from dual_ur10.ids import ENV_IDS
+from dual_ur10.policies.learned import shipped
 from dual_ur10.policies.policy import Policy
-from dual_ur10.sim2real.cell import resolve_cell
+from dual_ur10.sim2real.config.cell import resolve_cell
 
 NAMES = ("scripted", *shipped.NAMES)
 """Policies that are loaded by name. Not every task has every one of them."""
@@ -57,7 +57,7 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
     if name in shipped.NAMES and env_id is not None:
         name = shipped.folder_of(str(name), env_id)
     if is_path(name):
-        from dual_ur10.policies.checkpoint import load as load_checkpoint
+        from dual_ur10.policies.learned.checkpoint import load as load_checkpoint
 
         return load_checkpoint(name, env_id, **keywords)
     if name not in NAMES:
@@ -75,7 +75,7 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
     own = {key: own[key] for key in own if key in {each.name for each in dataclasses.fields(task.settings_type)}}
     settings = resolve_randomization(options.randomization).spread(task_settings(task, own), own)
     module, attribute = _SCRIPTED[task.name].split(":")
-    factory = getattr(importlib.import_module(f"dual_ur10.policies.{module}"), attribute)
+    factory = getattr(importlib.import_module(f"dual_ur10.policies.scripted.{module}"), attribute)
     mounts, limits = (config.left, config.right), config.capped(task.limits)
     policy: Policy = factory(timing, options.action_mode, mounts=mounts, limits=limits, settings=settings)
     return policy

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from dual_ur10.sim2real.controller.emulated_cell import EmulatedCell
-from dual_ur10.sim2real.controller.profile import PROFILES
+from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
+from dual_ur10.sim2real.emulator.profile import PROFILES
 from tests.conformance import wire
 from tests.conformance.wire import Bounded, Dashboard, Rtde
 

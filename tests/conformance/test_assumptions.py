@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dual_ur10.sim2real.controller.profile import Assumptions
+from dual_ur10.sim2real.emulator.profile import Assumptions
 
 UNSEEN = {
     "emergency_stop_pauses": "somebody has to press the button",

@@ -5,8 +5,8 @@ from unittest.mock import MagicMock
 
 import pytest
 
-from dual_ur10.sim2real.controller import dashboard as command_server
-from dual_ur10.sim2real.controller.profile import PROFILES
+from dual_ur10.sim2real.emulator import dashboard as command_server
+from dual_ur10.sim2real.emulator.profile import PROFILES
 from tests.conformance.wire import Dashboard, Rtde
 
 EVER = (5, 0), (3, 0)

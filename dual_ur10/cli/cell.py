@@ -1,0 +1,142 @@
+"""The commands `cell new`, `cell check`, `cell show` and `cell clear`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from dual_ur10.cli.options import console, env_id_of, errors
+from dual_ur10.errors import CellFileError, SettingsError, UnknownNameError
+
+FINDINGS = 2
+"""Exit code when something is wrong with a file."""
+
+app = typer.Typer(help="Files that say what a cell of two controllers is.", no_args_is_help=True)
+
+File = Annotated[Path, typer.Argument(metavar="FILE", help="A cell file, such as lab.toml.")]
+
+
+@app.command()
+def new(
+    file: File,
+    kind: Annotated[str, typer.Option("--kind", help="real or emulated.")] = "real",
+    left: Annotated[str | None, typer.Option("--left", help="IPv4 address of the left controller.")] = None,
+    right: Annotated[str | None, typer.Option("--right", help="IPv4 address of the right controller.")] = None,
+    family: Annotated[str, typer.Option("--family", help="cb3 (UR10, 125 Hz) or e-series (UR10e, 500 Hz).")] = "cb3",
+    task: Annotated[str | None, typer.Option("--task", help="Environment that the cell is set up for.")] = None,
+) -> None:
+    """Write a commented cell file to begin with, slow enough for a first run. No file is ever overwritten."""
+    from dual_ur10.sim2real.config.cell_file import starting_text
+    from dual_ur10.sim2real.config.cell_file_text import write_new
+
+    if kind not in ("real", "emulated"):
+        raise UnknownNameError("kind of cell", kind, ("real", "emulated"))
+    task_id = None if task is None else env_id_of(task)
+    write_new(file, starting_text(kind, left, right, family, task_id, str(file)))  # type: ignore[arg-type]  # checked
+    console.print(f"wrote [bold cyan]{escape(str(file))}[/]", highlight=False, soft_wrap=True)
+    if kind == "real":
+        console.print(
+            "Measure the bases, and copy payload, TCP and calibration from the controllers. Then: "
+            f"python -m dual_ur10 cell check {escape(str(file))}",
+            style="dim",
+            highlight=False,
+            soft_wrap=True,
+        )
+
+
+@app.command()
+def check(file: File) -> None:
+    """Say all that is wrong with a cell file, a line each. Connects to nothing."""
+    from dual_ur10.sim2real.config.cell_file import examine
+
+    cell, findings = examine(file)
+    if cell is not None:
+        try:
+            cell.config()
+        except CellFileError as error:
+            findings = [str(error).removeprefix(f"{file}: ")]
+    for finding in findings:
+        errors.print(f"[bold red]error:[/] [red]{escape(f'{file}: {finding}')}[/]", soft_wrap=True)
+    if findings or cell is None:
+        raise typer.Exit(FINDINGS)
+    for note in cell.notes():
+        console.print(f"[yellow]note:[/] {escape(note)}", highlight=False, soft_wrap=True)
+    console.print(f"{escape(str(file))} is a legal {cell.kind} cell", highlight=False, soft_wrap=True)
+
+
+@app.command()
+def show(file: File) -> None:
+    """Show what a cell file says, defaults included."""
+    from dual_ur10.sim2real.config.cell_file import load_cell_file
+
+    cell = load_cell_file(file)
+    values = cell.mapping()
+    left, right = _flat(values.pop("left")), _flat(values.pop("right"))
+    whole = Table(header_style="bold")
+    whole.add_column("cell", no_wrap=True)
+    whole.add_column(escape(str(file)), overflow="fold")
+    for name, value in (*_flat(values).items(), ("sha256", cell.sha256)):
+        whole.add_row(escape(name), escape(value))
+    arms = Table(header_style="bold")
+    arms.add_column("arm", no_wrap=True)
+    arms.add_column("left", overflow="fold")
+    arms.add_column("right", overflow="fold")
+    for name in [*left, *(each for each in right if each not in left)]:
+        arms.add_row(escape(name), escape(left.get(name, "—")), escape(right.get(name, "—")))
+    console.print(whole)
+    console.print(arms)
+
+
+@app.command()
+def clear(
+    file: File,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for emulated cells alone.")] = False,
+) -> None:
+    """Say that somebody has looked at arms that were stopped, so that they may be started again."""
+    from dual_ur10.sim2real.commissioning.operator_prompts import at_terminal
+    from dual_ur10.sim2real.config.cell_file import load_cell_file
+    from dual_ur10.sim2real.runtime.latch import Latch
+
+    cell = load_cell_file(file)
+    latch = Latch(cell)
+    fault = latch.read()
+    if fault is None:
+        console.print(f"{escape(str(file))}: there is no fault", highlight=False, soft_wrap=True)
+        return
+    console.print(
+        f"[bold red]stopped[/] at {fault.when_utc} UTC: {escape(fault.text)}", highlight=False, soft_wrap=True
+    )
+    if yes and cell.kind == "real":
+        raise SettingsError("--yes is for emulated cells: somebody must look at real arms and say so at a terminal")
+    if not yes and not at_terminal("Have both arms been looked at, and has the cause been put right?"):
+        raise SettingsError("the fault was left as it is")
+    latch.clear()
+    console.print("cleared: the next start looks at both controllers again", highlight=False)
+
+
+def _flat(values: Mapping[str, Any], path: str = "") -> dict[str, str]:
+    """Values as texts, by their paths."""
+    found: dict[str, str] = {}
+    for name, value in values.items():
+        here = f"{path}{name}"
+        if isinstance(value, Mapping):
+            found |= _flat(value, f"{here}.")
+        elif isinstance(value, tuple) and value and isinstance(value[0], Mapping):
+            for row, each in enumerate(value):
+                found |= _flat(each, f"{here}[{row}].")
+        else:
+            found[here] = value if isinstance(value, str) else json.dumps(_short(value))
+    return found
+
+
+def _short(value: Any) -> Any:
+    """Numbers with as many digits as matter to a reader."""
+    if isinstance(value, tuple):
+        return [_short(each) for each in value]
+    return float(f"{value:.9g}") if isinstance(value, float) else value

@@ -1,0 +1,78 @@
+"""The command `convert`."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from pathlib import Path
+from typing import Annotated, Any, get_args
+
+import typer
+
+from dual_ur10.cli.options import EnvName, Settings, console, env_id_of, keywords_of
+from dual_ur10.errors import CheckpointError, UnknownNameError
+
+
+def convert(
+    model: Annotated[Path, typer.Argument(metavar="MODEL", help="A zip file of Stable-Baselines3.")],
+    env: EnvName,
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FOLDER", help="Folder to be made.")],
+    trust_pickle: Annotated[
+        bool, typer.Option("--trust-pickle", help="You know who made these files, and let them run code.")
+    ] = False,
+    vec_normalize: Annotated[
+        Path | None, typer.Option("--vec-normalize", metavar="FILE", help="The VecNormalize that was saved with it.")
+    ] = None,
+    algo: Annotated[str | None, typer.Option("--algo", "-a", help="ppo or sac; else the file says it.")] = None,
+    agents: Annotated[
+        str | None, typer.Option("--agents", help="joint: for both arms; shared: for each arm. Else the file says it.")
+    ] = None,
+    settings: Settings = None,
+) -> None:
+    """Make a checkpoint of a model of Stable-Baselines3, by running the code that is in its file."""
+    from dual_ur10.policies.learned.checkpoint import check_new, save
+    from dual_ur10.policies.learned.from_sb3 import Algorithm, from_sb3, glance
+    from dual_ur10.policies.learned.signature import described
+
+    env_id, keywords = env_id_of(env), keywords_of(settings, False)
+    if algo is not None and algo not in get_args(Algorithm):
+        raise UnknownNameError("algorithm", algo, list(get_args(Algorithm)))
+    place = described(env_id, keywords)
+    sizes: dict[str, int] = {"joint": place.target.observation.shape[0], "shared": place.agent_size}
+    if agents is not None and agents not in sizes:
+        raise UnknownNameError("agents", agents, list(sizes))
+    check_new(out)
+    said, size = glance(model)
+    if algo is None and said is None:
+        raise CheckpointError(
+            f"{model} is not known to be of PPO or SAC, and no other can be converted: if it is, say so with --algo"
+        )
+    if algo is not None and said not in (None, algo):
+        raise CheckpointError(f"{model} is of {said}, --algo says {algo}: leave it out")
+    kind: Any = agents or next((name for name, each in sizes.items() if each == size), "joint")
+    if size not in (None, sizes[kind]):
+        raise CheckpointError(
+            f"{model} observes {size} numbers; in {env_id} both arms together (joint) observe {sizes['joint']}, and "
+            f"each of them (shared) {sizes['shared']}: name the environment, --agents and --set of its training"
+        )
+    trained: Any = algo or said
+    policy = from_sb3(
+        model,
+        env_id,
+        algorithm=trained,
+        agents=kind,
+        vec_normalize=vec_normalize,
+        trust_pickle=trust_pickle,
+        **keywords,
+    )
+    manifest = save(out, policy.layers, policy.manifest)
+    # With a "/" in it no folder is taken for the name of a policy.
+    folder = out if os.sep in str(out) else f"./{out}"
+    options = [word for text in settings or () for word in ("--set", text)]
+    for line in (
+        f"model   {model}: {trained}, {kind}",
+        f"policy  {out}",
+        f"sha256  {manifest.weights_sha256}",
+        f"look at it with: dual-ur10 evaluate {shlex.join([env, '--policy', str(folder), *options])}",
+    ):
+        console.print(line, highlight=False, soft_wrap=True, markup=False)

@@ -1,0 +1,181 @@
+"""The figures of SineTracking in the demonstration's report, drawn with matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dual_ur10.kinematics.ur10 import ARMS, JOINTS
+from dual_ur10.policies.evaluation.accuracy import along_axis, correlation, errors
+from dual_ur10.sim2real.analysis.plot_style import ARM_COLORS, capital, figure, legend_right
+
+if TYPE_CHECKING:
+    from dual_ur10.cli.demo_report.runs import Result
+
+Results = Mapping[str, "Result"]
+
+# Okabe and Ito's colours, which colour-blind readers can tell apart.
+RUN_COLORS = {
+    "lagging": "#CC79A7",
+    "perturbed_fixed": "#E69F00",
+    "perturbed_late": "#56B4E9",
+    "perturbed": "#0072B2",
+    "nominal": "#009E73",
+}
+JOINT_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#555555")
+AXIS_COLORS = ("#D55E00", "#009E73", "#0072B2")
+
+
+def overview(results: Results) -> str:
+    """Flange error of the worse arm in all runs of both arms, on a logarithmic scale."""
+    with figure(1, 1, 3.8) as (_, axes, address):
+        axis = axes[0, 0]
+        for name, color in RUN_COLORS.items():
+            result = results[name]
+            error = 1e3 * errors(result.record).flange_m.max(axis=1)
+            axis.semilogy(result.record.time_s, np.maximum(error, 1e-5), color=color, label=result.run.title)
+        axis.set(xlabel="time (s)", ylabel="flange error (mm, log scale)", ylim=(1e-5, 60))
+        axis.set_title("Flange error, the worse of both arms")
+        axis.margins(x=0.01)
+        legend_right(axis)
+    return address[0]
+
+
+def flange_error(results: Results) -> str:
+    """Flange error of each arm over time."""
+    names = ("perturbed", "perturbed_fixed", "nominal")
+    with figure(len(names), 1, 6.6, sharex=True) as (_, axes, address):
+        for axis, name in zip(axes[:, 0], names, strict=True):
+            result = results[name]
+            error = errors(result.record).flange_m
+            scale, unit = (1e6, "µm") if name == "nominal" else (1e3, "mm")
+            for arm, label in enumerate(ARMS):
+                axis.plot(result.record.time_s, scale * error[:, arm], color=ARM_COLORS[arm], label=label, linewidth=1)
+            axis.set_ylabel(f"flange error ({unit})")
+            axis.set_ylim(0, 1.2 * scale * error.max())
+            axis.margins(x=0.01)
+            axis.set_title(f"{capital(result.run.title)}: at most {scale * error.max():.2g} {unit}")
+            axis.legend(ncols=2, loc="upper right")
+        axes[-1, 0].set_xlabel("time (s)")
+    return address[0]
+
+
+def distance_and_vector(results: Results) -> str:
+    """Distance between the flanges around its reference, and the error of the vector between them."""
+    with figure(2, 2, 5.6, sharex=True) as (_, axes, address):
+        for column, name in enumerate(("perturbed", "lagging")):
+            result = results[name]
+            found, time_s = errors(result.record), result.record.time_s
+            scale, unit = (1e3, "mm") if name == "perturbed" else (1e6, "µm")
+            top, bottom = axes[:, column]
+            top.plot(time_s, scale * found.distance_m, color="#263238", linewidth=1)
+            top.set_ylabel(f"distance − {1e3 * _distance_m(result):.0f} mm ({unit})")
+            top.set_title(capital(result.run.title))
+            for axis, color, label in zip(range(3), AXIS_COLORS, "xyz", strict=True):
+                bottom.plot(time_s, scale * found.vector_m[:, axis], color=color, label=label, linewidth=1)
+            size = scale * np.linalg.norm(found.vector_m, axis=1)
+            bottom.plot(time_s, size, color="#263238", linewidth=0.8, label="length")
+            bottom.set(xlabel="time (s)", ylabel=f"error of the vector ({unit})")
+            bottom.legend(ncols=4, loc="upper right")
+            for each, most in ((top, scale * np.abs(found.distance_m).max()), (bottom, size.max())):
+                each.set_ylim(-1.5 * max(most, 1e-6), 1.5 * max(most, 1e-6))
+                each.margins(x=0.01)
+    return address[0]
+
+
+def joint_speeds(results: Results, limit_rad_s: float) -> str:
+    """Joint speeds of both arms against the task's limit, in the perturbed run."""
+    with figure(1, 2, 3.6, sharey=True) as (_, axes, address):
+        record = results["perturbed"].record
+        speed = np.gradient(record.q_rad, record.period_s, axis=0)
+        for arm, axis in enumerate(axes[0]):
+            for joint, name in enumerate(JOINTS):
+                label = name.removesuffix("_joint").replace("_", " ")
+                # The last wrist turns as the pan does, to keep the tool's heading: both are to be seen.
+                line = (0, (4, 4)) if joint == 5 else "-"
+                color = JOINT_COLORS[joint]
+                axis.plot(record.time_s, speed[:, arm, joint], color=color, label=label, linestyle=line)
+            for sign in (-1, 1):
+                axis.axhline(sign * limit_rad_s, color="#b71c1c", linestyle="--", linewidth=1.1)
+            axis.text(0.2, limit_rad_s, f"limit of the task {limit_rad_s:g} rad/s", color="#b71c1c", va="bottom")
+            used = np.abs(speed[:, arm]).max() / limit_rad_s
+            axis.set_title(f"{capital(ARMS[arm])} arm: at most {100 * used:.0f} % of the limit")
+            axis.set(xlabel="time (s)", ylim=(-1.25 * limit_rad_s, 1.25 * limit_rad_s))
+            axis.set_xlim(0, min(10.0, record.time_s[-1]))
+        axes[0, 0].set_ylabel("joint speed (rad/s)")
+        legend_right(axes[0, 1])
+    return address[0]
+
+
+def skew(results: Results) -> str:
+    """Time skew between the arms, by cross-correlation of their displacements."""
+    with figure(1, 2, 3.4, width_ratios=(1, 1.25)) as (_, axes, address):
+        left, right = axes[0]
+        record = results["perturbed"].record
+        position, _ = along_axis(record)
+        lags, values = correlation(position[:, 0], position[:, 1])
+        left.plot(1e3 * lags * record.period_s, values, "o-", color=RUN_COLORS["perturbed"], markersize=4)
+        left.axvline(0, color="#90a4ae", linewidth=1)
+        left.set(xlabel="left arm moved by (ms)", ylabel="correlation with the right arm")
+        left.set_title("Perturbed: cross-correlation of both arms")
+        names = [name for name in RUN_COLORS if name != "lagging"]
+        skews = [1e6 * results[name].skew_s for name in names]
+        bars = right.barh(
+            [results[name].run.title for name in names], skews, color=[RUN_COLORS[name] for name in names], height=0.55
+        )
+        right.bar_label(bars, [f"{value:+.1f} µs" for value in skews], padding=4)
+        right.axvline(0, color="#90a4ae", linewidth=1)
+        reach = 1.5 * max(map(abs, skews))
+        right.set(xlabel="left arm behind the right one (µs)", xlim=(-reach, 0.5 * reach))
+        right.set_title("Skew: where the correlation peaks")
+    return address[0]
+
+
+def ripple(results: Results) -> str:
+    """Difference of each flange's speed to that of its reference."""
+    with figure(1, 2, 3.2) as (_, axes, address):
+        for axis, name in zip(axes[0], ("perturbed", "nominal"), strict=True):
+            result = results[name]
+            scale, unit = (1e6, "µm/s") if name == "nominal" else (1e3, "mm/s")
+            speed = errors(result.record).speed_m_s
+            for arm, label in enumerate(ARMS):
+                axis.plot(result.record.time_s, scale * speed[:, arm], color=ARM_COLORS[arm], label=label, linewidth=1)
+            axis.set(xlabel="time (s)", ylabel=f"speed − reference ({unit})")
+            axis.set_title(f"{capital(result.run.title)}: largest {scale * np.abs(speed).max():.2g} {unit}")
+            axis.legend(ncols=2, loc="upper right")
+    return address[0]
+
+
+def lag(results: Results) -> str:
+    """One period of the sine with and without compensation of the lag of `servoj`."""
+    with figure(1, 2, 3.4) as (_, axes, address):
+        left, right = axes[0]
+        time_s = results["nominal"].record.time_s
+        shown = (time_s >= 4.0) & (time_s <= 6.0)
+        _, reference = along_axis(results["nominal"].record)
+        left.plot(
+            time_s[shown], 1e3 * reference[shown, 0], color="#263238", linewidth=3.5, alpha=0.35, label="reference"
+        )
+        for name, label in (("lagging", "not compensated"), ("nominal", "compensated")):
+            result = results[name]
+            position, reference = along_axis(result.record)
+            text = f"{label}: lag {1e3 * result.lag_s:.2f} ms"
+            left.plot(time_s[shown], 1e3 * position[shown, 0], color=RUN_COLORS[name], label=text)
+            behind = 1e3 * (position - reference)[:, 0]
+            right.plot(time_s, behind, color=RUN_COLORS[name], label=label)
+        left.set(xlabel="time (s)", ylabel="left flange along the axis (mm)")
+        left.set_ylim(-115, 190)
+        left.set_title("One period")
+        left.legend(loc="upper right")
+        right.set(xlabel="time (s)", ylabel="behind the reference (mm)")
+        right.set_ylim(-13, 17)
+        right.set_title("What the lag costs along the axis")
+        right.legend(ncols=2, loc="upper right")
+    return address[0]
+
+
+def _distance_m(result: Result) -> float:
+    reference = result.record.reference_m
+    return 0.0 if reference is None else float(np.linalg.norm(reference[0, 0] - reference[0, 1]))

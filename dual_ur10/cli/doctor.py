@@ -1,0 +1,53 @@
+"""The command `doctor`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, cast
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from dual_ur10.cli.options import console
+from dual_ur10.errors import SettingsError
+from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.control.servoj import Family
+
+_MARKS = {"ok": "[green]ok[/]", "warn": "[yellow]warn[/]", "fail": "[bold red]fail[/]"}
+
+
+def doctor(
+    file: Annotated[
+        Path | None, typer.Argument(metavar="[FILE]", help="A cell file, which says what is expected.")
+    ] = None,
+    left: Annotated[str | None, typer.Option("--left", help="Without a file: address of the left controller.")] = None,
+    right: Annotated[str | None, typer.Option("--right", help="And of the right controller.")] = None,
+    family: Annotated[str, typer.Option("--family", help="cb3 (UR10, 125 Hz) or e-series (UR10e, 500 Hz).")] = "cb3",
+) -> None:
+    """Look at two UR controllers, and say what is not as it should be. Nothing moves. Exit code 1 if anything fails."""
+    from dual_ur10.sim2real.commissioning.doctor import ExpectedArm, any_fails, check_cell
+    from dual_ur10.sim2real.commissioning.doctor_findings import expected_of
+
+    if file is not None and left is None and right is None:
+        arms = [expected_of(arm) for arm in load_cell_file(file).arms]
+    elif file is None and left is not None and right is not None:
+        arms = [ExpectedArm(host=host, family=cast(Family, family)) for host in (left, right)]
+    else:
+        raise SettingsError("name a cell file, or both addresses with --left and --right")
+    findings = check_cell(*arms)
+    table = Table(header_style="bold")
+    for header in ("arm", "check", "", "found", "expected", "remedy"):
+        table.add_column(header, overflow="fold")
+    arm = findings[0].arm
+    for each in findings:
+        if each.arm != arm:
+            table.add_section()
+            arm = each.arm
+        texts = map(escape, (each.found, each.expected, each.remedy))
+        table.add_row(each.arm, escape(each.name), _MARKS[each.level], *texts)
+    console.print(table)
+    counts = {level: sum(each.level == level for each in findings) for level in _MARKS}
+    console.print(f"{counts['ok']} ok, {counts['warn']} warnings, {counts['fail']} failed", highlight=False)
+    if any_fails(findings):
+        raise typer.Exit(1)

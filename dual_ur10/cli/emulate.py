@@ -1,0 +1,62 @@
+"""The command `emulate`."""
+
+from __future__ import annotations
+
+import logging
+from typing import Annotated
+
+import typer
+
+from dual_ur10.cli.options import console
+
+
+def emulate(
+    left: Annotated[str | None, typer.Option("--left", help="Loopback address of the left controller.")] = None,
+    right: Annotated[str | None, typer.Option("--right", help="Loopback address of the right controller.")] = None,
+    family: Annotated[str, typer.Option("--family", help="cb3 (UR10, 125 Hz) or e-series (UR10e, 500 Hz).")] = "cb3",
+    task: Annotated[str, typer.Option("--task", help="Environment whose scene is simulated.")] = "SineTracking",
+    cell: Annotated[
+        str | None, typer.Option("--cell", help="Write a file that tells other programs where the controllers are.")
+    ] = None,
+    plant: Annotated[
+        str, typer.Option("--plant", help="How the arms differ from what is believed of them: nominal, mild or wide.")
+    ] = "mild",
+    dh_error: Annotated[
+        float, typer.Option("--dh-error-mm", min=0.0, help="Largest error of the arms' kinematics.")
+    ] = 0.0,
+    seed: Annotated[int, typer.Option("--seed", help="Of the plant, the start, and faults left to chance.")] = 0,
+    powered: Annotated[
+        bool, typer.Option("--powered/--powered-off", help="Whether the arms have power from the start.")
+    ] = True,
+    view: Annotated[bool, typer.Option("--view", help="Show the cell in a browser on this machine.")] = False,
+) -> None:
+    """Run two emulated UR controllers on this machine, with simulated arms behind them, until Ctrl-C."""
+    from dual_ur10.sim2real.emulator.main import Emulator, EmulatorOptions
+
+    logging.basicConfig(level=logging.WARNING, format="%(asctime)s %(name)s: %(message)s")
+    options = EmulatorOptions(
+        left=left,
+        right=right,
+        family=family,
+        task=task,
+        plant=plant,
+        seed=seed,
+        dh_error_m=dh_error / 1e3,
+        powered=powered,
+        view=view,
+        cell=cell,
+    )
+    emulator = Emulator(options)
+    try:
+        hosts = [server.host for server in emulator.servers]
+        console.print(f"left  [bold cyan]{hosts[0]}[/]\nright [bold cyan]{hosts[1]}[/]", highlight=False)
+        port = emulator.description()["emulator"]["port"]
+        console.print(f"knobs {hosts[0]}:{port}" + (f"\ncell file {cell}" if cell else ""), highlight=False)
+        if emulator.url:
+            console.print(f"the viewer is at [bold cyan]{emulator.url}[/] for browsers on this machine", soft_wrap=True)
+        console.print("emulated UR10 controllers, not real ones. Ctrl-C ends them", style="dim")
+        emulator.run()
+    except KeyboardInterrupt:
+        console.print("ended")
+    finally:
+        emulator.close()

@@ -1,1 +1,0 @@
-"""Recorded runs put to use: compared with each other, played again, and fitted to the law of `servoj`."""

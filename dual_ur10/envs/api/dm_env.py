@@ -1,0 +1,108 @@
+"""The dm_env environment: one agent for both arms. A view on the Gymnasium environment."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+from dm_env import (  # type: ignore[import-untyped]  # has no types
+    Environment,
+    TimeStep,
+    restart,
+    specs,
+    termination,
+    transition,
+    truncation,
+)
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from dual_ur10.envs.api.names import env_id_of, task_name
+from dual_ur10.errors import ResetNeededError
+
+
+class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has no types
+    """Two UR10s and a task behind dm_env's interface.
+
+    An episode that the safety gate, the physics or the task ends has discount 0 at its last step; one whose time runs
+    out keeps 1. A step after the last one begins the next episode, whatever its action; on two controllers it is an
+    error, for arms move to where an episode begins when somebody resets them. Steps equal those of
+    `dual_ur10.envs.api.dual_arm_env.DualArmEnv` bit for bit.
+
+    Attributes:
+        env: The Gymnasium environment behind it.
+        info: Its `info` of the last step or reset.
+
+    Args:
+        task: Name of the task, or an id.
+        seed: Seed of all episodes; None: from the machine's entropy.
+        **keywords: Those of `DualArmEnv`.
+
+    Raises:
+        SettingsError: Or one of its kinds: a value is not legal.
+        UnknownNameError: A name (task, keyword, ...) is none that exists.
+    """
+
+    def __init__(self, task: str, *, seed: int | None = None, **keywords: Any) -> None:
+        from dual_ur10.envs.api.dual_arm_env import DualArmEnv  # loads MuJoCo
+
+        self.env = DualArmEnv(task_name(env_id_of(task)), **keywords)
+        self.info: dict[str, Any] = {}
+        self._seed, self._over = seed, True
+
+    def reset(self) -> TimeStep:
+        """Begin an episode. The first one is drawn from the seed, each further one from where the last left off."""
+        self._over = True  # should anything fail from here on, the episode must be begun again
+        observation, self.info = self.env.reset(seed=self._seed)
+        self._seed, self._over = None, False
+        return restart(observation)
+
+    def step(self, action: NDArray[Any]) -> TimeStep:
+        """One control period, or the beginning of an episode where none is running.
+
+        Raises:
+            ActionError: The action is malformed. Nothing has moved.
+            ResetNeededError: No episode is running, on two controllers. Nothing has moved.
+        """
+        if self._over:
+            if self.env.core.config.file is not None:
+                raise ResetNeededError(
+                    "no episode is running, and on a cell of controllers none begins by itself: call reset() first"
+                )
+            return self.reset()
+        observation, reward, terminated, truncated, self.info = self.env.step(action)
+        self._over = terminated or truncated
+        if terminated:
+            return termination(reward, observation)
+        return truncation(reward, observation) if truncated else transition(reward, observation)
+
+    def observation_spec(self) -> Any:
+        """A `BoundedArray`, or a dict of them by name where pixels are observed."""
+        return _spec(self.env.observation_space, "observation")
+
+    def action_spec(self) -> Any:
+        """A `BoundedArray`: the numbers of the left arm, then those of the right one."""
+        return _spec(self.env.action_space, "action")
+
+    def close(self) -> None:
+        """Release the simulation. May be called twice."""
+        self.env.close()
+
+
+def _spec(space: spaces.Space[Any], name: str) -> Any:
+    if isinstance(space, spaces.Dict):
+        return {key: _spec(each, key) for key, each in space.items()}
+    box = cast("spaces.Box", space)
+    return specs.BoundedArray(box.shape, box.dtype, box.low, box.high, name)
+
+
+def dm_env(task: str, **keywords: Any) -> DualArmDmEnv:
+    """An environment behind dm_env's interface.
+
+    Args:
+        task: Name of the task, or an id: "Handover", "Handover-v0" or "DualUR10/Handover-v0".
+        **keywords: Those of `DualArmDmEnv`.
+
+    Raises:
+        UnknownNameError: There is no such environment, or no such keyword.
+    """
+    return DualArmDmEnv(task, **keywords)

@@ -1,0 +1,133 @@
+"""The Gymnasium environment: a batch of one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.envs.api.autoreset import is_by_itself
+from dual_ur10.envs.api.infos import of_row
+from dual_ur10.envs.core.cells import check_for_controllers
+from dual_ur10.envs.core.core import PHYSICS_ERROR, Core
+from dual_ur10.envs.core.options import DEFAULT_RATE_HZ
+from dual_ur10.envs.rendering.images import RENDER_MODES
+from dual_ur10.envs.rendering.pixels import Observer, row_of
+from dual_ur10.envs.rendering.viewer import Viewer
+from dual_ur10.errors import ResetNeededError, SettingsError, UnknownNameError
+from dual_ur10.types import Array
+
+_ROW = np.zeros(1, dtype=np.intp)  # the only one
+
+
+class DualArmEnv(gym.Env[Any, Array]):
+    """Two UR10s and a task, for one agent that commands both.
+
+    Each task documents its spaces, rewards and episodes: `dual_ur10.envs.tasks.sine_tracking.task.SineTracking`.
+
+    Args:
+        task: Name of the task; set by the id.
+        render_mode: None, "rgb_array" or "human". Without it, and with `observation="state"`, no OpenGL is needed.
+        **keywords: Those of every environment, `dual_ur10.envs.core.options.EnvOptions`, and the task's own.
+
+    What is observed: with `observation="state"` (the default) the task's numbers, (size,); with "pixels" a dict of
+    images, (height, width, 3) uint8, by the names in `cameras`; with "both" `{"state": ..., "pixels": {...}}`.
+
+    `reset` takes no options. `info` of `reset` and `step` holds `q_rad` (2, 6) and `flange_m` (2, 3); that of `step`
+    also the task's values, `is_success`, `reward/<term>`, and, when an episode was ended by them, `safety` (a
+    `dual_ur10.sim2real.control.gate.Verdict`) or `physics_error` (a message).
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012  # as Gymnasium declares it
+        "render_modes": list(RENDER_MODES),
+        "render_fps": round(DEFAULT_RATE_HZ),
+    }
+
+    def __init__(self, task: str, *, render_mode: str | None = None, **keywords: Any) -> None:
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise UnknownNameError("render mode", str(render_mode), [*RENDER_MODES, "None"])
+        self.render_mode = render_mode
+        self.core = Core(task, keywords, autoreset=is_by_itself())
+        try:
+            self._observer = Observer(self.core)
+        except BaseException:
+            self.core.close()
+            raise
+        self._terminated = False
+        self._renderer = self._observer.renderer
+        self.action_space: Any = self.core.action_space
+        self.observation_space: Any = self._observer.space
+        # A class attribute in Gymnasium; an environment with another rate gets its own.
+        self.metadata = {**type(self).metadata, "render_fps": round(1 / self.core.timing.period_s)}
+
+    @property
+    def task(self) -> Any:
+        """The task object."""
+        return self.core.task
+
+    @property
+    def viewer(self) -> Viewer:
+        """What `render_mode="human"` shows: a window, or a page at `viewer.url` where there is no display."""
+        return self._renderer.viewer
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode; see `gymnasium.Env.reset`.
+
+        Raises:
+            SettingsError: There are options; or, on two controllers, something resets by itself that wraps this.
+            RenderError: Images are observed, and no OpenGL backend was found.
+        """
+        if self.core.config.file is not None:
+            check_for_controllers(self.core.config, 1, autoreset=is_by_itself(), randomized=False)
+        if options:
+            raise SettingsError(f"reset takes no options, found {sorted(options)}: set keywords at gym.make")
+        super().reset(seed=seed)
+        self._terminated = False
+        state, info = self.core.reset([self.np_random], seed=seed)
+        observation = self._observer.begin(state, _ROW)
+        if self.render_mode == "human":
+            self.render()
+        return row_of(observation, 0), of_row(info, 0)
+
+    def step(self, action: Array) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """One control period; see `gymnasium.Env.step`.
+
+        Raises:
+            ActionError: The action has the wrong shape or type, or holds NaN or infinity. Nothing has moved.
+            ResetNeededError: There was no reset yet, or the episode was terminated.
+        """
+        if self._terminated:
+            raise ResetNeededError(
+                "step was called after `terminated`: nothing more can come of this episode, call reset()"
+            )
+        step = self.core.step(action)
+        self._terminated = bool(step.terminated[0])
+        observation = row_of(self._observer.advance(step.observation), 0)
+        info: dict[str, Any] = of_row(step.info, 0)
+        info["is_success"] = bool(info["is_success"])
+        if step.verdicts:
+            info["safety"] = step.verdicts[0]
+        if step.diverged[0]:
+            info["physics_error"] = PHYSICS_ERROR
+        if self.render_mode == "human":
+            self.render()
+        return observation, float(step.reward[0]), bool(step.terminated[0]), bool(step.truncated[0]), info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """An image, (height, width, 3), with "rgb_array"; None with "human", which shows a viewer.
+
+        Raises:
+            RenderError: No OpenGL backend was found, or for "human" neither a display nor MuJoCo's web viewer.
+        """
+        if self.render_mode is None:
+            gym.logger.warn("render() needs a render_mode: pass render_mode='rgb_array' or 'human' to gym.make")
+            return None
+        model, data = self.core.cell_data(0)
+        return self._renderer.draw(self.render_mode, model, data)
+
+    def close(self) -> None:
+        """Release simulation and viewer. May be called twice."""
+        self._observer.close()
+        self.core.close()

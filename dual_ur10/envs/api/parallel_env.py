@@ -1,0 +1,275 @@
+"""The PettingZoo environments: each arm is an agent. A view on the Gymnasium environment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, cast
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]  # has no types
+from pettingzoo.utils.conversions import parallel_to_aec_wrapper  # type: ignore[import-untyped]  # as above
+from pettingzoo.utils.wrappers import OrderEnforcingWrapper  # type: ignore[import-untyped]  # as above
+
+from dual_ur10.envs.api.names import env_id_of, task_name
+from dual_ur10.envs.api.two_agents import Share, agent_spaces, check_count, check_options
+from dual_ur10.errors import ActionError, ResetNeededError
+from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.types import Array
+
+if TYPE_CHECKING:
+    from dual_ur10.envs.core.core import Core
+
+_LEFT, _RIGHT = ARMS
+
+
+class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore[misc]  # PettingZoo has no types
+    """Two UR10s and a task, for two agents, `left` and `right`, that act at the same time.
+
+    Each agent observes its own arm, and of the other what the task's `observe_agents` gives it; it acts with the 6
+    numbers of its arm, 7 where there are grippers. Both agents' episodes end together. The same seed and the same
+    actions give what `dual_ur10.envs.api.dual_arm_env.DualArmEnv` gives, bit for bit.
+
+    Each agent's info is that of `DualArmEnv`; of an array with a leading axis of two arms (`q_rad`, `flange_m`, ...) it
+    is the agent's own part. `reward/<term>` are the terms of the reward that the agent gets.
+
+    Args:
+        task: Name of the task, or an id.
+        render_mode: None, "rgb_array" or "human".
+        reward: "shared": both get the reward of both together; "individual": each its own, whose mean that is.
+        max_cycles: Truncate episodes after so many steps; None: only where the task ends.
+        **keywords: Those of every environment, `dual_ur10.envs.core.options.EnvOptions`, and the task's own. Pixels are
+            not observed.
+
+    Raises:
+        SettingsError: Or one of its kinds: a value is not legal.
+        UnknownNameError: A name (task, keyword, reward, ...) is none that exists.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012  # as PettingZoo declares it
+        "name": "DualUR10",
+        "render_modes": ["rgb_array", "human"],
+        "is_parallelizable": True,
+        "render_fps": 25,
+    }
+
+    def __init__(
+        self,
+        task: str,
+        *,
+        render_mode: str | None = None,
+        reward: str = "shared",
+        max_cycles: int | None = None,
+        **keywords: Any,
+    ) -> None:
+        from dual_ur10.envs.api.dual_arm_env import DualArmEnv  # loads MuJoCo
+
+        env_id = env_id_of(task)
+        check_options(reward, keywords)
+        check_count("max_cycles", max_cycles, optional=True)
+        self._env = DualArmEnv(task_name(env_id), render_mode=render_mode, **keywords)
+        self.render_mode, self.max_cycles = render_mode, max_cycles
+        self.metadata = {**type(self).metadata, **self._env.metadata, "name": env_id}
+        self.possible_agents = list(ARMS)
+        self.agents: list[str] = []
+        core = self._env.core
+        observation, action = agent_spaces(core)
+        self.observation_spaces: dict[str, spaces.Space[Array]] = dict(zip(ARMS, observation, strict=True))
+        self.action_spaces: dict[str, spaces.Space[NDArray[Any]]] = dict(zip(ARMS, action, strict=True))
+        self.state_space: spaces.Box = core.observation_space
+        self._shape = action[0].shape
+        self._share = Share(core, reward)
+        self._state: Array | None = None
+        self._cycles = 0
+
+    @property
+    def core(self) -> Core:
+        """The stepping core."""
+        return self._env.core
+
+    @property
+    def task(self) -> Any:
+        """The task object."""
+        return self._env.task
+
+    @property
+    def viewer(self) -> Any:
+        """What `render_mode="human"` shows; see `dual_ur10.envs.api.dual_arm_env.DualArmEnv.viewer`."""
+        return self._env.viewer
+
+    def observation_space(self, agent: str) -> spaces.Space[Array]:
+        """The space of an agent's observations, `Box((size,), float64)`."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Space[NDArray[Any]]:
+        """The space of an agent's actions, `Box((6,), float32)`, or (7,) with a gripper."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
+        """Begin an episode; see `pettingzoo.ParallelEnv.reset`.
+
+        Args:
+            seed: Seed of this and all following episodes; None: go on with the generator as it is.
+            options: There are none; PettingZoo's own checks pass one, hence only a warning.
+
+        Returns:
+            Observation and info of each agent.
+        """
+        if options:
+            gym.logger.warn(f"reset takes no options, {sorted(options)} is ignored: set keywords when making it")
+        self.agents = []  # should the reset fail, the episode must be begun again
+        _, info = self._env.reset(seed=seed)
+        self._cycles = 0
+        self.agents = list(ARMS)
+        left, right = self._share.infos(info)
+        return self._observations(), {_LEFT: left, _RIGHT: right}
+
+    def _observations(self) -> dict[str, Array]:
+        agents = self._env.core.agents
+        self._state = agents.both[0]
+        own = agents.observations
+        return {_LEFT: own[0, 0], _RIGHT: own[0, 1]}
+
+    def step(
+        self, actions: Mapping[str, NDArray[Any]]
+    ) -> tuple[dict[str, Array], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        """One control period; see `pettingzoo.ParallelEnv.step`.
+
+        Args:
+            actions: The action of each agent, in any order.
+
+        Returns:
+            Observation, reward, termination, truncation and info of each agent. Where the episode ended, `agents` is
+            empty then.
+
+        Raises:
+            ActionError: An agent's action is missing, too many, of the wrong shape or type, or holds NaN or infinity.
+                Nothing has moved.
+            ResetNeededError: There was no reset yet, or the episode has ended.
+        """
+        if not self.agents:
+            raise ResetNeededError(
+                "step was called without a running episode: call reset() first, and again when `agents` is empty"
+            )
+        try:
+            joint = self._joint(actions)
+        except ActionError as error:
+            self._env.core.stop(f"the policy's action was refused: {error}")
+            raise
+        _, reward, terminated, truncated, info = self._env.step(joint)
+        self._cycles += 1
+        if self.max_cycles is not None and self._cycles >= self.max_cycles:
+            truncated = True
+            self._env.core.finish()
+        if terminated or truncated:
+            self.agents = []
+        agents = self._env.core.agents
+        if self._share.individual:
+            left, right = self._share.infos(info, cast("Array", agents.terms)[0])
+            first, second = agents.rewards[0].tolist()
+        else:
+            left, right = self._share.infos(info)
+            first = second = reward
+        return (
+            self._observations(),
+            {_LEFT: first, _RIGHT: second},
+            {_LEFT: terminated, _RIGHT: terminated},
+            {_LEFT: truncated, _RIGHT: truncated},
+            {_LEFT: left, _RIGHT: right},
+        )
+
+    def _joint(self, actions: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+        """The action of both arms."""
+        if type(actions) is not dict and not isinstance(actions, Mapping):
+            raise ActionError(
+                f"actions must be a dict with an action for each of {list(ARMS)}, found {type(actions).__name__}"
+            )
+        if len(actions) != 2 or _LEFT not in actions or _RIGHT not in actions:
+            missing = [arm for arm in ARMS if arm not in actions]
+            extra = [agent for agent in actions if agent not in ARMS]
+            said = [f"{what} {names}" for what, names in (("without", missing), ("with unknown", extra)) if names]
+            raise ActionError(
+                f"actions must hold one for each of {list(ARMS)}, found them {' and '.join(said)}. Nothing was sent"
+            )
+        return np.concatenate((self.check(_LEFT, actions[_LEFT]), self.check(_RIGHT, actions[_RIGHT])))
+
+    def check(self, arm: str, action: object) -> NDArray[Any]:
+        """An agent's action as an array.
+
+        Raises:
+            ActionError: It has the wrong shape, or holds no numbers. Whether they are finite, `step` finds out.
+        """
+        try:
+            array = np.asarray(action)
+        except (TypeError, ValueError) as error:
+            raise ActionError(f"the action of {arm!r} must be numbers: {error}. Nothing was sent") from None
+        if array.dtype.kind not in "fiu" or array.shape != self._shape:
+            raise ActionError(
+                f"the action of {arm!r} must be numbers of shape {self._shape}, found {array.dtype} of shape "
+                f"{array.shape}. Nothing was sent"
+            )
+        return array
+
+    def state(self) -> Array:
+        """What a centralised critic may see: the observation of both arms together, in `state_space`.
+
+        Raises:
+            ResetNeededError: There was no reset yet.
+        """
+        if self._state is None:
+            raise ResetNeededError("state was asked for before the first reset: call reset() first")
+        return self._state.copy()
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """As `dual_ur10.envs.api.dual_arm_env.DualArmEnv.render`.
+
+        Raises:
+            RenderError: No OpenGL backend was found, or for "human" neither a display nor MuJoCo's web viewer.
+        """
+        return self._env.render()
+
+    def close(self) -> None:
+        """Release simulation and viewer. May be called twice."""
+        self._env.close()
+
+
+class _Turns(parallel_to_aec_wrapper[str, Array, NDArray[Any]]):  # type: ignore[misc]  # PettingZoo has no types
+    """PettingZoo's conversion, in which a malformed action is refused at its agent's own turn, which it keeps."""
+
+    def step(self, action: NDArray[Any] | None) -> None:
+        """Take the action of the agent whose turn it is, None where its episode has ended."""
+        agent = self.agent_selection
+        over = self.terminations[agent] or self.truncations[agent]
+        if not over and not np.isfinite(self.env.check(agent, action)).all():
+            raise ActionError(f"the action of {agent!r} must be finite, found {action}. Nothing was sent")
+        super().step(action)
+
+
+def parallel_env(task: str, **keywords: Any) -> DualArmParallelEnv:
+    """A PettingZoo environment in which both agents act at the same time.
+
+    Args:
+        task: Name of the task, or an id: "Handover", "Handover-v0" or "DualUR10/Handover-v0".
+        **keywords: Those of `DualArmParallelEnv`.
+
+    Raises:
+        UnknownNameError: There is no such environment, or no such keyword.
+    """
+    return DualArmParallelEnv(task, **keywords)
+
+
+def aec_env(task: str, **keywords: Any) -> AECEnv[str, Array, NDArray[Any] | None]:
+    """A PettingZoo environment in which the agents act in turn, `left` first; the arms move once both have.
+
+    Args:
+        task: As for `parallel_env`.
+        **keywords: Those of `DualArmParallelEnv`.
+
+    Raises:
+        UnknownNameError: There is no such environment, or no such keyword.
+    """
+    return OrderEnforcingWrapper(_Turns(parallel_env(task, **keywords)))

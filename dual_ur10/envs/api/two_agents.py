@@ -1,0 +1,100 @@
+"""What the interfaces for two agents share: their names, spaces, rewards and infos, all of them views on the core."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+from gymnasium import spaces
+
+from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.types import Array
+
+if TYPE_CHECKING:
+    from dual_ur10.envs.core.core import Core
+
+RewardKind = Literal["shared", "individual"]
+"""Of whom an agent's reward is: "shared", that of both together; "individual", its own. Their mean is the former."""
+
+
+def check_options(reward: str, keywords: Mapping[str, Any]) -> None:
+    """Refuse what an environment of two agents cannot have.
+
+    Raises:
+        UnknownNameError: `reward` is no `RewardKind`.
+        SettingsError: The keywords ask for pixels.
+    """
+    if reward not in get_args(RewardKind):
+        raise UnknownNameError("reward", str(reward), get_args(RewardKind))
+    if keywords.get("observation") in ("pixels", "both"):
+        raise SettingsError(
+            f"observation is {keywords['observation']!r}: two agents observe numbers only, observation='state'. For "
+            "pixels use gym.make, for pictures to look at render_mode='rgb_array'"
+        )
+
+
+def check_count(name: str, value: object, *, optional: bool = False) -> None:
+    """Refuse what is not a whole number of 1 or more.
+
+    Raises:
+        SettingsError: It is not.
+    """
+    if optional and value is None:
+        return
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        raise SettingsError(
+            f"{name} is {value!r}: it must be a whole number, 1 or more{', or None' if optional else ''}"
+        )
+
+
+def agent_spaces(core: Core) -> tuple[list[Any], list[Any]]:
+    """Observation space and action space of each agent, `gymnasium.spaces.Box` all."""
+    bound = core.task.agent_bound
+    low, high = (each.reshape(2, -1) for each in (core.action_space.low, core.action_space.high))
+    observation = [spaces.Box(-bound[arm], bound[arm], dtype=np.float64) for arm in range(2)]
+    return observation, [spaces.Box(low[arm], high[arm], dtype=np.float32) for arm in range(2)]
+
+
+class Share:
+    """Divides reward and info of a cell among its two agents.
+
+    Args:
+        core: The core behind the environment.
+        reward: Of whom an agent's reward is.
+    """
+
+    def __init__(self, core: Core, reward: str) -> None:
+        self.individual = reward == "individual"
+        self._terms = [f"reward/{name}" for name in core.task.weights]
+        # Names met so far, and which of them are of the two arms: that never changes.
+        self._known: set[str] = set()
+        self._per_arm: list[str] = []
+
+    def infos(self, info: Mapping[str, Any], terms: Array | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Each agent's info, from that of its cell.
+
+        Of an array with a leading axis of the two arms, each gets its own; the rest both get.
+
+        Args:
+            info: As `dual_ur10.envs.api.dual_arm_env.DualArmEnv` returns it.
+            terms: (2, terms) each agent's own reward terms: with "individual" they replace those of both together, so
+                that `reward/<term>` are always the terms of the reward that the agent gets. None: there was no step.
+        """
+        left, right = dict(info), dict(info)
+        if not info.keys() <= self._known:
+            self._known.update(info)
+            self._per_arm += [name for name, value in info.items() if name not in self._per_arm and _is_per_arm(value)]
+        for name in self._per_arm:
+            if name in info:
+                value = info[name]
+                left[name], right[name] = value[0], value[1]
+        if self.individual and terms is not None:
+            left.update(zip(self._terms, terms[0].tolist(), strict=True))
+            right.update(zip(self._terms, terms[1].tolist(), strict=True))
+        return left, right
+
+
+def _is_per_arm(value: object) -> bool:
+    """Whether a value of `info` has a leading axis of the two arms."""
+    return type(value) is np.ndarray and value.ndim > 0 and len(value) == 2

@@ -1,0 +1,219 @@
+"""The vector environment: many cells in one batch, on a thread pool inside MuJoCo."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from dual_ur10.envs.api.infos import masked, restarted
+from dual_ur10.envs.core.core import PHYSICS_ERROR, Core, Step
+from dual_ur10.envs.core.options import DEFAULT_RATE_HZ
+from dual_ur10.envs.rendering.pixels import Observer, row_of
+from dual_ur10.errors import ResetNeededError, SettingsError, UnknownNameError
+from dual_ur10.types import Array, Mask, Rows
+
+
+class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
+    """n cells behind Gymnasium's vector interface. Row k with seed s is bit for bit the single env with seed s + k.
+
+    What is observed: as with `dual_ur10.envs.api.dual_arm_env.DualArmEnv`, each array with a leading axis of n cells.
+
+    `gym.make_vec` forbids `vector_kwargs` and wrappers with an environment of this kind: everything is a keyword.
+
+    Args:
+        num_envs: Number of cells.
+        task: Name of the task; set by the id.
+        autoreset_mode: `gymnasium.vector.AutoresetMode` or its value: "NextStep" (default), "SameStep", "Disabled".
+        max_episode_steps: Truncate episodes after so many steps; None: only where the task ends.
+        threads: Threads to step on; None: as many as there are processors.
+        render_mode: None or "rgb_array": one image per cell.
+        **keywords: Those of every environment, `dual_ur10.envs.core.options.EnvOptions`, and the task's own.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012  # as Gymnasium declares it
+        "render_modes": ["rgb_array"],
+        "render_fps": round(DEFAULT_RATE_HZ),
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int,
+        task: str,
+        *,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        threads: int | None = None,
+        render_mode: str | None = None,
+        **keywords: Any,
+    ) -> None:
+        self.closed = True  # until there is something to close: Gymnasium closes what a failed construction left
+        if not (isinstance(num_envs, int | np.integer) and not isinstance(num_envs, bool) and num_envs >= 1):
+            raise SettingsError(f"num_envs is {num_envs!r}: it must be a whole number, 1 or more")
+        for name, value in (("max_episode_steps", max_episode_steps), ("threads", threads)):
+            if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
+                raise SettingsError(f"{name} is {value!r}: it must be a whole number, 1 or more, or None")
+        if render_mode not in (None, "rgb_array"):
+            raise UnknownNameError("render mode of a vector env", str(render_mode), ["rgb_array", "None"])
+        values = [mode.value for mode in AutoresetMode]
+        if not isinstance(autoreset_mode, AutoresetMode) and autoreset_mode not in values:
+            raise UnknownNameError("autoreset mode", str(autoreset_mode), values)
+        self.num_envs, self.render_mode = num_envs, render_mode
+        self.autoreset_mode, self._max_steps = AutoresetMode(autoreset_mode), max_episode_steps
+        autoreset = self.autoreset_mode != AutoresetMode.DISABLED
+        self.core = Core(task, keywords, n=num_envs, threads=threads, autoreset=autoreset)
+        try:
+            self._observer = Observer(self.core)
+        except BaseException:
+            self.core.close()
+            raise
+        self.single_action_space, self.single_observation_space = self.core.action_space, self._observer.space
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.metadata = {
+            **type(self).metadata,
+            "render_fps": round(1 / self.core.timing.period_s),
+            "autoreset_mode": self.autoreset_mode,
+        }
+        self._rngs: list[np.random.Generator] = []
+        self._steps = np.zeros(num_envs, dtype=np.int64)
+        self._done = np.zeros(num_envs, dtype=bool)
+        self.closed = False
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin new episodes.
+
+        Args:
+            seed: As for `gymnasium.vector.SyncVectorEnv`: s gives row k the seed s + k; or one per row.
+            options: `{"reset_mask": mask}` resets only the rows of a boolean mask, (num_envs,).
+
+        Raises:
+            SettingsError: Seeds or mask do not fit.
+            ResetNeededError: The first reset is not of all rows.
+            RenderError: Images are observed, and no OpenGL backend was found.
+        """
+        seeds: list[int | None] = [None] * self.num_envs
+        if seed is not None:
+            seeds = [int(seed) + k for k in range(self.num_envs)] if isinstance(seed, int | np.integer) else list(seed)
+        if len(seeds) != self.num_envs:
+            raise SettingsError(f"{len(seeds)} seeds for {self.num_envs} environments: pass one per row, or one number")
+        rows = self._masked_rows(dict(options or {}))
+        if not self._rngs:
+            if len(rows) < self.num_envs:
+                raise ResetNeededError("the first reset must be of all rows: call reset() without a reset_mask first")
+            self._rngs = [seeding.np_random(each)[0] for each in seeds]
+        else:
+            drawn = {row: seeding.np_random(seeds[row])[0] for row in rows.tolist() if seeds[row] is not None}
+            self._rngs = [drawn.get(row, rng) for row, rng in enumerate(self._rngs)]
+        observation, info = self._begin(rows, seeds[0])
+        mask = np.zeros(self.num_envs, dtype=bool)
+        mask[rows] = True
+        return observation, masked(info, mask)
+
+    def _masked_rows(self, options: dict[str, Any]) -> Rows:
+        mask = options.pop("reset_mask", None)
+        if options:
+            raise UnknownNameError("reset option", str(next(iter(options))), ["reset_mask"])
+        if mask is None:
+            return np.arange(self.num_envs)
+        if not (isinstance(mask, np.ndarray) and mask.dtype == bool and mask.shape == (self.num_envs,) and mask.any()):
+            raise SettingsError(
+                f"reset_mask must be a boolean array of shape ({self.num_envs},) with at least one True, found {mask!r}"
+            )
+        return np.flatnonzero(mask)
+
+    def _begin(self, rows: Rows, seed: int | None = None) -> tuple[Any, dict[str, NDArray[Any]]]:
+        """Begin episodes; the seed is that of the first row, which is recorded where there is no other."""
+        self._steps[rows] = 0
+        self._done[rows] = False
+        state, info = self.core.reset([self._rngs[row] for row in rows.tolist()], rows, seed=seed)
+        return self._observer.begin(state, rows), info
+
+    def step(  # type: ignore[override]  # Gymnasium types the flags as it types rewards
+        self, actions: Array
+    ) -> tuple[Any, Array, Mask, Mask, dict[str, Any]]:
+        """One control period of all cells; see `gymnasium.vector.VectorEnv.step`.
+
+        Raises:
+            ActionError: The actions are malformed. Nothing has moved.
+            SettingsError: With "Disabled", a row that ended was not reset.
+        """
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():
+            rows = np.flatnonzero(self._done).tolist()
+            raise SettingsError(f"rows {rows} have ended: reset them with options={{'reset_mask': ...}} first")
+        if self._done.any() and self.autoreset_mode is AutoresetMode.NEXT_STEP:
+            actions = np.array(actions)
+            if actions.shape[:1] == (self.num_envs,):
+                actions[self._done] = 0  # these rows begin anew, whatever their action says
+        step = self.core.step(actions)
+        self._steps += 1
+        reward, terminated, truncated = step.reward, step.terminated, step.truncated
+        if self._max_steps is not None:
+            truncated = truncated | (self._steps >= self._max_steps)
+            if truncated.all():
+                self.core.finish()
+        info = self._info(step)
+        if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._done.any():
+            fresh = self._done.copy()
+            self._observer.advance(step.observation, np.flatnonzero(~fresh))
+            observation, begun = self._begin(np.flatnonzero(fresh))
+            reward[fresh], terminated[fresh], truncated[fresh] = 0.0, False, False
+            info = restarted(info, fresh, begun)
+        else:
+            observation = self._observer.advance(step.observation)
+        self._done = terminated | truncated
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
+            ended = self._done.copy()
+            final = np.full(self.num_envs, None, dtype=object)
+            for row in np.flatnonzero(ended).tolist():
+                final[row] = deepcopy(row_of(observation, row))
+            final_info = {name: value & ended if name.startswith("_") else value for name, value in info.items()}
+            observation, begun = self._begin(np.flatnonzero(ended))
+            info = restarted(info, ended, begun)
+            info.update(
+                {"final_obs": final, "_final_obs": ended, "final_info": final_info, "_final_info": ended.copy()}
+            )
+            self._done = np.zeros(self.num_envs, dtype=bool)
+        return observation, reward, terminated, truncated, info
+
+    def _info(self, step: Step) -> dict[str, Any]:
+        everyone = np.ones(self.num_envs, dtype=bool)
+        info = masked(step.info, everyone)
+        for name, rows, values in (
+            ("safety", sorted(step.verdicts), step.verdicts),
+            ("physics_error", np.flatnonzero(step.diverged).tolist(), None),
+        ):
+            if rows:
+                column, mask = np.full(self.num_envs, None, dtype=object), np.zeros(self.num_envs, dtype=bool)
+                for row in rows:
+                    column[row] = values[row] if values else PHYSICS_ERROR
+                    mask[row] = True
+                info.update({name: column, "_" + name: mask})
+        return info
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """One image per cell, (height, width, 3) each, or None without a render mode.
+
+        Raises:
+            RenderError: No OpenGL backend was found.
+        """
+        if self.render_mode is None:
+            return None
+        return tuple(self._observer.renderer.image(*self.core.cell_data(row)) for row in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Release simulation and images."""
+        self._observer.close()
+        self.core.close()

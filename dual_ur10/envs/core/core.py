@@ -1,0 +1,398 @@
+"""The one stepping core behind every environment: task, pipeline and cell, for n cells at once."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from dual_ur10.envs.core.cells import check_for_controllers, make_cell
+from dual_ur10.envs.core.options import split_keywords
+from dual_ur10.envs.core.randomization import on_top, resolve_randomization
+from dual_ur10.envs.core.sensing import Sensing
+from dual_ur10.envs.tasks.task import Task, Timing, task_settings
+from dual_ur10.errors import ActionError, CellFaulted, ClosedError, DualUR10Error, ResetNeededError, UnknownNameError
+from dual_ur10.sim2real.config.cell import Cell, CellState, resolve_cell
+from dual_ur10.sim2real.control.adapter import Command, ServojAdapter
+from dual_ur10.sim2real.control.clearance import Clearance
+from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
+from dual_ur10.sim2real.control.pipeline import ServojPipeline
+from dual_ur10.sim2real.recording.hook import RecordHook
+from dual_ur10.sim2real.recording.rows import RunRecorder
+from dual_ur10.sim2real.recording.writer import prepare
+from dual_ur10.types import Array, Mask, Rows
+
+TASKS = {
+    "SineTracking": "dual_ur10.envs.tasks.sine_tracking.task:SineTracking",
+    "SyncCarry": "dual_ur10.envs.tasks.sync_carry.task:SyncCarry",
+    "Handover": "dual_ur10.envs.tasks.handover.task:Handover",
+}
+"""Where each task's class is, by the task's name."""
+
+PHYSICS_ERROR = "the simulation diverged: the observation is that of the last good instant"
+"""Text of `info["physics_error"]`."""
+
+
+class Agents(NamedTuple):
+    """What concerns the agents `left` and `right` one by one, computed when it is asked for.
+
+    Attributes:
+        task: The task.
+        both: (n, size) observation of both.
+        terms: (n, 2, terms) reward terms of each; None after a reset.
+        weights: (terms,).
+    """
+
+    task: Task[Any, Any]
+    both: Array
+    terms: Array | None
+    weights: Array
+
+    @property
+    def observations(self) -> Array:
+        """(n, 2, size) each agent's own observation."""
+        return self.task.observe_agents(self.both)
+
+    @property
+    def rewards(self) -> Array:
+        """(n, 2) each agent's own reward; their mean is the reward of both."""
+        if self.terms is None:
+            return np.zeros((len(self.both), 2))
+        rewards: Array = np.add.reduce(self.terms * self.weights, axis=2)
+        return rewards
+
+
+class Step(NamedTuple):
+    """What a step of n cells gives.
+
+    Attributes:
+        observation: (n, size).
+        reward: (n,).
+        terminated: (n,) refused by the gate, diverged, or at a state from which there is nothing more to do.
+        truncated: (n,) the time of the episode ran out.
+        info: Arrays (n, ...) by name.
+        verdicts: Why the gate refused, by row.
+        diverged: (n,) whether the physics diverged.
+        agents: What concerns the two agents one by one.
+    """
+
+    observation: Array
+    reward: Array
+    terminated: Mask
+    truncated: Mask
+    info: dict[str, NDArray[Any]]
+    verdicts: dict[int, Verdict]
+    diverged: Mask
+    agents: Agents
+
+
+def load_task(name: str) -> type[Task[Any, Any]]:
+    """The class of a task.
+
+    Raises:
+        UnknownNameError: No task has this name.
+    """
+    if name not in TASKS:
+        raise UnknownNameError("task", str(name), list(TASKS))
+    module, attribute = TASKS[name].split(":")
+    task: type[Task[Any, Any]] = getattr(importlib.import_module(module), attribute)
+    return task
+
+
+def _spread(values: Array, rows: Rows, n: int) -> Array:
+    """Values of some rows, (len(rows), ...), as an array of all, (n, ...), with NaN in the others."""
+    result = np.full((n, *values.shape[1:]), np.nan)
+    result[rows] = values
+    return result
+
+
+class Core:
+    """Task, pipeline and cell of n cells.
+
+    Args:
+        task: Name of the task.
+        keywords: Those of every environment, `dual_ur10.envs.core.options.EnvOptions`, and the task's own.
+        n: Number of cells.
+        threads: Threads to step on; None: as many as there are processors.
+        autoreset: Whether episodes will begin without anybody asking for it.
+
+    Raises:
+        SettingsError: Or one of its kinds: a value is not legal. Nothing is left behind.
+    """
+
+    def __init__(
+        self, task: str, keywords: Mapping[str, Any], *, n: int = 1, threads: int | None = None, autoreset: bool = False
+    ) -> None:
+        task_type = load_task(task)
+        self.options, own = split_keywords(keywords)
+        options = self.options
+        self._randomization = resolve_randomization(options.randomization)
+        settings = self._randomization.spread(task_settings(task_type, own), own)
+        need = task_type.furnishing(settings)
+        config = resolve_cell(options.cell).furnished(need.equipment, need.timestep_s, need.gains)
+        limits = config.capped(task_type.limits)
+        ticks = config.servoj.ticks_per_action(options.policy_rate_hz)
+        latency = options.latency_ticks(config)
+        mounts = (config.left, config.right)
+        adapter = ServojAdapter(
+            config.servoj,
+            limits,
+            ticks,
+            n=n,
+            mode=options.action_mode,
+            gripper=need.equipment.grippers and not need.equipment.welded,
+            compensate_lag=options.compensate_lag,
+            dh=[mount.dh for mount in mounts],
+            yaw_rad=[mount.yaw_rad for mount in mounts],
+            speed_factor=config.speed_factor,
+            lookahead_s=config.measured_lookahead_s,
+        )
+        self.n, self.config = n, config
+        randomized = not self._randomization.is_none
+        check_for_controllers(config, n, autoreset=autoreset, randomized=randomized)
+        threads = threads or min(n, os.cpu_count() or 1)
+        clearance = Clearance(
+            config.measured_scene,
+            n=n,
+            threads=threads,
+            minimum_m=config.minimum_clearance_m,
+            closer=need.closer,
+            uncertainty=config.uncertainty,
+        )
+        gate = SafetyGate(limits, config.servoj.tick_s, ticks, clearance, n=n)
+        self.pipeline = ServojPipeline(adapter, gate, held=options.held_arm)
+        period_s = adapter.period_s
+        timing = Timing(period_s, period_s + latency * config.servoj.tick_s)
+        self.task = task_type(settings, config, timing, n)
+        self._clearance = clearance
+        self._weights = np.array(list(task_type.weights.values()))
+        self._terms = [f"reward/{name}" for name in task_type.weights]
+        rows = np.arange(n)
+        clearance.check_start(self.task.start(rows, [np.random.default_rng(0) for _ in rows]).q_rad, rows)
+        self._state: CellState | None = None
+        self._sensing = Sensing(config, self._randomization, period_s, n)
+        self._plant = config.perturbation.expanded(n)
+        self._observation: Array = np.zeros((n, len(self.task.observation_bound)))
+        self.action_space = self._action_space()
+        bound = self.task.observation_bound
+        self.observation_space = spaces.Box(-bound, bound, dtype=np.float64)
+        if options.record is not None:
+            prepare(Path(options.record))  # before anything is connected
+        self.cell: Cell | None = make_cell(
+            config,
+            options,
+            ticks,
+            n,
+            threads=threads,
+            limits=limits,
+            clearance=clearance,
+            varied=self._randomization.varied,
+            coupled=task_type.coupled,
+        )
+        self._hook: RecordHook | None = None
+        self.recorder: RunRecorder | None = None
+        if options.record is not None or config.file is not None:
+            self._begin_record(task, keywords, ticks)
+
+    def _action_space(self) -> spaces.Box:
+        low, high = self.pipeline.adapter.action_bounds
+        return spaces.Box(low.reshape(-1).astype(np.float32), high.reshape(-1).astype(np.float32), dtype=np.float32)
+
+    @property
+    def timing(self) -> Timing:
+        """Rate and latency of actions."""
+        return self.task.timing
+
+    def reset(
+        self, rngs: Sequence[np.random.Generator], rows: Rows | None = None, *, seed: int | None = None
+    ) -> tuple[Array, dict[str, NDArray[Any]]]:
+        """Begin new episodes.
+
+        Args:
+            rngs: One generator per cell to reset.
+            rows: The cells to reset; None: all.
+            seed: That the generator comes from, to be recorded; None: it goes on.
+
+        Returns:
+            Observations of all cells, (n, size), and `info`.
+        """
+        cell = self._open()
+        rows = np.arange(self.n) if rows is None else rows
+        self._state = None  # should anything fail from here on, the episode must be begun again
+        if self._hook is not None:
+            self._hook.resetting(rngs, seed)
+        start = self.task.start(rows, rngs)
+        drawn = {} if self._randomization.is_none else self._randomization.draw(rngs)
+        seeds = [int(rng.integers(2**31)) for rng in rngs]
+        self._clearance.check_start(start.q_rad, rows)
+        self.pipeline.reset(start.q_rad, rows, start.gripper_m)
+        plant = on_top({name: value[rows] for name, value in self._plant.items()}, drawn)
+        try:
+            state = cell.reset(start, rows, seeds=seeds, perturbation=plant)
+        except DualUR10Error as error:
+            self.note("fault" if isinstance(error, CellFaulted) else "not begun", str(error))
+            raise
+        self._go_on_from_rest(cell, start.gripper_m)
+        self._sensing.reset(state, rows, seeds, drawn)
+        sensed = state if self._sensing.is_exact else self._sensing.begun(state)
+        observation = self.task.observe(sensed, self.task.measure(sensed), self.pipeline.adapter.commanded_q_rad)
+        # The other rows go on: what was observed of them last stays as it was.
+        self._observation = self._observation.copy()
+        self._observation[rows] = observation[rows]
+        self._state = state
+        self.agents = Agents(self.task, self._observation, None, self._weights)
+        info: dict[str, Any] = self._measurements(state)
+        randomized = {**start.drawn, **drawn}
+        if randomized:
+            info["randomization"] = {name: _spread(value, rows, self.n) for name, value in randomized.items()}
+        if self._hook is not None:
+            self._hook.reset(self._observation, state, info.get("randomization", {}))
+        return self._observation.copy(), info
+
+    def step(self, action: object) -> Step:
+        """One control period of all cells.
+
+        Args:
+            action: Numbers that fit (n, action size).
+
+        Raises:
+            ActionError: The action is malformed. Nothing has moved.
+            ResetNeededError: There was no reset yet.
+        """
+        cell = self._open()
+        if self._state is None:
+            raise ResetNeededError(
+                "step was called before the first reset, or after a step that failed: call reset() first"
+            )
+        # Should anything fail from here on, pipeline and cell are apart, and the episode must be begun again.
+        before, self._state = self._state, None
+        try:
+            command, verdicts = self.pipeline(action)
+        except ActionError as error:
+            self._state = before  # nothing has moved
+            cell.stop(f"the policy's action was refused: {error}")
+            raise
+        try:
+            state = true = self._advance(cell, command._replace(payload_kg=self.task.payload_kg()))
+        except CellFaulted:
+            self._state = before  # it stays so, and says so again
+            raise
+        self._go_on_from_rest(cell, None if command.gripper_m is None else command.gripper_m[:, -1])
+        measured = self.task.measure(state)
+        outcome = self.task.evaluate(state, measured)
+        terms = np.add.reduce(outcome.terms, axis=1) / 2
+        reward: Array = np.add.reduce(terms * self._weights, axis=1)
+        terminated, success = state.failed.copy(), outcome.success
+        if verdicts:
+            terminated[list(verdicts)] = True
+        if np.logical_or.reduce(terminated):
+            success = success & ~terminated
+        if outcome.terminal is not None:
+            terminated |= outcome.terminal
+        info = self._measurements(state)
+        info.update(outcome.info)
+        info["is_success"] = success
+        for k, name in enumerate(self._terms):
+            info[name] = terms[:, k]
+        if not self._sensing.is_exact:
+            state = self._sensing(state)
+            measured = measured if self._sensing.keeps_poses else self.task.measure(state)
+        self._observation = observation = self.task.observe(state, measured, self.pipeline.adapter.commanded_q_rad)
+        self.agents = agents = Agents(self.task, observation, outcome.terms, self._weights)
+        if np.logical_or.reduce(terminated | outcome.over):
+            cell.finish()
+        step = Step(observation.copy(), reward, terminated, outcome.over, info, verdicts, state.failed, agents)
+        self._state = true
+        if self._hook is not None:
+            self._hook.step(action, command, step, true, PHYSICS_ERROR if state.failed[0] else "")
+        return step
+
+    def _go_on_from_rest(self, cell: Cell, gripper_m: Array | None) -> None:
+        """Where the arms rest and not where the pipeline has led them, it goes on from there."""
+        if cell.rested_q_rad is not None:
+            self.pipeline.reset(cell.rested_q_rad, gripper_m=gripper_m)
+
+    def finish(self) -> None:
+        """The episode is over for a reason that the task does not know: arms that do not stand come to rest."""
+        self._open().finish()
+
+    def stop(self, reason: str) -> None:
+        """Stop the arms for good, because of who commands them. In simulation there is nothing to stop."""
+        if self.cell is not None:
+            self.cell.stop(reason)
+
+    def _measurements(self, state: CellState) -> dict[str, NDArray[Any]]:
+        return {"q_rad": state.q_rad.copy(), "flange_m": state.flange_m.copy()}
+
+    def cell_data(self, row: int) -> tuple[Any, Any]:
+        """MuJoCo's model and data of one cell, to be drawn."""
+        return self._open().model_and_data(row)
+
+    def _advance(self, cell: Cell, command: Command) -> CellState:
+        """A control period of the cell. That arms were stopped is recorded."""
+        recorder = self.recorder
+        if recorder is not None and recorder.failure and self.options.record_failure == "stop":
+            cell.stop(f"the run is not recorded any more: {recorder.failure}")
+        try:
+            return cell.advance(command)
+        except DualUR10Error as error:
+            if recorder is not None:
+                recorder.event("fault", str(error))
+            raise
+
+    def _begin_record(self, task: str, keywords: Mapping[str, Any], ticks: int) -> None:
+        from dual_ur10.envs.core.records import recorder_of
+
+        cell = self._open()
+        try:
+            self.recorder = recorder_of(task, keywords, self.options, self.config, cell, ticks)
+            if self.recorder is not None:
+                self.record(self.recorder)
+        except BaseException:
+            cell.close()
+            raise
+
+    def note(self, kind: str, text: str) -> None:
+        """Write an event into the record of this run, if there is one."""
+        if self.recorder is not None:
+            self.recorder.event(kind, text)
+
+    @property
+    def late_actions(self) -> int:
+        """How many actions came too late so far, so that both arms came to rest."""
+        return 0 if self.cell is None else self.cell.late_periods
+
+    @property
+    def clipped_actions(self) -> int:
+        """How many actions so far were beyond the action space, so that they were clipped to it; of all cells."""
+        return self.pipeline.clipped_actions
+
+    def record(self, recorder: RunRecorder) -> None:
+        """Let `recorder` take note of every episode from the next reset on. It is the caller's to close.
+
+        Raises:
+            SettingsError: There are several cells.
+        """
+        self._hook = RecordHook(recorder, self._open())
+
+    def close(self) -> None:
+        """Release the cell, and end the record. May be called twice."""
+        try:
+            if self.cell is not None:
+                self.cell.close()
+        finally:
+            self.cell = None
+            recorder, self.recorder, self._hook = self.recorder, None, None
+            if recorder is not None:
+                recorder.close()
+
+    def _open(self) -> Cell:
+        if self.cell is None:
+            raise ClosedError("the environment was closed: make a new one")
+        return self.cell

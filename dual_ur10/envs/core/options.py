@@ -1,0 +1,141 @@
+"""Keywords that every environment has, whatever its interface: Gymnasium, vector, PettingZoo, dm_env."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.sim2real.config.cell import CellConfig
+from dual_ur10.sim2real.control.adapter import ActionMode
+from dual_ur10.sim2real.control.command_queue import checked_latency
+
+DEFAULT_RATE_HZ = 25.0
+
+ObservationKind = Literal["state", "pixels", "both"]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EnvOptions:
+    """Keywords of every environment.
+
+    Raises:
+        UnknownNameError: `observation` is none of its names.
+        SettingsError: `cameras` names none, or one twice; or a value is of the wrong kind.
+
+    Attributes:
+        cell: "mujoco", a `dual_ur10.sim2real.config.cell.CellConfig`, or the path of a cell file: two controllers.
+        policy_rate_hz: Actions per second. The period must be a whole number of controller ticks (8 ms on a CB3).
+        action_mode: "joint_delta", "joint_position" or "tcp_delta"; see
+            `dual_ur10.sim2real.control.adapter.ServojAdapter`.
+        action_latency_ticks: Ticks from an observation to the first target of its action. 0 is an ideal machine;
+            a policy meant for real arms should be developed with the latency it will have. None: 0 in simulation, and
+            the ticks of 40 ms on two controllers.
+        compensate_lag: Whether the adapter takes the lag of `servoj` out.
+        randomization: What differs from episode to episode: a name of
+            `dual_ur10.envs.core.randomization.PRESETS`, a mapping of single values, or a `Randomization`.
+        observation: "state" gives an array; "pixels" a dict of images by camera; "both" a dict of both.
+        cameras: Cameras of an observation with pixels: names of `dual_ur10.assets.scene.cameras`.
+        pixels_rate_hz: Images per second of an observation with pixels, the policy's rate divided by a whole number;
+            None: a new one with every observation.
+        camera: Camera of `render`, of the same names.
+        width, height: Size of images in pixels, those of `render` and those observed.
+        shadows: Draw shadows and reflections; see `dual_ur10.envs.rendering.images.Renderer`.
+        confirm: On two controllers, asked with a text before the arms go to where an episode begins; True lets them.
+            None: an emulated cell needs nobody, and for real arms somebody at the terminal is asked.
+        arm: "left" or "right": on two controllers, the one that moves while the other stays where it is. None: both.
+        record: Folder in which a folder with the record of this run is made; None: no record. On two controllers, the
+            last ten seconds before a stop are kept in any case.
+        record_failure: What to do on two controllers when the record cannot be written any more, because the disk is
+            full: "go on", which is logged, or "stop".
+        record_about: What the record is to say of the run: `policy` (a name), `policy_sha256`, and anything else that
+            JSON can hold. None: nothing.
+    """
+
+    cell: object = "mujoco"
+    policy_rate_hz: float = DEFAULT_RATE_HZ
+    action_mode: ActionMode = "joint_delta"
+    action_latency_ticks: int | None = None
+    compensate_lag: bool = True
+    randomization: object = "none"
+    observation: ObservationKind = "state"
+    cameras: tuple[str, ...] = ("front",)
+    pixels_rate_hz: float | None = None
+    camera: str = "perspective"
+    width: int = 640
+    height: int = 480
+    shadows: bool = False
+    confirm: Callable[[str], bool] | None = None
+    arm: str | None = None
+    record: str | os.PathLike[str] | None = None
+    record_failure: Literal["go on", "stop"] = "go on"
+    record_about: Mapping[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("compensate_lag", "shadows"):
+            if not isinstance(getattr(self, name), bool | np.bool_):
+                raise SettingsError(f"{name} is {getattr(self, name)!r}: it must be True or False")
+        for name in ("policy_rate_hz", "width", "height"):
+            if isinstance(getattr(self, name), bool):
+                raise SettingsError(f"{name} is {getattr(self, name)!r}: it must be a number")
+        if self.action_latency_ticks is not None:
+            checked_latency(self.action_latency_ticks)
+        if self.confirm is not None and not callable(self.confirm):
+            raise SettingsError(f"confirm is {self.confirm!r}: it must be a function that is given a text, or None")
+        if self.arm is not None and self.arm not in ARMS:
+            raise UnknownNameError("arm", str(self.arm), [*ARMS, "None"])
+        if self.record is not None and not isinstance(self.record, str | os.PathLike):
+            raise SettingsError(f"record is {self.record!r}: it must be the path of a folder, or None")
+        if self.record_failure not in ("go on", "stop"):
+            raise UnknownNameError("record_failure", str(self.record_failure), ["go on", "stop"])
+        if self.record_about is not None:
+            _check_about(self.record_about)
+        if not isinstance(self.action_mode, str):
+            raise UnknownNameError("action mode", str(self.action_mode), get_args(ActionMode))
+        if self.observation not in get_args(ObservationKind):
+            raise UnknownNameError("observation", str(self.observation), get_args(ObservationKind))
+        if not isinstance(self.cameras, str | tuple | list):
+            raise SettingsError(f"cameras are {self.cameras!r}: name one, or several in a tuple")
+        cameras = (self.cameras,) if isinstance(self.cameras, str) else tuple(self.cameras)
+        if not cameras or len(set(cameras)) < len(cameras):
+            raise SettingsError(f"cameras are {cameras!r}: name at least one, and each once")
+        object.__setattr__(self, "cameras", cameras)
+
+    @property
+    def held_arm(self) -> int | None:
+        """Number of the arm that stays where it is, if one does."""
+        return None if self.arm is None else 1 - ARMS.index(self.arm)
+
+    def latency_ticks(self, cell: CellConfig) -> int:
+        """The action's latency in this cell."""
+        return cell.latency_ticks if self.action_latency_ticks is None else self.action_latency_ticks
+
+
+def _check_about(about: object) -> None:
+    """Make sure that this can be said of a run."""
+    if not isinstance(about, Mapping) or not all(isinstance(name, str) for name in about):
+        raise SettingsError(f"record_about is {about!r:.200}: it must be a mapping, such as {{'policy': 'mine'}}")
+    for name in ("policy", "policy_sha256"):
+        if not isinstance(about.get(name, ""), str):
+            raise SettingsError(f"record_about says {name} {about[name]!r:.200}: it must be a text")
+
+
+OPTION_NAMES = tuple(each.name for each in dataclasses.fields(EnvOptions))
+"""Keywords of every environment, beside those of its task."""
+
+
+def split_keywords(keywords: Mapping[str, Any]) -> tuple[EnvOptions, dict[str, Any]]:
+    """The options among the keywords of an environment, and the rest, which are its task's.
+
+    Raises:
+        UnknownNameError: `observation` is none of its names.
+        SettingsError: `cameras` names none, or one twice.
+    """
+    rest = dict(keywords)
+    options = {name: rest.pop(name) for name in OPTION_NAMES if name in rest}
+    return EnvOptions(**options), rest

@@ -1,0 +1,146 @@
+"""What is observed of n cells: numbers, images, or both."""
+
+from __future__ import annotations
+
+import math
+import numbers
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from dual_ur10.assets.scene import cameras
+from dual_ur10.envs.core.core import Core
+from dual_ur10.envs.rendering.images import Renderer
+from dual_ur10.errors import RateError, UnknownNameError
+from dual_ur10.types import Array, Rows
+
+Images = dict[str, NDArray[np.uint8]]
+
+
+class Observer:
+    """Makes observations of a core's numbers, as its options `observation`, `cameras` and `pixels_rate_hz` say.
+
+    Images are drawn with the first observation, never before; those of "state" never are.
+
+    Attributes:
+        renderer: Draws the images, and those of `render`.
+        space: Space of one cell's observation.
+
+    Args:
+        core: Task, pipeline and cell.
+
+    Raises:
+        UnknownNameError: The scene has no such camera.
+        RateError: `pixels_rate_hz` is not the policy's rate divided by a whole number.
+        SettingsError: A size is not possible.
+    """
+
+    def __init__(self, core: Core) -> None:
+        options, known = core.options, cameras(core.config.scene)
+        for camera in options.cameras:
+            if camera not in known:
+                raise UnknownNameError("camera", str(camera), list(known))
+        self.core = core
+        self.renderer = Renderer(options.camera, options.width, options.height, options.shadows, cameras=known)
+        self._every = _periods(1 / core.timing.period_s, options.pixels_rate_hz)
+        self._kind = options.observation
+        self._age = np.zeros(core.n, dtype=np.int64)  # periods since the episode began
+        self._images: Images = {}
+        self.space: spaces.Space[Any] = core.observation_space
+        if self._kind != "state":
+            shape = (options.height, options.width, 3)
+            pixels = spaces.Dict({camera: spaces.Box(0, 255, shape, np.uint8) for camera in options.cameras})
+            both = spaces.Dict({"state": core.observation_space, "pixels": pixels})
+            self.space = pixels if self._kind == "pixels" else both
+
+    def begin(self, state: Array, rows: Rows) -> Any:
+        """The observation after a reset of `rows`, which get new images; the others keep theirs.
+
+        Args:
+            state: (n, size) the core's numbers.
+            rows: The cells that were reset.
+
+        Returns:
+            `state` itself; a dict of images, (n, height, width, 3), by camera; or `{"state": state, "pixels": images}`.
+            Images are the caller's own.
+
+        Raises:
+            RenderError: Images are observed, and no OpenGL backend was found.
+        """
+        self._age[rows] = 0
+        return self._observe(state, rows)
+
+    def advance(self, state: Array, rows: Rows | None = None) -> Any:
+        """The observation after a control period of `rows`, which get new images where it is time for them.
+
+        Args:
+            state: (n, size) the core's numbers.
+            rows: The cells that went on; None: all.
+
+        Returns:
+            As `begin`.
+
+        Raises:
+            RenderError: Images are observed, and no OpenGL backend was found.
+        """
+        if self._kind == "state":
+            return state
+        rows = np.arange(self.core.n) if rows is None else rows
+        self._age[rows] += 1
+        return self._observe(state, rows[self._age[rows] % self._every == 0])
+
+    def _observe(self, state: Array, rows: Rows) -> Any:
+        if self._kind == "state":
+            return state
+        self._draw(rows)
+        images = {camera: image.copy() for camera, image in self._images.items()}
+        return images if self._kind == "pixels" else {"state": state, "pixels": images}
+
+    def _draw(self, rows: Rows) -> None:
+        options = self.core.options
+        if not self._images:
+            shape = (self.core.n, options.height, options.width, 3)
+            self._images = {camera: np.zeros(shape, dtype=np.uint8) for camera in options.cameras}
+        for row in rows.tolist():
+            model, data = self.core.cell_data(row)
+            for camera, images in self._images.items():
+                self.renderer.image(model, data, camera, images[row])
+
+    def close(self) -> None:
+        """Release renderer and viewer. May be called twice."""
+        self.renderer.close()
+
+
+def row_of(observation: Any, row: int) -> Any:
+    """One cell's part of an observation of n cells: views of its arrays."""
+    if isinstance(observation, dict):
+        return {name: row_of(value, row) for name, value in observation.items()}
+    return observation[row]
+
+
+def _periods(policy_rate_hz: float, pixels_rate_hz: object) -> int:
+    """Control periods from one image to the next.
+
+    Raises:
+        RateError: They are no whole number; the message names the nearest rates that are.
+    """
+    if pixels_rate_hz is None:
+        return 1
+    rate = float(pixels_rate_hz) if isinstance(pixels_rate_hz, numbers.Real) else math.nan
+    if not 0 < rate <= policy_rate_hz * (1 + 1e-6):
+        raise RateError(
+            f"pixels_rate_hz is {pixels_rate_hz!r}: it must be a number above 0, the policy's {policy_rate_hz:g} Hz at "
+            "most, or None"
+        )
+    periods = policy_rate_hz / rate
+    whole = round(periods)
+    if abs(periods - whole) > 1e-6 * periods:
+        below, above = math.floor(periods), math.ceil(periods)
+        raise RateError(
+            f"pixels_rate_hz is {rate:g}: it must be the policy's {policy_rate_hz:g} Hz divided by a whole number, "
+            f"found {periods:.4g}. The neighbours are {policy_rate_hz / above:.6g} Hz (every {above} observations) and "
+            f"{policy_rate_hz / below:.6g} Hz (every {below})"
+        )
+    return whole

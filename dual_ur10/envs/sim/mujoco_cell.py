@@ -1,0 +1,186 @@
+"""The simulated cell: n times two arms in MuJoCo, with the lag of real UR controllers."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from dual_ur10.envs.sim.physics import Physics
+from dual_ur10.envs.sim.servo_reference import ServojReference, SlowedTargets, TargetDelay
+from dual_ur10.errors import ClosedError, SettingsError
+from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
+from dual_ur10.sim2real.control.adapter import Command
+from dual_ur10.sim2real.control.command_queue import CommandQueue
+from dual_ur10.sim2real.recording.rows import Trace
+from dual_ur10.types import Array, Rows
+
+
+class MujocoCell:
+    """n simulated cells, stepped together.
+
+    One call of `advance` is one rollout of MuJoCo's batch: targets are delayed, the servoj law turns them into motion,
+    the joint servos follow with feed-forward, and the state is that of the last instant.
+
+    Args:
+        config: The cell, with a task's equipment.
+        ticks: Controller ticks per call of `advance`.
+        n: Number of cells.
+        threads: Threads to step on.
+        latency_ticks: L: what is commanded acts so many ticks later.
+        varied: Names of the values of `Perturbation` that a reset may change. How targets are computed follows from
+            them and the configuration alone, so that a row does not depend on what others drew.
+    """
+
+    def __init__(
+        self,
+        config: CellConfig,
+        ticks: int,
+        *,
+        n: int = 1,
+        threads: int = 1,
+        latency_ticks: int = 0,
+        varied: Collection[str] = (),
+    ) -> None:
+        self.config, self.ticks, self.n = config, ticks, n
+        self.rested_q_rad: Array | None = None
+        self.first_target: int | None = None
+        self.late_periods = 0
+        self.threads = threads
+        self.steps = ticks * config.substeps
+        self._queue = CommandQueue(n, latency_ticks)
+        slow = config.speed_factor
+        self._slowed = None if slow == 1.0 else SlowedTargets(n, config.substeps, slow)
+        self._delay = TargetDelay(n, 1 if self._slowed else config.substeps)
+        self._reference = ServojReference(config.servoj, n, config.substeps, ticks, slow)
+        self._elapsed = np.zeros(n, dtype=np.int64)
+        self._tick_s = np.float64(config.servoj.tick_s)
+        self._values = config.perturbation.expanded(n)
+        late = any(name in varied or self._values[name].any() for name in ("latency_s", "jitter_s", "loss"))
+        self._delayed = late
+        self._uneven = "lookahead_scale" in varied or len(np.unique(self._values["lookahead_scale"])) > 1
+        self._physics: Physics | None = Physics(config, n, threads)
+        self._trace: Trace | None = None
+        self._perturb(np.arange(n))
+
+    def _perturb(self, rows: Rows) -> None:
+        """Let the plant of `rows` differ from what is believed of it, as `_values` says."""
+        values = self._values
+        # Time that passes for controllers is less of the task's, where that is slowed down.
+        step_s = (self.config.timestep_s or self.config.scene.timestep_s) / self.config.speed_factor
+        self._delay.latency = np.rint(values["latency_s"] / step_s).astype(np.int64)
+        self._delay.jitter = np.rint(values["jitter_s"] / step_s).astype(np.int64)
+        self._delay.loss = values["loss"]
+        delayed = self._delayed or self._slowed is not None
+        self._reference.set_lookahead(values["lookahead_scale"], delayed=delayed, uneven=self._uneven)
+        self._open.perturb(values, rows)
+
+    def reset(
+        self,
+        start: Start,
+        rows: Rows | None = None,
+        *,
+        seeds: Sequence[int] | None = None,
+        perturbation: Mapping[str, Array] | None = None,
+    ) -> CellState:
+        """Put the arms, and what they handle, to rest where an episode begins.
+
+        Args:
+            start: How it begins, in all cells or in `rows`.
+            rows: The cells to reset; None: all.
+            seeds: One per cell to reset, of the jitter and loss that follow; None: zeros.
+            perturbation: Values of `Perturbation` for the cells to reset, (len(rows), ...) each, from this episode on.
+        """
+        physics = self._open
+        rows = np.arange(self.n) if rows is None else rows
+        q = np.asarray(start.q_rad, dtype=np.float64).reshape(-1, 2, 6)
+        if perturbation:
+            for name, value in perturbation.items():
+                self._values[name][rows] = value
+            self._perturb(rows)
+        physics.reset(start, rows)
+        self._queue.reset(q, rows, start.gripper_m)
+        self._delay.reset(q, rows, [0] * len(rows) if seeds is None else seeds)
+        if self._slowed is not None:
+            self._slowed.reset(q, rows)
+        self._reference.reset(q, rows)
+        self._elapsed[rows] = 0
+        self._trace = None
+        return physics.state(self._elapsed * self._tick_s, moved=False)
+
+    def advance(self, command: Command) -> CellState:
+        """Command [now + L, now + L + period), and return the state at the end of [now, now + period).
+
+        A row whose physics diverged stays where it was last well, marked as failed, until it is reset.
+
+        Raises:
+            ActionError: A gripper is asked for an opening that it does not have.
+            SettingsError: The command is for grippers, and the cell has none.
+        """
+        physics, command = self._open, self._queue(command)
+        targets = command.targets_rad
+        if self._slowed is not None:
+            targets = self._slowed(targets)
+        if self._delayed:
+            targets = self._delay(targets)
+        motion = self._reference(targets)
+        physics.advance(motion, command.gripper_m, command.payload_kg)
+        if physics.tracing:
+            self._trace = self._traced(command.targets_rad, *motion[:2])
+        self._elapsed += self.ticks * ~physics.failed
+        return physics.state(self._elapsed * self._tick_s, moved=True)
+
+    def record(self) -> None:
+        """From now on, let `trace` tell of every control period what a record of a run holds.
+
+        Raises:
+            SettingsError: There are several cells.
+        """
+        if self.n != 1:
+            raise SettingsError(f"{self.n} cells are stepped together: only one alone can be recorded")
+        self._open.tracing = True
+
+    @property
+    def trace(self) -> Trace | None:
+        """What happened in the last call of `advance`; None: it is not kept, or there was none since the reset."""
+        return self._trace
+
+    def integration_state(self) -> bytes:
+        """All that MuJoCo needs to go on from here with the first cell."""
+        return self._open.integration_state(0)
+
+    def _traced(self, targets: Array, before: Array, speed: Array) -> Trace:
+        """Of a single cell, from the targets that went out and what the law made of them."""
+        substeps = self.config.substeps
+        end = before[:, -1:] + speed[:, -1:] * (self.config.servoj.tick_s / substeps)
+        after = np.concatenate([before, end], axis=1)[0, substeps::substeps]
+        trace = self._open.trace
+        q, qd = (each[0, substeps - 1 :: substeps].copy() for each in trace) if trace else (np.zeros(0), np.zeros(0))
+        return Trace(targets[0].copy(), after.reshape(-1, 2, 6), q, qd)
+
+    def finish(self) -> None:
+        """Nothing moves that is not stepped."""
+
+    def stop(self, reason: str) -> None:
+        """Nothing moves that is not stepped."""
+
+    def model_and_data(self, row: int) -> tuple[Any, Any]:
+        """MuJoCo's model and data of one cell, to be drawn: the same objects at every call, brought up to date."""
+        return self._open.model_and_data(row)
+
+    def close(self) -> None:
+        """Release the simulation. May be called twice."""
+        self._physics = None
+
+    @property
+    def _open(self) -> Physics:
+        if self._physics is None:
+            raise ClosedError("this cell was closed: make a new one")
+        return self._physics
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        if self._physics is not None:
+            self._perturb(np.arange(self.n))
+            self._physics.restore()

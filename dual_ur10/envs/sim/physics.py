@@ -1,0 +1,222 @@
+"""The physics of n cells: arms whose joint servos follow a wanted motion, grippers, and what they handle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from dual_ur10.assets.scene import build_model
+from dual_ur10.envs.sim.feedforward import FeedForward
+from dual_ur10.envs.sim.handling import Handling
+from dual_ur10.envs.sim.plant import Plant
+from dual_ur10.errors import SettingsError
+from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
+from dual_ur10.types import Array, Rows
+
+Motion = tuple[Array, Array, Array]
+
+# What belongs to MuJoCo: built anew by unpickling, dropped by close.
+_LIVE = ("_batch", "_warnings", "_arms_q", "_arms_qd", "_flange", "_handling", "_plant", "_feedforward", "_drawn")
+
+
+class Physics:
+    """n simulated cells whose arms are moved by what their controllers want, physics step by physics step.
+
+    Args:
+        config: The cell, with a task's equipment.
+        n: Number of cells.
+        threads: Threads to step on.
+
+    Attributes:
+        failed: (n,) rows whose physics diverged. They stay where they were last well until they are reset.
+        tracing: Whether `advance` keeps where the arms were after every physics step.
+        trace: Of the last `advance`: positions and speeds of the joints, (n, steps, 2, 6) each; None: not kept.
+    """
+
+    tracing = False
+    trace: tuple[Array, Array] | None = None
+
+    def __init__(self, config: CellConfig, n: int, threads: int) -> None:
+        self.config, self.n, self.threads = config, n, threads
+        self.failed = np.zeros(n, dtype=bool)
+        self._good: Array = np.zeros((n, 0))
+        self._build()
+        self._grippers = self._handling.servos(config) if self._handling else None
+        self._payload: Array = np.zeros((n, 2))
+        self._held_m: Array = np.zeros((n, 2))  # what grippers that are not commanded are held at
+
+    def _build(self) -> None:
+        import mujoco
+        from mujoco.batch import Batch
+
+        scene, n = self.config.scene, self.n
+        # Everything measured is of positions, or part of the state, or of the last physics step.
+        self._stage = int(mujoco.mjtStage.mjSTAGE_POS)
+        self._batch: Any = Batch(build_model(scene, drawn=False), n, self.threads)
+        self._warnings = self._batch.warning[:, :, 1]
+        # Views: the arms' joints and, if there are grippers, each arm's two fingers behind its own.
+        joints = 8 if scene.equipment.grippers else 6
+        qpos, qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
+        self._arms_q: Array = qpos[:, : 2 * joints].reshape(n, 2, joints)[..., :6]
+        self._arms_qd: Array = qvel[:, : 2 * joints].reshape(n, 2, joints)[..., :6]
+        sensors: Array = self._batch.bind("sensordata")
+        # Views of the flange sensors, in the order that `assets.scene` documents.
+        self._flange = tuple(
+            sensors[:, start : start + 2 * size].reshape(n, 2, size) for start, size in ((0, 3), (6, 4), (14, 3))
+        )
+        self._handling = Handling(self._batch, scene) if scene.equipment.grippers else None
+        dofs = np.concatenate([np.arange(6), joints + np.arange(6)])
+        self._plant = Plant(self._batch, scene, dofs)
+        self._feedforward = FeedForward(scene, n, self.threads)
+        self._drawn: tuple[Any, Any] | None = None
+
+    def _joints(self, values: Array) -> Array:
+        """Of what is recorded after every physics step, that of the arms' joints."""
+        joints = 8 if self._handling is not None else 6
+        return values[..., : 2 * joints].reshape(*values.shape[:-1], 2, joints)[..., :6]
+
+    def integration_state(self, row: int) -> bytes:
+        """All that MuJoCo needs to go on from here with one cell: `mjSTATE_INTEGRATION`, as float64."""
+        state: bytes = self._batch.state[row].tobytes()
+        return state
+
+    @property
+    def model(self) -> Any:
+        """MuJoCo's model."""
+        return self._batch.model
+
+    def bind(self, name: str) -> Array:
+        """A view, (n, ...), of one of MuJoCo's arrays, as of the last step or the last change of positions."""
+        view: Array = self._batch.bind(name)
+        return view
+
+    def perturb(self, values: Mapping[str, Array], rows: Rows) -> None:
+        """Let the plant of `rows` differ from what is believed of it; `values` as of `Perturbation.expanded`."""
+        self._plant.write(values, rows)
+        self._feedforward.declare_payload(values["declared_payload_kg"])
+
+    def reset(self, start: Start, rows: Rows) -> None:
+        """Put the arms of `rows`, and what they handle, to rest where an episode begins."""
+        self._batch.reset(ids=rows, stage=0)
+        self._arms_q[rows] = np.asarray(start.q_rad, dtype=np.float64).reshape(-1, 2, 6)
+        if self._handling is not None and self._grippers is not None:
+            self._held_m[rows] = self._handling.reset(start, rows)
+            self._grippers.reset(self._held_m[rows], rows)
+        self._batch.forward(ids=rows, stage=self._stage)
+        self._payload[rows] = 0.0
+        self._good = self._batch.state.copy()
+        self.failed[rows] = False
+
+    def place(self, pose: Array) -> None:
+        """Put the object of every cell at a pose, (7,), at rest.
+
+        Raises:
+            SettingsError: There is none.
+        """
+        if self._handling is None or not self.config.scene.equipment.prop:
+            raise SettingsError("there is no object in this cell that could be put somewhere")
+        self._handling.place(pose)
+        self._batch.bind("qvel")[:, -6:] = 0.0
+        self._good = self._batch.state.copy()
+        self._batch.forward(stage=self._stage)
+
+    def advance(self, motion: Motion, gripper_m: Array | None = None, payload_kg: Array | None = None) -> None:
+        """Move all cells on.
+
+        Args:
+            motion: Position before, speed after and acceleration in every physics step, (n, steps, 12) each.
+            gripper_m: Commanded openings, (n, ticks, 2); None: held.
+            payload_kg: What the controllers are told that each gripper holds, (n, 2); None: as before.
+
+        Raises:
+            ActionError: A gripper is asked for an opening that it does not have.
+            SettingsError: The command is for grippers, and the cell has none.
+        """
+        control = self._control(motion, gripper_m, payload_kg)
+        record = self._batch.rollout(control.shape[1], control, record=("qpos", "qvel") if self.tracing else ())
+        if self.tracing:
+            self.trace = self._joints(record["qpos"]), self._joints(record["qvel"])
+        if self._handling is not None:
+            self._handling.feel()
+        if np.logical_or.reduce(self._warnings, axis=None) or np.logical_or.reduce(self.failed):
+            self.failed |= self._warnings.any(axis=1)
+            self._batch.state[self.failed] = self._good[self.failed]
+        self._good = self._batch.state.copy()
+        self._batch.forward(stage=self._stage)
+
+    def _control(self, motion: Motion, commanded: Array | None, payload_kg: Array | None) -> Array:
+        """Controls of both arms' servos, (n, steps, 12), or with their grippers, (n, steps, 14)."""
+        handling, grippers = self._handling, self._grippers
+        steps = motion[0].shape[1]
+        if handling is None or grippers is None:
+            if commanded is not None:
+                raise SettingsError("a command for grippers was sent to a cell that has none: leave gripper_m out")
+            return self._feedforward(*motion, None)
+        opening = handling.opening_m
+        if commanded is None:
+            commanded = np.repeat(self._held_m[:, None], steps // self.config.substeps, axis=1)
+        control = np.empty((self.n, steps, 2, 7))
+        control[..., 6] = grippers(commanded, opening)
+        before, self._payload = self._payload, self._payload if payload_kg is None else payload_kg
+        payload = None
+        if before.any() or self._payload.any():
+            share = np.arange(1, steps + 1)[:, None] / steps
+            payload = before[:, None] + share * (self._payload - before)[:, None]
+        control[..., :6] = self._feedforward(*motion, payload).reshape(self.n, steps, 2, 6)
+        return control.reshape(self.n, steps, 14)
+
+    def state(self, time_s: Array, *, moved: bool) -> CellState:
+        """What can be measured.
+
+        Args:
+            time_s: (n,) time since the reset.
+            moved: Whether a step has just been made, so that there is a force to be read.
+        """
+        base_m, base_quat, flange_m = self._flange
+        return CellState(
+            time_s,
+            self._arms_q,
+            self._arms_qd,
+            base_m,
+            base_quat,
+            flange_m,
+            self.failed,
+            *(
+                self._handling.state(base_quat, np.flatnonzero(~self.failed) if moved else None)
+                if self._handling
+                else ()
+            ),
+        )
+
+    def model_and_data(self, row: int) -> tuple[Any, Any]:
+        """MuJoCo's model and data of one cell, to be drawn: the same objects at every call, brought up to date."""
+        import mujoco
+
+        if self._drawn is None:
+            model = build_model(self.config.scene)
+            self._drawn = model, mujoco.MjData(model)
+        model, data = self._drawn
+        # The drawn model has more geoms and the same state, and stands where the bases truly are.
+        self._plant.place_bases(model, row)
+        mujoco.mj_setState(model, data, self._batch.state[row], int(mujoco.mjtState.mjSTATE_INTEGRATION))
+        mujoco.mj_forward(model, data)
+        return model, data
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = self.__dict__.copy()
+        for name in _LIVE:
+            del state[name]
+        state["integration"] = self._batch.state.copy()
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self._integration: Array = state.pop("integration")
+        self.__dict__.update(state)
+        self._build()
+
+    def restore(self) -> None:
+        """Go back to where pickling left off, once the plant is as it was."""
+        self._batch.state[:] = self._integration
+        self._batch.forward(stage=self._stage)

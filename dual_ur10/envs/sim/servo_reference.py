@@ -1,0 +1,196 @@
+"""What the controllers make of the targets: delay, the servoj law, and the motion it asks of the joint servos."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
+from dual_ur10.types import Array, Rows
+
+_MOST_KEPT_BYTES = 2**25  # discretisations of the law
+
+_NEVER = 2**40  # physics step at which a lost target arrives
+
+
+class TargetDelay:
+    """Latency, jitter and loss of targets on their way to the controllers, in whole physics steps.
+
+    A target that comes late leaves the one before it in force; targets never overtake each other.
+
+    Args:
+        n: Number of cells.
+        substeps: Physics steps per tick.
+    """
+
+    def __init__(self, n: int, substeps: int) -> None:
+        self.n, self.substeps = n, substeps
+        self.latency = np.zeros((n, 2), dtype=np.int64)
+        self.jitter = np.zeros((n, 2), dtype=np.int64)
+        self.loss = np.zeros((n, 2))
+        self._rngs = [np.random.default_rng(0) for _ in range(n)]
+        self._held: Array = np.zeros((n, 1, 2, 6))
+        self._arrivals = np.zeros((n, 1, 2), dtype=np.int64)
+
+    @property
+    def is_none(self) -> bool:
+        """Whether every target acts in its own tick, so that nothing has to be computed."""
+        return not (self.latency.any() or self.jitter.any() or self.loss.any())
+
+    def reset(self, q_rad: Array, rows: Rows, seeds: Sequence[int]) -> None:
+        """Start `rows` with the target `q_rad`, (len(rows), 2, 6), in force, and a new stream of chance each."""
+        self._held[rows] = q_rad[:, None]
+        self._arrivals[rows] = -_NEVER
+        for row, seed in zip(rows.tolist(), seeds, strict=True):
+            self._rngs[row] = np.random.default_rng(seed)
+
+    def __call__(self, targets: Array) -> Array:
+        """Targets in force during each physics step, (n, ticks * substeps, 2, 6), from those sent, (n, ticks, 2, 6)."""
+        ticks = targets.shape[1]
+        sent = np.arange(ticks)[None, :, None] * self.substeps
+        arrivals = np.broadcast_to(self.latency[:, None] + sent, (self.n, ticks, 2)).copy()
+        if self.jitter.any() or self.loss.any():
+            for row, rng in enumerate(self._rngs):
+                arrivals[row] += rng.integers(0, self.jitter[row] + 1, (ticks, 2))
+                arrivals[row][rng.random((ticks, 2)) < self.loss[row]] = _NEVER
+        arrivals = np.concatenate([self._arrivals, arrivals], axis=1)
+        known = np.concatenate([self._held, targets], axis=1)
+        # The latest target that has arrived is in force. What is overtaken by a later one never acts.
+        steps = np.arange(ticks * self.substeps)
+        arrived = arrivals[:, None] <= steps[None, :, None, None]
+        order = np.arange(known.shape[1])[None, None, :, None]
+        latest = np.where(arrived, order, 0).max(axis=2)
+        in_force: Array = np.take_along_axis(known, latest[..., None], axis=1)
+        self._forget(known, arrivals, latest[:, -1], ticks * self.substeps)
+        return in_force
+
+    def _forget(self, known: Array, arrivals: NDArray[np.int64], latest: Rows, steps: int) -> None:
+        """Keep what may still act: the targets in force at the end, and those on their way."""
+        first = min(int(latest.min()), known.shape[1] - 1)
+        self._held = known[:, first:]
+        kept = arrivals[:, first:].copy()
+        kept[kept < _NEVER] -= steps
+        # A target older than the one in force must not come back into force for an arm whose window starts later.
+        self._arrivals = np.where(np.arange(first, known.shape[1])[None, :, None] < latest[:, None], _NEVER, kept)
+
+
+class SlowedTargets:
+    """What controllers are sent where a task's time is slowed down: a curve through its targets.
+
+    Each of their control periods is a small part of one of the task's; here each physics step is one. The next targets
+    are not known yet, so the curve goes on from the last three by a parabola.
+
+    Args:
+        n: Number of cells.
+        substeps: Physics steps per tick.
+        speed_factor: How fast the task's time passes.
+    """
+
+    def __init__(self, n: int, substeps: int, speed_factor: float) -> None:
+        # What is held for a control period is late by half of it, which is so much of the task's.
+        ahead = (np.arange(substeps) + 0.5) / substeps - speed_factor / 2
+        weights = [1.0 + ahead * (1.5 + 0.5 * ahead), -ahead * (2.0 + ahead), ahead * (0.5 + 0.5 * ahead)]
+        self._weights: Array = np.array(weights)[:, :, None, None]
+        self._past: Array = np.zeros((n, 2, 2, 6))
+
+    def reset(self, q_rad: Array, rows: Rows) -> None:
+        """Start `rows` with nothing but the target `q_rad`, (len(rows), 2, 6)."""
+        self._past[rows] = q_rad[:, None]
+
+    def __call__(self, targets: Array) -> Array:
+        """Targets of each physics step, (n, ticks * substeps, 2, 6), from those of each tick, (n, ticks, 2, 6)."""
+        known = np.concatenate([self._past, targets], axis=1)
+        self._past = known[:, -2:]
+        last, before, first = known[:, 2:, None], known[:, 1:-1, None], known[:, :-2, None]
+        curve: Array = self._weights[0] * last + self._weights[1] * before + self._weights[2] * first
+        return curve.reshape(len(targets), -1, 2, 6)
+
+
+class ServojReference:
+    """The servoj law of every arm, and the motion it asks for at every physics step.
+
+    Positions come from the exact discretisation. Speeds and accelerations are their differences over the physics
+    step, because that is what MuJoCo's semi-implicit integrator makes of accelerations: a servo fed with them follows
+    the positions exactly when its model of the arm is right.
+
+    Args:
+        profile: Servoj settings.
+        n: Number of cells.
+        substeps: Physics steps per tick.
+        ticks: Ticks per call.
+        speed_factor: How fast the time of the targets passes: seen from there, the law is so much quicker.
+    """
+
+    def __init__(self, profile: ServojProfile, n: int, substeps: int, ticks: int, speed_factor: float = 1.0) -> None:
+        self.profile, self.n, self.substeps, self.ticks = profile, n, substeps, ticks
+        self._slow = speed_factor
+        self.steps = ticks * substeps
+        # Rows: position, speed, and the last difference of positions over the physics step.
+        self._state: Array = np.zeros((n, 3, 12))
+        self._cache: dict[tuple[float, int], Array] = {}
+        self.set_lookahead(np.ones((n, 2)), delayed=False, uneven=False)
+
+    def set_lookahead(self, scale: Array, *, delayed: bool, uneven: bool) -> None:
+        """Choose the true lookahead of each arm.
+
+        Args:
+            scale: (n, 2) factors on that of the profile.
+            delayed: Whether targets come per physics step instead of per tick.
+            uneven: Whether the factors may differ; else they are all the same. To be the same for all batches that are
+                to give equal bits.
+        """
+        hold = 1 if delayed else self.substeps
+        unique, which = np.unique(scale, return_inverse=True)
+        matrices = np.array([self._known(float(each), hold) for each in unique])
+        # (rows, inputs) for all arms, or (n, 2, rows, inputs).
+        self._matrices: Array = matrices[which.reshape(self.n, 2)] if uneven else matrices[0]
+
+    def _known(self, scale: float, hold: int) -> Array:
+        """As `_matrix`, which takes a millisecond, kept for when the same scale comes again."""
+        found = self._cache.get((scale, hold))
+        if found is None:
+            found = self._matrix(scale, hold)
+            if (len(self._cache) + 1) * found.nbytes > _MOST_KEPT_BYTES:
+                self._cache.clear()
+            self._cache[scale, hold] = found
+        return found
+
+    def _matrix(self, scale: float, hold: int) -> Array:
+        """Rows: positions before, speeds after and accelerations in every step; then the state at the end."""
+        law = ServojLaw(self.profile.lookahead_s * scale * self._slow, self.profile.gain / self._slow**2)
+        dt, steps = self.profile.tick_s / self.substeps, self.steps
+        response = law.response(dt, steps, hold)
+        inputs = 3 + response.shape[2] - 2
+        position = np.zeros((steps + 1, inputs))
+        position[0, 0] = 1.0
+        position[1:, :2], position[1:, 3:] = response[:, 0, :2], response[:, 0, 2:]
+        speed = np.diff(position, axis=0) / dt
+        before = np.zeros((1, inputs))
+        before[0, 2] = 1.0
+        acceleration = np.diff(np.vstack([before, speed]), axis=0) / dt
+        end = np.zeros((1, inputs))
+        end[0, :2], end[0, 3:] = response[-1, 1, :2], response[-1, 1, 2:]
+        return np.vstack([position[:-1], speed, acceleration, position[-1:], end, speed[-1:]])
+
+    def reset(self, q_rad: Array, rows: Rows) -> None:
+        """Start `rows` from rest at `q_rad`, (len(rows), 2, 6)."""
+        self._state[rows] = 0.0
+        self._state[rows, 0] = q_rad.reshape(-1, 12)
+
+    def __call__(self, targets: Array) -> tuple[Array, Array, Array]:
+        """Position before, speed after and acceleration in every physics step, (n, steps, 12) each.
+
+        Args:
+            targets: (n, m, 2, 6), one per tick, or one per physics step after a delay.
+        """
+        inputs = np.concatenate([self._state, targets.reshape(self.n, -1, 12)], axis=1)
+        if self._matrices.ndim == 2:
+            motion = self._matrices @ inputs
+        else:
+            arms = inputs.reshape(self.n, -1, 2, 6).swapaxes(1, 2)
+            motion = (self._matrices @ arms).swapaxes(1, 2).reshape(self.n, -1, 12)
+        steps = self.steps
+        self._state = motion[:, 3 * steps :]
+        return motion[:, :steps], motion[:, steps : 2 * steps], motion[:, 2 * steps : 3 * steps]

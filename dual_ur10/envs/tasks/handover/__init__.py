@@ -1,0 +1,1 @@
+"""Handover: one arm picks up a block, hands it over, and the other places it."""

@@ -1,0 +1,358 @@
+"""Handover: one arm picks up a block and hands it to the other, which lays it on its target."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from dual_ur10.assets.gripper import OPENING_M, TCP_M
+from dual_ur10.assets.props import BLOCK_SIZE_M
+from dual_ur10.assets.scene import HOME_Q_RAD, Equipment
+from dual_ur10.envs.tasks.handover.settings import GRIPS, MEETING_M, HandoverSettings, check_reach, lying
+from dual_ur10.envs.tasks.handover.stages import STAGES, STILL_M_S, WIDTH_M, Facts, Hand, advance, passed, terms
+from dual_ur10.envs.tasks.holding import PICKING, between, given, holds, tools
+from dual_ur10.envs.tasks.poses import Poses, length, seen_from
+from dual_ur10.envs.tasks.task import Furnishing, Outcome, Task, Timing, slower
+from dual_ur10.kinematics.frames import Frames
+from dual_ur10.kinematics.rotations import cross, rotate
+from dual_ur10.kinematics.ur10 import DH_D_M
+from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
+from dual_ur10.sim2real.control.limits import REACH_FROM_JOINT_M, MotionLimits
+from dual_ur10.types import Array, Mask, Rows
+
+SETTLED_S = 0.5
+"""How long the block must have lain on its target for an episode to end well."""
+
+_FALLEN_M = -0.03  # height of the middle of a block that is no longer on the table
+_FAR_M = float(REACH_FROM_JOINT_M[1]) + TCP_M + BLOCK_SIZE_M[0] / 2  # from a shoulder: nobody reaches it
+_SHOULDER_M = np.array([0.0, 0.0, DH_D_M[0]])
+
+
+class HandoverMeasured(NamedTuple):
+    """Poses at one instant. Positions in the cell frame where nothing else is said.
+
+    Attributes:
+        block, target: Poses, (n, 1, ...).
+        relative: Pose of the other flange in each flange's frame, (n, 2, ...).
+        grip_in_tool_m: (n, 2, 3) where each arm's grip of the block is in its tool's frame.
+        between: (n, 2) whether it is between the fingers.
+        holding: (n, 2) whether the gripper holds the block.
+    """
+
+    block: Poses
+    target: Poses
+    relative: Poses
+    grip_in_tool_m: Array
+    between: Mask
+    holding: Mask
+
+
+class Handover(Task[HandoverSettings, HandoverMeasured]):
+    """One arm picks a block up and hands it to the other in the air, which lays it on a target.
+
+    ## Description
+
+    A block of 4 x 4 x 20 cm and 0.5 kg lies on the table on the side of the giver, its target on the side of the
+    receiver. Neither arm can do it alone: the giver grips one half of the block from above, lifts it and turns its tool
+    to the horizontal; the receiver grips the other half from the opposite side; the giver lets go and leaves; the
+    receiver lowers the block onto its target and opens.
+
+    The left hand is meant to hold the half at -x of the block's own x, the right hand that at +x, each within 6 cm
+    around the middle of its half. The block counts as presented within 0.12 m of (-0.1, -0.1, 0.35) m, whichever way it
+    is turned.
+
+    ## Action Space
+
+    The action space is a `Box(-1.0, 1.0, (14,), float32)` with the default `action_mode="joint_delta"`: steps of the
+    six joints of an arm from the last command, in shares of the speed limit (1.2 rad/s) times the period (40 ms), and
+    the opening of its gripper.
+
+    | Num | Action | Control Min | Control Max | Name (in XML file) | Joint | Type (Unit) |
+    |-----|--------|-------------|-------------|--------------------|-------|-------------|
+    | 0 | step of the left shoulder pan | -1 | 1 | left/shoulder_pan_joint | hinge | share of 0.048 (rad) |
+    | 1 | step of the left shoulder lift | -1 | 1 | left/shoulder_lift_joint | hinge | share of 0.048 (rad) |
+    | 2 | step of the left elbow | -1 | 1 | left/elbow_joint | hinge | share of 0.048 (rad) |
+    | 3 | step of the left wrist 1 | -1 | 1 | left/wrist_1_joint | hinge | share of 0.048 (rad) |
+    | 4 | step of the left wrist 2 | -1 | 1 | left/wrist_2_joint | hinge | share of 0.048 (rad) |
+    | 5 | step of the left wrist 3 | -1 | 1 | left/wrist_3_joint | hinge | share of 0.048 (rad) |
+    | 6 | opening of the left gripper | -1 | 1 | left/gripper | tendon | -1 is 0, 1 is 0.085 (m) |
+    | 7 | step of the right shoulder pan | -1 | 1 | right/shoulder_pan_joint | hinge | share of 0.048 (rad) |
+    | 8 | step of the right shoulder lift | -1 | 1 | right/shoulder_lift_joint | hinge | share of 0.048 (rad) |
+    | 9 | step of the right elbow | -1 | 1 | right/elbow_joint | hinge | share of 0.048 (rad) |
+    | 10 | step of the right wrist 1 | -1 | 1 | right/wrist_1_joint | hinge | share of 0.048 (rad) |
+    | 11 | step of the right wrist 2 | -1 | 1 | right/wrist_2_joint | hinge | share of 0.048 (rad) |
+    | 12 | step of the right wrist 3 | -1 | 1 | right/wrist_3_joint | hinge | share of 0.048 (rad) |
+    | 13 | opening of the right gripper | -1 | 1 | right/gripper | tendon | -1 is 0, 1 is 0.085 (m) |
+
+    ## Observation Space
+
+    The observation space is a `Box(low, high, (112,), float64)` with the bounds of the table: 56 numbers of the left
+    arm, then the same 56 of the right arm. It holds only what a real cell can measure. Poses, forces and torques are in
+    the arm's own `base` frame if nothing else is said; quaternions are (w, x, y, z). The gripper's own weight is taken
+    off the force; it has the noise that `CellConfig.wrench_noise` says.
+
+    | Num | Observation | Min | Max | Name (in XML file) | Type (Unit) |
+    |-----|-------------|-----|-----|--------------------|-------------|
+    | 0-5 | joint positions of the left arm | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
+    | 6-11 | joint speeds of the left arm | -10 | 10 | left/shoulder_pan_joint ... left/wrist_3_joint | speed (rad/s) |
+    | 12-17 | commanded joint positions of the left arm | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
+    | 18-20 | position of the left flange | -2 | 2 | left/flange | position (m) |
+    | 21-24 | orientation of the left flange | -1.01 | 1.01 | left/flange | quaternion |
+    | 25 | opening of the left gripper | -0.1 | 0.1 | left/finger_1_joint ... left/finger_2_joint | position (m) |
+    | 26-28 | force of the block on the left gripper | -2000 | 2000 | left/wrench | force (N) |
+    | 29-31 | torque of the block on the left gripper about the flange | -2000 | 2000 | left/wrench | torque (N·m) |
+    | 32-34 | position of the block | -10 | 10 | block | position (m) |
+    | 35-38 | orientation of the block | -1.01 | 1.01 | block | quaternion |
+    | 39-41 | position of the target | -10 | 10 | target | position (m) |
+    | 42-45 | orientation of the target | -1.01 | 1.01 | target | quaternion |
+    | 46-48 | position of the right flange in the frame of the left one | -5 | 5 | right/flange | position (m) |
+    | 49-52 | orientation of the right flange in the frame of the left one | -1.01 | 1.01 | right/flange | quaternion |
+    | 53 | opening of the right gripper | -0.1 | 0.1 | right/finger_1_joint ... right/finger_2_joint | position (m) |
+    | 54 | role of the left arm: 1 gives, -1 receives | -1.01 | 1.01 | - | sign |
+    | 55 | share of the time of the episode that is behind | -1.01 | 1.01 | - | share |
+    | 56-61 | joint positions of the right arm | -6.5 | 6.5 | right/shoulder_pan_joint ... right/wrist_3_joint | angle (rad) |
+    | 62-67 | joint speeds of the right arm | -10 | 10 | right/shoulder_pan_joint ... right/wrist_3_joint | speed (rad/s) |
+    | 68-73 | commanded joint positions of the right arm | -6.5 | 6.5 | right/shoulder_pan_joint ... right/wrist_3_joint | angle (rad) |
+    | 74-76 | position of the right flange | -2 | 2 | right/flange | position (m) |
+    | 77-80 | orientation of the right flange | -1.01 | 1.01 | right/flange | quaternion |
+    | 81 | opening of the right gripper | -0.1 | 0.1 | right/finger_1_joint ... right/finger_2_joint | position (m) |
+    | 82-84 | force of the block on the right gripper | -2000 | 2000 | right/wrench | force (N) |
+    | 85-87 | torque of the block on the right gripper about the flange | -2000 | 2000 | right/wrench | torque (N·m) |
+    | 88-90 | position of the block | -10 | 10 | block | position (m) |
+    | 91-94 | orientation of the block | -1.01 | 1.01 | block | quaternion |
+    | 95-97 | position of the target | -10 | 10 | target | position (m) |
+    | 98-101 | orientation of the target | -1.01 | 1.01 | target | quaternion |
+    | 102-104 | position of the left flange in the frame of the right one | -5 | 5 | left/flange | position (m) |
+    | 105-108 | orientation of the left flange in the frame of the right one | -1.01 | 1.01 | left/flange | quaternion |
+    | 109 | opening of the left gripper | -0.1 | 0.1 | left/finger_1_joint ... left/finger_2_joint | position (m) |
+    | 110 | role of the right arm: 1 gives, -1 receives | -1.01 | 1.01 | - | sign |
+    | 111 | share of the time of the episode that is behind | -1.01 | 1.01 | - | share |
+
+    ## Rewards
+
+    The reward is the weighted sum of terms between 0 and 1, one for each stage, and of one for the end; each raw term is
+    in `info` as `reward/<term>`. A term is 1 once its stage is passed, 0 before the stage begins, and in between tells how near the
+    cell is to passing it. The stages whose motion takes longer count double. Each agent earns the terms of what is its
+    to do, twice, so that the mean of both is the term; what both do they earn alike.
+
+    - *reach* (0.1): giver. Passed when its grip of the block is between its fingers; till then
+      0.1^((distance from tool to grip / 0.15 m)²).
+    - *grasp* (0.1): giver. Passed when it holds the block: fingers at the block's width, around the grip. Till then how
+      far they have closed.
+    - *lift* (0.1): giver. Passed when it holds the block with its middle more than 8 cm above the table; till then the
+      share of that height.
+    - *present* (0.2): both. Passed when the lifted block is where it is handed over; till then, from when it is held,
+      0.1^((distance / 0.5 m)²) of the block from there for the giver, of the tool from its grip for the receiver.
+    - *mutual_grasp* (0.2): both. Passed when both hold the lifted block; till then half for the receiver's tool at its
+      grip, half for closing its fingers.
+    - *release* (0.1): giver. Passed when the receiver alone holds the lifted block; till then how far the giver's
+      fingers have opened while the receiver holds it.
+    - *place* (0.2): receiver. Passed when the block lies still on its target, within `success_error_m` and
+      `success_turn_rad`, and nobody holds it; till then the nearness to the target, in the receiver's hand or let go.
+    - *finish* (1.0): both. 0, and at the step that ends an episode well the number of steps that are left of its time:
+      what staying there would have earned, so that nothing is gained by hovering near the target instead.
+
+    `info["stage"]` is the number of stages passed in their order, 0 to 7, and never falls in an episode. `info` also
+    holds, each without noise: `giver` (0 left, 1 right); `object_m` (3,); `object_error_m` and `object_error_rad` from
+    the block to its target; `slip_m` (2,) how far each grip has moved in its gripper since that took hold,
+    or had when it let go.
+
+    The turn from block to target is the angle between their long axes: which end points where matters, which long side
+    is up does not (the receiver takes the block from below and lays it down upside down).
+
+    `info["is_success"]` is true at the end of an episode in which all stages were passed in their order and the block
+    lies on its target.
+
+    ## Starting State
+
+    Both arms are at rest with open grippers above the table. The block lies at (0, ±0.5) m on the giver's side along
+    the cell's x, shifted by up to `object_range_m` along x and y and turned by up to `object_turn_rad`; the target on
+    the other side likewise, by `target_range_m` and `target_turn_rad`. With `giver="random"` every episode draws who
+    gives.
+
+    ## Episode End
+
+    ### Termination
+
+    All stages were passed and the block has lain on its target for 0.5 s; or it is lost: it fell from the table, or
+    lies where no arm can reach it; or the safety gate refused a motion (`info["safety"]` says why); or the physics
+    diverged (`info["physics_error"]`).
+
+    ### Truncation
+
+    After `duration_s`, 500 steps with the defaults; longer by as much as the cell's speed limits are tighter than the
+    task's. No time limit is registered, because a registered one would not follow the settings.
+
+    ## Arguments
+
+    | Parameter | Type | Default | Description |
+    |-----------|------|---------|-------------|
+    | `giver` | str | `"left"` | "left", "right" or "random": the arm that picks the block up |
+    | `duration_s` | float | `20.0` | length of an episode at the task's own speed limits (s) |
+    | `grip_force_n` | float | `60.0` | force of each finger, 20 to 235 (N) |
+    | `object_range_m` | float | `0.02` | where the block begins, ± along x and y (m) |
+    | `object_turn_rad` | float | `0.5236` | how it is turned when it begins, ± (rad) |
+    | `target_range_m` | float | `0.03` | where the target is, ± along x and y (m) |
+    | `target_turn_rad` | float | `0.3` | how the target is turned, ± (rad) |
+    | `success_error_m` | float | `0.015` | largest distance from the target of a success (m) |
+    | `success_turn_rad` | float | `0.15` | largest turn from the target of a success (rad) |
+
+    Those of every environment are described in `dual_ur10.envs.core.options.EnvOptions`.
+
+    ## Version History
+
+    - v0: first version.
+    """
+
+    name: ClassVar[str] = "Handover"
+    limits: MotionLimits = MotionLimits(
+        speed_rad_s=(1.2,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.5
+    )
+    weights: ClassVar[dict[str, float]] = {
+        "reach": 0.1,
+        "grasp": 0.1,
+        "lift": 0.1,
+        "present": 0.2,
+        "mutual_grasp": 0.2,
+        "release": 0.1,
+        "place": 0.2,
+        "finish": 1.0,
+    }
+    stages: ClassVar[tuple[str, ...]] = STAGES
+    settings_type: ClassVar[type[HandoverSettings]] = HandoverSettings
+
+    def __init__(self, settings: HandoverSettings, cell: CellConfig, timing: Timing, n: int) -> None:
+        super().__init__(settings, cell, timing, n)
+        mounts = (cell.left, cell.right)
+        self._frames = Frames(mounts)
+        self._shoulders = np.array([mount.position_m for mount in mounts]) + _SHOULDER_M
+        check_reach(settings, cell.scene)
+        self.duration_s = settings.duration_s * slower(type(self).limits, self.limits)
+        self._steps = max(1, math.ceil(self.duration_s / timing.period_s - 1e-9))
+        self._settled_steps = max(1, math.ceil(SETTLED_S / timing.period_s - 1e-9))
+        arm = [6.5] * 6 + [10.0] * 6 + [6.5] * 6 + [2.0] * 3 + [1.01] * 4 + [0.1] + [2e3] * 6
+        arm += ([10.0] * 3 + [1.01] * 4) * 2 + [5.0] * 3 + [1.01] * 4 + [0.1, 1.01, 1.01]
+        self.agent_bound = np.tile(np.array(arm), (2, 1))
+        self.observation_bound = self.agent_bound.reshape(-1)
+        self._giver = np.zeros(n, dtype=np.intp)
+        self._grip_m: Array = np.zeros((n, 2, 3))
+        # Of the episode so far.
+        self._stage = np.zeros(n, dtype=np.int64)
+        self._count = np.zeros(n, dtype=np.int64)
+        self._settled = np.zeros(n, dtype=np.int64)
+        self._was_m: Array = np.full((n, 3), np.nan)
+        self._slip_from_m: Array = np.zeros((n, 2, 3))
+        self._slip_m: Array = np.zeros((n, 2))
+
+    @classmethod
+    def furnishing(cls, settings: HandoverSettings) -> Furnishing:
+        """Two grippers and the block."""
+        equipment = Equipment(grippers=True, prop="block", grip_force_n=settings.grip_force_n)
+        return Furnishing(equipment, 0.002, "stiff", PICKING)
+
+    def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
+        """Draw who gives, where the block lies and where it is wanted. The arms stand above the table, open."""
+        settings, givers = self.settings, self.settings.givers
+        drawn = np.array([rng.uniform(-1.0, 1.0, 7) for rng in rngs]).reshape(len(rows), 7)
+        giver = np.where(drawn[:, 6] < 0.0, givers[0], givers[-1])
+        where = drawn[:, :3] * np.array([settings.object_range_m] * 2 + [settings.object_turn_rad])
+        wanted = drawn[:, 3:6] * np.array([settings.target_range_m] * 2 + [settings.target_turn_rad])
+        block, target = lying(where, giver), lying(wanted, 1 - giver)
+        self._giver[rows] = giver
+        self._grip_m[rows] = np.stack([grips.position_m for grips in GRIPS])[giver]
+        for counts in (self._stage, self._count, self._settled):
+            counts[rows] = 0
+        self._was_m[rows] = block.position_m
+        self._slip_m[rows] = 0.0
+        return Start(
+            np.broadcast_to(HOME_Q_RAD, (len(rows), 2, 6)).copy(),
+            np.full((len(rows), 2), OPENING_M),
+            np.concatenate(block, axis=1),
+            np.concatenate(target, axis=1),
+            {"object": where, "target": wanted, "giver": giver},
+        )
+
+    def measure(self, state: CellState) -> HandoverMeasured:
+        """Poses of all cells."""
+        block = Poses(given(state.object_m)[:, None], given(state.object_quat)[:, None])
+        target = Poses(given(state.target_m)[:, None], given(state.target_quat)[:, None])
+        tool = tools(state)
+        flange = Poses(state.flange_m, tool.quat)
+        relative = seen_from(flange, Poses(flange.position_m[:, ::-1], flange.quat[:, ::-1]))
+        grip = Poses(block.position_m + rotate(block.quat, self._grip_m), block.quat)
+        grip_in_tool_m = seen_from(tool, grip).position_m
+        holding = holds(state, grip_in_tool_m, WIDTH_M)
+        return HandoverMeasured(block, target, relative, grip_in_tool_m, between(grip_in_tool_m), holding)
+
+    def observe(self, state: CellState, measured: HandoverMeasured, commanded_q_rad: Array) -> Array:
+        """Observations, (n, 112)."""
+        frames, both = self._frames, (self.n, 2)
+        opening = given(state.gripper_m)[..., None]
+        parts = [state.q_rad, state.qd_rad_s, commanded_q_rad, state.flange_base_m, state.flange_base_quat, opening]
+        parts.append(given(state.wrench))
+        for pose in (measured.block, measured.target):
+            parts.append(frames.position_to_base(np.broadcast_to(pose.position_m, (*both, 3))))
+            parts.append(frames.quat_to_base(np.broadcast_to(pose.quat, (*both, 4))))
+        role = np.where(np.arange(2) == self._giver[:, None], 1.0, -1.0)
+        time = np.broadcast_to(np.clip(state.time_s / self.duration_s, 0.0, 1.0)[:, None], both)
+        parts += [*measured.relative, opening[:, ::-1], role[..., None], time[..., None]]
+        return np.concatenate(parts, axis=2).reshape(self.n, -1)
+
+    def evaluate(self, state: CellState, measured: HandoverMeasured) -> Outcome:
+        """Stages, reward terms, success and the end."""
+        position = measured.block.position_m[:, 0]
+        facts = self._facts(state, measured)
+        advance(self._stage, passed(facts))
+        self._was_m[:] = position
+        self._count += 1
+        placed = (self._stage == len(self.stages)) & facts.placed
+        self._settled = np.where(placed, self._settled + 1, 0)
+        self._slip_from_m = np.where(measured.holding[..., None], self._slip_from_m, measured.grip_in_tool_m)
+        slip_m = length(measured.grip_in_tool_m - self._slip_from_m)
+        self._slip_m = np.where(measured.holding, slip_m, self._slip_m)
+        lost = self._lost(position)
+        terminal = lost | (self._settled >= self._settled_steps)
+        over = self._count >= self._steps
+        info: dict[str, Any] = {
+            "stage": self._stage.copy(),
+            "giver": self._giver.copy(),
+            "object_m": position.copy(),
+            "object_error_m": facts.target_m,
+            "object_error_rad": facts.target_rad,
+            "slip_m": self._slip_m,
+        }
+        finish = np.where(terminal & ~lost, np.maximum(self._steps - self._count, 0), 0.0)
+        of_stages = terms(facts, self._stage, self._giver)
+        earned = np.concatenate([of_stages, np.broadcast_to(finish[:, None, None], (self.n, 2, 1))], axis=2)
+        return Outcome(earned, placed & ~lost & (terminal | over), over & ~terminal, info, terminal)
+
+    def _facts(self, state: CellState, measured: HandoverMeasured) -> Facts:
+        rows, opening, away_m = np.arange(self.n), given(state.gripper_m), length(measured.grip_in_tool_m)
+        giving, receiving = (
+            Hand(measured.between[at], measured.holding[at], opening[at], away_m[at])
+            for at in ((rows, self._giver), (rows, 1 - self._giver))
+        )
+        position = measured.block.position_m[:, 0]
+        target_m = length(position - measured.target.position_m[:, 0])
+        target_rad = _between_long_axes(measured.block.quat, measured.target.quat)[:, 0]
+        still = length(position - self._was_m) < STILL_M_S * self.timing.period_s
+        near = (target_m < self.settings.success_error_m) & (target_rad < self.settings.success_turn_rad)
+        placed = near & still & ~np.logical_or.reduce(measured.holding, axis=1)
+        return Facts(giving, receiving, position[:, 2], length(position - MEETING_M), target_m, target_rad, placed)
+
+    def _lost(self, position_m: Array) -> Mask:
+        """(n,) whether the block fell from the table, or lies where no arm can reach it."""
+        away = length(position_m[:, None] - self._shoulders)
+        result: Mask = (position_m[:, 2] < _FALLEN_M) | np.logical_and.reduce(away > _FAR_M, axis=1)
+        return result
+
+
+def _between_long_axes(first: Array, second: Array) -> Array:
+    """Angles in rad, (...), between the long axes of blocks. Which long side is up does not matter."""
+    axis = np.array([1.0, 0.0, 0.0])
+    one, other = (rotate(quat, np.broadcast_to(axis, (*quat.shape[:-1], 3))) for quat in (first, second))
+    result: Array = np.arctan2(length(cross(one, other)), np.add.reduce(one * other, axis=-1))
+    return result

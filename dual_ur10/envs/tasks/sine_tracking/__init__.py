@@ -1,0 +1,1 @@
+"""Sine tracking: each flange follows a sinusoidal reference."""

@@ -1,0 +1,187 @@
+"""The reference of the sine task, and whether two arms can follow it."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from functools import lru_cache
+from typing import Literal, get_args
+
+import numpy as np
+
+from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
+from dual_ur10.envs.tasks.task import check_numbers
+from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError
+from dual_ur10.kinematics import try_nearest
+from dual_ur10.kinematics.frames import to_base
+from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
+from dual_ur10.kinematics.ur10 import ARMS, JOINTS
+from dual_ur10.sim2real.control.clearance import Clearance
+from dual_ur10.sim2real.control.limits import MotionLimits
+from dual_ur10.types import Array
+
+Vector = tuple[float, float, float]
+Axis = Literal["x", "y", "z"]
+Arms = Literal["both", "left", "right"]
+
+TOOL_DOWN_QUAT: Array = quat_from_rotvec(np.array([np.pi, 0.0, 0.0]))
+"""Orientation of the flange in the arm's own `base` frame: its axis straight down."""
+
+CENTER_RANGE_M = 0.05
+"""Largest shift of the centre along each axis of the cell frame when an episode is randomised."""
+
+_SAMPLES = 25
+_OVERSHOOT = 0.2  # share of the amplitude by which a stop may end beyond a turning point
+_ROOM = 0.9  # share of a speed limit that a reference may need: correcting an error takes the rest
+
+
+@dataclasses.dataclass(frozen=True)
+class SineSettings:
+    """What may be set of `SineTracking`. See there.
+
+    Raises:
+        SettingsError: A value is not legal.
+    """
+
+    axis: Axis | Vector = "y"
+    amplitude_m: float = 0.1
+    frequency_hz: float = 0.5
+    duration_s: float = 30.0
+    soft_start_s: float = 2.0
+    phase_rad: float = 0.0
+    center_m: tuple[Vector, Vector] = ((0.0, 0.6, 0.4), (0.0, -0.6, 0.4))
+    randomize: bool = True
+    arms: Arms = "both"
+    success_rms_m: float = 0.003
+
+    def __post_init__(self) -> None:
+        if isinstance(self.axis, str) and self.axis not in get_args(Axis):
+            raise UnknownNameError("axis", self.axis, [*get_args(Axis), "(x, y, z)"])
+        if self.arms not in get_args(Arms):
+            raise UnknownNameError("arms", str(self.arms), get_args(Arms))
+        check_numbers(
+            self,
+            ("amplitude_m", 0.0, 1.0),
+            ("frequency_hz", 0.0, 5.0),
+            ("duration_s", 0.1, 3600.0),
+            ("soft_start_s", 0.1, 60.0),
+            ("phase_rad", -100.0, 100.0),
+            ("success_rms_m", 1e-6, 1.0),
+        )
+        if not isinstance(self.randomize, bool | np.bool_):
+            raise SettingsError(f"randomize is {self.randomize!r}: it must be True or False")
+        center = _vectors(self.center_m)
+        if center.shape != (2, 3) or not np.isfinite(center).all():
+            raise SettingsError(f"center_m is {self.center_m!r}: it must be a position (x, y, z) for each arm")
+        left, right = (tuple(row) for row in center.tolist())
+        object.__setattr__(self, "center_m", (left, right))
+        if not isinstance(self.axis, str):
+            axis = _vectors(self.axis)
+            if axis.shape != (3,) or not np.isfinite(axis).all() or not np.linalg.norm(axis) > 0:
+                raise SettingsError(f"axis is {self.axis!r}: it must be 'x', 'y', 'z' or a vector (x, y, z)")
+            object.__setattr__(self, "axis", tuple((axis / np.linalg.norm(axis)).tolist()))
+
+    @property
+    def direction(self) -> Array:
+        """(3,) unit vector of the axis in the cell frame."""
+        if isinstance(self.axis, str):
+            unit: Array = np.eye(3)[get_args(Axis).index(self.axis)]
+            return unit
+        return np.array(self.axis)
+
+    @property
+    def tracking(self) -> Array:
+        """(2,) 1 for each arm that follows the sine, 0 for one that holds its centre."""
+        return np.array([float(self.arms in ("both", arm)) for arm in ARMS])
+
+    @property
+    def peak_speed_m_s(self) -> float:
+        """Largest speed of the reference at any phase, its soft start included."""
+        time_s = np.linspace(0.0, self.soft_start_s, 200)
+        x = time_s / self.soft_start_s
+        growth, omega = x**3 * (10 - 15 * x + 6 * x * x), 2 * np.pi * self.frequency_hz
+        rate = 30 * x * x * (1 - x) ** 2 / self.soft_start_s
+        return float(self.amplitude_m * np.hypot(rate, growth * omega).max())
+
+    def displacement_m(self, time_s: Array, phase_rad: Array) -> Array:
+        """Displacement along the axis. It begins at rest and without acceleration.
+
+        Args:
+            time_s: Times since the start.
+            phase_rad: Phases, of a shape that broadcasts to that of `time_s`.
+        """
+        result: Array = self.amplitude_m * np.sin(time_s * (2 * np.pi * self.frequency_hz) + phase_rad)
+        if np.minimum.reduce(time_s, axis=None) < self.soft_start_s:
+            x = np.minimum(time_s / self.soft_start_s, 1.0)  # exactly 1 at the end and after it
+            result *= x * x * x * (10.0 + x * (6.0 * x - 15.0))
+        return result
+
+
+def _vectors(values: object) -> Array:
+    """As an array; of no size if they are no numbers."""
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        return np.zeros(0)
+
+
+@lru_cache(maxsize=64)
+def check_path(
+    settings: SineSettings,
+    scene: SceneSettings,
+    limits: MotionLimits,
+    minimum_clearance_m: float,
+    uncertainty: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0)),
+) -> None:
+    """Refuse a sine that the arms cannot follow, at any centre that an episode may draw.
+
+    Raises:
+        WorkspaceError: The path leaves the workspace, needs a joint faster than the task's limit allows, or comes
+            closer to something than the safety gate lets it.
+    """
+    shifts = list(itertools.product((-CENTER_RANGE_M, CENTER_RANGE_M), repeat=3)) if settings.randomize else [(0, 0, 0)]
+    centers = np.asarray(settings.center_m)[None] + np.array(shifts)[:, None]
+    paths = [_joint_path(settings, scene, arm, centers[:, arm]) for arm in range(2)]
+    speed_limit = _ROOM * np.asarray(limits.speed_rad_s)
+    for arm, path in enumerate(paths):
+        # Steps of the path are steps of the displacement; an arm that holds its centre makes none.
+        step_m = 2 * settings.amplitude_m / (_SAMPLES - 1)
+        speed = np.abs(np.diff(path, axis=0)).max(axis=(0, 1)) / max(step_m, 1e-12) * settings.peak_speed_m_s
+        if (speed > speed_limit).any():
+            joint = int((speed / speed_limit).argmax())
+            raise WorkspaceError(
+                f"the sine needs {speed[joint]:.3g} rad/s of {ARMS[arm]}/{JOINTS[joint]}, allowed are "
+                f"{speed_limit[joint]:.3g} rad/s: choose a smaller amplitude_m or frequency_hz, or another center_m"
+            )
+    postures = np.stack(paths, axis=2)
+    # The gate looks at where a stop would end, which is beyond the turning points.
+    beyond = _OVERSHOOT * (_SAMPLES - 1) / 2
+    ends = [postures[k] + beyond * (postures[k] - postures[inner]) for k, inner in ((0, 1), (-1, -2))]
+    flat = np.concatenate([postures, np.stack(ends)]).reshape(-1, 12)
+    clearance = Clearance(scene, n=len(flat), minimum_m=minimum_clearance_m, uncertainty=uncertainty)
+    close = np.flatnonzero(~clearance.is_clear(flat))
+    if close.size:
+        pair, distance, allowed = clearance.worst(flat[close[0]])
+        raise WorkspaceError(
+            f"on the sine's path {pair} come as close as {distance * 1e3:.1f} mm, allowed are {allowed * 1e3:.1f} mm: "
+            "choose a smaller amplitude_m, another center_m, or move the bases"
+        )
+
+
+def _joint_path(settings: SineSettings, scene: SceneSettings, arm: int, centers: Array) -> Array:
+    """Joint positions along the sine about every centre, (samples, centres, 6)."""
+    mount, (position, rotation) = scene.mounts[arm], to_base(scene.mounts)
+    reach = settings.amplitude_m * settings.tracking[arm]
+    down = np.broadcast_to(quat_to_matrix(TOOL_DOWN_QUAT), (len(centers), 3, 3))
+    q, path = np.broadcast_to(HOME_Q_RAD[arm], (len(centers), 6)), []
+    for offset in [0.0, *np.linspace(-reach, reach, _SAMPLES)]:
+        world = centers + offset * settings.direction
+        q, reached = try_nearest((world - position[arm]) @ rotation[arm].T, down, q, mount.dh)
+        if not reached.all():
+            x, y, z = world[~reached][0]
+            raise WorkspaceError(
+                f"the {ARMS[arm]} arm cannot reach ({x:.3f}, {y:.3f}, {z:.3f}) m with its tool down: choose a "
+                "smaller amplitude_m, another center_m, or move the base"
+            )
+        path.append(q)
+    return np.array(path[1:])

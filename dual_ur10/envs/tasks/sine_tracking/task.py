@@ -1,0 +1,258 @@
+"""SineTracking: both flanges follow one sine, at the same time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from dual_ur10.assets.scene import HOME_Q_RAD
+from dual_ur10.envs.tasks.sine_tracking.path import CENTER_RANGE_M, TOOL_DOWN_QUAT, SineSettings, check_path
+from dual_ur10.envs.tasks.task import Outcome, Task, Timing, gaussian
+from dual_ur10.kinematics import nearest
+from dual_ur10.kinematics.frames import Frames
+from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_matrix
+from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
+from dual_ur10.sim2real.control.limits import MotionLimits
+from dual_ur10.types import Array, Rows
+
+# Distance at which a term is 0.1: errors of both flanges, turns of both, error of the vector between them.
+_MARGINS = np.array([0.01, 0.01, 0.02, 0.02, 0.005])
+# Which of them is each arm's value of each reward term.
+_TERMS = np.array([[0, 2, 4], [1, 3, 4]])
+
+
+class SineMeasured(NamedTuple):
+    """Reference and errors at one instant.
+
+    Attributes:
+        reference_base_m: (n, 2, 3) where the flanges should be, in each arm's own `base` frame.
+        ahead_base_m: (n, 2, 3) where they should be when the motion of the next action ends, in that frame.
+        turn: (n, 2, 3) rotation from flange to reference in that frame: twice the vector part of its quaternion,
+            which is the rotation vector as long as it is small.
+        reference_m: (n, 2, 3) where the flanges should be, in the cell frame.
+        error_m: (n, 2, 3) reference minus flange, in the cell frame.
+    """
+
+    reference_base_m: Array
+    ahead_base_m: Array
+    turn: Array
+    reference_m: Array
+    error_m: Array
+
+
+class SineTracking(Task[SineSettings, SineMeasured]):
+    """Both flanges follow a sine along one axis, in step, with their tools pointing straight down.
+
+    ## Description
+
+    The smallest task that shows what a dual-arm cell is worth: 0.1 m at 0.5 Hz is a peak speed of 0.31 m/s, at which
+    the 34 ms by which `servoj` lags are 10 mm. The sine begins softly, from rest. Both arms share time, axis and
+    phase, so that the vector from flange to flange stays as it was.
+
+    ## Action Space
+
+    The action space is a `Box(-1.0, 1.0, (12,), float32)` with the default `action_mode="joint_delta"`: steps of the
+    twelve joints from the last command, in shares of the speed limit (1.2 rad/s) times the period (40 ms).
+
+    | Num | Action | Control Min | Control Max | Name (in XML file) | Joint | Type (Unit) |
+    |-----|--------|-------------|-------------|--------------------|-------|-------------|
+    | 0 | step of the left shoulder pan | -1 | 1 | left/shoulder_pan_joint | hinge | share of 0.048 (rad) |
+    | 1 | step of the left shoulder lift | -1 | 1 | left/shoulder_lift_joint | hinge | share of 0.048 (rad) |
+    | 2 | step of the left elbow | -1 | 1 | left/elbow_joint | hinge | share of 0.048 (rad) |
+    | 3 | step of the left wrist 1 | -1 | 1 | left/wrist_1_joint | hinge | share of 0.048 (rad) |
+    | 4 | step of the left wrist 2 | -1 | 1 | left/wrist_2_joint | hinge | share of 0.048 (rad) |
+    | 5 | step of the left wrist 3 | -1 | 1 | left/wrist_3_joint | hinge | share of 0.048 (rad) |
+    | 6 | step of the right shoulder pan | -1 | 1 | right/shoulder_pan_joint | hinge | share of 0.048 (rad) |
+    | 7 | step of the right shoulder lift | -1 | 1 | right/shoulder_lift_joint | hinge | share of 0.048 (rad) |
+    | 8 | step of the right elbow | -1 | 1 | right/elbow_joint | hinge | share of 0.048 (rad) |
+    | 9 | step of the right wrist 1 | -1 | 1 | right/wrist_1_joint | hinge | share of 0.048 (rad) |
+    | 10 | step of the right wrist 2 | -1 | 1 | right/wrist_2_joint | hinge | share of 0.048 (rad) |
+    | 11 | step of the right wrist 3 | -1 | 1 | right/wrist_3_joint | hinge | share of 0.048 (rad) |
+
+    ## Observation Space
+
+    The observation space is a `Box(low, high, (68,), float64)` with the bounds of the table: 34 numbers of the left
+    arm, then the same 34 of the right arm. It holds only what a real cell can measure. Poses are in the arm's own `base` frame, the one in which
+    UR's controller reports its TCP; quaternions are (w, x, y, z).
+
+    | Num | Observation | Min | Max | Name (in XML file) | Type (Unit) |
+    |-----|-------------|-----|-----|--------------------|-------------|
+    | 0-5 | joint positions of the left arm | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
+    | 6-11 | joint speeds of the left arm | -10 | 10 | left/shoulder_pan_joint ... left/wrist_3_joint | speed (rad/s) |
+    | 12-17 | commanded joint positions of the left arm | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
+    | 18-20 | position of the left flange | -2 | 2 | left/flange | position (m) |
+    | 21-24 | orientation of the left flange | -1.01 | 1.01 | left/flange | quaternion |
+    | 25-27 | reference of the left flange now | -10 | 10 | - | position (m) |
+    | 28-30 | reference of the left flange at the end of the next action's motion | -10 | 10 | - | position (m) |
+    | 31-33 | turn from the left flange to its reference, rotation vector for small turns | -2.01 | 2.01 | - | angle (rad) |
+    | 34-39 | joint positions of the right arm | -6.5 | 6.5 | right/shoulder_pan_joint ... right/wrist_3_joint | angle (rad) |
+    | 40-45 | joint speeds of the right arm | -10 | 10 | right/shoulder_pan_joint ... right/wrist_3_joint | speed (rad/s) |
+    | 46-51 | commanded joint positions of the right arm | -6.5 | 6.5 | right/shoulder_pan_joint ... right/wrist_3_joint | angle (rad) |
+    | 52-54 | position of the right flange | -2 | 2 | right/flange | position (m) |
+    | 55-58 | orientation of the right flange | -1.01 | 1.01 | right/flange | quaternion |
+    | 59-61 | reference of the right flange now | -10 | 10 | - | position (m) |
+    | 62-64 | reference of the right flange at the end of the next action's motion | -10 | 10 | - | position (m) |
+    | 65-67 | turn from the right flange to its reference, rotation vector for small turns | -2.01 | 2.01 | - | angle (rad) |
+
+    ## Rewards
+
+    The reward is the weighted sum of terms between 0 and 1; each raw term is in `info` as `reward/<term>`.
+
+    - *position* (0.6): mean over the arms of 0.1^((flange error / 10 mm)²).
+    - *orientation* (0.2): mean over the arms of 0.1^((turn / 0.02 rad)²).
+    - *synchrony* (0.2): 0.1^((error of the vector from flange to flange / 5 mm)²), which one arm alone cannot earn.
+
+    `info["is_success"]` is true at the end of an episode in which both arms kept `success_rms_m`, as root mean square
+    over all steps; `info["flange_rms_m"]` is each arm's so far.
+
+    ## Starting State
+
+    Both arms at rest with their flanges at the centres of the sine. With `randomize`, the phase is drawn uniformly
+    from the circle, and both centres are shifted by the same vector, uniform within ±0.05 m along each axis.
+
+    ## Episode End
+
+    ### Termination
+
+    The safety gate refused a motion (`info["safety"]` says why), or the physics diverged (`info["physics_error"]`).
+
+    ### Truncation
+
+    After `duration_s`, 750 steps with the defaults. No time limit is registered, because the path itself ends.
+
+    ## Arguments
+
+    | Parameter | Type | Default | Description |
+    |-----------|------|---------|-------------|
+    | `axis` | str or 3 numbers | `"y"` | direction of the sine in the cell frame; "y" is the line between the flanges |
+    | `amplitude_m` | float | `0.1` | amplitude (m) |
+    | `frequency_hz` | float | `0.5` | frequency (Hz) |
+    | `duration_s` | float | `30.0` | length of an episode (s) |
+    | `soft_start_s` | float | `2.0` | time in which the amplitude grows to its value (s) |
+    | `phase_rad` | float | `0.0` | phase, if not randomised (rad) |
+    | `center_m` | 2 positions | `((0, 0.6, 0.4), (0, -0.6, 0.4))` | centre of each flange's sine in the cell frame (m) |
+    | `randomize` | bool | `True` | draw phase and centre at every reset |
+    | `arms` | str | `"both"` | "both", "left" or "right": an arm that does not track holds its centre |
+    | `success_rms_m` | float | `0.003` | largest root mean square error of a success (m) |
+
+    Those of every environment are described in `dual_ur10.envs.api.dual_arm_env.DualArmEnv`.
+
+    ## Version History
+
+    - v0: first version.
+    """
+
+    name: ClassVar[str] = "SineTracking"
+    limits: MotionLimits = MotionLimits(
+        speed_rad_s=(1.2,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.5
+    )
+    weights: ClassVar[dict[str, float]] = {"position": 0.6, "orientation": 0.2, "synchrony": 0.2}
+    settings_type: ClassVar[type[SineSettings]] = SineSettings
+
+    def __init__(self, settings: SineSettings, cell: CellConfig, timing: Timing, n: int) -> None:
+        super().__init__(settings, cell, timing, n)
+        arm = np.repeat([6.5, 10.0, 6.5, 2.0, 1.01, 10.0, 10.0, 2.01], [6, 6, 6, 3, 4, 3, 3, 3])
+        self.observation_bound = np.tile(arm, 2)
+        mounts = (cell.left, cell.right)
+        check_path(settings, cell.measured_scene, self.limits, cell.minimum_clearance_m, cell.uncertainty)
+        frames = Frames(mounts)
+        self._base_m, self._to_base = frames.base_m, frames.rotation
+        # Pose of the other flange in each arm's `base`, (14,), from the numbers of both arms.
+        others = np.zeros((2, 34, 2, 7))
+        others[1, 18:25, 0], others[0, 18:25, 1] = frames.others_pose[0, :7], frames.others_pose[1, :7]
+        self._others = others.reshape(68, 14), frames.others_pose[:, 7].reshape(14)
+        self.agent_bound = np.stack([np.append(arm, [5.0] * 3 + [1.01] * 4)] * 2)
+        along_base = (self._to_base @ settings.direction) * settings.tracking[:, None]
+        # What follows the sine: the reference in `base` now and ahead, and in the cell frame now.
+        self._along = np.stack([along_base, along_base, settings.direction * settings.tracking[:, None]])
+        # Quaternion of the turn from flange to reference = this matrix times the flange's quaternion.
+        unit = np.eye(4)
+        columns = [quat_multiply(TOOL_DOWN_QUAT, quat_conjugate(unit[k])) for k in range(4)]
+        self._turn: Array = np.ascontiguousarray(np.array(columns))
+        self._steps = max(1, math.ceil(settings.duration_s / timing.period_s - 1e-9))
+        self._center: Array = np.zeros((n, 3, 2, 3))
+        self._when = np.array([0.0, timing.ahead_s, 0.0])
+        self._phase: Array = np.zeros((n, 1))
+        self._squares: Array = np.zeros((n, 2))
+        self._count = np.zeros(n, dtype=np.int64)
+
+    def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
+        """Draw phase and centre. The postures have the flanges at the centres."""
+        settings = self.settings
+        for row, rng in zip(rows.tolist(), rngs, strict=True):
+            shift, phase = np.zeros(3), settings.phase_rad
+            if settings.randomize:
+                shift, phase = rng.uniform(-CENTER_RANGE_M, CENTER_RANGE_M, 3), rng.uniform(-np.pi, np.pi)
+            world = np.asarray(settings.center_m) + shift
+            self._center[row, :2] = (self._to_base @ (world - self._base_m)[..., None])[..., 0]
+            self._center[row, 2] = world
+            self._phase[row] = phase
+        self._squares[rows] = 0.0
+        self._count[rows] = 0
+        down = quat_to_matrix(TOOL_DOWN_QUAT)
+        postures = [
+            nearest(self._center[rows, 0, arm], np.broadcast_to(down, (len(rows), 3, 3)), HOME_Q_RAD[arm], mount.dh)
+            for arm, mount in enumerate((self.cell.left, self.cell.right))
+        ]
+        return Start(np.stack(postures, axis=1))
+
+    def measure(self, state: CellState) -> SineMeasured:
+        """Reference and errors of all cells."""
+        displacement = self.settings.displacement_m(state.time_s[:, None] + self._when, self._phase)
+        references = self._center + displacement[..., None, None] * self._along
+        reference = references[:, 2]
+        turn = state.flange_base_quat @ self._turn
+        turn *= np.copysign(2.0, turn[..., :1])
+        return SineMeasured(
+            references[:, 0],
+            references[:, 1],
+            turn[..., 1:],
+            reference,
+            reference - state.flange_m,
+        )
+
+    def observe(self, state: CellState, measured: SineMeasured, commanded_q_rad: Array) -> Array:
+        """Observations, (n, 68)."""
+        parts = (
+            state.q_rad,
+            state.qd_rad_s,
+            commanded_q_rad,
+            state.flange_base_m,
+            state.flange_base_quat,
+            measured.reference_base_m,
+            measured.ahead_base_m,
+            measured.turn,
+        )
+        return np.concatenate(parts, axis=2).reshape(self.n, -1)
+
+    def observe_agents(self, observation: Array) -> Array:
+        """Each agent's own observation, (n, 2, 41): its 34 numbers, and the pose of the other flange in its frame."""
+        result = np.empty((self.n, 2, 41))
+        result[..., :34] = observation.reshape(self.n, 2, 34)
+        others = observation[:, None] @ self._others[0] + self._others[1]
+        result[..., 34:] = others.reshape(self.n, 2, 7)
+        return result
+
+    def evaluate(self, state: CellState, measured: SineMeasured) -> Outcome:
+        """Reward terms, and success at the end."""
+        error = measured.error_m
+        vectors = np.concatenate([error, measured.turn, error[:, :1] - error[:, 1:]], axis=1)
+        squares = np.add.reduce(vectors * vectors, axis=2)
+        sizes = np.sqrt(squares)
+        terms = gaussian(sizes, _MARGINS)[:, _TERMS]
+        self._squares += squares[:, :2]
+        self._count += 1
+        over = self._count >= self._steps
+        success = over.copy()
+        if np.logical_or.reduce(over):
+            success = over & (self._squares.max(axis=1) <= self.settings.success_rms_m**2 * self._count)
+        info = {
+            "flange_error_m": sizes[:, :2],
+            "flange_rms_m": np.sqrt(self._squares / self._count[:, None]),
+            "orientation_error_rad": sizes[:, 2:4],
+            "reference_m": measured.reference_m,
+        }
+        return Outcome(terms, success, over, info)

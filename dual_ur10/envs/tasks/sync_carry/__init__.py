@@ -1,0 +1,1 @@
+"""Synchronised carry: both arms carry one bar along a path."""

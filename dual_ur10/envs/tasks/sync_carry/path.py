@@ -1,0 +1,114 @@
+"""The way of the carried bar: where its centre is and how it is turned, at any time."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from dual_ur10.envs.tasks.poses import Poses
+from dual_ur10.kinematics.rotations import quat_multiply
+from dual_ur10.types import Array
+
+_X, _Y, _Z, _ROLL, _PITCH, _YAW = range(6)
+
+_LIFT_M: Final = 0.25
+_DEGREE: Final = math.pi / 180
+
+# From, to (s), which number of the pose, by how much (m, rad). Overlapping moves add up, so that nothing stops between
+# them. Roll tilts the bar's ends against each other, pitch turns it about its own length. The longer path turns more
+# slowly and ends with all of it at once.
+MOVES: Final = {
+    30.0: (
+        (0.0, 3.0, _Z, _LIFT_M),
+        (2.0, 4.0, _Y, 0.12),
+        (4.0, 6.0, _Y, -0.24),
+        (6.0, 8.0, _Y, 0.12),
+        (7.5, 9.5, _X, 0.08),
+        (9.5, 11.5, _X, -0.16),
+        (11.5, 13.5, _X, 0.08),
+        (12.0, 15.0, _YAW, 20 * _DEGREE),
+        (15.0, 18.5, _YAW, -40 * _DEGREE),
+        (18.5, 21.5, _YAW, 20 * _DEGREE),
+        (20.5, 22.5, _ROLL, 10 * _DEGREE),
+        (22.5, 25.0, _ROLL, -20 * _DEGREE),
+        (25.0, 27.0, _ROLL, 10 * _DEGREE),
+        (21.5, 23.5, _PITCH, 15 * _DEGREE),
+        (23.5, 26.0, _PITCH, -30 * _DEGREE),
+        (26.0, 28.0, _PITCH, 15 * _DEGREE),
+        (26.5, 30.0, _Z, -_LIFT_M),
+    ),
+    60.0: (
+        (0.0, 4.0, _Z, _LIFT_M),
+        (3.0, 5.0, _Y, 0.12),
+        (5.0, 7.0, _Y, -0.24),
+        (7.0, 9.0, _Y, 0.12),
+        (8.5, 10.5, _X, 0.08),
+        (10.5, 12.5, _X, -0.16),
+        (12.5, 14.5, _X, 0.08),
+        (13.0, 18.0, _YAW, 20 * _DEGREE),
+        (18.0, 27.0, _YAW, -40 * _DEGREE),
+        (27.0, 32.0, _YAW, 20 * _DEGREE),
+        (31.0, 34.0, _ROLL, 10 * _DEGREE),
+        (34.0, 38.0, _ROLL, -20 * _DEGREE),
+        (38.0, 41.0, _ROLL, 10 * _DEGREE),
+        (33.0, 36.0, _PITCH, 15 * _DEGREE),
+        (36.0, 40.0, _PITCH, -30 * _DEGREE),
+        (40.0, 43.0, _PITCH, 15 * _DEGREE),
+        (42.0, 45.0, _Y, 0.08),
+        (45.0, 49.0, _Y, -0.16),
+        (49.0, 52.0, _Y, 0.08),
+        (42.0, 46.0, _YAW, -8 * _DEGREE),
+        (46.0, 52.0, _YAW, 16 * _DEGREE),
+        (52.0, 56.0, _YAW, -8 * _DEGREE),
+        (43.0, 46.0, _X, 0.06),
+        (46.0, 50.0, _X, -0.12),
+        (50.0, 53.0, _X, 0.06),
+        (44.0, 47.0, _ROLL, -6 * _DEGREE),
+        (47.0, 51.0, _ROLL, 12 * _DEGREE),
+        (51.0, 54.0, _ROLL, -6 * _DEGREE),
+        (45.0, 48.0, _PITCH, -10 * _DEGREE),
+        (48.0, 52.0, _PITCH, 20 * _DEGREE),
+        (52.0, 55.0, _PITCH, -10 * _DEGREE),
+        (46.0, 49.0, _Z, 0.08),
+        (50.0, 53.0, _Z, -0.08),
+        (56.0, 60.0, _Z, -_LIFT_M),
+    ),
+}
+"""Moves of the paths by their length in s."""
+
+
+class CarryPath:
+    """Lift, sideways, forward, yaw, roll, pitch, and down: twice continuously differentiable, by minimum jerk moves.
+
+    Args:
+        duration_s: A key of `MOVES`.
+    """
+
+    def __init__(self, duration_s: float) -> None:
+        moves = MOVES[duration_s]
+        self.duration_s = duration_s
+        self._begin = np.array([move[0] for move in moves])
+        self._length = np.array([move[1] for move in moves]) - self._begin
+        self._change = np.zeros((len(moves), 6))
+        for row, (_, _, number, change) in enumerate(moves):
+            self._change[row, number] = change
+
+    def __call__(self, time_s: Array, start: Poses) -> Poses:
+        """Poses at times on the path, (n, k); before 0 the start, after the end where it was lowered.
+
+        Args:
+            time_s: (n, k).
+            start: Poses of the bar before it is lifted, (n, 3) and (n, 4); turned about the vertical only.
+        """
+        share = np.clip((time_s[..., None] - self._begin) / self._length, 0.0, 1.0)
+        change = (share * share * share * (10.0 + share * (6.0 * share - 15.0))) @ self._change
+        half = change[..., 3:] / 2
+        cosine, sine = np.cos(half), np.sin(half)
+        turns = [np.zeros((*time_s.shape, 4)) for _ in range(3)]
+        for axis, turn in enumerate(turns):
+            turn[..., 0], turn[..., 1 + axis] = cosine[..., axis], sine[..., axis]
+        roll, pitch, yaw = turns
+        turned = quat_multiply(quat_multiply(quat_multiply(start.quat[:, None], yaw), roll), pitch)
+        return Poses(start.position_m[:, None] + change[..., :3], turned)

@@ -1,0 +1,131 @@
+"""What may be set of `SyncCarry`, and how fast two arms can do it."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from functools import lru_cache
+from typing import Literal, get_args
+
+import numpy as np
+
+from dual_ur10.assets.props import BAR_WIDTH_M, GRIP_DISTANCE_M, GRIP_QUAT
+from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
+from dual_ur10.envs.tasks.holding import flanges_of
+from dual_ur10.envs.tasks.poses import Poses, after, yawed
+from dual_ur10.envs.tasks.sync_carry.path import MOVES, CarryPath
+from dual_ur10.envs.tasks.task import check_numbers
+from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError
+from dual_ur10.kinematics import try_nearest
+from dual_ur10.kinematics.forward import tips
+from dual_ur10.kinematics.frames import Frames
+from dual_ur10.kinematics.rotations import quat_conjugate, quat_to_matrix, rotate
+from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.sim2real.control.limits import MotionLimits
+from dual_ur10.types import Array
+
+Grasp = Literal["friction", "rigid"]
+Payload = Literal["known", "unknown"]
+
+_ROOM = 0.85  # share of a speed limit that the path may need: correcting an error takes the rest
+_STEP_S = 0.1
+
+FRICTION_HEIGHT_M = 0.003
+"""How far above the bar's middle the fingers' middle grips, so that their tips stay off the table."""
+
+
+@dataclasses.dataclass(frozen=True)
+class CarrySettings:
+    """What may be set of `SyncCarry`. See there.
+
+    Raises:
+        SettingsError: A value is not legal.
+    """
+
+    duration_s: float = 30.0
+    grasp: Grasp = "friction"
+    payload: Payload = "known"
+    grip_force_n: float = 100.0
+    object_range_m: float = 0.02
+    object_turn_rad: float = 0.05
+    success_error_m: float = 0.01
+    success_turn_rad: float = 0.05
+    success_slip_m: float = 0.005
+
+    def __post_init__(self) -> None:
+        for name, choices in (("grasp", get_args(Grasp)), ("payload", get_args(Payload))):
+            if getattr(self, name) not in choices:
+                raise UnknownNameError(name, str(getattr(self, name)), choices)
+        if self.duration_s not in MOVES:
+            raise SettingsError(f"duration_s is {self.duration_s!r}: the path has {' or '.join(map(str, MOVES))} s")
+        check_numbers(
+            self,
+            ("object_range_m", 0.0, 0.3),
+            ("object_turn_rad", 0.0, 1.0),
+            ("success_error_m", 1e-6, 1.0),
+            ("success_turn_rad", 1e-6, 3.2),
+            ("success_slip_m", 1e-6, 1.0),
+        )
+
+    @property
+    def rigid(self) -> bool:
+        """Whether the bar is welded to the grippers from the start."""
+        return self.grasp == "rigid"
+
+    @property
+    def grip(self) -> Poses:
+        """Poses of both tools in the frame of the bar that they grip, (2, 3) and (2, 4)."""
+        height = 0.0 if self.rigid else FRICTION_HEIGHT_M
+        position = [[0.0, sign * GRIP_DISTANCE_M / 2, height] for sign in (1, -1)]
+        return Poses(np.array(position), np.array([GRIP_QUAT, GRIP_QUAT]))
+
+
+@lru_cache(maxsize=64)
+def path_rate(settings: CarrySettings, scene: SceneSettings, limits: MotionLimits) -> float:
+    """How fast the clock of the path may run, at most 1, for every bar that an episode may draw.
+
+    Raises:
+        WorkspaceError: The path leaves an arm's workspace, with the bar where `object_range_m` may put it.
+    """
+    path, frames = CarryPath(settings.duration_s), Frames(scene.mounts)
+    reach, turn = settings.object_range_m, settings.object_turn_rad
+    starts = [(x, y, yaw) for x, y in itertools.product((-reach, reach), repeat=2) for yaw in (-turn, turn)]
+    times = np.arange(0.0, path.duration_s + _STEP_S, _STEP_S)
+    start = bar_pose(np.array(starts))
+    bars = path(np.broadcast_to(times, (len(starts), len(times))), start)
+    tools = after(Poses(bars.position_m[:, :, None], bars.quat[:, :, None]), settings.grip)
+    flanges = flanges_of(tools)
+    position, quat = frames.position_to_base(flanges.position_m), frames.quat_to_base(flanges.quat)
+    rotation = quat_to_matrix(quat)
+    q = np.empty((len(starts), len(times), 2, 6))
+    for arm, mount in enumerate(scene.mounts):
+        near = np.broadcast_to(HOME_Q_RAD[arm], (len(starts), 6))
+        for k in range(len(times)):
+            near, reached = try_nearest(position[:, k, arm], rotation[:, k, arm], near, mount.dh)
+            if not reached.all():
+                x, y, yaw = starts[int(np.flatnonzero(~reached)[0])]
+                raise WorkspaceError(
+                    f"the {ARMS[arm]} arm cannot reach the bar {times[k]:.1f} s after it is lifted, if the bar begins "
+                    f"at ({x:g}, {y:g}) m, turned by {yaw:g} rad: choose a smaller object_range_m or object_turn_rad, "
+                    "or move the base"
+                )
+            q[:, k, arm] = near
+    speeds = np.abs(np.diff(q, axis=1)).max(axis=(0, 1, 2)) / _STEP_S
+    points = tips(q, limits.tcp_m)
+    tip = np.sqrt((np.diff(points, axis=1) ** 2).sum(axis=-1)).max() / _STEP_S
+    needed = max(float((speeds / limits.speed_rad_s).max()), float(tip) / limits.tcp_speed_m_s)
+    return min(1.0, _ROOM / needed)
+
+
+def bar_pose(where: Array) -> Poses:
+    """Bars that lie on the table, (n, 3) and (n, 4), from x, y (m) and yaw (rad), (n, 3)."""
+    n = len(where)
+    position = np.zeros((n, 3))
+    position[:, :2], position[:, 2] = where[:, :2], BAR_WIDTH_M / 2
+    return Poses(position, yawed(where[:, 2]))
+
+
+def ideal_relative(grip: Poses) -> Poses:
+    """Pose of the right flange in the left flange's frame while both grip the bar as they should, (3,) and (4,)."""
+    back = quat_conjugate(grip.quat[0])
+    return Poses(rotate(back, grip.position_m[1] - grip.position_m[0]), np.array([1.0, 0.0, 0.0, 0.0]))

@@ -1,0 +1,379 @@
+"""SyncCarry: both arms take a bar, carry it along a path, and put it down."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from dual_ur10.assets.gripper import OPENING_M
+from dual_ur10.assets.props import BAR_MASS_KG, BAR_WIDTH_M
+from dual_ur10.assets.scene import HOME_Q_RAD, Equipment
+from dual_ur10.envs.tasks.holding import PICKING, flanges_of, given, holds, tools
+from dual_ur10.envs.tasks.poses import Poses, after, angle, length, seen_from
+from dual_ur10.envs.tasks.sync_carry.path import CarryPath
+from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings, bar_pose, ideal_relative, path_rate
+from dual_ur10.envs.tasks.task import Furnishing, Outcome, Task, Timing, gaussian
+from dual_ur10.kinematics import nearest
+from dual_ur10.kinematics.frames import Frames
+from dual_ur10.kinematics.rotations import quat_to_matrix, rotate
+from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
+from dual_ur10.sim2real.control.limits import MotionLimits
+from dual_ur10.types import Array, Mask, Rows
+
+APPROACH_M = 0.10
+"""Height of the open grippers above the bar's nominal place when an episode begins."""
+
+_GRASP_S = {True: 1.5, False: 5.0}  # time before the path begins: rigid, friction
+_SETTLE_S = 1.0  # time after it
+_LOAD_S = 1.0  # in which the controllers are told of the load before it is lifted, and after it is put down
+_LOST_M = 0.15  # a bar so far from its reference will not come back
+_SHARE = 0.25  # of the load that each arm must carry
+
+# Distance at which a term is 0.1: tool to grip, bar to its reference, its turn, relative pose, squeeze.
+_REACH_M, _BAR_M, _TURN_RAD, _RELATIVE_M, _SQUEEZE_N = 0.15, 0.03, 0.1, 0.005, 30.0
+
+
+class CarryMeasured(NamedTuple):
+    """Poses and forces at one instant. Positions in the cell frame where nothing else is said.
+
+    Attributes:
+        clock_s: (n,) time on the path, negative before it begins.
+        references: Poses of the bar as it should be now and when the motion of the next action ends, (n, 2, ...).
+        bar: Pose of the bar, (n, 1, ...).
+        relative: Pose of the other flange in each flange's frame, (n, 2, ...).
+        grip_in_tool: Where each grip of the bar is in its tool's frame, (n, 2, ...).
+        holding: (n, 2) whether each gripper holds it.
+        force_n: (n, 2, 3) force of the bar on each gripper.
+    """
+
+    clock_s: Array
+    references: Poses
+    bar: Poses
+    relative: Poses
+    grip_in_tool: Poses
+    holding: Mask
+    force_n: Array
+
+
+class SyncCarry(Task[CarrySettings, CarryMeasured]):
+    """Both arms take a bar by its ends, carry it along a path and put it down, together.
+
+    ## Description
+
+    A bar of 1.2 m and 4 kg lies on the table. Its reference is a pose of the bar: it is lifted by 0.25 m, moved
+    sideways and forward, turned about the vertical (±20°), tilted (±10°), turned about its length (±15°) and lowered.
+    The largest speed is 0.225 m/s. Both flanges must keep their distance and angle while they move on different curves:
+    what they do against each other squeezes the bar or pulls it out of the fingers.
+
+    The path begins 5 s after the episode does, so that there is time to grasp; with `grasp="rigid"` the grippers are
+    welded to the bar from the start and the path begins after 1.5 s. If the cell's speed limits are too tight for the
+    path, its clock runs slower, for both arms.
+
+    ## Action Space
+
+    The action space is a `Box(-1.0, 1.0, (14,), float32)` with the default `action_mode="joint_delta"`: steps of the
+    six joints of an arm from the last command, in shares of the speed limit (1 rad/s) times the period (40 ms), and the
+    opening of its gripper. With `grasp="rigid"` there are no openings: `Box(-1.0, 1.0, (12,), float32)`.
+
+    | Num | Action | Control Min | Control Max | Name (in XML file) | Joint | Type (Unit) |
+    |-----|--------|-------------|-------------|--------------------|-------|-------------|
+    | 0 | step of the left shoulder pan | -1 | 1 | left/shoulder_pan_joint | hinge | share of 0.040 (rad) |
+    | 1 | step of the left shoulder lift | -1 | 1 | left/shoulder_lift_joint | hinge | share of 0.040 (rad) |
+    | 2 | step of the left elbow | -1 | 1 | left/elbow_joint | hinge | share of 0.040 (rad) |
+    | 3 | step of the left wrist 1 | -1 | 1 | left/wrist_1_joint | hinge | share of 0.040 (rad) |
+    | 4 | step of the left wrist 2 | -1 | 1 | left/wrist_2_joint | hinge | share of 0.040 (rad) |
+    | 5 | step of the left wrist 3 | -1 | 1 | left/wrist_3_joint | hinge | share of 0.040 (rad) |
+    | 6 | opening of the left gripper | -1 | 1 | left/gripper | tendon | -1 is 0, 1 is 0.085 (m) |
+    | 7 | step of the right shoulder pan | -1 | 1 | right/shoulder_pan_joint | hinge | share of 0.040 (rad) |
+    | 8 | step of the right shoulder lift | -1 | 1 | right/shoulder_lift_joint | hinge | share of 0.040 (rad) |
+    | 9 | step of the right elbow | -1 | 1 | right/elbow_joint | hinge | share of 0.040 (rad) |
+    | 10 | step of the right wrist 1 | -1 | 1 | right/wrist_1_joint | hinge | share of 0.040 (rad) |
+    | 11 | step of the right wrist 2 | -1 | 1 | right/wrist_2_joint | hinge | share of 0.040 (rad) |
+    | 12 | step of the right wrist 3 | -1 | 1 | right/wrist_3_joint | hinge | share of 0.040 (rad) |
+    | 13 | opening of the right gripper | -1 | 1 | right/gripper | tendon | -1 is 0, 1 is 0.085 (m) |
+
+    ## Observation Space
+
+    The observation space is a `Box(low, high, (124,), float64)` with the bounds of the table: 62 numbers of the left
+    arm, then the same 62 of the right arm. It holds only what a real cell can measure. Poses, forces and torques are in
+    the arm's own `base` frame if nothing else is said; quaternions are (w, x, y, z). The gripper's own weight is taken
+    off the force; it has the noise that `CellConfig.wrench_noise` says. With `grasp="rigid"` the opening is left out:
+    61 numbers per arm.
+
+    | Num | Observation | Min | Max | Name (in XML file) | Type (Unit) |
+    |-----|-------------|-----|-----|--------------------|-------------|
+    | 0-5 | joint positions of the left arm | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
+    | 6-11 | joint speeds of the left arm | -10 | 10 | left/shoulder_pan_joint ... left/wrist_3_joint | speed (rad/s) |
+    | 12-17 | commanded joint positions of the left arm | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
+    | 18-20 | position of the left flange | -2 | 2 | left/flange | position (m) |
+    | 21-24 | orientation of the left flange | -1.01 | 1.01 | left/flange | quaternion |
+    | 25 | opening of the left gripper | -0.1 | 0.1 | left/finger_1_joint ... left/finger_2_joint | position (m) |
+    | 26-28 | force of the bar on the left gripper | -2000 | 2000 | left/wrench | force (N) |
+    | 29-31 | torque of the bar on the left gripper about the flange | -2000 | 2000 | left/wrench | torque (N·m) |
+    | 32-34 | position of the bar | -10 | 10 | bar | position (m) |
+    | 35-38 | orientation of the bar | -1.01 | 1.01 | bar | quaternion |
+    | 39-41 | reference of the bar now | -10 | 10 | - | position (m) |
+    | 42-45 | reference of its orientation now | -1.01 | 1.01 | - | quaternion |
+    | 46-48 | reference of the bar at the end of the next action's motion | -10 | 10 | - | position (m) |
+    | 49-52 | reference of its orientation then | -1.01 | 1.01 | - | quaternion |
+    | 53-55 | position of the right flange in the frame of the left one | -5 | 5 | right/flange | position (m) |
+    | 56-59 | orientation of the right flange in the frame of the left one | -1.01 | 1.01 | right/flange | quaternion |
+    | 60 | time on the path, until it begins | -10 | 10 | - | time (s) |
+    | 61 | share of the path that is behind | -1.01 | 1.01 | - | share |
+    | 62-67 | joint positions of the right arm | -6.5 | 6.5 | right/shoulder_pan_joint ... right/wrist_3_joint | angle (rad) |
+    | 68-73 | joint speeds of the right arm | -10 | 10 | right/shoulder_pan_joint ... right/wrist_3_joint | speed (rad/s) |
+    | 74-79 | commanded joint positions of the right arm | -6.5 | 6.5 | right/shoulder_pan_joint ... right/wrist_3_joint | angle (rad) |
+    | 80-82 | position of the right flange | -2 | 2 | right/flange | position (m) |
+    | 83-86 | orientation of the right flange | -1.01 | 1.01 | right/flange | quaternion |
+    | 87 | opening of the right gripper | -0.1 | 0.1 | right/finger_1_joint ... right/finger_2_joint | position (m) |
+    | 88-90 | force of the bar on the right gripper | -2000 | 2000 | right/wrench | force (N) |
+    | 91-93 | torque of the bar on the right gripper about the flange | -2000 | 2000 | right/wrench | torque (N·m) |
+    | 94-96 | position of the bar | -10 | 10 | bar | position (m) |
+    | 97-100 | orientation of the bar | -1.01 | 1.01 | bar | quaternion |
+    | 101-103 | reference of the bar now | -10 | 10 | - | position (m) |
+    | 104-107 | reference of its orientation now | -1.01 | 1.01 | - | quaternion |
+    | 108-110 | reference of the bar at the end of the next action's motion | -10 | 10 | - | position (m) |
+    | 111-114 | reference of its orientation then | -1.01 | 1.01 | - | quaternion |
+    | 115-117 | position of the left flange in the frame of the right one | -5 | 5 | left/flange | position (m) |
+    | 118-121 | orientation of the left flange in the frame of the right one | -1.01 | 1.01 | left/flange | quaternion |
+    | 122 | time on the path, until it begins | -10 | 10 | - | time (s) |
+    | 123 | share of the path that is behind | -1.01 | 1.01 | - | share |
+
+    ## Rewards
+
+    The reward is the weighted sum of terms between 0 and 1, each the mean over the arms; each raw term is in `info` as
+    `reward/<term>`. What is said of the bar counts only while both grippers hold it.
+
+    - *reach* (0.1): 0.1^((distance from tool to grip / 0.15 m)²), or 1 once the gripper holds the bar.
+    - *grasp* (0.2): 1 if the gripper holds the bar.
+    - *position* (0.3): 0.1^((distance of the bar to its reference / 30 mm)²).
+    - *orientation* (0.1): 0.1^((turn of the bar from its reference / 0.1 rad)²).
+    - *synchrony* (0.2): 0.1^((error of the position of one flange in the frame of the other / 5 mm)²).
+    - *squeeze* (0.1): 0.1^((force by which the arms press against each other / 30 N)²).
+
+    `info` also holds, each without noise: `slip_m` (2,) how far each grip has moved in its gripper since the path
+    began; `squeeze_n` half the difference of the forces on both grippers along the bar, positive if the arms press
+    towards each other; `lateral_n` the same across the bar; `load_share` (2,) of the load; `relative_error_m` and
+    `relative_error_rad` of the right flange in the left one's frame; `object_error_m` and `object_error_rad` of the bar
+    to its reference; `object_m` (3,); `clock_s` on the path, negative before it begins.
+
+    `info["is_success"]` is true at the end of an episode in which the bar kept to its path, in position and angle, as
+    root mean square and at the end, where it lies on the table again; slipped in no gripper by more than is allowed; is
+    held by both; and in which each arm carried at least a quarter of the load on average, which one arm alone cannot
+    bring about.
+
+    ## Starting State
+
+    The bar lies at (0, 0) along the cell's y, shifted by up to `object_range_m` along x and y and turned by up to
+    `object_turn_rad`. The arms are at rest, with open grippers 0.1 m above the bar's nominal grips, or on the grips.
+
+    ## Episode End
+
+    ### Termination
+
+    The bar is more than 0.15 m away from its reference, the safety gate refused a motion (`info["safety"]` says why),
+    or the physics diverged (`info["physics_error"]`).
+
+    ### Truncation
+
+    One second after the end of the path: 900 steps with the defaults. No time limit is registered, because the path
+    itself ends.
+
+    ## Arguments
+
+    | Parameter | Type | Default | Description |
+    |-----------|------|---------|-------------|
+    | `duration_s` | float | `30.0` | length of the path: 30 or 60 (s) |
+    | `grasp` | str | `"friction"` | "friction", or "rigid": welded to the bar |
+    | `payload` | str | `"known"` | "known": the controllers are told what each arm carries; or "unknown" |
+    | `grip_force_n` | float | `100.0` | force of each finger, 20 to 235 (N) |
+    | `object_range_m` | float | `0.02` | where the bar begins, ± along x and y (m) |
+    | `object_turn_rad` | float | `0.05` | how it is turned when it begins, ± (rad) |
+    | `success_error_m` | float | `0.01` | largest root mean square distance of the bar to its path of a success (m) |
+    | `success_turn_rad` | float | `0.05` | largest root mean square angle of the bar from its path of a success (rad) |
+    | `success_slip_m` | float | `0.005` | largest slip of a success (m) |
+
+    Those of every environment are described in `dual_ur10.envs.core.options.EnvOptions`.
+
+    ## Version History
+
+    - v0: first version.
+    """
+
+    name: ClassVar[str] = "SyncCarry"
+    coupled: ClassVar[bool] = True
+    limits: MotionLimits = MotionLimits(
+        speed_rad_s=(1.0,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.0
+    )
+    weights: ClassVar[dict[str, float]] = {
+        "reach": 0.1,
+        "grasp": 0.2,
+        "position": 0.3,
+        "orientation": 0.1,
+        "synchrony": 0.2,
+        "squeeze": 0.1,
+    }
+    settings_type: ClassVar[type[CarrySettings]] = CarrySettings
+
+    def __init__(self, settings: CarrySettings, cell: CellConfig, timing: Timing, n: int) -> None:
+        super().__init__(settings, cell, timing, n)
+        self._frames = Frames((cell.left, cell.right))
+        self._path = CarryPath(settings.duration_s)
+        self._rate = path_rate(settings, cell.scene, self.limits)
+        self._grip, self._ideal = settings.grip, ideal_relative(settings.grip)
+        self._grasp_s = _GRASP_S[settings.rigid] / self._rate
+        self.duration_s = self._grasp_s + settings.duration_s / self._rate + _SETTLE_S
+        self._steps = math.ceil(self.duration_s / timing.period_s - 1e-9)
+        gripper = [] if settings.rigid else [0.1]
+        arm = [6.5] * 6 + [10.0] * 6 + [6.5] * 6 + [2.0] * 3 + [1.01] * 4 + gripper + [2e3] * 3 + [2e3] * 3
+        arm += ([10.0] * 3 + [1.01] * 4) * 3 + [5.0] * 3 + [1.01] * 4 + [10.0, 1.01]
+        self.agent_bound = np.tile(np.array(arm), (2, 1))
+        self.observation_bound = self.agent_bound.reshape(-1)
+        self._bar = Poses(np.zeros((n, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)))
+        self._when = np.array([0.0, timing.ahead_s])
+        self._count = np.zeros(n, dtype=np.int64)
+        self._declared: Array = np.zeros((n, 2))
+        self._load: Array = np.zeros((n, 2))
+        # Of the episode so far, since the bar is lifted.
+        self._slip_from: Array = np.zeros((n, 2, 3))
+        self._worst_slip: Array = np.zeros(n)
+        self._squares: Array = np.zeros((2, n))
+        self._carried: Array = np.zeros((n, 2))
+
+    @classmethod
+    def furnishing(cls, settings: CarrySettings) -> Furnishing:
+        """Two grippers and the bar. A friction grip needs a physics step of 1 ms."""
+        equipment = Equipment(grippers=True, prop="bar", welded=settings.rigid, grip_force_n=settings.grip_force_n)
+        return Furnishing(equipment, 0.002 if settings.rigid else 0.001, "compliant", PICKING)
+
+    def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
+        """Draw where the bar lies. The grippers are open above its nominal place, or hold it if they are welded."""
+        settings = self.settings
+        reach = np.array([settings.object_range_m] * 2 + [settings.object_turn_rad])
+        where = np.array([rng.uniform(-reach, reach) for rng in rngs]).reshape(len(rows), 3)
+        bar = bar_pose(where)
+        self._bar.position_m[rows], self._bar.quat[rows] = bar
+        at = bar if settings.rigid else bar_pose(np.zeros((len(rows), 3)))
+        tool = after(Poses(at.position_m[:, None], at.quat[:, None]), self._grip)
+        if not settings.rigid:
+            tool.position_m[..., 2] += APPROACH_M
+        flange = flanges_of(tool)
+        position, quat = self._frames.position_to_base(flange.position_m), self._frames.quat_to_base(flange.quat)
+        postures = [
+            nearest(position[:, arm], quat_to_matrix(quat[:, arm]), HOME_Q_RAD[arm], mount.dh)
+            for arm, mount in enumerate((self.cell.left, self.cell.right))
+        ]
+        for values in (self._count, self._declared, self._load, self._worst_slip, self._carried):
+            values[rows] = 0
+        self._squares[:, rows] = 0.0
+        opening = None if settings.rigid else np.full((len(rows), 2), OPENING_M)
+        return Start(np.stack(postures, axis=1), opening, np.concatenate(bar, axis=1), None, {"object": where})
+
+    def measure(self, state: CellState) -> CarryMeasured:
+        """Poses, references and forces of all cells."""
+        clock = (state.time_s[:, None] + self._when - self._grasp_s) * self._rate
+        bar = Poses(given(state.object_m)[:, None], given(state.object_quat)[:, None])
+        tool = tools(state)
+        flange = Poses(state.flange_m, tool.quat)
+        relative = seen_from(flange, Poses(flange.position_m[:, ::-1], flange.quat[:, ::-1]))
+        grip = Poses(bar.position_m + rotate(bar.quat, self._grip.position_m), bar.quat)
+        grip_in_tool = seen_from(tool, grip)
+        if self.settings.rigid:
+            holding = np.ones((self.n, 2), dtype=bool)
+        else:
+            holding = holds(state, grip_in_tool.position_m, BAR_WIDTH_M)
+        force = self._frames.vector_to_cell(given(state.wrench)[..., :3])
+        references = self._path(clock, self._bar)
+        return CarryMeasured(clock[:, 0], references, bar, relative, grip_in_tool, holding, force)
+
+    def observe(self, state: CellState, measured: CarryMeasured, commanded_q_rad: Array) -> Array:
+        """Observations, (n, 122), or (n, 120) with a rigid grasp."""
+        frames, clock = self._frames, measured.clock_s
+        bars = [measured.bar, *(Poses(*(part[:, [k]] for part in measured.references)) for k in (0, 1))]
+        times = np.stack([np.minimum(clock, 0.0), np.clip(clock / self._path.duration_s, 0.0, 1.0)], axis=1)
+        opening = () if self.settings.rigid else (given(state.gripper_m)[..., None],)
+        parts = [state.q_rad, state.qd_rad_s, commanded_q_rad, state.flange_base_m, state.flange_base_quat, *opening]
+        parts.append(given(state.wrench))
+        both = (self.n, 2)
+        for bar in bars:
+            parts.append(frames.position_to_base(np.broadcast_to(bar.position_m, (*both, 3))))
+            parts.append(frames.quat_to_base(np.broadcast_to(bar.quat, (*both, 4))))
+        parts += [*measured.relative, np.broadcast_to(times[:, None], (*both, 2))]
+        return np.concatenate(parts, axis=2).reshape(self.n, -1)
+
+    def evaluate(self, state: CellState, measured: CarryMeasured) -> Outcome:
+        """Reward terms; success at the end."""
+        clock, grip = measured.clock_s, measured.grip_in_tool.position_m
+        now = Poses(measured.references.position_m[:, 0], measured.references.quat[:, 0])
+        error = seen_from(now, Poses(measured.bar.position_m[:, 0], measured.bar.quat[:, 0]))
+        bar_m, bar_rad = length(error.position_m), angle(error.quat)
+        relative_m = length(measured.relative.position_m[:, 0] - self._ideal.position_m)
+        relative_rad = angle(measured.relative.quat[:, 0])
+        # What both arms press against each other is half the difference of their forces, along the bar and across it.
+        along = quat_to_matrix(measured.bar.quat[:, 0])[:, :, 1]
+        inner = (measured.force_n[:, 0] - measured.force_n[:, 1]) / 2
+        squeeze = np.add.reduce(inner * along, axis=1)
+        lateral = length(inner - squeeze[:, None] * along)
+        load = np.maximum(-measured.force_n[..., 2], 0.0)
+        begun = clock > 0.0
+        self._slip_from[~begun] = grip[~begun]
+        slip = length(grip - self._slip_from)
+        self._count += 1
+        self._worst_slip = np.where(begun, np.maximum(self._worst_slip, slip.max(axis=1)), 0.0)
+        under_way = begun & (clock < self._path.duration_s)
+        self._squares += np.where(begun, np.stack([bar_m * bar_m, bar_rad * bar_rad]), 0.0)
+        self._carried += np.where(under_way[:, None], load, 0.0)
+        self._load = self._wanted_load(clock, measured.holding)
+        over = self._count >= self._steps
+        lost = begun & (bar_m > _LOST_M)
+        there = (bar_m <= self.settings.success_error_m) & (bar_rad <= self.settings.success_turn_rad)
+        success = over & ~lost & there & self._done_well(begun, measured.holding)
+        share = load / np.maximum(np.add.reduce(load, axis=1, keepdims=True), 1e-9)
+        info = {
+            "slip_m": slip,
+            "squeeze_n": squeeze,
+            "lateral_n": lateral,
+            "load_share": share,
+            "relative_error_m": relative_m,
+            "relative_error_rad": relative_rad,
+            "object_error_m": bar_m,
+            "object_error_rad": bar_rad,
+            "object_m": measured.bar.position_m[:, 0].copy(),
+            "clock_s": clock,
+        }
+        both: Mask = np.logical_and.reduce(measured.holding, axis=1)
+        shared = [gaussian(bar_m, _BAR_M), gaussian(bar_rad, _TURN_RAD), gaussian(relative_m, _RELATIVE_M)]
+        shared.append(gaussian(squeeze, _SQUEEZE_N))
+        terms = np.empty((self.n, 2, 6))
+        terms[..., 0] = np.where(measured.holding, 1.0, gaussian(length(grip), _REACH_M))
+        terms[..., 1] = measured.holding
+        terms[..., 2:] = np.where(both[:, None], np.stack(shared, axis=1), 0.0)[:, None]
+        return Outcome(terms, success, over & ~lost, info, lost)
+
+    def _done_well(self, begun: Mask, holding: Mask) -> Mask:
+        """Whether the bar kept to its path and its turns, in both grippers, each with its share of the load."""
+        steps = np.maximum(self._count - self._grasp_s / self.timing.period_s, 1.0)
+        settings = self.settings
+        carried = self._carried / np.maximum(np.add.reduce(self._carried, axis=1, keepdims=True), 1e-9)
+        result: Mask = begun & np.logical_and.reduce(holding, axis=1) & (carried.min(axis=1) >= _SHARE)
+        limits = np.array([[settings.success_error_m], [settings.success_turn_rad]])
+        result &= np.logical_and.reduce(self._squares <= limits * limits * steps, axis=0)
+        result &= self._worst_slip <= settings.success_slip_m
+        return result
+
+    def _wanted_load(self, clock: Array, holding: Mask) -> Array:
+        """(n, 2) what the controllers should know to be held: half the bar each, while it is off the table."""
+        due = (clock > -_LOAD_S) & (clock < self._path.duration_s)
+        both = np.logical_and.reduce(holding, axis=1)
+        return np.where((due & both)[:, None], np.full((1, 2), BAR_MASS_KG / 2), 0.0)
+
+    def payload_kg(self) -> Array | None:
+        """(n, 2) what the controllers are told: the load, going up and down evenly, or nothing if it is unknown."""
+        if self.settings.payload == "unknown":
+            return None
+        most = BAR_MASS_KG / 2 * self.timing.period_s / _LOAD_S
+        self._declared = self._declared + np.clip(self._load - self._declared, -most, most)
+        return self._declared

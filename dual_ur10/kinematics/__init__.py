@@ -1,0 +1,32 @@
+"""Kinematics and dynamics of one UR10: robot facts, rotations, frames, forward and inverse kinematics.
+
+All functions are batched: joint angles have shape (..., 6) and results keep the leading axes. Units are m, rad, kg, s
+and N·m. Every pose is that of the flange (UR's tool with a zero TCP; ``tool0`` in ROS) in UR's own ``base`` frame, the
+one the controller's ``getActualTCPPose`` uses. ROS' ``base_link`` is rotated by 180° about z against it: see
+[to_base_link][dual_ur10.kinematics.to_base_link].
+
+Inverse kinematics names its 8 branches by three signs, in C order of (elbow, wrist, shoulder), + first: index
+``4 * elbow + 2 * wrist + shoulder``. Elbow + is theta3 >= 0, wrist + is theta5 >= 0.
+
+The lowest room: imports only `errors` and `types`. Pinocchio is loaded at the first call of inverse dynamics.
+"""
+
+from dual_ur10.kinematics.dynamics import inverse_dynamics
+from dual_ur10.kinematics.forward import elbow_and_flange_position, flange_pose, flange_pose_quat, jacobian
+from dual_ur10.kinematics.frames import BASE_TO_BASE_LINK, BASE_TO_BASE_LINK_QUAT, quat_to_base_link, to_base_link
+from dual_ur10.kinematics.inverse import inverse, nearest, try_nearest
+
+__all__ = [
+    "BASE_TO_BASE_LINK",
+    "BASE_TO_BASE_LINK_QUAT",
+    "elbow_and_flange_position",
+    "flange_pose",
+    "flange_pose_quat",
+    "inverse",
+    "inverse_dynamics",
+    "jacobian",
+    "nearest",
+    "quat_to_base_link",
+    "to_base_link",
+    "try_nearest",
+]

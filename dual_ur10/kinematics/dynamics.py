@@ -1,0 +1,78 @@
+"""Inverse dynamics of one nominal UR10, by pinocchio."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dual_ur10.errors import SettingsError
+from dual_ur10.kinematics.forward import checked_joints, fixed_transforms
+from dual_ur10.kinematics.ur10 import LINK_COM_M, LINK_INERTIA_KG_M2, LINK_MASS_KG, NOMINAL_DH
+from dual_ur10.types import Array
+
+
+@lru_cache(maxsize=32)
+def _model(payload_kg: float, payload_com_m: tuple[float, float, float], gravity: bool) -> tuple[Any, Any, Any]:
+    """Return pinocchio's module, model and data of a nominal arm with a point mass at the flange."""
+    pin = importlib.import_module("pinocchio")  # here, because it takes longer to import than the rest of the package
+    model = pin.Model()
+    joint, placement = 0, np.eye(4)
+    for link, fixed in enumerate(fixed_transforms(NOMINAL_DH)):
+        joint = model.addJoint(joint, pin.JointModelRZ(), pin.SE3(placement), f"joint_{link + 1}")
+        xx, yy, zz, xy, xz, yz = LINK_INERTIA_KG_M2[link]
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        body = pin.Inertia(LINK_MASS_KG[link], LINK_COM_M[link], inertia)
+        model.appendBodyToJoint(joint, body, pin.SE3(fixed))
+        placement = fixed
+    if payload_kg:
+        payload = pin.Inertia(payload_kg, np.array(payload_com_m), np.zeros((3, 3)))
+        model.appendBodyToJoint(joint, payload, pin.SE3(placement))
+    if not gravity:
+        model.gravity = pin.Motion.Zero()
+    return pin, model, model.createData()
+
+
+def inverse_dynamics(
+    q_rad: ArrayLike,
+    qd_rad_s: ArrayLike,
+    qdd_rad_s2: ArrayLike,
+    payload_kg: float = 0.0,
+    payload_com_m: Sequence[float] = (0.0, 0.0, 0.0),
+    gravity: bool = True,
+    armature_kg_m2: float = 0.0,
+) -> Array:
+    """Return the joint torques of a motion of a nominal arm on an upright base, without friction.
+
+    Args:
+        q_rad: (..., 6) joint angles; the three arrays broadcast.
+        qd_rad_s: (..., 6) joint speeds.
+        qdd_rad_s2: (..., 6) joint accelerations.
+        payload_kg: Mass of a point payload.
+        payload_com_m: Its place in the flange frame.
+        gravity: Whether to count gravity, 9.81 m/s² along -z of ``base``.
+        armature_kg_m2: Reflected inertia of every rotor, ``ARMATURE_KG_M2`` on the simulated arm.
+
+    Returns:
+        Torques (..., 6) in N·m.
+
+    Raises:
+        SettingsError: Not six joints, or a payload that is negative or not finite.
+    """
+    com = (float(payload_com_m[0]), float(payload_com_m[1]), float(payload_com_m[2]))
+    if not (np.isfinite((payload_kg, *com)).all() and payload_kg >= 0.0):
+        raise SettingsError(f"payload must be finite and not negative, found {payload_kg!r} kg at {com} m")
+    pin, model, data = _model(float(payload_kg), com, bool(gravity))
+    q, qd, qdd = np.broadcast_arrays(checked_joints(q_rad), checked_joints(qd_rad_s), checked_joints(qdd_rad_s2))
+    torque = np.empty(q.shape)
+    flat = (array.reshape(-1, 6) for array in (q, qd, qdd))
+    rows = torque.reshape(-1, 6)
+    for index, (position, speed, acceleration) in enumerate(zip(*flat, strict=True)):
+        rows[index] = pin.rnea(model, data, position, speed, acceleration)
+    if armature_kg_m2:
+        torque += armature_kg_m2 * qdd
+    return torque

@@ -1,0 +1,155 @@
+"""Frames: mounts of the arms, and poses between the cell frame, `base_link` and each arm's own `base` frame.
+
+UR's controller reports its TCP in `base`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dual_ur10.errors import SettingsError
+from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, quat_to_matrix
+from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
+from dual_ur10.types import Array, constant, numbers
+
+BASE_TO_BASE_LINK: Final = constant([[-1, 0, 0], [0, -1, 0], [0, 0, 1]])
+"""Rotation from coordinates in ``base`` to coordinates in ``base_link``; it is its own inverse. No offset."""
+
+BASE_TO_BASE_LINK_QUAT: Final = constant([0, 0, 0, 1])
+"""The same as a quaternion (w, x, y, z); its inverse is the same rotation."""
+
+
+def to_base_link(position_m: ArrayLike, rotation: ArrayLike) -> tuple[Array, Array]:
+    """Turn poses in ``base`` into ``base_link``; the same function leads back.
+
+    Args:
+        position_m: (..., 3).
+        rotation: (..., 3, 3).
+
+    Returns:
+        Position (..., 3) and rotation (..., 3, 3).
+    """
+    return np.asarray(position_m) @ BASE_TO_BASE_LINK, BASE_TO_BASE_LINK @ np.asarray(rotation)
+
+
+def quat_to_base_link(quat: ArrayLike) -> Array:
+    """Turn orientations (..., 4) in ``base`` into ``base_link``; twice gives the opposite sign of the same rotation."""
+    return quat_multiply(BASE_TO_BASE_LINK_QUAT, quat)
+
+
+FLOOR_Z_M: Final = -0.75
+"""Height of the floor in the cell frame; the table's top is at 0."""
+
+MAX_MOUNT_M: Final = 3.0
+"""Largest absolute coordinate of a base in the cell frame."""
+
+
+@dataclass(frozen=True)
+class ArmMount:
+    """Where one arm stands.
+
+    Attributes:
+        position_m: (3,) position of `base_link` in the cell frame.
+        yaw_rad: turn of `base_link` about the cell's z axis; 0 looks along +x.
+        dh: kinematics of this arm, nominal or as calibrated.
+
+    Raises:
+        SettingsError: A number is not finite, more than 3 m from the cell's origin, below the floor, or beyond ±2π.
+    """
+
+    position_m: tuple[float, float, float]
+    yaw_rad: float = 0.0
+    dh: DHParameters = NOMINAL_DH
+
+    def __post_init__(self) -> None:
+        position = numbers("mount position_m", self.position_m, 3)
+        (yaw,) = numbers("mount yaw_rad", (self.yaw_rad,), 1)
+        if max(map(abs, position)) > MAX_MOUNT_M or position[2] < FLOOR_Z_M:
+            raise SettingsError(
+                f"mount position_m is {position}: each coordinate must be within ±{MAX_MOUNT_M} m and z not below "
+                f"the floor at {FLOOR_Z_M} m"
+            )
+        if abs(yaw) > 2 * math.pi:
+            raise SettingsError(f"mount yaw_rad is {yaw:.6g}: must be within ±2π (radians, not degrees)")
+        if not isinstance(self.dh, DHParameters):
+            raise SettingsError(f"mount dh must be DHParameters, found {type(self.dh).__name__}")
+        object.__setattr__(self, "position_m", position)
+        object.__setattr__(self, "yaw_rad", yaw)
+
+
+def to_base(mounts: tuple[ArmMount, ArmMount]) -> tuple[Array, Array]:
+    """Position, (2, 3), and rotation, (2, 3, 3), that turn cell frame vectors into each arm's own `base` frame."""
+    turns = quat_to_matrix(quat_from_rotvec(np.array([[0.0, 0.0, mount.yaw_rad] for mount in mounts])))
+    rotation = (turns @ BASE_TO_BASE_LINK).swapaxes(-1, -2)
+    return np.array([mount.position_m for mount in mounts]), rotation
+
+
+def left_product(quat: Array) -> Array:
+    """Matrix M, (4, 4), such that `q @ M` is the product of `quat` and a quaternion q, (..., 4)."""
+    unit = np.eye(4)
+    return np.array([quat_multiply(quat, unit[k]) for k in range(4)])
+
+
+class Frames:
+    """Poses of a batch of cells from the cell frame to the arms' `base` frames and back.
+
+    Every product is one small one per cell, so that a cell's numbers do not depend on how many others there are.
+
+    Args:
+        mounts: Where the arms stand.
+    """
+
+    def __init__(self, mounts: tuple[ArmMount, ArmMount]) -> None:
+        self.base_m, self.rotation = to_base(mounts)
+        turns = [quat_from_rotvec(np.array([0.0, 0.0, -np.pi - mount.yaw_rad])) for mount in mounts]
+        self._quat = np.stack([left_product(turn) for turn in turns])
+        self._back = np.stack([left_product(quat_conjugate(turn)) for turn in turns])
+
+    def position_to_base(self, position_m: Array) -> Array:
+        """Cell frame positions, (..., 2, 3), in each arm's own `base` frame."""
+        away = (position_m - self.base_m)[..., None, :]
+        result: Array = (away @ self.rotation.swapaxes(-1, -2))[..., 0, :]
+        return result
+
+    def position_to_cell(self, position_m: Array) -> Array:
+        """Positions in each arm's own `base` frame, (..., 2, 3), in the cell frame."""
+        result: Array = (position_m[..., None, :] @ self.rotation)[..., 0, :] + self.base_m
+        return result
+
+    def vector_to_base(self, vector: Array) -> Array:
+        """Cell frame vectors, (..., 2, 3), in each arm's own `base` frame."""
+        result: Array = (vector[..., None, :] @ self.rotation.swapaxes(-1, -2))[..., 0, :]
+        return result
+
+    def vector_to_cell(self, vector: Array) -> Array:
+        """Vectors in each arm's own `base` frame, (..., 2, 3), in the cell frame."""
+        result: Array = (vector[..., None, :] @ self.rotation)[..., 0, :]
+        return result
+
+    def quat_to_base(self, quat: Array) -> Array:
+        """Cell frame orientations, (..., 2, 4), in each arm's own `base` frame."""
+        result: Array = (quat[..., None, :] @ self._quat)[..., 0, :]
+        return result
+
+    def quat_to_cell(self, quat: Array) -> Array:
+        """Orientations in each arm's own `base` frame, (..., 2, 4), in the cell frame."""
+        result: Array = (quat[..., None, :] @ self._back)[..., 0, :]
+        return result
+
+    @property
+    def others_pose(self) -> Array:
+        """(2, 8, 7): `[position, orientation, 1] @ matrix[k]` is the pose of arm k's other one in k's `base` frame.
+
+        The row vector is that of the other arm's pose in its own `base` frame.
+        """
+        result = np.zeros((2, 8, 7))
+        for own, other in ((0, 1), (1, 0)):
+            result[own, :3, :3] = self.rotation[other] @ self.rotation[own].T
+            result[own, 3:7, 3:] = self._back[other] @ self._quat[own]
+            result[own, 7, :3] = (self.base_m[other] - self.base_m[own]) @ self.rotation[own].T
+        return result

@@ -1,0 +1,254 @@
+"""Inverse kinematics of one UR10: all branches, or the posture nearest to another one.
+
+The closed form solves a nominal arm. A calibrated arm's axes are not quite parallel and square: there it is the start
+of some damped Newton steps.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dual_ur10.errors import SettingsError, UnreachableError
+from dual_ur10.kinematics.closed_form import EDGE, closed_form, within
+from dual_ur10.kinematics.forward import checked_joints, pose_and_jacobian
+from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, NOMINAL_DH, DHParameters
+from dual_ur10.types import Array, Mask, constant
+
+_TWO_PI: Final = 2 * np.pi
+_IDENTITY: Final = constant(np.eye(3))
+
+# Allowed at the edge of the workspace before the polish: a calibrated arm's edges lie some mm elsewhere.
+_CALIBRATED_EDGE: Final = 0.05
+
+_LOWEST_RAD: Final = constant(-JOINT_RANGE_RAD)
+_TURN_LIMIT_RAD: Final = constant(JOINT_RANGE_RAD + 1e-9)  # rounding may put a solution just past a joint limit
+_POLISH_STEPS: Final = 12
+_POLISH_DONE: Final = 1e-13  # m and rad; rounding leaves some 1e-15
+_POLISH_ACCEPTED: Final = 1e-7  # as at the nominal arm's edge; elsewhere the steps end at _POLISH_DONE
+
+_ORTHONORMAL_TOLERANCE: Final = 1e-5  # lets float32 rotations pass
+
+
+def _wrap(q: Array) -> Array:
+    """Return angles in (-pi, pi]."""
+    wrapped: Array = q - _TWO_PI * np.ceil((q - np.pi) / _TWO_PI)
+    return wrapped
+
+
+def _polish(q: Array, position: Array, rotation: Array, dh: DHParameters) -> tuple[Array, Mask]:
+    """Refine m solutions on the true chain by Levenberg-Marquardt, whose damping fades with the error.
+
+    Args:
+        q: (m, 6) start.
+        position: (m, 3).
+        rotation: (m, 3, 3).
+        dh: The true chain.
+
+    Returns:
+        Angles (m, 6), not wrapped, and which of them (m,) hold their pose to 1e-7 m and 1e-7 rad.
+    """
+    q = q.copy()
+    good = np.zeros(len(q), dtype=np.bool_)
+    todo = np.arange(len(q))
+    for _ in range(_POLISH_STEPS):
+        at, turned, jac = pose_and_jacobian(q[todo], dh)
+        error = np.empty((len(todo), 6, 1))
+        error[:, :3, 0] = position[todo] - at
+        off = rotation[todo] @ turned.transpose(0, 2, 1)
+        # The sine of the angle times its axis: enough near zero, where it counts.
+        error[:, 3:, 0] = 0.5 * (off[:, (2, 0, 1), (1, 2, 0)] - off[:, (1, 2, 0), (2, 0, 1)])
+        size = np.abs(error).max((1, 2))
+        # Half a turn off has a zero sine as well; its trace tells.
+        good[todo] = (size < _POLISH_ACCEPTED) & (off.trace(axis1=1, axis2=2) > 0.0)
+        more = size > _POLISH_DONE
+        todo, error, jac = todo[more], error[more], jac[more]
+        if not len(todo):
+            break
+        transposed = jac.transpose(0, 2, 1)
+        damping = (0.1 * (error * error).sum(1, keepdims=True) + 1e-13) * np.eye(6)
+        q[todo] += np.linalg.solve(transposed @ jac + damping, transposed @ error)[:, :, 0]
+    return q, good
+
+
+def _solve(position: Array, rotation: Array, dh: DHParameters, reference: Array | None) -> tuple[Array, Mask]:
+    """All branches of n poses: angles (n, 8, 6), not wrapped, and which (n, 8) hold.
+
+    A calibrated arm near a singularity can lose a branch, as two starts meet in one solution. With a reference, what is
+    found from there becomes a ninth.
+    """
+    nominal = dh is NOMINAL_DH or dh.is_nominal
+    branches = closed_form(position, rotation, NOMINAL_DH if nominal else dh, reference)
+    valid = within(branches, EDGE if nominal else _CALIBRATED_EDGE)
+    if nominal:
+        return branches.q, valid
+    q = branches.q.copy()
+    if reference is not None:
+        q = np.concatenate((q, reference[:, None]), axis=1)
+        valid = np.concatenate((valid, np.ones((len(q), 1), dtype=np.bool_)), axis=1)
+    rows, columns = valid.nonzero()
+    q[rows, columns], valid[rows, columns] = _polish(q[rows, columns], position[rows], rotation[rows], dh)
+    return q, valid
+
+
+def _poses(position: ArrayLike, rotation: ArrayLike) -> tuple[tuple[int, ...], Array, Array]:
+    """Check poses and flatten them: batch shape, positions (n, 3), rotations (n, 3, 3)."""
+    p, r = np.asarray(position, dtype=np.float64), np.asarray(rotation, dtype=np.float64)
+    if p.shape[-1:] != (3,) or r.shape[-2:] != (3, 3):
+        raise SettingsError(f"poses need the shapes (..., 3) and (..., 3, 3), found {p.shape} and {r.shape}")
+    if p.shape[:-1] != r.shape[:-2]:
+        batch = np.broadcast_shapes(p.shape[:-1], r.shape[:-2])
+        p, r = np.broadcast_to(p, (*batch, 3)), np.broadcast_to(r, (*batch, 3, 3))
+    batch, p, r = p.shape[:-1], p.reshape(-1, 3), r.reshape(-1, 3, 3)
+    if not np.isfinite(p).all():
+        row = int((~np.isfinite(p).all(-1)).argmax())
+        raise SettingsError(f"position of pose {row} is {p[row].tolist()}: positions must be finite")
+    off = np.abs(r @ r.transpose(0, 2, 1) - _IDENTITY)
+    if off.size and not off.max() < _ORTHONORMAL_TOLERANCE:
+        row = int((~(off.max((1, 2)) < _ORTHONORMAL_TOLERANCE)).argmax())
+        raise SettingsError(
+            f"rotation of pose {row} is no rotation matrix (R R' differs from 1 by {off[row].max():.3g}, allowed "
+            f"{_ORTHONORMAL_TOLERANCE:g}): {r[row].tolist()}. Normalise it, and look for NaN"
+        )
+    return batch, p, r
+
+
+def _reference(reference_q_rad: ArrayLike, batch: tuple[int, ...]) -> Array:
+    """Check the reference, bring it into the joint range, and shape it (n, 6)."""
+    reference = checked_joints(reference_q_rad)
+    if not np.isfinite(reference).all():
+        raise SettingsError(f"reference joint angles must be finite, found {reference.tolist()}")
+    if reference.shape[:-1] != batch:
+        reference = np.broadcast_to(reference, (*batch, 6))
+    return np.minimum(np.maximum(reference.reshape(-1, 6), _LOWEST_RAD), JOINT_RANGE_RAD)
+
+
+def inverse(
+    position: ArrayLike,
+    rotation: ArrayLike,
+    dh: DHParameters = NOMINAL_DH,
+    reference_q_rad: ArrayLike | None = None,
+) -> tuple[Array, Mask]:
+    """Return all joint angles that put the flange at given poses in ``base``.
+
+    Answers are exact to rounding, but for the singularities: a stretched arm's pose that rounding puts outside the
+    workspace is solved within 1e-7 m, and where theta5 is within 1e-8 of a multiple of pi, theta6 is free and taken
+    from the reference (zero without one). For a calibrated arm, the closed form is the start of some damped Newton
+    steps on its true chain; a branch that fails to converge is not valid.
+
+    Args:
+        position: (..., 3) in m.
+        rotation: (..., 3, 3).
+        dh: Denavit-Hartenberg parameters of this arm.
+        reference_q_rad: (..., 6) or None.
+
+    Returns:
+        Solutions (..., 8, 6), angles in (-pi, pi], NaN where not valid; and valid (..., 8).
+
+    Raises:
+        SettingsError: Wrong shapes, NaN or infinity, or no rotation matrix.
+    """
+    batch, p, r = _poses(position, rotation)
+    q, valid = _solve(p, r, dh, None if reference_q_rad is None else _reference(reference_q_rad, batch))
+    q, valid = _wrap(q[:, :8]), valid[:, :8]
+    return np.where(valid[..., None], q, np.nan).reshape(*batch, 8, 6), valid.reshape(*batch, 8)
+
+
+def try_nearest(
+    position: ArrayLike,
+    rotation: ArrayLike,
+    reference_q_rad: ArrayLike,
+    dh: DHParameters = NOMINAL_DH,
+) -> tuple[Array, Mask]:
+    """Return the joint angles nearest to a reference that put the flange at given poses in ``base``.
+
+    Nearest among all branches and all turns within ``JOINT_RANGE_RAD``, by the plain Euclidean norm over six joints.
+
+    Args:
+        position: (..., 3) in m.
+        rotation: (..., 3, 3).
+        reference_q_rad: (..., 6); brought into the joint range first.
+        dh: Denavit-Hartenberg parameters of this arm.
+
+    Returns:
+        Angles (..., 6), and which poses (...) were reached. The others hold their reference.
+
+    Raises:
+        SettingsError: Wrong shapes, NaN or infinity, or no rotation matrix.
+    """
+    batch, p, r = _poses(position, rotation)
+    reference = _reference(reference_q_rad, batch)
+    q, valid = _solve(p, r, dh, reference)
+    here = reference[:, None, :]
+    q = q + _TWO_PI * np.rint((here - q) / _TWO_PI)
+    beyond = np.abs(q) > _TURN_LIMIT_RAD
+    if beyond.any():
+        q -= _TWO_PI * np.copysign(beyond, q)
+    away = q - here
+    distance = (away * away).sum(-1)
+    distance[~valid] = np.inf
+    rows, best = np.arange(len(q)), distance.argmin(1)
+    ok: Mask = valid[rows, best]
+    chosen = np.minimum(np.maximum(q[rows, best], _LOWEST_RAD), JOINT_RANGE_RAD)
+    if not ok.all():
+        chosen = np.where(ok[:, None], chosen, reference)
+    return chosen.reshape(*batch, 6), ok.reshape(batch)
+
+
+def nearest(
+    position: ArrayLike,
+    rotation: ArrayLike,
+    reference_q_rad: ArrayLike,
+    dh: DHParameters = NOMINAL_DH,
+) -> Array:
+    """Return the joint angles nearest to a reference; like ``try_nearest``, but every pose must be in reach.
+
+    Args:
+        position: (..., 3) in m.
+        rotation: (..., 3, 3).
+        reference_q_rad: (..., 6).
+        dh: Denavit-Hartenberg parameters of this arm.
+
+    Returns:
+        Angles (..., 6).
+
+    Raises:
+        SettingsError: Wrong shapes, NaN or infinity, or no rotation matrix.
+        UnreachableError: A pose has no solution within the joint range.
+    """
+    q, ok = try_nearest(position, rotation, reference_q_rad, dh)
+    if not ok.all():
+        _, p, r = _poses(position, rotation)
+        raise UnreachableError(_why_unreachable(p, r, dh, (~ok.reshape(-1)).nonzero()[0]))
+    return q
+
+
+def _why_unreachable(position: Array, rotation: Array, dh: DHParameters, rows: NDArray[np.intp]) -> str:
+    row = int(rows[0])
+    branches = closed_form(position[row : row + 1], rotation[row : row + 1], dh, None)
+    shown = ", ".join(str(index) for index in rows[:8]) + (", ..." if len(rows) > 8 else "")
+    where = f"{len(rows)} of {len(position)} flange poses out of reach (row {shown}). Row {row}, at "
+    where += f"({', '.join(f'{value:.4f}' for value in position[row])}) m in base: "
+    a2, a3, d4 = abs(dh.a_m[1]), abs(dh.a_m[2]), abs(sum(dh.d_m[1:4]))
+    offset2 = float(branches.wrist_offset_m2[0])
+    cosine = branches.elbow_cosine[0]
+    cosine = float(cosine[np.abs(cosine).argmin()])
+    if offset2 < 0.0:
+        found = (
+            f"the wrist centre is {np.sqrt(max(offset2 + d4 * d4, 0.0)):.4f} m from the base's vertical axis, allowed "
+            f"is at least {d4:.4f} m. Move the pose away from the axis, or turn the tool"
+        )
+    elif abs(cosine) > 1.0:
+        length = np.sqrt(max(a2 * a2 + a3 * a3 + 2 * a2 * a3 * cosine, 0.0))
+        found = (
+            f"wrist 1 would have to be {length:.4f} m from the shoulder, allowed are {abs(a2 - a3):.4f} to "
+            f"{a2 + a3:.4f} m. Move the pose {'towards' if cosine > 1 else 'away from'} the base, or turn the tool"
+        )
+    else:
+        found = (
+            "it is at the very edge of what this calibrated arm reaches. Move the pose inwards, or start from a nearer "
+            "reference"
+        )
+    return where + found

@@ -1,0 +1,357 @@
+"""Checks what a policy must be before it moves anything: in simulation first, and then on two controllers, if asked to.
+
+No wall time fails a check: what a policy takes is told, with a note where it is too much for two controllers.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import os
+import time
+from collections.abc import Mapping
+from typing import Any, Final
+
+import gymnasium as gym
+import numpy as np
+
+from dual_ur10.envs.api.names import env_id_of
+from dual_ur10.errors import PolicyError, SettingsError
+from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.policies.policy import Policy
+from dual_ur10.sim2real.config.cell import LATENCY_S, CellConfig
+from dual_ur10.types import Array
+
+log = logging.getLogger(__name__)
+
+MOST_STEPS: Final = 10_000
+"""Steps after which an episode is looked at no longer, where nothing else is said."""
+
+_AGAIN: Final = 200  # observations that are shown a second time, after a reset
+_OVER: Final = 1e-6  # by which an action may leave its bounds: rounding to single precision
+_SAME: Final = 1e-4  # by which an action in a batch may differ from that alone: order of additions
+_TAKEN_TICKS, _TAKEN_S = 3, 0.02  # of the action's latency, before a policy sees a state and after it has acted
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PolicyReport:
+    """What was found of a policy that is as it must be.
+
+    Attributes:
+        env_id: Of the environment.
+        steps: Of the simulated episode.
+        success: Whether the task says that it was done well.
+        total_reward: Of that episode.
+        batched: Whether it takes batches of observations, too.
+        median_s, worst_s: What it takes for an action, on this machine as busy as it was.
+        budget_s: What it may take on two controllers.
+        cell_steps: Steps on two controllers; None: it was not asked to act there.
+        cell_success: Whether that was done well.
+        late: Actions that came too late there.
+        notes: What deserves a look.
+    """
+
+    env_id: str
+    steps: int
+    success: bool
+    total_reward: float
+    batched: bool
+    median_s: float
+    worst_s: float
+    budget_s: float
+    cell_steps: int | None = None
+    cell_success: bool | None = None
+    late: int = 0
+    notes: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.env_id}: {self.steps} steps, success {'yes' if self.success else 'no'}, "
+            f"return {self.total_reward:.2f}, {'batches and ' if self.batched else ''}single observations, "
+            f"{1e3 * self.median_s:.2f} ms an action, at worst {1e3 * self.worst_s:.2f} ms",
+        ]
+        if self.cell_steps is not None:
+            success = "yes" if self.cell_success else "no"
+            lines.append(f"on two controllers: {self.cell_steps} steps, success {success}, {self.late} late actions")
+        return "\n".join([*lines, *(f"note: {each}" for each in self.notes)])
+
+
+def check_policy(
+    policy: Policy,
+    env_id: str,
+    *,
+    cell: str | os.PathLike[str] | None = None,
+    steps: int | None = None,
+    seed: int = 0,
+    **env_kwargs: Any,
+) -> PolicyReport:
+    """Check a policy over one episode in simulation, and over one on two controllers if there is a cell file.
+
+    It must have `reset` and act on single observations. Its actions must be finite numbers of the action space's
+    shape and within its bounds; it must leave observations as they are; after `reset` the same observations must give
+    the same actions; where it takes a batch of observations, each row must get the action that it gets alone; and the
+    safety gate must not have to refuse anything.
+
+    Args:
+        policy: What acts.
+        env_id: Id of the environment, or a part of it such as "Handover".
+        cell: A cell file. The simulated episode then is that of a cell with its mounts, limits and latency, and another
+            one follows on its controllers: for real arms somebody is asked first, or `confirm` is.
+        steps: After which an episode is looked at no longer; None: at its end, or after `MOST_STEPS`.
+        seed: Of both episodes.
+        **env_kwargs: Keywords of the environment.
+
+    Returns:
+        What else was found.
+
+    Raises:
+        PolicyError: The policy is not as it must be. Arms that it was moving are stopped for good.
+        SettingsError: `steps` is not a positive number, or `cell` is no path.
+        DualUR10Error: What the environment raises.
+    """
+    name = env_id_of(env_id)
+    if steps is not None and (isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1):
+        raise SettingsError(f"steps is {steps!r}: it must be a whole number above 0, or None for a whole episode")
+    if cell is not None and not isinstance(cell, str | os.PathLike):
+        raise SettingsError(f"cell is {type(cell).__name__}: it must be the path of a cell file, or None")
+    most = MOST_STEPS if steps is None else int(steps)
+    lacking = [each for each in ("reset", "__call__") if not callable(getattr(policy, each, None))]
+    if lacking or isinstance(policy, type):
+        what = "a class, not an object of it" if isinstance(policy, type) else f"no {' and no '.join(lacking)}"
+        raise PolicyError(f"{_kind(policy)} is no policy: found {what}; a policy has reset() and takes an observation")
+    simulated = dict(env_kwargs)
+    for controllers_only in ("confirm", "arm") if cell is not None else ():
+        simulated.pop(controllers_only, None)
+    config = None if cell is None else _simulated(cell)
+    if config is not None:
+        simulated["cell"], latency = config
+        simulated.setdefault("action_latency_ticks", latency)
+    env = gym.make(name, disable_env_checker=True, **simulated)
+    try:
+        episode = _Episode(policy, env)
+        episode.run(seed, most)
+        _check_again(policy, episode)
+        batched = _check_batch(policy, env, episode, seed)
+        budget_s = _budget_s(env)
+    finally:
+        env.close()
+    notes = []
+    typical_s, worst_s = float(np.median(episode.taken_s)), max(episode.taken_s)
+    if typical_s > budget_s:
+        notes.append(
+            f"an action takes {1e3 * typical_s:.1f} ms, and on two controllers there are {1e3 * budget_s:.1f} ms: make "
+            "the policy faster, or raise action_latency_ticks"
+        )
+    report = PolicyReport(
+        env_id=name,
+        steps=len(episode.actions),
+        success=episode.success,
+        total_reward=episode.total_reward,
+        batched=batched,
+        median_s=typical_s,
+        worst_s=worst_s,
+        budget_s=budget_s,
+    )
+    if cell is not None:
+        env = gym.make(name, disable_env_checker=True, **{**env_kwargs, "cell": os.fspath(cell)})
+        try:
+            there = _Episode(policy, env)
+            there.run(seed, most)
+            late = env.unwrapped.core.cell.late_periods  # type: ignore[attr-defined]  # Gymnasium knows only Env
+        finally:
+            env.close()
+        if late:
+            notes.append(f"{late} actions came too late on two controllers: both arms came to rest each time")
+        report = dataclasses.replace(report, cell_steps=len(there.actions), cell_success=there.success, late=int(late))
+    for note in notes:
+        log.warning("%s", note)
+    return dataclasses.replace(report, notes=tuple(notes))
+
+
+def _simulated(cell: str | os.PathLike[str]) -> tuple[CellConfig, int]:
+    """The simulated cell that is like the one of a cell file, and its latency in ticks."""
+    from dual_ur10.sim2real.config.cell_file import load_cell_file
+
+    file = load_cell_file(os.fspath(cell))
+    return file.simulated(), file.config().latency_ticks
+
+
+def _budget_s(env: Any) -> float:
+    """What of an action's latency is left to a policy on two controllers."""
+    core = env.unwrapped.core
+    tick_s: float = core.config.servoj.tick_s
+    taken_s = max(_TAKEN_TICKS * tick_s, _TAKEN_S)
+    latency_s: float = core.timing.ahead_s - core.timing.period_s
+    # An ideal machine's latency is none: it says nothing about two controllers.
+    return (LATENCY_S if latency_s <= taken_s else latency_s) - taken_s
+
+
+class _Episode:
+    """One episode, in which every action is looked at.
+
+    Args:
+        policy: What acts.
+        env: A Gymnasium environment.
+
+    Attributes:
+        observations, actions: Of every step; an observation is the one that its action answers.
+        taken_s: For each action.
+        success: As the task says it.
+        total_reward: Of all steps.
+    """
+
+    def __init__(self, policy: Policy, env: Any) -> None:
+        self._policy, self._env = policy, env
+        self.observations: list[Any] = []
+        self.actions: list[Array] = []
+        self.taken_s: list[float] = []
+        self.success, self.total_reward = False, 0.0
+
+    def run(self, seed: int, most: int) -> None:
+        """Run it, for at most so many steps.
+
+        Raises:
+            PolicyError: See `check_policy`.
+        """
+        env = self._env
+        observation, _ = env.reset(seed=seed)
+        try:
+            _reset(self._policy)
+            over = False
+            while not over and len(self.actions) < most:
+                action = self._act(observation)
+                observation, reward, terminated, truncated, info = env.step(action)
+                self.total_reward += float(reward)
+                for name, text in (("safety", "the safety gate refused it"), ("physics_error", "")):
+                    if name in info:
+                        raise PolicyError(f"step {len(self.actions) - 1}: {text}{': ' if text else ''}{info[name]}")
+                over = terminated or truncated
+        except PolicyError as error:
+            # On two controllers, nothing may go on with it.
+            env.unwrapped.core.stop(f"the policy failed: {error}")
+            raise
+        self.success = bool(info.get("is_success", False))
+
+    def _act(self, observation: Any) -> Array:
+        step = len(self.actions)
+        shown, kept = _copied(observation), _copied(observation)
+        begin = time.perf_counter()
+        given = _call(self._policy, shown, f"step {step}")
+        self.taken_s.append(time.perf_counter() - begin)
+        if not _equal(shown, kept):
+            raise PolicyError(
+                f"step {step}: it changed the observation that it was given; whoever else holds that array sees other "
+                "numbers then: let it copy first"
+            )
+        action = _checked(given, self._env.action_space, f"step {step}")
+        self.observations.append(kept)
+        self.actions.append(action)
+        return action
+
+
+def _check_again(policy: Policy, episode: _Episode) -> None:
+    """The same observations after a reset must give the same actions."""
+    _reset(policy)
+    for step, (observation, before) in enumerate(zip(episode.observations, episode.actions, strict=True)):
+        if step == _AGAIN:
+            return
+        again = np.asarray(_call(policy, _copied(observation), f"step {step} after a reset"))
+        if again.shape != before.shape or not np.array_equal(again.astype(before.dtype), before):
+            away = "of another shape"
+            if again.shape == before.shape:
+                away = f"other by up to {float(np.abs(again - before).max()):.3g}"
+            raise PolicyError(
+                f"step {step} after a reset: the action is {away} than before with the same observations: let reset() "
+                "forget everything, and draw chance from a generator that reset() seeds anew"
+            )
+
+
+def _check_batch(policy: Policy, env: Any, episode: _Episode, seed: int) -> bool:
+    """Whether it takes batches. If it does, each row must get what it gets alone."""
+    first = [episode.observations[0], env.reset(seed=seed + 1)[0]]
+    alone = []
+    for observation in first:
+        _reset(policy)
+        alone.append(_checked(_call(policy, _copied(observation), "a first step"), env.action_space, "a first step"))
+    _reset(policy)
+    try:
+        both = np.asarray(policy(_stacked(first)))
+    except Exception:  # a policy of single observations, whatever it is that it stumbles over
+        return False
+    finally:
+        _reset(policy)
+    if both.shape != (len(first), *env.action_space.shape):
+        return False
+    away = float(np.abs(both.astype(np.float64) - np.array(alone, dtype=np.float64)).max())
+    if not away <= _SAME:
+        raise PolicyError(
+            f"a row of a batch of observations gets another action than alone, by up to {away:.3g}: let each row's "
+            "action follow from that row, or refuse batches with an exception"
+        )
+    return True
+
+
+def _checked(given: Any, space: Any, where: str) -> Array:
+    """An action of a policy, once it is one.
+
+    Raises:
+        PolicyError: It is none.
+    """
+    try:
+        action = np.asarray(given)
+    except (TypeError, ValueError) as error:
+        raise PolicyError(f"{where}: the action is no array of numbers ({type(given).__name__}: {error})") from None
+    if action.dtype.kind not in "fiu":
+        raise PolicyError(f"{where}: the action is {action.dtype} from {type(given).__name__}: it must be numbers")
+    if action.shape != space.shape:
+        raise PolicyError(f"{where}: the action has shape {action.shape}, expected is {space.shape}")
+    for text, wrong in (
+        ("it must be finite", ~np.isfinite(action)),
+        ("", (action < space.low - _OVER) | (action > space.high + _OVER)),
+    ):
+        if wrong.any():
+            number = int(wrong.argmax())
+            arm, place = divmod(number, action.size // len(ARMS))
+            allowed = text or f"allowed are {space.low[number]:g} to {space.high[number]:g}; it would be clipped"
+            raise PolicyError(
+                f"{where}: number {number} of the action ({ARMS[arm]} arm, {place}) is {action[number]}: {allowed}"
+            )
+    result: Array = action.astype(space.dtype)
+    return result
+
+
+def _call(policy: Policy, observation: Any, where: str) -> Any:
+    try:
+        return policy(observation)
+    except Exception as error:
+        raise PolicyError(f"{where}: it raised {type(error).__name__}: {error}") from error
+
+
+def _reset(policy: Policy) -> None:
+    try:
+        policy.reset()
+    except Exception as error:
+        raise PolicyError(f"reset() raised {type(error).__name__}: {error}") from error
+
+
+def _copied(observation: Any) -> Any:
+    if isinstance(observation, Mapping):
+        return {name: _copied(value) for name, value in observation.items()}
+    return np.array(observation)
+
+
+def _equal(one: Any, other: Any) -> bool:
+    if isinstance(other, Mapping):
+        return isinstance(one, Mapping) and one.keys() == other.keys() and all(_equal(one[k], other[k]) for k in other)
+    same: bool = one.shape == other.shape and one.dtype == other.dtype and one.tobytes() == other.tobytes()
+    return same
+
+
+def _stacked(observations: list[Any]) -> Any:
+    if isinstance(observations[0], Mapping):
+        return {name: _stacked([each[name] for each in observations]) for name in observations[0]}
+    return np.stack(observations)
+
+
+def _kind(policy: object) -> str:
+    return policy.__name__ if isinstance(policy, type) else type(policy).__name__

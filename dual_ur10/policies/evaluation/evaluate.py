@@ -1,0 +1,344 @@
+"""Runs many seeded episodes of a policy on the vector environment.
+
+Every number depends on the policy, the environment's keywords and the seeds alone: not on how many episodes run beside
+each other, nor on threads. Row and order of an episode are no part of its result.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import version
+from typing import Any, Protocol, runtime_checkable
+
+import gymnasium as gym
+import numpy as np
+
+from dual_ur10 import __version__, policies
+from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
+from dual_ur10.ids import ENV_IDS
+from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.policies.evaluation.origin import about
+from dual_ur10.policies.evaluation.results import Episode, Evaluation
+from dual_ur10.policies.policy import Policy
+from dual_ur10.types import Array, Mask, Rows
+
+NAMES = (*policies.NAMES, "random", "zero")
+"""Policies that can be evaluated by their names."""
+
+UNITS = ("_m", "_rad", "_n", "_s")
+"""How the names of those values of `info` end of which an episode keeps the largest and the last."""
+
+_LONGEST_S = 600.0  # simulated time after which an episode counts as endless, if its task is not set to be longer
+_OWN = ("id", "task", "num_envs", "vectorization_mode", "autoreset_mode", "vector_kwargs", "wrappers")
+_RECORD = ("record", "record_failure", "record_about")  # what is recorded of an evaluation changes nothing in it
+_PACKAGES = ("mujoco", "gymnasium", "numpy")
+
+
+@runtime_checkable
+class EpisodeAware(Protocol):
+    """A policy that can be told when single rows begin episodes: then no row has to wait for the others."""
+
+    def begin(self, rows: Rows, seeds: Sequence[int]) -> None:
+        """Rows of the batch begin episodes: the next observations in them are the first ones.
+
+        Args:
+            rows: (k,) numbers of the rows.
+            seeds: (k,) seeds of their episodes.
+        """
+
+
+def evaluate(
+    env_id: str,
+    policy: Policy | str,
+    *,
+    episodes: int = 300,
+    seed: int = 0,
+    num_envs: int = 8,
+    env_kwargs: Mapping[str, Any] | None = None,
+    max_steps: int | None = None,
+    on_progress: Callable[[Evaluation], None] | None = None,
+) -> Evaluation:
+    """Run episodes with the seeds `seed`, `seed + 1`, ..., and keep what came of each.
+
+    With a policy that is `EpisodeAware`, a row whose episode ends begins the next one at once. Any other is reset when
+    all rows begin together: that it notices by itself when a row begins anew is not relied upon, for an episode that
+    begins much as the one before went on would inherit what the policy had learned. The policy always gets the
+    observations of all rows; a row with nothing to do runs its last episode again, and nothing is kept of that.
+
+    Args:
+        env_id: Id of the environment.
+        policy: What acts, batch first; or one of `NAMES`, or the folder of a checkpoint, made for this environment.
+        episodes: Number of episodes, 1 or more.
+        seed: Seed of the first episode, 0 or more.
+        num_envs: Number of episodes that run beside each other.
+        env_kwargs: Keywords of the environment, its vector form's `threads` and `max_episode_steps` among them. With
+            `record`, `num_envs` has to be 1: only one cell can be recorded.
+        max_steps: Steps after which an episode that has not ended is an error. None: those of 600 s of simulated time,
+            or twice the task's `duration_s` where that is longer.
+        on_progress: Told what was found whenever the number of leading episodes grows that have ended: the evaluation
+            of exactly these, as it would be without the others.
+
+    Raises:
+        SettingsError: A number is out of its range, or a keyword is not one that can be given here.
+        UnknownNameError: No such environment, policy or keyword.
+        DualUR10Error: An episode did not end within `max_steps`; or what policy and environment raise.
+    """
+    for name, value, least in (("episodes", episodes, 1), ("seed", seed, 0), ("num_envs", num_envs, 1)):
+        _check_whole(name, value, least)
+    if max_steps is not None:
+        _check_whole("max_steps", max_steps, 1)
+    keywords = dict(env_kwargs or {})
+    if isinstance(policy, str) and policy not in NAMES and not policies.is_path(policy):
+        raise UnknownNameError("policy", policy, NAMES)
+    given = keywords
+    if keywords.get("record") is not None and env_id in gym.registry:
+        given = {"record_about": about(policy, env_id), **keywords}
+    keywords = {name: value for name, value in keywords.items() if name not in _RECORD}
+    env = _make(env_id, min(num_envs, episodes), given)
+    try:
+        actor = actor_of(policy, env_id, keywords, env)
+        core = env.unwrapped.core
+        bound = _bound(core, max_steps)
+
+        def result(found: Sequence[Episode]) -> Evaluation:
+            return Evaluation(
+                env_id=env_id,
+                policy=policy if isinstance(policy, str) else type(policy).__name__,
+                kwargs=keywords,
+                seed=int(seed),
+                stages=tuple(getattr(core.task, "stages", ())),
+                episodes=tuple(found),
+                versions={"dual_ur10": __version__, **{name: version(name) for name in _PACKAGES}},
+                late_actions=getattr(core, "late_actions", 0),
+            )
+
+        def report(found: Sequence[Episode]) -> None:
+            if on_progress is not None:
+                on_progress(result(found))
+
+        return result(_run(env, actor, range(seed, seed + episodes), core.timing.period_s, bound, report))
+    finally:
+        env.close()
+
+
+def _run(
+    env: Any,
+    actor: Policy,
+    seeds: range,
+    period_s: float,
+    max_steps: int,
+    report: Callable[[Sequence[Episode]], None],
+) -> list[Episode]:
+    """The episodes with these seeds, in their order."""
+    n, kind, one_by_one = env.num_envs, env.single_action_space.dtype, isinstance(actor, EpisodeAware)
+    tally = _Tally(n)
+    current = list(range(n))  # the episode in each row, by its place in `seeds`
+    upcoming, reported = n, 0
+    live, fresh = np.ones(n, dtype=bool), np.ones(n, dtype=bool)
+    found: list[Episode | None] = [None] * len(seeds)
+    observation: Any = None
+    while live.any():
+        if fresh.any():
+            observation, _ = env.reset(seed=[seeds[k] for k in current], options={"reset_mask": fresh})
+            tally.begin(fresh)
+            if fresh.all():
+                actor.reset()
+            if isinstance(actor, EpisodeAware):
+                rows = np.flatnonzero(fresh)
+                actor.begin(rows, [seeds[current[row]] for row in rows.tolist()])
+        try:
+            action = np.asarray(actor(observation), dtype=kind)
+        except Exception as error:
+            # On real arms, nothing may go on without it.
+            env.unwrapped.core.stop(f"the policy failed: {type(error).__name__}: {error}")
+            raise
+        observation, reward, terminated, truncated, info = env.step(action)
+        tally.add(reward, info)
+        fresh = terminated | truncated
+        for row in np.flatnonzero(fresh & live).tolist():
+            found[current[row]] = tally.episode(row, seeds[current[row]], period_s, info)
+            live[row] = False
+        if one_by_one or not live.any():
+            for row in np.flatnonzero(~live).tolist()[: len(seeds) - upcoming]:
+                current[row], upcoming, live[row] = upcoming, upcoming + 1, True
+                fresh = fresh if one_by_one else np.ones(n, dtype=bool)
+        endless = ~fresh & (tally.steps >= max_steps)  # rows without work run for less than the episode that is left
+        if endless.any():
+            raise DualUR10Error(
+                f"the episode with seed {seeds[current[int(endless.argmax())]]} has not ended after {max_steps} steps "
+                f"({max_steps * period_s:g} s): allow more with max_steps, or end it with max_episode_steps"
+            )
+        leading = reported
+        while leading < len(found) and found[leading] is not None:
+            leading += 1
+        if leading > reported:
+            reported = leading
+            report([each for each in found[:leading] if each is not None])
+    return [each for each in found if each is not None]
+
+
+class _Tally:
+    """What the running episodes of n rows have come to."""
+
+    def __init__(self, n: int) -> None:
+        self._n = n
+        self.steps = np.zeros(n, dtype=np.int64)
+        self._reward = np.zeros(n)
+        self._stage, self._best_stage = np.full(n, -1), np.full(n, -1)  # -1: none was reported
+        self._peak: dict[str, Array] = {}
+        self._last: dict[str, Array] = {}
+
+    def begin(self, rows: Mask) -> None:
+        """The masked rows begin episodes."""
+        self.steps[rows] = 0
+        self._reward[rows] = 0.0
+        self._stage[rows] = self._best_stage[rows] = -1
+        for values in (*self._peak.values(), *self._last.values()):
+            values[rows] = np.nan
+
+    def add(self, reward: Array, info: Mapping[str, Any]) -> None:
+        """Take in one step of all rows."""
+        self.steps += 1
+        self._reward += reward
+        for name, value in info.items():
+            if name == "stage":
+                known = info["_stage"]
+                self._stage = np.where(known, value, self._stage)
+                self._best_stage = np.maximum(self._best_stage, self._stage)
+            elif self._is_kept(name, value):
+                if name not in self._peak:
+                    self._peak[name], self._last[name] = (np.full(value.shape, np.nan) for _ in range(2))
+                known = info["_" + name].reshape(self._n, *[1] * (value.ndim - 1))
+                finite = known & np.isfinite(value)
+                self._peak[name] = np.where(finite, np.fmax(self._peak[name], np.abs(value)), self._peak[name])
+                self._last[name] = np.where(known, value, self._last[name])
+
+    def _is_kept(self, name: str, value: Any) -> bool:
+        """Whether it is a float for each row, or one for each arm of each row, with a unit."""
+        if name.startswith("_") or not name.endswith(UNITS) or not isinstance(value, np.ndarray):
+            return False
+        return value.dtype.kind == "f" and value.shape in ((self._n,), (self._n, len(ARMS)))
+
+    def episode(self, row: int, seed: int, period_s: float, info: Mapping[str, Any]) -> Episode:
+        """The episode that has ended in a row with this `info`."""
+        steps, staged = int(self.steps[row]), self._best_stage[row] >= 0
+        # What another row's step has brought in is no part of this one's episode.
+        peak = {name: value for name, value in _by_name(self._peak, row).items() if math.isfinite(value)}
+        last = {name: value for name, value in _by_name(self._last, row).items() if name in peak}
+        return Episode(
+            seed=seed,
+            success=bool(_value(info, "is_success", row, False)),
+            total_reward=float(self._reward[row]),
+            steps=steps,
+            time_s=steps * period_s,
+            ended_by=str(_value(info, "safety", row, _value(info, "physics_error", row, ""))),
+            stage=int(self._stage[row]) if staged else None,
+            best_stage=int(self._best_stage[row]) if staged else None,
+            peak=peak,
+            last={name: value if math.isfinite(value) else None for name, value in last.items()},
+        )
+
+
+def _value(info: Mapping[str, Any], name: str, row: int, default: Any) -> Any:
+    """A row's value in the info of a vector environment."""
+    return info[name][row] if name in info and info["_" + name][row] else default
+
+
+def _by_name(values: Mapping[str, Array], row: int) -> dict[str, float]:
+    """A row's values by name, those of arms apart."""
+    result: dict[str, float] = {}
+    for name in sorted(values):
+        names = [name] if values[name].ndim == 1 else [f"{name}/{arm}" for arm in ARMS]
+        result.update(zip(names, np.atleast_1d(values[name][row]).tolist(), strict=True))
+    return result
+
+
+def _check_whole(name: str, value: object, least: int) -> None:
+    if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
+        raise SettingsError(f"{name} is {value!r}: it must be a whole number, {least} or more")
+
+
+def _bound(core: Any, max_steps: int | None) -> int:
+    """Steps after which an episode counts as endless."""
+    if max_steps is not None:
+        return int(max_steps)
+    task = core.task
+    duration_s = getattr(task, "duration_s", getattr(task.settings, "duration_s", 0.0))
+    longest_s = max(_LONGEST_S, 2.0 * float(duration_s))
+    return math.ceil(longest_s / float(core.timing.period_s))
+
+
+def _make(env_id: str, num_envs: int, keywords: Mapping[str, Any]) -> Any:
+    """The vector environment, which waits with its rows to be reset."""
+    if env_id not in gym.registry:
+        raise UnknownNameError("environment", str(env_id), list(ENV_IDS))
+    for name in _OWN:
+        if name in keywords:
+            raise SettingsError(f"the keyword {name} is not one of an evaluated environment's: the evaluation sets it")
+    try:
+        return gym.make_vec(
+            env_id,
+            num_envs=num_envs,
+            vectorization_mode="vector_entry_point",
+            autoreset_mode="Disabled",
+            **keywords,
+        )
+    except TypeError as error:
+        # Gymnasium appends where it was raised and all keywords.
+        reason = str(error).split(" was raised from the environment creator")[0]
+        raise SettingsError(f"a keyword of {env_id} has the wrong type: {reason}") from error
+
+
+def actor_of(policy: Policy | str, env_id: str, keywords: Mapping[str, Any], env: Any) -> Policy:
+    """What acts in a vector environment.
+
+    Args:
+        policy: It, or one of `NAMES`, or the folder of a checkpoint.
+        env_id: Id of the environment.
+        keywords: Of it.
+        env: The vector environment.
+
+    Raises:
+        UnknownNameError: No such policy.
+        CheckpointError: The checkpoint cannot be read, or was made for another environment.
+    """
+    if not isinstance(policy, str):
+        return policy
+    if policy == "random":
+        return _Random(env.single_action_space, env.num_envs)
+    if policy == "zero":
+        return _Zero(env.action_space)
+    return policies.load(policy, env_id, **keywords)
+
+
+class _Random:
+    """Uniform random actions, which depend on the seed of a row's episode alone."""
+
+    def __init__(self, space: Any, n: int) -> None:
+        self._spaces = [copy.deepcopy(space) for _ in range(n)]
+
+    def reset(self) -> None:
+        """There is nothing to forget: every episode has its own seed."""
+
+    def begin(self, rows: Rows, seeds: Sequence[int]) -> None:
+        for row, seed in zip(rows.tolist(), seeds, strict=True):
+            # Not the seed itself, with which the environment draws the episode.
+            self._spaces[row].seed(int(np.random.SeedSequence((seed, 1)).generate_state(1)[0]))
+
+    def __call__(self, observation: Any) -> Any:
+        return np.stack([space.sample() for space in self._spaces])
+
+
+class _Zero:
+    """Always zero."""
+
+    def __init__(self, space: Any) -> None:
+        self._action = np.zeros(space.shape, space.dtype)
+
+    def reset(self) -> None:
+        """There is nothing to forget."""
+
+    def __call__(self, observation: Any) -> Any:
+        return self._action

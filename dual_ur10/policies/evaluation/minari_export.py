@@ -1,0 +1,184 @@
+"""Runs as Minari datasets, with one key per agent."""
+
+from __future__ import annotations
+
+import copy
+import warnings
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from dual_ur10.errors import MissingExtraError, RecordingError
+from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.ur10 import ARMS, DHParameters
+from dual_ur10.sim2real.config.cell import CellConfig
+from dual_ur10.sim2real.control.servoj import ServojProfile
+from dual_ur10.sim2real.recording.run import Episode, Header, Run
+
+if TYPE_CHECKING:
+    from dual_ur10.envs.core.core import Core
+
+_MOST_SEED: Final = 2**63 - 1
+_DIFFER: Final = ("env_id", "kwargs", "family", "period_ticks", "mounts")
+
+
+def to_minari(
+    runs: Run | Iterable[Run],
+    dataset_id: str,
+    *,
+    author: str | None = None,
+    author_email: str | None = None,
+    code_permalink: str | None = None,
+    description: str | None = None,
+) -> Any:
+    """Make a Minari dataset of the episodes of runs.
+
+    Observations and actions are dicts with the keys "left" and "right", as of `dual_ur10.envs.api.parallel_env`.
+    Rewards are those of both together. `infos` hold `is_success`, `gated` and `time_s`; an episode's metadata say how it
+    ended
+    and where it was recorded. The environment's spec is that of the Gymnasium environment.
+
+    Args:
+        runs: One or several, of the same environment.
+        dataset_id: As Minari wants it, such as "ur10/carry/scripted-v0"; it must not exist.
+        author: Of the dataset.
+        author_email: Theirs.
+        code_permalink: Where the code is that made it.
+        description: Of the dataset.
+
+    Returns:
+        The `minari.MinariDataset`.
+
+    Raises:
+        MissingExtraError: Minari is not installed.
+        RecordingError: There are no steps, no observations, runs that do not belong together, or Minari refuses.
+    """
+    try:
+        import h5py  # type: ignore[import-untyped]  # noqa: F401  # what Minari writes with
+        import minari  # type: ignore[import-untyped]
+    except ImportError:
+        raise MissingExtraError("Minari", "data", "making a dataset") from None
+    from gymnasium import spaces
+
+    from dual_ur10.envs.api.two_agents import agent_spaces
+
+    found = [runs] if isinstance(runs, Run) else list(runs)
+    if not found or not any(len(episode.reward) for run in found for episode in run.episodes):
+        raise RecordingError("there are no steps that a dataset could be made of")
+    header = found[0].header
+    for run in found[1:]:
+        for name in _DIFFER:
+            if getattr(run.header, name) != getattr(header, name):
+                raise RecordingError(
+                    f"runs of one dataset must be of one environment: {name} is {getattr(header, name)!r:.200} in the "
+                    f"first and {getattr(run.header, name)!r:.200} in another"
+                )
+    core = _core(header)
+    try:
+        observation, action = agent_spaces(core)
+        members = [(run, episode) for run in found for episode in run.episodes if len(episode.reward)]
+        buffers = [_buffer(minari, core, number, each) for number, (_, each) in enumerate(members)]
+    finally:
+        core.close()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of what may be left out
+            dataset = minari.create_dataset_from_buffers(
+                dataset_id,
+                buffers,
+                env=None,
+                observation_space=spaces.Dict(dict(zip(ARMS, observation, strict=True))),
+                action_space=spaces.Dict(dict(zip(ARMS, action, strict=True))),
+                algorithm_name=header.policy or None,
+                author=author,
+                author_email=author_email,
+                code_permalink=code_permalink,
+                description=description,
+                requirements=[f"dual-ur10=={header.versions.get('dual_ur10', '')}"],
+                data_format="hdf5",
+            )
+        dataset.storage.update_metadata({"env_spec": _spec(header).to_json(), "dual_ur10_versions": _line(header)})
+        dataset.storage.update_episode_metadata(_metadata(run, episode) for run, episode in members)
+        return minari.load_dataset(dataset_id)
+    except (ValueError, OSError, AssertionError) as error:
+        raise RecordingError(f"Minari does not take the dataset {dataset_id!r}: {error}") from error
+
+
+def _core(header: Header) -> Core:
+    """A simulation of the same task, which knows what each agent observes."""
+    import dual_ur10
+    from dual_ur10.envs.api.names import task_name
+    from dual_ur10.envs.core.core import Core
+
+    if header.env_id not in dual_ur10.ENV_IDS:
+        raise RecordingError(f"it was recorded in {header.env_id!r:.80}: allowed are {', '.join(dual_ur10.ENV_IDS)}")
+    left, right = (_mount(mount) for mount in header.mounts)
+    profile = ServojProfile(family=header.family, **header.servoj[0])  # type: ignore[arg-type]  # checked there
+    keywords = {name: value for name, value in header.kwargs.items() if name not in _NOT_OF_TASK}
+    return Core(task_name(header.env_id), keywords | {"cell": CellConfig(left=left, right=right, servoj=profile)})
+
+
+_NOT_OF_TASK: Final = ("cell", "arm", "confirm", "observation", "cameras", "pixels_rate_hz", "render_mode", "task")
+
+
+def _mount(mount: dict[str, Any]) -> ArmMount:
+    dh = {name: tuple(values) for name, values in mount.get("dh", {}).items()}
+    return ArmMount(tuple(mount["position_m"]), mount.get("yaw_rad", 0.0), DHParameters(**dh))
+
+
+def _spec(header: Header) -> Any:
+    """The Gymnasium spec of the environment, in simulation."""
+    import gymnasium as gym
+
+    spec = copy.deepcopy(gym.spec(header.env_id))
+    spec.kwargs.update({name: value for name, value in header.kwargs.items() if name != "cell"})
+    return spec
+
+
+def _line(header: Header) -> str:
+    return ", ".join(f"{name} {version}" for name, version in sorted(header.versions.items()))
+
+
+def _buffer(minari: Any, core: Core, number: int, episode: Episode) -> Any:
+    """An episode in Minari's form."""
+    if episode.observation is None:
+        raise RecordingError(f"episode {number} has no observations")
+    count, size = len(episode.reward), core.action_space.shape[0]
+    if episode.action.shape != (count, size):
+        raise RecordingError(f"actions of episode {number} have shape {episode.action.shape}, expected {(count, size)}")
+    if episode.observation.shape[1:] != core.observation_space.shape:
+        found, expected = episode.observation.shape[1:], core.observation_space.shape
+        raise RecordingError(f"observations of episode {number} have shape {found}, expected {expected}")
+    own = np.stack([core.task.observe_agents(row[None])[0] for row in episode.observation])
+    action = episode.action.astype(np.float32).reshape(count, 2, -1)
+    truncated = episode.truncated.copy()
+    truncated[-1] |= not episode.terminated[-1]  # an episode that was cut off is truncated
+    success = np.zeros(count + 1, dtype=bool)
+    success[-1] = bool(episode.success)
+    return minari.data_collector.EpisodeBuffer(
+        id=number,
+        seed=episode.seed if episode.seed is not None and episode.seed <= _MOST_SEED else None,
+        observations={arm: own[:, side] for side, arm in enumerate(ARMS)},
+        actions={arm: action[:, side] for side, arm in enumerate(ARMS)},
+        rewards=episode.reward.tolist(),
+        terminations=episode.terminated.tolist(),
+        truncations=truncated.tolist(),
+        infos={
+            "is_success": success,
+            "gated": np.concatenate([[False], episode.gated]),
+            "time_s": np.concatenate([[0.0], episode.time_s]),
+        },
+    )
+
+
+def _metadata(run: Run, episode: Episode) -> dict[str, Any]:
+    success = "unknown" if episode.success is None else str(episode.success).lower()
+    header = run.header
+    return {
+        "success": success,
+        "ended_by": episode.ended_by,
+        "source": header.source,
+        "run": header.started_utc,
+        "number": episode.number,
+    }

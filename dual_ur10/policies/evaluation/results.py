@@ -1,0 +1,292 @@
+"""What comes of an evaluation: its episodes, what they say together, and both as a table and as files."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dual_ur10.errors import SettingsError
+from dual_ur10.files import write_text
+from dual_ur10.policies.evaluation.statistics import wilson_interval
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+CONFIDENCE = 0.95
+"""Of every interval of an evaluation."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One episode.
+
+    Attributes:
+        seed: Of its reset.
+        success: Whether the task says that it was done well.
+        total_reward: Sum of all rewards; "return" in files.
+        steps: Number of steps.
+        time_s: Simulated time from the reset to the end.
+        ended_by: What ended it before its natural end, such as the gate's verdict; "" if nothing did.
+        stage: Stage of the task at the end, 0 before the first; None if the task has no stages.
+        best_stage: Highest stage that was reached; None as above.
+        peak: Largest magnitude over all steps of each number in `info` with a unit, by name; of what there is one per
+            arm as `name/left` and `name/right`. What never was a finite number is not in it.
+        last: The same numbers at the end, with their signs; None: not a finite one.
+    """
+
+    seed: int
+    success: bool
+    total_reward: float
+    steps: int
+    time_s: float
+    ended_by: str = ""
+    stage: int | None = None
+    best_stage: int | None = None
+    peak: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    last: Mapping[str, float | None] = dataclasses.field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The episode as it is written to files."""
+        result: dict[str, Any] = {}
+        for each in dataclasses.fields(self):
+            result["return" if each.name == "total_reward" else each.name] = getattr(self, each.name)
+        return result
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A number of `info` over the episodes that have it.
+
+    Attributes:
+        largest: Largest of the episodes' peaks.
+        median: Median of the episodes' peaks.
+        last: Median of the magnitudes at the episodes' ends; None where no episode ends with a finite one.
+    """
+
+    largest: float
+    median: float
+    last: float | None
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Episodes of one policy in one environment. Everything in it depends on nothing but what it names.
+
+    Attributes:
+        env_id: Id of the environment.
+        policy: Name of the policy, or of its class.
+        kwargs: Keywords of the environment.
+        seed: Of the first episode; the next ones count on.
+        stages: Names of the task's stages; empty if it has none.
+        episodes: In the order of their seeds, one or more.
+        versions: Of the packages that the result depends on, by name.
+        late_actions: How many actions came too late on two controllers, so that both arms came to rest.
+    """
+
+    env_id: str
+    policy: str
+    kwargs: Mapping[str, Any]
+    seed: int
+    stages: tuple[str, ...]
+    episodes: tuple[Episode, ...]
+    versions: Mapping[str, str]
+    late_actions: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.episodes:
+            raise SettingsError("an evaluation needs one episode or more")
+
+    @property
+    def successes(self) -> int:
+        """Number of successful episodes."""
+        return sum(each.success for each in self.episodes)
+
+    @property
+    def success_rate(self) -> float:
+        """Share of successful episodes."""
+        return self.successes / len(self.episodes)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Where the true success rate is, with a confidence of 95 %, by Wilson's interval."""
+        return wilson_interval(self.successes, len(self.episodes), CONFIDENCE)
+
+    @property
+    def mean_return(self) -> float:
+        """Mean of the sums of rewards."""
+        return float(np.mean([each.total_reward for each in self.episodes]))
+
+    @property
+    def std_return(self) -> float:
+        """Standard deviation of the sums of rewards, of these episodes."""
+        return float(np.std([each.total_reward for each in self.episodes]))
+
+    @property
+    def median_time_s(self) -> float | None:
+        """Median duration of the successful episodes; None if none was."""
+        return self._time_s(50.0)
+
+    @property
+    def p90_time_s(self) -> float | None:
+        """Duration that nine of ten successful episodes keep; None if none was successful."""
+        return self._time_s(90.0)
+
+    def _time_s(self, percent: float) -> float | None:
+        times = [each.time_s for each in self.episodes if each.success]
+        return float(np.percentile(times, percent)) if times else None
+
+    @property
+    def cut_short(self) -> tuple[Episode, ...]:
+        """Episodes that the gate or an error ended."""
+        return tuple(each for each in self.episodes if each.ended_by)
+
+    @property
+    def stage_scores(self) -> dict[str, float]:
+        """Share of the episodes that reached each stage or a later one, by its name."""
+        best = [each.best_stage or 0 for each in self.episodes]
+        return {name: sum(stage > k for stage in best) / len(best) for k, name in enumerate(self.stages)}
+
+    @cached_property
+    def spreads(self) -> dict[str, Spread]:
+        """The numbers of `info` with a unit over all episodes, by name; see `Episode.peak`."""
+        result = {}
+        for name in self._names():
+            peaks = [each.peak[name] for each in self.episodes if name in each.peak]
+            lasts = [abs(value) for each in self.episodes if (value := each.last.get(name)) is not None]
+            result[name] = Spread(
+                largest=max(peaks),
+                median=float(np.median(peaks)),
+                last=float(np.median(lasts)) if lasts else None,
+            )
+        return result
+
+    def _names(self) -> list[str]:
+        return sorted({name for each in self.episodes for name in each.peak})
+
+    def summary(self) -> dict[str, Any]:
+        """What the episodes say together, as it is written to files."""
+        return {
+            "episodes": len(self.episodes),
+            "successes": self.successes,
+            "success_rate": self.success_rate,
+            "success_interval": list(self.interval),
+            "confidence": CONFIDENCE,
+            "mean_return": self.mean_return,
+            "std_return": self.std_return,
+            "median_time_s": self.median_time_s,
+            "p90_time_s": self.p90_time_s,
+            "cut_short": len(self.cut_short),
+            **({"late_actions": self.late_actions} if self.late_actions else {}),
+            "stage_scores": self.stage_scores,
+            "spreads": {name: dataclasses.asdict(spread) for name, spread in self.spreads.items()},
+        }
+
+    def as_table(self) -> Table:
+        """What the episodes say together, for people."""
+        from rich.markup import escape
+        from rich.table import Table
+
+        count = len(self.episodes)
+        noun = "episode" if count == 1 else "episodes"
+        title = f"{self.env_id}, {self.policy}, {count} {noun} from seed {self.seed}"
+        table = Table(title=escape(title), title_justify="left", title_style="bold", show_header=False)
+        table.add_column()
+        table.add_column(justify="right")
+        low, high = self.interval
+        table.add_row("success", f"{self.successes} of {count}, [bold]{_percent(self.success_rate)}[/]")
+        table.add_row("95 % interval of it", f"{_percent(low)} to {_percent(high)}")
+        for name, share in self.stage_scores.items():
+            table.add_row(f"reached: {escape(name)}", _percent(share))
+        table.add_row("return", f"{self.mean_return:.2f} ± {self.std_return:.2f}")
+        table.add_row("time of successes, median", _seconds(self.median_time_s))
+        table.add_row("time of successes, 90 %", _seconds(self.p90_time_s))
+        if self.cut_short:
+            first = self.cut_short[0]
+            table.add_row("cut short", str(len(self.cut_short)))
+            table.add_row("the first of them", f"seed {first.seed}: {escape(first.ended_by)}")
+        if self.late_actions:
+            table.add_row("late actions, both arms rested", str(self.late_actions))
+        if self.spreads:
+            table.add_section()
+            table.add_row("[dim]peaks of the episodes[/]", "[dim]largest · median · median at the end[/]")
+        for name, spread in self.spreads.items():
+            values = (spread.largest, spread.median, spread.last)
+            table.add_row(escape(name), " · ".join(_number(each) for each in values))
+        return table
+
+    def to_json(self, path: str | Path) -> None:
+        """Write everything to a JSON file: at once or not at all.
+
+        Raises:
+            DualUR10Error: The file cannot be written. One that was there is as it was.
+        """
+        data = {
+            "env_id": self.env_id,
+            "policy": self.policy,
+            "kwargs": self.kwargs,
+            "seed": self.seed,
+            "stages": self.stages,
+            "versions": self.versions,
+            "summary": self.summary(),
+            "episodes": [each.as_dict() for each in self.episodes],
+        }
+        write_text(path, json.dumps(_plain(data), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write a row per episode to a CSV file: at once or not at all. None is an empty cell.
+
+        Raises:
+            DualUR10Error: The file cannot be written. One that was there is as it was.
+        """
+        text, names = io.StringIO(), self._names()
+        rows = [each.as_dict() for each in self.episodes]
+        plain = [key for key in rows[0] if key not in ("peak", "last")]
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow([*plain, *(f"{kind}/{name}" for name in names for kind in ("peak", "last"))])
+        for row in rows:
+            values = [row[kind].get(name) for name in names for kind in ("peak", "last")]
+            writer.writerow([*(row[key] for key in plain), *values])
+        write_text(path, text.getvalue())
+
+
+def _plain(value: Any) -> Any:
+    """`value` made of what JSON has. A number that is not finite becomes its name; what is unknown, that of its type.
+
+    Never an address in memory: equal evaluations give equal files.
+    """
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else str(value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = {each.name: getattr(value, each.name) for each in dataclasses.fields(value)}
+        return {"type": type(value).__name__, **_plain(fields)}
+    if isinstance(value, Mapping):
+        return {str(key): _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return f"<{type(value).__name__}>"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
+
+
+def _seconds(time_s: float | None) -> str:
+    return "—" if time_s is None else f"{time_s:.2f} s"
+
+
+def _number(value: float | None) -> str:
+    return "—" if value is None else f"{value:.3g}"

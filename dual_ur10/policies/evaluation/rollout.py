@@ -1,0 +1,124 @@
+"""Runs a policy through one episode and keeps what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.policies.policy import Policy
+from dual_ur10.types import Array
+
+Info = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Record:
+    """One episode. Row k of an array is the instant at the end of step k; the reset is not in it.
+
+    Attributes:
+        period_s: Time between two rows.
+        mounts: Where the arms stand, and their kinematics.
+        q_rad: (k, 2, 6) joint positions.
+        flange_m: (k, 2, 3) flange positions in the cell frame, as the cell reports them.
+        reward: (k,).
+        success: Whether the task says that it was done well.
+        ended_by: What ended the episode before its natural end, such as the gate's verdict; "" if nothing did.
+        reference_m: (k, 2, 3) where the flanges should have been; None where a task has no such reference.
+        flange_error_m: (k, 2) distance of each flange to its reference, as the task reports it; None as above.
+        orientation_error_rad: (k, 2) turn of each flange from its reference; None as above.
+    """
+
+    period_s: float
+    mounts: tuple[ArmMount, ArmMount]
+    q_rad: Array
+    flange_m: Array
+    reward: Array
+    success: bool
+    ended_by: str = ""
+    reference_m: Array | None = None
+    flange_error_m: Array | None = None
+    orientation_error_rad: Array | None = None
+
+    @property
+    def steps(self) -> int:
+        """Number of rows."""
+        return len(self.reward)
+
+    @property
+    def time_s(self) -> Array:
+        """(k,) time since the reset."""
+        time_s: Array = self.period_s * np.arange(1, self.steps + 1, dtype=np.float64)
+        return time_s
+
+
+class Trace:
+    """Numbers of `info` over one episode: give it to `rollout` as `on_step`. Rows are as in `Record`."""
+
+    def __init__(self) -> None:
+        self._rows: list[dict[str, Any]] = []
+
+    def __call__(self, info: Info) -> None:
+        """Keep those of one step."""
+        self._rows.append(dict(info))
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getitem__(self, name: str) -> Array:
+        """(k, ...) a number over time."""
+        return np.array([row[name] for row in self._rows], dtype=np.float64)
+
+
+def rollout(
+    env: Any, policy: Policy, *, seed: int | None = None, on_step: Callable[[Info], None] | None = None
+) -> Record:
+    """Run one episode.
+
+    Args:
+        env: An environment as `gym.make` gives it.
+        policy: What acts. It is reset first.
+        seed: Of the environment's reset.
+        on_step: Called with `info` after every step.
+
+    Raises:
+        DualUR10Error: What the environment raises; and whatever the policy does, after which arms that are not
+            simulated are stopped for good.
+    """
+    observation, _ = env.reset(seed=seed)
+    policy.reset()
+    kind = env.action_space.dtype
+    rewards: list[float] = []
+    kept: dict[str, list[Any]] = {name: [] for name in _KEPT}
+    over, info = False, {}
+    while not over:
+        try:
+            action = np.asarray(policy(observation), dtype=kind)
+        except Exception as error:
+            # On real arms, nothing may go on without it.
+            env.unwrapped.core.stop(f"the policy failed: {type(error).__name__}: {error}")
+            raise
+        observation, reward, terminated, truncated, info = env.step(action)
+        rewards.append(float(reward))
+        for name, rows in kept.items():
+            if name in info:
+                rows.append(np.array(info[name], dtype=np.float64))
+        if on_step is not None:
+            on_step(info)
+        over = terminated or truncated
+    core = env.unwrapped.core
+    arrays = {name: np.array(rows) if rows else None for name, rows in kept.items()}
+    return Record(
+        period_s=core.timing.period_s,
+        mounts=(core.config.left, core.config.right),
+        reward=np.array(rewards),
+        success=bool(info.get("is_success", False)),
+        ended_by=str(info.get("safety", info.get("physics_error", ""))),
+        **arrays,  # type: ignore[arg-type]  # the keys are the fields
+    )
+
+
+_KEPT = ("q_rad", "flange_m", "reference_m", "flange_error_m", "orientation_error_rad")

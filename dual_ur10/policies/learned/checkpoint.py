@@ -1,0 +1,398 @@
+"""Checkpoints: learned policies as a folder with numbers and text in it, from which no code is ever run.
+
+    policy.safetensors   the weights, float32, "policy.0.weight", "policy.0.bias", "policy.1.weight", ...;
+                         "left. ..." and "right. ..." where each arm has a network of its own
+    manifest.json        everything else; see `dual_ur10.policies.learned.manifest.Manifest`
+
+Both are read at once and in full, with nothing but the layout that the manifest promises: no link is followed, nothing
+is allocated that the manifest does not account for, and what is not as it was saved is refused. A checksum shows damage
+and carelessness. It does not show who made a checkpoint: a policy moves arms, so know whose you let move yours.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import logging
+import os
+import re
+import shlex
+import shutil
+import stat
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import safetensors
+from numpy.typing import NDArray
+from safetensors.numpy import save as _serialised
+
+from dual_ur10 import __version__
+from dual_ur10.errors import CheckpointError
+from dual_ur10.policies.learned import schema
+from dual_ur10.policies.learned.manifest import Manifest, parse
+from dual_ur10.policies.learned.network import Layer
+from dual_ur10.policies.learned.policy import LearnedPolicy
+from dual_ur10.policies.learned.signature import Described, Target, described, described_env, described_target
+
+log = logging.getLogger(__name__)
+
+WEIGHTS: Final = "policy.safetensors"
+MANIFEST: Final = "manifest.json"
+
+_NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}", re.ASCII)
+_MOST_HEADER: Final = 64 * 1024  # of the weights' file, beside the numbers
+
+Networks = Sequence[Sequence[tuple[NDArray[Any], NDArray[Any]]]]
+"""For each network its layers, weight (out, in) and bias (out,), as PyTorch has them."""
+
+
+def save(folder: str | os.PathLike[str], networks: Networks, manifest: Manifest) -> Manifest:
+    """Write a checkpoint: all of it or nothing. What exists is never written over.
+
+    Args:
+        folder: To be made, in a folder that exists: letters, digits and _ . -, at most 64.
+        networks: Weights of float32, one network for each of `Manifest.names`.
+        manifest: What it says of itself; the weights' checksum is filled in.
+
+    Returns:
+        The manifest as it was written.
+
+    Raises:
+        CheckpointError: The folder exists, cannot be written (a full disk), or has no legal name; or the weights are
+            not those of the manifest. There is no such folder then, unless there was one.
+    """
+    target = check_new(folder)
+    weights = _serialised(_tensors(networks, manifest))
+    written = dataclasses.replace(manifest, weights_sha256=hashlib.sha256(weights).hexdigest())
+    text = written.text().encode()
+    part = target.with_name(f".{target.name}.{os.urandom(4).hex()}.part")
+    try:
+        os.mkdir(part)
+    except OSError as error:
+        raise CheckpointError(f"cannot write {target}: {_reason(error)}") from error
+    try:
+        _write(part / WEIGHTS, weights)
+        _write(part / MANIFEST, text)
+        _sync(part)
+        # Fails where something is by now; an empty folder alone is replaced.
+        os.rename(part, target)
+        _sync(target.parent)
+    except OSError as error:
+        raise CheckpointError(f"cannot write {target}: {_reason(error)}. What was saved before is as it was") from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    return written
+
+
+def check_new(folder: str | os.PathLike[str]) -> Path:
+    """Make sure that a checkpoint could be saved here: before, not after, the work that it is to hold.
+
+    Args:
+        folder: Of the checkpoint.
+
+    Returns:
+        Its absolute path.
+
+    Raises:
+        CheckpointError: It exists, or has no legal name.
+    """
+    target = Path(os.path.abspath(folder))
+    if not _NAME.fullmatch(target.name):
+        raise CheckpointError(
+            f"{target.name!r:.80} is no name of a checkpoint: use at most 64 letters, digits and _ . -, first of "
+            "all a letter, a digit or _"
+        )
+    if os.path.lexists(target):
+        raise CheckpointError(f"{target} exists, and nothing is written over: choose another name, or move it away")
+    return target
+
+
+def load(folder: str | os.PathLike[str], env: Any = None, **keywords: Any) -> LearnedPolicy:
+    """The policy of a checkpoint, once it has been found to be one of this environment.
+
+    Args:
+        folder: Of the checkpoint.
+        env: An environment, with any of the interfaces, or the id of one; None: that of the checkpoint.
+        **keywords: As given to `gym.make`, where `env` is an id or None. With neither, those of the checkpoint.
+
+    Raises:
+        CheckpointError: It cannot be read, is not as it was saved, or is of another task, rate, latency, action, robot
+            or version.
+        DualUR10Error: The keywords make no environment.
+    """
+    path = Path(os.path.abspath(folder))
+    manifest, weights = _read(path)
+    if env is None and not keywords:
+        place = described_target(manifest.target)
+    elif env is None or isinstance(env, str):
+        _check_id(path, manifest, env)
+        place = described(manifest.target.env_id, keywords)
+    elif keywords:
+        raise CheckpointError("keywords were given beside an environment that has its own: pass its id, or no keywords")
+    else:
+        place = described_env(env)
+    _check(path, manifest, place)
+    return LearnedPolicy(manifest, weights, place)
+
+
+def read_manifest(folder: str | os.PathLike[str]) -> Manifest:
+    """What a checkpoint says of itself. Its weights are checked as well.
+
+    Raises:
+        CheckpointError: It cannot be read, or is not as it was saved.
+    """
+    return _read(Path(os.path.abspath(folder)))[0]
+
+
+def sha256_of(folder: str | os.PathLike[str]) -> str:
+    """The hash of a checkpoint's manifest, which holds that of its weights, after both were checked.
+
+    Raises:
+        CheckpointError: It cannot be read, or is not as it was saved.
+    """
+    path = Path(os.path.abspath(folder))
+    read_manifest(path)
+    number = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        return hashlib.sha256(_content(number, MANIFEST, schema.MOST_BYTES, f"{path}/{MANIFEST}")).hexdigest()
+    finally:
+        os.close(number)
+
+
+def target_of(env: Any, **keywords: Any) -> Target:
+    """What a manifest says of an environment that a policy is made for.
+
+    Args:
+        env: An environment, with any of the interfaces, or the id of one.
+        **keywords: As given to `gym.make`, where it is an id.
+
+    Raises:
+        CheckpointError: It is no environment.
+    """
+    return (described(env, keywords) if isinstance(env, str) else described_env(env)).target
+
+
+def _tensors(networks: Networks, manifest: Manifest) -> dict[str, NDArray[np.float32]]:
+    """Arrays by their names in the file, once they are what the manifest says."""
+    names, pairs = manifest.names, manifest.network.pairs
+    if len(networks) != len(names) or any(len(layers) != len(pairs) for layers in networks):
+        raise CheckpointError(
+            f"there are {[len(layers) for layers in networks]} layers in the networks: {manifest.agents} needs "
+            f"{[len(pairs)] * len(names)}"
+        )
+    result = {}
+    for name, layers in zip(names, networks, strict=True):
+        for k, ((inputs, outputs), layer) in enumerate(zip(pairs, layers, strict=True)):
+            for kind, array, shape in zip(("weight", "bias"), layer, ((outputs, inputs), (outputs,)), strict=True):
+                result[f"{name}.{k}.{kind}"] = _checked(f"{name}.{k}.{kind}", np.asarray(array), shape)
+    return result
+
+
+def _checked(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> NDArray[np.float32]:
+    if array.dtype != np.float32 or array.shape != shape:
+        raise CheckpointError(f"{name} is {array.dtype} of shape {array.shape}: it must be float32 of shape {shape}")
+    if not np.isfinite(array).all():
+        raise CheckpointError(f"{name} holds NaN or infinity: the training has diverged, or the file is damaged")
+    return np.ascontiguousarray(array)
+
+
+def _write(path: Path, content: bytes) -> None:
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644), "wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _sync(folder: Path) -> None:
+    """Let what was renamed or made in a folder be so after a power cut, too."""
+    number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(number)
+    finally:
+        os.close(number)
+
+
+def _reason(error: OSError) -> str:
+    return error.strerror or str(error)
+
+
+def _read(path: Path) -> tuple[Manifest, list[list[Layer]]]:
+    """Manifest and weights of a checkpoint."""
+    try:
+        # All through one handle of the folder: what is exchanged meanwhile does not matter.
+        folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    except (OSError, ValueError) as error:
+        found = "it is a file" if path.is_file() else str(error)
+        raise CheckpointError(
+            f"{path} cannot be read as a checkpoint: {found}. A checkpoint is a folder, and no link to one, with "
+            f"{MANIFEST} and {WEIGHTS} in it{_remedy_of(path)}"
+        ) from None
+    try:
+        where = f"{path}/{MANIFEST}"
+        manifest = parse(_content(folder, MANIFEST, schema.MOST_BYTES, where), where)
+        size = 4 * manifest.network.parameters * len(manifest.names)
+        where = f"{path}/{WEIGHTS}"
+        weights = _content(folder, WEIGHTS, size + _MOST_HEADER, where)
+    finally:
+        os.close(folder)
+    found = hashlib.sha256(weights).hexdigest()
+    if found != manifest.weights_sha256:
+        raise CheckpointError(
+            f"{where} is not the file that was saved: its sha256 is {found[:12]}..., the manifest says "
+            f"{manifest.weights_sha256[:12] or 'none'}...: get the checkpoint anew"
+        )
+    return manifest, _layers(weights, manifest, where)
+
+
+def _remedy_of(path: Path) -> str:
+    """What to do with a file in place of a checkpoint. Nothing in it is read but whether it is a zip."""
+    if not (path.is_file() and zipfile.is_zipfile(path)):
+        return ""
+    return (
+        ". It looks like a file of Stable-Baselines3, which runs whatever code is in it when it is read: if you know "
+        f"who made it, `dual-ur10 convert {shlex.quote(str(path))} ENV --out FOLDER --trust-pickle` makes a checkpoint "
+        "of it"
+    )
+
+
+def _content(folder: int, name: str, most: int, where: str) -> bytes:
+    """A regular file's content, if it is not larger than it may be."""
+    try:
+        # A pipe would let the opening wait for somebody who writes, hence not to wait.
+        file = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=folder)
+    except OSError as error:
+        raise CheckpointError(f"{where} cannot be read: {_reason(error)}; links are not followed") from None
+    try:
+        status = os.fstat(file)
+        if not stat.S_ISREG(status.st_mode):
+            raise CheckpointError(f"{where} is no regular file: get the checkpoint anew")
+        if status.st_size > most:
+            raise CheckpointError(f"{where} has {status.st_size} bytes: at most {most} are expected, nothing was read")
+        with os.fdopen(file, "rb", closefd=False) as stream:
+            content = stream.read(most + 1)
+    except OSError as error:
+        raise CheckpointError(f"{where} cannot be read: {_reason(error)}") from None
+    finally:
+        os.close(file)
+    if len(content) > most:
+        raise CheckpointError(f"{where} grew while it was read: at most {most} bytes are expected")
+    return content
+
+
+def _layers(content: bytes, manifest: Manifest, where: str) -> list[list[Layer]]:
+    """The weights in a file's content, for each network."""
+    try:
+        parts = safetensors.deserialize(content)  # type: ignore[no-untyped-call]  # has no types
+        found = {name: (value["dtype"], value["shape"], value["data"]) for name, value in parts}
+    except Exception as error:  # whatever its reader raises
+        raise CheckpointError(f"{where} cannot be read as safetensors: {error!s:.200}") from None
+    expected = [
+        f"{name}.{k}.{kind}"
+        for name in manifest.names
+        for k in range(len(manifest.network.pairs))
+        for kind in ("weight", "bias")
+    ]
+    if sorted(found) != sorted(expected):
+        raise CheckpointError(f"{where} holds {sorted(found)!r:.200}: expected are {sorted(expected)!r:.200}")
+
+    def array(name: str, shape: tuple[int, ...]) -> NDArray[np.float32]:
+        kind, size, data = found[name]
+        if kind != "F32" or tuple(size) != shape or len(data) != 4 * int(np.prod(shape)):
+            raise CheckpointError(f"{where}: {name} is {kind} of shape {tuple(size)}: expected is F32 of {shape}")
+        return _checked(f"{where}: {name}", np.frombuffer(data, dtype="<f4").astype(np.float32).reshape(shape), shape)
+
+    return [
+        [
+            (array(f"{name}.{k}.weight", (outputs, inputs)), array(f"{name}.{k}.bias", (outputs,)))
+            for k, (inputs, outputs) in enumerate(manifest.network.pairs)
+        ]
+        for name in manifest.names
+    ]
+
+
+def _check_id(path: Path, manifest: Manifest, env: str | None) -> None:
+    from dual_ur10.envs.api.names import env_id_of
+
+    made = manifest.target.env_id
+    if env is not None and env_id_of(env) != made:
+        raise CheckpointError(
+            f"{path} is of {made}, the environment is {env_id_of(env)}: load one that was made for it"
+        )
+
+
+_REMEDIES: Final = {
+    "env_id": "load a checkpoint of that task",
+    "rate.tick_s": "use controllers of that family, or train with it",
+    "rate.period_ticks": "set policy_rate_hz as it was in training",
+    "rate.latency_ticks": "set action_latency_ticks to what it was in training, or train with what it will be",
+    "actions.mode": "set action_mode as it was in training",
+    "actions.compensate_lag": "set compensate_lag as it was in training",
+    "actions.joint_step_rad": "train with the speed caps of this cell: they are there for a reason",
+    "robot.family": "use controllers of that family, or train with it",
+    "robot.lookahead_s": "set servoj's lookahead_s as it was in training",
+    "robot.gain": "set servoj's gain as it was in training",
+}
+
+
+def _check(path: Path, manifest: Manifest, place: Described) -> None:
+    """Compare what it was made for with where it is to act.
+
+    Raises:
+        CheckpointError: They are not the same.
+    """
+    made, version = manifest.target, manifest.versions["dual_ur10"]
+    if version.split(".")[:2] != __version__.split(".")[:2]:
+        raise CheckpointError(
+            f"{path} was made with dual_ur10 {version}, this is {__version__}: install a version "
+            f"{'.'.join(version.split('.')[:2])}, or train it anew"
+        )
+    here = place.target
+    if made.env_id == here.env_id and manifest.agents != "joint" and manifest.network.layers[0] != place.agent_size:
+        raise CheckpointError(
+            f"{path}: {manifest.network.layers[0]} numbers go into the network, each agent observes {place.agent_size}"
+        )
+    left, right = _flat(made), _flat(here)
+    for name in ("env_id", *_REMEDIES, *left):
+        if name.startswith(("kwargs", "robot.nominal_dh")):
+            continue
+        if not _same(left[name], right[name]):
+            raise CheckpointError(
+                f"{path} was made for {name} {_said(left[name])}, the environment has {_said(right[name])}: "
+                f"{_REMEDIES.get(name, 'make the environment with the keywords of the training')}"
+            )
+    if made.robot.nominal_dh != here.robot.nominal_dh:
+        log.warning("%s was made for arms with other kinematics: one of both is calibrated", path)
+    differ = sorted(
+        name
+        for name in {*made.kwargs, *here.kwargs} - {"randomization", "policy_rate_hz"}
+        if made.kwargs.get(name) != here.kwargs.get(name)
+    )
+    if differ:
+        log.warning("%s was made with other values of %s: it may do less well", path, ", ".join(differ))
+
+
+def _flat(target: Target) -> dict[str, Any]:
+    """A target's values by their dotted names."""
+    result: dict[str, Any] = {}
+    for name, value in dataclasses.asdict(target).items():
+        if isinstance(value, Mapping) and name != "kwargs":
+            result.update({f"{name}.{inner}": each for inner, each in value.items()})
+        else:
+            result[name] = value
+    return result
+
+
+def _same(made: Any, here: Any) -> bool:
+    """Whether two values are equal; numbers but for rounding."""
+    if isinstance(made, tuple) and isinstance(here, tuple):
+        return len(made) == len(here) and all(map(_same, made, here))
+    if isinstance(made, float) and isinstance(here, float):
+        return bool(abs(made - here) <= 1e-6 * max(abs(made), abs(here)))
+    return type(made) is type(here) and bool(made == here)
+
+
+def _said(value: Any) -> str:
+    return f"{value!r:.120}"

@@ -1,0 +1,150 @@
+"""A small fully connected network on numpy alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from dual_ur10.errors import CheckpointError
+from dual_ur10.types import Array, Single
+
+Layer = tuple[Single, Single]
+"""Weight, (out, in), and bias, (out,): as PyTorch has them."""
+
+Activation = Literal["tanh", "relu"]
+Squashing = Literal["clip", "tanh"]
+
+MOST_WIDTH: Final = 4096
+MOST_LAYERS: Final = 8
+MOST_PARAMETERS: Final = 4_000_000
+"""What a network may have at most."""
+
+# Products with a larger matrix are given by OpenBLAS to several threads: they then would have to be waited for, beside
+# processes that send to two controllers, and the order of additions would be that of the machine.
+_MOST_BLOCK: Final = 8192
+
+
+@dataclass(frozen=True)
+class Normaliser:
+    """Mean and variance of observations, which networks are given as deviations from the mean.
+
+    Attributes:
+        mean, var: (size,) of each number.
+        clip: Largest deviation, in standard deviations.
+        epsilon: Added to the variance.
+
+    Raises:
+        CheckpointError: A value is not possible.
+    """
+
+    mean: tuple[float, ...]
+    var: tuple[float, ...]
+    clip: float = 10.0
+    epsilon: float = 1e-8
+
+    def __post_init__(self) -> None:
+        if len(self.mean) != len(self.var):
+            raise CheckpointError(f"the normaliser has {len(self.mean)} means and {len(self.var)} variances: one each")
+        if not all(each >= 0 for each in self.var):
+            raise CheckpointError(f"the normaliser has a variance of {min(self.var)}: it must be 0 or more")
+        if not (self.clip > 0 and self.epsilon > 0):
+            raise CheckpointError(f"clip {self.clip} and epsilon {self.epsilon} of the normaliser must be above 0")
+
+
+@dataclass(frozen=True)
+class NetworkShape:
+    """What a network looks like.
+
+    Attributes:
+        layers: Numbers that go in, units of each hidden layer, numbers that come out.
+        activation: Of the hidden layers.
+        squashing: "clip": what comes out is the action, clipped to its bounds. "tanh": its hyperbolic tangent is the
+            action in shares of the way from the lower to the upper bound, from -1 to 1.
+
+    Raises:
+        CheckpointError: A size is not possible.
+    """
+
+    layers: tuple[int, ...]
+    activation: Activation
+    squashing: Squashing
+
+    def __post_init__(self) -> None:
+        if not 2 <= len(self.layers) <= MOST_LAYERS + 1 or not all(1 <= each <= MOST_WIDTH for each in self.layers):
+            raise CheckpointError(
+                f"the network has sizes {self.layers!r:.80}: allowed are 1 to {MOST_LAYERS} layers of 1 to {MOST_WIDTH}"
+            )
+        if self.parameters > MOST_PARAMETERS:
+            raise CheckpointError(f"the network has {self.parameters} numbers: allowed are {MOST_PARAMETERS}")
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """Of each layer, how many numbers go in and come out."""
+        return list(zip(self.layers[:-1], self.layers[1:], strict=True))
+
+    @property
+    def parameters(self) -> int:
+        """How many numbers it has."""
+        return sum((inputs + 1) * outputs for inputs, outputs in self.pairs)
+
+
+class Network:
+    """Observations in, actions out. A row of a batch gives what it gives alone, to the last bit.
+
+    Args:
+        shape: What it looks like.
+        layers: Weight and bias of each layer.
+        low, high: (out,) bounds of the action.
+        normaliser: Of observations; None: they go in as they are.
+    """
+
+    def __init__(
+        self, shape: NetworkShape, layers: Sequence[Layer], low: Single, high: Single, normaliser: Normaliser | None
+    ) -> None:
+        self.shape = shape
+        self._low, self._high = low.astype(np.float32), high.astype(np.float32)
+        self._half = np.float32(0.5) * (self._high - self._low)
+        self._squash = shape.squashing == "tanh"
+        self._activation: Callable[[Single], Single] = np.tanh if shape.activation == "tanh" else _relu
+        self._layers = [_blocks(weight, bias) for weight, bias in layers]
+        self._mean: Array | None = None
+        if normaliser is not None:
+            self._mean = np.array(normaliser.mean)
+            self._deviation = np.sqrt(np.array(normaliser.var) + normaliser.epsilon)
+            self._clip = normaliser.clip
+
+    def __call__(self, observation: Array) -> Single:
+        """Actions, (n, out), for observations, (n, in)."""
+        if self._mean is not None:
+            observation = (observation - self._mean) / self._deviation
+            np.clip(observation, -self._clip, self._clip, out=observation)
+        with np.errstate(over="ignore", invalid="ignore"):
+            x: Single = observation.astype(np.float32)
+            last = len(self._layers) - 1
+            for k, (weight, bias) in enumerate(self._layers):
+                # (n, 1, 1, in) and (blocks, in, width): one small product for each row and block.
+                x = (x[:, None, None, :] @ weight).reshape(len(x), -1)[:, : len(bias)] + bias
+                if k < last:
+                    x = self._activation(x)
+            if self._squash:
+                x = np.asarray(self._low + self._half * (np.tanh(x) + np.float32(1.0)), dtype=np.float32)
+            result: Single = np.clip(x, self._low, self._high)
+        return result
+
+
+def _relu(x: Single) -> Single:
+    result: Single = np.maximum(x, np.float32(0.0))
+    return result
+
+
+def _blocks(weight: Single, bias: Single) -> tuple[Single, Single]:
+    """A layer's weight as (blocks, in, width) of as many outputs as can be computed on one thread, and its bias."""
+    outputs, inputs = weight.shape
+    width = min(outputs, max(1, _MOST_BLOCK // inputs))
+    count = -(-outputs // width)
+    padded = np.zeros((count * width, inputs), dtype=np.float32)
+    padded[:outputs] = weight
+    return np.ascontiguousarray(padded.reshape(count, width, inputs).transpose(0, 2, 1)), bias.astype(np.float32)

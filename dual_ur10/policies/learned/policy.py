@@ -1,0 +1,120 @@
+"""A policy that was learned: networks, and what each of them observes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.errors import ActionError, UnknownNameError
+from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.policies.learned.manifest import Manifest
+from dual_ur10.policies.learned.network import Layer, Network
+from dual_ur10.policies.learned.signature import Described
+from dual_ur10.types import Array
+
+Actions = NDArray[Any]
+
+
+class LearnedPolicy:
+    """Acts for both arms, as a scripted policy does. It keeps nothing from one observation to the next.
+
+    Args:
+        manifest: What it says of itself.
+        networks: Layers of each network, in the order of `Manifest.names`.
+        described: The environment that it acts in; that of the manifest, as has been checked.
+
+    Attributes:
+        manifest: What it says of itself.
+        layers: Those of each network.
+    """
+
+    def __init__(self, manifest: Manifest, networks: Sequence[Sequence[Layer]], described: Described) -> None:
+        self.manifest, self.layers = manifest, networks
+        self._described, self._joint = described, manifest.agents == "joint"
+        self._size = manifest.target.observation.shape[0]
+        space = manifest.target.action
+        low, high = np.array(space.low, dtype=np.float32), np.array(space.high, dtype=np.float32)
+        # Bounds of each agent's action are its half.
+        sides = [slice(None)] if self._joint else [slice(0, len(low) // 2), slice(len(low) // 2, None)]
+        normalisers = manifest.normalisers or (None,) * len(networks)
+        of = [0, 1] if len(networks) == 2 else [0] * len(sides)
+        self._networks = [
+            Network(manifest.network, networks[k], low[side], high[side], normalisers[k])
+            for k, side in zip(of, sides, strict=True)
+        ]
+
+    def __repr__(self) -> str:
+        return f"LearnedPolicy({self.manifest.target.env_id}, {self.manifest.agents}, {self.sha256[:12]})"
+
+    @property
+    def sha256(self) -> str:
+        """Of the file of its weights: the same training gives the same one."""
+        return self.manifest.weights_sha256
+
+    def reset(self) -> None:
+        """There is nothing to forget."""
+
+    def begin(self, rows: Any, seeds: Sequence[int]) -> None:
+        """Begin episodes in these rows of the batch; see `dual_ur10.policies.evaluation.evaluate.EpisodeAware`."""
+
+    def __call__(self, observation: Array) -> Actions:
+        """Action of float32 for an observation, or one for each row of a batch of observations.
+
+        Raises:
+            ActionError: Not an observation of its environment.
+        """
+        given = _checked(observation, self._size, self.manifest.target.env_id)
+        batch = given.reshape(-1, self._size)
+        if self._joint:
+            action = self._networks[0](batch)
+        else:
+            own = self._described.split(batch)
+            action = np.concatenate([network(own[:, side]) for side, network in enumerate(self._networks)], axis=1)
+        return action.reshape(*given.shape[:-1], -1)
+
+    def agent(self, arm: str) -> AgentPolicy:
+        """What acts for one arm from its own observation, as PettingZoo's interface gives it.
+
+        Raises:
+            UnknownNameError: There is no such arm, or one network acts for both together.
+        """
+        if self._joint or arm not in ARMS:
+            raise UnknownNameError("agent of this policy", str(arm), [] if self._joint else list(ARMS))
+        return AgentPolicy(self._networks[ARMS.index(arm)])
+
+
+class AgentPolicy:
+    """Acts for one arm, from its own observation.
+
+    Args:
+        network: That acts.
+    """
+
+    def __init__(self, network: Network) -> None:
+        self._network = network
+
+    def reset(self) -> None:
+        """There is nothing to forget."""
+
+    def __call__(self, observation: Array) -> Actions:
+        """Action of float32 for an observation of this arm, or one for each row of a batch.
+
+        Raises:
+            ActionError: Not an observation of one arm.
+        """
+        size = self._network.shape.layers[0]
+        given = _checked(observation, size, "one agent")
+        return self._network(given.reshape(-1, size)).reshape(*given.shape[:-1], -1)
+
+
+def _checked(observation: object, size: int, whose: str) -> Array:
+    given = np.asarray(observation)
+    if given.dtype.kind not in "fiu" or given.ndim not in (1, 2) or given.shape[-1] != size:
+        raise ActionError(
+            f"an observation of {whose} is numbers of shape ({size},) or (n, {size}), found {given.dtype} of shape "
+            f"{given.shape}"
+        )
+    return given.astype(np.float64, copy=False)

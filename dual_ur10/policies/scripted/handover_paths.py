@@ -1,0 +1,180 @@
+"""The ways of both arms in a handover, from postures and poses in the cell frame to motions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from dual_ur10.assets.props import BLOCK_SIZE_M
+from dual_ur10.assets.scene import HOME_Q_RAD
+from dual_ur10.envs.tasks.handover.settings import APPROACH_M, GRIPS, MEETING_M, laid_quat, presented_quat
+from dual_ur10.envs.tasks.holding import flanges_of
+from dual_ur10.envs.tasks.poses import Poses, after, seen_from
+from dual_ur10.kinematics import nearest
+from dual_ur10.kinematics.frames import ArmMount, Frames
+from dual_ur10.kinematics.rotations import quat_to_matrix, rotate
+from dual_ur10.policies.scripted.free_motion import FreeMotion, Waypoint
+from dual_ur10.types import Array
+
+_ABOVE_M: Final = 0.08  # of the passing points above the block on the table
+_APART_M: Final = 0.07  # how far both hands draw back from each other
+_PASS_M_S: Final = 0.12  # speed at which a passing point is passed
+_DROP_M: Final = 0.001  # from which the block is let go, so that it is not pressed onto the table
+_SLIPPED_M: Final = 0.02  # by how much the block is believed to be elsewhere in the hand, at most
+_ACCELERATION_RAD_S2: Final = 4.0
+_JERK_RAD_S3: Final = 20.0
+# Acceleration and jerk of a tool on a line, in m/s² and m/s³: down to the table, and elsewhere.
+_DOWN: Final = (0.5, 1.5)
+_LINE: Final = (0.8, 5.0)
+_LEAST: Final = 0.05  # of the largest limit, for joints that hardly move on it
+_PASS_SHARE: Final = 0.8  # of the speed limits, at passing points
+_SMOOTH_S, _SMOOTH_PERIODS = 0.2, 2.0  # jerk changes over so much time, or so many actions if that is longer
+_DT_S: Final = 0.01
+
+
+class Hand(NamedTuple):
+    """Where a tool passes or ends, in the cell frame.
+
+    Attributes:
+        pose: Of the tool, (3,) and (4,).
+        along_m_s: Its speed along its own z.
+    """
+
+    pose: Poses
+    along_m_s: float = 0.0
+
+    def back(self, distance_m: float, along_m_s: float = 0.0) -> Hand:
+        """The same tool drawn back along its own z, with a speed."""
+        away = rotate(self.pose.quat, np.array([0.0, 0.0, -distance_m]))
+        return Hand(Poses(self.pose.position_m + away, self.pose.quat), along_m_s)
+
+
+class Stop(NamedTuple):
+    """A point on the way of both arms; an arm that is not named stays where it is.
+
+    Attributes:
+        hands: By the index of the arm: where its tool is, or its posture at rest, (6,).
+        line_m: Length of the straight line that leads there, along the tools; 0: no line, the fastest way.
+        most: Acceleration (m/s²) and jerk (m/s³) on that line.
+    """
+
+    hands: Mapping[int, Hand | Array]
+    line_m: float = 0.0
+    most: tuple[float, float] = _LINE
+
+
+class Ways:
+    """Plans the motions of a handover. Postures are (2, 6), poses in the cell frame.
+
+    Args:
+        mounts: Where the arms stand, and their kinematics.
+        speed_rad_s: (12,) joint speeds to keep to.
+        period_s: Time between two actions.
+        higher_m: How much farther from the fingertips than the task names it both hands grip the block.
+    """
+
+    def __init__(self, mounts: Sequence[ArmMount], speed_rad_s: Array, period_s: float, higher_m: float = 0.0) -> None:
+        self._mounts, self._speed, self._higher_m = mounts, speed_rad_s, higher_m
+        self._smooth_s = max(_SMOOTH_S, _SMOOTH_PERIODS * period_s)
+        self._frames = Frames((mounts[0], mounts[1]))
+
+    def pick(self, q_rad: Array, giver: int, block: Poses) -> FreeMotion:
+        """The giver goes down to its grip of a block on the table."""
+        grip = Hand(after(block, self._grip(giver, giver)))
+        return self._motion(
+            q_rad, [Stop({giver: grip.back(_ABOVE_M, _PASS_M_S)}), Stop({giver: grip}, _ABOVE_M, _DOWN)]
+        )
+
+    def meet(self, q_rad: Array, giver: int, tool: Poses) -> FreeMotion:
+        """The giver, whose tool holds the block on the table, lifts and presents it, and the receiver comes to it."""
+        receiver, block = 1 - giver, Poses(MEETING_M, presented_quat(giver))
+        shown, grip = (Hand(after(block, self._grip(giver, arm))) for arm in (giver, receiver))
+        stops = [
+            Stop({giver: Hand(tool).back(_ABOVE_M, -_PASS_M_S)}, _ABOVE_M),
+            Stop({giver: shown, receiver: grip.back(APPROACH_M, _PASS_M_S)}),
+            Stop({receiver: grip}, APPROACH_M),
+        ]
+        return self._motion(q_rad, stops)
+
+    def place(self, q_rad: Array, giver: int, tools: Poses, block: Poses, target: Poses) -> FreeMotion:
+        """Both draw back, the giver goes home, and the receiver lowers the block onto its target.
+
+        Args:
+            q_rad: Posture.
+            giver: Index of the giver.
+            tools: Poses of both tools, (2, ...).
+            block: Pose of the block in the receiver's hand, as measured.
+            target: Pose of the target.
+        """
+        receiver = 1 - giver
+        hands = [Hand(Poses(tools.position_m[arm], tools.quat[arm])) for arm in (0, 1)]
+        grip = self._grip(giver, receiver)
+        # Where along the block the hand is, is seen; the fingers know the rest.
+        seen = seen_from(block, hands[receiver].pose).position_m[0]
+        grip.position_m[0] += np.clip(seen - grip.position_m[0], -_SLIPPED_M, _SLIPPED_M)
+        yaw = 2 * np.arctan2(target.quat[3], target.quat[0])
+        lower = np.array([*target.position_m[:2], BLOCK_SIZE_M[2] / 2 + _DROP_M])
+        down = Hand(after(Poses(lower, laid_quat(yaw)), grip))
+        stops = [
+            Stop({arm: hand.back(_APART_M, -_PASS_M_S) for arm, hand in enumerate(hands)}, _APART_M),
+            Stop({giver: HOME_Q_RAD[giver], receiver: down.back(_ABOVE_M, _PASS_M_S)}),
+            Stop({receiver: down}, _ABOVE_M, _DOWN),
+        ]
+        return self._motion(q_rad, stops)
+
+    def leave(self, q_rad: Array, giver: int, tool: Poses) -> FreeMotion:
+        """The receiver draws its tool back."""
+        return self._motion(q_rad, [Stop({1 - giver: Hand(tool).back(_ABOVE_M)}, _ABOVE_M)])
+
+    def to_cell(self, flanges: Poses) -> Poses:
+        """Poses in the arms' `base` frames, (2, ...), in the cell frame."""
+        return Poses(self._frames.position_to_cell(flanges.position_m), self._frames.quat_to_cell(flanges.quat))
+
+    def _motion(self, q_rad: Array, stops: Sequence[Stop]) -> FreeMotion:
+        waypoints, q = [], q_rad
+        for stop in stops:
+            before, q, qd = q, q.copy(), np.zeros((2, 6))
+            for arm, hand in stop.hands.items():
+                # A free way ends on the branch nearest to home, whichever way the block lay: others fold the wrist.
+                near = q[arm] if stop.line_m else HOME_Q_RAD[arm]
+                q[arm], qd[arm] = self._reached(arm, hand, near)
+            qd *= min(1.0, _PASS_SHARE / float(np.abs(qd.reshape(12) / self._speed).max(initial=1e-9)))
+            limits = _on_line(q - before, stop) if stop.line_m else (None, None)
+            waypoints.append(Waypoint(q.reshape(12), qd.reshape(12), *limits))
+        return FreeMotion(q_rad.reshape(12), waypoints, self._speed, _ACCELERATION_RAD_S2, _JERK_RAD_S3, self._smooth_s)
+
+    def _grip(self, giver: int, arm: int) -> Poses:
+        """Pose of one tool in the block that it grips, (3,) and (4,)."""
+        grip = Poses(GRIPS[giver].position_m[arm].copy(), GRIPS[giver].quat[arm])
+        return Hand(grip).back(self._higher_m).pose
+
+    def _reached(self, arm: int, hand: Hand | Array, near_rad: Array) -> tuple[Array, Array]:
+        """Posture and joint speeds of one arm, (6,) each."""
+        if not isinstance(hand, Hand):
+            return hand, np.zeros(6)
+        before, after_it = (
+            self._inverse(arm, hand.back(sign * hand.along_m_s * _DT_S).pose, near_rad) for sign in (1, -1)
+        )
+        if hand.along_m_s == 0.0:
+            return before, np.zeros(6)
+        return (before + after_it) / 2, (after_it - before) / (2 * _DT_S)
+
+    def _inverse(self, arm: int, tool: Poses, near_rad: Array) -> Array:
+        flange = flanges_of(tool)
+        both = Poses(np.tile(flange.position_m, (2, 1)), np.tile(flange.quat, (2, 1)))
+        position, quat = self._frames.position_to_base(both.position_m)[arm], self._frames.quat_to_base(both.quat)[arm]
+        q: Array = nearest(position[None], quat_to_matrix(quat)[None], near_rad[None], self._mounts[arm].dh)[0]
+        return q
+
+
+def _on_line(change_rad: Array, stop: Stop) -> tuple[Array, Array]:
+    """Limits of acceleration and jerk, (12,) each, that keep all joints, (2, 6), on a straight line.
+
+    On the way down to the table the tool decelerates gently: the brake, which the gate looks ahead by, is softer than
+    the hardest stop.
+    """
+    shares = np.abs(change_rad).reshape(12) / stop.line_m
+    shares = np.maximum(shares, _LEAST * shares.max())
+    return stop.most[0] * shares, stop.most[1] * shares

@@ -1,0 +1,250 @@
+"""Datasets of Minari: made by running a policy, and read to learn from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from dual_ur10.envs.api.names import env_id_of, task_name
+from dual_ur10.envs.api.vector_env import DualArmVectorEnv
+from dual_ur10.errors import DatasetError, DualUR10Error, MissingExtraError
+from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.policies.evaluation.evaluate import EpisodeAware, actor_of
+from dual_ur10.policies.evaluation.minari_export import to_minari
+from dual_ur10.policies.learned.signature import Described, described
+from dual_ur10.policies.training.settings import check_simulated
+from dual_ur10.sim2real.recording.describe import describe
+from dual_ur10.sim2real.recording.run import ArmLog, Episode, Run
+from dual_ur10.types import Single
+
+_SAME: Final = ("env_id", "observation", "action", "rate", "actions", "robot")
+
+
+def collect(
+    env_id: str,
+    dataset_id: str,
+    *,
+    policy: str = "scripted",
+    episodes: int = 100,
+    seed: int = 0,
+    envs: int = 16,
+    env_kwargs: Mapping[str, Any] | None = None,
+    author: str | None = None,
+    author_email: str | None = None,
+    code_permalink: str | None = None,
+    threads: int | None = None,
+    on_progress: Callable[[int, int], None] = lambda episodes, successes: None,
+) -> Any:
+    """Run episodes of a policy and make a Minari dataset of them.
+
+    The format is that of `dual_ur10.policies.evaluation.minari_export.to_minari`.
+
+    Args:
+        env_id: Of the environment, or its short name.
+        dataset_id: As Minari wants it, such as "ur10/carry/scripted-v0"; it must not exist.
+        policy: One of `dual_ur10.policies.evaluation.evaluate.NAMES`, or the folder of a checkpoint.
+        episodes: How many.
+        seed: Of the first one; the others count on.
+        envs: Cells that are stepped together.
+        env_kwargs: Of the environment.
+        author: Of the dataset.
+        author_email: Theirs.
+        code_permalink: Where the code is that made it.
+        threads: Threads to step on.
+        on_progress: Told how many episodes have ended, and how many of them well.
+
+    Returns:
+        The `minari.MinariDataset`.
+
+    Raises:
+        DatasetError: It exists, or Minari refuses it.
+        MissingExtraError: Minari is not installed.
+        DualUR10Error: A name or a value is not legal.
+    """
+    minari = _minari()
+    env_id, keywords = env_id_of(env_id), dict(env_kwargs or {})
+    try:
+        if dataset_id in minari.list_local_datasets():
+            raise DatasetError(f"the dataset {dataset_id} exists, and nothing is written over: choose another name")
+        minari.dataset.minari_dataset.parse_dataset_id(dataset_id)
+    except ValueError as error:
+        raise DatasetError(f"{dataset_id!r:.80} is no name of a dataset: {error}") from None
+    check_simulated(keywords, "collecting", "record a rollout with --cell, and make it a dataset with `to_minari`")
+    env = DualArmVectorEnv(
+        min(envs, episodes), task_name(env_id), autoreset_mode="Disabled", threads=threads, **keywords
+    )
+    try:
+        actor, core = actor_of(policy, env_id, keywords, env), env.core
+        header = describe(
+            env_id,
+            keywords,
+            core.config,
+            period_ticks=core.pipeline.adapter.ticks,
+            latency_ticks=int(core.options.latency_ticks(core.config)),
+            seed=seed,
+            policy=str(policy),
+        )
+        found: list[Episode] = []
+        while len(found) < episodes:
+            count = min(env.num_envs, episodes - len(found))
+            found += _batch(env, actor, range(seed + len(found), seed + len(found) + env.num_envs), count, len(found))
+            on_progress(len(found), sum(bool(each.success) for each in found))
+    finally:
+        env.close()
+    nothing = ArmLog({}, {})
+    run = Run(header, (nothing, nothing), found, [], True)
+    try:
+        return to_minari(run, dataset_id, author=author, author_email=author_email, code_permalink=code_permalink)
+    except DualUR10Error as error:
+        raise DatasetError(str(error)) from error
+
+
+def _batch(env: Any, actor: Any, seeds: range, count: int, number: int) -> list[Episode]:
+    """An episode in every row, of which the first `count` are kept."""
+    n = env.num_envs
+    rows: list[dict[str, list[Any]]] = [
+        {name: [] for name in ("observation", "action", "reward", "terminated", "truncated", "gated", "time_s")}
+        for _ in range(n)
+    ]
+    success = np.zeros(n, dtype=bool)
+    actor.reset()
+    observation, _ = env.reset(seed=list(seeds))
+    if isinstance(actor, EpisodeAware):
+        actor.begin(np.arange(n), list(seeds))
+    live = np.arange(n) < count
+    ended_by = [""] * n
+    for row in range(count):
+        rows[row]["observation"].append(observation[row].copy())
+    period_s = env.core.timing.period_s
+    while live.any():
+        action = np.asarray(actor(observation), dtype=env.single_action_space.dtype)
+        observation, reward, terminated, truncated, info = env.step(action)
+        over = terminated | truncated
+        for row in np.flatnonzero(live).tolist():
+            own = rows[row]
+            own["observation"].append(observation[row].copy())
+            own["action"].append(action[row].copy())
+            own["reward"].append(float(reward[row]))
+            own["terminated"].append(bool(terminated[row]))
+            own["truncated"].append(bool(truncated[row]))
+            own["gated"].append("safety" in info and bool(info["_safety"][row]))
+            own["time_s"].append(period_s * len(own["reward"]))
+            if over[row]:
+                success[row] = bool(info["is_success"][row])
+                if own["gated"][-1]:
+                    ended_by[row] = str(info["safety"][row])
+        live &= ~over
+        if over.any() and live.any():
+            observation, _ = env.reset(options={"reset_mask": over})
+            if isinstance(actor, EpisodeAware):
+                actor.begin(np.flatnonzero(over), [seeds[row] for row in np.flatnonzero(over).tolist()])
+    return [_episode(rows[row], seeds[row], number + row, bool(success[row]), ended_by[row]) for row in range(count)]
+
+
+def _episode(own: dict[str, list[Any]], seed: int, number: int, success: bool, ended_by: str) -> Episode:
+    count = len(own["reward"])
+    return Episode(
+        seed=seed,
+        number=number,
+        begin_s=0.0,
+        action=np.array(own["action"]),
+        targets_rad=np.empty((count, 0, 2, 6)),
+        gripper_m=None,
+        gated=np.array(own["gated"], dtype=bool),
+        reward=np.array(own["reward"]),
+        terminated=np.array(own["terminated"], dtype=bool),
+        truncated=np.array(own["truncated"], dtype=bool),
+        success=success,
+        ended_by=ended_by,
+        observation=np.array(own["observation"]),
+        time_s=np.array(own["time_s"]),
+        q_rad=np.empty((0, 2, 6)),
+        flange_m=np.empty((0, 2, 3)),
+        initial_state=None,
+    )
+
+
+def read_dataset(dataset_id: str, place: Described) -> tuple[Single, Single]:
+    """Observations, (k, O), and actions, (k, A), of the successful episodes of a dataset; of all, if none says.
+
+    Args:
+        dataset_id: Of Minari, on this machine.
+        place: The environment that is to be learned.
+
+    Raises:
+        DatasetError: There is none, or it is of another environment, rate, latency or kind of action.
+        MissingExtraError: Minari is not installed.
+    """
+    minari = _minari()
+    try:
+        dataset = minari.load_dataset(dataset_id)
+        spec = dataset.storage.metadata.get("env_spec")
+    except Exception as error:  # Minari raises what its storage does
+        raise DatasetError(f"the dataset {dataset_id!r:.120} cannot be read: {error!s:.200}") from error
+    _check(dataset_id, spec, place)
+    size = place.target.observation.shape[0] // 2
+    observations, actions = [], []
+    try:
+        for episode in dataset.iterate_episodes(_chosen(dataset_id, dataset)):
+            arms = np.stack([episode.observations[arm] for arm in ARMS], axis=1)[:-1]
+            # Each agent's numbers begin with its half of what both observe.
+            joint = arms[..., :size].reshape(len(arms), -1)
+            if not np.allclose(place.split(joint), arms, atol=1e-6):
+                raise DatasetError(f"{dataset_id}: an agent's observation is not its part of what both observe")
+            observations.append(joint.astype(np.float32))
+            actions.append(np.concatenate([episode.actions[arm] for arm in ARMS], axis=1).astype(np.float32))
+    except (KeyError, TypeError, ValueError, IndexError, OSError) as error:
+        if isinstance(error, DatasetError):
+            raise
+        raise DatasetError(f"{dataset_id} has an episode that cannot be read: {error!s:.200}") from error
+    if not observations:
+        raise DatasetError(f"{dataset_id} has no episodes")
+    observation, action = np.concatenate(observations), np.concatenate(actions)
+    if action.shape[1] != place.target.action.shape[0] or not (
+        np.isfinite(observation).all() and np.isfinite(action).all()
+    ):
+        raise DatasetError(f"{dataset_id} has actions of another size, or numbers that are not finite")
+    return observation, action
+
+
+def _chosen(dataset_id: str, dataset: Any) -> list[int]:
+    """Episodes that succeeded; all, where none says whether it did.
+
+    Raises:
+        DatasetError: They say, and none did.
+    """
+    every = [int(each) for each in dataset.episode_indices]
+    told = [str(each.get("success", "unknown")) for each in dataset.storage.get_episode_metadata(every)]
+    chosen = [each for each, text in zip(every, told, strict=True) if text == "true"]
+    if chosen or all(text == "unknown" for text in told):
+        return chosen or every
+    raise DatasetError(f"{dataset_id} has {len(every)} episodes, of which none succeeded: there is nothing to learn")
+
+
+def _check(dataset_id: str, spec: Any, place: Described) -> None:
+    import gymnasium as gym
+
+    try:
+        found = gym.envs.registration.EnvSpec.from_json(spec)
+        keywords = {name: value for name, value in found.kwargs.items() if name != "task"}  # the id names it
+        target = described(str(found.id), keywords).target
+    except Exception as error:  # whatever a text can be that says what environment it is
+        raise DatasetError(f"{dataset_id} does not say what environment it is of: {error!s:.200}") from error
+    for name in _SAME:
+        theirs, ours = getattr(target, name), getattr(place.target, name)
+        if theirs != ours:
+            raise DatasetError(
+                f"{dataset_id} is of an environment with {name} {theirs!r:.200}, this one has {ours!r:.200}: collect "
+                "one with the same keywords"
+            )
+
+
+def _minari() -> Any:
+    try:
+        import h5py  # type: ignore[import-untyped]  # noqa: F401  # what Minari reads and writes with
+        import minari  # type: ignore[import-untyped]
+    except ImportError:
+        raise MissingExtraError("Minari", "data", "a dataset") from None
+    return minari

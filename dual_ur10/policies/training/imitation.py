@@ -1,0 +1,259 @@
+"""Behaviour cloning and DAgger: a network does what the scripted policy would do.
+
+DAgger (S. Ross, G. Gordon, D. Bagnell, "A Reduction of Imitation Learning and Structured Prediction to No-Regret Online
+Learning", AISTATS 2011): the pupil drives, the expert says what it would have done, and everything said so far is
+learned anew. Cloning is its first round alone.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from dual_ur10.envs.api.names import task_name
+from dual_ur10.envs.api.vector_env import DualArmVectorEnv
+from dual_ur10.errors import SettingsError, TrainingError
+from dual_ur10.policies.learned.manifest import Manifest
+from dual_ur10.policies.learned.policy import LearnedPolicy
+from dual_ur10.policies.learned.signature import Described, described
+from dual_ur10.policies.training import seeds, state
+from dual_ur10.policies.training.dataset import read_dataset
+from dual_ur10.policies.training.expert import Expert
+from dual_ur10.policies.training.folder import TrainingFolder
+from dual_ur10.policies.training.gather import gather
+from dual_ur10.policies.training.input_validation import beginning
+from dual_ur10.policies.training.progress import OnProgress, Progress
+from dual_ur10.policies.training.regression import Fit, reproducible
+from dual_ur10.policies.training.settings import Imitation
+from dual_ur10.policies.training.time_left import TimeLeft
+from dual_ur10.types import Single
+
+_GATHER, _FIT, _INIT = range(3)  # streams of random numbers
+_SHOWN_S: Final = 0.2
+
+
+class Imitator:
+    """Learns from the scripted policy, or from a dataset.
+
+    Args:
+        folder: Where it keeps what it makes.
+        values: Of the state to go on from; None: it begins.
+        on_progress: Told how far it is.
+        threads: Threads to step on.
+    """
+
+    def __init__(
+        self,
+        folder: TrainingFolder,
+        values: dict[str, Any] | None = None,
+        on_progress: OnProgress = lambda progress: None,
+        threads: int | None = None,
+    ) -> None:
+        self._folder, self._asked = folder, folder.training
+        if not isinstance(self._asked.settings, Imitation):
+            raise TrainingError(f"{self._asked.algorithm} does not imitate")
+        self._settings: Imitation = self._asked.settings
+        self._threads = threads
+        self._place: Described = described(self._asked.env_id, self._asked.keywords)
+        joint = self._asked.agents == "joint"
+        self._blind = self._unseen(self._place.target.observation.shape[0] if joint else self._place.agent_size)
+        self._told, self._shown_s = on_progress, 0.0
+        self._progress = Progress(0, self._asked.steps)
+        self._rounds, self._longest = 0, 1
+        self._time_left = TimeLeft()
+        self._samples: list[tuple[Single, Single]] = []
+        if values is not None:
+            try:
+                self._rounds, self._longest, steps = (int(values[name]) for name in ("rounds", "longest", "steps"))
+            except (KeyError, TypeError, ValueError) as error:
+                raise TrainingError(f"the state in {folder.path} cannot be read: {error!s:.200}") from error
+            self._progress.steps = steps
+            self._samples = [self._load_samples(k) for k in range(self._rounds)]
+
+    def run(self) -> Path:
+        """Learn. Returns the folder of the checkpoint that came of it.
+
+        Raises:
+            TrainingError: Something cannot be saved, or there is nothing to learn from.
+            DatasetError: The dataset cannot be read or is of another environment.
+            KeyboardInterrupt: The rounds before are saved.
+        """
+        begun = time.monotonic() - self._folder.seconds
+        if self._asked.dataset and not self._samples:
+            self._add(read_dataset(self._asked.dataset, self._place), begun)
+        env = None
+        try:
+            while not self._has_all:
+                if env is None:
+                    env = DualArmVectorEnv(
+                        self._asked.envs,
+                        task_name(self._asked.env_id),
+                        autoreset_mode="Disabled",
+                        threads=self._threads,
+                        **self._asked.keywords,
+                    )
+                self._round(env, begun)
+        finally:
+            if env is not None:
+                env.close()
+        self._fit(self._rounds, begun)
+        return self._folder.finish()
+
+    @property
+    def _has_all(self) -> bool:
+        """Whether there is nothing more to gather. Cloning from a dataset asks no expert."""
+        if self._asked.algorithm == "bc" and self._asked.dataset:
+            return True
+        return self._progress.steps >= self._asked.steps
+
+    def _round(self, env: Any, begun: float) -> None:
+        number, asked = self._rounds, self._asked
+        learner, share = None, 1.0
+        if number and asked.algorithm == "dagger":
+            learner = self._fit(number, begun)
+            behind = self._progress.steps / asked.steps
+            share = self._settings.expert_share * max(0.0, 1.0 - behind / 0.75)
+        low, high = env.core.action_space.low, env.core.action_space.high
+        before, start = self._progress.steps, time.monotonic()
+
+        def on_step(steps: int) -> None:
+            self._progress.steps = before + steps
+            took_s = time.monotonic() - start
+            self._progress.rate = steps / max(1e-9, took_s)
+            self._time_left.gathered(steps, took_s)
+            self._tell("gathering")
+
+        first = seeds.episodes_of(asked.seed) + number * asked.envs
+        found = gather(
+            env,
+            Expert(asked.env_id, asked.envs, low, high, **asked.keywords),
+            learner,
+            range(first, first + asked.envs),
+            share=share,
+            within=self._longest,
+            noise=self._settings.noise,
+            patience=self._settings.patience,
+            rng=np.random.default_rng([asked.seed, number, _GATHER]),
+            on_step=on_step,
+        )
+        if not len(found.observation):
+            raise TrainingError("the scripted policy knew nothing to do in any step: there is nothing to learn from")
+        self._longest = max(self._longest, found.longest)
+        self._progress.mean_return = float(found.returns.mean())
+        self._progress.success_rate = float(found.successes.mean())
+        self._add((found.observation, found.action), begun)
+
+    def _add(self, samples: tuple[Single, Single], begun: float) -> None:
+        """Keep samples, and that there are so many rounds."""
+        path = self._path(self._rounds)
+        state.save_tensors(path, {"observation": samples[0], "action": samples[1]})
+        self._samples.append(samples)
+        self._rounds += 1
+        values = {"rounds": self._rounds, "steps": self._progress.steps, "longest": self._longest}
+        self._folder.save_state({}, values, time.monotonic() - begun)
+
+    def _path(self, number: int) -> Path:
+        return self._folder.path / f"samples-{number:04d}.safetensors"
+
+    def _load_samples(self, number: int) -> tuple[Single, Single]:
+        found = state.load_tensors(self._path(number))
+        sizes = (self._place.target.observation.shape[0], self._place.target.action.shape[0])
+        try:
+            samples = found["observation"], found["action"]
+        except KeyError as error:
+            raise TrainingError(f"{self._path(number)} has no {error}") from None
+        if any(each.ndim != 2 or each.shape[1] != size for each, size in zip(samples, sizes, strict=True)):
+            raise TrainingError(f"{self._path(number)} has samples of another environment")
+        return samples
+
+    def _fit(self, number: int, begun: float) -> LearnedPolicy:
+        """The policy of networks that are fitted to all samples, from scratch. It is kept if none was better.
+
+        What comes last need not be the best: a network that has to know more of what it was led into knows less well
+        what it is for.
+        """
+        asked, steps = self._asked, self._settings.fit_steps
+        self._time_left.fit_begins()
+        observation, action = (np.concatenate(each) for each in zip(*self._samples, strict=True))
+        parts = self._split(observation, action)
+        with reproducible(_seed_of(asked.seed, number)):
+            fits = [Fit(self._settings, *given, unseen=self._blind) for given in self._given(len(parts))]
+            for k, (fit, part) in enumerate(zip(fits, parts, strict=True)):
+                rng = np.random.default_rng([asked.seed, number, _FIT, k])
+                text = "fitting" if len(parts) == 1 else f"fitting {('left', 'right')[k]}"
+
+                def on_step(step: int, loss: float, text: str = text) -> None:
+                    self._tell(f"{text}, {100 * step // steps} %, loss {loss:.4f}")
+
+                loss = fit(*part, steps, rng, on_step)
+                self._folder.logger.record(f"fit/loss{k or ''}", loss)
+        self._folder.logger.record("fit/samples", len(observation))
+        self._folder.log(self._progress.steps)
+        networks = [fit.layers() for fit in fits]
+        self._tell("looking")
+        seconds = time.monotonic() - begun
+        self._folder.consider(networks, lambda found: self._manifest(fits, found), self._progress.steps, seconds)
+        self._time_left.fit_ends()
+        return self._folder.policy_of(networks, self._manifest(fits))
+
+    def _split(self, observation: Single, action: Single) -> list[tuple[Single, Single]]:
+        """Samples for each network."""
+        if self._asked.agents == "joint":
+            return [(observation, action)]
+        own = self._place.split(observation.astype(np.float64)).astype(np.float32)
+        arms = action.reshape(len(action), 2, -1)
+        if self._asked.agents == "shared":
+            return [(own.reshape(2 * len(own), -1), arms.reshape(2 * len(arms), -1))]
+        return [(np.ascontiguousarray(own[:, k]), np.ascontiguousarray(arms[:, k])) for k in (0, 1)]
+
+    def _unseen(self, size: int) -> list[int]:
+        """Numbers that a network does not see, of an observation that has so many."""
+        arms = 2 if self._asked.agents == "joint" else 1
+        own = size // arms
+        for number in self._settings.unseen:
+            if not -own <= number < own:
+                raise SettingsError(f"unseen has {number}: the observation has {own} numbers, from 0, or from -1 back")
+        found = sorted({number % own for number in self._settings.unseen})
+        return [arm * own + number for arm in range(arms) for number in found]
+
+    @property
+    def _count(self) -> int:
+        return sum(len(observation) for observation, _ in self._samples)
+
+    def _given(self, count: int) -> list[tuple[Any, Any]]:
+        """Layers and normaliser to begin with, for each network."""
+        if not self._asked.init:
+            return [(None, None)] * count
+        policy = beginning(self._asked, self._place)
+        normalisers = policy.manifest.normalisers or (None,) * count
+        return list(zip(policy.layers, normalisers, strict=True))
+
+    def _manifest(self, fits: list[Fit], evaluation: dict[str, object] | None = None) -> Manifest:
+        return Manifest(
+            target=self._place.target,
+            agents=self._asked.agents,  # type: ignore[arg-type]  # checked
+            network=fits[0].shape(),
+            normalisers=tuple(fit.normaliser for fit in fits if fit.normaliser is not None),
+            training={**self._folder.described(), "steps": self._progress.steps, "samples": self._count},
+            seed=self._asked.seed,
+            evaluation=evaluation,
+        )
+
+    def _tell(self, doing: str) -> None:
+        now = time.monotonic()
+        if now - self._shown_s < _SHOWN_S:
+            return
+        self._shown_s, self._progress.doing = now, doing
+        done, asked = self._progress.steps, self._asked
+        rounds = self._rounds - bool(asked.dataset)
+        if rounds > 0:
+            left, refits = max(0, asked.steps - done), asked.algorithm == "dagger"
+            self._progress.seconds_left = self._time_left(left, done / rounds, refits=refits)
+        self._told(self._progress)
+
+
+def _seed_of(seed: int, number: int) -> int:
+    return int(np.random.SeedSequence([seed, number, _INIT]).generate_state(1)[0])

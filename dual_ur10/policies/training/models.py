@@ -1,0 +1,161 @@
+"""Models of Stable-Baselines3: made with a training's settings, begun with a checkpoint, kept as numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dual_ur10.errors import MissingExtraError, TrainingError
+from dual_ur10.policies.learned.policy import LearnedPolicy
+from dual_ur10.policies.training.settings import Reinforcement
+from dual_ur10.policies.training.state import Tensors
+
+try:
+    import torch
+    from stable_baselines3 import PPO, SAC
+    from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
+except ImportError as error:
+    raise MissingExtraError("stable-baselines3", "train", "training") from error
+
+_SURE: float = 1e7  # observations that the normaliser of a checkpoint stands for: it hardly moves any more
+
+
+def make(algorithm: str, env: VecEnv, settings: Reinforcement, seed: int) -> tuple[Any, VecNormalize]:
+    """A model, and the normaliser around its environment."""
+    around = VecNormalize(VecMonitor(env), gamma=settings.gamma, norm_reward=algorithm == "ppo")
+    hidden = list(settings.hidden)
+    if algorithm == "ppo":
+        model: Any = PPO(
+            "MlpPolicy",
+            around,
+            learning_rate=settings.learning_rate,
+            n_steps=settings.steps_per_update,
+            batch_size=min(settings.batch_size, settings.steps_per_update * env.num_envs),
+            n_epochs=settings.epochs,
+            gamma=settings.gamma,
+            gae_lambda=settings.gae_lambda,
+            clip_range=settings.clip_range,
+            ent_coef=settings.entropy,
+            policy_kwargs={
+                "net_arch": {"pi": hidden, "vf": hidden},
+                "log_std_init": float(np.log(settings.first_std)),
+            },
+            seed=seed,
+            device="cpu",
+        )
+    else:
+        model = SAC(
+            "MlpPolicy",
+            around,
+            learning_rate=settings.learning_rate,
+            gamma=settings.gamma,
+            batch_size=settings.batch_size,
+            buffer_size=settings.buffer_size,
+            learning_starts=settings.learning_starts,
+            train_freq=1,
+            gradient_steps=settings.gradient_steps,
+            policy_kwargs={"net_arch": {"pi": hidden, "qf": hidden}},
+            seed=seed,
+            device="cpu",
+        )
+    return model, around
+
+
+def begin_with(models: list[tuple[Any, VecNormalize]], policy: LearnedPolicy) -> None:
+    """Begin PPO's models with the networks of a checkpoint, which are alike: what acts, not what judges."""
+    normalisers = policy.manifest.normalisers or (None,) * len(models)
+    for (model, around), layers, normaliser in zip(models, policy.layers, normalisers, strict=True):
+        modules = [each for each in model.policy.mlp_extractor.policy_net if isinstance(each, torch.nn.Linear)]
+        with torch.no_grad():
+            for module, (weight, bias) in zip([*modules, model.policy.action_net], layers, strict=True):
+                module.weight.copy_(torch.from_numpy(np.array(weight)))
+                module.bias.copy_(torch.from_numpy(np.array(bias)))
+        if normaliser is None:
+            around.norm_obs = False
+            continue
+        rms: Any = around.obs_rms
+        rms.mean, rms.var, rms.count = np.array(normaliser.mean), np.array(normaliser.var), _SURE
+        around.clip_obs, around.epsilon = normaliser.clip, normaliser.epsilon
+
+
+def tensors_of(model: Any, around: VecNormalize, prefix: str) -> Tensors:
+    """All numbers of a model, its optimizers and its normaliser, by names that begin with a prefix.
+
+    SAC's memory of transitions is not among them: it is too large, and is gathered anew.
+    """
+    result: Tensors = {}
+    for name, values in model.get_parameters().items():
+        _flatten(values, f"{prefix}{name}", result)
+    for name in model._get_torch_save_params()[1]:
+        value = getattr(model, name)
+        if isinstance(value, torch.Tensor):
+            result[f"{prefix}variable.{name}"] = np.array(value.detach().numpy())
+    around_as: Any = (around.norm_obs, around.clip_obs, around.epsilon)  # `begin_with` sets them
+    result[f"{prefix}normaliser"] = np.array(around_as, dtype=np.float64)
+    rms: Any
+    for name, rms in (("obs", around.obs_rms), ("ret", around.ret_rms)):
+        for part in ("mean", "var", "count"):
+            result[f"{prefix}{name}_rms.{part}"] = np.array(getattr(rms, part), dtype=np.float64)
+    return result
+
+
+def restore(model: Any, around: VecNormalize, prefix: str, tensors: Tensors) -> None:
+    """Give a model that was made alike these numbers.
+
+    Raises:
+        TrainingError: They are of another model.
+    """
+    try:
+        parameters: dict[str, Any] = {}
+        for name, values in model.get_parameters().items():
+            parameters[name] = _filled(values, f"{prefix}{name}", tensors)
+        model.set_parameters(parameters)
+        for name in model._get_torch_save_params()[1]:
+            value = getattr(model, name)
+            if isinstance(value, torch.Tensor):
+                with torch.no_grad():
+                    value.copy_(torch.from_numpy(tensors[f"{prefix}variable.{name}"]))
+        seen, clip, epsilon = tensors[f"{prefix}normaliser"].tolist()
+        around.norm_obs, around.clip_obs, around.epsilon = bool(seen), clip, epsilon
+        rms: Any
+        for name, rms in (("obs", around.obs_rms), ("ret", around.ret_rms)):
+            for part in ("mean", "var", "count"):
+                found = tensors[f"{prefix}{name}_rms.{part}"]
+                setattr(rms, part, float(found) if part == "count" else np.array(found))
+    except (KeyError, ValueError, RuntimeError) as error:
+        raise TrainingError(f"the state is not of this training: {type(error).__name__}: {error!s:.200}") from error
+
+
+def _flatten(value: Any, name: str, into: Tensors) -> None:
+    if isinstance(value, torch.Tensor):
+        into[name] = np.array(value.detach().numpy())
+    elif isinstance(value, dict):
+        for key, each in value.items():
+            if key != "param_groups":  # settings, which the new model has
+                _flatten(each, f"{name}/{key}", into)
+
+
+def _filled(value: Any, name: str, tensors: Tensors) -> Any:
+    """As `value`, with the numbers of these tensors. An optimizer that is new has no numbers yet."""
+    if isinstance(value, torch.Tensor):
+        found = torch.from_numpy(tensors[name])
+        if found.shape != value.shape:
+            raise ValueError(f"{name} has shape {tuple(found.shape)}, expected {tuple(value.shape)}")
+        return found
+    result = {}
+    for key, each in value.items():
+        if key == "state":
+            result[key] = _optimizer_state(f"{name}/{key}/", tensors)
+        else:
+            result[key] = _filled(each, f"{name}/{key}", tensors) if isinstance(each, dict | torch.Tensor) else each
+    return result
+
+
+def _optimizer_state(prefix: str, tensors: Tensors) -> dict[int, dict[str, Any]]:
+    result: dict[int, dict[str, Any]] = {}
+    for name, value in tensors.items():
+        if name.startswith(prefix):
+            index, key = name.removeprefix(prefix).split("/")
+            result.setdefault(int(index), {})[key] = torch.from_numpy(value)
+    return result

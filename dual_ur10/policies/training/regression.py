@@ -1,0 +1,184 @@
+"""Fits the networks of a policy to samples of what somebody did."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+
+from dual_ur10.errors import MissingExtraError
+from dual_ur10.policies.learned.network import Layer, NetworkShape, Normaliser
+from dual_ur10.policies.training.settings import Imitation
+from dual_ur10.types import Single
+
+try:
+    import torch
+    from torch import nn
+except ImportError as error:
+    raise MissingExtraError("torch", "train", "training") from error
+
+THREADS: Final = 1
+"""Of torch, whatever the machine has: sums over other numbers of threads differ in their last bits. Small networks gain
+little from more, and lose much where the machine has other work."""
+
+_LEAST_STD: Final = 2e-3  # of an observation: of what hardly varies, the noise is not blown up (2 mm, 2 mrad)
+_LEAST_ACTION_STD: Final = 1e-2
+_LEAST_SPREAD: Final = 1e-3  # of a direction of normalised observations, from which on it counts
+_LEAST_GAIN: Final = 1e-2  # so that there is a way back
+_BLIND: Final = 1e24  # variance of a number that is not seen
+_CLIP: Final = 10.0
+_FAR: Final = 0.3  # of an action's spread: beyond it errors count linearly. Where all is lost, precision is not needed
+_ACTIVATIONS: Final = {"tanh": nn.Tanh, "relu": nn.ReLU}
+
+
+@contextmanager
+def reproducible(seed: int) -> Iterator[None]:
+    """Torch with a number of threads of its own, algorithms that give the same bits again, and its seed."""
+    threads, strict = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
+    torch.set_num_threads(THREADS)
+    torch.use_deterministic_algorithms(True)
+    try:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            yield
+    finally:
+        torch.use_deterministic_algorithms(strict)
+        torch.set_num_threads(threads)
+
+
+def normaliser_of(observation: Single, unseen: Sequence[int] = ()) -> Normaliser:
+    """Mean and variance of observations, (k, size); of those that are not to be seen, a variance beyond all."""
+    mean, std = observation.mean(axis=0, dtype=np.float64), observation.std(axis=0, dtype=np.float64)
+    var = np.maximum(std, _LEAST_STD) ** 2
+    var[list(unseen)] = _BLIND
+    return Normaliser(tuple(mean.tolist()), tuple(var.tolist()), _CLIP)
+
+
+def whitening_of(normalised: Any) -> Any:
+    """(size, size) that makes normalised observations, (k, size), uncorrelated and all directions equally wide.
+
+    What tells where a command is to go next are differences of numbers that otherwise move together, such as commanded
+    positions and the block's: a thousandth of their spread, which gradients would hardly ever come to. What varies
+    still less was not really seen to vary: it is made less, so that it says nothing where it does.
+    """
+    centred = normalised - normalised.mean(dim=0)
+    values, vectors = torch.linalg.eigh(centred.T @ centred / len(centred))
+    spread = values.clamp(min=0.0).sqrt()
+    gain = (spread / (spread**2 + _LEAST_SPREAD**2)).clamp(min=_LEAST_GAIN)
+    return (vectors * gain).T.contiguous()
+
+
+class Fit:
+    """One network that is fitted again and again to more and more samples, from where it was.
+
+    What it is given and what it says are normalised by the samples of its first fit. In between it sees them whitened,
+    and its first layer takes that in when it is done.
+
+    Args:
+        settings: Of the imitation.
+        layers: To begin with; None: drawn.
+        normaliser: Of these.
+        unseen: Numbers of an observation that it is blind to: their deviations count as none.
+    """
+
+    def __init__(
+        self,
+        settings: Imitation,
+        layers: Sequence[Layer] | None = None,
+        normaliser: Normaliser | None = None,
+        unseen: Sequence[int] = (),
+    ) -> None:
+        self.settings, self.normaliser, self._unseen = settings, normaliser, unseen
+        self._given = layers
+        self._net: Any = None
+
+    def __call__(
+        self,
+        observation: Single,
+        action: Single,
+        steps: int,
+        rng: np.random.Generator,
+        on_step: Callable[[int, float], None] = lambda step, loss: None,
+    ) -> float:
+        """Fit to samples, (k, O) and (k, A).
+
+        Args:
+            observation: What was observed.
+            action: What was done.
+            steps: Of the gradient.
+            rng: Draws the samples of each step.
+            on_step: Told of steps done, and of the loss of late.
+
+        Returns:
+            The loss of late: Huber's, in units of each action's spread.
+        """
+        if self.normaliser is None:
+            self.normaliser = normaliser_of(observation, self._unseen)
+        mean, std = np.array(self.normaliser.mean), np.sqrt(np.array(self.normaliser.var) + self.normaliser.epsilon)
+        normalised = torch.from_numpy(np.clip((observation - mean) / std, -_CLIP, _CLIP))
+        if self._net is None:
+            self._whitening = whitening_of(normalised)
+            self._build(observation.shape[1], action)
+        x = (normalised @ self._whitening.T).to(torch.float32)
+        y = torch.from_numpy(((action - self._shift) / self._scale).astype(np.float32))
+        rate, size = self.settings.learning_rate, min(self.settings.batch_size, len(x))
+        optimizer = torch.optim.Adam(self._net.parameters(), lr=rate)
+        recent = 0.0
+        for step in range(steps):
+            for group in optimizer.param_groups:
+                group["lr"] = rate * (0.005 + 0.995 * 0.5 * (1.0 + math.cos(math.pi * step / steps)))
+            chosen = torch.from_numpy(rng.integers(len(x), size=size))
+            loss = nn.functional.smooth_l1_loss(self._net(x[chosen]), y[chosen], beta=_FAR)
+            optimizer.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]  # torch's
+            nn.utils.clip_grad_norm_(self._net.parameters(), 1.0)
+            optimizer.step()
+            recent = float(loss.detach()) if step == 0 else 0.98 * recent + 0.02 * float(loss.detach())
+            on_step(step + 1, recent)
+        return recent
+
+    def _build(self, inputs: int, action: Single) -> None:
+        sizes = (inputs, *self.settings.hidden, action.shape[1])
+        modules: list[Any] = []
+        for into, out in pairwise(sizes):
+            modules += [nn.Linear(into, out), _ACTIVATIONS[self.settings.activation]()]
+        self._net = nn.Sequential(*modules[:-1])
+        self._shift = action.mean(axis=0, dtype=np.float64)
+        self._scale = np.maximum(action.std(axis=0, dtype=np.float64), _LEAST_ACTION_STD)
+        if self._given is not None:
+            for module, (weight, bias) in zip(self._linear, self._given, strict=True):
+                with torch.no_grad():
+                    module.weight.copy_(torch.from_numpy(weight))
+                    module.bias.copy_(torch.from_numpy(bias))
+            with torch.no_grad():  # what comes in is whitened, what comes out is in units of the actions
+                first = self._linear[0].weight
+                first.copy_(torch.linalg.solve(self._whitening, first.to(torch.float64), left=False))
+                self._linear[-1].weight /= torch.from_numpy(self._scale[:, None].astype(np.float32))
+                self._linear[-1].bias -= torch.from_numpy(self._shift.astype(np.float32))
+                self._linear[-1].bias /= torch.from_numpy(self._scale.astype(np.float32))
+
+    @property
+    def _linear(self) -> list[Any]:
+        return [module for module in self._net if isinstance(module, nn.Linear)]
+
+    def layers(self) -> list[Layer]:
+        """Weight and bias of each layer; what comes out is the action."""
+        found = [
+            (module.weight.detach().numpy().astype(np.float32), module.bias.detach().numpy().astype(np.float32))
+            for module in self._linear
+        ]
+        found[0] = (found[0][0].astype(np.float64) @ self._whitening.numpy()).astype(np.float32), found[0][1]
+        weight, bias = found[-1]
+        scaled = weight * self._scale[:, None], bias * self._scale + self._shift
+        found[-1] = (scaled[0].astype(np.float32), scaled[1].astype(np.float32))
+        return [(weight.copy(), bias.copy()) for weight, bias in found]
+
+    def shape(self) -> NetworkShape:
+        """What the network looks like."""
+        linear = self._linear
+        sizes = (linear[0].in_features, *(each.out_features for each in linear))
+        return NetworkShape(sizes, self.settings.activation, "clip")

@@ -1,0 +1,221 @@
+"""Reinforcement learning: PPO and SAC of Stable-Baselines3 on the vector environment."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from dual_ur10.envs.api.names import task_name
+from dual_ur10.envs.api.sb3_bridge import CellsVecEnv, JointVecEnv, TwoAgentVecEnv
+from dual_ur10.errors import MissingExtraError, TrainingError
+from dual_ur10.policies.learned.from_sb3 import converted
+from dual_ur10.policies.learned.manifest import Manifest
+from dual_ur10.policies.learned.signature import described
+from dual_ur10.policies.training import models, seeds
+from dual_ur10.policies.training.alternating_learners import Turns
+from dual_ur10.policies.training.folder import TrainingFolder
+from dual_ur10.policies.training.input_validation import beginning
+from dual_ur10.policies.training.progress import OnProgress, Progress
+from dual_ur10.policies.training.regression import reproducible
+from dual_ur10.policies.training.settings import Reinforcement
+from dual_ur10.policies.training.state import Tensors
+
+try:
+    from stable_baselines3.common.callbacks import BaseCallback
+except ImportError as error:
+    raise MissingExtraError("stable-baselines3", "train", "training") from error
+
+_SHOWN_S: Final = 0.5
+_LOOKS: Final = 20  # at the progress, in a training
+_RECENT: Final = 100  # episodes
+
+
+class Reinforcer:
+    """Learns by trial.
+
+    Args:
+        folder: Where it keeps what it makes.
+        state: Tensors and values to go on from; None: it begins.
+        on_progress: Told how far it is.
+        threads: Threads to step on.
+    """
+
+    def __init__(
+        self,
+        folder: TrainingFolder,
+        state: tuple[Tensors, dict[str, Any]] | None = None,
+        on_progress: OnProgress = lambda progress: None,
+        threads: int | None = None,
+    ) -> None:
+        self._folder, self._asked, self._threads = folder, folder.training, threads
+        if not isinstance(self._asked.settings, Reinforcement):
+            raise TrainingError(f"{self._asked.algorithm} is no reinforcement learning")
+        self._settings: Reinforcement = self._asked.settings
+        self._state, self._told = state, on_progress
+        try:
+            self.steps = 0 if state is None else int(state[1]["steps"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise TrainingError(f"the state in {folder.path} cannot be read: {error!s:.200}") from error
+        self._models: list[tuple[Any, Any]] = []
+        self._begun = time.monotonic() - folder.seconds
+        self._first_steps, self._first_s = self.steps, time.monotonic()
+        self._returns: deque[float] = deque(maxlen=_RECENT)
+        self._successes: deque[float] = deque(maxlen=_RECENT)
+        self._shown_s, self._due = 0.0, self._next_look()
+
+    def run(self) -> Path:
+        """Learn. Returns the folder of the checkpoint that came of it: the best one at a look at the progress.
+
+        Raises:
+            TrainingError: Something cannot be saved, or gone on with.
+            KeyboardInterrupt: What was learned so far is saved.
+        """
+        asked = self._asked
+        kind = JointVecEnv if asked.agents == "joint" else TwoAgentVecEnv
+        env: CellsVecEnv = kind(task_name(asked.env_id), asked.envs, threads=self._threads, **asked.keywords)
+        try:
+            # A training that goes on draws other episodes than it has had.
+            seed = int(np.random.SeedSequence([asked.seed, self.steps]).generate_state(1)[0])
+            env.seed(seeds.episodes_of(asked.seed) + self.steps)
+            with reproducible(seed):
+                self._learn(env, seed)
+        finally:
+            env.close()
+        return self._finish()
+
+    def _learn(self, env: CellsVecEnv, seed: int) -> None:
+        asked = self._asked
+        turns = Turns(env) if asked.agents == "independent" and isinstance(env, TwoAgentVecEnv) else None
+        rows = [env] if turns is None else turns.sides
+        self._models = [models.make(asked.algorithm, each, self._settings, seed % 2**31) for each in rows]
+        # `make` seeds the environment with the model's seed: episodes have seeds of their own.
+        env.seed(seeds.episodes_of(asked.seed) + self.steps)
+        if self._state is not None:
+            for k, (model, around) in enumerate(self._models):
+                models.restore(model, around, f"{k}.", self._state[0])
+        elif asked.init:
+            models.begin_with(self._models, beginning(asked, described(asked.env_id, asked.keywords)))
+        for k, (model, _) in enumerate(self._models):
+            model.set_logger(self._folder.logger if k == 0 else _silent())
+        per_step = 1 if asked.agents == "joint" or turns is not None else 2
+        left = (asked.steps - self.steps) * per_step
+
+        def learner(k: int) -> None:
+            callback = _Watcher(self, per_step) if k == 0 else None
+            self._models[k][0].learn(left, callback=callback, reset_num_timesteps=True)
+
+        try:
+            if turns is None:
+                learner(0)
+            else:
+                turns.run([lambda: learner(0), lambda: learner(1)])
+        except KeyboardInterrupt:
+            self.save()
+            raise
+        except ValueError as error:  # of torch, to which numbers that are not finite are no distribution
+            if self._finite:
+                raise
+            raise TrainingError(
+                f"it diverged after {self.steps} steps: what was saved before is as it was. Try a smaller "
+                f"learning_rate, found {self._settings.learning_rate:g}"
+            ) from error
+        self.save()
+
+    def save(self) -> None:
+        """Keep what is needed to go on."""
+        self._folder.save_state(self._tensors, {"steps": self.steps}, time.monotonic() - self._begun)
+
+    @property
+    def _tensors(self) -> Tensors:
+        found: Tensors = {}
+        for k, (model, around) in enumerate(self._models):
+            found.update(models.tensors_of(model, around, f"{k}."))
+        return found
+
+    @property
+    def _finite(self) -> bool:
+        return all(bool(np.isfinite(each).all()) for each in self._tensors.values())
+
+    def _next_look(self) -> int:
+        return self.steps + max(1, self._asked.steps // _LOOKS)
+
+    def watch(self, infos: list[dict[str, Any]], steps: int) -> None:
+        """A step of all cells has been made; called by the first model."""
+        self.steps = self._first_steps + steps
+        for info in infos:
+            episode = info.get("episode")
+            if episode is not None:
+                self._returns.append(float(episode["r"]))
+                self._successes.append(float(info["is_success"]))
+        now = time.monotonic()
+        if now - self._shown_s > _SHOWN_S:
+            self._shown_s = now
+            rate = (self.steps - self._first_steps) / max(1e-9, now - self._first_s)
+            self._told(
+                Progress(
+                    self.steps,
+                    self._asked.steps,
+                    rate,
+                    max(0.0, (self._asked.steps - self.steps) / rate) if rate else None,
+                    float(np.mean(self._returns)) if self._returns else None,
+                    float(np.mean(self._successes)) if self._successes else None,
+                    "learning",
+                )
+            )
+
+    def look(self) -> None:
+        """Evaluate, and keep the policy if it is the best so far; called between rollout and update."""
+        if self.steps < self._due:
+            return
+        self._due = self._next_look()
+        self._look()
+        self.save()
+
+    def _look(self) -> None:
+        networks = self._converted()[0]
+        seconds = time.monotonic() - self._begun
+        self._folder.consider(networks, lambda found: self._converted(found)[1], self.steps, seconds)
+
+    def _converted(self, evaluation: dict[str, object] | None = None) -> tuple[Any, Manifest]:
+        several = self._asked.agents == "independent"
+        return converted(
+            [model for model, _ in self._models] if several else self._models[0][0],
+            self._asked.env_id,
+            agents=self._asked.agents,  # type: ignore[arg-type]  # checked
+            vec_normalize=[around for _, around in self._models] if several else self._models[0][1],
+            training={**self._folder.described(), "steps": self.steps},
+            seed=self._asked.seed,
+            evaluation=evaluation,
+            **self._asked.keywords,
+        )
+
+    def _finish(self) -> Path:
+        if not self._folder.checks or self._folder.checks[-1].steps < self.steps:
+            self._look()
+            self.save()
+        return self._folder.finish()
+
+
+class _Watcher(BaseCallback):
+    """Hands on what the first model sees."""
+
+    def __init__(self, reinforcer: Reinforcer, per_step: int) -> None:
+        super().__init__()
+        self._reinforcer, self._per_step = reinforcer, per_step
+
+    def _on_step(self) -> bool:
+        self._reinforcer.watch(self.locals["infos"], self.num_timesteps // self._per_step)
+        return True
+
+    def _on_rollout_end(self) -> None:
+        self._reinforcer.look()
+
+
+def _silent() -> Any:
+    from stable_baselines3.common.logger import Logger
+
+    return Logger(None, [])

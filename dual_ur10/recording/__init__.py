@@ -1,1 +1,0 @@
-"""Records of runs: written so that no kill loses a row, read so that no file does harm."""

@@ -1,0 +1,82 @@
+"""Whether two runs sent the same targets, bit by bit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.sim2real.analysis.tracks import Track
+from dual_ur10.types import Array
+
+
+@dataclass(frozen=True)
+class Parity:
+    """Targets of one arm in two runs, by their numbers.
+
+    Attributes:
+        compared: How many numbers both runs sent a target for.
+        equal: How many of these targets are equal in every bit.
+        first: Episode and number of the first that is not; None: there is none.
+        most_rad: Largest difference.
+        later: By how many numbers those of run B are taken later: the same actions at another latency.
+    """
+
+    compared: int
+    equal: int
+    first: tuple[int, int] | None
+    most_rad: float
+    later: int = 0
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether all are equal, and there are any."""
+        return self.compared > 0 and self.equal == self.compared
+
+
+def parity(episodes: Sequence[tuple[Track, Track]], later: int = 0) -> Parity:
+    """Compare what was sent to one arm, episode by episode.
+
+    Targets between two numbers are left out, and those by which arms came to rest.
+
+    Args:
+        episodes: What both runs did.
+        later: By how many ticks actions act later in run B. A policy may have taken that into account, or not: what
+            makes more targets equal is told.
+    """
+    plain = _parity(episodes, 0)
+    if not later:
+        return plain
+    moved = _parity(episodes, later)
+    return moved if moved.equal > plain.equal else plain
+
+
+def _parity(episodes: Sequence[tuple[Track, Track]], later: int) -> Parity:
+    compared = equal = 0
+    most, first = 0.0, None
+    for number, (a, b) in enumerate(episodes):
+        index_a, rows_a = _whole(a)
+        index_b, rows_b = _whole(b)
+        shared, at_a, at_b = np.intersect1d(index_a, index_b - later, return_indices=True)
+        same = bits_equal(rows_a[at_a], rows_b[at_b]).all(axis=1)
+        compared, equal = compared + len(shared), equal + int(same.sum())
+        if len(shared):
+            most = max(most, float(np.abs(rows_a[at_a] - rows_b[at_b]).max()))
+        if first is None and not same.all():
+            first = (number, int(shared[np.argmin(same)]))
+    return Parity(compared, equal, first, most, later)
+
+
+def bits_equal(a: Array, b: Array) -> NDArray[np.bool_]:
+    """Which numbers of two arrays of one shape are equal in every bit."""
+    first, second = (np.ascontiguousarray(each, dtype=np.float64).view(np.int64) for each in (a, b))
+    return np.asarray(first == second)
+
+
+def _whole(track: Track) -> tuple[NDArray[np.int64], Array]:
+    """Numbers of the actions' targets that are whole, and these targets; the first that was sent for each number."""
+    whole = (track.index == np.rint(track.index)) & ~track.resting
+    index, rows = np.unique(track.index[whole].astype(np.int64), return_index=True)
+    return index, track.target_rad[whole][rows]

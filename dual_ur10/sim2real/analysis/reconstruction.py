@@ -1,0 +1,237 @@
+"""The environment of a recorded run, made again; and whether a cell is one that it can be played on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from dual_ur10.assets.obstacles import Box, Capsule, Plane
+from dual_ur10.assets.settings import Equipment
+from dual_ur10.errors import CellFileError, RecordingError, SettingsError, UnknownNameError
+from dual_ur10.ids import ENV_IDS
+from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.ur10 import ARMS, DHParameters
+from dual_ur10.sim2real.analysis.tracks import mounts_of
+from dual_ur10.sim2real.config.cell import CellConfig, Perturbation, resolve_cell
+from dual_ur10.sim2real.config.cell_file import examine_text
+from dual_ur10.sim2real.control.servoj import TICK_S, ServojProfile
+from dual_ur10.sim2real.recording.run import Episode, Header, Run
+
+BASE_M: Final = 0.05
+BASE_RAD: Final = 0.1
+"""A base may stand so far from where it stood when the run was recorded, as a measured one from a planned one."""
+
+_SEEN: Final = (
+    "render_mode",
+    "camera",
+    "width",
+    "height",
+    "shadows",
+    "confirm",
+    "record",
+    "record_failure",
+    "record_about",
+)
+"""Keywords that change no motion."""
+
+_SIMULATED: Final = ("randomization", "observation", "cameras", "pixels_rate_hz", *_SEEN)
+"""Keywords that mean nothing to arms."""
+
+
+_LATENCY: Final = "action_latency_ticks"
+
+_KINDS: Final[dict[type[Any], dict[str, type[Any]]]] = {
+    CellConfig: {
+        "left": ArmMount,
+        "right": ArmMount,
+        "servoj": ServojProfile,
+        "perturbation": Perturbation,
+        "equipment": Equipment,
+    },
+    ArmMount: {"dh": DHParameters},
+}
+"""Dataclasses within dataclasses."""
+
+
+def keywords_of(header: Header, cell: str | Path | CellConfig | None = None) -> dict[str, Any]:
+    """Keywords of `gym.make` for the environment of a recorded run.
+
+    An action acts as late as it did. On a cell that needs longer, it acts later, and all that follows with it.
+
+    Args:
+        header: Of the run.
+        cell: Where to play it instead; None: in simulation, on the cell that was recorded.
+
+    Raises:
+        RecordingError: The recording does not say what is needed, or what it says is not legal.
+    """
+    if header.env_id not in ENV_IDS:
+        raise RecordingError(
+            f"the recording is of {header.env_id!r}: this version has {', '.join(ENV_IDS)}. Use the version that "
+            "recorded it"
+        )
+    left_out = _SEEN if cell is None and header.source == "mujoco" else _SIMULATED
+    keywords = {name: value for name, value in header.kwargs.items() if name not in (*left_out, "task")}
+    keywords[_LATENCY] = header.latency_ticks
+    if cell is not None:
+        needed = resolve_cell(cell).latency_ticks
+        return {**keywords, "cell": cell, _LATENCY: max(header.latency_ticks, needed)}
+    try:
+        if header.source != "mujoco":
+            keywords["cell"] = _simulated(header)
+        elif isinstance(keywords.get("cell"), Mapping):
+            keywords["cell"] = _built(CellConfig, keywords["cell"])
+        elif keywords.get("cell", "mujoco") != "mujoco":
+            # A path would be that of arms, which nobody asked to move.
+            raise SettingsError(f"it is {keywords['cell']!r:.80}, and a simulated run's is not a file")
+    except (SettingsError, UnknownNameError, LookupError, TypeError, ValueError) as error:
+        raise RecordingError(f"the cell of the recording is not legal: {error}. It is damaged") from error
+    return keywords
+
+
+def replayed_keywords(header: Header) -> dict[str, Any]:
+    """Keywords of a run's environment that a replay passes on, wherever it plays it."""
+    return {name: value for name, value in header.kwargs.items() if name not in (*_SIMULATED, "task", "cell", _LATENCY)}
+
+
+def _simulated(header: Header) -> CellConfig:
+    """The cell of two controllers, as simulation has it."""
+    if header.cell_file is not None:
+        cell, findings = examine_text(header.cell_file, "the recording's cell file")
+        if cell is None:
+            raise CellFileError(findings[0])
+        return cell.simulated()
+    left, right = mounts_of(header)
+    profile = header.servoj[0]
+    servoj = ServojProfile(header.family, profile["lookahead_s"], profile["gain"])  # type: ignore[arg-type]  # checked
+    return CellConfig(left=left, right=right, servoj=servoj)
+
+
+def _built(kind: type[Any], values: Mapping[str, Any]) -> Any:
+    """A dataclass, and those in it, of what `dataclasses.asdict` and JSON made of it."""
+    known = [each.name for each in fields(kind)]
+    inner: dict[str, Any] = {}
+    for name, value in values.items():
+        if name not in known:
+            raise UnknownNameError(kind.__name__, str(name), known)
+        if name == "obstacles":
+            inner[name] = tuple(map(_obstacle, value))
+            continue
+        within = _KINDS.get(kind, {}).get(name)
+        inner[name] = _built(within, value) if within else tuple(value) if isinstance(value, list) else value
+    return kind(**inner)
+
+
+def _obstacle(values: Mapping[str, Any]) -> Any:
+    """An obstacle; which, its values say."""
+    for kind in (Box, Capsule, Plane):
+        if values.keys() <= {each.name for each in fields(kind)}:
+            return _built(kind, values)
+    raise UnknownNameError("obstacle with the values", ", ".join(map(str, values)), ["those of Box, Capsule, Plane"])
+
+
+def generator_of(run: Run, number: int) -> np.random.Generator | None:
+    """What an episode's reset drew from, as it was before; None: it was not recorded.
+
+    Raises:
+        RecordingError: What was recorded is no generator.
+    """
+    texts = [each.text for each in run.events if each.kind == "generator"]
+    number -= bool(run.episodes and run.episodes[0].first_step)  # that of an episode whose beginning is gone is gone
+    if not 0 <= number < len(texts):
+        return None
+    try:
+        generator = np.random.default_rng(0)
+        generator.bit_generator.state = json.loads(texts[number])
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        raise RecordingError(
+            f"what episode {number} drew from cannot be read: {error!r:.200}. The recording is damaged; record it anew"
+        ) from error
+    return generator
+
+
+def resets_of(run: Run, number: int) -> list[int | None]:
+    """Seeds of the resets that lead to an episode, where nothing else is known of what it drew.
+
+    From the last episode that had one; those after it go on from there.
+    """
+    first = number
+    while first > 0 and run.episodes[first].seed is None:
+        first -= 1
+    seeds = [run.episodes[k].seed for k in range(first, number + 1)]
+    if first == 0 and seeds[0] is None:
+        seeds[0] = run.header.seed
+    return seeds
+
+
+def check_replayable(header: Header, config: CellConfig) -> None:
+    """Make sure that a recorded run can be played on a cell: the same robot at the same rate, where it stood.
+
+    Raises:
+        RecordingError: It cannot. The message says what was found, what was expected and what to do.
+    """
+    for name, factor in (("recording", header.speed_factor), ("cell", config.speed_factor)):
+        if not 0.0 < factor <= 1.0:
+            raise RecordingError(
+                f"the speed_factor of the {name} is {factor!r}: above 0 and at most 1 is expected, for nothing is "
+                "played faster than in the time of its task. Correct the cell file, or record the run anew"
+            )
+    servoj = config.servoj
+    if header.family not in TICK_S or abs(TICK_S[header.family] - header.tick_s) > 1e-9:
+        raise RecordingError(
+            f"the recording is of a controller {header.family!r} with a tick of {header.tick_s!r} s: expected is one "
+            f"of {', '.join(f'{name} with {tick_s:g} s' for name, tick_s in TICK_S.items())}. It is of another robot"
+        )
+    if header.family != servoj.family:
+        raise RecordingError(
+            f"the recording is of {header.family} controllers ({1 / header.tick_s:g} Hz), the cell has {servoj.family} "
+            f"({1 / servoj.tick_s:g} Hz): the same are expected. Replay it on the other cell, or record it anew"
+        )
+    for arm, there, here in zip(ARMS, mounts_of(header), (config.left, config.right), strict=True):
+        away = float(np.linalg.norm(np.subtract(there.position_m, here.position_m)))
+        turned = abs(float(np.angle(np.exp(1j * (there.yaw_rad - here.yaw_rad)))))
+        if not (away <= BASE_M and turned <= BASE_RAD):
+            raise RecordingError(
+                f"{arm}: the base was at {tuple(there.position_m)} m, turned by {there.yaw_rad:g} rad, and is at "
+                f"{tuple(here.position_m)} m, turned by {here.yaw_rad:g} rad: {BASE_M} m and {BASE_RAD} rad apart are "
+                "the most. Replay it on a cell like the recorded one, or record it anew"
+            )
+
+
+def check_same_actions(header: Header, episode: Episode, core: Any) -> None:
+    """Make sure that an environment takes the actions of an episode as they were meant.
+
+    Args:
+        header: Of the run.
+        episode: Of the run.
+        core: Of the environment, `env.unwrapped.core`.
+
+    Raises:
+        RecordingError: It does not. The message says what was found, what was expected and what to do.
+    """
+    adapter = core.pipeline.adapter
+    size = 2 * adapter.action_size
+    count, *shape = episode.action.shape
+    for what, found, expected in (
+        ("ticks per action", header.period_ticks, adapter.ticks),
+        ("action mode", header.kwargs.get("action_mode", adapter.mode), adapter.mode),
+        ("numbers of an action", int(np.prod(shape)), size),
+        ("targets of an episode", episode.targets_rad.shape, (count, adapter.ticks, 2, 6)),
+        ("joints of an episode", episode.q_rad.shape, (count + 1, 2, 6)),
+    ):
+        if found != expected:
+            raise RecordingError(
+                f"{what}: {found} in the recording, {expected} in the environment: they have to be the same. Make the "
+                "environment as the recording says, or record it anew"
+            )
+    latency = core.options.latency_ticks(core.config)
+    if latency < header.latency_ticks:
+        raise RecordingError(
+            f"action latency in ticks: {header.latency_ticks} in the recording, {latency} in the environment: it must "
+            "not be shorter. Make the environment as the recording says, or record it anew"
+        )

@@ -1,0 +1,305 @@
+"""Plays a recorded episode again: the same actions, through the same adapter and gate, wherever they lead."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.errors import DualUR10Error, RecordingError
+from dual_ur10.kinematics.ur10 import ARMS, JOINTS
+from dual_ur10.sim2real.analysis.parity import bits_equal
+from dual_ur10.sim2real.analysis.reconstruction import (
+    check_replayable,
+    check_same_actions,
+    generator_of,
+    keywords_of,
+    resets_of,
+)
+from dual_ur10.sim2real.config.cell import CellConfig, resolve_cell
+from dual_ur10.sim2real.recording.reader import file_of
+from dual_ur10.sim2real.recording.run import Episode, Run
+from dual_ur10.sim2real.recording.scan import open_regular
+from dual_ur10.sim2real.runtime.arm_sender import START_GAP_RAD
+from dual_ur10.types import Array
+
+AWAY_RAD: Final = 0.02
+"""How far targets may be from the recorded ones on another cell: beyond that, it is another motion.
+
+Steps of joints go on from where arms are led to. Where a limit is tighter, or arms had to rest because an action came
+too late, the same steps lead elsewhere, and to what is there.
+"""
+
+
+def source_of(path: str | Path, episode: int) -> dict[str, Any]:
+    """What the record of a replay says of what it replays, as `record_about` of an environment takes it.
+
+    Args:
+        path: The recording that was read: its folder, or its file.
+        episode: Which of its episodes.
+
+    Raises:
+        RecordingError: It cannot be read.
+    """
+    file = file_of(path)
+    opened, _ = open_regular(file)
+    digest = hashlib.sha256()
+    with opened:
+        while piece := opened.read(2**20):
+            digest.update(piece)
+    run = file.resolve().parent.name
+    return {"policy": f"replay of {run}", "replays": {"run": run, "sha256": digest.hexdigest(), "episode": episode}}
+
+
+class RecordedPolicy:
+    """Gives the actions of a recorded episode, one after the other, whatever it sees.
+
+    Args:
+        run: The recording.
+        episode: Which, in the order of the recording.
+
+    Raises:
+        RecordingError: There is no such episode, or it has no action.
+    """
+
+    def __init__(self, run: Run, episode: int = 0) -> None:
+        self.episode = episode_of(run, episode)
+        self._next = 0
+
+    def __len__(self) -> int:
+        return len(self.episode.action)
+
+    def reset(self) -> None:
+        """Begin with the first action again."""
+        self._next = 0
+
+    def __call__(self, observation: Any) -> NDArray[Any]:
+        """The next action, as it was recorded.
+
+        Raises:
+            RecordingError: There are no more.
+        """
+        if self._next >= len(self):
+            raise RecordingError(
+                f"the recorded episode has {len(self)} actions, and number {self._next} was asked for: end the episode "
+                "there, or record a longer one"
+            )
+        action: NDArray[Any] = self.episode.action[self._next].copy()
+        self._next += 1
+        return action
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What came of a replay.
+
+    Attributes:
+        steps: How many steps were made.
+        recorded: How many were recorded.
+        targets_rad: (steps, ticks, 2, 6) what the gate let out now.
+        q_rad: (steps + 1, 2, 6) joints after the reset and after each step, now.
+        flange_m: (steps + 1, 2, 3) flanges likewise, in the cell frame.
+        equal_targets: How many ticks of these have the same targets as recorded, in every bit, for both arms.
+        difference: The first thing that is not as recorded, in words; "" if all that should be is: targets anywhere,
+            and joints where a simulated run was simulated again.
+        success: Whether the task says that it was done well; None: the episode did not come to its end.
+        ended_by: What ended it, such as the gate's verdict, or that another motion came of the actions; "" if nothing
+            did.
+        late_actions: How many actions came too late on two controllers, so that both arms came to rest.
+    """
+
+    steps: int
+    recorded: int
+    targets_rad: Array
+    q_rad: Array
+    flange_m: Array
+    equal_targets: int
+    difference: str
+    success: bool | None
+    ended_by: str
+    late_actions: int = 0
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether all is as recorded."""
+        return not self.difference
+
+
+def episode_of(run: Run, number: int) -> Episode:
+    """An episode that can be played.
+
+    Raises:
+        RecordingError: There is none of this number, or it has no action.
+    """
+    if not 0 <= number < len(run.episodes):
+        have = f"episodes 0 to {len(run.episodes) - 1}" if run.episodes else "no episode"
+        raise RecordingError(f"the recording has {have}: there is no episode {number}. Name another")
+    episode = run.episodes[number]
+    if episode.first_step:
+        raise RecordingError(
+            f"episode {number} of the recording begins with its step {episode.first_step}, as in a black box: it "
+            "cannot be played from where it began. Replay the run that it is of"
+        )
+    if not len(episode.action):
+        raise RecordingError(f"episode {number} of the recording has no action: there is nothing to play. Name another")
+    if not np.isfinite(episode.action).all():
+        row = int(np.argmin(np.isfinite(episode.action.reshape(len(episode.action), -1)).all(axis=1)))
+        raise RecordingError(
+            f"action {row} of episode {number} holds what is no finite number: the recording is damaged. Record it anew"
+        )
+    return episode
+
+
+def replay(
+    run: Run,
+    cell: str | Path | CellConfig | None = None,
+    *,
+    episode: int = 0,
+    keywords: Mapping[str, Any] | None = None,
+    on_step: Callable[[int, int], None] | None = None,
+) -> Replay:
+    """Play an episode again.
+
+    Args:
+        run: The recording.
+        cell: Where: the path of a cell file, or what else `gym.make` takes; None: in simulation, on the cell that was
+            recorded.
+        episode: Which, in the order of the recording.
+        keywords: More for `gym.make`.
+        on_step: Called with the steps made and those there are, after each step.
+
+    Raises:
+        RecordingError: The recording does not fit this robot or cell, or does not begin where the cell does. Nothing
+            has moved then, but for the reset.
+        DualUR10Error: What environment and cell raise.
+    """
+    played = episode_of(run, episode)
+    header = run.header
+    again = cell is None and header.source == "mujoco"
+    if cell is not None:
+        check_replayable(header, resolve_cell(cell))  # before anything is connected to
+    made = keywords_of(header, cell)
+    made |= {"disable_env_checker": True, **(keywords or {})}
+    try:
+        env = gym.make(header.env_id, **made)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, DualUR10Error):
+            raise
+        raise RecordingError(
+            f"the environment of the recording cannot be made: {error}. It is damaged, or of another version"
+        ) from error
+    try:
+        core = env.unwrapped.core  # type: ignore[attr-defined]  # Gymnasium knows only Env
+        check_replayable(header, core.config)
+        check_same_actions(header, played, core)
+        core.pipeline = tap = _Tap(core.pipeline)
+        info: dict[str, Any] = {}
+        generator = generator_of(run, episode)
+        if generator is not None:
+            env.unwrapped.np_random = generator
+            _, info = env.reset()
+        else:
+            for seed in resets_of(run, episode) if again else [played.seed]:
+                _, info = env.reset(seed=seed)
+        found = _play(env, tap, played, info, exact=again, on_step=on_step)
+        if found.success is None:  # the recording was shorter than an episode: no more targets come
+            core.cell.finish()
+        return found
+    finally:
+        env.close()
+
+
+class _Tap:
+    """A pipeline, and what it let out last."""
+
+    def __init__(self, pipeline: Any) -> None:
+        self._pipeline = pipeline
+        self.targets_rad: Array = np.zeros(0)
+
+    def __call__(self, action: object) -> Any:
+        command, verdicts = self._pipeline(action)
+        self.targets_rad = command.targets_rad[0].copy()
+        return command, verdicts
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._pipeline, name)
+
+
+def _play(
+    env: Any,
+    tap: _Tap,
+    played: Episode,
+    info: Mapping[str, Any],
+    *,
+    exact: bool,
+    on_step: Callable[[int, int], None] | None,
+) -> Replay:
+    start = np.array(info["q_rad"], dtype=np.float64)
+    gap = np.abs(start - played.q_rad[0])
+    if gap.max() > START_GAP_RAD:
+        arm, joint = np.unravel_index(int(gap.argmax()), gap.shape)
+        raise RecordingError(
+            f"{ARMS[arm]}: {JOINTS[joint]} is {start[arm, joint]:.4f} rad at the start, and was "
+            f"{played.q_rad[0, arm, joint]:.4f} rad in the recording: {START_GAP_RAD} rad apart is the most. The "
+            "episode began elsewhere. Replay one that was begun with a seed"
+        )
+    joints, flanges, targets = [start], [np.array(info["flange_m"])], []
+    equal, difference = 0, _unequal("joints", start, played.q_rad[0], "after the reset") if exact else ""
+    ended_by, success, over = "", None, False
+    for step, action in enumerate(played.action):
+        _, reward, terminated, truncated, info = env.step(action)
+        targets.append(tap.targets_rad)
+        joints.append(np.array(info["q_rad"]))
+        flanges.append(np.array(info["flange_m"]))
+        where = f"in step {step}"
+        equal += int(bits_equal(tap.targets_rad, played.targets_rad[step]).all(axis=(1, 2)).sum())
+        difference = difference or _unequal("targets", tap.targets_rad, played.targets_rad[step], where)
+        if exact:
+            difference = difference or _unequal("joints", joints[-1], played.q_rad[step + 1], where)
+            if not difference and float(reward) != float(played.reward[step]):
+                difference = f"the reward {where} is {float(reward)!r}, and was {float(played.reward[step])!r}"
+        if on_step is not None:
+            on_step(step + 1, len(played.action))
+        away = float(np.abs(tap.targets_rad - played.targets_rad[step]).max())
+        if not exact and away > AWAY_RAD:
+            ended_by = f"targets {where} are {away:.3f} rad from the recorded ones: {AWAY_RAD} rad are the most"
+            break
+        over = terminated or truncated
+        if over:
+            ended_by = str(info.get("safety", info.get("physics_error", "")))
+            success = bool(info.get("is_success", False))
+            if not difference and step + 1 < len(played.action):
+                difference = f"the episode ended {where}, and was {len(played.action)} steps long: {ended_by or 'over'}"
+            break
+    return Replay(
+        steps=len(targets),
+        recorded=len(played.action),
+        targets_rad=np.array(targets),
+        q_rad=np.array(joints),
+        flange_m=np.array(flanges),
+        equal_targets=equal,
+        difference=difference,
+        success=success,
+        ended_by=ended_by,
+        late_actions=env.unwrapped.core.late_actions,
+    )
+
+
+def _unequal(what: str, found: Array, recorded: Array, where: str) -> str:
+    """Where two arrays, (..., 2, 6), first differ, in words; "" if in no bit."""
+    same = bits_equal(found, recorded)
+    if same.all():
+        return ""
+    place = tuple(int(each) for each in np.argwhere(~same)[0])
+    arm, joint = place[-2:]
+    tick = f", tick {place[0]}" if len(place) > 2 else ""
+    return (
+        f"{what} {where}{tick} differ: {ARMS[arm]} {JOINTS[joint]} is {float(found[place])!r}, and was "
+        f"{float(recorded[place])!r} ({abs(float(found[place] - recorded[place])):.2g} rad apart)"
+    )

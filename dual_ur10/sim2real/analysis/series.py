@@ -1,0 +1,94 @@
+"""Numbers over time: interpolated, smoothed, and told by their size."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.types import Array
+
+
+class Value(NamedTuple):
+    """A figure, or why there is none.
+
+    Attributes:
+        value: NaN where there is none.
+        reason: Why; "" where there is one.
+    """
+
+    value: float
+    reason: str = ""
+
+
+def none(reason: str) -> Value:
+    """No figure, because of this."""
+    return Value(math.nan, reason)
+
+
+class Spread(NamedTuple):
+    """The sizes of many numbers: their root mean square, what 99 of 100 do not exceed, and the largest."""
+
+    rms: float
+    p99: float
+    most: float
+
+
+NO_SPREAD = Spread(math.nan, math.nan, math.nan)
+
+
+def spread(values: Array) -> Spread:
+    """The sizes of numbers of any shape; NaN where there are none."""
+    sizes = np.abs(values)
+    if not sizes.size:
+        return NO_SPREAD
+    return Spread(float(np.sqrt((sizes * sizes).mean())), float(np.percentile(sizes, 99)), float(sizes.max()))
+
+
+def lengths(vectors: Array) -> Array:
+    """Lengths of (..., 3) vectors."""
+    result: Array = np.linalg.norm(vectors, axis=-1)
+    return result
+
+
+def at(times_s: Array, values: Array, when_s: Array) -> Array:
+    """Values between samples, on a smooth way through them: cubics whose slopes at a sample its neighbours give.
+
+    Args:
+        times_s: (k,) strictly rising, two or more.
+        values: (k, d).
+        when_s: (j,) within `times_s`; outside, the first or last value.
+
+    Returns:
+        (j, d); at a sample's time, the sample exactly.
+    """
+    slopes = np.gradient(values, times_s, axis=0)
+    when = np.clip(when_s, times_s[0], times_s[-1])
+    left = np.clip(np.searchsorted(times_s, when, side="right") - 1, 0, len(times_s) - 2)
+    length = times_s[left + 1] - times_s[left]
+    share = ((when - times_s[left]) / length)[:, None]
+    rise = values[left + 1] - values[left]
+    begin, end = slopes[left] * length[:, None], slopes[left + 1] * length[:, None]
+    bend = share * (share * (begin + end - 2 * rise) + 3 * rise - 2 * begin - end)
+    result: Array = values[left] + share * (begin + bend)
+    return np.where(share == 1.0, values[left + 1], result)
+
+
+def rising(times_s: Array) -> NDArray[np.bool_]:
+    """(k,) which samples to keep so that times strictly rise: each that is later than all before it."""
+    before = np.maximum.accumulate(np.concatenate([[-np.inf], times_s[:-1]]))
+    result: NDArray[np.bool_] = times_s > before
+    return result
+
+
+def smoothed(values: Array, half: int) -> Array:
+    """(k - 2 half, d): each value but the outer ones by the cubic that fits it and `half` neighbours on both sides."""
+    if len(values) <= 2 * half:
+        return values[:0]
+    places: Array = np.arange(-half, half + 1) / max(half, 1)
+    weights = np.linalg.pinv(np.vander(places, 4))[-1]
+    windows = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1, axis=0)
+    result: Array = windows @ weights
+    return result

@@ -1,0 +1,269 @@
+"""Looks at two controllers, and says for each thing what was found, what was expected, and what to do.
+
+It moves nothing and writes nothing: it reads, and asks for the registers that commands will need, to give them back at
+once. Every step has an end, whatever a controller does.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import select
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Final
+
+from dual_ur10.errors import LinkError
+from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.sim2real.commissioning.doctor_findings import ExpectedArm, Finding, any_fails, failed, judged
+from dual_ur10.sim2real.commissioning.doctor_state import (
+    calibration_findings,
+    family_findings,
+    model_findings,
+    round_trip_findings,
+    safety_findings,
+    state_findings,
+    stream_findings,
+    tool_findings,
+)
+from dual_ur10.sim2real.links import dashboard_link, primary_link, rtde_link
+from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
+from dual_ur10.sim2real.links.dashboard_link import DashboardLink
+from dual_ur10.sim2real.links.link_socket import LinkSocket
+from dual_ur10.sim2real.links.network_route import is_loopback, route_to
+from dual_ur10.sim2real.links.primary_link import PrimaryFacts, read_primary
+from dual_ur10.sim2real.links.rtde_link import RtdeClient, RtdeLink
+from dual_ur10.sim2real.links.rtde_stream import Sample
+from dual_ur10.sim2real.protocol.rtde_codec import Kind
+
+__all__ = ["ExpectedArm", "Finding", "any_fails", "check_arm", "check_cell"]
+
+PORTS: Final = {
+    "dashboard": dashboard_link.PORT,
+    "primary": primary_link.PORT,
+    "realtime": 30003,  # takes the control script
+    "rtde": rtde_link.PORT,
+}
+
+REGISTERS: Final = (
+    *(f"input_int_register_{number}" for number in range(8)),
+    *(f"input_double_register_{number}" for number in range(18)),
+)
+"""Input registers by which `ur_rtde` tells its control script what to do."""
+
+_IN_USE: Final = "IN_USE"
+_ROUND_TRIPS: Final = 20
+
+
+@dataclass
+class _Arm:
+    """What is known of an arm so far."""
+
+    name: str
+    expected: ExpectedArm
+    timeout_s: float
+    observe_s: float
+    serial_number: str | None = None
+    model: str | None = None
+    facts: PrimaryFacts | None = None
+
+    def deadline_s(self) -> float:
+        return time.monotonic() + self.timeout_s
+
+
+def check_cell(
+    left: ExpectedArm, right: ExpectedArm, *, timeout_s: float = 1.5, observe_s: float = 0.3
+) -> list[Finding]:
+    """Check both arms, and that they are two. See `check_arm`; it takes no longer than that.
+
+    Raises:
+        SettingsError: A time is not legal.
+    """
+    if ipaddress.IPv4Address(left.host) == ipaddress.IPv4Address(right.host):
+        both = f"both arms have {left.host}"
+        remedy = "give each arm the address of its own controller"
+        same = Finding("cell", "two controllers", "fail", both, "two addresses", remedy)
+        # One look is enough, and a second at the same time would be in its way.
+        return [same, *check_arm(ARMS[0], left, timeout_s=timeout_s, observe_s=observe_s)]
+    arms = [_Arm(name, each, timeout_s, observe_s) for name, each in zip(ARMS, (left, right), strict=True)]
+    with ThreadPoolExecutor(len(arms)) as threads:
+        findings = list(threads.map(_examine, arms))
+    return [*_distinct(*arms), *findings[0], *findings[1]]
+
+
+def check_arm(name: str, expected: ExpectedArm, *, timeout_s: float = 1.5, observe_s: float = 0.3) -> list[Finding]:
+    """Check one arm.
+
+    Args:
+        name: "left" or "right".
+        expected: What it should be.
+        timeout_s: For each connection with all that is asked there. It takes at most five times that.
+        observe_s: For how long its state is watched.
+
+    Raises:
+        SettingsError: A time is not legal.
+    """
+    return _examine(_Arm(name, expected, timeout_s, observe_s))
+
+
+def _distinct(left: _Arm, right: _Arm) -> Iterator[Finding]:
+    hosts = f"{left.expected.host} and {right.expected.host}"
+    if left.serial_number is None or right.serial_number is None:
+        found = f"{hosts}; serial numbers could not be compared"
+        yield Finding("cell", "two controllers", "ok", found, "two addresses and serial numbers")
+        return
+    yield judged(
+        "cell",
+        "two controllers",
+        left.serial_number != right.serial_number,
+        f"{hosts}, serial numbers {left.serial_number} and {right.serial_number}",
+        "two addresses and serial numbers",
+        "both addresses lead to one controller: give each arm the address of its own",
+    )
+
+
+def _examine(arm: _Arm) -> list[Finding]:
+    findings = list(_network(arm))
+    ports, closed = _ports(arm)
+    findings += ports
+    steps: tuple[tuple[str, str, Callable[[_Arm], Iterator[Finding]]], ...] = (
+        ("dashboard", "dashboard", _dashboard),
+        ("primary", "primary interface", _primary),
+        ("rtde", "RTDE", _rtde),
+    )
+    for port, title, step in steps:
+        if port in closed:
+            continue
+        try:
+            for finding in step(arm):  # what was found before an error counts
+                findings.append(finding)
+        except LinkError as error:
+            findings.append(failed(arm.name, title, error))
+    if arm.model is not None or arm.facts is not None:
+        findings += model_findings(arm.name, arm.expected, arm.model, arm.facts and arm.facts.robot_type)
+    return findings
+
+
+def _network(arm: _Arm) -> Iterator[Finding]:
+    host = arm.expected.host
+    if is_loopback(host):
+        return
+    route = route_to(host)
+    expected = "a wired interface of its own"
+    remedy = "connect the controllers to a wired network interface that nothing else uses"
+    if route is None:
+        yield Finding(arm.name, "route", "warn", f"the way to {host} could not be told", expected, remedy)
+        return
+    way = f"by {route.interface}" + (f" and the router {route.gateway}" if route.gateway else "")
+    if route.wireless:
+        yield Finding(arm.name, "route", "fail", f"{way}, which is Wi-Fi", expected, remedy)
+    elif route.default:
+        yield Finding(arm.name, "route", "warn", f"{way}, which also leads to other networks", expected, remedy)
+    else:
+        yield judged(arm.name, "route", route.gateway is None, way, expected, remedy, otherwise="warn")
+
+
+def _ports(arm: _Arm) -> tuple[list[Finding], set[str]]:
+    """Which ports do not take connections. They share one time limit: a host that is silent is silent on all."""
+    findings, closed = [], set()
+    deadline_s = arm.deadline_s()
+    for name, port in PORTS.items():
+        try:
+            LinkSocket(arm.name, f"port {name}", arm.expected.host, port, deadline_s).close()
+        except LinkError as error:
+            closed.add(name)
+            findings.append(failed(arm.name, f"port {port}", error))
+    if not closed:
+        numbers = ", ".join(map(str, PORTS.values()))
+        findings.append(Finding(arm.name, "ports", "ok", f"{numbers} are open", "open"))
+    return findings, closed
+
+
+def _dashboard(arm: _Arm) -> Iterator[Finding]:
+    with DashboardLink(arm.expected.host, arm.timeout_s, name=arm.name) as link:
+        remote = link.remote_control()
+        if remote is not None:
+            yield judged(
+                arm.name,
+                "remote control",
+                remote,
+                "remote" if remote else "local",
+                "remote",
+                f"switch {arm.name} to Remote Control on its pendant",
+            )
+        arm.model = link.model()
+        arm.serial_number = link.serial_number()
+    wanted, found = arm.expected.serial_number, arm.serial_number
+    if wanted is not None:
+        yield judged(
+            arm.name,
+            "serial number",
+            found == wanted,
+            "not told by this software" if found is None else found,
+            wanted,
+            "the arms may be swapped: correct the address or the serial number in the cell file",
+            otherwise="warn" if found is None else "fail",
+        )
+
+
+def _primary(arm: _Arm) -> Iterator[Finding]:
+    arm.facts = read_primary(arm.expected.host, arm.timeout_s, name=arm.name)
+    yield from calibration_findings(arm.name, arm.expected, arm.facts)
+    yield from safety_findings(arm.name, arm.expected, arm.facts)
+
+
+def _rtde(arm: _Arm) -> Iterator[Finding]:
+    host = arm.expected.host
+    with RtdeLink(host, STATUS_VARIABLES, timeout_s=arm.timeout_s, optional=OPTIONAL_VARIABLES, name=arm.name) as link:
+        samples = _watch(link, arm)
+    yield from family_findings(arm.name, arm.expected, link.version)
+    if samples:
+        status = ArmStatus.from_sample(samples[-1])
+        yield from state_findings(arm.name, status)
+        yield from tool_findings(arm.name, arm.expected, status)
+    yield from stream_findings(arm.name, samples, link.frequency_hz)
+    yield from _registers(arm)
+
+
+def _watch(link: RtdeLink, arm: _Arm) -> list[Sample]:
+    """What comes in a while. If nothing does, it is waited for as long as for anything else."""
+    samples: list[Sample] = []
+    begin = time.monotonic()
+    # The first may be several that had been waiting: that says nothing about when they came.
+    while True:
+        now = time.monotonic()
+        if now - begin >= (arm.observe_s if samples else arm.timeout_s):
+            return samples
+        if select.select([link], [], [], 0.05)[0]:
+            came = link.poll()
+            if came and not samples:
+                begin = time.monotonic()
+            samples += came
+
+
+def _registers(arm: _Arm) -> Iterator[Finding]:
+    """Ask for the registers, and give them back at once; on the same connection, measure how soon answers come."""
+    deadline_s = arm.deadline_s()
+    client = RtdeClient(arm.name, arm.expected.host, PORTS["rtde"], deadline_s)
+    try:
+        round_trips_s = client.round_trips_s(_ROUND_TRIPS, deadline_s)
+        number, types = client.set_up(Kind.SETUP_INPUTS, REGISTERS, b"", deadline_s)
+    finally:
+        client.socket.close_and_wait(arm.deadline_s())
+    yield from round_trip_findings(arm.name, round_trips_s)
+    taken = [name for name, kind in zip(REGISTERS, types, strict=True) if kind == _IN_USE]
+    missing = [name for name, kind in zip(REGISTERS, types, strict=True) if kind not in ("INT32", "DOUBLE", _IN_USE)]
+    if missing:
+        yield Finding(
+            arm.name, "registers", "fail", f"{missing[0]} does not exist", "free", "update the controller's software"
+        )
+        return
+    yield judged(
+        arm.name,
+        "registers",
+        not taken and number > 0,
+        f"in use: {taken[0]} and {len(taken) - 1} more" if taken else f"{len(REGISTERS)} free",
+        "free",
+        "end other programs that command this arm, and switch off EtherNet/IP, PROFINET and Modbus on the pendant",
+    )

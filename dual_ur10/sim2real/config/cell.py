@@ -1,0 +1,456 @@
+"""What a cell is: two arms, and what stands between them. It takes targets tick by tick and gives a state.
+
+A cell knows nothing of tasks. The simulated cell is `dual_ur10.envs.sim.mujoco_cell.MujocoCell`.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.assets.obstacles import Obstacle
+from dual_ur10.assets.scene import CLEARANCE_CUTOFF_M, Equipment, SceneSettings
+from dual_ur10.errors import RateError, SettingsError, UnknownNameError
+from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.sim2real.control import base_uncertainty
+from dual_ur10.sim2real.control.adapter import Command
+from dual_ur10.sim2real.control.clearance import MINIMUM_M
+from dual_ur10.sim2real.control.limits import MotionLimits, Three, checked_tcp
+from dual_ur10.sim2real.control.servoj import MEASURED_LOOKAHEAD_S, ServojProfile
+from dual_ur10.types import Array, Rows
+
+if TYPE_CHECKING:
+    from dual_ur10.sim2real.config.cell_file import CellFile
+
+Numbers = float | Array | tuple[Any, ...]
+
+CellKind = Literal["mujoco", "emulated", "real"]
+
+LEAST_DAMPING = 0.3
+"""Damping of the servoj law below which the arms swing beyond what the gate checks of their targets.
+
+Measured with random actions: with 0.34 and more, true distances stay above 19.7 mm where 20 mm are demanded of the
+targets; with 0.15 arms touch, and one is three times as fast as its targets.
+"""
+
+LATENCY_S = 0.04
+"""Action latency on two controllers where none is said: enough for a policy of 25 ms in Python on a busy machine."""
+
+LEAST_CAP = 0.01
+"""Smallest speed cap of a cell, rad/s or m/s."""
+
+
+class CellState(NamedTuple):
+    """What can be measured of n cells at one instant. Only what a real cell can measure, too.
+
+    The arrays are the cell's own and change with its next call: copy what is to be kept.
+
+    Attributes:
+        time_s: (n,) time since the reset, a whole number of ticks.
+        q_rad: (n, 2, 6) joint positions.
+        qd_rad_s: (n, 2, 6) joint speeds.
+        flange_base_m: (n, 2, 3) flange position in each arm's own `base` frame, as UR's controller reports it.
+        flange_base_quat: (n, 2, 4) flange orientation in that frame, (w, x, y, z).
+        flange_m: (n, 2, 3) flange position in the cell frame.
+        failed: (n,) whether the physics diverged; the other values of such a row are those of its last good instant.
+        flange_quat: (n, 2, 4) flange orientation in the cell frame, (w, x, y, z).
+        gripper_m: (n, 2) opening of each gripper; None where there is none, like all that follow.
+        wrench: (n, 2, 6) force (N) and torque about the flange (N·m) that what is gripped exerts on each gripper, in
+            the arm's `base` frame; the gripper's own weight is taken off, as a controller does that was told of it.
+        object_m: (n, 3) position of the object's centre in the cell frame.
+        object_quat: (n, 4) its orientation.
+        target_m: (n, 3) position of the target in the cell frame.
+        target_quat: (n, 4) its orientation.
+    """
+
+    time_s: Array
+    q_rad: Array
+    qd_rad_s: Array
+    flange_base_m: Array
+    flange_base_quat: Array
+    flange_m: Array
+    failed: NDArray[np.bool_]
+    flange_quat: Array | None = None
+    gripper_m: Array | None = None
+    wrench: Array | None = None
+    object_m: Array | None = None
+    object_quat: Array | None = None
+    target_m: Array | None = None
+    target_quat: Array | None = None
+
+
+class Start(NamedTuple):
+    """How an episode begins in k cells.
+
+    Attributes:
+        q_rad: (k, 2, 6) joint positions, at rest.
+        gripper_m: (k, 2) opening of each gripper; None where there is none.
+        object_pose: (k, 7) position of the object in the cell frame and its orientation (w, x, y, z), or None.
+        target_pose: (k, 7) the same of the target, or None.
+        drawn: What was drawn by chance, by name, (k, ...) each.
+    """
+
+    q_rad: Array
+    gripper_m: Array | None = None
+    object_pose: Array | None = None
+    target_pose: Array | None = None
+    drawn: Mapping[str, Array] = MappingProxyType({})
+
+
+class Cell(Protocol):
+    """Two arms behind one interface: simulated, emulated or real.
+
+    Attributes:
+        n: Number of cells.
+        rested_q_rad: (n, 2, 6) where the arms have come to rest in the last period instead of doing what was commanded,
+            because that came too late; None: they have not.
+        late_periods: How often they have, since the cell was made.
+    """
+
+    n: int
+    rested_q_rad: Array | None
+    late_periods: int
+
+    def reset(
+        self,
+        start: Start,
+        rows: Rows | None = None,
+        *,
+        seeds: Sequence[int] | None = None,
+        perturbation: Mapping[str, Array] | None = None,
+    ) -> CellState:
+        """Bring all cells, or `rows` of them, to where an episode begins."""
+
+    def advance(self, command: Command) -> CellState:
+        """Send the targets of one control period, and return the state at its end."""
+
+    def finish(self) -> None:
+        """An episode has ended: no more targets come. Arms that do not stand come to rest."""
+
+    def stop(self, reason: str) -> None:
+        """Stop both arms for good, because of who commands them."""
+
+    def model_and_data(self, row: int) -> tuple[Any, Any]:
+        """MuJoCo's model and data of one cell, to be drawn."""
+
+    def close(self) -> None:
+        """Release everything. May be called twice."""
+
+
+@dataclass(frozen=True)
+class Perturbation:
+    """How a simulated plant differs from what the adapter and the controller believe of it.
+
+    Each value is one number for all, or an array that broadcasts to the shape given; arrays are kept as nested tuples,
+    so that equal perturbations are equal and hash alike. The defaults change nothing.
+
+    Attributes:
+        mass_scale: (n, 2) factor on all link masses and inertias. The controller goes on compensating the gravity of
+            the nominal arm.
+        friction_nm: (n, 2, 6) Coulomb friction of the joints.
+        lookahead_scale: (n, 2) factor on the lookahead time of the law.
+        latency_s: (n, 2) constant delay of every target, rounded to whole physics steps.
+        jitter_s: (n, 2) largest additional delay, uniform, per tick; targets keep their order.
+        loss: (n, 2) probability that a target is lost; the one before is held.
+        payload_kg: (n, 2) mass at the flange.
+        declared_payload_kg: (n, 2) what the controller was told of it, as with `set_payload`.
+        base_shift_m: (n, 2, 3) how far a base stands, in the cell frame, from where it is believed to stand. The safety
+            gate measures distances where it is believed to stand, as it does on a robot.
+        base_turn_rad: (n, 2) by how much it is turned about the vertical beyond what is believed.
+        object_mass_scale: (n,) factor on the mass and inertia of the object.
+        grip_friction_scale: (n, 2) factor on the friction of the pads.
+    """
+
+    mass_scale: Numbers = 1.0
+    friction_nm: Numbers = 0.0
+    lookahead_scale: Numbers = 1.0
+    latency_s: Numbers = 0.0
+    jitter_s: Numbers = 0.0
+    loss: Numbers = 0.0
+    payload_kg: Numbers = 0.0
+    declared_payload_kg: Numbers = 0.0
+    base_shift_m: Numbers = 0.0
+    base_turn_rad: Numbers = 0.0
+    object_mass_scale: Numbers = 1.0
+    grip_friction_scale: Numbers = 1.0
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("mass_scale", 0.1, 10.0),
+            ("friction_nm", 0.0, 100.0),
+            ("lookahead_scale", 0.1, 10.0),
+            ("latency_s", 0.0, 0.2),
+            ("jitter_s", 0.0, 0.2),
+            ("loss", 0.0, 0.9),
+            ("payload_kg", 0.0, 10.0),
+            ("declared_payload_kg", 0.0, 10.0),
+            ("base_shift_m", -0.05, 0.05),
+            ("base_turn_rad", -0.1, 0.1),
+            ("object_mass_scale", 0.1, 10.0),
+            ("grip_friction_scale", 0.1, 10.0),
+        ):
+            try:
+                value = np.asarray(getattr(self, name), dtype=np.float64)
+            except (TypeError, ValueError):
+                raise SettingsError(f"perturbation {name} is {getattr(self, name)!r}: it must be numbers") from None
+            if not ((value >= low) & (value <= high)).all():
+                raise SettingsError(f"perturbation {name} is {getattr(self, name)!r}: allowed are {low} to {high}")
+            object.__setattr__(self, name, _plain(value.tolist()))
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any]) -> Perturbation:
+        """Build from plain keywords.
+
+        Raises:
+            UnknownNameError: A key is not one of the attributes.
+        """
+        known = [each.name for each in fields(cls)]
+        for key in values:
+            if key not in known:
+                raise UnknownNameError("perturbation", str(key), known)
+        return cls(**values)
+
+    def expanded(self, n: int) -> dict[str, Array]:
+        """All values as arrays of their full shape."""
+        shapes: dict[str, tuple[int, ...]] = {"friction_nm": (2, 6), "base_shift_m": (2, 3), "object_mass_scale": ()}
+        result = {}
+        for each in fields(self):
+            shape = (n, *shapes.get(each.name, (2,)))
+            try:
+                value = np.broadcast_to(np.asarray(getattr(self, each.name), dtype=np.float64), shape)
+            except ValueError:
+                found = np.shape(getattr(self, each.name))
+                raise SettingsError(f"perturbation {each.name} has shape {found}: it must fit {shape}") from None
+            result[each.name] = value.copy()
+        return result
+
+
+def _plain(values: Any) -> Any:
+    """Numbers as they are, nested lists as nested tuples."""
+    return tuple(map(_plain, values)) if isinstance(values, list) else values
+
+
+TYPICAL_PERTURBATION = Perturbation(
+    mass_scale=1.05,
+    friction_nm=np.array([5.0, 5.0, 3.0, 1.0, 1.0, 1.0]),
+    lookahead_scale=1.05,
+    latency_s=0.002,
+)
+"""The plant that accuracy figures called "perturbed" are measured on: masses +5 %, joint friction, lookahead +5 %,
+2 ms of latency that nobody compensates."""
+
+
+@dataclass(frozen=True)
+class CellConfig:
+    """A cell, as given to `gym.make(..., cell=...)`.
+
+    Attributes:
+        kind: "mujoco", the simulated cell; "emulated" or "real", two controllers of which a cell file says all.
+        left, right: Where each arm stands, and its kinematics.
+        servoj: Controller family and servoj settings of both arms.
+        timestep_s: Physics step; it must divide the controller's tick. None: what the task needs.
+        gains: Joint servos, a name of `dual_ur10.assets.scene.GAINS`. None: what the task needs.
+        minimum_clearance_m: Smallest distance between two bodies that the safety gate lets the arms come to.
+        perturbation: How the simulated plant differs from what is believed of it.
+        meshes: Draw real meshes, if the package example-robot-data is installed.
+        speed_rad_s: Joint speed that no task's targets may exceed here; None: as the task says.
+        tcp_speed_m_s: Speed of flange, elbow and tool centre point that no task's targets may exceed here; None: as the
+            task says.
+        tcp_m: Tool centre point of the left and the right arm in its flange's frame, whose speed is limited, too;
+            zeros: at the flange.
+        acceleration_rad_s2, jerk_rad_s3: Likewise of the joints.
+        measured_lookahead_s: Lookahead with which the law of `servoj` moves as both arms do, which the lag compensation
+            takes out; None: that of `servoj`.
+        speed_factor: How fast the time of a task passes on two controllers, above 0 and at most 1. What targets may
+            not exceed, they may not exceed in real time.
+        obstacles: What stands in the workspace; see `dual_ur10.assets.obstacles`.
+        uncertainty: How well the place of each base is known, (m, rad) for left and right: all distances that depend on
+            it are kept the larger.
+        file: The cell file of two controllers; None in simulation.
+        wrench_noise: Standard deviation of the force (N) and torque (N·m) that simulated controllers report. A CB3
+            reads them from its motors' currents. To what two controllers measure, nothing is added.
+        hands: Whether grippers are mounted, also where a task has no use for them: distances are measured with them.
+        equipment: Grippers and what they handle; set by the task.
+
+    Raises:
+        RateError: The physics step does not divide the tick.
+        SettingsError: Another value is not legal.
+    """
+
+    kind: CellKind = "mujoco"
+    left: ArmMount = field(default_factory=lambda: SceneSettings().left)
+    right: ArmMount = field(default_factory=lambda: SceneSettings().right)
+    servoj: ServojProfile = field(default_factory=ServojProfile)
+    timestep_s: float | None = None
+    gains: str | None = None
+    minimum_clearance_m: float = MINIMUM_M
+    perturbation: Perturbation = field(default_factory=Perturbation)
+    meshes: bool = False
+    speed_rad_s: float | None = None
+    tcp_speed_m_s: float | None = None
+    tcp_m: tuple[Three, Three] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    acceleration_rad_s2: float | None = None
+    jerk_rad_s3: float | None = None
+    measured_lookahead_s: float | None = None
+    speed_factor: float = 1.0
+    obstacles: tuple[Obstacle, ...] = ()
+    uncertainty: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
+    file: CellFile | None = None
+    wrench_noise: tuple[float, float] = (2.0, 0.2)
+    hands: bool = False
+    equipment: Equipment = field(default_factory=Equipment)
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(CellKind):
+            raise UnknownNameError("cell kind", str(self.kind), get_args(CellKind))
+        for name, kind in (("servoj", ServojProfile), ("perturbation", Perturbation), ("equipment", Equipment)):
+            if not isinstance(getattr(self, name), kind):
+                raise SettingsError(
+                    f"{name} of the cell must be a {kind.__name__}, found {type(getattr(self, name)).__name__}"
+                )
+        if self.servoj.damping < LEAST_DAMPING:
+            least = (2 * LEAST_DAMPING / self.servoj.lookahead_s) ** 2
+            raise SettingsError(
+                f"servoj with lookahead_s={self.servoj.lookahead_s:g} and gain={self.servoj.gain:g} swings (damping "
+                f"{self.servoj.damping:.2f}, allowed {LEAST_DAMPING} or more): the arms would leave the limits that "
+                f"their targets keep. Choose a gain of {least:.0f} or more, or a longer lookahead"
+            )
+        _number("minimum_clearance_m", self.minimum_clearance_m)
+        if not 0.005 <= self.minimum_clearance_m < CLEARANCE_CUTOFF_M:
+            raise SettingsError(
+                f"minimum_clearance_m is {self.minimum_clearance_m!r}: it must be at least 0.005 m and below "
+                f"{CLEARANCE_CUTOFF_M} m, beyond which distances are not measured"
+            )
+        for name in ("speed_rad_s", "tcp_speed_m_s", "acceleration_rad_s2", "jerk_rad_s3"):
+            value = getattr(self, name)
+            if value is not None and not _number(name, value) >= LEAST_CAP:
+                raise SettingsError(f"{name} of the cell is {value!r}: it must be {LEAST_CAP} or more, or None")
+        lookahead_s, (low, high) = self.measured_lookahead_s, MEASURED_LOOKAHEAD_S
+        if lookahead_s is not None and not low <= _number("measured_lookahead_s", lookahead_s) <= high:
+            raise SettingsError(
+                f"measured_lookahead_s of the cell is {lookahead_s!r}: allowed are {low} to {high}, or None"
+            )
+        if not 0.0 < _number("speed_factor", self.speed_factor) <= 1.0:
+            raise SettingsError(f"speed_factor of the cell is {self.speed_factor!r}: it must be above 0 and at most 1")
+        if (self.kind == "mujoco") is not (self.file is None):
+            raise SettingsError(f"a cell of kind {self.kind!r} is made of a cell file: pass its path as `cell`")
+        base_uncertainty.checked(self.uncertainty)
+        object.__setattr__(self, "tcp_m", checked_tcp(self.tcp_m))
+        noise = self.wrench_noise
+        if not (isinstance(noise, tuple | list) and len(noise) == 2):
+            raise SettingsError(f"wrench_noise is {noise!r}: it must be two numbers (N, N·m)")
+        if not all(0 <= _number("wrench_noise", each) <= 100 for each in noise):
+            raise SettingsError(f"wrench_noise is {noise!r}: allowed are 0 to 100 (N, N·m)")
+        object.__setattr__(self, "wrench_noise", (float(noise[0]), float(noise[1])))
+        _ = self.scene, self.substeps
+
+    @property
+    def scene(self) -> SceneSettings:
+        """The scene of this cell."""
+        given = {"timestep_s": self.timestep_s, "gains": self.gains}
+        return SceneSettings(
+            left=self.left,
+            right=self.right,
+            meshes=self.meshes,
+            equipment=self.equipment,
+            obstacles=self.obstacles,
+            **{name: value for name, value in given.items() if value is not None},  # type: ignore[arg-type]  # two types
+        )
+
+    @property
+    def measured_scene(self) -> SceneSettings:
+        """The scene in which distances are measured: with the hands that are there, whatever the task needs."""
+        scene = self.scene
+        return replace(scene, equipment=replace(scene.equipment, grippers=True)) if self.hands else scene
+
+    def furnished(self, equipment: Equipment, timestep_s: float, gains: str) -> CellConfig:
+        """This cell with a task's equipment, and its physics step and servos where the cell leaves them open."""
+        return replace(
+            self,
+            equipment=equipment,
+            timestep_s=timestep_s if self.timestep_s is None else self.timestep_s,
+            gains=gains if self.gains is None else self.gains,
+        )
+
+    def capped(self, limits: MotionLimits) -> MotionLimits:
+        """A task's limits, in its own time, as far as this cell allows them."""
+        slow = self.speed_factor
+
+        def cap(value: float, own: float | None, power: int) -> float:
+            return value if own is None else min(value, own / slow**power)
+
+        speeds: Any = [cap(each, self.speed_rad_s, 1) for each in limits.speed_rad_s]
+        return replace(
+            limits,
+            speed_rad_s=speeds,
+            tcp_speed_m_s=cap(limits.tcp_speed_m_s, self.tcp_speed_m_s, 1),
+            acceleration_rad_s2=cap(limits.acceleration_rad_s2, self.acceleration_rad_s2, 2),
+            jerk_rad_s3=cap(limits.jerk_rad_s3, self.jerk_rad_s3, 3),
+            tcp_m=self.tcp_m,
+        )
+
+    @property
+    def latency_ticks(self) -> int:
+        """Action latency where none is said: what two controllers take, none in simulation."""
+        return 0 if self.kind == "mujoco" else math.ceil(LATENCY_S / self.servoj.tick_s - 1e-9)
+
+    @property
+    def substeps(self) -> int:
+        """Physics steps per controller tick."""
+        timestep_s = self.scene.timestep_s
+        steps = self.servoj.tick_s / timestep_s
+        whole = round(steps)
+        if whole < 1 or abs(steps - whole) > 1e-9 * steps:
+            tick_ms = self.servoj.tick_s * 1e3
+            raise RateError(
+                f"timestep_s is {timestep_s:g}: it must divide the controller's tick of {tick_ms:g} ms, such as "
+                f"{', '.join(f'{tick_ms / parts / 1e3:g}' for parts in (2, 4, 8))}"
+            )
+        return whole
+
+    def with_perturbation(self, **values: Any) -> CellConfig:
+        """The same cell with some values of its perturbation changed."""
+        changed = Perturbation.from_mapping({**self._perturbation_values(), **values})
+        return replace(self, perturbation=changed)
+
+    def _perturbation_values(self) -> dict[str, Any]:
+        return {each.name: getattr(self.perturbation, each.name) for each in fields(self.perturbation)}
+
+
+def _number(name: str, value: object) -> float:
+    """A setting as a float; NaN is not refused here.
+
+    Raises:
+        SettingsError: It is no number.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        raise SettingsError(f"{name} of the cell is {value!r}: it must be a number")
+    return float(value)
+
+
+def resolve_cell(cell: object) -> CellConfig:
+    """The configuration that the keyword `cell` stands for.
+
+    Args:
+        cell: "mujoco", a `CellConfig`, or the path of a cell file.
+
+    Raises:
+        UnknownNameError: None of them.
+        CellFileError: The cell file cannot be read, or says something that is not legal.
+    """
+    if isinstance(cell, CellConfig):
+        return cell
+    if isinstance(cell, str) and cell == "mujoco":
+        return CellConfig()
+    if isinstance(cell, os.PathLike) or (isinstance(cell, str) and ("/" in cell or cell.endswith(".toml"))):
+        from dual_ur10.sim2real.config.cell_file import load_cell_file  # which builds upon this module
+
+        return load_cell_file(os.fspath(cell)).config()
+    raise UnknownNameError("cell", str(cell), ("mujoco", "a path such as lab.toml", "a dual_ur10.CellConfig"))

@@ -1,0 +1,209 @@
+"""Distances between the arms, themselves and all that stands around them at a posture, for the safety gate.
+
+MuJoCo computes them, in a batch of their own that holds the collision geometry only: no contacts, no dynamics.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.assets.obstacles import geom_name
+from dual_ur10.assets.reach import levers_m
+from dual_ur10.assets.scene import CLEARANCE_CUTOFF_M, SceneSettings, build_clearance_model, clearance_pairs
+from dual_ur10.errors import CollisionAtStartError, SettingsError, UnknownNameError
+from dual_ur10.sim2real.control.base_uncertainty import BaseUncertainty, Uncertainty
+from dual_ur10.types import Array
+
+Pair = tuple[str, str]
+
+MINIMUM_M = 0.02
+"""Smallest distance at rest after braking: twice the scene distance at which MoveIt Servo begins to slow down."""
+
+KNOWN: Final = ((0.0, 0.0), (0.0, 0.0))
+"""Both bases stand where they are believed to stand."""
+
+
+class Clearance:
+    """Measures distances at postures of n cells.
+
+    Args:
+        settings: The scene.
+        n: Number of cells.
+        threads: Threads to compute on.
+        minimum_m: Smallest legal distance of any pair.
+        closer: Smallest legal distance in m of those pairs of `assets.scene.clearance_pairs(settings)` that have one of
+            their own in this task; frozen at construction.
+        uncertainty: How well the place of each base is known, for left and right: how far in m it may stand, and by how
+            many rad it may be turned about whatever axis, from where it is believed to be. What a part of an arm can be
+            off by it is added to its smallest legal distances from the other arm, for which both count, and from all
+            that stands in the cell; not from its own arm.
+
+    Raises:
+        UnknownNameError: A pair in `closer` is none of this scene.
+        SettingsError: A distance in `closer` or a value of `uncertainty` is not finite or below 0, or they demand
+            distances so large that they are not measured.
+    """
+
+    def __init__(
+        self,
+        settings: SceneSettings,
+        *,
+        n: int = 1,
+        threads: int = 1,
+        minimum_m: float = MINIMUM_M,
+        closer: Mapping[Pair, float] = MappingProxyType({}),
+        uncertainty: Uncertainty = KNOWN,
+    ) -> None:
+        self._arguments = (settings, n, threads)
+        self.pairs = clearance_pairs(settings)
+        for pair, distance in closer.items():
+            if pair not in self.pairs:
+                raise UnknownNameError("contact pair", str(pair), [str(each) for each in self.pairs])
+            if not (math.isfinite(distance) and distance >= 0.0):
+                raise SettingsError(
+                    f"the smallest distance of {' and '.join(pair)} is {distance} m: it must be 0 or more"
+                )
+        self.minimum_m = minimum_m
+        self._known = np.array([closer.get(pair, minimum_m) for pair in self.pairs])
+        exempt = [pair in closer for pair in self.pairs]
+        model = build_clearance_model(settings)
+        self._uncertainty = BaseUncertainty(uncertainty, settings, model, exempt)
+        self._levers = (levers_m(model) * (1.0 + self._uncertainty.per_m[:, None])).T.copy()
+        self._allowed = self._known + self._uncertainty.most_m
+        self._geoms = model.sensor_objid.copy(), model.sensor_refid.copy()
+        radius = np.where(model.geom_rbound > 0.0, model.geom_rbound, np.inf)  # that of a plane is told as 0
+        self._balls: Array = radius[self._geoms[0]] + radius[self._geoms[1]] + self._allowed
+        for row in np.flatnonzero((self._allowed >= CLEARANCE_CUTOFF_M) & (self._allowed > self._known))[:1]:
+            raise SettingsError(
+                f"{' and '.join(self.pairs[row])} must stay {self._known[row]:.4g} m apart, and up to "
+                f"{self._uncertainty.most_m[row]:.4g} m more for how little is known of where the bases stand: "
+                f"together that must be below {CLEARANCE_CUTOFF_M} m, beyond which distances are not measured. Measure "
+                "where the bases stand, and write smaller uncertainties"
+            )
+        self._build()
+
+    def _build(self) -> None:
+        import mujoco
+        from mujoco.batch import Batch
+
+        settings, n, threads = self._arguments
+        self._batch: Any = Batch(build_clearance_model(settings), n, threads)
+        self._stage = int(mujoco.mjtStage.mjSTAGE_POS)
+        self._qpos: Array = self._batch.bind("qpos")
+        self._distance: Array = self._batch.bind("sensordata")
+        self._center: Array = self._batch.bind("geom_xpos").reshape(n, -1, 3)
+        self._alone: Clearance | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = self.__dict__.copy()
+        for key in ("_batch", "_qpos", "_distance", "_center", "_alone"):
+            del state[key]
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._build()
+
+    @property
+    def most_m(self) -> Array:
+        """(pairs,) smallest legal distances at whatever posture: more is demanded nowhere."""
+        return self._allowed.copy()
+
+    def _allowed_here(self) -> Array:
+        """Smallest legal distances, (n, pairs) or (pairs,), at the postures that were measured last."""
+        return self._known + self._uncertainty.at(self._center) if self._uncertainty.turns else self._allowed
+
+    def allowed_m(self, q_rad: Array) -> Array:
+        """(n, pairs) smallest legal distances at the postures `q_rad`, (n, 12), with what the uncertainty adds."""
+        self.distances_m(q_rad)
+        return np.broadcast_to(self._allowed_here(), self._distance.shape).copy()
+
+    def distances_m(self, q_rad: Array) -> Array:
+        """(n, pairs) distances at the postures `q_rad`, (n, 12); those beyond 0.2 m are given as 0.2 m.
+
+        The array is this object's own and changes with its next call.
+        """
+        self._qpos[:] = q_rad
+        self._batch.forward(stage=self._stage)
+        return self._distance
+
+    def spare_m(self, q_rad: Array) -> Array:
+        """(n, pairs) by how much each pair is at least farther apart than it must be at the postures, (n, 12).
+
+        It is below 0 where a pair is closer than allowed.
+        """
+        spare: Array = self.distances_m(q_rad) - self._allowed_here()
+        return spare
+
+    def spare_of_balls_m(self) -> Array:
+        """The same at the postures that were measured last, for the balls around bodies: less, and without an end."""
+        first, second = self._geoms
+        between = self._center[:, first] - self._center[:, second]
+        spare: Array = np.sqrt(np.einsum("npk,npk->np", between, between)) - self._balls
+        return spare
+
+    def travel_m(self, way_rad: Array) -> Array:
+        """(n, pairs) by how much that can shrink at most, where the joints move by (n, 12) in all, none below 0."""
+        travel: Array = way_rad @ self._levers
+        return travel
+
+    def alone(self) -> Clearance:
+        """The same for one posture at a time."""
+        settings, n, _ = self._arguments
+        if n == 1:
+            return self
+        if self._alone is None:
+            self._alone = object.__new__(Clearance)
+            self._alone.__setstate__({**self.__getstate__(), "_arguments": (settings, 1, 1)})
+        return self._alone
+
+    def is_clear(self, q_rad: Array) -> NDArray[np.bool_]:
+        """(n,) mask of the postures, (n, 12), at which no pair is closer than allowed."""
+        clear: NDArray[np.bool_] = np.all(self.spare_m(q_rad) >= 0.0, axis=1)
+        return clear
+
+    def shortfall_m(self, q_rad: Array) -> Array:
+        """(pairs,) by how much each pair is closer than allowed at a posture, (12,); below 0 where it is not."""
+        postures = np.broadcast_to(q_rad, self._qpos.shape)
+        shortfall: Array = (self.allowed_m(postures) - self._distance)[0]
+        return shortfall
+
+    def worst(self, q_rad: Array, granted_m: Array | float = 0.0) -> tuple[str, float, float]:
+        """The pair that is nearest to its limit or furthest beyond it, its distance and the smallest legal one.
+
+        Args:
+            q_rad: (12,) posture.
+            granted_m: (pairs,) by how much pairs may be closer than allowed.
+        """
+        allowed = self.allowed_m(np.broadcast_to(q_rad, self._qpos.shape))[0]
+        distance = self._distance[0]
+        pair = int((distance - allowed + granted_m).argmin())
+        return " and ".join(self.pairs[pair]), float(distance[pair]), float(allowed[pair])
+
+    def check_start(self, q_rad: Array, rows: NDArray[np.intp]) -> None:
+        """Refuse postures, (len(rows), 2, 6), that episodes in `rows` must not start from.
+
+        Raises:
+            SettingsError: A posture is not finite; MuJoCo would measure the distances at another one.
+            CollisionAtStartError: A pair is closer than allowed.
+        """
+        if not np.isfinite(q_rad).all():
+            raise SettingsError(f"a start posture must be finite, found {np.asarray(q_rad).tolist()}")
+        postures = self._qpos.copy()
+        postures[rows] = np.asarray(q_rad).reshape(-1, 12)
+        for row in rows[~self.is_clear(postures)[rows]]:
+            pair, distance, allowed = self.worst(postures[row])
+            away = "move the bases apart, turn them"
+            for each in self._arguments[0].obstacles:
+                if pair.endswith(f" and {geom_name(each)}"):
+                    away = f"move the obstacle {each.name!r} or the bases"
+            raise CollisionAtStartError(
+                f"in the start posture {pair} are {distance * 1e3:.1f} mm apart, allowed are {allowed * 1e3:.1f} mm or "
+                f"more: {away}, or choose another start posture"
+            )

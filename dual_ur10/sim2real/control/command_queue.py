@@ -1,0 +1,60 @@
+"""What holds commands back by the action's latency: the same in front of simulated and real arms."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dual_ur10.errors import SettingsError
+from dual_ur10.sim2real.control.adapter import GRIPPER_OPENING_M, Command
+from dual_ur10.types import Array, Rows
+
+MAX_LATENCY_TICKS = 125
+
+
+def checked_latency(ticks: object) -> int:
+    """A latency of actions, in control periods.
+
+    Raises:
+        SettingsError: It is none.
+    """
+    if isinstance(ticks, int | np.integer) and not isinstance(ticks, bool) and 0 <= ticks <= MAX_LATENCY_TICKS:
+        return int(ticks)
+    raise SettingsError(f"action_latency_ticks is {ticks!r:.80}: a whole number, 0 to {MAX_LATENCY_TICKS}")
+
+
+class CommandQueue:
+    """Commands of [t_k + L, t_k + L + period) come in at t_k; those of [t_k, t_k + period) go out.
+
+    On real arms the first L ticks of a period are known before the period begins, so that the arms need not wait for
+    the policy.
+
+    Args:
+        n: Number of cells.
+        latency_ticks: L.
+
+    Raises:
+        SettingsError: L is no whole number, or not within 0 to `MAX_LATENCY_TICKS`.
+    """
+
+    def __init__(self, n: int, latency_ticks: int) -> None:
+        self.latency_ticks = checked_latency(latency_ticks)
+        self._targets: Array = np.zeros((n, self.latency_ticks, 2, 6))
+        self._openings: Array = np.full((n, self.latency_ticks, 2), GRIPPER_OPENING_M)
+
+    def reset(self, q_rad: Array, rows: Rows, gripper_m: Array | None = None) -> None:
+        """Start `rows` at rest at `q_rad`, (len(rows), 2, 6), with grippers at (len(rows), 2), or open."""
+        self._targets[rows] = q_rad[:, None]
+        self._openings[rows] = GRIPPER_OPENING_M if gripper_m is None else np.asarray(gripper_m)[:, None]
+
+    def __call__(self, command: Command) -> Command:
+        """Take a command in, and give the one that acts now."""
+        if not self.latency_ticks:
+            return command
+        ticks = command.targets_rad.shape[1]
+        targets = np.concatenate([self._targets, command.targets_rad], axis=1)
+        self._targets = targets[:, ticks:]
+        openings = command.gripper_m
+        if openings is not None:
+            queue = np.concatenate([self._openings, openings], axis=1)
+            openings, self._openings = queue[:, :ticks], queue[:, ticks:]
+        return command._replace(targets_rad=targets[:, :ticks], gripper_m=openings)

@@ -1,0 +1,200 @@
+"""The safety gate: the last function before a target leaves for the arms, in simulation and on a robot.
+
+It trusts nobody: it keeps its own record of what it let out, and checks every window of targets against all limits,
+against the brake that would follow, and against the distances at the posture where that brake would end and on the way
+there. There is no switch to turn it off. A period that fails is replaced by the brake from the last target that left;
+that this brake is legal was part of accepting that target.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from dual_ur10.errors import ActionError
+from dual_ur10.kinematics.ur10 import ARMS, JOINTS
+from dual_ur10.sim2real.control.limits import HISTORY, POINTS, Envelope, MotionLimits
+from dual_ur10.sim2real.control.swept_clearance import Between, Distances
+from dual_ur10.types import Array, Mask, Rows
+
+_TOLERANCE = 1.0 + 1e-9  # rounding of a third difference of positions
+
+_UNITS = {
+    "joint position": "rad",
+    "joint speed": "rad/s",
+    "joint acceleration": "rad/s²",
+    "joint jerk": "rad/s³",
+    "tip speed": "m/s",
+    "distance": "m",
+}
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Why the gate refused a period.
+
+    Attributes:
+        kind: "joint position", "joint speed", "joint acceleration", "joint jerk", "tip speed" or "distance".
+        subject: The joint, point or pair of bodies, with its arm: "left/elbow_joint", "left/forearm_link and table".
+        found: What the targets would have done.
+        allowed: What they may do.
+        tick: Ticks that this row had sent since its reset when the refused period would have begun.
+    """
+
+    kind: str
+    subject: str
+    found: float
+    allowed: float
+    tick: int
+
+    def __str__(self) -> str:
+        unit = _UNITS[self.kind]
+        side = "at least" if self.kind == "distance" else "at most"
+        return (
+            f"{self.subject}: {self.kind} {self.found:.6g} {unit}, allowed {side} {self.allowed:.6g} {unit} "
+            f"(tick {self.tick}); the arms brake to rest and stay there until a reset"
+        )
+
+
+class GateResult(NamedTuple):
+    """What may leave, and why not all of it.
+
+    Attributes:
+        targets_rad: (n, ticks, 2, 6) targets; braking in refused rows.
+        verdicts: A verdict for each row that is refused or was refused since its reset; empty if all is well.
+    """
+
+    targets_rad: Array
+    verdicts: dict[int, Verdict]
+
+
+class SafetyGate:
+    """Checks every target that leaves.
+
+    Args:
+        limits: The limits of motion.
+        tick_s: Time between two targets.
+        ticks: Targets per call.
+        clearance: Measures distances at a posture.
+        n: Number of cells.
+    """
+
+    def __init__(self, limits: MotionLimits, tick_s: float, ticks: int, clearance: Distances, *, n: int = 1) -> None:
+        self.limits, self.ticks, self.n = limits, ticks, n
+        self.envelope = Envelope(limits, tick_s, ticks)
+        self._clearance = clearance
+        self._past: Array = np.zeros((n, HISTORY, 12))
+        self._sent = np.zeros(n, dtype=np.int64)
+        self._verdicts: dict[int, Verdict] = {}
+        self._between = Between(clearance, self.envelope.whole_brake(), ticks)
+        self._postures: dict[int, Array] = {}  # by row: where on its way something is too close
+
+    @property
+    def last_targets_rad(self) -> Array:
+        """(n, 2, 6) targets that left last."""
+        return self._past[:, -1].reshape(self.n, 2, 6).copy()
+
+    def reset(self, q_rad: Array, rows: Rows | None = None) -> None:
+        """Start from rest at `q_rad`, (n, 2, 6), in all cells or in `rows` of them (then (len(rows), 2, 6))."""
+        index = np.arange(self.n) if rows is None else rows
+        self._past[index] = np.asarray(q_rad).reshape(-1, 1, 12)
+        self._sent[index] = 0
+        self._between.reset(index)
+        for row in index.tolist():
+            self._verdicts.pop(row, None)
+
+    @np.errstate(over="ignore", invalid="ignore")  # huge and infinite targets are for the checks to find
+    def __call__(self, targets_rad: Array) -> GateResult:
+        """Let targets pass, or replace them by the brake.
+
+        Args:
+            targets_rad: (n, ticks, 2, 6).
+
+        Raises:
+            ActionError: Wrong shape or type, or NaN or infinity: nothing leaves and nothing changes.
+        """
+        envelope, ticks, n = self.envelope, self.ticks, self.n
+        if not isinstance(targets_rad, np.ndarray) or targets_rad.shape != (n, ticks, 2, 6):
+            found = getattr(targets_rad, "shape", type(targets_rad).__name__)
+            raise ActionError(f"targets must be an array of shape {(n, ticks, 2, 6)}, found {found}: send all of them")
+        if targets_rad.dtype != np.float64:
+            raise ActionError(f"targets must be float64, found {targets_rad.dtype}: convert them first")
+        window = np.concatenate([self._past, targets_rad.reshape(n, ticks, 12)], axis=1)
+        quantities = envelope.rows @ window
+        share = envelope.use(quantities)
+        # Every check asks "is it within", which NaN and infinity are not.
+        kept = envelope.within(share, _TOLERANCE, 1.0)
+        if not kept and not np.isfinite(targets_rad).all():
+            raise ActionError(_not_finite(targets_rad))
+        turning, rest = quantities[:, envelope.rest_row - 1], quantities[:, envelope.rest_row]
+        spare = self._clearance.spare_m(rest)
+        legal = np.logical_and.reduce(spare >= 0.0, axis=1)
+        if not kept:
+            legal = legal & self._in_detail(window, share)
+        going = legal.copy()
+        going[list(self._verdicts)] = False
+        self._postures = self._between(window, turning, rest, spare, going)
+        legal[list(self._postures)] = False
+        if self._verdicts or not np.logical_and.reduce(legal):
+            self._refuse(np.flatnonzero(~legal), window, quantities, share)
+        self._past = window[:, -HISTORY:]
+        self._sent += ticks
+        # Copies: what leaves is what was checked, and nobody outside holds the gate's own record.
+        leaving = window[:, HISTORY:].copy().reshape(n, ticks, 2, 6)
+        return GateResult(leaving, dict(self._verdicts))
+
+    def _in_detail(self, window: Array, share: Array) -> Mask:
+        """(n,) mask of rows within all limits, with the tip speed computed where its bound is not enough."""
+        legal: Mask = share.reshape(self.n, -1).max(axis=1) <= _TOLERANCE
+        rows = np.flatnonzero(legal & (self.envelope.tip_bound(share) > 1.0))
+        if rows.size:
+            fastest, _ = self.envelope.tip_share(window[rows])
+            legal[rows] = fastest.max(axis=1) <= _TOLERANCE
+        return legal
+
+    def _refuse(self, rows: Rows, window: Array, quantities: Array, share: Array) -> None:
+        """Write the brake into the refused rows of `window`, and note why."""
+        for row in rows.tolist():
+            if row not in self._verdicts:
+                self._verdicts[row] = self._explain(row, window, quantities, share)
+        stopping = np.array(sorted(self._verdicts), dtype=np.intp)
+        past = self._past[stopping]
+        # Relative to the last target: rounding of the brake is then far below that of a third difference.
+        last = past[:, -1:]
+        brake = last + self.envelope.brake @ (past - last)
+        speed = np.abs(np.diff(past, axis=1)).max(axis=(1, 2)) / self.envelope.tick_s
+        resting = speed < self.envelope.rest_speed_rad_s
+        window[stopping, HISTORY:] = np.where(resting[:, None, None], last, brake)
+
+    def _explain(self, row: int, window: Array, quantities: Array, share: Array) -> Verdict:
+        """The worst violation of one row."""
+        tick, envelope = int(self._sent[row]), self.envelope
+        worst, column = np.unravel_index(share[row].argmax(), share[row].shape)
+        if not share[row, worst, column] <= _TOLERANCE:
+            half = envelope.half[worst, column % 6]
+            found, middle = quantities[row, worst, column], envelope.middle[worst, column % 6]
+            allowed = middle + half if found > middle else middle - half
+            kind = envelope.kinds[worst]
+            if kind != "joint position":
+                found, allowed = abs(found), half
+            subject = f"{ARMS[column // 6]}/{JOINTS[column % 6]}"
+            return Verdict(kind, subject, float(found), float(allowed), tick)
+        (fastest,), (point,) = envelope.tip_share(window[[row]])
+        arm = int(fastest.argmax())
+        if fastest[arm] > _TOLERANCE:
+            subject = f"{ARMS[arm]}/{POINTS[point[arm]]}"
+            limit = self.limits.tcp_speed_m_s
+            return Verdict("tip speed", subject, float(fastest[arm] * limit), limit, tick)
+        posture = self._postures.get(row, quantities[row, envelope.rest_row])
+        pair, distance, allowed = self._clearance.worst(posture)
+        return Verdict("distance", pair, distance, allowed, tick)
+
+
+def _not_finite(targets_rad: Array) -> str:
+    row, tick, arm, joint = np.argwhere(~np.isfinite(targets_rad))[0]
+    return (
+        f"target of {ARMS[arm]}/{JOINTS[joint]} is {targets_rad[row, tick, arm, joint]} (cell {row}, tick {tick} of "
+        "the period): targets must be finite. Nothing was sent"
+    )

@@ -1,0 +1,374 @@
+"""Limits of motion, and the brake that every accepted motion must leave possible.
+
+The brake is a linear law: without a new target, the speed of each joint goes on as
+
+    v[k+1] = 2 r v[k] - r² v[k-1],    r = exp(-w T)
+
+which is a critically damped decay. Because it is linear and the same for every tick, "this motion can be stopped within
+all limits, from here to rest" is a fixed set of linear inequalities on the last three targets, and a state that
+satisfies them still does one brake tick later. That is what makes braking always possible, for the adapter's limiter
+and for the safety gate alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.errors import SettingsError
+from dual_ur10.kinematics import ur10
+from dual_ur10.kinematics.forward import tips
+from dual_ur10.types import Array
+
+Six = tuple[float, float, float, float, float, float]
+Three = tuple[float, float, float]
+
+POINTS = ("elbow", "flange", "TCP")
+"""Points of an arm whose speed is limited."""
+
+HISTORY = 3
+"""Targets that stand before the first one of a window: a third difference reaches back that far."""
+
+REST_SPEED_RAD_S = 1e-4
+"""Below this speed the brake holds its position, unless tight limits ask for less."""
+
+_BRAKE_GAP, _BRAKE_PEAK, _BRAKE_LAST = 0.2, 2.0, 3.0
+"""Instants along the brake, in units of 1 / w, at which the tip speed is looked at: the gap between two, and the last.
+It can rise at first, where the joints were still accelerating, and is over its peak before 2 / w."""
+
+_BRAKE_TIMES = 14.0
+"""The same for the whole brake: what is left of any speed then is less than counts as rest."""
+
+_BETWEEN_INSTANTS = 1.006
+"""By how much a peak between two of them can be higher: its curvature is at most w², half a gap is 0.1 / w."""
+
+# Largest distance of the flange from each joint's axis, by the lengths between them; the elbow is always nearer.
+_ARM_M = abs(ur10.DH_A_M[1]) + abs(ur10.DH_A_M[2]) + ur10.DH_D_M[4] + ur10.DH_D_M[5]
+REACH_FROM_JOINT_M: Array = np.array(
+    [
+        math.hypot(_ARM_M, ur10.DH_D_M[3] + ur10.DH_D_M[5]),
+        _ARM_M,
+        _ARM_M - abs(ur10.DH_A_M[1]),
+        ur10.DH_D_M[4] + ur10.DH_D_M[5],
+        ur10.DH_D_M[5],
+        0.0,
+    ]
+)
+
+
+def checked_tcp(values: Any) -> tuple[Three, Three]:
+    """Tool centre points of both arms as plain numbers.
+
+    Raises:
+        SettingsError: They are not three finite numbers for each arm.
+    """
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape != (2, 3) or not np.isfinite(array).all():
+        raise SettingsError(f"tcp_m is {values!r}: it must be three finite numbers for each of the two arms")
+    left, right = array.tolist()
+    return (*left,), (*right,)
+
+
+def _six(values: Any) -> Six:
+    try:
+        array = np.broadcast_to(np.asarray(values, dtype=np.float64), (6,))
+    except (TypeError, ValueError):
+        raise SettingsError(f"a limit must be one number or six, found {values!r}") from None
+    return (*array.tolist(),)
+
+
+# Defaults of MotionLimits.
+_SPEED_RAD_S = _six(ur10.HARD_SPEED_RAD_S)
+_LOWER_RAD = _six(-ur10.JOINT_RANGE_RAD)
+_UPPER_RAD = _six(ur10.JOINT_RANGE_RAD)
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """What the targets of one arm may do, on the wire. Both arms share one block.
+
+    Attributes:
+        speed_rad_s: Six joint speeds, or one for all.
+        acceleration_rad_s2: Second difference of the targets.
+        jerk_rad_s3: Third difference of the targets.
+        tcp_speed_m_s: Speed of flange, elbow and tool centre point of a nominal arm; a calibrated one differs by its
+            deviation in length.
+        lower_rad, upper_rad: Joint positions; the arm must also be able to stop inside them.
+        tcp_m: Tool centre point of the left and the right arm in its flange's frame; zeros: at the flange.
+
+    Raises:
+        SettingsError: A limit is not positive and finite, or wider than the hard limits of `dual_ur10.kinematics.ur10`.
+    """
+
+    speed_rad_s: Six = _SPEED_RAD_S
+    acceleration_rad_s2: float = ur10.HARD_ACCELERATION_RAD_S2
+    jerk_rad_s3: float = ur10.HARD_JERK_RAD_S3
+    tcp_speed_m_s: float = ur10.HARD_TCP_SPEED_M_S
+    lower_rad: Six = _LOWER_RAD
+    upper_rad: Six = _UPPER_RAD
+    tcp_m: tuple[Three, Three] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+    def __post_init__(self) -> None:
+        for name in ("speed_rad_s", "lower_rad", "upper_rad"):
+            object.__setattr__(self, name, _six(getattr(self, name)))
+        for name, hard in (
+            ("speed_rad_s", ur10.HARD_SPEED_RAD_S),
+            ("acceleration_rad_s2", ur10.HARD_ACCELERATION_RAD_S2),
+            ("jerk_rad_s3", ur10.HARD_JERK_RAD_S3),
+            ("tcp_speed_m_s", ur10.HARD_TCP_SPEED_M_S),
+        ):
+            value = np.asarray(getattr(self, name))
+            if not (np.isfinite(value).all() and (value > 0).all() and (value <= hard).all()):
+                raise SettingsError(f"limit {name} is {getattr(self, name)}: it must be above 0 and at most {hard}")
+        object.__setattr__(self, "tcp_m", checked_tcp(self.tcp_m))
+        lower, upper = np.asarray(self.lower_rad), np.asarray(self.upper_rad)
+        if not ((lower >= -ur10.JOINT_RANGE_RAD) & (upper <= ur10.JOINT_RANGE_RAD) & (lower < upper)).all():
+            raise SettingsError(
+                f"joint range {self.lower_rad} to {self.upper_rad} rad must lie inside ±{ur10.JOINT_RANGE_RAD.tolist()}"
+            )
+
+    def narrowed(self, margin_rad: float) -> MotionLimits:
+        """The same limits with a joint range smaller by `margin_rad` on both sides."""
+        return replace(
+            self,
+            lower_rad=_six(np.asarray(self.lower_rad) + margin_rad),
+            upper_rad=_six(np.asarray(self.upper_rad) - margin_rad),
+        )
+
+    def brake_rate(self) -> float:
+        """Decay rate w of the brake (1/s), for which no joint exceeds its acceleration or jerk from full speed."""
+        speed = max(self.speed_rad_s)
+        # A critically damped decay from v0 peaks at w v0 / e in acceleration and w² v0 in jerk; the 10 % are room for
+        # stopping while still accelerating.
+        return 0.9 * min(math.e * self.acceleration_rad_s2 / speed, math.sqrt(self.jerk_rad_s3 / speed))
+
+
+class Envelope:
+    """The limits as inequalities on a window of targets: three past ones and `ticks` new ones.
+
+    A row of `rows` (m, 3 + ticks) maps the window of one joint to one limited quantity: speed, acceleration, jerk and
+    position at each new target, the same along the brake that would follow, and the position where it comes to rest.
+    With `q = rows @ window`, the window is legal if |q - middle| <= half for every row and joint.
+
+    Arrays are (n, rows, 12): one small matrix product per cell, so that a cell's numbers do not depend, to the last
+    bit, on how many others are computed beside it.
+
+    Args:
+        limits: The limits of each arm.
+        tick_s: Time between two targets.
+        ticks: Number of new targets in a window, at least 1.
+        stops: After which of the new targets a stop must be possible; None: after the last one.
+    """
+
+    def __init__(self, limits: MotionLimits, tick_s: float, ticks: int, stops: Collection[int] | None = None) -> None:
+        self.limits, self.tick_s, self.ticks = limits, tick_s, ticks
+        self.brake_rate = limits.brake_rate()
+        self.ratio = math.exp(-self.brake_rate * tick_s)
+        # Stopping dead from this speed takes at most half the acceleration and three quarters of the jerk.
+        self.rest_speed_rad_s = min(
+            REST_SPEED_RAD_S, limits.acceleration_rad_s2 * tick_s / 2, limits.jerk_rad_s3 * tick_s**2 / 4
+        )
+        width = HISTORY + ticks
+        identity = np.eye(width)
+        speed = (identity[1:] - identity[:-1]) / tick_s
+        acceleration = (speed[1:] - speed[:-1]) / tick_s
+        jerk = (acceleration[1:] - acceleration[:-1]) / tick_s
+        blocks = {
+            "joint speed": [speed[HISTORY - 1 :]],
+            "joint acceleration": [acceleration[HISTORY - 2 :]],
+            "joint jerk": [jerk[HISTORY - 3 :]],
+            "joint position": [identity[HISTORY:]],
+        }
+        ahead, r = self._brake_derivatives(), self.ratio
+        self._stops = sorted({ticks} if stops is None else {*stops, ticks})
+        for stop in self._stops:
+            last = HISTORY - 1 + stop
+            speeds = speed[[last - 1, last - 2]]
+            for kind, rows in ahead.items():
+                blocks[kind].append(rows @ speeds)
+            # Where a first-order decay, and where the brake itself, would come to rest: under the brake, the position
+            # runs after the first, which runs after the second, which stays. All three inside the range: so is the way.
+            first_order = identity[last] + tick_s * r / (1 - r) * speeds[0]
+            rest = identity[last] + tick_s * ((2 * r - r * r) * speeds[0] - r * r * speeds[1]) / (1 - r) ** 2
+            blocks["joint position"].append(np.stack([first_order, rest]))
+        stacked = {kind: np.vstack(parts) for kind, parts in blocks.items()}
+        self.rows: Array = np.ascontiguousarray(np.vstack(list(stacked.values())))
+        self.kinds = [kind for kind, block in stacked.items() for _ in block]
+        self.rest_row = len(self.rows) - 1
+        self.position_rows = slice(len(self.rows) - self.kinds.count("joint position"), None)
+        self.middle, self.half = self._bounds()
+        self.brake: Array = self._brake(ticks)
+        self.coast: Array = self._coast(ticks)
+        self._centred = not self.middle.any()
+        # Speeds come first.
+        self._speed_rows = slice(0, self.kinds.count("joint speed"))
+        # Share of the tip speed limit that each joint uses at its own full speed, at most.
+        self._lever = np.zeros((12, 2))
+        for arm, tcp_m in enumerate(limits.tcp_m):
+            reach = REACH_FROM_JOINT_M + math.hypot(*tcp_m)
+            lever = np.asarray(limits.speed_rad_s) * reach * (_BETWEEN_INSTANTS / limits.tcp_speed_m_s)
+            self._lever[6 * arm : 6 * arm + 6, arm] = lever
+        self._brake_samples = self._sampled_brake()
+        self._middle = np.tile(self.middle, 2)
+        self.scale: Array = 1.0 / np.tile(self.half, 2)
+
+    def _brake_derivatives(self) -> dict[str, Array]:
+        """Rows (m, 2) on (last speed, the one before) of the brake's ticks that bound all others."""
+        r, horizon = self.ratio, math.ceil(6.0 / (-math.log(self.ratio))) + 3
+        speed = [np.array([0.0, 1.0]), np.array([1.0, 0.0])]
+        for _ in range(horizon):
+            speed.append(2 * r * speed[-1] - r * r * speed[-2])
+        v = np.array(speed)
+        a = np.diff(v, axis=0) / self.tick_s
+        j = np.diff(a, axis=0) / self.tick_s
+        ahead = {"joint speed": v[2:], "joint acceleration": a[1:], "joint jerk": j}
+        limits = {"joint acceleration": self.limits.acceleration_rad_s2, "joint jerk": self.limits.jerk_rad_s3}
+        keep: dict[str, set[int]] = {kind: set() for kind in ahead}
+        for joint_speed in set(self.limits.speed_rad_s):
+            # |row · x| <= limit for all rows holds exactly if it holds for the corners of the hull of ±rows / limit.
+            scaled = {kind: rows / limits.get(kind, joint_speed) for kind, rows in ahead.items()}
+            owner = [(kind, i) for kind, rows in scaled.items() for i in range(len(rows))]
+            for corner in _hull_corners(np.vstack(list(scaled.values()))):
+                keep[owner[corner][0]].add(owner[corner][1])
+        # The bound of the tip speed takes the brake's speeds from these rows, so none of its peaks may be missing.
+        keep["joint speed"].update(self._brake_ticks().tolist())
+        return {kind: ahead[kind][sorted(keep[kind])].reshape(-1, 2) for kind in ahead}
+
+    def _brake(self, ticks: int) -> Array:
+        """Rows (ticks, 3) that continue three past targets with the brake."""
+        r, rows = self.ratio, list(np.eye(HISTORY))
+        for _ in range(ticks):
+            rows.append(rows[-1] + 2 * r * (rows[-1] - rows[-2]) - r * r * (rows[-2] - rows[-3]))
+        return np.array(rows[HISTORY:])
+
+    def whole_brake(self) -> Array:
+        """Rows (k, 3) that continue three past targets with the brake until it is at rest."""
+        return self._brake(math.ceil(_BRAKE_TIMES / (self.brake_rate * self.tick_s)))
+
+    def _coast(self, ticks: int) -> Array:
+        """Rows (ticks, 3) that continue three past targets at their speed, while the acceleration dies away."""
+        rows = list(np.eye(HISTORY))
+        for _ in range(ticks):
+            speed, before = rows[-1] - rows[-2], rows[-2] - rows[-3]
+            rows.append(rows[-1] + speed + self.ratio * (speed - before))
+        return np.array(rows[HISTORY:])
+
+    def _brake_ticks(self) -> NDArray[np.intp]:
+        """Ticks along the brake, 0 the first, at which the tip speed is looked at."""
+        tick = self.brake_rate * self.tick_s
+        gap, peak, last = max(int(_BRAKE_GAP / tick), 1), math.ceil(_BRAKE_PEAK / tick), math.ceil(_BRAKE_LAST / tick)
+        return np.append(np.arange(0, peak + 1, gap), max(last, peak + 1))
+
+    def _sampled_brake(self) -> Array:
+        """Rows (2 samples, 3): targets before some ticks of the brake, then those at these ticks."""
+        at = self._brake_ticks()
+        positions = np.vstack([np.eye(HISTORY)[-1:], self._brake(int(at[-1]) + 1)])
+        return np.concatenate([positions[at], positions[at + 1]])
+
+    def _bounds(self) -> tuple[Array, Array]:
+        """Middle and half width of every row's range, (m, 6) each."""
+        limits = self.limits
+        lower, upper = np.asarray(limits.lower_rad), np.asarray(limits.upper_rad)
+        half = {
+            "joint speed": np.asarray(limits.speed_rad_s),
+            "joint acceleration": np.full(6, limits.acceleration_rad_s2),
+            "joint jerk": np.full(6, limits.jerk_rad_s3),
+            "joint position": (upper - lower) / 2,
+        }
+        middle = np.array([(upper + lower) / 2 if kind == "joint position" else np.zeros(6) for kind in self.kinds])
+        return middle, np.array([half[kind] for kind in self.kinds])
+
+    def use(self, quantities: Array) -> Array:
+        """Used share of each limit: above 1 is a violation.
+
+        Args:
+            quantities: (n, m, 12), `rows` times the windows.
+
+        Returns:
+            (n, m, 12), not negative.
+        """
+        share = self.signed_use(quantities)
+        return np.abs(share, out=share)
+
+    def signed_use(self, quantities: Array) -> Array:
+        """As `use`, with the sign of the quantity."""
+        if not self._centred:
+            quantities = quantities - self._middle
+        return quantities * self.scale
+
+    def within(self, share: Array, full: float, tip_full: float) -> bool:
+        """Whether all cells use at most `full` of each limit, and by its bound `tip_full` of the tip speed; quickly.
+
+        False for NaN.
+
+        Args:
+            share: (n, m, 12) as `use` gives it.
+            full: Largest share of a limit of the joints.
+            tip_full: Largest share of the tip speed limit.
+        """
+        if not np.maximum.reduce(share, axis=None) <= full:
+            return False
+        peak = np.maximum.reduce(share[:, self._speed_rows], axis=1, keepdims=True)
+        return bool(np.maximum.reduce(peak @ self._lever, axis=None) <= tip_full)
+
+    def tip_bound(self, share: Array) -> Array:
+        """Upper bound of the used share of the tip speed limit, (n,), from the joint speeds alone.
+
+        Args:
+            share: (n, m, 12) as `use` gives it.
+        """
+        peak = share[:, self._speed_rows].max(axis=1, keepdims=True)
+        bound: Array = (peak @ self._lever).max(axis=(1, 2))
+        return bound
+
+    def tip_share(self, window: Array) -> tuple[Array, Array]:
+        """Used share of the speed limit of elbow, flange and TCP, in the window and along the brake after it.
+
+        Args:
+            window: (n, 3 + ticks, 12) targets.
+
+        Returns:
+            (n, 2) share of each arm, and (n, 2) which of `POINTS` is its fastest.
+        """
+        n, half = len(window), len(self._brake_samples) // 2
+        starts, ends = [window[:, HISTORY - 1 : -1]], [window[:, HISTORY:]]
+        for stop in self._stops:
+            brake = self._brake_samples @ window[:, stop : stop + HISTORY]
+            start = brake[:, :half]
+            starts.append(start)
+            ends.append(start + _BETWEEN_INSTANTS * (brake[:, half:] - start))
+        postures = np.concatenate(starts + ends, axis=1)
+        # Start or end, instant, arm, point, x y z.
+        positions = tips(postures.reshape(n, -1, 2, 6), self.limits.tcp_m)
+        positions = positions.reshape(n, 2, -1, *positions.shape[-3:])
+        moved = positions[:, 1] - positions[:, 0]
+        fastest = np.sqrt(np.add.reduce(moved * moved, axis=-1).max(axis=1)) / (self.tick_s * self.limits.tcp_speed_m_s)
+        return fastest.max(axis=-1), fastest.argmax(axis=-1)
+
+
+def _hull_corners(points: Array) -> list[int]:
+    """Indices of the corners of the convex hull of `points` and their mirror images, both counted as one."""
+    n = len(points)
+    both = np.vstack([points, -points])
+    order = sorted(range(2 * n), key=lambda i: (both[i, 0], both[i, 1]))
+
+    def chain(indices: list[int]) -> list[int]:
+        corners: list[int] = []
+        for i in indices:
+            while len(corners) >= 2:
+                (ax, ay), (bx, by) = both[corners[-1]] - both[corners[-2]], both[i] - both[corners[-2]]
+                if ax * by - ay * bx > 0:
+                    break
+                corners.pop()
+            corners.append(i)
+        return corners
+
+    return sorted({i % n for i in chain(order) + chain(order[::-1])})

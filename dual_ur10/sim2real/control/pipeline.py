@@ -1,0 +1,105 @@
+"""The way of an action: adapter, gate. The same object in front of every kind of cell."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dual_ur10.errors import ActionError
+from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.sim2real.control.adapter import GRIPPER_OPENING_M, Command, ServojAdapter
+from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
+from dual_ur10.types import Array, Rows
+
+_ROUNDING = 1e-6  # bounds are float32 where a policy sees them
+
+
+class ServojPipeline:
+    """Checks an action, turns it into targets, and lets the gate decide.
+
+    What comes out for action k is for [t_k + L, t_k + L + period), with L the action's latency: the cell holds it back.
+
+    Args:
+        adapter: Turns actions into targets.
+        gate: Decides what leaves.
+        held: Number of an arm that stays where it is, whatever the actions are; None: none.
+
+    Attributes:
+        clipped_actions: How many actions so far were beyond the action space, so that they were clipped to it.
+    """
+
+    def __init__(self, adapter: ServojAdapter, gate: SafetyGate, *, held: int | None = None) -> None:
+        self.adapter, self.gate, self._held = adapter, gate, held
+        self._shape = (adapter.n, 2, adapter.action_size)
+        low, high = adapter.action_bounds
+        self._lowest, self._highest = low - _ROUNDING, high + _ROUNDING
+        self.clipped_actions = 0
+        self._openings: Array = np.zeros((adapter.n, 2))  # let out last: where the gripper of a stopped arm is held
+
+    def reset(self, q_rad: Array, rows: Rows | None = None, gripper_m: Array | None = None) -> None:
+        """Start from rest.
+
+        Args:
+            q_rad: (n, 2, 6), or (len(rows), 2, 6).
+            rows: The cells to start; None: all.
+            gripper_m: (n, 2) or (len(rows), 2) opening of the grippers; None: open.
+        """
+        self.adapter.reset(q_rad, rows)
+        self.gate.reset(q_rad, rows)
+        index = slice(None) if rows is None else rows
+        self._openings[index] = GRIPPER_OPENING_M if gripper_m is None else gripper_m
+
+    def __call__(self, action: object) -> tuple[Command, dict[int, Verdict]]:
+        """What the action asks of the arms, as far as the gate lets it.
+
+        Args:
+            action: Numbers that fit (n, 2, action_size); copied.
+
+        Returns:
+            The command, and a verdict for each row that the gate refused.
+
+        Raises:
+            ActionError: Not numbers, the wrong shape, NaN or infinity. Nothing is sent and nothing changes.
+        """
+        checked = self.check(action)
+        beyond = (checked < self._lowest) | (checked > self._highest)
+        self.clipped_actions += int(np.logical_or.reduce(beyond, axis=(1, 2)).sum())
+        targets, gripper, _ = self.adapter(checked)
+        if self._held is not None:
+            targets[:, :, self._held] = self.gate.last_targets_rad[:, None, self._held]
+        result = self.gate(targets)
+        if gripper is not None:
+            stopped = list(result.verdicts)
+            if stopped:
+                gripper[stopped] = self._openings[stopped, None]
+            self._openings = gripper[:, -1]
+        return Command(result.targets_rad, gripper), result.verdicts
+
+    def check(self, action: object) -> Array:
+        """The action as float64 of shape (n, 2, action_size).
+
+        Raises:
+            ActionError: See `__call__`.
+        """
+        try:
+            array = np.asarray(action)
+        except (TypeError, ValueError) as error:
+            raise ActionError(f"an action must be numbers, found {type(action).__name__}: {error}") from None
+        if array.dtype.kind not in "fiu":
+            raise ActionError(f"an action must be numbers, found {array.dtype} from {type(action).__name__}")
+        size = self._shape[0] * self._shape[1] * self._shape[2]
+        if array.size != size or array.shape not in _shapes(self._shape):
+            allowed = " or ".join(map(str, _shapes(self._shape)))
+            raise ActionError(f"an action must have shape {allowed}, found {array.shape}")
+        checked: Array = array.astype(np.float64).reshape(self._shape)
+        if not np.logical_and.reduce(np.isfinite(checked), axis=None):
+            row, arm, number = np.argwhere(~np.isfinite(checked))[0]
+            raise ActionError(
+                f"number {number} of the {ARMS[arm]} arm's action is {checked[row, arm, number]} (cell {row}): actions "
+                "must be finite. Nothing was sent"
+            )
+        return checked
+
+
+def _shapes(shape: tuple[int, int, int]) -> list[tuple[int, ...]]:
+    n, arms, size = shape
+    return [(n, arms, size), (n, arms * size)] + ([(arms, size), (arms * size,)] if n == 1 else [])

@@ -1,1 +1,0 @@
-"""Two UR controllers in software: what clients of real ones talk to, with simulated arms behind them."""

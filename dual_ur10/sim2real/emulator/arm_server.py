@@ -1,0 +1,249 @@
+"""The ports of one emulated controller, and what its clients get in every control period."""
+
+from __future__ import annotations
+
+import logging
+import struct
+from collections import deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, Final
+
+from dual_ur10.errors import ProtocolError, ScriptError, SettingsError
+from dual_ur10.kinematics.ur10 import DHParameters
+from dual_ur10.sim2real.emulator.controller import Controller
+from dual_ur10.sim2real.emulator.dashboard import GREETING, Dashboard
+from dual_ur10.sim2real.emulator.pendant import Pendant
+from dual_ur10.sim2real.emulator.profile import ControllerProfile
+from dual_ur10.sim2real.emulator.realtime_packet import RealtimePacket
+from dual_ur10.sim2real.emulator.robotiq import RobotiqGripper
+from dual_ur10.sim2real.emulator.rtde_session import RtdePort, RtdeSession
+from dual_ur10.sim2real.emulator.script import Program, Splitter, read
+from dual_ur10.sim2real.emulator.sockets import Hub, Port
+from dual_ur10.sim2real.protocol.primary_messages import version_message
+from dual_ur10.sim2real.protocol.primary_packet import RATE_HZ, PrimaryPacket
+from dual_ur10.sim2real.protocol.text_lines import LineReader
+
+log = logging.getLogger(__name__)
+
+DASHBOARD, PRIMARY, SECONDARY, REALTIME, RTDE, GRIPPER = 29999, 30001, 30002, 30003, 30004, 63352
+"""UR's ports, and that of Robotiq's gripper server."""
+
+PORTS: Final = {
+    "dashboard": DASHBOARD,
+    "primary": PRIMARY,
+    "secondary": SECONDARY,
+    "realtime": REALTIME,
+    "rtde": RTDE,
+    "gripper": GRIPPER,
+}
+
+_MOST_SCRIPTS: Final = 64  # programs that wait to be started
+
+
+class RtdePeer:
+    """A client of the RTDE port."""
+
+    finished = False
+
+    def __init__(self, session: RtdeSession) -> None:
+        self.session = session
+
+    def received(self, data: bytes) -> bytes:
+        """Answer what came."""
+        return self.session.receive(data)
+
+    def closed(self) -> None:
+        """Free its inputs."""
+        self.session.close()
+
+
+class LinePeer:
+    """A client that sends lines and gets one line for each.
+
+    Args:
+        answer: From a line to its answer.
+        end: What follows every answer.
+    """
+
+    finished = False
+
+    def __init__(self, answer: Callable[[str], str], end: str = "\n") -> None:
+        self._answer, self._lines, self._end = answer, LineReader(), end
+
+    def received(self, data: bytes) -> bytes:
+        """Answer what came."""
+        return "".join(self._answer(line) + self._end for line in self._lines.feed(data)).encode("utf-8", "replace")
+
+    def closed(self) -> None:
+        """There is nothing to forget."""
+
+
+class DashboardPeer(LinePeer):
+    """A client of the dashboard server."""
+
+    def __init__(self, dashboard: Dashboard) -> None:
+        super().__init__(dashboard.answer)
+        self._dashboard = dashboard
+
+    @property
+    def finished(self) -> bool:  # type: ignore[override]  # read only here
+        """Whether it said goodbye."""
+        return self._dashboard.closed
+
+
+class ScriptPeer:
+    """A client of a port that takes programs.
+
+    Args:
+        run: Takes a program.
+    """
+
+    finished = False
+
+    def __init__(self, run: Callable[[str], None]) -> None:
+        self._run, self._splitter = run, Splitter()
+
+    def received(self, data: bytes) -> bytes:
+        """Run the programs that are complete. Nothing is answered."""
+        for text in self._splitter.feed(data):
+            self._run(text)
+        return b""
+
+    def closed(self) -> None:
+        """What is not complete is dropped."""
+
+
+class ArmServer:
+    """One controller on its standard ports.
+
+    Args:
+        hub: The sockets of the cell.
+        controller: The controller.
+        host: A loopback address of its own.
+        gripper: The gripper's server, or None.
+        off: Called when the controller is shut down through its dashboard.
+
+    Attributes:
+        ports: By name, as in `PORTS`.
+        script_delay_s: By how much the start of programs is late.
+
+    Raises:
+        AddressError: The address cannot be used.
+    """
+
+    def __init__(
+        self,
+        hub: Hub,
+        controller: Controller,
+        host: str,
+        gripper: RobotiqGripper | None,
+        off: Callable[[], None],
+    ) -> None:
+        self.controller, self.host, self.gripper = controller, host, gripper
+        self.pendant = Pendant(controller, off)
+        self.script_delay_s = 0.0
+        self._scripts: deque[tuple[float, str, Future[Program | ScriptError]]] = deque()
+        self._hub = hub
+        # Control periods do not wait for programs to be read, and one arm's not for the other's.
+        self._reader = ThreadPoolExecutor(1, f"{controller.name} programs")
+        self._rtde = RtdePort(
+            controller.profile,
+            controller.registers,
+            controller.values,
+            controller.inputs,
+            lambda names: controller.received.package(names, controller.ticks),
+        )
+        self._realtime = RealtimePacket(controller.profile)
+        self.pretend(controller.profile, controller.dh)
+        name = controller.name
+        self.ports: dict[str, Port] = {}
+        try:
+            self._listen(name, gripper)
+        except OSError:
+            self.close()
+            raise
+
+    def pretend(self, profile: ControllerProfile, kinematics: DHParameters) -> None:
+        """Tell clients of a version, model or calibration that may not be the true one, from now on.
+
+        Raises:
+            SettingsError: It cannot be told.
+        """
+        try:
+            primary = PrimaryPacket(profile, kinematics)
+        except struct.error as error:
+            raise SettingsError(f"no controller can say this: {error}") from error
+        self.primary, self.shown, self.kinematics = primary, profile, kinematics
+        self._rtde.profile = profile
+
+    def check(self, values: Mapping[str, Any]) -> None:
+        """Check that clients can be told these values, on every port.
+
+        Args:
+            values: By RTDE's names.
+
+        Raises:
+            SettingsError: They cannot.
+        """
+        told = {**self.controller.values, **values}
+        try:
+            for name, value in values.items():
+                self._rtde.output_types[name].fit(name, value)
+            self._realtime.pack(told)
+            self.primary.state(told)
+        except (struct.error, TypeError, ValueError, OverflowError) as error:
+            raise SettingsError(f"clients cannot be told {dict(values)!r}: {error}") from error
+
+    def _listen(self, name: str, gripper: RobotiqGripper | None) -> None:
+        def add(which: str, accept: Callable[[], object], greeting: Callable[[], bytes] = bytes) -> None:
+            port = self._hub.add(f"{name} {which}", (self.host, PORTS[which]), accept, greeting)  # type: ignore[arg-type]  # the peers of these ports
+            self.ports[which] = port
+
+        add("dashboard", lambda: DashboardPeer(Dashboard(self.shown, self.pendant)), lambda: f"{GREETING}\n".encode())
+        for which in ("primary", "secondary"):
+            add(which, lambda: ScriptPeer(self._take_script), lambda: version_message(self.shown))
+        add("realtime", lambda: ScriptPeer(self._take_script))
+        add("rtde", lambda: RtdePeer(self._rtde.open()))
+        if gripper is not None:
+            # Its answers have their ends, where they have one.
+            add("gripper", lambda: LinePeer(gripper.answer, end=""))
+
+    def _take_script(self, text: str) -> None:
+        self.controller.received.upload(self.controller.ticks)
+        if len(self._scripts) >= _MOST_SCRIPTS:
+            raise ProtocolError(f"{_MOST_SCRIPTS} programs wait to be started already")
+        found = self._reader.submit(read, text, self.controller.program.builtins)
+        self._scripts.append((self.controller.time_s + self.script_delay_s, text, found))
+
+    def before_tick(self) -> None:
+        """Start the programs that have been read, in their order."""
+        while self._scripts and self._scripts[0][0] <= self.controller.time_s and self._scripts[0][2].done():
+            _, text, found = self._scripts.popleft()
+            self.controller.run_script(text, found.result())
+
+    def publish(self) -> None:
+        """Send what is due in this control period."""
+        controller, ports = self.controller, self.ports
+        for connection in list(ports["rtde"].connections):
+            peer = connection.peer
+            if isinstance(peer, RtdePeer):
+                connection.send(peer.session.publish(controller.ticks), droppable=True)
+        if ports["realtime"].connections:
+            ports["realtime"].broadcast(self._realtime.pack(controller.values))
+        streams = [ports[which] for which in ("primary", "secondary")]
+        listeners = [port for port in streams if port.connections]
+        if listeners and controller.ticks % round(1.0 / (RATE_HZ * controller.profile.tick_s)) == 0:
+            packet = self.primary.state(controller.values)
+            for port in listeners:
+                port.broadcast(packet)
+        while controller.messages:
+            ports["primary"].broadcast(controller.messages.popleft())
+
+    def close(self) -> None:
+        """Close all ports."""
+        self._reader.shutdown(wait=False, cancel_futures=True)
+        for port in self.ports.values():
+            port.close()
+            self._hub.ports.remove(port)
+        self.ports.clear()

@@ -1,0 +1,51 @@
+"""The functions that programs may call, of one controller."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from dual_ur10.sim2real.emulator.builtins_io import io_builtins
+from dual_ur10.sim2real.emulator.builtins_motion import motion_builtins
+from dual_ur10.sim2real.emulator.builtins_robot import robot_builtins
+from dual_ur10.sim2real.emulator.script import library
+
+if TYPE_CHECKING:
+    from dual_ur10.sim2real.emulator.controller import Builtins, Controller
+
+
+_ELEMENTS_PER_STEP = 8
+
+
+def _costly(controller: Controller, own: Builtins) -> Builtins:
+    """Functions whose time depends on how much they are given: they count for more than one statement."""
+
+    def norm(a: Any) -> float:
+        controller.spend(_size(a))
+        found: float = own["norm"](a)
+        return found
+
+    def to_str(val: Any) -> str:
+        controller.spend(_size(val))
+        found: str = own["to_str"](val)
+        return found
+
+    return {"norm": norm, "to_str": to_str}
+
+
+def _size(value: Any) -> int:
+    """Statements that looking at a value counts for."""
+    if not isinstance(value, list):
+        return 0
+    return sum(len(each) if isinstance(each, list) else 1 for each in value) // _ELEMENTS_PER_STEP
+
+
+def builtins_of(controller: Controller) -> Builtins:
+    """Every built-in function, by name, as the controller's version has them."""
+    own = library(controller.profile.tick_s)
+    return {
+        **own,
+        **_costly(controller, own),
+        **motion_builtins(controller),
+        **io_builtins(controller),
+        **robot_builtins(controller),
+    }

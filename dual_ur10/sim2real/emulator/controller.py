@@ -1,0 +1,416 @@
+"""One emulated UR controller: what happens in one of its control periods."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from dual_ur10.errors import OperationRefusedError, ScriptError
+from dual_ur10.kinematics.forward import elbow_and_flange_position, flange_pose
+from dual_ur10.kinematics.rotations import cross
+from dual_ur10.kinematics.ur10 import DHParameters
+from dual_ur10.sim2real.emulator.builtins import builtins_of
+from dual_ur10.sim2real.emulator.inputs_outputs import InputsOutputs
+from dual_ur10.sim2real.emulator.motion import Motion
+from dual_ur10.sim2real.emulator.profile import ControllerProfile
+from dual_ur10.sim2real.emulator.program import ProgramRunner
+from dual_ur10.sim2real.emulator.received import Received
+from dual_ur10.sim2real.emulator.registers import Registers
+from dual_ur10.sim2real.emulator.rtde_variables import zero_values
+from dual_ur10.sim2real.emulator.safety import Demand, Safety
+from dual_ur10.sim2real.emulator.script import Machine, Program
+from dual_ur10.sim2real.emulator.world import ArmReading
+from dual_ur10.sim2real.protocol import primary_messages as messages
+from dual_ur10.sim2real.protocol.modes import JointMode, RobotBits, RobotMode, RuntimeState, SafetyMode
+from dual_ur10.types import Array
+
+log = logging.getLogger(__name__)
+
+GRAVITY_M_S2: Final = 9.81
+
+# UR publishes no torque constants. These only make currents of a believable size of the simulated torques.
+_NM_PER_A: Final = np.array([13.0, 13.0, 10.0, 9.0, 9.0, 9.0])
+
+_HISTORY: Final = 1000  # control periods of joint positions that a program may look back at
+_SETPOINTS: Final = 50_000  # executed servoj targets that are kept
+_MESSAGES: Final = 256
+
+STEADY_RAD: Final = 0.01
+STEADY_RAD_S: Final = 0.001
+REDUCED_SPEED: Final = 0.5  # of the speed in reduced mode; a real controller's depends on its safety configuration
+
+
+class Setpoint(NamedTuple):
+    """One executed servoj."""
+
+    tick: int
+    q_rad: tuple[float, ...]
+    t_s: float
+    lookahead_s: float
+    gain: float
+
+
+@dataclass
+class Payload:
+    """What a controller was told of its payload."""
+
+    mass_kg: float = 0.0
+    cog_m: tuple[float, ...] = (0.0, 0.0, 0.0)
+    inertia_kg_m2: tuple[float, ...] = (0.0,) * 6
+
+
+@dataclass
+class Watchdog:
+    """A program's demand that a client keeps writing a register.
+
+    Attributes:
+        name: The register's, as RTDE names it.
+        period_s: Longest time between two writes.
+        action: "pause" or "stop".
+        writes: How often it had been written when it was looked at last.
+        machine: The program.
+        value: Gives what is in the register.
+        since_s: Time since it was last fed.
+    """
+
+    name: str
+    period_s: float
+    action: str
+    writes: int
+    machine: Machine | None
+    value: Callable[[], Any]
+    since_s: float = 0.0
+    last: Any = None
+
+    def is_fed(self, registers: Registers, counts_unchanged: bool) -> bool:
+        """Whether the register was written since this was asked last."""
+        writes, value = registers.writes.get(self.name, 0), self.value()
+        fed = writes != self.writes and (counts_unchanged or value != self.last)
+        self.writes, self.last = writes, value
+        if fed:
+            self.since_s = 0.0
+        return fed
+
+
+class Controller:
+    """One UR controller, without its sockets.
+
+    Args:
+        name: "left" or "right", for the log.
+        profile: Its version.
+        q_rad: (6,) where the arm stands.
+        substeps: Physics steps of one control period.
+        dh: The kinematics that it believes in.
+        lookahead_scale: True lookahead over the one that programs ask for.
+        gripper_kg: Mass that its installation declares as payload.
+        powered: Whether the arm is powered from the start.
+        boot_s: Time since it was started, in its own clock.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        profile: ControllerProfile,
+        q_rad: Array,
+        substeps: int,
+        *,
+        dh: DHParameters,
+        lookahead_scale: float = 1.0,
+        gripper_kg: float = 0.0,
+        powered: bool = True,
+        boot_s: float = 100.0,
+    ) -> None:
+        self.name, self.profile = name, profile
+        self.dh = dh
+        self.ticks = 0
+        self.boot_s = boot_s
+        self.registers = Registers()
+        self.received = Received(self.registers)
+        self.io = InputsOutputs()
+        self.safety = Safety(profile.assumptions, powered=powered)
+        self.motion = Motion(
+            profile.tick_s, substeps, q_rad, dh=dh, lookahead_scale=lookahead_scale, assumptions=profile.assumptions
+        )
+        self.payload = Payload(gripper_kg)
+        self.gripper_kg = gripper_kg
+        self.values: dict[str, Any] = zero_values(profile)
+        self.overrides: dict[str, Any] = {}
+        self._overridden: dict[str, Any] = {}
+        self.remote_control = True
+        self.history: deque[tuple[float, ...]] = deque(maxlen=_HISTORY)
+        self.setpoints: deque[Setpoint] = deque(maxlen=_SETPOINTS)
+        self.setpoints_count = 0
+        self.external_sensor = False
+        self.popup = ""
+        self.messages: deque[bytes] = deque(maxlen=_MESSAGES)
+        self.watchdog: Watchdog | None = None
+        self.watchdog_acts = True
+        self.wrench: Array = np.zeros(6)
+        self._wanted: Array = np.array(q_rad, dtype=float)
+        self._deviating = 0
+        self._ran = False
+        self._raw_wrench: Array = np.zeros(6)
+        self._wrench_zero: Array = np.zeros(6)
+        self.program = ProgramRunner(profile, self.motion, builtins_of(self), self._script_failed)
+        self.reading = ArmReading(np.array(q_rad, dtype=float), np.zeros(6), np.zeros(6), np.zeros(6), None)
+        self._elbow: Array = elbow_and_flange_position(self.reading.q_rad)[0]
+        self._constant_values()
+        self._publish(np.zeros(6))
+
+    @property
+    def time_s(self) -> float:
+        """Time since the controller was started: RTDE's `timestamp`."""
+        return self.boot_s + self.ticks * self.profile.tick_s
+
+    def tick(self, reading: ArmReading) -> Array:
+        """Let one control period begin: measure, run the program, and say how the arm is to move.
+
+        Returns:
+            (substeps, 3, 6): the motion, as `World.advance` takes it.
+        """
+        self.ticks += 1
+        self.reading = reading
+        self._measure(reading)
+        self.safety.tick(self.profile.tick_s, at_rest=not self.motion.moving or self.program.speed == 0.0)
+        demand = self.safety.demand
+        limit = REDUCED_SPEED if self.safety.reduced else 1.0
+        self.program.tick(
+            demand, may_move=self.safety.may_move, resumes=self.safety.resumes, slider=self.io.slider * limit
+        )
+        self._watch()
+        if self._ran and self.program.machine is None:
+            self.received.ended_tick = self.ticks
+            if not self.profile.assumptions.output_registers_persist:
+                self.registers.clear_outputs()
+        self._ran = self.program.machine is not None
+        before = self.motion.qd.copy()
+        plan: Array = self.motion.plan(self.program.speed, wrench=self.wrench, q_actual=reading.q_rad)
+        self._look_for_faults(reading)
+        self._publish((self.motion.qd - before) / self.profile.tick_s)
+        return plan
+
+    def _look_for_faults(self, reading: ArmReading) -> None:
+        """Stop where a controller would: for what it is asked to do, and for an arm that does not do it."""
+        fault = self.motion.fault
+        if fault is not None:
+            self.motion.fault = None
+            self.protective_stop(fault.code, fault.text)
+        assumed = self.profile.assumptions
+        away = np.abs(self._wanted - reading.q_rad)
+        self._wanted = self.motion.q
+        self._deviating = self._deviating + 1 if away.max() > assumed.deviation_rad else 0
+        if self._deviating >= assumed.deviation_ticks:
+            self._deviating = 0
+            joint = int(away.argmax())
+            text = f"position deviates from path: joint {joint} by {away[joint]:.3f} rad, allowed are "
+            self.protective_stop("C153A0", f"{text}{assumed.deviation_rad:g} rad")
+            self.motion.rest_at(reading.q_rad)
+            self._wanted = self.motion.q
+
+    def note_setpoint(self, q_rad: Sequence[float], t_s: float, lookahead_s: float, gain: float) -> None:
+        """Keep a servoj target that is executed."""
+        self.setpoints_count += 1
+        self.setpoints.append(Setpoint(self.ticks, tuple(q_rad), float(t_s), float(lookahead_s), float(gain)))
+
+    def override(self, name: str, value: Any) -> None:
+        """Tell clients this value of a variable, whatever is true, from the next tick on; None ends it."""
+        if value is not None:
+            self._overridden.setdefault(name, self.values[name])
+            self.overrides[name] = value
+        elif self.overrides.pop(name, None) is not None:
+            self.values[name] = self._overridden.pop(name)
+
+    # Stops.
+
+    def protective_stop(self, code: str, text: str) -> None:
+        """Stop protectively, for a reason that UR has a code for."""
+        if self.safety.safety_mode == SafetyMode.PROTECTIVE_STOP:
+            return
+        log.warning("%s: protective stop: %s: %s", self.name, code, text)
+        self.safety.stop(SafetyMode.PROTECTIVE_STOP, f"{code}: {text}")
+        self.messages.append(messages.error_code_message(self.time_s, code, text))
+        self.messages.append(messages.safety_mode_message(self.time_s, SafetyMode.PROTECTIVE_STOP, code))
+
+    def say(self, text: str) -> None:
+        """Send the text of a program to clients of the primary interface."""
+        self.messages.append(messages.text_message(self.time_s, text))
+
+    def show(self, title: str, text: str) -> None:
+        """Open a popup."""
+        self.popup = text
+        self.messages.append(messages.popup_message(self.time_s, title, text))
+
+    def _script_failed(self, error: ScriptError) -> None:
+        log.warning("%s: program stopped: %s", self.name, error)
+        self.messages.append(messages.script_error_message(self.time_s, error))
+
+    def spend(self, steps: int) -> None:
+        """Count a function of a program as so many of the statements that it may run in a control period.
+
+        Raises:
+            RecursionError: It has no more of them.
+        """
+        machine = self.program.machine
+        if machine is not None and machine.thread is not None:
+            machine.spend(steps)
+
+    def _watch(self) -> None:
+        watchdog = self.watchdog
+        if watchdog is None:
+            return
+        if self.program.machine is None or self.program.machine is not watchdog.machine:
+            self.watchdog = None  # it ends with the program that set it
+            return
+        if watchdog.is_fed(self.registers, self.profile.assumptions.watchdog_counts_unchanged):
+            return
+        watchdog.since_s += self.profile.tick_s
+        if watchdog.since_s > watchdog.period_s and self.watchdog_acts:
+            log.warning("%s: the watchdog on %s was not fed for %.3g s", self.name, watchdog.name, watchdog.since_s)
+            text = f"no client wrote {watchdog.name} for {watchdog.since_s:.3g} s: {watchdog.action}"
+            self.messages.append(messages.key_message(self.time_s, "RTDE_WATCHDOG", text))
+            self.watchdog = None
+            if watchdog.action == "pause":
+                self.program.pause()
+            else:
+                self.program.stop("its watchdog was not fed")
+
+    # What is measured and told.
+
+    def zero_wrench(self) -> None:
+        """Take the present force as zero."""
+        self._wrench_zero = self._raw_wrench.copy()
+
+    def _measure(self, reading: ArmReading) -> None:
+        wrench = reading.wrench.copy()
+        weight = (self.payload.mass_kg - self.gripper_kg) * GRAVITY_M_S2
+        if weight:
+            wrench[2] += weight
+            _, rotation = flange_pose(reading.q_rad, self.dh)
+            wrench[3:] += cross(rotation @ self.payload.cog_m, np.array([0.0, 0.0, weight]))
+        if any(self.motion.tcp[:3]):
+            tcp, flange = self.motion.tcp_pose(reading.q_rad), self.motion.flange_pose(reading.q_rad)
+            lever = np.subtract(tcp[:3], flange[:3])
+            wrench[3:] -= cross(lever, wrench[:3])
+        self._raw_wrench = wrench
+        self.wrench = wrench - self._wrench_zero
+        if self.external_sensor and self.io.external_wrench is not None:
+            self.wrench = np.array(self.io.external_wrench)
+        self.history.append(tuple(reading.q_rad.tolist()))
+
+    def _constant_values(self) -> None:
+        values = self.values
+        values.update(
+            joint_temperatures=(30.0,) * 6,
+            actual_main_voltage=48.0,
+            actual_robot_voltage=48.0,
+            actual_joint_voltage=(48.0,) * 6,
+            actual_tool_accelerometer=(0.0, 0.0, GRAVITY_M_S2),
+            tool_temperature=30.0,
+            tool_mode=int(JointMode.RUNNING),
+            actual_execution_time=0.0,
+        )
+
+    def _publish(self, qdd: Array) -> None:
+        """Bring the values that clients are told up to date."""
+        values, motion, reading, program, safety = self.values, self.motion, self.reading, self.program, self.safety
+        running = safety.robot_mode == RobotMode.RUNNING
+        current = reading.torque_nm / _NM_PER_A
+        values["timestamp"] = self.time_s
+        values["target_q"] = tuple(motion.q.tolist())
+        values["target_qd"] = tuple(motion.qd.tolist())
+        values["target_qdd"] = tuple(qdd.tolist())
+        values["target_moment"] = tuple(reading.torque_nm.tolist())
+        values["target_current"] = values["actual_current"] = values["joint_control_output"] = tuple(current.tolist())
+        values["actual_robot_current"] = 0.5 + 0.1 * float(np.abs(current).sum())
+        values["actual_q"] = tuple(reading.q_rad.tolist())
+        values["actual_qd"] = tuple(reading.qd_rad_s.tolist())
+        q, qd = np.stack([reading.q_rad, motion.q]), np.stack([reading.qd_rad_s, motion.qd])
+        poses, speeds = motion.tcp_poses_and_speeds(q, qd)
+        values["actual_TCP_pose"], values["target_TCP_pose"] = poses
+        values["actual_TCP_speed"], values["target_TCP_speed"] = speeds
+        elbow = elbow_and_flange_position(reading.q_rad)[0]
+        values["elbow_velocity"] = tuple(((elbow - self._elbow) / self.profile.tick_s).tolist())
+        values["elbow_position"], self._elbow = tuple(elbow.tolist()), elbow
+        values["actual_TCP_force"] = tuple(self.wrench.tolist())
+        if "tcp_force_scalar" in values:
+            values["tcp_force_scalar"] = float(np.linalg.norm(self.wrench[:3]))
+        if "ft_raw_wrench" in values:
+            values["ft_raw_wrench"] = tuple(reading.wrench.tolist())
+        values["actual_digital_input_bits"] = self.io.inputs
+        values["actual_digital_output_bits"] = self.io.outputs
+        values["standard_analog_output0"], values["standard_analog_output1"] = self.io.analog(0), self.io.analog(1)
+        values["tool_output_voltage"] = self.io.tool_voltage
+        values["analog_io_types"] = self.io.analog_types
+        values["robot_mode"] = int(safety.robot_mode)
+        values["joint_mode"] = (int(JointMode.RUNNING if running else _joint_mode(safety.robot_mode)),) * 6
+        values["safety_mode"] = values["safety_status"] = int(safety.safety_mode)
+        values["safety_status_bits"] = int(safety.safety_bits)
+        values["robot_status_bits"] = int(self.robot_bits)
+        values["runtime_state"] = int(program.state)
+        values["speed_scaling"] = program.speed
+        values["target_speed_fraction"] = self.io.slider
+        values["payload"] = self.payload.mass_kg
+        values["payload_cog"] = self.payload.cog_m
+        values["payload_inertia"] = self.payload.inertia_kg_m2
+        if "tcp_offset" in values:
+            values["tcp_offset"] = tuple(motion.tcp)
+        values.update(self.overrides)
+
+    @property
+    def robot_bits(self) -> RobotBits:
+        """RTDE's `robot_status_bits`."""
+        bits = RobotBits(0)
+        if self.safety.robot_mode in (RobotMode.POWER_ON, RobotMode.IDLE, RobotMode.RUNNING):
+            bits |= RobotBits.POWER_ON
+        if self.program.state in (RuntimeState.PLAYING, RuntimeState.RESUMING, RuntimeState.PAUSING):
+            bits |= RobotBits.PROGRAM_RUNNING
+        return bits
+
+    @property
+    def steady(self) -> bool:
+        """Whether the arm stands, and nothing wants to move it."""
+        there = float(np.abs(self.motion.q - self.reading.q_rad).max()) < STEADY_RAD
+        return not self.motion.moving and there and float(np.abs(self.reading.qd_rad_s).max()) < STEADY_RAD_S
+
+    # What clients send.
+
+    def inputs(self, values: Mapping[str, Any]) -> None:
+        """Take over an RTDE input package's values that are no registers."""
+        self.io.apply(values)
+
+    def run_script(self, text: str, found: Program | ScriptError | None = None) -> None:
+        """Run what came on a script port: refused in local mode, as a controller does.
+
+        Args:
+            text: The program.
+            found: What reading it has given, if it has been read already.
+        """
+        if self.profile.has_remote_control and not self.remote_control:
+            log.warning("%s: a program is refused: the controller is in local mode", self.name)
+            self.messages.append(
+                messages.key_message(self.time_s, "PROGRAM_REFUSED", "the controller is in local mode")
+            )
+            return
+        self.program.load(text, found)
+
+    def play(self) -> None:
+        """Play or go on.
+
+        Raises:
+            OperationRefusedError: The arm may not be moved, or there is no program.
+        """
+        if self.safety.demand is not Demand.NONE:
+            raise OperationRefusedError("the arm is stopped or has no power")
+        self.program.play()
+
+
+def _joint_mode(mode: RobotMode) -> JointMode:
+    return JointMode.POWER_OFF if mode < RobotMode.POWER_ON else JointMode.IDLE
+
+
+Builtins = dict[str, Callable[..., Any]]

@@ -1,0 +1,79 @@
+"""Checks of a motion command's numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any, Final
+
+from dual_ur10.errors import MotionError
+from dual_ur10.sim2real.emulator.motion.tool_kinematics import Frame, frame_of
+
+_FARTHEST_M: Final = 100.0
+_LONGEST_ROTVEC_RAD: Final = 100.0
+
+
+def number(value: Any, what: str) -> float:
+    """Return a finite number.
+
+    Raises:
+        MotionError: It is none.
+    """
+    try:
+        found = float(0.0 + value)  # which text does not pass
+    except (TypeError, ValueError, OverflowError):
+        found = math.nan
+    if not math.isfinite(found):
+        raise MotionError(f"{what} is {value!r}: it must be a finite number")
+    return found
+
+
+def six(values: Iterable[Any], what: str) -> tuple[float, ...]:
+    """Return six finite numbers.
+
+    Raises:
+        MotionError: They are not six, or not finite numbers.
+    """
+    try:
+        found = tuple([float(0.0 + each) for each in values])
+    except (TypeError, ValueError, OverflowError):
+        found = ()
+    if len(found) != 6 or not all(map(math.isfinite, found)):
+        raise MotionError(f"{what} must be six finite numbers, found {values!r}")
+    return found
+
+
+def positive(value: Any, what: str) -> float:
+    """Return a number above zero.
+
+    Raises:
+        MotionError: It is none.
+    """
+    found = number(value, what)
+    if found <= 0.0:
+        raise MotionError(f"{what} is {value!r}: it must be greater than zero")
+    return found
+
+
+def not_negative(value: Any, what: str) -> float:
+    """Return a number of at least zero.
+
+    Raises:
+        MotionError: It is none.
+    """
+    found = number(value, what)
+    if found < 0.0:
+        raise MotionError(f"{what} is {value!r}: it must not be negative")
+    return found
+
+
+def checked_frame(pose: Iterable[Any], what: str) -> Frame:
+    """Return position and rotation of a pose.
+
+    Raises:
+        MotionError: It is none, or one that no arm has.
+    """
+    numbers = six(pose, what)
+    if max(map(abs, numbers[:3])) > _FARTHEST_M or max(map(abs, numbers[3:])) > _LONGEST_ROTVEC_RAD:
+        raise MotionError(f"{what} is {numbers}: no arm has poses like that")
+    return frame_of(numbers)

@@ -1,0 +1,225 @@
+"""Motions of the TCP, as functions of their own time; the posture follows from the pose in closed form."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Final
+
+import numpy as np
+
+from dual_ur10.errors import UnreachableError
+from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
+from dual_ur10.sim2real.emulator.motion.courses import Course
+from dual_ur10.sim2real.emulator.motion.paths import Path
+from dual_ur10.sim2real.emulator.motion.tool_kinematics import ArmKinematics, Frame, Tool
+from dual_ur10.sim2real.emulator.motion.trapezoid import TIME_EPSILON_S, Trapezoid
+from dual_ur10.types import Array
+
+ACCELERATION_LIMIT: Final = 40.0
+"""Greatest acceleration of the TCP, in m/s² and rad/s²: this project's choice. A controller takes more than an arm can
+follow."""
+
+SPEED_LIMIT: Final = 5.0
+"""Greatest speed of the TCP, in m/s and rad/s; joints are the nearer limit."""
+
+
+class PoseCourse(Course):
+    """A motion whose poses are known.
+
+    Args:
+        arm: Its kinematics.
+        tool: Where the TCP is.
+        near: (6,) posture at the start.
+    """
+
+    governed = True
+
+    def __init__(self, arm: ArmKinematics, tool: Tool, near: Array) -> None:
+        self.arm, self.tool, self.near = arm, tool, near
+        self._reached = near
+
+    @abstractmethod
+    def poses(self, times: Array) -> Frame:
+        """Poses (n) of the TCP at times (n,)."""
+
+    def positions(self, step: float, counts: Array) -> Array:
+        """Joint positions (n, 6); see `Course`."""
+        q, ok = self.arm.joints(self.poses(self.t + step * counts), self.near, self.tool)
+        if not ok:
+            raise UnreachableError("the arm does not reach the next pose on its path")
+        self._reached = q[-1]
+        return q
+
+    def commit(self, time: float) -> None:
+        """Let `time` pass."""
+        self.t += time
+        self.near = self._reached
+
+
+class PoseMove(PoseCourse):
+    """From rest to rest along a path.
+
+    Translation in m and rotation in rad have the same `speed` and `acceleration` as numbers, and the one that takes
+    longer leads. UR publishes only the former.
+
+    Args:
+        arm: Its kinematics.
+        tool: Where the TCP is.
+        near: (6,) posture at the start.
+        path: The way.
+        end: (6,) posture at the end.
+        acceleration: m/s² and rad/s².
+        speed: m/s and rad/s.
+        time: If above 0, in this time, whatever `acceleration` and `speed` are.
+        blend_m: Blend radius.
+    """
+
+    def __init__(
+        self,
+        arm: ArmKinematics,
+        tool: Tool,
+        near: Array,
+        path: Path,
+        end: Array,
+        acceleration: float,
+        speed: float,
+        time: float = 0.0,
+        blend_m: float = 0.0,
+    ) -> None:
+        super().__init__(arm, tool, near)
+        self.path, self.end, self.blend_m = path, end, blend_m
+        distance = max(path.length_m, path.angle_rad)
+        if time > 0.0:
+            self.profile = Trapezoid.timed(distance, time, SPEED_LIMIT, ACCELERATION_LIMIT)
+        else:
+            self.profile = Trapezoid(distance, min(speed, SPEED_LIMIT), min(acceleration, ACCELERATION_LIMIT))
+        self.duration = self.profile.duration
+
+    def poses(self, times: Array) -> Frame:
+        """Poses (n) of the TCP at times (n,)."""
+        return self.path.at(np.array([self.profile.share(t) for t in times.tolist()]))
+
+
+class PoseBlend(PoseCourse):
+    """A move that starts before the one before it has ended: displacements add up, rotations follow each other.
+
+    Args:
+        main: The move; it starts where `ending` ends.
+        ending: The move before.
+    """
+
+    def __init__(self, main: PoseMove, ending: PoseMove) -> None:
+        super().__init__(main.arm, main.tool, ending.near)
+        self.main, self.ending = main, ending
+
+    def poses(self, times: Array) -> Frame:
+        """Poses (n) of the TCP at times (n,)."""
+        position, rotation = self.main.poses(times - self.t + self.main.t)
+        late, turned = self.ending.poses(times - self.t + self.ending.t)
+        end = self.ending.path.end
+        return Frame(position + (late - end.position), turned @ end.rotation.T @ rotation)
+
+    def commit(self, time: float) -> None:
+        """Let `time` pass."""
+        super().commit(time)
+        self.main.t += time
+        self.ending.t += time
+        self.main.near = self.near
+
+    @property
+    def finished(self) -> bool:
+        """Whether it has come to rest."""
+        return self.main.finished and self.ending.finished
+
+
+class PoseBrake(PoseCourse):
+    """From a speed of the TCP to rest, on a straight line.
+
+    Args:
+        arm: Its kinematics.
+        tool: Where the TCP is.
+        near: (6,) posture at the start.
+        twist: (6,) speed at the start, m/s and rad/s.
+        time: Until it stands.
+    """
+
+    def __init__(self, arm: ArmKinematics, tool: Tool, near: Array, twist: Array, time: float) -> None:
+        super().__init__(arm, tool, near)
+        self._start, self._twist, self.duration = arm.tcp(near, tool), twist, time
+
+    def poses(self, times: Array) -> Frame:
+        """Poses (n) of the TCP at times (n,)."""
+        t = np.minimum(times, self.duration)
+        if self.duration > 0.0:
+            t = t - t * t / (2 * self.duration)
+        return _moved(self._start, np.multiply.outer(t, self._twist))
+
+
+class SpeedPose(PoseCourse):
+    """To a given speed of the TCP at an acceleration, and on with it.
+
+    Args:
+        arm: Its kinematics.
+        tool: Where the TCP is.
+        near: (6,) posture at the start.
+        twist: (6,) speed at the start, m/s and rad/s.
+    """
+
+    streamed = True
+    duration = float("inf")
+
+    def __init__(self, arm: ArmKinematics, tool: Tool, near: Array, twist: Array) -> None:
+        super().__init__(arm, tool, near)
+        self._start, self._twist, self._target = arm.tcp(near, tool), twist, twist
+        self._change = np.zeros((2, 6))  # acceleration of either half while it lasts, and zero in the other
+        self._reached_s = np.zeros(2)
+        self._timed = False
+
+    def aim(self, twist: Array, acceleration: float, acceleration_rad_s2: float, ticks: int) -> None:
+        """Take a new speed (6,); after `ticks`, or when it is reached if that is 0, the program may go on."""
+        self._target = twist
+        self._timed, self.ticks_left = ticks > 0, ticks
+        change = twist - self._twist
+        self._change = np.zeros((2, 6))
+        for row, (part, limit) in enumerate(((slice(0, 3), acceleration), (slice(3, 6), acceleration_rad_s2))):
+            size = float(np.linalg.norm(change[part]))
+            self._reached_s[row] = size / limit
+            if size > 0.0:
+                self._change[row, part] = change[part] * (limit / size)
+        self.t = 0.0
+
+    def _ramps(self, times: Array) -> Array:
+        """(n, 2) time of acceleration of either half."""
+        ramps: Array = np.minimum(times[:, None], self._reached_s)
+        return ramps
+
+    def poses(self, times: Array) -> Frame:
+        """Poses (n) of the TCP at times (n,)."""
+        ramps = self._ramps(times)
+        way = np.multiply.outer(times, self._twist) + (times[:, None] * ramps - 0.5 * ramps * ramps) @ self._change
+        return _moved(self._start, way)
+
+    def commit(self, time: float) -> None:
+        """Let `time` pass."""
+        # The state is brought up to now, so that the tool's turning needs no more than a tick's rotation vector.
+        now = np.array([time])
+        position, rotation = self.poses(now)
+        self._start = Frame(position[0], rotation[0])
+        self._twist = self._twist + self._ramps(now)[0] @ self._change
+        self._reached_s = self._reached_s - time
+        for row, part in enumerate((slice(0, 3), slice(3, 6))):
+            if self._reached_s[row] <= TIME_EPSILON_S:
+                self._reached_s[row] = 0.0
+                self._twist[part] = self._target[part]
+        self.near = self._reached
+
+    @property
+    def returns(self) -> bool:
+        """Whether the program may go on."""
+        return self.ticks_left <= 0 if self._timed else not self._reached_s.any()
+
+
+def _moved(start: Frame, way: Array) -> Frame:
+    """Poses (n) after moving by (n, 6), a displacement and a rotation vector in base."""
+    rotation = quat_to_matrix(quat_from_rotvec(way[:, 3:])) @ start.rotation
+    return Frame(start.position + way[:, :3], rotation)

@@ -1,0 +1,114 @@
+"""Force mode and free drive, as programs command them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from dual_ur10.errors import MotionError
+from dual_ur10.sim2real.emulator.motion.arguments import checked_frame, number, six
+from dual_ur10.sim2real.emulator.motion.compliance import (
+    FORCE_DAMPING,
+    FREE_DAMPING,
+    FREE_FRICTION,
+    SPEED_CAP,
+    Compliance,
+)
+from dual_ur10.sim2real.emulator.motion.reference import ZEROS
+from dual_ur10.sim2real.emulator.motion.servo import Servo
+from dual_ur10.sim2real.emulator.motion.tooled import Tooled
+
+
+class Compliant(Tooled):
+    """A reference motion whose TCP can be told to give way. See `Motion`."""
+
+    _force_damping: float = 0.025
+    _force_gain: float = 1.0
+    _free: bool = False
+
+    def force_mode(
+        self, frame: Iterable[Any], selection: Sequence[Any], wrench: Iterable[Any], kind: int, limits: Iterable[Any]
+    ) -> None:
+        """`force_mode`: in the selected axes the TCP gives way until the arm exerts a wrench.
+
+        Args:
+            frame: (6,) pose whose axes are meant, in base.
+            selection: (6,) true in compliant axes.
+            wrench: (6,) that the arm is to exert on the environment in them, N and N m.
+            kind: UR's type: 1, the frame is turned so that its y axis points from the TCP to its origin; 2, it is
+                taken as given; 3, it is turned so that its x axis is the direction of the TCP's speed.
+            limits: (6,) greatest speeds in compliant axes, m/s and rad/s; this project's own caps are 0.5 m/s and
+                1 rad/s. Those of the other axes are not used: the arm follows its path there.
+
+        Raises:
+            MotionError: An argument makes no sense.
+        """
+        at = checked_frame(frame, "the frame of force_mode")
+        wanted = np.clip(six(wrench, "the wrench of force_mode"), -1e4, 1e4)
+        axes = np.array([float(bool(each)) for each in six(selection, "the selection of force_mode")])
+        caps = np.minimum(np.abs(six(limits, "the limits of force_mode")), SPEED_CAP)
+        if kind not in (1, 2, 3):
+            raise MotionError(f"the type of force_mode is {kind!r}: it must be 1, 2 or 3")
+        if self.fault is None:
+            damping = FORCE_DAMPING * ((1 + 9 * self._force_damping) / max(self._force_gain, 1e-3))
+            self._compliance = Compliance(at, kind, axes, axes * wanted, caps, damping, np.zeros(6))
+            self._free = False
+
+    def end_force_mode(self) -> None:
+        """`end_force_mode`: the TCP gives way no more; a motion that goes on does so from where the arm is."""
+        if self._compliance is not None and not self._free:
+            self._stiffen()
+
+    def force_mode_settings(self, damping: float | None = None, gain_scaling: float | None = None) -> None:
+        """`force_mode_set_damping`, 0 to 1, and `force_mode_set_gain_scaling`, 0 to 2, for the next force mode.
+
+        Raises:
+            MotionError: A value is not finite.
+        """
+        if damping is not None:
+            self._force_damping = min(max(number(damping, "the damping of force mode"), 0.0), 1.0)
+        if gain_scaling is not None:
+            self._force_gain = min(max(number(gain_scaling, "the gain scaling of force mode"), 0.0), 2.0)
+
+    def freedrive(self, free_axes: Sequence[Any] = (1,) * 6, feature: Iterable[Any] = (0.0,) * 6) -> None:
+        """`freedrive_mode`: the TCP follows the wrench that it feels, and stands without one.
+
+        Args:
+            free_axes: (6,) true in free axes.
+            feature: (6,) pose whose axes are meant, in base.
+
+        Raises:
+            MotionError: An argument makes no sense.
+        """
+        at = checked_frame(feature, "the feature of freedrive_mode")
+        axes = np.array([float(bool(each)) for each in six(free_axes, "the free axes of freedrive_mode")])
+        if self.fault is not None:
+            return
+        if self._course is not None:
+            self._handle.abort()
+            self._brake(self.assumptions.program_stop_rad_s2)
+        self._compliance = Compliance(at, 2, axes, np.zeros(6), SPEED_CAP, FREE_DAMPING, FREE_FRICTION)
+        self._free = True
+
+    def end_freedrive(self) -> None:
+        """`end_freedrive_mode`: the arm stands again."""
+        if self.free:
+            self._stiffen()
+
+    @property
+    def free(self) -> bool:
+        """Whether the arm is in free drive."""
+        return self._free and self._compliance is not None
+
+    def _end_freedrive_for_command(self) -> None:
+        if self.free:
+            self._compliance = None
+
+    def _stiffen(self) -> None:
+        self._compliance = None
+        if isinstance(self._course, Servo):
+            # The law pulls the arm back to its target from where it has been pushed.
+            self._course.shift(self.q, self._rate + self._yield)
+            self._offset = self._yield = ZEROS

@@ -1,0 +1,381 @@
+"""What programs command of one arm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any, Final
+
+import numpy as np
+
+from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, JOINT_SPEED_RAD_S
+from dual_ur10.sim2real.control.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S
+from dual_ur10.sim2real.emulator.motion.arguments import checked_frame, not_negative, number, positive, six
+from dual_ur10.sim2real.emulator.motion.cartesian import (
+    ACCELERATION_LIMIT,
+    SPEED_LIMIT,
+    PoseBlend,
+    PoseBrake,
+    PoseMove,
+    SpeedPose,
+)
+from dual_ur10.sim2real.emulator.motion.compliant import Compliant
+from dual_ur10.sim2real.emulator.motion.courses import (
+    ACCELERATION_LIMIT_RAD_S2,
+    Course,
+    JointBrake,
+    JointMove,
+    SpeedJoints,
+    Superposed,
+)
+from dual_ur10.sim2real.emulator.motion.outcome import JOINT_LIMIT, SINGULARITY, SUDDEN_CHANGE, Handle
+from dual_ur10.sim2real.emulator.motion.paths import Line, Path, through
+from dual_ur10.sim2real.emulator.motion.reference import ZEROS
+from dual_ur10.sim2real.emulator.motion.servo import Servo
+from dual_ur10.sim2real.emulator.motion.tool_kinematics import Frame, pose_of
+from dual_ur10.types import Array
+
+_LIMIT: Final = JOINT_RANGE_RAD + 1e-9
+_MOST_TICKS: Final = 2**31
+
+
+class Motion(Compliant):
+    """The reference motion of one arm, and the commands of URScript that shape it.
+
+    A command takes effect in the next `plan` and replaces what moved the arm before, from the position and speed that
+    it has. Every one answers with a [Handle][dual_ur10.sim2real.emulator.motion.Handle].
+
+    Poses are those of the TCP in UR's `base`: x, y, z in m and a rotation vector in rad.
+    """
+
+    # Moves.
+
+    def move_joints(self, q: Iterable[Any], a: float, v: float, t: float = 0.0, r: float = 0.0) -> Handle:
+        """`movej`: to joint positions, along a line in joint space.
+
+        Args:
+            q: (6,) target.
+            a: Acceleration of the joint that moves farthest, rad/s²; at most 40.
+            v: Its speed, rad/s; reduced where a joint would exceed its limit.
+            t: If above 0, the time of the move, whatever `a` and `v` are.
+            r: Blend radius in m.
+
+        Raises:
+            MotionError: An argument makes no sense.
+        """
+        target = np.array(six(q, "the target of movej"))
+        a, v, t, r = _move_arguments("movej", a, v, t, r)
+        if not self._may_go_to(target):
+            return self._refuse()
+        ending = self._ending(a)
+        if self.fault is not None:
+            return self._refuse()
+        start = self.q if ending is None else ending.end  # type: ignore[attr-defined]
+        move = JointMove(start, target, a, v, t, r)
+        return self._begin(move if ending is None else Superposed(move, ending, start), target, ending)
+
+    def move_linear(self, pose: Iterable[Any], a: float, v: float, t: float = 0.0, r: float = 0.0) -> Handle:
+        """`movel`: to a pose, along a line in space, the tool turning evenly.
+
+        Where a joint would exceed its speed limit, the move slows down.
+
+        Args:
+            pose: (6,) target.
+            a: Acceleration, m/s² and rad/s².
+            v: Speed, m/s and rad/s.
+            t: If above 0, the time of the move, whatever `a` and `v` are.
+            r: Blend radius in m.
+
+        Raises:
+            MotionError: An argument makes no sense.
+        """
+        target = checked_frame(pose, "the target of movel")
+        return self._move_tcp(None, target, *_move_arguments("movel", a, v, t, r))
+
+    def move_process(self, pose: Iterable[Any], a: float, v: float, r: float = 0.0) -> Handle:
+        """`movep`: as `movel`. UR's blends are circles at constant speed; here they are those of `movel`.
+
+        Args:
+            pose: (6,) target.
+            a: Acceleration, m/s² and rad/s².
+            v: Speed, m/s and rad/s.
+            r: Blend radius in m.
+
+        Raises:
+            MotionError: An argument makes no sense.
+        """
+        target = checked_frame(pose, "the target of movep")
+        return self._move_tcp(None, target, *_move_arguments("movep", a, v, 0.0, r))
+
+    def servo_circular(self, pose: Iterable[Any], a: float, v: float, r: float = 0.0) -> Handle:
+        """`servoc`: as `movep`.
+
+        Args:
+            pose: (6,) target.
+            a: Acceleration, m/s² and rad/s².
+            v: Speed, m/s and rad/s.
+            r: Blend radius in m.
+
+        Raises:
+            MotionError: An argument makes no sense.
+        """
+        target = checked_frame(pose, "the target of servoc")
+        return self._move_tcp(None, target, *_move_arguments("servoc", a, v, 0.0, r))
+
+    def move_circular(self, via: Iterable[Any], to: Iterable[Any], a: float, v: float, r: float = 0.0) -> Handle:
+        """`movec`: to a pose on a circle through another one's position, the tool turning evenly.
+
+        Args:
+            via: (6,) pose on the way; its orientation is not used.
+            to: (6,) target.
+            a: Acceleration, m/s² and rad/s².
+            v: Speed, m/s and rad/s.
+            r: Blend radius in m.
+
+        Raises:
+            MotionError: An argument makes no sense, or no circle goes through the three points.
+        """
+        way, target = checked_frame(via, "the via point of movec"), checked_frame(to, "the target of movec")
+        return self._move_tcp(way.position, target, *_move_arguments("movec", a, v, 0.0, r))
+
+    def _move_tcp(self, via: Array | None, target: Frame, a: float, v: float, t: float, r: float) -> Handle:
+        if self.fault is not None:
+            return self._refuse()
+        ending = self._ending(a)
+        if self.fault is not None:
+            return self._refuse()
+        near: Array = self.q if ending is None else ending.end  # type: ignore[attr-defined]
+        blended = isinstance(ending, PoseMove) and ending.tool is self.tool
+        start = ending.path.end if blended and isinstance(ending, PoseMove) else self.arm.tcp(near, self.tool)
+        path: Path = Line(start, target) if via is None else through(start, via, target)
+        end = self._posture(target, near)
+        if end is None:
+            return self._refuse()
+        move = PoseMove(self.arm, self.tool, near, path, end, a, v, t, r)
+        course: Course = move
+        if isinstance(ending, PoseMove) and blended:
+            course = PoseBlend(move, ending)
+        elif ending is not None:
+            course = Superposed(move, ending, near)
+        return self._begin(course, end, ending)
+
+    def _posture(self, target: Frame, near: Array) -> Array | None:
+        """Posture at a pose; None, and a fault, if it is out of reach."""
+        q, ok = self.arm.joints(Frame(target.position[None], target.rotation[None]), near, self.tool)
+        if ok:
+            found: Array = q[0]
+            return found
+        self._fail(
+            SINGULARITY, f"the pose {[round(each, 4) for each in pose_of(target)]} is out of reach from this posture"
+        )
+        return None
+
+    def _ending(self, acceleration: float) -> Course | None:
+        """The motion that the next move is added to, so that speeds have no jump; None from rest."""
+        self._end_freedrive_for_command()
+        course = self._course
+        if isinstance(course, JointMove | PoseMove) and course.blend_m > 0.0 and self._handle.done:
+            if isinstance(course, PoseMove):
+                # The posture that its path leads to, which need not be the one nearest to where it started.
+                end = course.path.end
+                q, ok = self.arm.joints(Frame(end.position[None], end.rotation[None]), course.near, course.tool)
+                course.end = q[0] if ok else course.end
+            return course
+        if float(np.abs(self._rate).max()) < 1e-9:
+            return None
+        # Each joint slows down at least as fast as the next move makes it faster: the sum keeps the speed limits.
+        slowing = max(min(acceleration, ACCELERATION_LIMIT_RAD_S2), self.assumptions.program_stop_rad_s2)
+        brake = JointBrake(self.q, self._rate, np.abs(self._rate) / slowing)
+        return brake if self._may_go_to(brake.end) else None
+
+    def _begin(self, course: Course, waypoint: Array, ending: Course | None) -> Handle:
+        self._handle.abort()
+        self._handle, self._course, self.waypoint = Handle(), course, waypoint
+        self._starved = 0
+        if ending is None or isinstance(ending, JointBrake):
+            # The course starts from where the arm is; what blends goes on beside what it had given way.
+            self._offset = ZEROS
+        return self._handle
+
+    def _may_go_to(self, target: Array) -> bool:
+        """Whether a target is inside the joint limits; a fault if not."""
+        if self.fault is not None:
+            return False
+        beyond = np.abs(target) > _LIMIT
+        if beyond.any():
+            joint = int(beyond.argmax())
+            self._fail(
+                JOINT_LIMIT,
+                f"position close to joint limits: joint {joint} is to go to {target[joint]:.4f} rad, allowed are "
+                f"±{JOINT_RANGE_RAD[joint]:.4f}",
+            )
+        return self.fault is None
+
+    # Streams.
+
+    def servo_joints(self, q: Iterable[Any], t: float, lookahead_s: float, gain: float) -> Handle:
+        """`servoj`: towards joint positions by the servoj law, which takes the latest target.
+
+        Args:
+            q: (6,) target.
+            t: For how long it controls the arm, s; rounded up to whole control periods, at least one.
+            lookahead_s: Brought into 0.03 to 0.2 s.
+            gain: Brought into 100 to 2000.
+
+        Raises:
+            MotionError: An argument makes no sense.
+        """
+        target = np.array(six(q, "the target of servoj"))
+        ticks = self._ticks(t, "t of servoj")
+        lookahead = min(
+            max(number(lookahead_s, "lookahead_time of servoj"), LOOKAHEAD_RANGE_S[0]), LOOKAHEAD_RANGE_S[1]
+        )
+        gain = min(max(number(gain, "gain of servoj"), GAIN_RANGE[0]), GAIN_RANGE[1])
+        if not self._may_go_to(target):
+            return self._refuse()
+        self._end_freedrive_for_command()
+        servo = self._course if isinstance(self._course, Servo) else Servo(self.q, self._rate)
+        reach = self.assumptions.servoj_jump_factor * JOINT_SPEED_RAD_S * (lookahead + max(t, self.tick_s))
+        away = np.abs(target - servo.q)
+        if (away > reach).any():
+            joint = int((away / reach).argmax())
+            self._fail(
+                SUDDEN_CHANGE,
+                f"sudden change in target position: joint {joint} by {away[joint]:.4f} rad, allowed are "
+                f"{reach[joint]:.4f}",
+            )
+            return self._refuse()
+        servo.aim(target, lookahead * self.lookahead_scale, gain, max(1, ticks))
+        return self._begin(servo, target, servo if servo is self._course else None)
+
+    def speed_joints(self, qd: Iterable[Any], a: float, t: float = 0.0) -> Handle:
+        """`speedj`: accelerate to joint speeds and go on with them.
+
+        If the program commands nothing after it has returned, the arm slows down as at the end of a program.
+
+        Args:
+            qd: (6,) speeds, rad/s; all reduced by one factor if a joint would exceed its limit.
+            a: Acceleration of the joint whose speed changes most, rad/s²; at most 40.
+            t: If above 0, the time after which it returns; else it returns when the speed is reached.
+
+        Raises:
+            MotionError: An argument makes no sense.
+        """
+        speed = np.array(six(qd, "the speed of speedj"))
+        a = min(positive(a, "a of speedj"), ACCELERATION_LIMIT_RAD_S2)
+        ticks = self._ticks(t, "t of speedj")
+        if self.fault is not None:
+            return self._refuse()
+        self._end_freedrive_for_command()
+        speed = speed / max(1.0, float((np.abs(speed) / JOINT_SPEED_RAD_S).max()))
+        return self._begin(SpeedJoints(self.q, self._rate, speed, a, ticks), self.q, None)
+
+    def speed_linear(self, xd: Iterable[Any], a: float, t: float = 0.0, a_rot: float | None = None) -> Handle:
+        """`speedl`: accelerate to a speed of the TCP and go on with it.
+
+        Where a joint would exceed its limit, it slows down; near a singularity it ends with a fault. If the program
+        commands nothing after it has returned, the arm slows down as at the end of a program.
+
+        Args:
+            xd: (6,) m/s and rad/s, in base.
+            a: Acceleration, m/s².
+            t: If above 0, the time after which it returns; else it returns when the speed is reached.
+            a_rot: Acceleration of rotation, rad/s²; as a number `a` if None.
+
+        Raises:
+            MotionError: An argument makes no sense.
+        """
+        twist = np.array(six(xd, "the speed of speedl"))
+        a, a_rot = _accelerations("speedl", a, a_rot)
+        ticks = self._ticks(t, "t of speedl")
+        if self.fault is not None:
+            return self._refuse()
+        self._end_freedrive_for_command()
+        twist = twist / max(1.0, float(np.abs(twist).max()) / SPEED_LIMIT)
+        course = self._course
+        goes_on = isinstance(course, SpeedPose) and course.tool is self.tool and not self._offset.any()
+        if not (goes_on and isinstance(course, SpeedPose)):
+            course = SpeedPose(self.arm, self.tool, self.q, self._twist())
+        course.aim(twist, a, a_rot, ticks)
+        return self._begin(course, self.q, None)
+
+    # Stops.
+
+    def stop_joints(self, a: float) -> Handle:
+        """`stopj`: bring the joints to rest together.
+
+        Args:
+            a: Deceleration of the fastest joint, rad/s²; at most 40.
+
+        Raises:
+            MotionError: It is not greater than zero.
+        """
+        a = min(positive(a, "a of stopj"), ACCELERATION_LIMIT_RAD_S2)
+        if self.fault is not None:
+            return self._refuse()
+        time = float(np.abs(self._rate).max()) / a
+        return self._begin(JointBrake.together(self.q, self._rate, time), self.q, None)
+
+    def stop_linear(self, a: float, a_rot: float | None = None) -> Handle:
+        """`stopl`: bring the TCP to rest along the line on which it moves.
+
+        Args:
+            a: Deceleration, m/s².
+            a_rot: Deceleration of rotation, rad/s²; as a number `a` if None.
+
+        Raises:
+            MotionError: One is not greater than zero.
+        """
+        a, a_rot = _accelerations("stopl", a, a_rot)
+        if self.fault is not None:
+            return self._refuse()
+        twist = self._twist()
+        time = max(float(np.linalg.norm(twist[:3])) / a, float(np.linalg.norm(twist[3:])) / a_rot)
+        return self._begin(PoseBrake(self.arm, self.tool, self.q, twist, time), self.q, None)
+
+    def halt(self, scaling: float = 1.0) -> None:
+        """The program ended: come to rest, and end force mode and free drive.
+
+        Args:
+            scaling: How fast time passed in the last `plan`: the arm is as much slower than its motion. From now on it
+                is to pass at 1.
+        """
+        self._rate = self._rate * scaling
+        self._yield = self._yield * scaling
+        if self._course is None and self._compliance is None and not self._yield.any():
+            return
+        if self.fault is None:
+            self._handle.abort()
+            self._brake(self.assumptions.program_stop_rad_s2)
+
+    def rest_at(self, q_rad: Array) -> None:
+        """The arm was pushed off its path: it stands where it is found, (6,), from now on."""
+        self.q = np.array(q_rad, dtype=np.float64)
+        self.hold()
+
+    def hold(self) -> None:
+        """The brakes hold the arm: it stands where it is, from now on."""
+        self._handle.abort()
+        self._course = self._compliance = self._still = None
+        self._rate = self._offset = self._yield = self.qd = self.qdd = ZEROS
+        self.waypoint = self.q
+
+    def _twist(self) -> Array:
+        if not self._rate.any():
+            return np.zeros(6)
+        twist: Array = self.arm.jacobian(self.q, self.tool) @ self._rate
+        return twist
+
+    def _ticks(self, t: float, what: str) -> int:
+        return min(math.ceil(min(not_negative(t, what) / self.tick_s, _MOST_TICKS) - 1e-6), _MOST_TICKS)
+
+
+def _move_arguments(name: str, a: float, v: float, t: float, r: float) -> tuple[float, float, float, float]:
+    t = not_negative(t, f"t of {name}")
+    check = positive if t == 0.0 else number
+    return check(a, f"a of {name}"), check(v, f"v of {name}"), t, not_negative(r, f"r of {name}")
+
+
+def _accelerations(name: str, a: float, a_rot: float | None) -> tuple[float, float]:
+    a = min(positive(a, f"a of {name}"), ACCELERATION_LIMIT)
+    return a, a if a_rot is None else min(positive(a_rot, f"a_rot of {name}"), ACCELERATION_LIMIT)

@@ -1,0 +1,337 @@
+"""The state of one arm's reference motion, and how it advances by a tick."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from dual_ur10.errors import MotionError, UnreachableError
+from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, JOINT_SPEED_RAD_S, NOMINAL_DH, DHParameters
+from dual_ur10.sim2real.emulator.motion.cartesian import PoseBlend
+from dual_ur10.sim2real.emulator.motion.compliance import SPEED_CAP, TIME_CONSTANT_S, Compliance
+from dual_ur10.sim2real.emulator.motion.courses import Course, JointBrake, Superposed
+from dual_ur10.sim2real.emulator.motion.outcome import (
+    INVALID_SETPOINT,
+    JOINT_LIMIT,
+    SINGULARITY,
+    SUDDEN_STOP,
+    Handle,
+    MotionFault,
+)
+from dual_ur10.sim2real.emulator.motion.servo import Servo
+from dual_ur10.sim2real.emulator.motion.tool_kinematics import ArmKinematics, Tool
+from dual_ur10.sim2real.emulator.profile import Assumptions
+from dual_ur10.types import Array, constant
+
+_NO_TIME: Final = 1e-6  # scaling below which the arm stands
+_MOVING_RAD_S: Final = 1e-6
+_STILL_RAD_S: Final = 0.01  # below this an arm without a command is not stopped
+_OVERSPEED: Final = 1.1  # share of a joint's speed limit above which a setpoint is invalid
+_SLOWEST: Final = 0.02  # share of its speed below which a motion of the TCP is stopped: near a singularity
+_TRIES: Final = 6
+_DAMPING: Final = 0.05  # of the least squares by which a compliant TCP moves the joints
+_YIELD_RAD_S2: Final = 8.0  # acceleration of the joints when the TCP gives way
+_YIELD_SPEED: Final = constant(0.4 * JOINT_SPEED_RAD_S)
+_LIMIT: Final = constant(JOINT_RANGE_RAD + 1e-9)
+ZEROS: Final = constant(np.zeros(6))
+
+
+class Reference:
+    """The motion that the arm is to make, one control tick after the other.
+
+    Args:
+        tick_s: Control period.
+        substeps: Physics steps per control period.
+        q_rad: (6,) where the arm stands.
+        dh: Denavit-Hartenberg parameters that the controller believes in.
+        lookahead_scale: True lookahead of `servoj` over the one asked for.
+        assumptions: What no document settles.
+
+    Attributes:
+        q, qd, qdd: (6,) at the end of the last tick; the differences over its last physics step.
+        fault: Why a controller would stop protectively now, or None. The arm then comes to rest by itself, off its
+            path, as fast as all joints can together; commands are refused until it is set to None again.
+        waypoint: (6,) where the last command leads.
+    """
+
+    def __init__(
+        self,
+        tick_s: float,
+        substeps: int,
+        q_rad: Sequence[float] | Array,
+        *,
+        dh: DHParameters = NOMINAL_DH,
+        lookahead_scale: float = 1.0,
+        assumptions: Assumptions | None = None,
+    ) -> None:
+        self.tick_s, self.substeps = tick_s, substeps
+        self.lookahead_scale = lookahead_scale
+        self.assumptions = Assumptions() if assumptions is None else assumptions
+        self.arm, self.tool = ArmKinematics(dh), Tool()
+        q = np.array(q_rad, dtype=np.float64)
+        if q.shape != (6,) or not np.isfinite(q).all():
+            raise MotionError(f"an arm stands at six finite joint angles, found {q_rad!r}")
+        self.q: Array = q
+        self.qd: Array = ZEROS
+        self.qdd: Array = ZEROS
+        self.waypoint: Array = q
+        self.fault: MotionFault | None = None
+        self._dt = tick_s / substeps
+        self._counts = np.arange(1.0, substeps + 1)
+        self._course: Course | None = None
+        self._handle = Handle()
+        self._refused = Handle()
+        self._rate: Array = ZEROS  # speed in trajectory time
+        self._scaling = 0.0
+        self._starved = 0
+        self._still: Array | None = None  # what `plan` answers at rest
+        # What the TCP gave way, on top of the course.
+        self._compliance: Compliance | None = None
+        self._offset: Array = ZEROS
+        self._yield: Array = ZEROS
+
+    @property
+    def moving(self) -> bool:
+        """Whether the reference moves, or would if its time passed."""
+        course = self._course
+        if course is not None and not course.streamed:
+            return True
+        if course is None and not self._yield.any():
+            return False
+        return float(np.abs(self._rate + self._yield).max()) > _MOVING_RAD_S
+
+    def plan(
+        self,
+        scaling: float = 1.0,
+        *,
+        wrench: Sequence[float] | Array | None = None,
+        q_actual: Sequence[float] | Array | None = None,
+    ) -> Array:
+        """Advance by one control tick.
+
+        Args:
+            scaling: Trajectory time that passes in this tick over its length, 0 to 1.
+            wrench: (6,) what the environment exerts on the TCP, in base's axes, N and N m; None: nothing.
+            q_actual: (6,) measured joint angles; not needed so far.
+
+        Returns:
+            (substeps, 3, 6): position before each physics step, speed after it, acceleration in it. Speeds are
+            differences of positions over the step, and accelerations differences of speeds: a semi-implicit integrator
+            that is given the accelerations follows exactly. Not to be written to.
+
+        Raises:
+            MotionError: `scaling` is not in its range.
+        """
+        if not 0.0 <= scaling <= 1.0:
+            raise MotionError(f"motion passes at {scaling!r} of its speed: allowed are 0 to 1")
+        self._await_commands(scaling)
+        self._scaling = scaling
+        self._refused.abort()
+        if scaling < _NO_TIME or (self._course is None and self._compliance is None and not self._yield.any()):
+            return self._stand()
+        self._still = None
+        step = scaling * self._dt
+        path = np.empty((self.substeps + 1, 6))
+        path[0] = self.q
+        path[1:] = self._advance(step)
+        if self._compliance is not None or self._yield.any():
+            path[1:] += self._give_way(step, wrench)
+        else:
+            path[1:] += self._offset
+        plan = np.empty((self.substeps, 3, 6))
+        plan[:, 0] = path[:-1]
+        speed = (path[1:] - path[:-1]) / self._dt
+        plan[:, 1] = speed
+        plan[0, 2] = (speed[0] - self.qd) / self._dt
+        plan[1:, 2] = (speed[1:] - speed[:-1]) / self._dt
+        self.q, self.qd, self.qdd = path[-1], speed[-1], plan[-1, 2]
+        return plan
+
+    def _stand(self) -> Array:
+        course, handle = self._course, self._handle
+        if course is not None:
+            course.ticks_left -= 1
+        handle.done = handle.done or course is None or (course.streamed and course.returns)
+        if self._still is None:
+            plan = np.zeros((self.substeps, 3, 6))
+            plan[:, 0] = self.q
+            if self.qd.any():
+                plan[0, 2] = -self.qd / self._dt
+                self.qd, self.qdd = ZEROS, plan[-1, 2]
+                return plan
+            self.qdd = ZEROS
+            self._still = plan
+            plan.setflags(write=False)
+        return self._still
+
+    def _await_commands(self, scaling: float) -> None:
+        """React to a program that moved the arm and commands nothing any more.
+
+        While the motion is being slowed down, as for a pause, or stands, none is expected.
+        """
+        course = self._course
+        if course is None or not course.streamed or not self._handle.done:
+            self._starved = 0
+            return
+        if scaling < _NO_TIME or scaling < self._scaling:
+            return
+        self._starved += 1
+        if self._starved <= self.assumptions.starved_ticks:
+            return
+        if not isinstance(course, Servo):
+            time = float(np.abs(self._rate).max()) / self.assumptions.program_stop_rad_s2
+            self._course = JointBrake.together(self.q - self._offset, self._rate, time)
+        elif float(np.abs(self._rate).max()) > _STILL_RAD_S:
+            self._fail(
+                SUDDEN_STOP,
+                f"sudden stop: no servoj for {self._starved} control periods while the arm moves, allowed are "
+                f"{self.assumptions.starved_ticks}. Call it in every period, and stop with stopj",
+            )
+
+    # The course.
+
+    def _advance(self, step: float) -> Array:
+        """Positions (substeps, 6) of the course, which has advanced."""
+        course = self._course
+        if course is None:
+            self._rate = ZEROS
+            return np.broadcast_to(self.q - self._offset, (self.substeps, 6))
+        before = self.q - self._offset
+        try:
+            q, share, speed = self._slowed(course, before, step)
+            self._check(course, q, speed)
+        except UnreachableError as error:
+            self._fail(SINGULARITY, f"position in singularity or out of reach: {error}")
+        except _InvalidError as error:
+            self._fail(error.code, str(error))
+        else:
+            return self._commit(course, q, share * step, speed * share)
+        return self._advance(step)  # of the brake
+
+    def _slowed(self, course: Course, before: Array, step: float) -> tuple[Array, float, Array]:
+        """Positions, the share of its time that passes so that joints keep their limits, and the last speed then."""
+        share = 1.0
+        for _ in range(_TRIES):
+            q = course.positions(share * step, self._counts)
+            moves = np.empty_like(q)
+            moves[0] = q[0] - before
+            np.subtract(q[1:], q[:-1], out=moves[1:])
+            used = float((np.abs(moves) / JOINT_SPEED_RAD_S).max()) / step
+            if used <= 1.0 + 1e-6 or not course.governed:
+                break
+            share *= 0.9999 / used
+            if share < _SLOWEST:
+                break
+        if share < _SLOWEST or (used > _OVERSPEED and not isinstance(course, JointBrake)):
+            if course.governed:
+                raise UnreachableError("its joints would have to move faster than they can")
+            raise _InvalidError(
+                INVALID_SETPOINT,
+                f"invalid setpoint: a joint would move at {used:.3g} times its greatest speed, allowed is {_OVERSPEED}",
+            )
+        return q, share, moves[-1] / (share * step)
+
+    def _check(self, course: Course, q: Array, rate: Array) -> None:
+        """Stop at the joint limits. What plans its way to the end was checked when it was commanded."""
+        if not course.streamed:
+            return
+        stop = q[-1] if isinstance(course, Servo) else q[-1] + 0.5 * self._stopping_s(rate) * rate
+        if (np.abs(stop) > _LIMIT).any() and ((np.abs(stop) > _LIMIT) & (stop * rate > 0.0)).any():
+            joint = int((np.abs(stop) - JOINT_RANGE_RAD).argmax())
+            raise _InvalidError(
+                JOINT_LIMIT,
+                f"position close to joint limits: joint {joint} at {q[-1, joint]:.4f} rad, allowed are "
+                f"±{JOINT_RANGE_RAD[joint]:.4f}",
+            )
+
+    def _commit(self, course: Course, q: Array, time: float, speed: Array) -> Array:
+        """Take the positions over, after `time` of the course; `speed` is the last one in trajectory time."""
+        course.commit(time * self.substeps)
+        course.ticks_left -= 1
+        rate = course.rate()
+        share = time / (self._scaling * self._dt)
+        self._rate = speed if rate is None else rate * share
+        if isinstance(course, Superposed | PoseBlend) and course.ending.finished:
+            course = self._course = course.main
+        handle = self._handle
+        if not handle.done:
+            handle.done = course.returns or self._in_blend_zone(course, q[-1])
+        if course.finished:
+            self._course, self._rate = None, ZEROS
+        return q
+
+    def _in_blend_zone(self, course: Course, q: Array) -> bool:
+        blend: float = getattr(course, "blend_m", 0.0)
+        if blend <= 0.0:
+            return False
+        profile, end = course.profile, course.end  # type: ignore[attr-defined]
+        if not profile.decelerates(course.t):
+            return False
+        away = self.arm.tcp(q, self.tool).position - self.arm.tcp(end, self.tool).position
+        return float(away @ away) <= blend * blend
+
+    def _refuse(self) -> Handle:
+        """The handle of a command that is not executed. It is done after this tick, so that no program spins."""
+        if self._refused.done:
+            self._refused = Handle()
+        return self._refused
+
+    def _stopping_s(self, rate: Array) -> float:
+        """How long the fastest stop takes from given joint speeds."""
+        return self.assumptions.stopping_s * float((np.abs(rate) / JOINT_SPEED_RAD_S).max())
+
+    def _brake(self, acceleration: float) -> None:
+        """Bring the joints to rest together."""
+        rate = self._rate + self._yield
+        self._follow(JointBrake.together(self.q, rate, float(np.abs(rate).max()) / acceleration))
+
+    def _follow(self, course: Course) -> None:
+        """Go on with a course that starts from where the arm is and how it moves."""
+        self._course, self._compliance = course, None
+        self._offset = self._yield = ZEROS
+        self._starved = 0
+
+    def _fail(self, code: str, text: str) -> None:
+        """Stop as a controller does that notices a fault."""
+        self.fault = MotionFault(code, text)
+        self._handle.abort()
+        rate = self._rate + self._yield
+        self._follow(JointBrake.together(self.q, rate, self._stopping_s(rate)))
+
+    # What gives way.
+
+    def _give_way(self, step: float, wrench: Sequence[float] | Array | None) -> Array:
+        """What is added to the course, (substeps, 6), when the TCP gives way to a wrench."""
+        time = step * self.substeps
+        target = ZEROS
+        if self._compliance is not None:
+            jacobian = self.arm.jacobian(self.q, self.tool)
+            speed = jacobian[:3] @ (self._rate + self._yield)
+            twist = self._compliance.twist(wrench, self.arm.tcp(self.q, self.tool), speed)
+            twist = np.clip(twist, -SPEED_CAP, SPEED_CAP)
+            damped = jacobian @ jacobian.T + _DAMPING**2 * np.eye(6)
+            target = jacobian.T @ np.linalg.solve(damped, twist)
+            target = target / max(1.0, float((np.abs(target) / _YIELD_SPEED).max()))
+            # A joint limit is no place to be pushed into: stop with room to spare.
+            after = self.q + target * self.assumptions.stopping_s
+            target = np.where((np.abs(after) > JOINT_RANGE_RAD) & (target * self.q > 0.0), 0.0, target)
+        change = (target - self._yield) * min(1.0, time / TIME_CONSTANT_S)
+        most = _YIELD_RAD_S2 * time
+        change = change * min(1.0, most / max(float(np.abs(change).max()), most))
+        t = (step * self._counts)[:, None]
+        way: Array = self._offset + t * self._yield + (0.5 / time) * t * t * change
+        self._yield = self._yield + change
+        if self._compliance is None and float(np.abs(self._yield).max()) < 1e-9:
+            self._yield = ZEROS
+        self._offset = way[-1]
+        return way
+
+
+class _InvalidError(Exception):
+    """A position or speed that no controller executes."""
+
+    def __init__(self, code: str, text: str) -> None:
+        super().__init__(text)
+        self.code = code

@@ -1,0 +1,97 @@
+"""`servoj`: the servoj law, towards the latest target."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from dual_ur10.sim2real.control.servoj import ServojLaw
+from dual_ur10.sim2real.emulator.motion.courses import Course
+from dual_ur10.types import Array
+
+_MOST_KEPT: Final = 256  # discretisations; a ramp of the speed needs one per tick
+_AT_TARGET: Final = 1e-12  # rad and rad/s
+
+_known: dict[tuple[float, float, float, int], tuple[Array, Array]] = {}
+
+
+def _discretised(lookahead_s: float, gain: float, step: float, steps: int) -> tuple[Array, Array]:
+    """Rows (steps, 2) of position - target after each step, and (2, 2) state after all, from (q - target, qd)."""
+    key = (lookahead_s, gain, step, steps)
+    found = _known.get(key)
+    if found is None:
+        transition = ServojLaw(lookahead_s, gain).transition(step)
+        rows, state = np.empty((steps, 2)), np.eye(2)
+        for row in range(steps):
+            state = transition @ state
+            rows[row] = state[0]
+        if len(_known) >= _MOST_KEPT:
+            _known.clear()
+        found = _known[key] = (rows, state)
+    return found
+
+
+class Servo(Course):
+    """The motion of the law, with the latest target held.
+
+    Args:
+        start: (6,).
+        rate: (6,) speed at the start.
+    """
+
+    streamed = True
+    duration = float("inf")
+
+    def __init__(self, start: Array, rate: Array) -> None:
+        self._state = np.array([start, rate])
+        self._offset = self._state.copy()
+        self._law = (0.0, 0.0)
+        self._end: Array = np.eye(2)
+        self.target = start
+        self._settled = False
+
+    @property
+    def q(self) -> Array:
+        """(6,) position now."""
+        q: Array = self._state[0]
+        return q
+
+    def aim(self, target: Array, lookahead_s: float, gain: float, ticks: int) -> None:
+        """Take a new target (6,), which controls the arm for `ticks`."""
+        self.target, self._law, self.ticks_left, self._settled = target, (lookahead_s, gain), ticks, False
+
+    def shift(self, q: Array, rate: Array) -> None:
+        """Go on from another position and speed."""
+        self._state = np.array([q, rate])
+
+    def positions(self, step: float, counts: Array) -> Array:
+        """Joint positions (n, 6); see `Course`."""
+        rows, self._end = _discretised(*self._law, step, len(counts))
+        offset = self._state.copy()
+        offset[0] -= self.target
+        self._offset = offset
+        q: Array = self.target + rows @ offset
+        return q
+
+    def commit(self, time: float) -> None:
+        """Let `time` pass."""
+        self.t += time
+        self._state = self._end @ self._offset
+        self._settled = float(np.abs(self._state).max()) < _AT_TARGET
+        self._state[0] += self.target
+
+    def rate(self) -> Array:
+        """Joint speeds (6,) now."""
+        speed: Array = self._state[1]
+        return speed
+
+    @property
+    def finished(self) -> bool:
+        """Whether it has come to rest."""
+        return self._settled and self.ticks_left <= 0
+
+    @property
+    def returns(self) -> bool:
+        """Whether the program may go on."""
+        return self.ticks_left <= 0

@@ -1,0 +1,194 @@
+"""The world behind two emulated controllers: one cell in MuJoCo, moved by what the controllers want."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from dual_ur10.assets.gripper import OPENING_M
+from dual_ur10.envs.core.core import load_task
+from dual_ur10.envs.core.randomization import PRESETS, on_top
+from dual_ur10.envs.sim.physics import Physics
+from dual_ur10.envs.tasks.task import Timing, task_settings
+from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.kinematics.ur10 import ARMS, DHParameters
+from dual_ur10.sim2real.config.cell import CellConfig, CellState
+from dual_ur10.sim2real.emulator.world import ArmReading
+from dual_ur10.types import Array
+
+PLANTS: Final = ("nominal", "mild", "wide")
+"""How the plant differs from what is believed of it: as the randomization of that name draws it."""
+
+_POLICY_HZ: Final = 25.0  # only to ask a task how its episodes begin
+_MOST_DH_ERROR_M: Final = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantOptions:
+    """What the simulated plant is.
+
+    Attributes:
+        plant: "nominal": exactly as believed. "mild" or "wide": as the randomization of that name draws it from
+            `seed`: masses, friction, lookahead, latency, base poses, object and grip.
+        seed: Of what is drawn, and of how the task's episode begins.
+        dh_error_m: By how much lengths of the arms' kinematics differ from what the controllers believe, at random
+            up to this, m.
+    """
+
+    plant: str = "mild"
+    seed: int = 0
+    dh_error_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.plant not in PLANTS:
+            raise UnknownNameError("plant", self.plant, PLANTS)
+        if not isinstance(self.seed, int) or self.seed < 0:
+            raise SettingsError(f"seed is {self.seed!r}: it must be a whole number, 0 or above")
+        if not 0.0 <= self.dh_error_m <= _MOST_DH_ERROR_M:
+            raise SettingsError(f"dh_error_m is {self.dh_error_m!r}: allowed are 0 to {_MOST_DH_ERROR_M:g} m")
+
+
+class EmulatedWorld:
+    """A task's cell, advanced by one control period at a time.
+
+    Args:
+        config: The cell as it is believed to be.
+        task: Name of a task, which furnishes the cell and says where its episode begins.
+        options: How the plant differs from that.
+
+    Attributes:
+        config: The cell, furnished.
+        substeps: Physics steps of one control period.
+        start_q_rad: (2, 6) where the arms stand at first.
+        lookahead_scale: (2,) true lookahead of each controller over the one that is asked for.
+        gripper_kg: Mass of a gripper; 0 if there is none.
+        drawn: What was drawn of the plant, by name.
+    """
+
+    def __init__(self, config: CellConfig, task: str, options: PlantOptions) -> None:
+        kind = load_task(task)
+        settings = task_settings(kind, {})
+        need = kind.furnishing(settings)
+        self.config = config = config.furnished(need.equipment, need.timestep_s, need.gains)
+        self.substeps = config.substeps
+        rng = np.random.default_rng(options.seed)
+        ticks = config.servoj.ticks_per_action(_POLICY_HZ)
+        timing = Timing(ticks * config.servoj.tick_s, ticks * config.servoj.tick_s)
+        start = kind(settings, config, timing, 1).start(np.arange(1), [np.random.default_rng(options.seed)])
+        self.start_q_rad: Array = np.asarray(start.q_rad, dtype=np.float64).reshape(2, 6)
+        true = _with_dh_errors(config, options.dh_error_m, rng)
+        self._physics = Physics(true, 1, 1)
+        values = config.perturbation.expanded(1)
+        self.drawn: Mapping[str, Array] = {} if options.plant == "nominal" else PRESETS[options.plant].draw([rng])
+        values |= on_top(values, self.drawn)
+        self._physics.perturb(values, np.arange(1))
+        self.lookahead_scale: Array = values["lookahead_scale"][0]
+        step_s = config.scene.timestep_s
+        latency = np.rint(values["latency_s"][0] / step_s).astype(int)
+        self._lines = [_Line(int(steps), self.start_q_rad[arm]) for arm, steps in enumerate(latency)]
+        # Views are filled from the next change of positions on.
+        self._torque: Array = self._physics.bind("qfrc_actuator")
+        self._positions, self._orientations = self._physics.bind("xpos"), self._physics.bind("xquat")
+        self._physics.reset(start, np.arange(1))
+        model = self._physics.model
+        grippers = need.equipment.grippers
+        names = ("gripper", "finger_1", "finger_2")
+        self.gripper_kg = sum(float(model.body(f"left/{name}").mass[0]) for name in names) if grippers else 0.0
+        joints = 8 if grippers else 6
+        self._dofs = [arm * joints + np.arange(6) for arm in range(2)]
+        self._elapsed = np.zeros(1)
+        self._state: CellState = self._physics.state(self._elapsed, moved=False)
+
+    @property
+    def failed(self) -> bool:
+        """Whether the simulation diverged: the arms stay where they were last well."""
+        return bool(self._physics.failed[0])
+
+    def read(self, arm: int) -> ArmReading:
+        """Measure one arm."""
+        state = self._state
+        return ArmReading(
+            state.q_rad[0, arm].copy(),
+            state.qd_rad_s[0, arm].copy(),
+            self._torque[0, self._dofs[arm]].copy(),
+            np.zeros(6) if state.wrench is None else state.wrench[0, arm].copy(),
+            None if state.gripper_m is None else float(state.gripper_m[0, arm]),
+        )
+
+    def advance(self, plans: Sequence[Array], openings_m: Sequence[float | None], payloads_kg: Sequence[float]) -> None:
+        """Move on by one control period; see `World`."""
+        both = np.concatenate([line(plan) for line, plan in zip(self._lines, plans, strict=True)], axis=2)[None]
+        grippers = payload = None
+        if self.gripper_kg:
+            # What is measured of fingers that are wide open may be a hair more.
+            grippers = np.array([[[min(max(each or 0.0, 0.0), OPENING_M) for each in openings_m]]])
+            # The model of the arms has their grippers in it.
+            payload = np.array([payloads_kg]) - self.gripper_kg
+        self._physics.advance((both[:, :, 0], both[:, :, 1], both[:, :, 2]), grippers, payload)
+        self._elapsed += self.config.servoj.tick_s
+        self._state = self._physics.state(self._elapsed, moved=True)
+
+    def pose(self, body: str) -> tuple[Array, Array]:
+        """Position (3,) and orientation (4,), (w, x, y, z), of a body in the cell frame.
+
+        Raises:
+            UnknownNameError: There is no such body.
+        """
+        model = self._physics.model
+        names = [model.body(index).name for index in range(1, model.nbody)]
+        if body not in names:
+            raise UnknownNameError("body", body, names)
+        index = model.body(body).id
+        return self._positions[0, index].copy(), self._orientations[0, index].copy()
+
+    def place(self, pose: Array) -> None:
+        """Put the object that is handled at a pose, (7,) position and (w, x, y, z), at rest.
+
+        Raises:
+            SettingsError: There is none.
+        """
+        self._physics.place(pose)
+
+    def draw(self) -> tuple[Any, Any]:
+        """MuJoCo's model and data of what is now: the same objects at every call."""
+        return self._physics.model_and_data(0)
+
+
+class _Line:
+    """Motion that arrives late by whole physics steps.
+
+    Args:
+        steps: How late.
+        q_rad: (6,) where the arm stands until then.
+    """
+
+    def __init__(self, steps: int, q_rad: Array) -> None:
+        self._waiting = np.zeros((steps, 3, 6))
+        self._waiting[:, 0] = q_rad
+
+    def __call__(self, plan: Array) -> Array:
+        steps = len(self._waiting)
+        if not steps:
+            return plan
+        all_of_it = np.concatenate([self._waiting, plan])
+        self._waiting = all_of_it[len(plan) :]
+        return all_of_it[: len(plan)]
+
+
+def _with_dh_errors(config: CellConfig, most_m: float, rng: np.random.Generator) -> CellConfig:
+    """The cell with kinematics that differ from what is believed of them."""
+    import dataclasses
+
+    if not most_m:
+        return config
+    mounts = {}
+    for arm in ARMS:
+        mount = getattr(config, arm)
+        a_m = np.asarray(mount.dh.a_m) + rng.uniform(-most_m, most_m, 6) * (np.asarray(mount.dh.a_m) != 0.0)
+        d_m = np.asarray(mount.dh.d_m) + rng.uniform(-most_m, most_m, 6) * (np.asarray(mount.dh.d_m) != 0.0)
+        dh = DHParameters(tuple(a_m), tuple(d_m), mount.dh.alpha_rad, mount.dh.theta_rad)
+        mounts[arm] = dataclasses.replace(mount, dh=dh)
+    return dataclasses.replace(config, **mounts)

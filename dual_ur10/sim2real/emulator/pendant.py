@@ -1,0 +1,173 @@
+"""What people do with one controller: at its teach pendant, or through its dashboard server."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+
+from dual_ur10.errors import OperationRefusedError, UnknownNameError
+from dual_ur10.sim2real.emulator.controller import Controller
+from dual_ur10.sim2real.emulator.script import Program, parse
+from dual_ur10.sim2real.protocol.modes import RobotMode, RuntimeState
+
+log = logging.getLogger(__name__)
+
+_MOST_PROGRAMS = 64
+
+
+class Pendant:
+    """The operations of a controller, as `dual_ur10.sim2real.emulator.dashboard_robot.DashboardRobot` lists them.
+
+    Args:
+        controller: The controller.
+        off: Called when the controller is shut down.
+
+    Attributes:
+        programs: The programs on the controller, by their names.
+    """
+
+    def __init__(self, controller: Controller, off: Callable[[], None]) -> None:
+        self._controller, self._off = controller, off
+        self.programs: dict[str, Program] = {}
+        self.operational_mode = "NONE"
+        self.user_role = "programmer"
+        self._file = ""
+
+    @property
+    def robot_mode(self) -> int:
+        """RTDE's `robot_mode`, as of now."""
+        return int(self._controller.overrides.get("robot_mode", self._controller.safety.robot_mode))
+
+    @property
+    def safety_mode(self) -> int:
+        """RTDE's `safety_mode`, as of now."""
+        return int(self._controller.overrides.get("safety_mode", self._controller.safety.safety_mode))
+
+    @property
+    def runtime_state(self) -> int:
+        """RTDE's `runtime_state`, as of now."""
+        return int(self._controller.overrides.get("runtime_state", self._controller.program.state))
+
+    @property
+    def remote_control(self) -> bool:
+        """Whether clients may control this controller."""
+        return self._controller.remote_control
+
+    @property
+    def loaded_program(self) -> str:
+        """What `play` starts: the file that was loaded, or the name of the program that a client sent since."""
+        return self._file if self.program_saved else self._controller.program.name
+
+    @property
+    def program_saved(self) -> bool:
+        """Whether what `play` starts is a file."""
+        return bool(self._file) and self._controller.program.last is self.programs.get(self._file)
+
+    def keep(self, name: str, text: str) -> None:
+        """Put a program on the controller.
+
+        Raises:
+            ScriptError: It cannot be read.
+        """
+        program = parse(text, self._controller.program.builtins)
+        self.programs.pop(name, None)
+        self.programs[name] = program
+        while len(self.programs) > _MOST_PROGRAMS:
+            del self.programs[next(iter(self.programs))]
+
+    def power_on(self) -> None:
+        """Give the arm power."""
+        self._controller.safety.power_on()
+
+    def power_off(self) -> None:
+        """End the program and take the arm's power."""
+        self._controller.program.stop("the arm's power was switched off")
+        self._controller.safety.power_off()
+
+    def release_brakes(self) -> None:
+        """Release the brakes."""
+        self._controller.safety.release_brakes()
+
+    def unlock_protective_stop(self) -> None:
+        """End a protective stop."""
+        self._controller.safety.unlock_protective_stop()
+
+    def close_safety_popup(self) -> None:
+        """There is nothing to close: nobody looks at this pendant."""
+
+    def restart_safety(self) -> None:
+        """Restart after a violation or a fault."""
+        self._controller.program.stop("the safety system is restarted")
+        self._controller.safety.restart()
+
+    def play(self) -> None:
+        """Start the loaded program, or let a paused one go on."""
+        self._controller.play()
+
+    def resume(self) -> None:
+        """Let a paused program go on; unlike `play`, it starts none.
+
+        Raises:
+            OperationRefusedError: The arm may not be moved, or no program is paused.
+        """
+        if self._controller.program.state not in (RuntimeState.PAUSED, RuntimeState.PAUSING):
+            raise OperationRefusedError("no program is paused")
+        self._controller.play()
+
+    def pause(self) -> None:
+        """Pause the program."""
+        self._controller.program.pause()
+
+    def stop(self) -> None:
+        """Stop the program."""
+        self._controller.program.stop("it was stopped by hand")
+
+    def load(self, name: str) -> None:
+        """Load a program that was put on the controller.
+
+        Raises:
+            UnknownNameError: There is no such program.
+        """
+        if name not in self.programs:
+            raise UnknownNameError("program", name, tuple(self.programs))
+        self._controller.program.prepare(self.programs[name])
+        self._file = name
+
+    def load_installation(self, name: str) -> None:
+        """Load an installation.
+
+        Raises:
+            UnknownNameError: There is only one.
+        """
+        if name != "default.installation":
+            raise UnknownNameError("installation", name, ("default.installation",))
+
+    def popup(self, text: str) -> None:
+        """Show a message."""
+        self._controller.show("Popup", text)
+
+    def close_popup(self) -> None:
+        """Close that message."""
+        self._controller.popup = ""
+
+    def add_to_log(self, text: str) -> None:
+        """Write to the log."""
+        log.info("%s: %s", self._controller.name, text)
+
+    def shutdown(self) -> None:
+        """Switch the controller off."""
+        self.power_off()
+        self._controller.safety.robot_mode = RobotMode.DISCONNECTED
+        self._off()
+
+    def set_operational_mode(self, mode: str) -> None:
+        """Switch to "MANUAL" or "AUTOMATIC"."""
+        self.operational_mode = mode
+
+    def clear_operational_mode(self) -> None:
+        """Let the operational mode be switched at the pendant."""
+        self.operational_mode = "NONE"
+
+    def set_user_role(self, role: str) -> None:
+        """Switch the user role of a CB3."""
+        self.user_role = role

@@ -1,0 +1,233 @@
+"""The program of one controller: it is loaded, plays, pauses and stops, and tells how fast its motion passes."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from dual_ur10.errors import OperationRefusedError, ScriptError, ScriptRuntimeError
+from dual_ur10.sim2real.emulator.motion import Motion
+from dual_ur10.sim2real.emulator.profile import ControllerProfile
+from dual_ur10.sim2real.emulator.safety import Demand
+from dual_ur10.sim2real.emulator.script import Machine, Program, read
+from dual_ur10.sim2real.protocol.modes import RuntimeState
+
+log = logging.getLogger(__name__)
+
+SLIDER_S = 0.25
+"""In which the speed follows the slider over its whole range; ours, so that no speed jumps."""
+
+_SECONDARY = 8  # programs beside the main one at the same time
+
+_PLAYS = (RuntimeState.PLAYING, RuntimeState.RESUMING)
+
+
+class ProgramRunner:
+    """What plays on one controller.
+
+    Args:
+        profile: The controller.
+        motion: The arm's reference motion, which ends with the program.
+        builtins: The functions that programs may call, by name.
+        failed: Told of every program that was refused or stopped by an error.
+
+    Attributes:
+        state: RTDE's `runtime_state`.
+        name: Name of the program that plays or played last, or "".
+        speed: How fast the motion's time passes in this tick, 0 to 1.
+        machine: The program that plays, or None.
+        last: What `play` starts: the program that was loaded or played last, or None.
+    """
+
+    def __init__(
+        self,
+        profile: ControllerProfile,
+        motion: Motion,
+        builtins: Mapping[str, Callable[..., Any]],
+        failed: Callable[[ScriptError], None],
+    ) -> None:
+        self.profile, self.motion, self.builtins, self._failed = profile, motion, builtins, failed
+        self.state = RuntimeState.STOPPED
+        self.name = ""
+        self.speed = 1.0
+        self.machine: Machine | None = None
+        self._secondary: list[Machine] = []
+        self.last: Program | None = None
+        self._paused_by_safety = False
+        self._demand = Demand.NONE
+        self._unrun = False
+
+    def load(self, text: str, found: Program | ScriptError | None = None) -> None:
+        """Play a program in place of the one that plays, or a secondary program beside it.
+
+        One that cannot be read is refused as a controller does: the program that plays ends all the same.
+
+        Args:
+            text: The program.
+            found: What reading it has given, if it has been read already.
+        """
+        program = read(text, self.builtins) if found is None else found
+        if isinstance(program, ScriptError):
+            if not text.lstrip().startswith("sec "):
+                self.stop("a program that could not be read took its place")
+            self._failed(program)
+        elif program.is_secondary:
+            self._start_secondary(program)
+        else:
+            self.start(program)
+
+    def start(self, program: Program) -> None:
+        """Play a program in place of the one that plays."""
+        if self._unrun and self._demand is Demand.NONE:
+            self._run()  # two programs in one control period: what the first does at once is not to be lost
+        self.stop("another program took its place")
+        if self._demand is not Demand.NONE:
+            self._failed(ScriptRuntimeError(1, program.name, "not started: the arm is stopped or has no power"))
+            return
+        self.last, self.name = program, program.name
+        self.machine, self._unrun = self._started(program), True
+        self.state = RuntimeState.PLAYING
+
+    def _start_secondary(self, program: Program) -> None:
+        if self._demand is Demand.STOP:
+            self._failed(ScriptRuntimeError(1, program.name, "not started: the arm is stopped or has no power"))
+        elif len(self._secondary) >= _SECONDARY:
+            self._failed(
+                ScriptRuntimeError(1, program.name, f"not started: {_SECONDARY} secondary programs run already")
+            )
+        else:
+            self._secondary.append(self._started(program))
+
+    def _started(self, program: Program) -> Machine:
+        steps = self.profile.assumptions.infinite_loop_steps
+        return Machine(program, self.builtins, steps_per_tick=steps)
+
+    def prepare(self, program: Program) -> None:
+        """Have a program ready for `play`."""
+        self.stop("another program was loaded")
+        self.last, self.name = program, program.name
+
+    def play(self) -> None:
+        """Go on after a pause, or start the program anew that was loaded or played last; nothing if it plays.
+
+        Raises:
+            OperationRefusedError: There is no program.
+        """
+        if self.state in (RuntimeState.PAUSED, RuntimeState.PAUSING):
+            self.state, self._paused_by_safety = RuntimeState.RESUMING, False
+        elif self.state in _PLAYS:
+            return
+        elif self.last is None:
+            raise OperationRefusedError("no program is loaded")
+        else:
+            self.start(self.last)
+
+    def pause(self) -> None:
+        """Come to rest on the path, and stay there until `play`, whatever paused it before.
+
+        Raises:
+            OperationRefusedError: No program plays.
+        """
+        if self.machine is None:
+            raise OperationRefusedError("no program plays")
+        self._paused_by_safety = False
+        self._pause()
+
+    def _pause(self) -> None:
+        if self.state in _PLAYS:
+            self.state = RuntimeState.PAUSING
+
+    def stop(self, reason: str) -> None:
+        """End the program; the arm comes to rest."""
+        if self.machine is not None:
+            log.info("program %s ends: %s", self.name, reason)
+            self.machine.kill()
+            self.machine = None
+            self._rest()
+            self.state = RuntimeState.STOPPING
+        self._paused_by_safety = False
+
+    def _rest(self) -> None:
+        """Brake from the speed that the arm has."""
+        if self.speed == 0.0:
+            self.motion.hold()  # it stands in the middle of its path, and what is left of it is given up
+        elif self._demand is Demand.NONE:
+            self.motion.halt(self.speed)
+            self.speed = 1.0  # from here on, time passes as the clock does
+        else:
+            self.motion.halt()  # the safety stop that has begun goes on slowing time down, too
+
+    def tick(self, demand: Demand, *, may_move: bool, resumes: bool, slider: float) -> None:
+        """Let one control period pass: the program runs, and the motion's speed follows.
+
+        Args:
+            demand: What the safety state asks.
+            may_move: Whether the arm may be moved at all.
+            resumes: Whether a program that safety paused goes on when nothing asks for a pause any more.
+            slider: Where the speed is to go, 0 to 1.
+        """
+        self._demand = demand
+        if demand is Demand.STOP:
+            self.stop("the controller's safety state ended it")
+            self._end_secondary()
+        elif demand is Demand.PAUSE and self.state in _PLAYS:
+            self._pause()
+            self._paused_by_safety = resumes
+        elif demand is Demand.PAUSE and not resumes:
+            self._paused_by_safety = False
+        elif demand is Demand.NONE and self._paused_by_safety and self.state == RuntimeState.PAUSED:
+            self.play()
+        if self.state in _PLAYS:
+            self._run()
+        self._run_secondary()
+        self._pass_time(demand, may_move, slider)
+
+    def _run(self) -> None:
+        machine, self._unrun = self.machine, False
+        if machine is None:
+            return
+        try:
+            machine.tick()
+        except ScriptError as error:
+            self.stop("an error")
+            self._failed(error)
+            return
+        if machine.finished and self.machine is machine:
+            self.stop("it came to its end")
+
+    def _run_secondary(self) -> None:
+        for machine in list(self._secondary):
+            try:
+                machine.tick()
+            except ScriptError as error:
+                machine.kill()
+                self._failed(error)
+            if machine.finished:
+                self._secondary.remove(machine)
+
+    def _end_secondary(self) -> None:
+        for machine in self._secondary:
+            machine.kill()
+        self._secondary.clear()
+
+    def _pass_time(self, demand: Demand, may_move: bool, slider: float) -> None:
+        tick_s = self.profile.tick_s
+        if self.state == RuntimeState.STOPPING:
+            # The brake takes its own time, whatever the slider says; a stop for safety takes no longer than any other.
+            if demand is not Demand.NONE:
+                self.speed = max(0.0, self.speed - tick_s / self.profile.assumptions.stopping_s)
+            if self.speed == 0.0 or not self.motion.moving:
+                self.state = RuntimeState.STOPPED
+                self.motion.hold()
+            return
+        halts = self.state in (RuntimeState.PAUSING, RuntimeState.PAUSED) or demand is not Demand.NONE
+        goal = 0.0 if halts else slider
+        step = tick_s / (self.profile.assumptions.stopping_s if halts else SLIDER_S)
+        self.speed = max(goal, self.speed - step) if self.speed > goal else min(goal, self.speed + step)
+        if self.state == RuntimeState.PAUSING and self.speed == 0.0:
+            self.state = RuntimeState.PAUSED
+        elif self.state == RuntimeState.RESUMING and self.speed == goal:
+            self.state = RuntimeState.PLAYING
+        if self.state == RuntimeState.STOPPED and not may_move:
+            self.motion.hold()

@@ -1,0 +1,291 @@
+"""The server's side of RTDE, UR's real-time data exchange (port 30004): bytes in, bytes out, no sockets.
+
+What UR's guide leaves open is done so:
+
+* An output setup replaces the one before. If it names an unknown variable, or none at all, the connection has no
+  output recipe afterwards, and data stop.
+* A setup that is refused has the number 0, and takes no variable into use.
+* Packages of an unknown kind are counted and not answered; so are text messages of clients.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+from dual_ur10.errors import ClosedError, ProtocolError, SettingsError
+from dual_ur10.sim2real.emulator.profile import ControllerProfile
+from dual_ur10.sim2real.emulator.registers import Registers
+from dual_ur10.sim2real.emulator.rtde_recipes import OUTPUT_RECIPE, InputRecipe, OutputRecipe
+from dual_ur10.sim2real.emulator.rtde_variables import input_types, output_types, zero_values
+from dual_ur10.sim2real.protocol.rtde_codec import Frames, Kind, TextKind, frame, split_names, text_payload
+from dual_ur10.sim2real.protocol.rtde_types import DataType, Value
+
+log = logging.getLogger(__name__)
+
+VERSIONS: Final = (1, 2)
+"""Versions of the protocol. A connection has the first until it asks for another."""
+
+MAX_INPUT_RECIPES: Final = 255
+"""The number of a recipe is one byte, and 0 means none."""
+
+MAX_VARIABLES: Final = 1024
+"""In one recipe. A controller has fewer than 600, and packages of 1024 vectors still fit into a frame."""
+
+_LONGEST_DIVIDER: Final = 10**9
+
+Answer = Callable[["RtdeSession", bytes], bytes]
+
+
+class RtdePort:
+    """What the RTDE connections of one controller share.
+
+    Args:
+        profile: The controller's version decides which variables there are.
+        registers: Clients write the input registers at once, so that the last one wins within a control period.
+        values: All variables that are no registers, by name. They are read whenever a package is published.
+        inputs: Called with the variables of a package that are no registers, by name, if there are any.
+        written: Called after every package with the names of its recipe's variables.
+
+    Raises:
+        SettingsError: `values` lacks a variable.
+    """
+
+    def __init__(
+        self,
+        profile: ControllerProfile,
+        registers: Registers,
+        values: Mapping[str, Value],
+        inputs: Callable[[Mapping[str, Any]], None],
+        written: Callable[[Sequence[str]], None] = lambda names: None,
+    ) -> None:
+        missing = zero_values(profile).keys() - values.keys()
+        if missing:
+            raise SettingsError(f"values lack {', '.join(sorted(missing))}: begin with zero_values(profile)")
+        self.profile, self.registers, self.values, self.inputs = profile, registers, values, inputs
+        self.written = written
+        self.output_types = output_types(profile)
+        self.input_types = input_types(profile)
+        self.rate_hz = 1.0 / profile.tick_s
+        self.owners: dict[str, RtdeSession] = {}
+
+    def open(self) -> RtdeSession:
+        """A new connection."""
+        return RtdeSession(self)
+
+
+class RtdeSession:
+    """One client's connection.
+
+    Send what `receive` returns before anything that is published later: nothing may reach a client before the answer
+    to its START.
+
+    Args:
+        port: What it shares with the others of the controller.
+
+    Attributes:
+        started: Whether data are published.
+        version: Of the protocol.
+        divider: A package is published every so many control periods.
+        data_packages: That were received.
+        short_packages, long_packages: Of them, those that did not have the length of their recipe.
+        unknown_packages: Of a kind that RTDE does not have.
+        text_messages: That were received.
+        published: Packages that were published.
+    """
+
+    def __init__(self, port: RtdePort) -> None:
+        self._port = port
+        self._frames = Frames()
+        self._closed = False
+        self._outputs: OutputRecipe | None = None
+        self._inputs: list[InputRecipe] = []
+        self._due: int | None = None
+        self.started = False
+        self.version = VERSIONS[0]
+        self.divider = 1
+        self.data_packages = self.short_packages = self.long_packages = 0
+        self.unknown_packages = self.text_messages = self.published = 0
+
+    def receive(self, data: bytes) -> bytes:
+        """Take what came from the client, in pieces of any size.
+
+        Returns:
+            The answers to send.
+
+        Raises:
+            ProtocolError: No client of RTDE sends this. The session is closed; close the connection, too.
+            ClosedError: The session was closed.
+        """
+        if self._closed:
+            raise ClosedError("this RTDE session was closed: open another")
+        answers = []
+        try:
+            for kind, payload in self._frames.feed(data):
+                if kind == Kind.DATA_PACKAGE:
+                    self._take_data(payload)
+                elif kind in _ANSWERS:
+                    answers.append(_ANSWERS[kind](self, payload))
+                elif kind == Kind.TEXT_MESSAGE:
+                    self.text_messages += 1
+                    log.info("RTDE client says %r", payload[:255])
+                else:
+                    self.unknown_packages += 1
+        except ProtocolError:
+            self.close()
+            raise
+        return b"".join(answers)
+
+    def publish(self, tick: int) -> bytes:
+        """The data package of a control period, or nothing if none is due.
+
+        Args:
+            tick: Number of the control period. The first one after START is always due.
+        """
+        if not self.started or self._outputs is None:
+            return b""
+        due = self._due
+        if due is None or tick > due or due - tick > self.divider:  # ticks were left out, or begin anew
+            due = tick
+        if tick < due:
+            return b""
+        self._due = due + self.divider
+        self.published += 1
+        return self._outputs.package()
+
+    def text(self, message: str, source: str = "", kind: TextKind = TextKind.INFO) -> bytes:
+        """A text message; nothing unless data are published, as other clients wait for answers only.
+
+        Args:
+            message: The text, of which 255 bytes are sent.
+            source: Who says it.
+            kind: How serious it is.
+        """
+        if not self.started:
+            return b""
+        return frame(Kind.TEXT_MESSAGE, text_payload(message, source, kind, self.version))
+
+    @property
+    def writes(self) -> bool:
+        """Whether it has set up inputs."""
+        return bool(self._inputs)
+
+    def close(self) -> None:
+        """End the session: others can use its inputs at once. Closing it again does nothing."""
+        self._closed, self.started = True, False
+        owners = self._port.owners
+        for name in [name for name, owner in owners.items() if owner is self]:
+            del owners[name]
+
+    def _take_data(self, payload: bytes) -> None:
+        number = payload[0] if payload else 0
+        if not 1 <= number <= len(self._inputs):
+            raise ProtocolError(
+                f"RTDE data package for input recipe {number if payload else '(none)'}: this connection set up "
+                f"{len(self._inputs)} of them, numbered from 1"
+            )
+        recipe = self._inputs[number - 1]
+        values = payload[1:]
+        self.data_packages += 1
+        if len(values) != recipe.size:
+            if len(values) < recipe.size:
+                self.short_packages += 1
+            else:
+                self.long_packages += 1
+        others = recipe.apply(values)
+        if others:
+            self._port.inputs(others)
+        self._port.written(recipe.names)
+
+    def _request_version(self, payload: bytes) -> bytes:
+        (wanted,) = _unpack(">H", payload, "a protocol version")
+        if wanted in VERSIONS:
+            self.version = wanted
+            if self._outputs is not None:
+                self._outputs = self._output_recipe(self._outputs.variables)
+        return frame(Kind.REQUEST_PROTOCOL_VERSION, bytes([wanted in VERSIONS]))
+
+    def _tell_version(self, payload: bytes) -> bytes:
+        return frame(Kind.GET_URCONTROL_VERSION, struct.pack(">4I", *self._port.profile.version))
+
+    def _set_up_outputs(self, payload: bytes) -> bytes:
+        frequency_hz = self._port.rate_hz
+        if self.version > 1:
+            (frequency_hz,) = _unpack(">d", payload, "a frequency")
+            payload = payload[8:]
+        names = _names(payload)
+        types = [self._port.output_types.get(name) for name in names]
+        variables = [(name, kind) for name, kind in zip(names, types, strict=True) if kind is not None]
+        valid = bool(names) and len(variables) == len(names)
+        self._outputs = self._output_recipe(variables) if valid else None
+        self.started = self.started and valid
+        self.divider, self._due = _divider(self._port.rate_hz, frequency_hz), None
+        answer = ",".join("NOT_FOUND" if kind is None else kind.name for kind in types).encode("ascii")
+        number = bytes([OUTPUT_RECIPE if valid else 0]) if self.version > 1 else b""
+        return frame(Kind.SETUP_OUTPUTS, number + answer)
+
+    def _output_recipe(self, variables: Sequence[tuple[str, DataType]]) -> OutputRecipe:
+        return OutputRecipe(variables, self._port.values, self._port.registers, numbered=self.version > 1)
+
+    def _set_up_inputs(self, payload: bytes) -> bytes:
+        port, names = self._port, _names(payload)
+        variables = []
+        answers = []
+        for name in names:
+            kind = port.input_types.get(name)
+            if kind is None:
+                answers.append("NOT_FOUND")
+            elif port.owners.get(name, self) is not self:
+                answers.append("IN_USE")
+            else:
+                answers.append(kind.name)
+                variables.append((name, kind))
+        number = 0
+        if names and len(variables) == len(names):
+            if len(self._inputs) == MAX_INPUT_RECIPES:
+                raise ProtocolError(f"more than {MAX_INPUT_RECIPES} RTDE input recipes on one connection")
+            self._inputs.append(InputRecipe(variables, port.registers))
+            number = len(self._inputs)
+            port.owners.update(dict.fromkeys(names, self))
+        return frame(Kind.SETUP_INPUTS, bytes([number]) + ",".join(answers).encode("ascii"))
+
+    def _start(self, payload: bytes) -> bytes:
+        self.started, self._due = self._outputs is not None, None
+        return frame(Kind.START, bytes([self.started]))
+
+    def _pause(self, payload: bytes) -> bytes:
+        self.started = False
+        return frame(Kind.PAUSE, b"\x01")
+
+
+_ANSWERS: Final[dict[int, Answer]] = {
+    Kind.REQUEST_PROTOCOL_VERSION: RtdeSession._request_version,
+    Kind.GET_URCONTROL_VERSION: RtdeSession._tell_version,
+    Kind.SETUP_OUTPUTS: RtdeSession._set_up_outputs,
+    Kind.SETUP_INPUTS: RtdeSession._set_up_inputs,
+    Kind.START: RtdeSession._start,
+    Kind.PAUSE: RtdeSession._pause,
+}
+
+
+def _unpack(layout: str, payload: bytes, what: str) -> tuple[Any, ...]:
+    if len(payload) < struct.calcsize(layout):
+        raise ProtocolError(f"RTDE request with {len(payload)} bytes: it must begin with {what}")
+    return struct.unpack_from(layout, payload)
+
+
+def _names(payload: bytes) -> list[str]:
+    names = split_names(payload)
+    if len(names) > MAX_VARIABLES:
+        raise ProtocolError(f"RTDE recipe with {len(names)} variables: at most {MAX_VARIABLES} are allowed")
+    return names
+
+
+def _divider(rate_hz: float, frequency_hz: float) -> int:
+    """Control periods between two packages. What is no frequency stands for the highest: every period."""
+    if math.isnan(frequency_hz) or frequency_hz <= 0.0:
+        return 1
+    return max(1, round(min(rate_hz / frequency_hz, _LONGEST_DIVIDER)))

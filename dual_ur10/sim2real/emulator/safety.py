@@ -1,0 +1,235 @@
+"""Power, brakes and safety of one controller: which state it is in, and what that allows.
+
+A state machine in controller time. It decides nothing about motion; it says what a program has to do (`Demand`).
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Final
+
+from dual_ur10.errors import OperationRefusedError
+from dual_ur10.sim2real.emulator.profile import Assumptions
+from dual_ur10.sim2real.protocol.modes import RobotMode, SafetyBits, SafetyMode
+
+UNLOCK_TOO_EARLY: Final = (
+    "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop before unlocking"
+)
+
+
+class Demand(Enum):
+    """What the state asks of the program: to go on, to pause on its path, or to end with the arm held by its brakes."""
+
+    NONE = "none"
+    PAUSE = "pause"
+    STOP = "stop"
+
+
+_STOP_BITS: Final = {
+    SafetyMode.PROTECTIVE_STOP: SafetyBits.PROTECTIVE_STOPPED,
+    SafetyMode.RECOVERY: SafetyBits.RECOVERY,
+    SafetyMode.SAFEGUARD_STOP: SafetyBits.SAFEGUARD_STOPPED,
+    SafetyMode.SYSTEM_EMERGENCY_STOP: SafetyBits.SYSTEM_EMERGENCY_STOPPED | SafetyBits.EMERGENCY_STOPPED,
+    SafetyMode.ROBOT_EMERGENCY_STOP: SafetyBits.ROBOT_EMERGENCY_STOPPED | SafetyBits.EMERGENCY_STOPPED,
+    SafetyMode.VIOLATION: SafetyBits.VIOLATION,
+    SafetyMode.FAULT: SafetyBits.FAULT,
+}
+
+_POWERLESS: Final = (
+    SafetyMode.SYSTEM_EMERGENCY_STOP,
+    SafetyMode.ROBOT_EMERGENCY_STOP,
+    SafetyMode.VIOLATION,
+    SafetyMode.FAULT,
+)
+"""Modes in which the arm has no power, once it has come to rest."""
+
+
+class Safety:
+    """The state of one controller.
+
+    Args:
+        assumptions: What no document settles.
+        powered: Whether the arm is powered, with its brakes released, from the start.
+
+    Attributes:
+        robot_mode: Power and brakes.
+        reason: Code and text of the last stop, or "".
+    """
+
+    def __init__(self, assumptions: Assumptions, *, powered: bool = True) -> None:
+        self.assumptions = assumptions
+        self.robot_mode = RobotMode.RUNNING if powered else RobotMode.POWER_OFF
+        self.reason = ""
+        self._now_s = 0.0
+        self._stopped: dict[int, float] = {}  # safety modes other than normal and reduced, and since when
+        self._reduced = False
+        self._next: list[tuple[float, RobotMode]] = []  # steps of powering up, and when
+        self._restarting_until: float | None = None
+        self._loses_power = False
+
+    @property
+    def safety_mode(self) -> int:
+        """RTDE's `safety_mode`: the gravest condition that holds."""
+        if self._stopped:
+            return max(self._stopped, key=_gravity)
+        return SafetyMode.REDUCED if self._reduced else SafetyMode.NORMAL
+
+    @property
+    def safety_bits(self) -> SafetyBits:
+        """RTDE's `safety_status_bits`."""
+        bits = SafetyBits(0)
+        for mode in self._stopped:
+            known = _STOP_BITS.get(SafetyMode(mode)) if mode in _KNOWN else None
+            bits |= (known or SafetyBits(0)) | SafetyBits.STOPPED_DUE_TO_SAFETY
+        if self._reduced:
+            bits |= SafetyBits.REDUCED
+        if not self._stopped and not self._reduced:
+            bits |= SafetyBits.NORMAL
+        return bits
+
+    @property
+    def reduced(self) -> bool:
+        """Whether the reduced limits are in force."""
+        return self._reduced
+
+    @property
+    def demand(self) -> Demand:
+        """What the state asks of the program."""
+        pauses = {
+            SafetyMode.PROTECTIVE_STOP: self.assumptions.protective_stop_pauses,
+            SafetyMode.ROBOT_EMERGENCY_STOP: self.assumptions.emergency_stop_pauses,
+            SafetyMode.SYSTEM_EMERGENCY_STOP: self.assumptions.emergency_stop_pauses,
+            SafetyMode.VIOLATION: False,
+            SafetyMode.FAULT: False,
+        }
+        if not all(pauses.get(SafetyMode(mode), True) for mode in self._stopped if mode in _KNOWN):
+            return Demand.STOP
+        if self.robot_mode != RobotMode.RUNNING or self._loses_power:
+            return Demand.PAUSE if self.assumptions.emergency_stop_pauses else Demand.STOP
+        return Demand.PAUSE if self._stopped else Demand.NONE
+
+    @property
+    def resumes(self) -> bool:
+        """Whether a program that pauses now goes on by itself when what holds it has ended."""
+        return self.assumptions.safeguard_resumes and set(self._stopped) <= {int(SafetyMode.SAFEGUARD_STOP)}
+
+    @property
+    def may_move(self) -> bool:
+        """Whether the arm may be moved."""
+        return self.robot_mode == RobotMode.RUNNING and not self._stopped and not self._loses_power
+
+    def tick(self, dt_s: float, *, at_rest: bool) -> None:
+        """Let time pass. `at_rest`: whether the arm stands."""
+        self._now_s += dt_s
+        while self._next and self._next[0][0] <= self._now_s:
+            self.robot_mode = self._next.pop(0)[1]
+        if at_rest and self._loses_power:
+            # Also if the button has been turned back meanwhile.
+            self._loses_power = False
+            if self.robot_mode > RobotMode.POWER_OFF:
+                self.power_off()
+        if self._restarting_until is not None and self._now_s >= self._restarting_until:
+            self._restarting_until = None
+            for mode in (SafetyMode.VIOLATION, SafetyMode.FAULT):
+                self._stopped.pop(mode, None)
+
+    # What happens to the arm.
+
+    def stop(self, mode: int, reason: str = "") -> None:
+        """A stop condition comes to hold: any number that RTDE's `safety_mode` may have.
+
+        Raises:
+            OperationRefusedError: The number says that nothing is stopped.
+        """
+        if mode in (SafetyMode.NORMAL, SafetyMode.REDUCED):
+            raise OperationRefusedError(f"safety mode {int(mode)} is no stop: release the conditions that hold instead")
+        if mode not in self._stopped:
+            self._stopped[int(mode)] = self._now_s
+            self.reason = reason
+            self._loses_power = self._loses_power or mode in _POWERLESS
+
+    def release(self, mode: int) -> None:
+        """A condition ends: an emergency stop button is turned, a safeguard closed."""
+        self._stopped.pop(int(mode), None)
+
+    def reduce(self, reduced: bool) -> None:
+        """The reduced limits come into force, or end."""
+        self._reduced = reduced
+
+    # What people do.
+
+    def power_on(self) -> None:
+        """Give the arm power.
+
+        Raises:
+            OperationRefusedError: A stop holds that keeps the arm without power.
+        """
+        self._check_power()
+        if self.robot_mode == RobotMode.POWER_OFF and not self._next:
+            self.robot_mode = RobotMode.POWER_ON
+            self._next = [(self._now_s + self.assumptions.power_on_s, RobotMode.IDLE)]
+
+    def release_brakes(self) -> None:
+        """Release the brakes, after powering up if that has not been done.
+
+        Raises:
+            OperationRefusedError: A stop holds that keeps the arm without power.
+        """
+        self._check_power()
+        if self.robot_mode == RobotMode.POWER_OFF and not self._next:
+            self.power_on()
+        if self.robot_mode == RobotMode.RUNNING or any(mode == RobotMode.RUNNING for _, mode in self._next):
+            return
+        begin = self._next[-1][0] if self._next else self._now_s
+        self._next.append((begin + self.assumptions.brake_release_s, RobotMode.RUNNING))
+
+    def power_off(self) -> None:
+        """Take the arm's power."""
+        self._next.clear()
+        if self.robot_mode != RobotMode.DISCONNECTED:
+            self.robot_mode = RobotMode.POWER_OFF
+
+    def unlock_protective_stop(self) -> None:
+        """Release a protective stop; nothing if there is none.
+
+        Raises:
+            OperationRefusedError: Too early: its cause is to be looked at first.
+        """
+        since = self._stopped.get(SafetyMode.PROTECTIVE_STOP)
+        if since is None:
+            return
+        if self._now_s - since < self.assumptions.unlock_wait_s:
+            raise OperationRefusedError(UNLOCK_TOO_EARLY)
+        self.release(SafetyMode.PROTECTIVE_STOP)
+
+    def restart(self) -> None:
+        """Restart the safety system after a violation or a fault: the arm is without power then."""
+        self.power_off()
+        self._restarting_until = self._now_s + self.assumptions.restart_safety_s
+
+    def _check_power(self) -> None:
+        if self.robot_mode == RobotMode.DISCONNECTED:
+            raise OperationRefusedError("the controller is shut down")
+        for mode in self._stopped:
+            if mode in _POWERLESS:
+                raise OperationRefusedError(f"the arm gets no power while its safety mode is {SafetyMode(mode).name}")
+        if self._loses_power:
+            raise OperationRefusedError("the arm gets no power while it comes to rest after an emergency stop: wait")
+
+
+_KNOWN: Final = frozenset(int(mode) for mode in SafetyMode)
+
+_GRAVEST: Final = (
+    SafetyMode.RECOVERY,
+    SafetyMode.SAFEGUARD_STOP,
+    SafetyMode.PROTECTIVE_STOP,
+    SafetyMode.SYSTEM_EMERGENCY_STOP,
+    SafetyMode.ROBOT_EMERGENCY_STOP,
+    SafetyMode.VIOLATION,
+    SafetyMode.FAULT,
+)
+
+
+def _gravity(mode: int) -> int:
+    """Order of modes that hold at the same time; a number that is not known is graver than all that are."""
+    return _GRAVEST.index(SafetyMode(mode)) if mode in _GRAVEST else len(_GRAVEST)

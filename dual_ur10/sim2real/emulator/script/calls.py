@@ -1,0 +1,125 @@
+"""Which functions may block, which may call themselves, and whether calls fit what they call."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from lark import Token
+
+from dual_ur10.errors import ScriptSyntaxError
+from dual_ur10.sim2real.emulator.script.scopes import Function, Names
+from dual_ur10.sim2real.emulator.script.syntax import Call, If, Kill, Statement, While
+
+Builtins = Mapping[str, Callable[..., Any]]
+
+
+class Calls:
+    """The calls of a program, checked.
+
+    Attributes:
+        used: Whether each builtin that the program calls blocks, by name.
+
+    Raises:
+        ScriptSyntaxError: A call names nothing that exists, or does not fit it.
+    """
+
+    def __init__(self, names: Names, builtins: Builtins) -> None:
+        self.used: dict[str, bool] = {}
+        self._builtins = builtins
+        self._signatures: dict[str, inspect.Signature] = {}
+        callers: dict[int, list[Function]] = {}
+        callees: dict[int, list[Function]] = {}
+        blocking: list[Function] = []
+        for function in names.functions.values():
+            if function.parent is None or _joins(function.define.body):
+                function.blocks = True
+                blocking.append(function)
+            for call in function.calls:
+                target = function.find(str(call.at))
+                if target is None:
+                    if self._builtin(call) and not function.blocks:
+                        function.blocks = True
+                        blocking.append(function)
+                    continue
+                _fit(call, target)
+                if not call.runs:
+                    callers.setdefault(id(target), []).append(function)
+                    callees.setdefault(id(function), []).append(target)
+        while blocking:
+            for caller in callers.get(id(blocking.pop()), ()):
+                if not caller.blocks:
+                    caller.blocks = True
+                    blocking.append(caller)
+        _mark_recursive(names, callers, callees)
+
+    def _builtin(self, call: Call) -> bool:
+        """Check the call of a builtin, and say whether it blocks."""
+        name = str(call.at)
+        if name not in self._builtins:
+            raise _error(call.at, "there is no such function")
+        if call.runs:
+            raise _error(call.at, "only a thread can be run")
+        if name not in self.used:
+            function = self._builtins[name]
+            self.used[name] = inspect.isgeneratorfunction(function)
+            self._signatures[name] = inspect.signature(function)
+        try:
+            self._signatures[name].bind(*call.arguments, **{str(key): None for key, _ in call.keywords})
+        except TypeError as error:
+            raise _error(call.at, str(error)) from None
+        return self.used[name]
+
+
+def _joins(body: list[Statement]) -> bool:
+    for node in body:
+        match node:
+            case Kill():
+                if node.at == "join":
+                    return True
+            case If():
+                if _joins(node.otherwise) or any(_joins(block) for _, _, block in node.branches):
+                    return True
+            case While():
+                if _joins(node.body):
+                    return True
+    return False
+
+
+def _fit(call: Call, function: Function) -> None:
+    is_thread = function.define.kind == "thread"
+    if call.runs != is_thread:
+        raise _error(call.at, "a thread is started with run" if is_thread else "only a thread can be run")
+    parameters = [str(name) for name, _ in function.define.parameters]
+    if len(call.arguments) > len(parameters):
+        raise _error(call.at, f"it takes {len(parameters)} arguments, found {len(call.arguments)}")
+    given = set(parameters[: len(call.arguments)])
+    for word, _ in call.keywords:
+        if word not in function.parameters:
+            raise _error(word, f"{call.at} has no such argument: use one of {', '.join(parameters) or '(none)'}")
+        if word in given:
+            raise _error(word, f"the argument is given twice to {call.at}")
+        given.add(str(word))
+    for name, default in function.define.parameters:
+        if default is None and name not in given:
+            raise _error(call.at, f"its argument {name} is missing")
+
+
+def _mark_recursive(names: Names, callers: dict[int, list[Function]], callees: dict[int, list[Function]]) -> None:
+    # What calls nothing, or only what is taken away, is taken away; what remains is in a cycle, or leads into one.
+    open_calls = {id(function): len(callees.get(id(function), ())) for function in names.functions.values()}
+    done = [function for function in names.functions.values() if not open_calls[id(function)]]
+    for function in names.functions.values():
+        function.recursive = True
+    while done:
+        function = done.pop()
+        function.recursive = False
+        for caller in callers.get(id(function), ()):
+            open_calls[id(caller)] -= 1
+            if not open_calls[id(caller)]:
+                done.append(caller)
+
+
+def _error(word: Token, reason: str) -> ScriptSyntaxError:
+    return ScriptSyntaxError(word.line or 1, str(word), reason)

@@ -1,0 +1,124 @@
+"""Programs, ready to run."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from inspect import isgeneratorfunction, signature
+from threading import Lock
+from types import CodeType
+from typing import Final
+
+from lark import Token
+
+from dual_ur10.errors import ScriptError, ScriptSyntaxError, SettingsError
+from dual_ur10.sim2real.emulator.script.calls import Builtins, Calls
+from dual_ur10.sim2real.emulator.script.compiler import generate
+from dual_ur10.sim2real.emulator.script.parser import parse_text
+from dual_ur10.sim2real.emulator.script.scopes import Names
+from dual_ur10.sim2real.emulator.script.syntax import Define
+
+UNNAMED: Final = "unnamed"
+"""The name of a program that is not within a `def`."""
+
+_CACHE_MAX: Final = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """A program that was read and checked.
+
+    Attributes:
+        name: Of the function that the program is, or "unnamed".
+        is_secondary: Whether it is a secondary program (`sec`), which runs beside the main one.
+        lines: Its text.
+        code: Python code that runs it.
+        used: The builtins that it calls, each with its parameters and whether it blocks.
+    """
+
+    name: str
+    is_secondary: bool
+    lines: tuple[str, ...]
+    code: CodeType
+    used: Mapping[str, tuple[bool, str]]
+
+    def check(self, builtins: Builtins) -> None:
+        """Check that these builtins are like those that the program was read for.
+
+        Raises:
+            SettingsError: One is missing or other than it was.
+        """
+        for name, interface in self.used.items():
+            if name not in builtins or _interface(builtins, name) != interface:
+                raise SettingsError(f"builtin {name!r} is not as it was when the program was read: {interface}")
+
+
+# A client sends the same text at each of its connections.
+_CACHE: Final[OrderedDict[str, Program]] = OrderedDict()
+_CACHE_LOCK: Final = Lock()  # programs may be read by several threads
+
+
+def parse(text: str, builtins: Builtins) -> Program:
+    r"""Read a program.
+
+    Args:
+        text: A program of its own (`def name(): .. end` or `sec name(): .. end`), or statements. Lines end with \n or
+            \r\n.
+        builtins: The functions that it may call, by name; generator functions block. They are not called here, and
+            the program runs with any others of the same names, parameters and kinds.
+
+    Raises:
+        ScriptSyntaxError: The text does not follow the grammar, or uses a name that does not exist or in a way in
+            which it cannot be used.
+    """
+    known = _CACHE.get(text)
+    if known is not None:
+        with suppress(SettingsError):
+            known.check(builtins)
+            return known
+    program = _read(text, builtins)
+    with _CACHE_LOCK:
+        _CACHE[text] = program
+        if len(_CACHE) > _CACHE_MAX:
+            _CACHE.popitem(last=False)
+    return program
+
+
+def _read(text: str, builtins: Builtins) -> Program:
+    statements = parse_text(text)
+    first = statements[0] if statements else None
+    if isinstance(first, Define) and first.kind != "thread":
+        if len(statements) > 1:
+            after = statements[1].at
+            raise ScriptSyntaxError(after.line or 1, str(after), f"the program {first.at} ended before it")
+        for word, default in first.parameters:
+            if default is None:
+                raise ScriptSyntaxError(word.line or 1, str(word), "a program has no arguments")
+        main, name = first, str(first.at)
+        main = Define(first.at, first.kind, [], first.body)
+    else:
+        name = UNNAMED
+        main = Define(Token("NAME", UNNAMED, line=1, column=1), "def", [], statements)
+    try:
+        names = Names(main)
+        calls = Calls(names, builtins)
+        code = generate(main, names, calls, builtins)
+    except (RecursionError, MemoryError):
+        raise ScriptSyntaxError(main.at.line or 1, name, "the program is too large, or nested too deeply") from None
+    used = {each: _interface(builtins, each) for each in calls.used}
+    return Program(name, main.kind == "sec", tuple(text.split("\n")), code, used)
+
+
+def _interface(builtins: Builtins, name: str) -> tuple[bool, str]:
+    function = builtins[name]
+    return isgeneratorfunction(function), str(signature(function))
+
+
+def read(text: str, builtins: Builtins) -> Program | ScriptError:
+    """Read a program, or find what is wrong with it; in another thread than it runs in, if that is wished."""
+    try:
+        return parse(text, builtins)
+    except ScriptError as error:
+        return error

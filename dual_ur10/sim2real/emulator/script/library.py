@@ -1,0 +1,217 @@
+"""Functions of URScript that need no robot.
+
+Their parameters have the names of UR's script manual, by which programs may give them.
+"""
+
+from __future__ import annotations
+
+import math
+import random as _random
+from collections.abc import Callable
+from typing import Any, Final
+
+from dual_ur10.sim2real.emulator.script import poses
+from dual_ur10.sim2real.emulator.script.machine import machine_functions
+from dual_ur10.sim2real.emulator.script.values import INT_MAX, TEXT_MAX, integer, kind, number, text
+
+_BITS: Final = 32
+
+
+def library(tick_s: float) -> dict[str, Callable[..., Any]]:
+    """All functions that need no robot, by name; `sleep` counts control periods of `tick_s`."""
+    return {**_FUNCTIONS, **machine_functions(tick_s)}
+
+
+def sin(f: float) -> float:
+    """Sine."""
+    return math.sin(number(f))
+
+
+def cos(f: float) -> float:
+    """Cosine."""
+    return math.cos(number(f))
+
+
+def tan(f: float) -> float:
+    """Tangent."""
+    return math.tan(number(f))
+
+
+def asin(f: float) -> float:
+    """Arc sine."""
+    return math.asin(number(f))
+
+
+def acos(f: float) -> float:
+    """Arc cosine."""
+    return math.acos(number(f))
+
+
+def atan(f: float) -> float:
+    """Arc tangent."""
+    return math.atan(number(f))
+
+
+def atan2(x: float, y: float) -> float:
+    """Arc tangent of x / y, in the quadrant of both."""
+    return math.atan2(number(x), number(y))
+
+
+def sqrt(f: float) -> float:
+    """Square root."""
+    return math.sqrt(number(f))
+
+
+def pow(base: float, exponent: float) -> float:  # noqa: A001
+    """Power, always a float."""
+    return math.pow(number(base), number(exponent))
+
+
+def log(b: float, f: float) -> float:
+    """Logarithm of f to the base b."""
+    return math.log(number(f), number(b))
+
+
+def ceil(f: float) -> int:
+    """Up to an integer."""
+    return _integer(math.ceil(number(f)))
+
+
+def floor(f: float) -> int:
+    """Down to an integer."""
+    return _integer(math.floor(number(f)))
+
+
+def d2r(d: float) -> float:
+    """Degrees to radians."""
+    return math.radians(number(d))
+
+
+def r2d(r: float) -> float:
+    """Radians to degrees."""
+    return math.degrees(number(r))
+
+
+def random() -> float:
+    """A number from 0 to 1."""
+    return _random.random()
+
+
+def norm(a: float | list[float]) -> float:
+    """Absolute value of a number, length of a vector; of a pose, of all six numbers."""
+    if isinstance(a, list):
+        return math.hypot(*map(number, a))
+    return abs(number(a))
+
+
+def length(v: list[Any] | str) -> int:
+    """Elements of a list, or characters of a string."""
+    if isinstance(v, (list, str)):
+        return len(v)
+    raise TypeError(f"expected a list or a string, found {kind(v)}")
+
+
+def get_list_length(v: list[Any]) -> int:
+    """Elements of a list."""
+    return len(_list(v))
+
+
+def binary_list_to_integer(l: list[bool]) -> int:  # noqa: E741
+    """The integer of up to 32 bits, of which the first is the lowest."""
+    bits = [bool(number(bit)) for bit in _list(l)]
+    if len(bits) > _BITS:
+        raise ValueError(f"expected at most {_BITS} bits, found {len(bits)}")
+    value = sum(1 << index for index, bit in enumerate(bits) if bit)
+    return value - (1 << _BITS) if value > INT_MAX else value
+
+
+def integer_to_binary_list(x: int) -> list[bool]:
+    """32 bits of an integer, the lowest first."""
+    value = integer(x)
+    return [bool(value >> bit & 1) for bit in range(_BITS)]
+
+
+def str_at(src: str, index: int) -> str:
+    """A character of a string."""
+    if not 0 <= integer(index) < len(_text(src)):
+        raise IndexError(f"the index {index} is outside of 0 to {len(src) - 1}")
+    return src[index]
+
+
+def str_cat(op1: str, op2: str) -> str:
+    """Two strings, one after the other."""
+    return _limited(_text(op1) + _text(op2))
+
+
+def str_empty(str: str) -> bool:  # noqa: A002
+    """Whether a string has no characters."""
+    return not _text(str)
+
+
+def str_find(src: str, target: str, start_from: int = 0) -> int:
+    """Where `target` is found in `src` from an index on, or -1."""
+    if integer(start_from) < 0:
+        raise IndexError(f"start_from is at least 0, found {start_from}")
+    return _text(src).find(_text(target), start_from)
+
+
+def str_len(str: str) -> int:  # noqa: A002
+    """How many characters a string has."""
+    return len(_text(str))
+
+
+def str_sub(src: str, index: int, len: int = -1) -> str:  # noqa: A002
+    """`len` characters of a string from an index on, or all."""
+    if integer(index) < 0:
+        raise IndexError(f"the index is at least 0, found {index}")
+    return _text(src)[index:] if integer(len) < 0 else _text(src)[index : index + len]
+
+
+def to_num(str: str) -> float | int:  # noqa: A002
+    """The number that a string says."""
+    word = _text(str).strip()
+    # The length first: Python reads long integers slowly, or not at all.
+    if len(word) <= 11 and word.lstrip("+-").isdecimal():
+        return _integer(int(word))
+    return float(word)
+
+
+def to_str(val: Any) -> str:
+    """A value as a string."""
+    return _limited(text(val))
+
+
+def _text(value: object) -> str:
+    if isinstance(value, str):
+        return value
+    raise TypeError(f"expected a string, found {kind(value)}")
+
+
+def _list(value: object) -> list[Any]:
+    if isinstance(value, list):
+        return value
+    raise TypeError(f"expected a list, found {kind(value)}")
+
+
+def _limited(value: str) -> str:
+    if len(value) > TEXT_MAX:
+        raise ValueError(f"a string has at most {TEXT_MAX} characters, found {len(value)}")
+    return value
+
+
+def _integer(value: int) -> int:
+    if not -INT_MAX - 1 <= value <= INT_MAX:
+        raise OverflowError(f"an integer has at most 32 bits: {value} is too large")
+    return value
+
+
+_FUNCTIONS: Final[dict[str, Callable[..., Any]]] = {
+    function.__name__: function
+    for function in (
+        *(sin, cos, tan, asin, acos, atan, atan2, sqrt, pow, log, ceil, floor, d2r, r2d, random, norm),
+        *(length, get_list_length, binary_list_to_integer, integer_to_binary_list),
+        *(str_at, str_cat, str_empty, str_find, str_len, str_sub, to_num, to_str),
+        *(poses.pose_trans, poses.pose_inv, poses.pose_add, poses.pose_sub, poses.interpolate_pose),
+        *(poses.point_dist, poses.rpy2rotvec, poses.rotvec2rpy),
+    )
+}

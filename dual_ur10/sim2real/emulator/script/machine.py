@@ -1,0 +1,282 @@
+"""Runs a program, one control period at a time."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Generator
+from itertools import islice
+from typing import Any, Final, NoReturn
+
+from dual_ur10.errors import DualUR10Error, ScriptRuntimeError, SettingsError
+from dual_ur10.sim2real.emulator.script.calls import Builtins
+from dual_ur10.sim2real.emulator.script.compiled import Program
+from dual_ur10.sim2real.emulator.script.compiler import FILE, MAIN, NAMES
+from dual_ur10.sim2real.emulator.script.operations import OPERATIONS
+from dual_ur10.sim2real.emulator.script.values import kind
+
+log = logging.getLogger(__name__)
+
+Steps = Generator[None, None, Any]
+
+THREADS_MAX: Final = 50
+"""Most threads of a program, and most that may be started in one control period."""
+
+CALLS_MAX: Final = 100
+"""How deep functions that call themselves may be within each other."""
+
+# What a program can do wrong. Anything else that comes out of a builtin is a mistake in it.
+_FAULTS: Final = (DualUR10Error, TypeError, ValueError, ArithmeticError, LookupError, NameError, RecursionError)
+
+
+class _HaltError(Exception):
+    """The program says `halt`."""
+
+
+class _KillError(Exception):
+    """A thread kills itself."""
+
+
+class Thread:
+    """A thread of a running program. Its identity is the object's.
+
+    Attributes:
+        name: Of its text.
+        handle: What `run` gives; 0 is the program itself.
+        alive: Whether it has not ended.
+        critical: How many critical sections it is in.
+        depth: How deep it is in functions that call themselves.
+    """
+
+    __slots__ = ("alive", "critical", "depth", "handle", "name", "steps")
+
+    def __init__(self, name: str, handle: int, steps: Steps) -> None:
+        self.name, self.handle, self.steps = name, handle, steps
+        self.alive, self.critical, self.depth = True, 0, 0
+
+
+class Machine:
+    """A running program.
+
+    Each control period every thread runs once, in the order in which they were started, until it blocks or ends. While
+    one has blocked within `enter_critical` .. `exit_critical`, no other runs. The program ends with its main function,
+    and all of its threads with it.
+
+    Args:
+        program: What to run.
+        builtins: The functions that it calls; a generator function blocks its thread, at each `yield` for the rest of
+            the control period. At its end, or where it is killed (GeneratorExit), its thread goes on or ends.
+        steps_per_tick: Statements that all threads together may run in one control period.
+
+    Raises:
+        SettingsError: The builtins are not those that the program was read for, or a number is not positive.
+
+    Attributes:
+        program: What runs.
+        thread: The thread that runs now, or is being killed; None between control periods.
+        finished: Whether the program has ended.
+    """
+
+    def __init__(self, program: Program, builtins: Builtins, *, steps_per_tick: int) -> None:
+        if steps_per_tick < 1:
+            raise SettingsError(f"steps_per_tick must be at least 1, found {steps_per_tick}")
+        program.check(builtins)
+        self.program = program
+        self.thread: Thread | None = None
+        self.finished = False
+        self._steps_per_tick = steps_per_tick
+        self._threads: list[Thread] = []
+        self._handles = 0
+        self._holder: Thread | None = None
+        self._names: dict[str, Any] = {"__builtins__": {}, "n_steps": steps_per_tick}
+        self._names.update({f"b_{name}": builtins[name] for name in program.used})
+        self._names.update({NAMES[word]: operation for word, operation in OPERATIONS.items()})
+        self._names.update(
+            n_run=self._run,
+            n_kill=self._kill_handle,
+            n_join=self._join,
+            n_halt=_halt,
+            n_enter_critical=self._enter_critical,
+            n_exit_critical=self._exit_critical,
+            n_endless=self._endless,
+            n_deeper=self._deeper,
+            n_shallower=self._shallower,
+        )
+        exec(program.code, self._names)
+        self._threads.append(Thread(program.name, 0, self._names[MAIN]()))
+
+    def tick(self) -> None:
+        """Run one control period. Nothing happens once the program has finished.
+
+        Raises:
+            ScriptRuntimeError: The program did something wrong. It has finished.
+        """
+        self._names["n_steps"] = self._steps_per_tick
+        holder = self._holder
+        if holder is not None and not self.finished:
+            self._resume(holder)
+        ended = False
+        # Threads that are started meanwhile are appended, and run as well.
+        for thread in self._threads:
+            if self._holder is not None or self.finished:
+                break
+            if thread is not holder and thread.alive:
+                self._resume(thread)
+            ended = ended or not thread.alive
+        if ended:
+            self._threads = [thread for thread in self._threads if thread.alive]
+
+    def spend(self, steps: int) -> None:
+        """Count a function that takes its time as so many statements of this control period.
+
+        Raises:
+            RecursionError: That is more than a control period has.
+        """
+        self._names["n_steps"] -= steps
+        if self._names["n_steps"] < 0:
+            self._endless()
+
+    def kill(self) -> None:
+        """End the program and all of its threads."""
+        self.finished = True
+        for thread in self._threads:
+            self._end(thread)
+
+    def _resume(self, thread: Thread) -> None:
+        self.thread = thread
+        try:
+            thread.steps.send(None)
+        except (StopIteration, _KillError):
+            self.thread = None
+            self._end(thread)
+            self.finished = self.finished or thread.handle == 0
+        except _HaltError:
+            self.finished = True
+        except ScriptRuntimeError:
+            self.finished = True
+            raise
+        except Exception as error:
+            if not isinstance(error, _FAULTS):
+                log.exception("a function that the program called has a mistake")
+            self.finished = True
+            raise self._located(error) or ScriptRuntimeError(1, thread.name, str(error)) from error
+        finally:
+            self.thread = None
+            if self.finished:
+                self.kill()
+
+    def _end(self, thread: Thread) -> None:
+        """End a thread, unless it is the one that runs: that one ends when it comes back."""
+        running = self.thread
+        if thread is running:
+            return
+        thread.alive = False
+        thread.critical = 0
+        if self._holder is thread:
+            self._holder = None
+        self.thread = thread
+        try:
+            thread.steps.close()
+        finally:
+            self.thread = running
+
+    def _run(self, function: Callable[..., Steps], /, *arguments: Any, **keywords: Any) -> int:
+        # Those that have ended in this control period count as well: so not even threads that start each other and
+        # end at once can go on for ever.
+        if len(self._threads) >= THREADS_MAX:
+            raise RecursionError(f"a program has at most {THREADS_MAX} threads, also of those started in one period")
+        self._handles += 1
+        self._threads.append(Thread(function.__name__[2:], self._handles, function(*arguments, **keywords)))
+        return self._handles
+
+    def _find(self, handle: object) -> Thread | None:
+        """The live thread of a handle. 0, and the handle of a thread that has ended, have none."""
+        if not isinstance(handle, int) or not 0 <= handle <= self._handles:
+            raise ValueError(f"a thread's handle is what run gives, or 0: found {kind(handle)} ({handle})")
+        for thread in self._threads:
+            if handle and thread.handle == handle and thread.alive:
+                return thread
+        return None
+
+    def _kill_handle(self, handle: object) -> None:
+        thread = self._find(handle)
+        if thread is None:
+            return
+        if thread is self.thread:
+            raise _KillError
+        self._end(thread)
+
+    def _join(self, handle: object) -> Steps:
+        thread = self._find(handle)
+        if thread is not None and thread is self.thread:
+            raise ValueError("a thread cannot wait for its own end")
+        while thread is not None and thread.alive:
+            yield
+
+    def _enter_critical(self) -> None:
+        self._holder = self.thread
+        if self._holder is not None:
+            self._holder.critical += 1
+
+    def _exit_critical(self) -> None:
+        holder = self._holder
+        if holder is not None:
+            holder.critical -= 1
+            if not holder.critical:
+                self._holder = None
+
+    def _endless(self) -> NoReturn:
+        raise RecursionError(
+            f"infinite loop: more than {self._steps_per_tick} statements in one control period (is a sync() missing?)"
+        )
+
+    def _deeper(self) -> None:
+        thread = self.thread
+        if thread is not None:
+            if thread.depth >= CALLS_MAX:
+                raise RecursionError(f"functions call themselves more than {CALLS_MAX} deep")
+            thread.depth += 1
+
+    def _shallower(self) -> None:
+        if self.thread is not None:
+            self.thread.depth -= 1
+
+    def _located(self, error: BaseException) -> ScriptRuntimeError | None:
+        """The error with the line and word of the program, or None if the program was not running."""
+        found = None
+        trace = error.__traceback__
+        while trace is not None:
+            if trace.tb_frame.f_code.co_filename == FILE:
+                found = trace
+            last, trace = trace, trace.tb_next
+        if found is None:
+            return None
+        positions = islice(found.tb_frame.f_code.co_positions(), found.tb_lasti // 2, None)
+        line, _, start, end = next(positions)
+        word = self.program.lines[(line or 1) - 1][start:end]
+        reason = str(error)
+        if isinstance(error, NameError) and found is last:
+            reason = "it has no value yet: nothing was assigned, or defined, so far"
+        elif isinstance(error, ZeroDivisionError):
+            reason = "division by zero"
+        return ScriptRuntimeError(line or 1, word, reason or type(error).__name__)
+
+
+def _halt() -> NoReturn:
+    raise _HaltError
+
+
+def machine_functions(tick_s: float) -> dict[str, Callable[..., Any]]:
+    """`sync` and `sleep`, for control periods of `tick_s`."""
+
+    def sync() -> Steps:
+        yield
+
+    def sleep(t: float) -> Steps:
+        if not 0 <= t <= 1e9:
+            raise ValueError(f"sleep takes 0 to 1e9 s, found {t}")
+        # A millionth of a period of tolerance: 0.1 s is 50 periods of 2 ms.
+        for _ in range(math.ceil(t / tick_s - 1e-6)):
+            yield
+
+    return {"sync": sync, "sleep": sleep}

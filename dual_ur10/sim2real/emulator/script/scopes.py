@@ -1,0 +1,204 @@
+"""What the names of a program stand for.
+
+A name that is declared `global` anywhere in the program is global, except where it is a parameter or declared `local`.
+A name that an enclosing function assigns (above all the program itself) is that function's variable, for assignments
+as well: drivers share their set-points between the program's threads that way, without a word of declaration. All
+other names that a function assigns are its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Final
+
+from lark import Token
+
+from dual_ur10.errors import ScriptSyntaxError
+from dual_ur10.sim2real.emulator.script.syntax import (
+    Assign,
+    Binary,
+    Call,
+    Define,
+    Expression,
+    If,
+    Index,
+    Kill,
+    ListOf,
+    Name,
+    Number,
+    Return,
+    Statement,
+    Text,
+    Unary,
+    While,
+)
+
+DEPTH_MAX: Final = 60
+"""How deeply expressions and blocks may be nested."""
+
+LOOPS_MAX: Final = 12
+"""How deeply loops may be nested within one function."""
+
+BRANCHES_MAX: Final = 300
+"""Most branches of one `if`."""
+
+
+@dataclass(slots=True, eq=False)
+class Function:
+    """A function, a thread or the program itself, with the names in it.
+
+    Attributes:
+        define: Its text.
+        parent: The function that it is defined in.
+        parameters: Names of its parameters.
+        local: Names declared `local` in it.
+        free: Names that it assigns without a declaration.
+        declared: Names that it declares `global`.
+        functions: What is defined in it, by name.
+        calls: What it calls or starts.
+        blocks: Whether a call of it may take a control period or more.
+        recursive: Whether it may call itself, directly or not.
+    """
+
+    define: Define
+    parent: Function | None
+    parameters: set[str] = field(default_factory=set)
+    local: set[str] = field(default_factory=set)
+    free: set[str] = field(default_factory=set)
+    declared: set[str] = field(default_factory=set)
+    functions: dict[str, Function] = field(default_factory=dict)
+    calls: list[Call] = field(default_factory=list)
+    blocks: bool = False
+    recursive: bool = False
+
+    def owns(self, name: str) -> bool:
+        """Whether a function within this one that uses the name means this one's variable."""
+        return name in self.parameters or name in self.local or name in self.free
+
+    def find(self, name: str) -> Function | None:
+        """The function of this name that a call from here means."""
+        scope: Function | None = self
+        while scope is not None:
+            if name in scope.functions:
+                return scope.functions[name]
+            scope = scope.parent
+        return None
+
+
+class Names:
+    """All functions of a program, and what its variables are.
+
+    Attributes:
+        functions: By the identity of their node; the program itself is the first.
+        shared: Names declared `global` anywhere.
+
+    Raises:
+        ScriptSyntaxError: A name is declared in two ways, or something is nested too deeply.
+    """
+
+    def __init__(self, program: Define) -> None:
+        self.functions: dict[int, Function] = {}
+        self.shared: set[str] = set()
+        self._define(program, None, 0)
+        for function in self.functions.values():
+            for name in function.declared & (function.parameters | function.local):
+                word = function.define.at
+                raise ScriptSyntaxError(word.line or 1, name, f"in {word} it is both global and local")
+
+    def place(self, name: str, function: Function) -> str | None:
+        """Where a variable is kept: "global", "own", "outer", or None if nothing assigns it."""
+        if name in function.parameters or name in function.local:
+            return "own"
+        if name in self.shared:
+            return "global"
+        outer = function.parent
+        while outer is not None:
+            if outer.owns(name):
+                return "outer"
+            outer = outer.parent
+        return "own" if name in function.free else None
+
+    def _define(self, node: Define, parent: Function | None, depth: int) -> None:
+        function = Function(node, parent)
+        self.functions[id(node)] = function
+        if parent is not None:
+            if node.kind == "sec":
+                raise _error(node.at, "a secondary program cannot be defined within another")
+            if node.at in parent.functions:
+                raise _error(node.at, "it is defined twice")
+            parent.functions[str(node.at)] = function
+        for name, default in node.parameters:
+            if name in function.parameters:
+                raise _error(name, "two parameters have this name")
+            function.parameters.add(str(name))
+            if default is not None and parent is not None:
+                self._expressions((default,), parent, depth + 1)
+        self._block(node.body, function, depth + 1, 0)
+
+    def _block(self, body: list[Statement], function: Function, depth: int, loops: int) -> None:
+        for statement in body:
+            if depth > DEPTH_MAX:
+                raise _error(statement.at, f"blocks are nested more than {DEPTH_MAX} deep")
+            self._statement(statement, function, depth, loops)
+
+    def _statement(self, node: Statement, function: Function, depth: int, loops: int) -> None:
+        match node:
+            case Assign():
+                if not node.items:
+                    self._assigned(node, function)
+                self._expressions((*node.items, node.value), function, depth)
+            case Call():
+                self._expressions((node,), function, depth)
+            case If():
+                if len(node.branches) > BRANCHES_MAX:
+                    raise _error(node.at, f"it has more than {BRANCHES_MAX} branches")
+                for _, condition, body in node.branches:
+                    self._expressions((condition,), function, depth)
+                    self._block(body, function, depth + 1, loops)
+                self._block(node.otherwise, function, depth + 1, loops)
+            case While():
+                if loops >= LOOPS_MAX:
+                    raise _error(node.at, f"loops are nested more than {LOOPS_MAX} deep")
+                self._expressions((node.condition,), function, depth)
+                self._block(node.body, function, depth + 1, loops + 1)
+            case Return() | Kill():
+                if node.value is not None:
+                    self._expressions((node.value,), function, depth)
+            case Define():
+                self._define(node, function, depth)
+
+    def _assigned(self, node: Assign, function: Function) -> None:
+        name = str(node.at)
+        if node.qualifier == "global":
+            self.shared.add(name)
+            function.declared.add(name)
+        elif node.qualifier == "local":
+            function.local.add(name)
+        else:
+            function.free.add(name)
+
+    def _expressions(self, nodes: Iterable[Expression], function: Function, depth: int) -> None:
+        for node in nodes:
+            if isinstance(node, (Number, Text, Name)):
+                continue
+            if depth > DEPTH_MAX:
+                raise _error(node.at, f"expressions are nested more than {DEPTH_MAX} deep")
+            inner: Iterable[Expression]
+            match node:
+                case Call():
+                    function.calls.append(node)
+                    inner = [*node.arguments, *(value for _, value in node.keywords)]
+                case Index():
+                    inner = [node.base, *node.items]
+                case ListOf():
+                    inner = node.items
+                case Unary():
+                    inner = (node.operand,)
+                case Binary():
+                    inner = (node.left, node.right)
+            self._expressions(inner, function, depth + 1)
+
+
+def _error(word: Token, reason: str) -> ScriptSyntaxError:
+    return ScriptSyntaxError(word.line or 1, str(word), reason)

@@ -1,0 +1,234 @@
+"""What a sample of a controller's state means, and whether an arm may move in it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any, Final, Self
+
+from dual_ur10.sim2real.links.rtde_stream import Sample
+from dual_ur10.sim2real.protocol.modes import RobotBits, RobotMode, RuntimeState, SafetyBits, SafetyMode
+
+Row = tuple[float, ...]
+
+_FIELDS: Final = {
+    "timestamp": "timestamp_s",
+    "robot_mode": "robot_mode",
+    "safety_mode": "safety_mode",
+    "robot_status_bits": "robot_bits",
+    "safety_status_bits": "safety_bits",
+    "runtime_state": "runtime_state",
+    "target_speed_fraction": "slider",
+    "speed_scaling": "speed_scaling",
+    "actual_q": "q_rad",
+    "actual_qd": "qd_rad_s",
+    "target_q": "target_q_rad",
+    "actual_TCP_pose": "tcp_pose",
+    "actual_TCP_speed": "tcp_speed",
+    "actual_TCP_force": "tcp_force",
+    "actual_current": "current_a",
+    "joint_temperatures": "temperature_c",
+    "actual_joint_voltage": "joint_voltage_v",
+    "actual_main_voltage": "main_voltage_v",
+    "actual_robot_voltage": "robot_voltage_v",
+    "actual_robot_current": "robot_current_a",
+    "actual_digital_input_bits": "digital_inputs",
+    "actual_digital_output_bits": "digital_outputs",
+    "standard_analog_input0": "analog_input0",
+    "standard_analog_input1": "analog_input1",
+}
+
+_OPTIONAL_FIELDS: Final = {"payload": "payload_kg", "payload_cog": "payload_cog_m", "tcp_offset": "tcp_offset"}
+
+STATUS_VARIABLES: Final = tuple(_FIELDS)
+"""RTDE variables of a status. Every version of a controller has them."""
+
+OPTIONAL_VARIABLES: Final = tuple(_OPTIONAL_FIELDS)
+"""RTDE variables that came with software 3.11, 3.12 and 5.5.1: UR's RTDE guide."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmStatus:
+    """State of one arm, as its controller tells it.
+
+    Attributes:
+        arrival_s: When it was read, on the clock of `time.monotonic`.
+        timestamp_s: The controller's own time.
+        robot_mode: As `RobotMode`, or any other number.
+        safety_mode: As `SafetyMode`, or any other number.
+        robot_bits: As `RobotBits`.
+        safety_bits: As `SafetyBits`.
+        runtime_state: As `RuntimeState`, or any other number.
+        slider: Speed slider, 0 to 1.
+        speed_scaling: What the controller makes of it, and of reduced mode and its own limits.
+        q_rad: (6,) measured joint angles.
+        qd_rad_s: (6,) measured joint speeds.
+        target_q_rad: (6,) where the controller wants the joints to be.
+        tcp_pose: (6,) measured: x, y, z in m, rotation vector in rad, in `base`.
+        tcp_speed: (6,) measured: m/s and rad/s.
+        tcp_force: (6,) N and N·m; a CB3 estimates it from the currents.
+        current_a: (6,) of the joints.
+        temperature_c: (6,) of the joints.
+        joint_voltage_v: (6,) of the joints.
+        main_voltage_v: Of the power supply.
+        robot_voltage_v: At the arm.
+        robot_current_a: Of the arm.
+        digital_inputs: Bits 0 to 7 standard, 8 to 15 configurable, 16 and 17 of the tool.
+        digital_outputs: Likewise.
+        analog_input0, analog_input1: V, or A.
+        payload_kg: What the controller was told of it, or None where it does not say.
+        payload_cog_m: (3,) its centre of mass, likewise.
+        tcp_offset: (6,) the tool centre point from the flange, likewise.
+    """
+
+    arrival_s: float
+    timestamp_s: float
+    robot_mode: int
+    safety_mode: int
+    robot_bits: int
+    safety_bits: int
+    runtime_state: int
+    slider: float
+    speed_scaling: float
+    q_rad: Row
+    qd_rad_s: Row
+    target_q_rad: Row
+    tcp_pose: Row
+    tcp_speed: Row
+    tcp_force: Row
+    current_a: Row
+    temperature_c: Row
+    joint_voltage_v: Row
+    main_voltage_v: float
+    robot_voltage_v: float
+    robot_current_a: float
+    digital_inputs: int
+    digital_outputs: int
+    analog_input0: float
+    analog_input1: float
+    payload_kg: float | None = None
+    payload_cog_m: Row | None = None
+    tcp_offset: Row | None = None
+
+    @classmethod
+    def from_sample(cls, sample: Sample) -> Self:
+        """The status that a sample of `STATUS_VARIABLES`, and maybe `OPTIONAL_VARIABLES`, tells.
+
+        Raises:
+            KeyError: A variable is missing.
+        """
+        values: Any = sample.values
+        found = {field: values[name] for name, field in _FIELDS.items()}
+        found |= {field: values[name] for name, field in _OPTIONAL_FIELDS.items() if name in values}
+        return cls(arrival_s=sample.arrival_s, **found)
+
+    def row(self) -> list[float]:
+        """All numbers in the order of `ROW`; NaN for what the controller does not say."""
+        row: list[float] = []
+        for name, size in ROW:
+            value = getattr(self, name)
+            if size == 1:
+                row.append(math.nan if value is None else float(value))
+            else:
+                row.extend((math.nan,) * size if value is None else value)
+        return row
+
+    @classmethod
+    def from_row(cls, row: Any) -> Self:
+        """The status of a row, as `row` makes it."""
+        numbers, found, at = list(map(float, row)), {}, 0
+        for name, size in ROW:
+            value: Any = numbers[at] if size == 1 else tuple(numbers[at : at + size])
+            if name in _WHOLE:
+                value = int(value)
+            elif name in _OPTIONAL_FIELDS.values() and math.isnan(numbers[at]):
+                value = None
+            found[name] = value
+            at += size
+        return cls(**found)
+
+
+_SIX: Final = (
+    *("q_rad", "qd_rad_s", "target_q_rad", "tcp_pose", "tcp_speed", "tcp_force"),
+    *("current_a", "temperature_c", "joint_voltage_v", "tcp_offset"),
+)
+_WHOLE: Final = frozenset(
+    ["robot_mode", "safety_mode", "robot_bits", "safety_bits", "runtime_state", "digital_inputs", "digital_outputs"]
+)
+
+ROW: Final = tuple(
+    (each.name, 6 if each.name in _SIX else 3 if each.name == "payload_cog_m" else 1) for each in fields(ArmStatus)
+)
+"""Names of a status's values, and how many numbers each is."""
+
+ROW_SIZE: Final = sum(size for _, size in ROW)
+"""Numbers of a status."""
+
+
+_STOPPING_BITS: Final = {
+    SafetyBits.PROTECTIVE_STOPPED: "protective stop",
+    SafetyBits.RECOVERY: "recovery mode",
+    SafetyBits.SAFEGUARD_STOPPED: "safeguard stop",
+    SafetyBits.SYSTEM_EMERGENCY_STOPPED: "system emergency stop",
+    SafetyBits.ROBOT_EMERGENCY_STOPPED: "robot emergency stop",
+    SafetyBits.EMERGENCY_STOPPED: "emergency stop",
+    SafetyBits.VIOLATION: "safety violation",
+    SafetyBits.FAULT: "safety fault",
+    SafetyBits.STOPPED_DUE_TO_SAFETY: "stopped due to safety",
+}
+
+_KNOWN_BITS: Final = int(SafetyBits.NORMAL | SafetyBits.REDUCED | sum(_STOPPING_BITS))
+
+# As plain numbers: operations of flags take several times as long, and this is asked for every sample.
+_NORMAL, _REDUCED = int(SafetyBits.NORMAL), int(SafetyBits.REDUCED)
+_FINE: Final = (_NORMAL,)
+_FINE_REDUCED: Final = (_NORMAL, _REDUCED, _NORMAL | _REDUCED)
+_POWER_ON, _TEACH_BUTTON = int(RobotBits.POWER_ON), int(RobotBits.TEACH_BUTTON)
+
+
+def stop_reason(status: ArmStatus, *, allow_reduced: bool = False, playing: bool = True) -> str | None:
+    """Why an arm must not move, or None if it may.
+
+    It may in safety mode 1 alone, and in 2 where reduced mode is allowed. Every other number is a stop, also one that
+    no document knows. The same holds of robot modes but 7, and of bits.
+
+    Args:
+        status: Of the arm.
+        allow_reduced: Whether it may move in reduced mode.
+        playing: Whether a program must be running, as while this program moves the arm; before that, none need be.
+    """
+    mode = status.safety_mode
+    if mode != SafetyMode.NORMAL and not (mode == SafetyMode.REDUCED and allow_reduced):
+        return f"safety mode {name_of(SafetyMode, mode)}"
+    bits = status.safety_bits
+    if bits not in (_FINE_REDUCED if allow_reduced else _FINE):
+        return f"safety status bits 0x{bits:x}: {_meaning(bits)}"
+    if status.robot_mode != RobotMode.RUNNING:
+        return f"robot mode {name_of(RobotMode, status.robot_mode)}"
+    if not status.robot_bits & _POWER_ON:
+        return f"robot status bits 0x{status.robot_bits:x}: no power"
+    # The button on the pendant's power switch is not looked at: what it brings about shows in the modes.
+    if status.robot_bits & _TEACH_BUTTON:
+        return f"robot status bits 0x{status.robot_bits:x}: freedrive button pressed"
+    if playing and status.runtime_state != RuntimeState.PLAYING:
+        return f"program state {name_of(RuntimeState, status.runtime_state)}"
+    if not all(map(math.isfinite, (*status.q_rad, *status.qd_rad_s, status.slider, status.speed_scaling))):
+        return "joint angles, joint speeds, slider or speed scaling that are no finite numbers"
+    return None
+
+
+def _meaning(bits: int) -> str:
+    found = [text for bit, text in _STOPPING_BITS.items() if bits & bit]
+    if bits & ~_KNOWN_BITS:
+        found.append(f"unknown bits 0x{bits & ~_KNOWN_BITS:x}")
+    if bits & _REDUCED:
+        found.append("reduced mode")
+    if not bits & (_NORMAL | _REDUCED):
+        found.append("neither normal nor reduced mode")
+    return ", ".join(found)
+
+
+def name_of(kind: type[SafetyMode] | type[RobotMode] | type[RuntimeState], number: int) -> str:
+    """A number with UR's word for it, such as "7 (RUNNING)", or "21 (unknown)"."""
+    known = {int(each): each.name for each in kind}
+    return f"{number} ({known.get(number, 'unknown')})"

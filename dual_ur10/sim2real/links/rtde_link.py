@@ -1,0 +1,318 @@
+"""A client of RTDE that only reads: how the state of an arm is watched, apart from whatever commands it.
+
+It needs no thread and never waits once it is made. It sends nothing after the start, so that it cannot disturb; it
+does not connect again by itself. Whether a controller lives is judged by the timestamp in its data and by nothing else:
+a connection that stands says nothing, and neither do packages that repeat themselves.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+import time
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Final, NoReturn, Self
+
+from dual_ur10.errors import LinkError, ProtocolError, SettingsError
+from dual_ur10.sim2real.control.servoj import TICK_S
+from dual_ur10.sim2real.links.link_socket import LinkSocket, checked_timeout
+from dual_ur10.sim2real.links.rtde_stream import TIMESTAMP, RtdeStream, Sample
+from dual_ur10.sim2real.protocol.rtde_codec import Frames, Kind, frame, split_names
+from dual_ur10.sim2real.protocol.rtde_types import TYPES, DataType
+
+PORT: Final = 30004
+
+_PROTOCOL: Final = 2
+_CB3: Final = 3  # last major version of its software
+_MOST_BYTES: Final = 1 << 20  # that one poll takes, however much there is
+_NOT_FOUND: Final = "NOT_FOUND"
+_UNFIT: Final = "this is no UR controller of a known version, or something between changes what it sends"
+
+
+class RtdeClient:
+    """An RTDE connection before its start: one request, one answer.
+
+    Args:
+        name: Of the arm, for messages.
+        host: IPv4 address.
+        port: Number.
+        deadline_s: When the controller must have told its version, on the clock of `time.monotonic`.
+
+    Attributes:
+        version: Major, minor, bugfix and build of the controller's software.
+
+    Raises:
+        LinkError: It has not, or speaks no version 2 of the protocol.
+    """
+
+    def __init__(self, name: str, host: str, port: int, deadline_s: float) -> None:
+        self.socket = LinkSocket(name, "RTDE", host, port, deadline_s)
+        self._frames = Frames()
+        try:
+            answer = self.request(Kind.REQUEST_PROTOCOL_VERSION, struct.pack(">H", _PROTOCOL), deadline_s)
+            if answer != b"\1":
+                raise self.socket.error(
+                    f"protocol version {_PROTOCOL} was not accepted", "update the controller's software"
+                )
+            self.version = self.ask_version(deadline_s)
+        except BaseException:
+            self.socket.close()
+            raise
+
+    @property
+    def rate_hz(self) -> float:
+        """How often the controller computes its state: by its version."""
+        return 1.0 / TICK_S["cb3" if self.version[0] <= _CB3 else "e-series"]
+
+    def ask_version(self, deadline_s: float) -> tuple[int, int, int, int]:
+        """Ask for the version of the controller's software.
+
+        Raises:
+            LinkError: There is no answer by then, or it is none.
+        """
+        answer = self.request(Kind.GET_URCONTROL_VERSION, b"", deadline_s)
+        if len(answer) != 16:
+            raise self.socket.error(f"{len(answer)} bytes as its version", _UNFIT)
+        major, minor, bugfix, build = struct.unpack(">4I", answer)
+        return major, minor, bugfix, build
+
+    def round_trips_s(self, count: int, deadline_s: float) -> list[float]:
+        """How long so many answers take, s.
+
+        Raises:
+            LinkError: They do not come by then.
+        """
+        found = []
+        for _ in range(count):
+            begin = time.monotonic()
+            self.ask_version(deadline_s)
+            found.append(time.monotonic() - begin)
+        return found
+
+    def request(self, kind: Kind, payload: bytes, deadline_s: float) -> bytes:
+        """The answer to a request.
+
+        Raises:
+            LinkError: There is none by then, or what comes is none.
+        """
+        self.socket.send(frame(kind, payload), deadline_s)
+        while True:
+            data = self.socket.receive(deadline_s)
+            try:
+                frames = [each for each in self._frames.feed(data) if each[0] != Kind.TEXT_MESSAGE]
+            except ProtocolError as error:
+                raise self.socket.error(str(error), _UNFIT) from error
+            if len(frames) == 1 and frames[0][0] == kind:
+                return frames[0][1]
+            if frames:
+                kinds = ", ".join(str(each) for each, _ in frames)
+                raise self.socket.error(f"packages of kind {kinds} as the answer to one of kind {int(kind)}", _UNFIT)
+
+    def set_up(self, kind: Kind, names: Sequence[str], prefix: bytes, deadline_s: float) -> tuple[int, list[str]]:
+        """Ask for a recipe.
+
+        Args:
+            kind: Of outputs or inputs.
+            names: Of its variables.
+            prefix: What comes before them.
+            deadline_s: When there must be an answer.
+
+        Returns:
+            Its number, 0 if it was refused, and for each name its type or why it was refused.
+
+        Raises:
+            LinkError: There is no answer by then, or it does not fit.
+        """
+        answer = self.request(kind, prefix + ",".join(names).encode("ascii"), deadline_s)
+        types = split_names(answer[1:])
+        if len(types) != len(names):
+            raise self.socket.error(f"{len(types)} types for {len(names)} variables", _UNFIT)
+        return answer[0], types
+
+
+class RtdeLink:
+    """Reads the variables of one controller.
+
+    Args:
+        host: IPv4 address.
+        variables: RTDE output variables. `timestamp` is always read.
+        frequency_hz: How often they are to come; None: as often as the controller computes them.
+        port: Number.
+        timeout_s: Within how long the link must stand, all phases together.
+        optional: Variables that are read if this version of the controller has them.
+        name: Of the arm, for messages.
+
+    Attributes:
+        version: Major, minor, bugfix and build of the controller's software.
+        frequency_hz: How often data were asked for.
+        variables: Names of what is read.
+
+    Raises:
+        SettingsError: An argument is not legal.
+        LinkError: There is no controller, it does not answer in time or in order, or it lacks a variable.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        variables: Sequence[str],
+        frequency_hz: float | None = None,
+        port: int = PORT,
+        timeout_s: float = 2.0,
+        *,
+        optional: Sequence[str] = (),
+        name: str = "",
+    ) -> None:
+        wanted, optional = _checked(variables, frequency_hz), _checked(optional, None)[1:]
+        deadline_s = time.monotonic() + checked_timeout(timeout_s)
+        client = RtdeClient(name, host, port, deadline_s)
+        self._socket = client.socket
+        self._fault = ""
+        try:
+            self.version = client.version
+            self.frequency_hz = client.rate_hz if frequency_hz is None else float(frequency_hz)
+            names = [*wanted, *(each for each in optional if each not in wanted)]
+            recipe, kinds = _outputs(client, names, set(optional) - set(wanted), self.frequency_hz, deadline_s)
+            self.variables = tuple(each for each, _ in kinds)
+            self._stream = RtdeStream(recipe, kinds, time.monotonic(), self._socket.where)
+            self._begin(deadline_s)
+        except BaseException:
+            self._socket.close()
+            raise
+
+    def _begin(self, deadline_s: float) -> None:
+        """Start the stream. Data may come together with the answer."""
+        self._socket.send(frame(Kind.START), deadline_s)
+        while not self._stream.started:
+            data = self._socket.receive(deadline_s)
+            self._take(data, time.monotonic())
+
+    @property
+    def where(self) -> str:
+        """Arm and address, for messages."""
+        return self._socket.where
+
+    @property
+    def latest(self) -> Sample | None:
+        """The newest sample, or None if none has come."""
+        return self._stream.latest
+
+    @property
+    def count(self) -> int:
+        """Samples so far."""
+        return self._stream.count
+
+    def age_s(self, now_s: float) -> float:
+        """How long the controller's time has stood still, as far as is known here, s.
+
+        Args:
+            now_s: Time of `time.monotonic`.
+        """
+        return now_s - self._stream.alive_s
+
+    def fileno(self) -> int:
+        """For `select`: readable when there is something to poll.
+
+        Raises:
+            ClosedError: The link was closed.
+        """
+        return self._socket.fileno()
+
+    def poll(self, now_s: float | None = None) -> list[Sample]:
+        """What has come since the last poll. It does not wait.
+
+        Args:
+            now_s: Time of `time.monotonic`; None: it is asked for.
+
+        Raises:
+            LinkError: The link is broken: the stream has ended, or what came is no data of this recipe, or the
+                controller's time went back. It stays broken; samples that came before are in `latest`.
+            ClosedError: The link was closed.
+        """
+        if self._fault:
+            raise LinkError(self._fault)
+        arrival_s = time.monotonic() if now_s is None else now_s
+        samples: list[Sample] = []
+        taken = 0
+        while taken < _MOST_BYTES:
+            try:
+                data = self._socket.receive_now()
+            except LinkError as error:
+                self._break(error)
+            if data is None:
+                break
+            if not data:
+                self._break(self._socket.ended())
+            samples += self._take(data, arrival_s)
+            taken += len(data)
+        return samples
+
+    def _take(self, data: bytes, arrival_s: float) -> list[Sample]:
+        try:
+            return self._stream.feed(data, arrival_s)
+        except ProtocolError as error:
+            self._break(self._socket.error(str(error), "check the controller and the network, then start again"))
+
+    def _break(self, error: LinkError) -> NoReturn:
+        self._fault = str(error)
+        self._socket.close()
+        raise error
+
+    def close(self) -> None:
+        """End the connection. May be called twice."""
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _checked(names: Sequence[str], frequency_hz: float | None) -> list[str]:
+    """The names, after the timestamp.
+
+    Raises:
+        SettingsError: One is none, or is there twice, or the frequency is none.
+    """
+    for name in names:
+        if not isinstance(name, str) or re.fullmatch(r"[A-Za-z0-9_]{1,64}", name) is None:
+            raise SettingsError(f"RTDE variable {name!r}: names have letters, digits and underscores only")
+    if isinstance(names, str) or len(set(names)) != len(names):
+        raise SettingsError(f"RTDE variables {names!r}: give a list in which each is there once")
+    if frequency_hz is not None and not (math.isfinite(frequency_hz) and frequency_hz > 0.0):
+        raise SettingsError(f"frequency_hz is {frequency_hz!r}: it must be positive and finite")
+    return [TIMESTAMP, *(name for name in names if name != TIMESTAMP)]
+
+
+def _outputs(
+    client: RtdeClient, names: list[str], optional: set[str], frequency_hz: float, deadline_s: float
+) -> tuple[int, list[tuple[str, DataType]]]:
+    """Set up the output recipe, without what is optional and not there.
+
+    Returns:
+        Its number, names and types.
+
+    Raises:
+        LinkError: It is refused.
+    """
+    prefix = struct.pack(">d", frequency_hz)
+    recipe, types = client.set_up(Kind.SETUP_OUTPUTS, names, prefix, deadline_s)
+    missing = [name for name, kind in zip(names, types, strict=True) if kind == _NOT_FOUND]
+    if missing and optional.issuperset(missing):
+        names = [name for name in names if name not in missing]
+        recipe, types = client.set_up(Kind.SETUP_OUTPUTS, names, prefix, deadline_s)
+        missing = [name for name, kind in zip(names, types, strict=True) if kind == _NOT_FOUND]
+    version = ".".join(map(str, client.version))
+    if missing:
+        raise client.socket.error(
+            f"software {version} has no RTDE variables {', '.join(missing)}", "update the controller's software"
+        )
+    unknown = sorted(set(types) - set(TYPES))
+    if unknown or not recipe:
+        raise client.socket.error(f"output recipe {recipe} with types {', '.join(types)[:200]}", _UNFIT)
+    return recipe, [(name, TYPES[kind]) for name, kind in zip(names, types, strict=True)]

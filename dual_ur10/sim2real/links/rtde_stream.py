@@ -1,0 +1,133 @@
+"""What comes on an RTDE connection after its start: bytes in, samples out, no sockets."""
+
+from __future__ import annotations
+
+import logging
+import math
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from dual_ur10.errors import ProtocolError
+from dual_ur10.sim2real.protocol.rtde_codec import HEADER, Frames, Kind
+from dual_ur10.sim2real.protocol.rtde_types import DataType, Value
+
+log = logging.getLogger(__name__)
+
+TIMESTAMP: Final = "timestamp"
+"""The controller's own time, s since it was started."""
+
+_LARGEST_TEXT: Final = HEADER.size + 1 + 255 + 1 + 255 + 1  # both its texts have one byte of length
+_MOST_TEXTS: Final = 20  # are logged; a controller that never stops talking does not fill the log
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One data package.
+
+    Attributes:
+        values: By RTDE's names: numbers, or tuples of them.
+        arrival_s: When it was read, on the clock of `time.monotonic`.
+    """
+
+    values: Mapping[str, Value]
+    arrival_s: float
+
+    @property
+    def timestamp_s(self) -> float:
+        """The controller's own time of it, s."""
+        time_s: Any = self.values[TIMESTAMP]
+        return float(time_s)
+
+
+class RtdeStream:
+    """Cuts the stream into samples, and watches the controller's time. It begins with the answer to the start.
+
+    Args:
+        recipe: Number of the output recipe, as the controller gave it.
+        variables: Names and types, in the order of the recipe; `timestamp` is one of them.
+        start_s: When the stream began, on the clock of `time.monotonic`.
+        where: For the log.
+
+    Attributes:
+        latest: The newest sample, or None.
+        alive_s: When the controller's time last went on; the start, if it has not yet.
+        count: Samples so far.
+        started: Whether the controller has answered the start.
+        size: Bytes of a data package.
+    """
+
+    def __init__(self, recipe: int, variables: Sequence[tuple[str, DataType]], start_s: float, where: str = "") -> None:
+        self.latest: Sample | None = None
+        self.alive_s = start_s
+        self.count = 0
+        self.started = False
+        self._recipe, self._where, self._texts = recipe, where, 0
+        self._struct = struct.Struct(">" + "".join(f"{kind.count}{kind.code}" for _, kind in variables))
+        self._scalars: list[tuple[str, int]] = []
+        self._vectors: list[tuple[str, slice]] = []
+        place = 0
+        for name, kind in variables:
+            if kind.count == 1:
+                self._scalars.append((name, place))
+            else:
+                self._vectors.append((name, slice(place, place + kind.count)))
+            place += kind.count
+        self.size = HEADER.size + 1 + self._struct.size
+        self._frames = Frames(max(self.size, _LARGEST_TEXT))
+
+    def feed(self, data: bytes, arrival_s: float) -> list[Sample]:
+        """The samples that `data` completes.
+
+        Args:
+            data: Bytes of the stream, cut anywhere.
+            arrival_s: When they were read.
+
+        Raises:
+            ProtocolError: What came is no package of this recipe, or the controller's time went back. Samples before
+                it count: the newest is `latest`.
+        """
+        samples = []
+        for kind, payload in self._frames.feed(data):
+            if kind == Kind.DATA_PACKAGE:
+                samples.append(self._sample(payload, arrival_s))
+            elif kind == Kind.TEXT_MESSAGE:
+                self._hear(payload)
+            elif kind == Kind.START and payload == b"\1" and not self.started:
+                self.started = True
+            else:
+                raise ProtocolError(f"RTDE package of kind {kind} with {payload[:8]!r}, which does not belong here")
+        return samples
+
+    def _sample(self, payload: bytes, arrival_s: float) -> Sample:
+        if not payload or payload[0] != self._recipe or len(payload) != 1 + self._struct.size:
+            number = payload[0] if payload else "no"
+            raise ProtocolError(
+                f"RTDE data package of recipe {number} with {len(payload)} bytes: expected are those of recipe "
+                f"{self._recipe}, {1 + self._struct.size} bytes"
+            )
+        flat = self._struct.unpack_from(payload, 1)
+        values: dict[str, Value] = {name: flat[place] for name, place in self._scalars}
+        for name, where in self._vectors:
+            values[name] = flat[where]
+        sample = Sample(values, arrival_s)
+        time_s, before = sample.timestamp_s, self.latest
+        if not math.isfinite(time_s):
+            raise ProtocolError(f"the controller's timestamp is {time_s}")
+        if before is None or time_s > before.timestamp_s:
+            self.alive_s = arrival_s
+        elif time_s < before.timestamp_s:
+            raise ProtocolError(
+                f"the controller's timestamp went back from {before.timestamp_s:.3f} to {time_s:.3f} s, as after a "
+                "restart"
+            )
+        self.latest = sample
+        self.count += 1
+        return sample
+
+    def _hear(self, payload: bytes) -> None:
+        self._texts += 1
+        if self._texts <= _MOST_TEXTS:
+            text = payload[1 : 1 + payload[0]] if payload else b""
+            log.warning("%s says: %r", self._where, text.decode("utf-8", "replace"))

@@ -1,0 +1,162 @@
+"""A gripper that opens and closes with a digital output of its controller, by RTDE.
+
+Commands go over an RTDE connection of their own that takes the mask and value of one group of outputs as inputs, and
+nothing else: no registers, so that those of `ur_rtde`'s control script are not touched. A second connection only reads
+the outputs back.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from typing import Final
+
+from dual_ur10.assets.gripper import OPENING_M
+from dual_ur10.sim2real.config.cell_file_entries import DigitalGripper
+from dual_ur10.sim2real.links.link_socket import checked_timeout
+from dual_ur10.sim2real.links.rtde_link import PORT, RtdeClient, RtdeLink
+from dual_ur10.sim2real.peripherals.gripper_link import GripperReading
+from dual_ur10.sim2real.protocol.rtde_codec import Kind, frame
+
+OUTPUTS: Final = "actual_digital_output_bits"
+
+STALE_S: Final = 0.5
+"""For how long the controller's time may stand still."""
+
+CHANGE_S: Final = 0.5
+"""Within how long a command must show in the outputs."""
+
+_RATE_HZ: Final = 25.0
+_IN_USE: Final = "IN_USE"
+_OPEN_ABOVE_M: Final = 0.55 * OPENING_M
+_CLOSED_BELOW_M: Final = 0.45 * OPENING_M  # between them it stays as it is: noise does not make it chatter
+_GROUPS: Final = (("standard", 0, 8), ("configurable", 8, 16), ("tool", 16, 18))  # UR's RTDE guide: bits of `OUTPUTS`
+
+
+class DigitalGripperLink:
+    """Opens above 55 % of a 2F-85's stroke, closes below 45 %, and stays as it is between them.
+
+    What it tells is the state of the output: nothing measures these fingers.
+
+    Args:
+        host: IPv4 address of the controller.
+        gripper: Its output, and the level that opens it.
+        timeout_s: For connecting.
+        port: Of RTDE.
+        name: Of the arm, for messages.
+
+    Raises:
+        SettingsError: An argument is not legal.
+        LinkError: There is no controller, or its outputs are in use by another program.
+    """
+
+    def __init__(
+        self, host: str, gripper: DigitalGripper, timeout_s: float = 2.0, port: int = PORT, *, name: str = ""
+    ) -> None:
+        group, first = next((group, first) for group, first, end in _GROUPS if gripper.output < end)
+        self._bit = gripper.output - first
+        self._mask, self._gripper = 1 << gripper.output, gripper
+        self._commanded: bool | None = None
+        self._due_s = 0.0
+        deadline_s = time.monotonic() + checked_timeout(timeout_s)
+        with ExitStack() as stack:
+            self._reader = stack.enter_context(RtdeLink(host, [OUTPUTS], _RATE_HZ, port, timeout_s, name=name))
+            self._sender = RtdeClient(name, host, port, deadline_s)
+            stack.callback(self._sender.socket.close)
+            names = (f"{group}_digital_output_mask", f"{group}_digital_output")
+            self._recipe = self._take_outputs(group, names, deadline_s)
+            while not self._reader.poll() and self._reader.latest is None:
+                if time.monotonic() >= deadline_s:
+                    raise self._sender.socket.error("no state of its outputs in time", "check the controller")
+                time.sleep(0.005)
+            self._connections = stack.pop_all()
+
+    def _take_outputs(self, group: str, names: tuple[str, str], deadline_s: float) -> int:
+        """Number of the input recipe."""
+        recipe, kinds = self._sender.set_up(Kind.SETUP_INPUTS, names, b"", deadline_s)
+        if _IN_USE in kinds:
+            raise self._sender.socket.error(
+                f"{group} digital outputs are in use", "end other programs and fieldbuses that set outputs there"
+            )
+        if not recipe or kinds != ["UINT8", "UINT8"]:
+            raise self._sender.socket.error(
+                f"{group} digital outputs of types {', '.join(kinds)}", "update the controller's software"
+            )
+        return recipe
+
+    @property
+    def where(self) -> str:
+        """Arm, gripper and address, for messages."""
+        return f"{self._sender.socket.where}, gripper at output {self._gripper.output}"
+
+    def read(self) -> GripperReading:
+        """The opening that belongs to the output.
+
+        Raises:
+            LinkError: The controller was lost, or its time stands still.
+            ClosedError: The link was closed.
+        """
+        self._check()
+        is_open = self._is_open()
+        fault = ""
+        if self._commanded is not None and is_open != self._commanded and time.monotonic() > self._due_s:
+            wanted = "open" if self._commanded else "close"
+            fault = (
+                f"output {self._gripper.output} does not {wanted} the gripper, as commanded {CHANGE_S:g} s ago: see "
+                "what else sets it, and that no action is assigned to it on the pendant"
+            )
+        return GripperReading(OPENING_M if is_open else 0.0, fault, None)
+
+    def _is_open(self) -> bool:
+        sample = self._reader.latest
+        bits = 0 if sample is None else sample.values[OUTPUTS]
+        return bool(int(bits) & self._mask) == self._gripper.open_level  # type: ignore[arg-type]  # a number, by its type
+
+    def _check(self) -> None:
+        """Take what has come on both connections.
+
+        Raises:
+            LinkError: One is lost.
+        """
+        self._reader.poll()
+        age_s = self._reader.age_s(time.monotonic())
+        if age_s > STALE_S:
+            raise self._sender.socket.error(
+                f"its time stands still for {age_s:.1f} s", "check the controller and the network"
+            )
+        data = self._sender.socket.receive_now()  # text messages are not of interest; the end is
+        if data == b"":
+            raise self._sender.socket.ended()
+
+    def command(self, opening_m: float) -> bool:
+        """Set the output, if that is another state than the last that was commanded.
+
+        Raises:
+            LinkError: The controller was lost.
+            ClosedError: The link was closed.
+        """
+        if _CLOSED_BELOW_M <= opening_m <= _OPEN_ABOVE_M:
+            return False
+        wanted = opening_m > _OPEN_ABOVE_M
+        if wanted == self._commanded:
+            return False
+        level = wanted == self._gripper.open_level
+        payload = bytes((self._recipe, 1 << self._bit, level << self._bit))
+        self._sender.socket.send(frame(Kind.DATA_PACKAGE, payload), time.monotonic() + CHANGE_S)
+        self._commanded, self._due_s = wanted, time.monotonic() + CHANGE_S
+        return True
+
+    def forget(self) -> None:
+        """The next command is sent in any case."""
+        self._commanded = None
+
+    def needs_activation(self) -> bool:
+        """It needs none."""
+        return False
+
+    def activate(self, within_s: float) -> None:
+        """There is nothing to do."""
+
+    def close(self) -> None:
+        """End both connections; the output stays as it is. May be called twice."""
+        self._connections.close()

@@ -1,0 +1,278 @@
+"""Clients of grippers: one question or command at a time, with an end to each. Threads are in `grippers`.
+
+A link sends nothing by itself, neither when it is made nor when it is closed: what is held stays held.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Final, NamedTuple, Protocol
+
+from dual_ur10.assets.gripper import FORCE_N, OPENING_M
+from dual_ur10.errors import SettingsError
+from dual_ur10.sim2real.links.link_socket import LinkSocket, checked_timeout
+
+COUNTS: Final = 255
+"""Steps of a Robotiq's position, force and speed."""
+
+ANSWER_S: Final = 0.5
+"""Within how long a gripper must answer."""
+
+_LONGEST: Final = 256  # of an answer, bytes
+_NOT_UNDERSTOOD: Final = "?"
+_RESET, _ACTIVE = 0, 3  # of STA
+_STOPPED: Final = (1, 2)  # of OBJ: by an object, while opening and while closing
+_ACTIVATION_FIRST: Final = 5
+_STEP_S: Final = 0.05
+
+FAULTS: Final = {
+    5: "a command has to wait for the end of the activation",
+    7: "it has to be activated before it takes commands",
+    8: "too hot: let it cool down",
+    9: "it has not heard from the controller for a second: check its cable",
+    10: "supply voltage too low: check the tool's power",
+    11: "automatic release is going on: the fingers open slowly",
+    12: "internal fault: switch its power off and on",
+    13: "the activation failed: see that nothing blocks the fingers",
+    14: "overcurrent",
+    15: "automatic release is complete: it has to be activated again",
+}
+"""What FLT says, by its lower four bits: Robotiq's manual of the 2F-85."""
+
+
+class GripperReading(NamedTuple):
+    """What a gripper tells.
+
+    Attributes:
+        opening_m: Distance of the fingers, 0 to `OPENING_M`; None if it does not tell.
+        fault: Why it would not do what it is told, or "".
+        holding: Whether something between or outside the fingers has stopped them; None if it does not tell.
+    """
+
+    opening_m: float | None
+    fault: str
+    holding: bool | None
+
+
+class GripperLink(Protocol):
+    """A connection to one gripper. Every call takes at most `ANSWER_S`, and `activate` as long as it is given."""
+
+    @property
+    def where(self) -> str:
+        """Arm, gripper and address, for messages."""
+        ...
+
+    def read(self) -> GripperReading:
+        """Ask how it is.
+
+        Raises:
+            LinkError: It was lost.
+        """
+        ...
+
+    def command(self, opening_m: float) -> bool:
+        """Open or close. Returns whether anything had to be sent.
+
+        Args:
+            opening_m: Distance of the fingers to go to, 0 to `OPENING_M`.
+
+        Raises:
+            LinkError: It was lost.
+        """
+        ...
+
+    def forget(self) -> None:
+        """What was commanded last may not hold any more, as somebody else may have moved it: the next one is sent."""
+        ...
+
+    def needs_activation(self) -> bool:
+        """Whether it must be activated before it takes commands.
+
+        Raises:
+            LinkError: It was lost.
+        """
+        ...
+
+    def activate(self, within_s: float) -> None:
+        """Activate it. The fingers open, and may close before: what they held falls.
+
+        Raises:
+            LinkError: It was lost, or has not become active by then.
+        """
+        ...
+
+    def close(self) -> None:
+        """End the connection; nothing is sent. May be called twice."""
+        ...
+
+
+def counts_of(opening_m: float) -> int:
+    """POS, 0 open to 255 closed, of an opening in m."""
+    return min(max(round(COUNTS * (1.0 - opening_m / OPENING_M)), 0), COUNTS)
+
+
+def opening_of(counts: int) -> float:
+    """Opening in m of POS."""
+    return OPENING_M * (1.0 - counts / COUNTS)
+
+
+def force_counts(force_n: float) -> int:
+    """FOR, 0 to 255, of a grip force in N.
+
+    Raises:
+        SettingsError: No 2F-85 grips so.
+    """
+    least, most = FORCE_N
+    if not (math.isfinite(force_n) and least <= force_n <= most):
+        raise SettingsError(f"grip force is {force_n!r} N: must be within {least:g} to {most:g} N")
+    return round(COUNTS * (force_n - least) / (most - least))
+
+
+class RobotiqLink:
+    """A Robotiq 2F-85 behind the text protocol of its URCap, which answers at the arm's controller.
+
+    Positions are taken to be linear from POS 0, fully open, to POS 255, closed.
+
+    Args:
+        host: IPv4 address of the controller.
+        port: Number.
+        force_n: Of the grip.
+        timeout_s: For connecting.
+        name: Of the arm, for messages.
+
+    Raises:
+        SettingsError: An argument is not legal.
+        LinkError: Nothing answers there.
+    """
+
+    def __init__(
+        self, host: str, port: int, force_n: float = FORCE_N[0], timeout_s: float = 2.0, *, name: str = ""
+    ) -> None:
+        self._force = force_counts(force_n)
+        deadline_s = time.monotonic() + checked_timeout(timeout_s)
+        self._socket = LinkSocket(name, "Robotiq gripper", host, port, deadline_s)
+        self._rest = b""
+        self._commanded: int | None = None
+        try:
+            self._told("STA", deadline_s)  # somebody is there, and speaks this protocol
+        except BaseException:
+            self._socket.close()
+            raise
+
+    @property
+    def where(self) -> str:
+        """Arm, gripper and address, for messages."""
+        return self._socket.where
+
+    def read(self) -> GripperReading:
+        """Ask for POS, STA, FLT and OBJ.
+
+        Raises:
+            LinkError: It was lost.
+            ClosedError: It was closed.
+        """
+        deadline_s = time.monotonic() + ANSWER_S
+        position, state, fault, stopped = (self._told(name, deadline_s) for name in ("POS", "STA", "FLT", "OBJ"))
+        opening_m = None if position is None else opening_of(position)
+        if position is None or state is None or fault is None or stopped is None:
+            text = "the controller does not reach its gripper: check the tool's power and the gripper's cable"
+            return GripperReading(opening_m, text, None)
+        text = ""
+        if fault:
+            code = fault & 15
+            text = f"FLT {fault}: {FAULTS.get(code, 'a fault that its manual does not list')}"
+        elif state != _ACTIVE:
+            text = f"not activated (STA {state}, expected {_ACTIVE}): activate it at the start of a run"
+        return GripperReading(opening_m, text, stopped in _STOPPED)
+
+    def command(self, opening_m: float) -> bool:
+        """Send it to an opening, with its force and full speed, if that is another step than the last.
+
+        Raises:
+            LinkError: It was lost, or does not take the command.
+            ClosedError: It was closed.
+        """
+        counts = counts_of(opening_m)
+        if counts == self._commanded:
+            return False
+        self._set(f"POS {counts} SPE {COUNTS} FOR {self._force} GTO 1", time.monotonic() + ANSWER_S)
+        self._commanded = counts
+        return True
+
+    def forget(self) -> None:
+        """The next command is sent in any case."""
+        self._commanded = None
+
+    def needs_activation(self) -> bool:
+        """Whether it is not active, or has a fault that only activation ends.
+
+        Raises:
+            LinkError: It was lost.
+            ClosedError: It was closed.
+        """
+        deadline_s = time.monotonic() + ANSWER_S
+        return self._told("STA", deadline_s) != _ACTIVE or (self._told("FLT", deadline_s) or 0) & 15 > _ACTIVATION_FIRST
+
+    def activate(self, within_s: float) -> None:
+        """Reset it, then activate it, and wait for the end of that.
+
+        Raises:
+            LinkError: It was lost, or has not become active by then.
+            ClosedError: It was closed.
+        """
+        end_s = time.monotonic() + within_s
+        self._commanded = None
+        for active, state in ((0, _RESET), (1, _ACTIVE)):
+            self._set(f"ACT {active}", time.monotonic() + ANSWER_S)
+            while (found := self._told("STA", time.monotonic() + ANSWER_S)) != state:
+                if time.monotonic() >= end_s:
+                    raise self._socket.error(
+                        f"not active after {within_s:g} s (STA {found}, expected {state})",
+                        "see that nothing blocks the fingers, and that the tool has power",
+                    )
+                time.sleep(_STEP_S)
+
+    def _set(self, words: str, deadline_s: float) -> None:
+        # "ack" comes without an end of line; whatever else comes has one.
+        answer = self._exchange(f"SET {words}", deadline_s, (b"ack", b"\n"))
+        if answer != "ack":
+            raise self._socket.error(
+                f"answers {answer[:40]!r} to 'SET {words}'", "expected is 'ack': check the tool's power and the port"
+            )
+
+    def _told(self, name: str, deadline_s: float) -> int | None:
+        """A register, or None if the controller cannot reach the gripper."""
+        answer = self._exchange(f"GET {name}", deadline_s, (b"\n",))
+        word, _, value = answer.partition(" ")
+        if word == name and value == _NOT_UNDERSTOOD:
+            return None
+        if word != name or not (value.isascii() and value.isdigit() and int(value) <= COUNTS):
+            raise self._socket.error(
+                f"answers {answer[:40]!r} to 'GET {name}'", f"expected is '{name} ' and a number: check the port"
+            )
+        return int(value)
+
+    def _exchange(self, line: str, deadline_s: float, ends: tuple[bytes, ...]) -> str:
+        """The answer to a line. Any failure ends the connection, so that a late answer is not taken for another's."""
+        try:
+            self._socket.send(line.encode("ascii") + b"\n", deadline_s)
+            buffer = self._rest
+            while True:
+                buffer = buffer.lstrip()  # of an "ack" that had an end of line after all
+                for end in ends:
+                    place = buffer.find(end)
+                    if place >= 0:
+                        place += len(end)
+                        self._rest = buffer[place:]
+                        return buffer[:place].decode("ascii", "replace").strip()
+                if len(buffer) > _LONGEST:
+                    raise self._socket.error(f"an answer of {len(buffer)} bytes", "this is no Robotiq gripper")
+                buffer += self._socket.receive(deadline_s)
+        except BaseException:  # an interrupt, too
+            self._socket.close()
+            raise
+
+    def close(self) -> None:
+        """End the connection; the gripper holds what it holds. May be called twice."""
+        self._socket.close()

@@ -1,0 +1,4 @@
+"""Child processes, shared memory, scheduling priority and interrupts.
+
+Imports nothing of UR or MuJoCo.
+"""

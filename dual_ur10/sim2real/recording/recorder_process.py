@@ -1,0 +1,329 @@
+"""What runs in the recorder's process."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import struct
+import threading
+import time
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from dual_ur10.errors import RecordingError
+from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.sim2real.recording.black_box import BlackBox
+from dual_ur10.sim2real.recording.log import RunLog
+from dual_ur10.sim2real.recording.run import Event, Header
+from dual_ur10.sim2real.recording.schemas import EVENT, EVENT_TOPIC, TOPICS
+from dual_ur10.sim2real.recording.writer import RunWriter
+from dual_ur10.sim2real.runtime.arm_memory import RING, ArmMemory, Phase
+from dual_ur10.sim2real.runtime.arm_sender import was_asked_for
+from dual_ur10.types import Array
+
+FRAME: Final = "<BId"
+"""What goes over the pipe: kind, bytes that follow, and a time on the run's clock. Kinds below are topics."""
+
+BLACK_BOX, CLOSE, READY, FAILED, WROTE, DONE = range(100, 106)
+
+POLL_S: Final = 0.05
+SYNC_S: Final = 1.0
+AFTER_STOP_S: Final = 1.0
+"""How long after a stop its black box is written, so that the stop itself is in it."""
+
+ORPHAN_S: Final = 3.0
+"""How long it goes on when the program has ended without a word, until both arms rest."""
+
+_MOST_TOLD: Final = 64 * 2**20
+
+
+class Recorder:
+    """Takes rows from the arms' memories, and what the program tells, and writes them.
+
+    Args:
+        memories: Of the arms, left and right.
+        folder: Of the run; None: nothing but black boxes is written.
+        header: Of the run.
+        black_boxes: Folder of black boxes.
+        begin_s: When the run's clock is 0, on that of `time.monotonic`.
+        least_free_bytes: Room that there must be on the disk.
+
+    Attributes:
+        failures: What could not be written, in order.
+        boxes: Black boxes that were written.
+
+    Raises:
+        RecordingError: A file cannot be made.
+    """
+
+    def __init__(
+        self,
+        memories: tuple[ArmMemory, ArmMemory],
+        folder: Path | None,
+        header: Header,
+        black_boxes: Path,
+        begin_s: float,
+        least_free_bytes: int,
+    ) -> None:
+        self._memories, self._begin_s = memories, begin_s
+        self.failures: list[str] = []
+        self.boxes: list[Path] = []
+        self._writer: RunWriter | None = None
+        self._log: RunLog | None = None
+        self.black_box = BlackBox(black_boxes, header)
+        if folder is not None:
+            self._writer = RunWriter(folder, header, least_free_bytes=least_free_bytes)
+            self._log = RunLog(folder, header)
+        # What was before the run began is none of its.
+        self._states = [memory.states(2**62)[1] for memory in memories]
+        self._sent = [memory.sent(2**62)[1] for memory in memories]
+        self._phases = [memory.phase for memory in memories]
+        self._stop = ""
+        self._stop_s = 0.0
+
+    @property
+    def now_s(self) -> float:
+        """Where the run's clock stands."""
+        return time.monotonic() - self._begin_s
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether no arm is moved any more."""
+        return all(memory.phase >= Phase.STOPPED for memory in self._memories)
+
+    def told(self, topic: str, time_s: float, data: bytes) -> None:
+        """The program tells something."""
+        self.black_box.single(topic, time_s, data)
+        if self._writer is not None:
+            self._writer.single(topic, time_s, data)
+        if topic == EVENT_TOPIC and self._log is not None:
+            self._guarded(self._log, Event(**EVENT.decode(data)))
+
+    def event(self, kind: str, text: str, arm: str = "") -> None:
+        """Something happened now."""
+        event = Event(self.now_s, kind, text, arm)
+        self.told(EVENT_TOPIC, event.time_s, EVENT.encode(vars(event)))
+
+    def ask_black_box(self, reason: str) -> None:
+        """A black box is to be written soon."""
+        if not self._stop:
+            self._stop, self._stop_s = reason, self.now_s
+
+    def poll(self, *, last: bool = False) -> None:
+        """Take what is new, and hand it over to the system."""
+        for arm in range(2):
+            self._take(arm)
+        self.black_box.forget(self._stop_s if self._stop else self.now_s)
+        if self._stop and (last or self.now_s > self._stop_s + AFTER_STOP_S):
+            reason, self._stop = self._stop, ""
+            try:
+                self.boxes.append(self.black_box.write(self.now_s, reason))
+            except RecordingError as error:
+                self.failures.append(f"no black box: {error}")
+        if self._writer is not None:
+            try:
+                self._writer.flush()
+            except RecordingError as error:
+                self.failures.append(str(error))
+                self._writer = None
+
+    def _take(self, arm: int) -> None:
+        memory = self._memories[arm]
+        rows, count = memory.states(self._states[arm])
+        rows = self._whole(arm, "states", rows, self._states[arm], count, memory.states(count)[1])
+        self._states[arm] = count
+        if len(rows):
+            rows[:, 0] -= self._begin_s
+            self.black_box.states(arm, rows)
+            if self._writer is not None:
+                self._writer.states(arm, rows)
+        sent, count = memory.sent(self._sent[arm])
+        rows = np.column_stack([sent.period, sent.index, sent.sent_s - self._begin_s, sent.late_s, sent.target_rad])
+        rows = self._whole(arm, "targets", rows, self._sent[arm], count, memory.sent(count)[1])
+        self._sent[arm] = count
+        if len(rows):
+            self.black_box.sent(arm, rows)
+            if self._writer is not None:
+                self._writer.sent(arm, rows)
+        phase = memory.phase
+        if phase != self._phases[arm]:
+            text = memory.text if phase >= Phase.STOPPING else ""
+            self._phases[arm] = phase
+            self.event("phase", f"{phase.name.lower()}{': ' if text else ''}{text}", ARMS[arm])
+            if phase >= Phase.STOPPING and not was_asked_for(text):
+                self.ask_black_box(text)
+
+    def _whole(self, arm: int, what: str, rows: Array, since: int, count: int, now: int) -> Array:
+        """The rows that nobody has begun to write over since; what is lost is said."""
+        first = count - len(rows)
+        torn = min(max(0, now - RING + 1 - first), len(rows))
+        lost = first - since + torn
+        if lost:
+            self.event("lost", f"{lost} {what}: this machine is too busy", ARMS[arm])
+        return rows[torn:]
+
+    def sync(self) -> bool:
+        """Wait until the disk has what was written. For another thread. Returns whether to do so again."""
+        writer = self._writer
+        return writer is not None and self._guarded(RunWriter.sync, writer)
+
+    def close(self) -> None:
+        """The run is over."""
+        self.poll(last=True)
+        writer, log, self._writer, self._log = self._writer, self._log, None, None
+        if writer is not None:
+            self._guarded(writer.close)
+        if log is not None:
+            log.close()
+
+    def _guarded(self, action: Callable[..., None], *arguments: object) -> bool:
+        """Do something that may fail. Returns whether it did not."""
+        try:
+            action(*arguments)
+        except RecordingError as error:
+            self.failures.append(str(error))
+            return False
+        return True
+
+
+def serve(number: int, *arguments: Any) -> None:
+    """Run in the recorder's process, which has the program's end of the pipe as an open file of this number."""
+    main(Connection(number), *arguments)
+
+
+def main(
+    connection: Connection,
+    names: tuple[str, str],
+    folder: Path | None,
+    header: Header,
+    black_boxes: Path,
+    begin_s: float,
+    parent: int,
+    least_free_bytes: int,
+) -> None:
+    """Run in the recorder's process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the program is told of it, and tells us
+    ending = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: ending.set())
+    pipe = _Pipe(connection)
+    try:
+        memories = ArmMemory(names[0]), ArmMemory(names[1])
+        recorder = Recorder(memories, folder, header, black_boxes, begin_s, least_free_bytes)
+    except (RecordingError, OSError, ValueError) as error:
+        pipe.say(FAILED, f"nothing is recorded: {error}")
+        return
+    pipe.say(READY)
+    _Loop(recorder, pipe, parent, ending).run()
+    for memory in memories:
+        memory.close()
+
+
+class _Loop:
+    """Polls until the program closes the recorder, or is gone."""
+
+    def __init__(self, recorder: Recorder, pipe: _Pipe, parent: int, ending: threading.Event) -> None:
+        self._recorder, self._pipe, self._parent, self._ending = recorder, pipe, parent, ending
+        self._told = 0  # failures and boxes that the program knows of
+        self._boxes = 0
+        self._over = threading.Event()
+
+    def run(self) -> None:
+        """Do so."""
+        recorder = self._recorder
+        syncing = threading.Thread(target=self._sync, daemon=True)
+        syncing.start()
+        due = time.monotonic()
+        while True:
+            closed = self._hear()
+            recorder.poll()
+            self._report()
+            if closed or self._ending.is_set():
+                break
+            if self._pipe.ended or os.getppid() != self._parent:
+                self._drain()
+                break
+            due = max(due + POLL_S, time.monotonic() - POLL_S)
+            time.sleep(max(0.0, due - time.monotonic()))
+        self._over.set()
+        self._hear()
+        syncing.join(SYNC_S)
+        recorder.close()
+        self._report()
+        self._pipe.say(DONE)
+
+    def _drain(self) -> None:
+        """The program has ended without a word: record how the arms come to rest."""
+        recorder, end = self._recorder, time.monotonic() + ORPHAN_S
+        recorder.event("orphaned", "the program that moved the arms has ended without closing its record")
+        recorder.ask_black_box("the program that moved the arms has ended")
+        while time.monotonic() < end and not recorder.at_rest:
+            time.sleep(POLL_S)
+            recorder.poll()
+
+    def _hear(self) -> bool:
+        """Take in what the program tells. Returns whether it closes the recorder."""
+        for kind, time_s, data in self._pipe.hear():
+            if kind == CLOSE:
+                return True
+            if kind == BLACK_BOX:
+                reason = data.decode()
+                self._recorder.event("stop", reason)
+                self._recorder.ask_black_box(reason)
+            else:
+                self._recorder.told(TOPICS[kind], time_s, data)
+        return False
+
+    def _report(self) -> None:
+        for text in self._recorder.failures[self._told :]:
+            self._pipe.say(FAILED, text)
+        for path in self._recorder.boxes[self._boxes :]:
+            self._pipe.say(WROTE, str(path))
+        self._told, self._boxes = len(self._recorder.failures), len(self._recorder.boxes)
+
+    def _sync(self) -> None:
+        while not self._over.wait(SYNC_S) and self._recorder.sync():
+            pass
+
+
+class _Pipe:
+    """The program's end of the line."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._heard = bytearray()
+        self.ended = False
+        os.set_blocking(connection.fileno(), False)
+
+    def say(self, kind: int, text: str = "") -> None:
+        """Tell the program, if it listens."""
+        line = text.encode()[:4096]
+        with contextlib.suppress(OSError):
+            os.write(self._connection.fileno(), struct.pack(FRAME, kind, len(line), 0.0) + line)
+
+    def hear(self) -> list[tuple[int, float, bytes]]:
+        """What the program has told: kind, time and data each."""
+        try:
+            while len(self._heard) < _MOST_TOLD:
+                piece = os.read(self._connection.fileno(), 2**20)
+                if not piece:
+                    self.ended = True
+                    break
+                self._heard += piece
+        except BlockingIOError:
+            pass
+        except OSError:
+            self.ended = True
+        found, at, size = [], 0, struct.calcsize(FRAME)
+        while len(self._heard) - at >= size:
+            kind, length, time_s = struct.unpack_from(FRAME, self._heard, at)
+            if len(self._heard) - at < size + length:
+                break
+            found.append((kind, time_s, bytes(self._heard[at + size : at + size + length])))
+            at += size + length
+        del self._heard[:at]
+        return found

@@ -1,0 +1,142 @@
+"""The record of a simulated run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from dual_ur10.errors import RecordingError, ResetNeededError
+from dual_ur10.kinematics import flange_pose_quat
+from dual_ur10.kinematics.rotations import quat_to_rotvec
+from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
+from dual_ur10.sim2real.processes.interrupts import held_back
+from dual_ur10.sim2real.recording.log import RunLog
+from dual_ur10.sim2real.recording.rows import BeginRow, StepRow, Trace
+from dual_ur10.sim2real.recording.run import Event, Header
+from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, SIMULATED_COLUMNS, STEP_TOPIC
+from dual_ur10.sim2real.recording.writer import LEAST_FREE_BYTES, RunWriter
+
+_ROW: Final = sum(size for _, size in SIMULATED_COLUMNS)
+
+
+class SimulationRecord:
+    """Records a run of one simulated cell, step by step, as a `dual_ur10.sim2real.recording.rows.RunRecorder`.
+
+    The run's clock is the simulated time of its episodes, one after the other. Ctrl-C waits until what is written is
+    whole: a message that is half in the file, or not in its checksum, would make all of it unreadable.
+
+    Args:
+        folder: Of the run; it exists.
+        header: Of the run.
+        least_free_bytes: Room that there must be on the disk.
+
+    Attributes:
+        writer: What writes the file.
+
+    Raises:
+        RecordingError: The file cannot be made.
+    """
+
+    failure = ""  # that of a simulation is raised
+
+    def __init__(self, folder: Path, header: Header, *, least_free_bytes: int = LEAST_FREE_BYTES) -> None:
+        self._tick_s, self._latency_ticks = header.tick_s, header.latency_ticks
+        self._dh = [_parameters(mount) for mount in header.mounts]
+        self._begin_s = 0.0
+        self._ticks = self._step = 0
+        self._episode = self._sent = -1
+        self.writer = RunWriter(folder, header, columns=SIMULATED_COLUMNS, least_free_bytes=least_free_bytes)
+        self._log = RunLog(folder, header)
+
+    @property
+    def now_s(self) -> float:
+        """Where the run's clock stands."""
+        return self._begin_s + self._ticks * self._tick_s
+
+    @held_back()
+    def begin_episode(self, row: BeginRow) -> None:
+        """An episode begins where the one before ended.
+
+        Raises:
+            RecordingError: The file cannot be written.
+        """
+        self._begin_s, self._ticks, self._step = self.now_s, 0, 0
+        self._episode += 1
+        self.writer.single(EPISODE_TOPIC, self._begin_s, row.encode(self._episode, self._begin_s))
+        self.writer.flush()
+
+    @held_back()
+    def step(self, row: StepRow, trace: Trace | None = None) -> None:
+        """A step is done. Of a step whose physics diverged, what is finite is kept.
+
+        Raises:
+            RecordingError: The file cannot be written.
+            ResetNeededError: No episode has begun.
+        """
+        if self._episode < 0:
+            raise ResetNeededError("a step was to be recorded before the first episode: call begin_episode first")
+        ticks = len(row.targets_rad)
+        if trace is not None:
+            row = replace(row, first_target=self._sent + 1 + self._latency_ticks)
+            self._trace(trace)
+        self._ticks += ticks
+        self.writer.single(STEP_TOPIC, self.now_s, row.encode(self._episode, self._step))
+        self._step += 1
+        self.writer.flush()
+
+    def _trace(self, trace: Trace) -> None:
+        ticks = len(trace.sent_rad)
+        numbers = self._ticks + np.arange(ticks)
+        sent_s, end_s = self._begin_s + numbers * self._tick_s, self._begin_s + (numbers + 1) * self._tick_s
+        first = self._sent + 1
+        self._sent += ticks
+        finite = np.isfinite(trace.q_rad).all(axis=(1, 2)) & np.isfinite(trace.qd_rad_s).all(axis=(1, 2))
+        good = ticks if finite.all() else int(finite.argmin())
+        for arm in range(2):
+            rows = np.empty((ticks, _ROW))
+            rows[:, 0] = rows[:, 1] = end_s
+            rows[:, 2:8], rows[:, 8:14], rows[:, 14:20] = (
+                each[:, arm] for each in (trace.q_rad, trace.qd_rad_s, trace.reference_rad)
+            )
+            rows = rows[:good]
+            position, quat = flange_pose_quat(rows[:, 2:8], self._dh[arm])
+            rows[:, 20:23], rows[:, 23:] = position, quat_to_rotvec(quat)
+            self.writer.states(arm, rows)
+            sent = np.zeros((ticks, 10))
+            sent[:, 0] = sent[:, 1] = first + np.arange(ticks)
+            sent[:, 2], sent[:, 4:] = sent_s, trace.sent_rad[:, arm]
+            self.writer.sent(arm, sent)
+
+    @held_back()
+    def event(self, kind: str, text: str, arm: str = "", time_s: float | None = None) -> None:
+        """Something happened.
+
+        Raises:
+            RecordingError: The file cannot be written.
+        """
+        event = Event(self.now_s if time_s is None else time_s, kind, text, arm)
+        self.writer.event(event)
+        self.writer.flush()
+        self._log(event)
+
+    @held_back()
+    def close(self) -> None:
+        """The run is over. May be called twice.
+
+        Raises:
+            RecordingError: The file cannot be written.
+        """
+        self._log.close()
+        self.writer.close()
+
+
+def _parameters(mount: dict[str, Any]) -> DHParameters:
+    """The kinematics in a header's mount; nominal where it says nothing."""
+    try:
+        given: dict[str, Any] = {name: tuple(value) for name, value in mount["dh"].items()} if "dh" in mount else {}
+        return DHParameters(**given) if given else NOMINAL_DH
+    except (AttributeError, TypeError) as error:
+        raise RecordingError(f"the kinematics {mount['dh']!r:.200} cannot be understood: {error}") from error

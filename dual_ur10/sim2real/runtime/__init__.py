@@ -1,0 +1,10 @@
+"""Two controllers as a cell: the runner, one process per arm, and the supervisor that stops both.
+
+    program ── RtdeCell ── Runner ──┬── arm process (left)  ── ur_rtde ──▶ left controller
+                   │                ├── arm process (right) ── ur_rtde ──▶ right controller
+                   │                └── supervisor ── own RTDE links, dashboard ──▶ both
+                   └──────────── shared memory: targets, states, stops, latch ─────────────┘
+
+The only room that loads `ur_rtde`. Imports all rooms of `sim2real` below it, never the emulator. Imported by
+`sim2real.recording` and `envs.core`.
+"""

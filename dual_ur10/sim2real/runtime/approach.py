@@ -1,0 +1,207 @@
+"""The slow way to where a task begins: straight in the joints, one arm after the other where both at once may not."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from dual_ur10.errors import StartError
+from dual_ur10.kinematics.forward import tips
+from dual_ur10.kinematics.ur10 import ARMS, JOINT_RANGE_RAD, JOINTS
+from dual_ur10.sim2real.control.clearance import Clearance
+from dual_ur10.types import Array
+
+if TYPE_CHECKING:
+    from dual_ur10.sim2real.config.cell import CellConfig
+    from dual_ur10.sim2real.control.limits import MotionLimits, Three
+
+SPEED_RAD_S: Final = 0.2
+TCP_SPEED_M_S: Final = 0.25
+"""Most that a joint, and a flange, elbow or tool centre point, does on the way to a start: reduced speed of ISO
+10218-1."""
+
+ACCELERATION_RAD_S2: Final = 0.5
+
+_ROOM: Final = 0.9  # of a limit of speed
+_END_RAD: Final = 0.1  # of a joint's range, from which nothing begins: a turn too many is near
+_ROUNDING_M: Final = 1e-6  # by which a pair that stays as far apart as it is may seem to be closer
+_STEP_RAD: Final = 0.02  # between postures at which distances are looked at
+# Of the polynomial of fifth degree from rest to rest.
+_PEAK_SPEED, _PEAK_ACCELERATION, _PEAK_JERK = 1.875, 10 / math.sqrt(3), 60.0
+
+
+@dataclass(frozen=True)
+class Rates:
+    """How fast arms go to a start at most, in real time.
+
+    Attributes:
+        speed_rad_s: Speed of a joint.
+        tcp_speed_m_s: Speed of a flange, elbow or tool centre point.
+        acceleration_rad_s2: Acceleration of a joint.
+        jerk_rad_s3: Its jerk.
+        tcp_m: Tool centre point of the left and the right arm in its flange's frame.
+    """
+
+    speed_rad_s: float = SPEED_RAD_S
+    tcp_speed_m_s: float = TCP_SPEED_M_S
+    acceleration_rad_s2: float = ACCELERATION_RAD_S2
+    jerk_rad_s3: float = math.inf
+    tcp_m: tuple[Three, Three] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+    def capped(self, config: CellConfig) -> Rates:
+        """The same, as far as a cell allows it."""
+        own = {each.name: getattr(config, each.name) for each in fields(self) if each.name != "tcp_m"}
+        given = {name: min(value, getattr(self, name)) for name, value in own.items() if value is not None}
+        return replace(self, tcp_m=config.tcp_m, **given)
+
+    def within(self, limits: MotionLimits, speed_factor: float) -> Rates:
+        """The same, as far as the safety gate lets through what has these limits in the time of its targets."""
+        return Rates(
+            min(self.speed_rad_s, _ROOM * min(limits.speed_rad_s) * speed_factor),
+            min(self.tcp_speed_m_s, _ROOM * limits.tcp_speed_m_s * speed_factor),
+            # Half of it, for the brake begins while the arms still gather speed.
+            min(self.acceleration_rad_s2, limits.acceleration_rad_s2 / 2 * speed_factor**2),
+            min(self.jerk_rad_s3, limits.jerk_rad_s3 / 2 * speed_factor**3),
+            limits.tcp_m,
+        )
+
+
+class Leaving:
+    """Distances for the gate on the way from where arms may stand too close: they may go apart, and no closer.
+
+    Args:
+        clearance: Measures distances.
+        start_rad: (2, 6) where the arms are.
+    """
+
+    def __init__(self, clearance: Clearance, start_rad: Array) -> None:
+        self._clearance = clearance
+        short = clearance.shortfall_m(np.asarray(start_rad).reshape(12))
+        self._short = np.where(short > 0.0, short + _ROUNDING_M, 0.0)
+
+    def spare_m(self, q_rad: Array) -> Array:
+        """(1, pairs) by how much each pair is farther apart than allowed, or than at the beginning, at (1, 12)."""
+        spare: Array = self._short - self._clearance.shortfall_m(q_rad[0])
+        return spare[None]
+
+    def spare_of_balls_m(self) -> Array:
+        """As `Clearance.spare_of_balls_m`: no more may be needed than there."""
+        return self._clearance.spare_of_balls_m()
+
+    def travel_m(self, way_rad: Array) -> Array:
+        """As `Clearance.travel_m`."""
+        return self._clearance.travel_m(way_rad)
+
+    def alone(self) -> Leaving:
+        """Itself: there is one posture at a time."""
+        return self
+
+    def worst(self, q_rad: Array) -> tuple[str, float, float]:
+        """As `Clearance.worst`, of what comes closer than it may here."""
+        return self._clearance.worst(q_rad, self._short)
+
+
+class Approach:
+    """A way from one posture of both arms to another, from rest to rest on every part of it.
+
+    Args:
+        parts: (k, 12) postures, straight ways between which are gone one after the other.
+        speed_factor: How fast the time of its targets will pass: in real time it is as slow as it should be.
+        rates: What that is.
+    """
+
+    def __init__(self, parts: Sequence[Array], speed_factor: float = 1.0, rates: Rates | None = None) -> None:
+        self.parts = list(parts)
+        self._speed_factor, self._rates = speed_factor, rates or Rates()
+        self.durations_s = [self._duration_s(*ends) for ends in itertools.pairwise(self.parts)]
+
+    @property
+    def duration_s(self) -> float:
+        """How long it takes, in real time."""
+        return sum(self.durations_s)
+
+    def _duration_s(self, start: Array, end: Array) -> float:
+        way = float(np.abs(end - start).max())
+        if way == 0.0:
+            return 0.0
+        shares = np.linspace(0.0, 1.0, 2 + math.ceil(way / _STEP_RAD))
+        along = start + shares[:, None] * (end - start)
+        points = tips(along.reshape(-1, 2, 6), self._rates.tcp_m)
+        tip = float(np.linalg.norm(np.diff(points, axis=0), axis=-1).max()) / (shares[1] - shares[0])
+        rates = self._rates
+        by_speed: float = _PEAK_SPEED * max(way / rates.speed_rad_s, tip / rates.tcp_speed_m_s)
+        by_acceleration = math.sqrt(_PEAK_ACCELERATION * way / rates.acceleration_rad_s2)
+        return max(by_speed, by_acceleration, math.cbrt(_PEAK_JERK * way / rates.jerk_rad_s3))
+
+    def targets(self, tick_s: float) -> Array:
+        """The targets, (ticks, 2, 6), without the first posture, with the last."""
+        rows = []
+        for (start, end), duration_s in zip(itertools.pairwise(self.parts), self.durations_s, strict=True):
+            ticks = math.ceil(duration_s * self._speed_factor / tick_s)
+            share = np.arange(1, ticks + 1) / max(ticks, 1)
+            eased = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+            rows.append(start + eased[:, None] * (end - start))
+        last = self.parts[-1][None]
+        return np.concatenate([*rows, last]).reshape(-1, 2, 6)
+
+
+def plan(
+    q_rad: Array, goal_rad: Array, clearance: Clearance, speed_factor: float = 1.0, rates: Rates | None = None
+) -> Approach:
+    """A way on which nothing comes closer than the safety gate allows, or than it is at the beginning.
+
+    Args:
+        q_rad: (2, 6) where the arms are.
+        goal_rad: (2, 6) where they are to be.
+        clearance: Measures distances.
+        speed_factor: See `Approach`.
+        rates: See `Approach`.
+
+    Raises:
+        StartError: A joint is at an end of its range, or no way was found.
+    """
+    start, goal = np.array(q_rad).reshape(12), np.array(goal_rad).reshape(12)
+    allowed: Array = JOINT_RANGE_RAD - _END_RAD
+    outside = ~(np.abs(start) <= np.tile(allowed, 2))
+    if outside.any():
+        arm, joint = divmod(int(outside.argmax()), 6)
+        raise StartError(
+            f"{ARMS[arm]}: {JOINTS[joint]} is at {start[outside][0]:.3f} rad, allowed are "
+            f"±{allowed[joint]:.3f}: turn it back by hand"
+        )
+    left_first = np.concatenate([goal[:6], start[6:]])
+    right_first = np.concatenate([start[:6], goal[6:]])
+    ways = ([start, goal], [start, left_first, goal], [start, right_first, goal])
+    for way in ways:
+        if all(_is_clear(*ends, clearance) for ends in itertools.pairwise(way)):
+            return Approach(way, speed_factor, rates)
+    raise StartError(
+        f"no straight way leads from where the arms are to the start of the task: {_nearest(start, goal, clearance)}. "
+        "Bring them nearer to it by hand"
+    )
+
+
+def _along(start: Array, end: Array) -> Array:
+    count = 1 + math.ceil(float(np.abs(end - start).max()) / _STEP_RAD)
+    return start + np.linspace(0.0, 1.0, count + 1)[1:, None] * (end - start)
+
+
+def _is_clear(start: Array, end: Array, clearance: Clearance) -> bool:
+    # Where the arms stand too close, they may go apart.
+    short = clearance.shortfall_m(start)
+    for posture in _along(start, end):
+        now = clearance.shortfall_m(posture)
+        if (now > np.maximum(short, 0.0) + _ROUNDING_M).any():
+            return False
+        short = np.minimum(short, now)
+    return True
+
+
+def _nearest(start: Array, goal: Array, clearance: Clearance) -> str:
+    worst = min((clearance.worst(posture) for posture in _along(start, goal)), key=lambda found: found[1] - found[2])
+    return f"{worst[0]} would come within {1e3 * worst[1]:.0f} mm, allowed are {1e3 * worst[2]:.0f} mm"

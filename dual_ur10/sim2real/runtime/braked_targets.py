@@ -1,0 +1,49 @@
+"""Targets as they lie in shared memory: each window has the brake behind it, as nobody knows whether more will come."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dual_ur10.errors import SettingsError
+from dual_ur10.sim2real.control.limits import HISTORY, Envelope, MotionLimits
+from dual_ur10.sim2real.runtime.arm_memory import RING
+from dual_ur10.sim2real.runtime.runner import Runner
+from dual_ur10.types import Array
+
+
+class BrakedTargets:
+    """Writes the targets of both arms, with the brake behind them that a safety gate has checked.
+
+    Args:
+        limits: Those of the gate: its brake follows from them.
+        tick_s: Control period.
+        most_ticks: How many targets are written at once, or ahead, at most.
+
+    Raises:
+        SettingsError: Under these limits the arms need longer to come to rest than is kept ready.
+    """
+
+    def __init__(self, limits: MotionLimits, tick_s: float, most_ticks: int) -> None:
+        self._brake: Array = Envelope(limits, tick_s, 1).whole_brake()
+        count, most = len(self._brake), RING // 2 - most_ticks
+        if count > most:
+            raise SettingsError(
+                f"the limits of this cell need a brake of {count * tick_s:.1f} s, {most * tick_s:.1f} s is "
+                "the most that is kept ready: allow more acceleration or jerk, or less speed"
+            )
+        self._past: Array = np.zeros((HISTORY, 2, 6))  # the last targets but those of the brake
+
+    def rest_at(self, q_rad: Array) -> None:
+        """Both arms rest at (2, 6)."""
+        self._past = np.tile(q_rad, (HISTORY, 1, 1))
+
+    def write(self, runner: Runner, first: int, targets_rad: Array) -> bool:
+        """Write targets, (k, 2, 6), of number `first` on, if there still is time. Returns whether there was."""
+        last = np.concatenate([self._past, targets_rad])[-HISTORY:]
+        past = last.reshape(HISTORY, 12)
+        brake = past[-1] + self._brake @ (past - past[-1])
+        whole = np.concatenate([targets_rad, brake.reshape(-1, 2, 6)])
+        if not runner.write(first, whole):
+            return False
+        self._past = last
+        return True

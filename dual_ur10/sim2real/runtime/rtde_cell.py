@@ -1,0 +1,425 @@
+"""The cell of two controllers: the arms move by processes of their own, in real time, and a twin shows where they are.
+
+The same commands come in as to the simulated cell. They lie in shared memory before their control periods begin, each
+with the brake behind it that the safety gate has already checked: where nothing comes in time, both arms brake along
+it together.
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+import math
+import time
+import weakref
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any, Final
+
+import numpy as np
+
+from dual_ur10.errors import ClosedError, LinkError, SettingsError, StartError
+from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, rotate
+from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.sim2real.commissioning.operator_prompts import Confirm, confirmation
+from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
+from dual_ur10.sim2real.control.adapter import GRIPPER_OPENING_M, Command
+from dual_ur10.sim2real.control.clearance import Clearance
+from dual_ur10.sim2real.control.command_queue import MAX_LATENCY_TICKS
+from dual_ur10.sim2real.control.limits import MotionLimits
+from dual_ur10.sim2real.links.arm_status import ArmStatus
+from dual_ur10.sim2real.peripherals.grippers import Grippers
+from dual_ur10.sim2real.peripherals.object_placer import EmulatorKnobs
+from dual_ur10.sim2real.peripherals.object_tracker import Flanges, ObjectTracker, tracker_of
+from dual_ur10.sim2real.runtime.approach import Approach, Rates, plan
+from dual_ur10.sim2real.runtime.braked_targets import BrakedTargets
+from dual_ur10.sim2real.runtime.path_to_start import AHEAD_TICKS, WayToStart
+from dual_ur10.sim2real.runtime.runner import Runner, margin_ticks
+from dual_ur10.sim2real.runtime.tracking import Heat
+from dual_ur10.sim2real.runtime.twin import Twin
+from dual_ur10.types import Array, Rows
+
+log = logging.getLogger(__name__)
+
+_OF_TASK: Final = ("equipment", "timestep_s", "gains", "meshes", "wrench_noise", "perturbation")
+"""What of a cell is the task's, for looks, or for simulation alone."""
+
+_LOOK_S: Final = 0.01
+_OPENING_S: Final = 4.0
+_OPENING_M: Final = 0.003  # that a gripper may be from what was asked, where nothing is between its fingers
+
+
+class RtdeCell:
+    """Two arms and what stands between them, behind two controllers.
+
+    To make one connects and checks, and moves nothing.
+
+    Args:
+        config: The cell, with a task's equipment, made of a cell file.
+        ticks: Targets per call of `advance`.
+        limits: Of the task, in its own time: the brake of the gate follows from them.
+        clearance: Measures the distances on the way to a start.
+        latency_ticks: L: what is commanded acts so many ticks later.
+        coupled: Whether the arms hold one object between them.
+        confirm: Asked before the arms move to a start, with what will happen; None: an emulated cell needs none, and
+            for real arms somebody at the terminal is asked.
+        only: "left" or "right": the arm that moves, while the other one stays where it is; None: both.
+
+    Raises:
+        SettingsError: There is no cell file, the configuration is not what that says, or the latency is not legal.
+        CellFaulted: The arms were stopped, and nobody has cleared that.
+        CellBusyError: Another program moves one of them.
+        StartError: A controller is not ready.
+        LinkError: A controller or a gripper cannot be reached.
+    """
+
+    n = 1
+
+    def __init__(
+        self,
+        config: CellConfig,
+        ticks: int,
+        *,
+        limits: MotionLimits,
+        clearance: Clearance,
+        latency_ticks: int,
+        coupled: bool = False,
+        confirm: Confirm | None = None,
+        only: str | None = None,
+    ) -> None:
+        if config.file is None:
+            raise SettingsError("a cell of two controllers is made of a cell file: pass its path as `cell`")
+        least = margin_ticks(config.servoj.tick_s) + 1
+        if not (isinstance(latency_ticks, int | np.integer) and least <= latency_ticks <= MAX_LATENCY_TICKS):
+            raise SettingsError(
+                f"action_latency_ticks is {latency_ticks!r}: two controllers need {least} to "
+                f"{MAX_LATENCY_TICKS}, the time from a measurement to the first target that follows from it"
+            )
+        _check_as_said(config)
+        if config.equipment.welded:
+            raise SettingsError("arms that are welded to what they hold exist in simulation only: use a friction grasp")
+        self.config, self.file, self.ticks, self.latency_ticks = config, config.file, ticks, int(latency_ticks)
+        self.rested_q_rad: Array | None = None
+        self.late_periods = 0
+        self.first_target: int | None = None
+        self._tick_s = config.servoj.tick_s
+        self._targets = BrakedTargets(limits, self._tick_s, max(AHEAD_TICKS, ticks))
+        self._way = WayToStart(limits, clearance, self._tick_s, ticks, self.file.speed_factor, self._targets)
+        self._limits, self._clearance, self._confirm = limits, clearance, confirm
+        self._only = None if only is None else ARMS.index(only)
+        self._twin = Twin(config.scene)
+        self._origin: int | None = None  # number of the target that belongs to tick 0 of the episode
+        self._elapsed = 0
+        self._heat = [Heat(name) for name in ARMS]
+        self._grippers: Grippers | None = None
+        self._tracker: ObjectTracker | None = None
+        self._knobs: EmulatorKnobs | None = None
+        gc.collect()  # while no thread yet waits for an answer: of a large program it takes half a second
+        self._runner: Runner | None = Runner(self.file, config, coupled=coupled)
+        self._end = weakref.finalize(self, self._runner.close)
+        try:
+            gc.freeze()
+            self._equip()
+        except BaseException:
+            self.close()
+            raise
+
+    def _equip(self) -> None:
+        """Connect to grippers, and to what says where the object is."""
+        equipment, file = self.config.equipment, self.file
+        if equipment.grippers:
+            for name, arm in zip(ARMS, file.arms, strict=True):
+                if arm.gripper.kind == "none":
+                    raise SettingsError(f"this task needs grippers, and {name}.gripper in {file.source} is of none")
+            runner = self._open
+            self._grippers = Grippers(file, force_n=equipment.grip_force_n, may=lambda: runner.moves_on)
+        self._tracker = tracker_of(file, equipment.prop or "")
+        if file.emulator is not None:
+            self._knobs = EmulatorKnobs(file.left.host, file.emulator.port)
+
+    # An episode.
+
+    def reset(
+        self,
+        start: Start,
+        rows: Rows | None = None,
+        *,
+        seeds: Sequence[int] | None = None,
+        perturbation: Mapping[str, Array] | None = None,
+    ) -> CellState:
+        """Bring both arms to rest, and then slowly to where an episode begins, if a person agrees.
+
+        Args:
+            start: How it begins.
+            rows: As for simulated cells; here there is one.
+            seeds: Of simulated cells; without meaning here.
+            perturbation: Likewise.
+
+        Raises:
+            StartError: No way leads there, nobody has agreed, or an arm or gripper does not get there.
+            CellFaulted: The arms were stopped.
+            LinkError: A gripper or what tracks the object was lost.
+        """
+        runner = self._open
+        runner.check()
+        self.finish()
+        if runner.begun:
+            runner.wait_for(runner.end)
+            now = runner.last()
+        else:
+            now = np.array([each.q_rad for each in runner.statuses()])
+        goal = np.array(start.q_rad, dtype=np.float64).reshape(2, 6)
+        if self._only is not None:
+            goal[1 - self._only] = now[1 - self._only]
+        factor = self.file.speed_factor
+        rates = Rates().capped(self.config).within(self._limits, factor)
+        approach = plan(now, goal, self._clearance, factor, rates)
+        self._ask(self._question(approach, start))
+        runner.check()  # a person may have taken minutes
+        self._open_grippers(runner, start)
+        if not runner.begun:
+            runner.begin(now)
+        self._way.go(runner, now, approach.targets(self._tick_s))
+        statuses = self._way.arrived(runner, goal)
+        if self._knobs is not None and start.object_pose is not None:
+            pose = np.asarray(start.object_pose).reshape(7)
+            self._knobs.place(pose[:3].tolist(), pose[3:].tolist())
+            time.sleep(2.0 * _LOOK_S)
+        target = None if start.target_pose is None else np.asarray(start.target_pose).reshape(7)
+        self._twin.aim(None if target is None else (target[:3], target[3:]))
+        self._origin, self._elapsed = None, 0
+        self.rested_q_rad = None if self._only is None else goal[None]
+        # What stands now would be gone through in the middle of the episode, for longer than an action may take.
+        # It is not collected here: no thread runs meanwhile, and a gripper or a camera would seem to be lost.
+        gc.freeze()
+        return self._state(statuses)
+
+    def advance(self, command: Command) -> CellState:
+        """Command [now + L, now + L + period), and return the state at the end of [now, now + period), in real time.
+
+        Raises:
+            CellFaulted: Both arms are stopped.
+            LinkError: A gripper or what tracks the object was lost. Both arms are stopped for good.
+        """
+        runner = self._open
+        runner.check()
+        if self._origin is None:
+            self._origin = runner.next
+        first = self._origin + self._elapsed + self.latency_ticks
+        self.first_target = first
+        self._elapsed += self.ticks
+        self.rested_q_rad = None
+        if not self._targets.write(runner, first, command.targets_rad[0]):
+            return self._rest(runner)
+        runner.cell.expect(first + self.ticks, live=True)
+        try:
+            if self._grippers is not None and command.gripper_m is not None:
+                self._grip(runner, first, command.gripper_m[0, 0])
+            end = self._origin + self._elapsed
+            runner.wait_for(end)
+            return self._state(runner.statuses_after(end))
+        except (LinkError, ClosedError) as error:
+            runner.stop(str(error))
+            raise
+
+    def _grip(self, runner: Runner, first: int, opening_m: Array) -> None:
+        """Open or close when the time of target `first` comes; not, while a speed slider lets no time pass."""
+        at_s = runner.time_of(first)
+        if math.isfinite(at_s) and self._grippers is not None:
+            openings: list[float | None] = [float(each) for each in opening_m]
+            if self._only is not None:
+                openings[1 - self._only] = None
+            self._grippers.command(openings, at_s)
+
+    def _rest(self, runner: Runner) -> CellState:
+        """The action came too late: both arms have begun to brake, and are let come to rest."""
+        self.late_periods += 1
+        if self.late_periods == 1:  # more of them would hide what else is said
+            log.warning(
+                "an action came too late: both arms come to rest, and go on from there. Further ones are counted, and "
+                "in the record"
+            )
+        runner.cell.expect(runner.end, live=True)
+        runner.wait_for(runner.end)
+        rest = runner.last()
+        self._targets.rest_at(rest)
+        self._origin = runner.next - self._elapsed
+        self.rested_q_rad = rest[None]
+        runner.cell.expect(self._origin + self._elapsed + self.latency_ticks, live=True)
+        try:
+            return self._state(runner.statuses())
+        except LinkError as error:
+            runner.stop(str(error))
+            raise
+
+    def finish(self) -> None:
+        """An episode has ended: both arms come to rest along the brake that lies behind their targets."""
+        if self._runner is not None and self._origin is not None:
+            self._runner.cell.expect(0.0, live=False)
+
+    def stop(self, reason: str) -> None:
+        """Stop both arms for good, because of who commands them."""
+        if self._runner is not None:
+            self._runner.stop(reason)
+
+    def model_and_data(self, row: int) -> tuple[Any, Any]:
+        """MuJoCo's model and data of the twin, to be drawn."""
+        return self._twin.model_and_data()
+
+    def close(self) -> None:
+        """Bring both arms to rest, and end all connections. What is held stays held. May be called twice."""
+        if self._runner is not None:
+            self._runner.close()  # may be interrupted, and is done again then
+            self._end.detach()
+            self._runner = None
+            gc.unfreeze()
+        for each in (self._grippers, self._tracker, self._knobs):
+            if each is not None:
+                each.close()
+
+    @property
+    def memory_names(self) -> tuple[str, str]:
+        """Names of the memories of both arms, for what records them."""
+        left, right = self._open.arms
+        return left.name, right.name
+
+    # What a record asks of a simulated cell: here, the arms' memories tell it.
+
+    trace = None
+
+    def record(self) -> None:
+        """Nothing more is kept than always is."""
+
+    def integration_state(self) -> bytes | None:
+        """There is none."""
+        return None
+
+    @property
+    def runner(self) -> Runner:
+        """The processes.
+
+        Raises:
+            ClosedError: The cell was closed.
+        """
+        return self._open
+
+    @property
+    def _open(self) -> Runner:
+        if self._runner is None:
+            raise ClosedError("this cell was closed: make a new one")
+        return self._runner
+
+    def __getstate__(self) -> dict[str, Any]:
+        raise SettingsError("a cell of two controllers cannot be pickled or copied: there is one of it")
+
+    # People and things.
+
+    def _question(self, approach: Approach, start: Start) -> str:
+        ways = np.abs(approach.parts[-1] - approach.parts[0]).reshape(2, 6).max(axis=1)
+        text = ", ".join(f"{name} turns a joint by up to {way:.2f} rad" for name, way in zip(ARMS, ways, strict=True))
+        lines = [f"The arms go to where the task begins, in {approach.duration_s:.0f} s: {text}."]
+        if start.gripper_m is not None and self._grippers is not None:
+            lines.append("Before that, the grippers are activated if they are not, and open: what they hold falls.")
+        if start.object_pose is not None:
+            x, y, z = np.asarray(start.object_pose).reshape(7)[:3]
+            lines.append(f"The object should be at ({x:.3f}, {y:.3f}, {z:.3f}) m once they are there.")
+        lines.append("Keep everybody out of their reach, and a hand at the emergency stop.")
+        return " ".join(lines)
+
+    def _ask(self, question: str) -> None:
+        """Have a person confirm.
+
+        Raises:
+            StartError: Nobody did.
+        """
+        confirm = confirmation(self.file, self._confirm)
+        if confirm(question) is not True:
+            raise StartError("that the arms may move to where the task begins was not confirmed: they have not moved")
+
+    def _open_grippers(self, runner: Runner, start: Start) -> None:
+        """Activate grippers where that is needed, and bring them to where an episode begins.
+
+        Raises:
+            StartError: One does not get there.
+            CellFaulted: The arms were stopped.
+        """
+        grippers = self._grippers
+        if grippers is None:
+            return
+        held = None if self._only is None else ARMS[1 - self._only]
+        grippers.activate(lambda question: True, held=held)  # that they open was confirmed
+        if start.gripper_m is None:
+            return
+        wanted: list[float | None] = [float(each) for each in np.asarray(start.gripper_m).reshape(2)]
+        if self._only is not None:
+            wanted[1 - self._only] = None  # what that one holds stays held
+        grippers.forget()  # somebody may have moved them since
+        grippers.command(wanted, time.monotonic())
+        end = time.monotonic() + _OPENING_S
+        while True:
+            runner.check()
+            fault = grippers.fault_but(held)
+            if fault:
+                raise StartError(f"a gripper does not do what it is told: {fault}")
+            found = grippers.opening_m
+            off = [_is_off(*each) for each in zip(found, wanted, strict=True)]
+            if not any(off):
+                return
+            if time.monotonic() > end:
+                arm = off.index(True)
+                raise StartError(
+                    f"the {ARMS[arm]} gripper is open by {found[arm]} m after {_OPENING_S:g} s, and not by "
+                    f"{wanted[arm]} m: see what is between its fingers"
+                )
+            time.sleep(_LOOK_S)
+
+    def _state(self, statuses: Sequence[ArmStatus]) -> CellState:
+        """What was measured, in the time of the task."""
+        for heat, status in zip(self._heat, statuses, strict=True):
+            heat(status)
+        slow = self.file.speed_factor
+        q, qd = (np.array([getattr(each, name) for each in statuses]) for name in ("q_rad", "qd_rad_s"))
+        opening = wrench = thing = None
+        if self._grippers is not None:
+            fault = self._grippers.fault_but(None if self._only is None else ARMS[1 - self._only])
+            if fault:
+                raise LinkError(f"a gripper does not do what it is told: {fault}")
+            # One that does not tell is taken to be open.
+            opening = np.array([GRIPPER_OPENING_M if each is None else each for each in self._grippers.opening_m])
+            wrench = np.array([_wrench_at_flange(each) for each in statuses])
+        time_s = self._elapsed * self._tick_s
+        state = self._twin.follow(time_s, q, qd / slow, gripper_m=opening, wrench=wrench)
+        if self._tracker is None or state.flange_quat is None:
+            return state
+        seen = self._tracker.pose(time.monotonic(), Flanges(state.flange_m[0], state.flange_quat[0]))
+        thing = (np.asarray(seen.position_m), np.asarray(seen.quat))
+        return self._twin.follow(time_s, q, qd / slow, gripper_m=opening, wrench=wrench, thing=thing)
+
+
+def _check_as_said(config: CellConfig) -> None:
+    """Make sure that the environment has the cell that the processes of the arms have: what the cell file says.
+
+    Raises:
+        SettingsError: It has another one.
+    """
+    said = None if config.file is None else config.file.config()
+    for field in fields(config):
+        if field.name not in _OF_TASK and getattr(config, field.name) != getattr(said, field.name):
+            raise SettingsError(
+                f"{field.name} of the cell is {getattr(config, field.name)!r:.200}, and its cell file says "
+                f"{getattr(said, field.name)!r:.200}: write it there, and pass the path of that file as `cell`"
+            )
+
+
+def _is_off(found_m: float | None, wanted_m: float | None) -> bool:
+    return found_m is not None and wanted_m is not None and abs(found_m - wanted_m) > _OPENING_M
+
+
+def _wrench_at_flange(status: ArmStatus) -> Array:
+    """Force and torque about the flange, (6,), in `base`, from those about the tool centre point."""
+    wrench = np.array(status.tcp_force)
+    offset = status.tcp_offset
+    if offset is not None and any(offset[:3]):
+        turn = quat_multiply(quat_from_rotvec(status.tcp_pose[3:]), quat_conjugate(quat_from_rotvec(offset[3:])))
+        wrench[3:] += np.cross(rotate(turn, np.array(offset[:3])), wrench[:3])
+    return wrench

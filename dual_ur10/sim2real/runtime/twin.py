@@ -1,0 +1,107 @@
+"""A MuJoCo twin of arms that something else moves: it goes where they were measured, and shows what follows from it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dual_ur10.assets.scene import SceneSettings, build_model, sensor_slices
+from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.sim2real.config.cell import CellState
+from dual_ur10.types import Array
+
+Pose = tuple[Array, Array]
+
+
+class Twin:
+    """One cell that is measured.
+
+    Args:
+        scene: Both arms, with their grippers and what they handle.
+    """
+
+    def __init__(self, scene: SceneSettings) -> None:
+        import mujoco
+
+        self._scene, self._mujoco = scene, mujoco
+        self._model = build_model(scene, drawn=False)
+        self._data = mujoco.MjData(self._model)
+        self._drawn: tuple[Any, Any] | None = None
+        where = sensor_slices(self._model)
+        names = ("flange_base_pos", "flange_base_quat", "flange_pos")
+        self._flanges = [np.r_[*(where[f"{arm}/{name}"] for arm in ARMS)] for name in names]
+        self._gripped = scene.equipment.grippers
+        self._joints = 8 if self._gripped else 6
+        self._bodies = [self._model.body(f"{arm}/gripper").id for arm in ARMS] if self._gripped else []
+        self._target: Pose | None = None
+
+    def aim(self, target: Pose | None) -> None:
+        """Where the target of the task is: position (3,) and orientation (4,)."""
+        self._target = target
+
+    def follow(
+        self,
+        time_s: float,
+        q_rad: Array,
+        qd_rad_s: Array,
+        *,
+        gripper_m: Array | None = None,
+        wrench: Array | None = None,
+        thing: Pose | None = None,
+    ) -> CellState:
+        """Go where the arms are.
+
+        Args:
+            time_s: Since the episode began.
+            q_rad: (2, 6) measured.
+            qd_rad_s: (2, 6) measured.
+            gripper_m: (2,) measured openings; None: there are no grippers.
+            wrench: (2, 6) measured force and torque at the flanges in their `base` frames; None likewise.
+            thing: Measured pose of the object; None: there is none.
+        """
+        data, joints = self._data, self._joints
+        arms = data.qpos[: 2 * joints].reshape(2, joints)
+        arms[:, :6] = q_rad
+        if self._gripped and gripper_m is not None:
+            arms[:, 6:] = np.asarray(gripper_m)[:, None] / 2
+        if thing is not None and self._scene.equipment.prop:
+            data.qpos[-7:] = np.concatenate(thing)
+        if self._target is not None and self._model.nmocap:
+            data.mocap_pos[0], data.mocap_quat[0] = self._target
+        self._mujoco.mj_kinematics(self._model, data)
+        self._mujoco.mj_comPos(self._model, data)
+        self._mujoco.mj_sensorPos(self._model, data)
+        base_m, base_quat, flange_m = (data.sensordata[each].reshape(1, 2, -1).copy() for each in self._flanges)
+        state = CellState(
+            np.array([time_s]),
+            np.array([q_rad]),
+            np.array([qd_rad_s]),
+            base_m,
+            base_quat,
+            flange_m,
+            np.zeros(1, dtype=bool),
+        )
+        if not self._gripped:
+            return state
+        return state._replace(
+            flange_quat=data.xquat[self._bodies][None].copy(),
+            gripper_m=np.array([gripper_m]),
+            wrench=np.array([wrench]),
+            object_m=None if thing is None else np.array([thing[0]]),
+            object_quat=None if thing is None else np.array([thing[1]]),
+            target_m=None if self._target is None else np.array([self._target[0]]),
+            target_quat=None if self._target is None else np.array([self._target[1]]),
+        )
+
+    def model_and_data(self) -> tuple[Any, Any]:
+        """MuJoCo's model and data of the cell, to be drawn: the same objects at every call, brought up to date."""
+        if self._drawn is None:
+            model = build_model(self._scene)
+            self._drawn = model, self._mujoco.MjData(model)
+        model, data = self._drawn
+        data.qpos[:] = self._data.qpos
+        if model.nmocap:
+            data.mocap_pos[:], data.mocap_quat[:] = self._data.mocap_pos, self._data.mocap_quat
+        self._mujoco.mj_forward(model, data)
+        return model, data

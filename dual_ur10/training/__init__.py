@@ -1,1 +1,0 @@
-"""Training: reinforcement by Stable-Baselines3, imitation of scripted policies, datasets. It makes checkpoints."""

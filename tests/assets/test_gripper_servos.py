@@ -1,0 +1,77 @@
+import numpy as np
+import pytest
+
+from dual_ur10.assets.gripper import OPENING_M, SPEED_M_S
+from dual_ur10.assets.scene import Equipment
+from dual_ur10.envs.sim.grippers import LATENCY_S, GripperServos
+from dual_ur10.envs.sim.mujoco_cell import MujocoCell
+from dual_ur10.errors import ActionError, SettingsError
+from dual_ur10.sim2real.config.cell import CellConfig, Start
+from dual_ur10.sim2real.control.adapter import Command
+from tests.envs.sim.test_mujoco_cell import home
+
+TICKS = 5
+
+
+def cell(n=1, **equipment):
+    config = CellConfig(equipment=Equipment(grippers=True, **equipment))
+    made = MujocoCell(config, TICKS, n=n)
+    made.reset(Start(home(n), np.full((n, 2), OPENING_M)))
+    return made
+
+
+def command(left, right, n=1, **more):
+    opening = np.tile([left, right], (n, TICKS, 1))
+    return Command(np.repeat(home(n)[:, None], TICKS, axis=1), opening, **more)
+
+
+def test_a_command_comes_late_and_then_the_fingers_move_at_their_speed():
+    made = cell()
+    opening = np.array([made.advance(command(0.0, OPENING_M)).gripper_m[0].copy() for _ in range(30)])
+    time = 0.04 * np.arange(1, 31)
+    assert np.abs(opening[:, 1] - OPENING_M).max() < 1e-5
+    assert np.abs(opening[time <= LATENCY_S - 0.008, 0] - OPENING_M).max() < 1e-5
+    moving = (opening[:, 0] < 0.07) & (opening[:, 0] > 0.02)
+    assert np.allclose(np.diff(opening[moving, 0]) / 0.04, -SPEED_M_S, rtol=0.02)
+    assert opening[-1, 0] < 1e-4
+    arrival = time[np.argmax(opening[:, 0] < 0.001)]
+    assert arrival == pytest.approx(LATENCY_S + OPENING_M / SPEED_M_S, abs=0.06)
+
+
+def test_the_reference_waits_where_the_fingers_are_held_up():
+    servos = GripperServos(1, 0.008, 4, slack_m=0.005)
+    held = np.full((1, 2), 0.04)
+    for _ in range(60):
+        reference = servos(np.zeros((1, TICKS, 2)), held)
+    assert reference.shape == (1, TICKS * 4, 2)
+    # Within a period it runs on by what it can move in it.
+    assert np.all(reference >= 0.04 - 0.005 - SPEED_M_S * 0.04 - 1e-12)
+    for _ in range(3):
+        servos(np.full((1, TICKS, 2), OPENING_M), held)
+    reference = servos(np.full((1, TICKS, 2), OPENING_M), held)
+    assert reference[0, -1, 0] > 0.04  # it lets go at once
+
+
+def test_an_opening_that_a_gripper_does_not_have_is_refused():
+    made = cell(n=2)
+    for value in (-0.001, 0.09, np.nan):
+        wrong = command(OPENING_M, OPENING_M, n=2)
+        wrong.gripper_m[1, 3, 1] = value
+        with pytest.raises(ActionError, match=r"right.*cell 1.*0.085"):
+            made.advance(wrong)
+    bare = MujocoCell(CellConfig(), TICKS)
+    bare.reset(Start(home()))
+    with pytest.raises(SettingsError, match="grippers"):
+        bare.advance(command(0.0, 0.0))
+
+
+def test_a_payload_that_is_told_of_is_carried():
+    """The controllers hold up what they were told of: without it, the arms go up."""
+    made, told = cell(), cell()
+    for _ in range(40):
+        plain = made.advance(command(OPENING_M, OPENING_M))
+        lifted = told.advance(command(OPENING_M, OPENING_M, payload_kg=np.array([[2.0, 0.0]])))
+    up = lifted.flange_m[0, :, 2] - plain.flange_m[0, :, 2]
+    # 20 N on a stiff arm whose shoulder alone gives way by lever² / stiffness.
+    assert 2e-4 < up[0] < 3e-3
+    assert abs(up[1]) < 1e-6

@@ -1,0 +1,195 @@
+"""Settings of the scene, and what makes a scene: texts, models, looks."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+
+import mujoco
+import numpy as np
+import pytest
+
+from dual_ur10.assets import scene
+from dual_ur10.assets.scene import HOME_Q_RAD, Box, Capsule, Equipment, Plane, SceneSettings
+from dual_ur10.errors import MissingExtraError, SettingsError, UnknownNameError
+from dual_ur10.kinematics.frames import ArmMount
+from tests.sim2real.control.reference_cell import UNEQUAL, contacts, random_q
+
+
+def test_texts_are_cached_and_models_are_not():
+    assert scene.compose(SceneSettings()) is scene.compose(SceneSettings())
+    assert scene.compose_clearance(SceneSettings()) is scene.compose_clearance(SceneSettings())
+    assert scene.compose(SceneSettings()) != scene.compose(SceneSettings(timestep_s=0.001))
+    model = scene.build_model(SceneSettings())
+    model.body_mass[:] = 0
+    assert scene.build_model(SceneSettings()).body_mass.sum() > 50
+
+
+def test_lists_will_do_as_positions():
+    settings = SceneSettings(left=ArmMount([-0.75, 0.6, 0]))
+    assert settings == SceneSettings()
+    assert scene.compose(settings) is scene.compose(SceneSettings())
+
+
+def test_import_is_light_and_quiet():
+    code = (
+        "import sys, dual_ur10.assets.scene as s;"
+        "heavy = {'mujoco', 'dm_control', 'glfw', 'OpenGL'} & set(sys.modules);"
+        "assert not heavy, heavy;"
+        "s.build_model(s.SceneSettings())"
+    )
+    env = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "DISPLAY", "PYOPENGL_PLATFORM")}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "match"),
+    [
+        (lambda: ArmMount((0.0, np.nan, 0.0)), SettingsError, "finite"),
+        (lambda: ArmMount((0.0, 0.0)), SettingsError, "3 finite"),
+        (lambda: ArmMount("abc"), SettingsError, "finite"),
+        (lambda: ArmMount((0.0, 5.0, 0.0)), SettingsError, "within"),
+        (lambda: ArmMount((-1.0, 0.0, -0.8)), SettingsError, "floor"),
+        (lambda: ArmMount((-1.0, 0.0, 0.0), 90.0), SettingsError, "rad"),
+        (lambda: ArmMount((-1.0, 0.0, 0.0), np.inf), SettingsError, "finite"),
+        (lambda: ArmMount((-1.0, 0.0, 0.0), 0.0, None), SettingsError, "DHParameters"),
+        (lambda: SceneSettings(left=None), SettingsError, "ArmMount"),
+        (lambda: SceneSettings(timestep_s=0.0), SettingsError, "timestep_s"),
+        (lambda: SceneSettings(timestep_s=np.nan), SettingsError, "timestep_s"),
+        (lambda: SceneSettings(gains="soft"), UnknownNameError, "stiff"),
+        (lambda: SceneSettings(gains=[20000.0]), UnknownNameError, "stiff"),
+        (lambda: SceneSettings(table_size_m=(0.0, 1.0)), SettingsError, "table"),
+        (lambda: SceneSettings(equipment=None), SettingsError, "Equipment"),
+        (lambda: Equipment(prop="ball"), UnknownNameError, "'bar', 'block'"),
+        (lambda: Equipment(prop=["bar"]), UnknownNameError, "'bar', 'block'"),
+        (lambda: Equipment(grippers="yes"), SettingsError, "grippers must be True or False, found 'yes'"),
+        (lambda: Equipment(grippers=True, prop="block", welded=True), SettingsError, "prop='block'"),
+        (lambda: Equipment(prop="bar", welded=True), SettingsError, "grippers=False"),
+        (lambda: Equipment(grip_force_n=19.9), SettingsError, "19.9: must be within 20 to 235 N"),
+        (lambda: Equipment(grip_force_n=236), SettingsError, "236: must be within 20 to 235 N"),
+        (lambda: Equipment(grip_force_n=np.nan), SettingsError, "finite"),
+        (lambda: SceneSettings(left=ArmMount((-0.75, -0.4, 0.0))), SettingsError, "apart"),
+        (lambda: SceneSettings(left=ArmMount((-0.45, 0.6, -0.1))), SettingsError, "inside the table"),
+    ],
+)
+def test_bad_settings(make, error, match):
+    with pytest.raises(error, match=match):
+        make()
+
+
+def test_a_base_may_stand_on_the_table():
+    model = scene.build_model(SceneSettings(left=ArmMount((-0.3, 0.6, 0.0))))
+    assert not contacts(model, HOME_Q_RAD)
+
+
+def test_meshes_are_looks_only():
+    settings = SceneSettings(meshes=True)
+    try:
+        model = scene.build_model(settings)
+    except MissingExtraError as error:
+        assert "example-robot-data" in str(error)  # noqa: PT017 - either outcome is a pass
+        return
+    assert model.nmesh == 7
+    plain = scene.build_model(SceneSettings())
+    assert np.array_equal(model.body_mass, plain.body_mass)
+    assert (model.geom_contype > 0).sum() == (plain.geom_contype > 0).sum()
+
+
+def test_text_names_no_file():
+    assert not list(ET.fromstring(scene.compose(SceneSettings())).iterfind(".//*[@file]"))
+
+
+def equipped(**keywords):
+    return SceneSettings(equipment=Equipment(grippers=True, **keywords))
+
+
+def test_equal_equipment_hashes_alike():
+    assert equipped(prop="bar", grip_force_n=60) == equipped(prop="bar", grip_force_n=np.float64(60.0))
+    assert scene.compose(equipped(grip_force_n=60)) is scene.compose(equipped(grip_force_n=np.float32(60.0)))
+    assert hash(Equipment(grip_force_n=np.array(60))) == hash(Equipment())
+    assert SceneSettings() == SceneSettings(equipment=Equipment())
+
+
+def test_without_equipment_there_is_nothing_of_it():
+    for text in (scene.compose(SceneSettings()), scene.compose_clearance(SceneSettings())):
+        for word in ("gripper", "finger", "wrench", "tendon", "equality", "impratio", "freejoint", "mocap"):
+            assert word not in text
+
+
+CELLS = {
+    "default": SceneSettings(),
+    "unequal": UNEQUAL,
+    "grippers": dataclasses.replace(UNEQUAL, equipment=Equipment(grippers=True)),
+    "bar": equipped(prop="bar"),
+    "block": equipped(prop="block"),
+    "welded": equipped(prop="bar", welded=True),
+    "bar alone": SceneSettings(equipment=Equipment(prop="bar")),
+    "obstacles": dataclasses.replace(
+        equipped(),
+        obstacles=(
+            Box(name="box", position_m=(0.1, 0.3, 0.5), size_m=(0.3, 0.5, 0.2), rotation_rad=(0.4, -0.3, 0.8)),
+            Capsule(name="post", from_m=(-0.2, 0.0, 0.0), to_m=(-0.2, 0.1, 1.2), radius_m=0.05),
+            Plane(name="wall", point_m=(0.6, 0.0, 0.0), normal=(-1.0, 0.0, 0.0)),
+        ),
+    ),
+}
+
+
+@pytest.fixture(scope="module", params=CELLS.values(), ids=list(CELLS))
+def drawn_and_undrawn(request):
+    return scene.build_model(request.param), scene.build_model(request.param, drawn=False)
+
+
+def test_an_undrawn_model_has_nothing_to_look_at(drawn_and_undrawn):
+    drawn, undrawn = drawn_and_undrawn
+    solid = (undrawn.geom_contype > 0) | (undrawn.geom_conaffinity > 0)
+    assert solid.all()
+    names = [undrawn.geom(i).name for i in range(undrawn.ngeom)]
+    assert set(names) == {drawn.geom(i).name for i in range(drawn.ngeom) if drawn.geom_contype[i]}
+    assert (undrawn.ncam, undrawn.nlight, undrawn.ntex) == (0, 0, 0)
+
+
+def test_an_undrawn_model_has_the_same_state(drawn_and_undrawn):
+    drawn, undrawn = drawn_and_undrawn
+    full = mujoco.mjtState.mjSTATE_INTEGRATION
+    assert mujoco.mj_stateSize(drawn, full) == mujoco.mj_stateSize(undrawn, full)
+    for size in ("nq", "nv", "na", "nu", "nbody", "nsensordata", "nmocap", "neq", "ntendon"):
+        assert getattr(drawn, size) == getattr(undrawn, size)
+    assert scene.sensor_slices(drawn) == scene.sensor_slices(undrawn)
+
+
+def touching(model, data):
+    rows = [
+        (*sorted((model.geom(c.geom1).name, model.geom(c.geom2).name)), c.dist, *c.pos, c.dim, *c.friction)
+        for c in data.contact
+    ]
+    return sorted(rows)
+
+
+def test_an_undrawn_model_has_the_same_dynamics(drawn_and_undrawn):
+    rng = np.random.default_rng(6)
+    touched = 0
+    for q in random_q(rng, 200):
+        first = drawn_and_undrawn[0]
+        v, goal = rng.normal(size=first.nv), rng.normal(0, 0.01, first.nu)
+        found = []
+        for model in drawn_and_undrawn:
+            data = mujoco.MjData(model)
+            fingers = (model.nu - 12) // 2 * 2
+            data.qpos[: 12 + 2 * fingers] = np.pad(q, ((0, 0), (0, fingers)), constant_values=0.02).ravel()
+            data.qvel[:] = v
+            data.ctrl[:] = np.pad(q, ((0, 0), (0, fingers // 2)), constant_values=0.05).ravel() + goal
+            mujoco.mj_forward(model, data)
+            forces = (data.qfrc_bias, data.qfrc_gravcomp, data.qfrc_actuator, data.qfrc_constraint, data.qacc)
+            found.append((data.M.copy(), *(force.copy() for force in forces), data.sensordata.copy()))
+            found[-1] += (touching(model, data),)
+        *numbers, contacts_ = zip(*found, strict=True)
+        for drawn, undrawn in numbers:
+            np.testing.assert_allclose(undrawn, drawn, rtol=1e-9, atol=1e-9)
+        touched += len(contacts_[0])
+        assert [row[:2] for row in contacts_[0]] == [row[:2] for row in contacts_[1]]
+        for drawn, undrawn in zip(*contacts_, strict=True):
+            np.testing.assert_allclose(undrawn[2:], drawn[2:], rtol=1e-9, atol=1e-9)
+    assert touched > 100

@@ -1,0 +1,159 @@
+"""The commands for cell files, as a user meets them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from dual_ur10.cli import main as cli
+from dual_ur10.sim2real.config.cell_file import load_cell_file
+
+HOSTS = ("--left", "192.168.1.10", "--right", "192.168.1.11")
+
+
+def run(*arguments: str) -> tuple[int, str]:
+    result = CliRunner().invoke(cli.app, ["cell", *arguments], env={"COLUMNS": "160"})
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, re.sub(r"\x1b\[[0-9;]*m", "", result.output)
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ((), ("new", "check", "show")),
+        (("new",), ("FILE", "--kind", "--left", "--right", "--family", "--task", "ever overwritten")),
+        (("check",), ("FILE", "Connects to nothing")),
+        (("show",), ("FILE", "defaults")),
+    ],
+)
+def test_help_names_what_there_is(command: tuple[str, ...], words: tuple[str, ...]) -> None:
+    code, text = run(*command, "--help")
+    assert code == 0
+    for word in words:
+        assert word in text
+
+
+def test_a_new_file_can_be_checked_and_shown(tmp_path: Path) -> None:
+    path = tmp_path / "lab.toml"
+    code, text = run("new", str(path), *HOSTS, "--task", "SyncCarry")
+    assert code == 0
+    assert f"wrote {path}" in text
+    assert f"cell check {path}" in text
+    cell = load_cell_file(path)
+    assert (cell.kind, cell.left.host, cell.right.host) == ("real", "192.168.1.10", "192.168.1.11")
+    assert cell.task == "DualUR10/SyncCarry-v0"
+    code, text = run("check", str(path))
+    assert code == 0
+    *notes, last = text.splitlines()
+    assert last == f"{path} is a legal real cell"
+    assert [each.removeprefix("note: ") for each in notes] == cell.notes()
+    code, text = run("show", str(path))
+    assert code == 0
+    rows = [[each.strip() for each in line.split("│")[1:-1]] for line in text.splitlines() if line.startswith("│")]
+    assert ["host", "192.168.1.10", "192.168.1.11"] in rows
+    assert ["base_position_m", "[-0.75, 0.6, 0.0]", "[-0.75, -0.6, 0.0]"] in rows
+    assert ["speed_factor", "0.25"] in rows
+    assert ["calibration.alpha_rad", *2 * ["[1.57079633, 0.0, 0.0, 1.57079633, -1.57079633, 0.0]"]] in rows
+    assert cell.sha256 in text
+
+
+def test_a_new_emulated_cell_needs_no_addresses(tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    code, text = run("new", str(path), "--kind", "emulated", "--family", "e-series")
+    assert (code, text) == (0, f"wrote {path}\n")
+    assert load_cell_file(path).right.family == "e-series"
+    assert run("check", str(path)) == (0, f"{path} is a legal emulated cell\n")
+
+
+def test_show_takes_all_kinds_of_values(tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    run("new", str(path), "--kind", "emulated")
+    text = path.read_text().replace('kind = "none"', 'kind = "digital_output"\noutput = 3\nopen_level = true', 1)
+    text += '[[obstacle]]\nname = "post"\nkind = "capsule"\nfrom_m = [1, 0, 0]\nto_m = [1, 0, 1]\nradius_m = 0.1\n'
+    path.write_text(text)
+    code, text = run("show", str(path))
+    assert code == 0
+    rows = [[each.strip() for each in line.split("│")[1:-1]] for line in text.splitlines() if line.startswith("│")]
+    assert ["gripper.output", "3", "—"] in rows
+    assert ["gripper.open_level", "true", "—"] in rows
+    assert ["obstacle[0].kind", "capsule"] in rows
+    assert ["obstacle[0].radius_m", "0.1"] in rows
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--left", "192.168.1.10"), "the address of the right arm is missing"),
+        (("--kind", "reel"), "unknown kind of cell 'reel': use one of 'real', 'emulated'"),
+        ((*HOSTS, "--family", "cb4"), 'left.family is "cb4": allowed is "cb3" or "e-series"'),
+        ((*HOSTS, "--task", "Juggling"), "unknown environment 'Juggling'"),
+        ((*HOSTS, "--kind", "emulated"), "left.host is 192.168.1.10 with kind"),
+        (("--left", "10.0.0.1", "--right", "10.0.0.1"), "right.host is 10.0.0.1, as left.host is"),
+        (("--left", "10.0.0.1\nx", "--right", "10.0.0.1"), 'left.host is "10.0.0.1\\nx"'),
+    ],
+)
+def test_what_new_refuses_leaves_no_file(tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
+    path = tmp_path / "lab.toml"
+    code, text = run("new", str(path), *arguments)
+    assert code == 2
+    assert text.startswith("error: ")
+    assert message in text
+    assert text.count("\n") == 1
+    assert not path.exists()
+
+
+def test_new_overwrites_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "lab.toml"
+    path.write_text("mine")
+    code, text = run("new", str(path), *HOSTS)
+    assert code == 2
+    assert "exists: it was left as it is" in text
+    assert path.read_text() == "mine"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_check_prints_a_line_per_finding(tmp_path: Path) -> None:
+    path = tmp_path / "lab.toml"
+    run("new", str(path), *HOSTS)
+    text = path.read_text().replace("gain = 2000.0", "gian = 2000.0").replace("rt_priority = 0", "rt_priority = 99")
+    path.write_text(text.replace("speed_factor = 0.25", 'speed_factor = "[bold]"'))
+    code, text = run("check", str(path))
+    assert code == 2
+    lines = text.splitlines()
+    assert [line.split()[:3] for line in lines] == [
+        ["error:", f"{path}:", each]
+        for each in ("speed_factor", "rt_priority", "left.servoj.gian", "right.servoj.gian")
+    ]
+    assert '"[bold]"' in lines[0]  # markup in a file is text
+    code, text = run("show", str(path))
+    assert code == 2
+    assert "(3 more:" in text
+    assert text.count("\n") == 1
+
+
+def test_check_says_that_the_arms_have_to_be_alike(tmp_path: Path) -> None:
+    path = tmp_path / "lab.toml"
+    run("new", str(path), *HOSTS)
+    path.write_text(path.read_text().replace('family = "cb3"', 'family = "e-series"', 1))
+    code, text = run("check", str(path))
+    assert code == 2
+    assert text.startswith(f"error: {path}: right.family is 'cb3' and left.family is 'e-series'")
+    assert text.count(str(path)) == 1
+    assert text.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["check", "show"])
+@pytest.mark.parametrize("content", [None, "no toml ["])
+def test_what_cannot_be_read_is_one_line(tmp_path: Path, command: str, content: str | None) -> None:
+    path = tmp_path / "lab.toml"
+    if content is not None:
+        path.write_text(content)
+    code, text = run(command, str(path))
+    assert code == 2
+    assert text.startswith("error: ")
+    assert str(path) in text
+    assert text.count("\n") == 1

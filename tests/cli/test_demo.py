@@ -1,0 +1,465 @@
+"""The demonstration, from the command line to its files."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import re
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+pytest.importorskip("matplotlib")
+pytest.importorskip("imageio_ffmpeg")
+
+from dual_ur10.cli import main as cli
+from dual_ur10.cli.demo_report import demo, film, films, runs, runs_carry, runs_emulated, runs_handover
+from dual_ur10.cli.demo_report.report import Findings
+from dual_ur10.cli.demo_report.report_emulated import TASK_HEADERS, TIMING_HEADERS, emulated_section
+from dual_ur10.envs.tasks.sync_carry.path import MOVES
+from dual_ur10.errors import CellFaulted, DualUR10Error, MissingExtraError, RenderError
+from dual_ur10.policies.evaluation.rollout import Trace
+from dual_ur10.sim2real.analysis import page as report_page
+from dual_ur10.sim2real.control.limits import MotionLimits
+from dual_ur10.sim2real.recording.reader import read_run
+
+SIZE = (film.HEIGHT, film.WIDTH)
+VOID = {"meta", "img", "br"}
+MOST_MM = 15.0  # placing error of a success
+
+
+def has_opengl() -> bool:
+    import gymnasium as gym
+
+    env = gym.make(runs.SINE_ID, render_mode="rgb_array", width=16, height=16)
+    try:
+        env.reset()
+        env.render()
+    except RenderError:
+        return False
+    finally:
+        env.close()
+    return True
+
+
+class Page(HTMLParser):
+    """Collects what a test wants to know of a page, and fails where its tags do not match."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.sources: list[tuple[str, str]] = []
+        self.tables: dict[str, list[list[str]]] = {}
+        self.ids: set[str] = set()
+        self.text = ""
+        self._table = ""
+        self.feed(text)
+        self.close()
+        assert not self.open, self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in VOID:
+            self.open.append(tag)
+        values = dict(attrs)
+        self.sources += [(tag, values[name] or "") for name in ("src", "href", "data", "poster") if name in values]
+        self.ids |= {values["id"] or ""} if "id" in values else set()
+        if tag == "table":
+            self._table = values["id"] or ""
+            self.tables[self._table] = []
+        elif tag == "tr":
+            self.tables[self._table].append([])
+        elif tag in ("th", "td"):
+            self.tables[self._table][-1].append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "style" not in self.open:
+            self.text += data
+        if self.open and ("th" in self.open or "td" in self.open):
+            self.tables[self._table][-1][-1] += data
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Folder and output of one quick demonstration."""
+    out = tmp_path_factory.mktemp("demo") / "new" / "folder"
+    # What is run in real time has tests of its own.
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(demo, "QUICK", dataclasses.replace(demo.QUICK, emulated=(runs_emulated.sine_run(1.0),)))
+        result = CliRunner().invoke(cli.app, ["demo", "--quick", "--out", str(out)], env={"COLUMNS": "160"})
+    assert result.exit_code == 0, result.output
+    return out, result.output
+
+
+def test_the_terminal_shows_a_row_per_run_and_where_the_files_are(made: tuple[Path, str]) -> None:
+    out, text = made
+    for run in (*runs.RUNS, *runs_carry.CARRY_RUNS):
+        assert run.title in text
+    for run in runs_handover.HANDOVER_RUNS:
+        assert all(f"{run.title}, seed {seed}" in text for seed in range(demo.QUICK.episodes))
+    assert str(out / "report.html") in text
+    assert "No real arm was measured" in text
+
+
+def test_the_report_has_the_tables_of_the_sine(made: tuple[Path, str]) -> None:
+    page = Page((made[0] / "report.html").read_text(encoding="utf-8"))
+    accuracy = page.tables["accuracy"]
+    assert [row[0] for row in accuracy[1:]] == [run.title for run in runs.RUNS]
+    assert all(len(row) == 9 for row in accuracy)
+    figures = {row[0]: row[1:] for row in accuracy[1:]}
+    assert float(figures["nominal"][0]) < 0.01 < float(figures["perturbed"][0]) < 1.0
+    assert float(figures["perturbed, without learning"][0]) > 1.0
+    assert 33.0 < float(figures["nominal, lag not compensated"][6]) < 35.0
+    assert figures["single arm, nominal"][7] == "—"
+    claims = {row[0]: row[1:] for row in page.tables["claims"]}
+    assert claims["Gazebo, single arm"][:2] == ["± 0.3", "± 0.15"]
+    assert claims["Gazebo, dual-arm carry"][:2] == ["± 0.7", "± 0.22"]
+    assert claims["sine on both arms, 0.1 m, 0.5 Hz, 30 s"][2] == "1.200 ± 0.001"
+    assert claims["here, both arms, perturbed"][0] == figures["perturbed"][0]
+
+
+def test_the_report_has_a_row_for_each_way_to_carry(made: tuple[Path, str]) -> None:
+    head, *rows = Page((made[0] / "report.html").read_text(encoding="utf-8")).tables["carry"]
+    assert [row[0] for row in rows] == [run.title for run in runs_carry.CARRY_RUNS]
+    column = {re.sub(r"(mm|°|N|%.*)$", "", name): k for k, name in enumerate(head)}
+    relative = [float(row[column["relative position"]]) for row in rows]
+    # A weld is better than friction, and an exact model better than one that is not.
+    assert 0.0 < relative[0] < 0.05 < relative[1] < 1.0 < relative[2] < 10.0
+    assert [row[column["slip"]] == "—" for row in rows] == [True, False, False]
+    for row in rows:
+        assert row[column["success"]] == "yes"
+        assert 25.0 < float(row[column["least load"]]) <= 50.0
+        assert 0.0 < float(row[column["joint speed"]]) <= 100.0
+        assert float(row[column["bar RMS"]]) < float(row[column["bar max"]])
+
+
+def test_the_report_has_a_row_for_each_handover(made: tuple[Path, str]) -> None:
+    head, *rows = Page((made[0] / "report.html").read_text(encoding="utf-8")).tables["handover"]
+    seeds = range(demo.QUICK.episodes)
+    assert [row[0] for row in rows] == [f"{run.title}, seed {k}" for run in runs_handover.HANDOVER_RUNS for k in seeds]
+    for row in rows:
+        assert len(row) == len(head)
+        assert row[1] in ("left", "right")
+        assert row[2] == "yes"
+        assert 5.0 < float(row[3]) < 20.0
+        assert float(row[4]) < MOST_MM
+        assert 0.0 < float(row[7]) <= 100.0
+
+
+def test_the_report_says_what_its_figures_are_worth(made: tuple[Path, str]) -> None:
+    text = Page((made[0] / "report.html").read_text(encoding="utf-8")).text
+    for words in ("No real arm was measured", "artefact of an exact model", "Only the perturbed rows mean", "L = 0"):
+        assert words in text
+
+
+def test_the_report_needs_nothing_from_outside(made: tuple[Path, str]) -> None:
+    source = (made[0] / "report.html").read_text(encoding="utf-8")
+    page = Page(source)
+    plots = [address for tag, address in page.sources if tag == "img" and address.startswith("data:image/svg")]
+    assert len(plots) == len(set(plots)) == 7 + 4 + 2 + ("emulated-sine" in page.tables)
+    for tag, address in page.sources:
+        if tag == "a":
+            assert address.removeprefix("#") in page.ids
+        else:
+            assert address.startswith("data:")
+    for loader in ("url(", "@import", "<script", "<link", "http:", "https:"):
+        assert loader not in source
+
+
+def test_the_videos_show_motion_and_the_report_their_key_frames(made: tuple[Path, str]) -> None:
+    import imageio.v2 as imageio
+
+    if not has_opengl():
+        assert not any((made[0] / name).exists() for name in demo.VIDEOS.values())
+        assert "apt-get install" in made[1]
+        pytest.skip("no OpenGL: there is no video, and the command says why")
+    counts = {}
+    for task, name in demo.VIDEOS.items():
+        assert str(made[0] / name) in made[1]
+        with imageio.get_reader(made[0] / name) as reader:
+            frames: list[Any] = list(reader.iter_data())
+        counts[task] = len(frames)
+        assert frames[0].shape[:2] == SIZE
+        assert np.ptp(frames[0]) > 150  # not one colour
+        scene = [frame[:500].astype(int) for frame in (frames[0], frames[len(frames) // 2])]
+        assert np.abs(scene[0] - scene[1]).max() > 60  # beside its caption, too
+    assert counts["sine"] == demo.QUICK.sine_film_s * film.FPS
+    assert counts["carry"] == -(-900 // demo.QUICK.carry_every)
+    page = Page((made[0] / "report.html").read_text(encoding="utf-8"))
+    pictures = [address for tag, address in page.sources if address.startswith("data:image/jpeg")]
+    stages = 7
+    assert len(pictures) == len(set(pictures)) == len(films.carry_instants(30.0)) + 1 + stages
+    for stage in ("Reach", "Mutual grasp", "Place", "Laid down"):
+        assert stage in page.text or stage.lower() in page.text
+
+
+def test_without_opengl_there_is_a_report_and_no_video(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: Any, **__: Any) -> None:
+        raise RenderError("no OpenGL backend was found: apt-get install libegl1")
+
+    # What is run is not the matter here: one of each will do.
+    for name in ("RUNS", "CARRY_RUNS"):
+        found = {each.name: each for each in getattr(demo, name)}
+        monkeypatch.setattr(demo, name, [each for name, each in found.items() if name != "friction"])
+    monkeypatch.setattr(demo, "QUICK", demo.Extent(sine_s=1.0, episodes=1))  # all tasks on emulated controllers
+    monkeypatch.setitem(sys.modules, "rtde_control", None)
+    for name in ("film_sine", "film_carry", "film_handover"):
+        monkeypatch.setattr(films, name, fail)
+    told: list[tuple[float, float]] = []
+    found = demo.run_demo(tmp_path, quick=True, progress=lambda _, done, total: told.append((done, total)))
+    assert "libegl1" in found.missing
+    assert not found.films
+    assert not any((tmp_path / name).exists() for name in demo.VIDEOS.values())
+    page = Page((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert "libegl1" in page.text
+    assert [each.run.name for each in found.emulated] == ["sine", "carry", "handover"]
+    assert page.text.count('ur_rtde: pip install "dual-ur10[real]"') == 1
+    assert "SineTracking, SyncCarry, Handover:" in page.text
+    assert not (tmp_path / demo.RUNS_FOLDER).exists()
+    assert all(address.startswith("data:image/svg") for tag, address in page.sources if tag != "a")
+    assert [result.run.name for result in found.sine] == [run.name for run in runs.RUNS]
+    done = [each for each, _ in told]
+    assert done == sorted(done)
+    assert told[-1][0] == pytest.approx(told[-1][1])
+
+
+def test_the_report_has_what_ran_on_emulated_controllers_or_why_it_did_not(made: tuple[Path, str]) -> None:
+    page = Page((made[0] / "report.html").read_text(encoding="utf-8"))
+    assert "emulated" in page.ids
+    assert "Emulated is not real" in page.text
+    if "emulated-sine" in page.tables:
+        assert "Emulated, simulated" in made[1]
+        assert len(list((made[0] / demo.RUNS_FOLDER).glob("*/run.mcap"))) == 2
+    else:  # this machine was too busy
+        assert "not on emulated controllers: SineTracking: " in made[1]
+        assert "What did not run on emulated controllers" in page.text
+
+
+def undisturbed(found: runs_emulated.EmulatedResult) -> bool:
+    """Whether every target was sent in its own period: no action was late, and no stall has shifted a clock."""
+    indices = [arm.sent["index"][:250] for arm in read_run(found.emulated.folder).arms]  # what ends is a ramp
+    return found.emulated.late_actions == 0 and all(bool((each == np.rint(each)).all()) for each in indices)
+
+
+@pytest.fixture(scope="module")
+def beside(tmp_path_factory: pytest.TempPathFactory) -> runs_emulated.EmulatedResult:
+    """A short sine, simulated and emulated. Arms on a machine that is too busy stop, and that is no fault of this."""
+    result = None
+    for _ in range(4):
+        told: list[float] = []
+        found = runs_emulated.measure_emulated(
+            runs_emulated.sine_run(1.6), tmp_path_factory.mktemp("beside") / "runs", told.append
+        )
+        if isinstance(found, runs_emulated.EmulatedResult):
+            assert told == sorted(told)
+            assert 0.9 < told[-1] <= 1.0
+            result = found
+            if undisturbed(found):
+                break
+        else:
+            assert found.reason.startswith("CellFaulted"), found
+    assert result is not None, found
+    return result
+
+
+def test_a_task_is_run_alike_in_simulation_and_on_emulated_controllers(beside: runs_emulated.EmulatedResult) -> None:
+    ours, theirs = beside.comparison.headers
+    assert (ours.source, theirs.source) == ("mujoco", "emulated")
+    assert ours.latency_ticks == theirs.latency_ticks == 10
+    assert (ours.mounts, ours.servoj, ours.tick_s) == (theirs.mounts, theirs.servoj, theirs.tick_s)
+    assert beside.comparison.complete == (True, True)
+    assert beside.simulated.record.steps == beside.emulated.record.steps == len(beside.emulated.trace) == 40
+    assert beside.simulated.record.success
+    for arm in beside.comparison.arms:
+        assert arm.sent.compared > 0
+        if undisturbed(beside):
+            # The recorded actions, played again. Until the first one acts, the last of the way to the start is sent.
+            assert arm.sent.compared > 150  # of 200
+            assert arm.sent.most_rad < 1e-4
+            assert arm.sent.equal >= arm.sent.compared - 10
+    assert theirs.extra["replays"]["run"] == beside.simulated.folder.name
+    assert (ours.policy, theirs.policy) == ("scripted", f"replay of {beside.simulated.folder.name}")
+    state = Path(os.environ["XDG_STATE_HOME"]) / "dual_ur10"
+    assert not list(state.glob("fault-*"))
+
+
+def test_the_section_shows_both_sides_of_a_task(beside: runs_emulated.EmulatedResult) -> None:
+    failure = runs_emulated.EmulatedFailure(runs_emulated.CARRY, "CellFaulted: <late>", "a & b")
+    page = Page(emulated_section([beside, failure]))
+    head, *rows = page.tables["emulated-sine"]
+    assert [row[0] for row in rows] == ["simulated", "emulated"]
+    assert len(head) == len(rows[0]) == len(rows[1]) == 1 + len(TASK_HEADERS["sine"])
+    assert rows[0][1] == "yes"
+    assert float(rows[0][3]) < 0.1  # an exact model
+    (_, row) = page.tables["emulated-timing"]
+    assert len(row) == 1 + len(TIMING_HEADERS)
+    compared = sum(each.sent.compared for each in beside.comparison.arms)
+    assert row[5].endswith(f" of {compared}")
+    assert row[-2] == str(beside.emulated.late_actions)
+    for words in ("Emulated is not real", "depend on what else this machine does", "SyncCarry: CellFaulted: <late>"):
+        assert words in page.text
+    assert beside.emulated.folder.name in page.text
+    assert emulated_section([]) == ""
+
+
+def test_the_section_says_what_ended_an_episode_and_that_the_machine_was_busy(
+    beside: runs_emulated.EmulatedResult,
+) -> None:
+    record = dataclasses.replace(beside.emulated.record, ended_by="<the table>")
+    spoiled = dataclasses.replace(beside.emulated, record=record, late_actions=3)
+    page = Page(emulated_section([dataclasses.replace(beside, emulated=spoiled)]))
+    assert "SineTracking, emulated: ended after" in page.text
+    assert "because <the table>." in page.text
+    assert "3 actions were too late" in page.text
+    assert "SineTracking, simulated" not in page.text
+    quiet = dataclasses.replace(beside.emulated, late_actions=0)
+    assert "too late, and each time" not in Page(emulated_section([dataclasses.replace(beside, emulated=quiet)])).text
+
+
+def test_a_fault_on_emulated_controllers_is_told_and_leaves_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    real = runs_emulated.rollout
+
+    def faulted(env: Any, policy: Any, **keywords: Any) -> Any:
+        core = env.unwrapped.core
+        if core.config.file is None:
+            return real(env, policy, **keywords)
+        env.reset(seed=0)
+        core.stop("a test wants it")
+        assert list((tmp_path / "state").rglob("fault-*"))
+        raise CellFaulted("both arms were stopped: a test wants it")
+
+    monkeypatch.setattr(runs_emulated, "rollout", faulted)
+    found = runs_emulated.measure_emulated(runs_emulated.sine_run(0.4), tmp_path / "runs")
+    assert isinstance(found, runs_emulated.EmulatedFailure)
+    assert found.reason.startswith("CellFaulted: both arms were stopped")
+    assert "MuJoCo" in found.log or "program" in found.log
+    assert not list((tmp_path / "state").rglob("fault-*"))
+    assert not list((tmp_path / "state").rglob("*.mcap"))
+
+
+def test_what_fails_on_emulated_controllers_is_a_warning_and_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    failure = runs_emulated.EmulatedFailure(runs_emulated.HANDOVER, "CellFaulted: [late] by 106 ms")
+    monkeypatch.setattr(demo, "run_demo", lambda *_, **__: Findings([], [], [], emulated=[failure]))
+    result = CliRunner().invoke(cli.app, ["demo"], env={"COLUMNS": "160"})
+    assert result.exit_code == 0, result.output
+    assert "not on emulated controllers: Handover: CellFaulted: [late] by 106 ms" in result.output
+    assert "nothing to clear" in result.output
+
+
+@pytest.mark.parametrize("package", ["matplotlib", "imageio"])
+def test_a_missing_extra_is_named_before_anything_runs(
+    package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingExtraError, match=rf'{package}: pip install "dual-ur10\[plot\]"'):
+        demo.run_demo(tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_cannot_be_made_is_an_error_of_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    result = CliRunner().invoke(cli.app, ["demo", "--quick", "--out", str(tmp_path / "file")])
+    assert result.exit_code == 2
+    assert "cannot write to" in result.output
+
+
+@pytest.mark.parametrize(
+    ("module", "measure"),
+    [
+        (runs, lambda: runs.measure(runs.RUNS[0], 0.4)),
+        (runs_carry, lambda: runs_carry.measure_carry(runs_carry.CARRY_RUNS[0])),
+    ],
+    ids=["sine", "carry"],
+)
+def test_a_run_cut_short_has_no_figures(module: Any, measure: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = module.rollout
+
+    def cut(*arguments: Any, **keywords: Any) -> Any:
+        return dataclasses.replace(real(*arguments, **keywords), ended_by="too close")
+
+    monkeypatch.setattr(module, "rollout", cut)
+    with pytest.raises(DualUR10Error, match="too close"):
+        measure()
+
+
+def test_a_film_cut_short_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = film.rollout
+    monkeypatch.setattr(film, "rollout", lambda *a, **k: dataclasses.replace(real(*a, **k), ended_by="too close"))
+    monkeypatch.setattr("dual_ur10.envs.api.dual_arm_env.DualArmEnv.render", lambda _: np.zeros((*SIZE, 3), np.uint8))
+    env, policy = runs.make(runs.RUNS[0], 0.4, render_mode="rgb_array")
+    with pytest.raises(DualUR10Error, match="too close"):
+        film.shoot(tmp_path / "film.mp4", env, policy, film.Script("", lambda *_: ""))
+    assert not list(tmp_path.iterdir())
+
+
+def carried(**columns: Any) -> Trace:
+    """A trace of three steps, the last two of them on the path."""
+    trace = Trace()
+    rows: dict[str, Any] = {
+        "clock_s": [-1.0, 0.5, 1.0],
+        "object_m": [[0, 0, 0.02], [0, 0, 0.03], [0, 0, 0.2]],
+        "load_share": [[0.0, 1.0], [0.1, 0.9], [0.45, 0.55]],
+        "slip_m": [[9.0, 9.0], [1e-3, 2e-3], [0.0, 0.0]],
+        **{
+            name: [9.0, -2e-3, 1e-3]
+            for name in ("relative_error_m", "relative_error_rad", "squeeze_n", "lateral_n", "object_error_rad")
+        },
+        "object_error_m": [9.0, 3e-3, 4e-3],
+        **columns,
+    }
+    for k in range(len(rows["clock_s"])):
+        trace({name: np.array(values[k]) for name, values in rows.items()})
+    return trace
+
+
+def test_figures_of_carrying_begin_with_the_path() -> None:
+    found = runs_carry.figures_of_carry(carried(), rigid=False, share=0.5)
+    assert found.relative_max_mm == pytest.approx(2.0)
+    assert found.relative_max_deg == pytest.approx(np.degrees(2e-3))
+    assert (found.squeeze_max_n, found.lateral_max_n) == (2e-3, 2e-3)
+    assert found.slip_max_mm == pytest.approx(2.0)
+    assert (found.bar_max_mm, found.bar_rms_mm) == (pytest.approx(4.0), pytest.approx(np.sqrt(12.5)))
+    assert found.least_load_share == 0.45  # on the table the load is not the arms' alone
+    assert np.isnan(runs_carry.figures_of_carry(carried(), rigid=True, share=0.5).slip_max_mm)
+    with pytest.raises(DualUR10Error, match="before its path began"):
+        runs_carry.figures_of_carry(carried(clock_s=[-3.0, -2.0, -1.0]), rigid=False, share=0.5)
+
+
+def test_stages_have_the_time_of_the_step_that_passed_them() -> None:
+    found = runs_handover.passed_s(np.array([0, 1, 1, 3, 3]), 4, 0.04)
+    assert found[:3] == pytest.approx((0.08, 0.16, 0.16))
+    assert np.isnan(found[3])
+
+
+def test_the_share_of_a_speed_limit_is_that_of_the_joint_nearest_to_it() -> None:
+    limits = MotionLimits(speed_rad_s=(0.5, 1.0) * 3, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.0)
+    q = np.zeros((3, 2, 6))
+    q[1:, 1, 1] = -0.02
+    q[2, 0, 0] = 0.015
+    assert runs.speed_share(q, 0.04, limits) == pytest.approx(0.75)
+
+
+@pytest.mark.parametrize("duration_s", list(MOVES))
+def test_key_frames_of_carrying_are_one_for_each_kind_of_move(duration_s: float) -> None:
+    times, titles = zip(*films.carry_instants(duration_s), strict=True)
+    assert list(times) == sorted(times)
+    assert len(set(titles)) == len(titles) == 8
+    assert titles[1] == "lifted"
+    assert times[-1] == duration_s
+
+
+def test_figures_are_shown_to_three_digits() -> None:
+    shown = {0.0: "0.0000", 3e-5: "0.0000", 0.00123: "0.0012", 0.1234: "0.123", 12.34: "12.3", 1234.5: "1234"}
+    assert {value: report_page.number(value) for value in shown} == shown
+    assert report_page.number(-0.5) == "−0.500"
+    assert report_page.number(float("nan")) == "—"

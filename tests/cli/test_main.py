@@ -1,0 +1,232 @@
+"""The command line, as a user meets it."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import urllib.request
+from typing import Any
+
+import pytest
+
+from dual_ur10 import ENV_IDS, __version__
+from dual_ur10.cli import options as cli_options
+from dual_ur10.errors import SettingsError
+from dual_ur10.policies.learned import shipped
+from tests.cli.command import run
+
+WAIT_S = 60.0
+SHORT = ("--set", "duration_s=0.4")
+
+
+@pytest.fixture(autouse=True)
+def _somewhere_else(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs are recorded where one stands."""
+    monkeypatch.chdir(tmp_path)
+
+
+def test_list_names_every_environment_with_its_sizes() -> None:
+    code, text = run("list")
+    assert code == 0
+    for env_id in ENV_IDS:
+        row = next(line for line in text.splitlines() if env_id in line)
+        sizes = {"SineTracking": ["12", "68"], "SyncCarry": ["14", "124"], "Handover": ["14", "112"]}
+        for task, (action, observation) in sizes.items():
+            if task in env_id:
+                learned = [f"{name}," for name in shipped.names_of(row.split()[0])]
+                assert row.split()[1:] == ["25", "Hz", action, observation, "scripted,", *learned, "random,", "zero"]
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ((), ("list", "demo", "rollout", "view", "--version")),
+        (("list",), ("environments",)),
+        (("demo",), ("--out", "--quick", "report.html")),
+        (("rollout",), ("ENV", "--policy", "--episodes", "--seed", "--set", "--perturbed", "KEY=VALUE")),
+        (("view",), ("ENV", "--policy", "--seconds", "browser")),
+        (
+            ("convert",),
+            ("MODEL", "ENV", "--out", "--trust-pickle", "--vec-normalize", "--algo", "--agents", "KEY=VALUE"),
+        ),
+    ],
+)
+def test_help_names_what_there_is(command: tuple[str, ...], words: tuple[str, ...]) -> None:
+    code, text = run(*command, "--help")
+    assert code == 0
+    for word in words:
+        assert word in text
+
+
+def test_version() -> None:
+    assert run("--version") == (0, __version__ + "\n")
+
+
+@pytest.mark.parametrize("name", ["DualUR10/SineTracking-v0", "SineTracking-v0", "SineTracking"])
+def test_rollout_prints_a_row_per_episode_and_a_summary(name: str) -> None:
+    code, text = run("rollout", name, "-n", "2", "--seed", "4", *SHORT)
+    assert code == 0
+    rows = [line.split("│")[1:-1] for line in text.splitlines() if line.startswith("│")]
+    assert [[cell.strip() for cell in row[:3]] for row in rows] == [["0", "4", "10"], ["1", "5", "10"]]
+    assert all(row[4].strip() == "yes" and float(row[5]) < 0.1 for row in rows)
+    assert "success 2 of 2" in text
+
+
+def test_set_reaches_the_environment_and_perturbed_the_plant() -> None:
+    figures = []
+    for more in ((), ("--perturbed",), ("--set", "compensate_lag=False"), ("--set", "policy_rate_hz=125")):
+        code, text = run("rollout", "SineTracking", "-n", "1", "--set", "duration_s=1.2", *more)
+        assert code == 0
+        row = next(line for line in text.splitlines() if line.startswith("│")).split("│")
+        figures.append((int(row[3]), float(row[7])))
+    (steps, nominal), (_, perturbed), (_, lagging), (fast, _) = figures
+    assert nominal < 0.01 < perturbed < lagging
+    assert (steps, fast) == (30, 150)
+
+
+@pytest.mark.parametrize("policy", ["random", "zero"])
+def test_simple_policies_run_and_fail(policy: str) -> None:
+    code, text = run("rollout", "SineTracking", "-p", policy, "-n", "1", "--set", "duration_s=2")
+    assert code == 0
+    assert "success 0 of 1" in text
+
+
+def test_random_actions_differ_between_episodes() -> None:
+    _, text = run("rollout", "SineTracking", "-p", "random", "-n", "2", "--set", "randomize=False", *SHORT)
+    errors = [line.split("│")[7] for line in text.splitlines() if line.startswith("│")]
+    assert errors[0] != errors[1]
+
+
+def test_random_actions_depend_on_the_seed_alone() -> None:
+    arguments = ("rollout", "SineTracking", "-p", "random", "-n", "1", *SHORT, "--seed")
+    assert run(*arguments, "3") == run(*arguments, "3")
+    assert run(*arguments, "3") != run(*arguments, "4")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ("rollout", "SineTracking", "--set", "amplitud=0.1"),
+            "unknown keyword of SineTracking 'amplitud': use one of",
+        ),
+        (("rollout", "SineTracking", "--set", "axis=w"), "unknown axis 'w'"),
+        (("rollout", "SineTracking", "--set", "amplitude_m=much"), "amplitude_m is 'much': it must be a number"),
+        (("rollout", "SineTracking", "--set", "policy_rate_hz=30"), "The neighbours are 25 Hz"),
+        (("rollout", "SineTracking", "--set", "policy_rate_hz='x'"), "policy rate is 'x': it must be a number"),
+        (("rollout", "SineTracking", "--set", "amplitude_m"), "write it as KEY=VALUE"),
+        (("rollout", "SineTracking", "--set", "arms=left", "--set", "arms=both"), "arms is set twice"),
+        (("rollout", "SineTracking", "--perturbed", "--set", "cell=mujoco"), "an option sets cell"),
+        (("rollout", "Juggling"), "unknown environment 'Juggling': use one of 'DualUR10/SineTracking-v0'"),
+        (("rollout", "SineTracking", "-p", "psychic"), "unknown policy 'psychic': use one of 'scripted'"),
+        (("view", "SineTracking", "--set", "amplitud=0.1"), "unknown keyword of SineTracking 'amplitud'"),
+    ],
+)
+def test_a_bad_argument_is_one_line_and_exit_code_2(arguments: tuple[str, ...], message: str) -> None:
+    code, text = run(*arguments)
+    assert code == 2
+    assert text.startswith("error: ")
+    assert message in text
+    assert text.count("\n") == 1
+    assert "raised from" not in text
+
+
+def test_values_of_set_are_literals_or_text() -> None:
+    found = cli_options.keywords_of(
+        ["a=0.05", "b=(0, 1, 0)", "c=left", "d=None", "e=x=y", "f=[1", "g=False"], perturbed=False
+    )
+    assert found == {"a": 0.05, "b": (0, 1, 0), "c": "left", "d": None, "e": "x=y", "f": "[1", "g": False}
+    found = cli_options.keywords_of(["a=false", "b=null", 'c={"x": [1, true]}', "d=NaN"], perturbed=False)
+    assert found == {"a": False, "b": None, "c": {"x": [1, True]}, "d": "NaN"}
+    with pytest.raises(SettingsError):
+        cli_options.keywords_of(["1a=2"], perturbed=False)
+
+
+def start_view(*more: str) -> subprocess.Popen[str]:
+    hidden = ("DISPLAY", "WAYLAND_DISPLAY")
+    env = {key: value for key, value in os.environ.items() if key not in hidden} | {"COLUMNS": "160"}
+    command = [sys.executable, "-u", "-m", "dual_ur10", "view", "SineTracking", *more]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=env, start_new_session=True
+    )
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere there is always a display")
+def test_view_serves_a_page_and_ctrl_c_ends_it_cleanly() -> None:
+    process = start_view()
+    try:
+        assert process.stdout is not None
+        first = process.stdout.readline()
+        url: Any = re.search(r"http://127\.0\.0\.1:\d+/", first)
+        assert url, first
+        with urllib.request.urlopen(url.group(), timeout=WAIT_S) as page:
+            assert page.status == 200
+        second = process.stdout.readline()
+        assert second == "Ctrl-C ends it\n"
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does it: to everything in the foreground
+        rest, _ = process.communicate(timeout=WAIT_S)
+    finally:
+        process.kill()
+        process.wait()
+    # The signal may come while the line above is being written, which then is written again.
+    assert (process.returncode, rest.removeprefix(second)) == (0, "closed\n")
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere there is always a display")
+def test_view_ends_after_so_many_seconds() -> None:
+    process = start_view("--seconds", "0.5")
+    text, _ = process.communicate(timeout=WAIT_S)
+    assert process.returncode == 0
+    assert "Traceback" not in text
+
+
+# Python runs this before the program: Ctrl-C comes when a module is looked for.
+AT = """
+import os
+import signal
+import sys
+
+
+class At:
+    def find_spec(self, name, *_):
+        if name == os.environ["INTERRUPT_AT"]:
+            sys.meta_path.remove(self)
+            signal.raise_signal(signal.SIGINT)
+
+
+sys.meta_path.insert(0, At())
+"""
+
+
+@pytest.mark.parametrize(
+    "module",
+    [
+        "pettingzoo",
+        "gymnasium",
+        "dual_ur10.__main__",
+        "dual_ur10.cli.main",
+        "typer",
+        "mujoco",
+        "dual_ur10.envs.core.core",
+    ],
+)
+def test_ctrl_c_while_it_loads_is_one_line_and_code_130(module: str, tmp_path: Any) -> None:
+    (tmp_path / "sitecustomize.py").write_text(AT)
+    path = os.pathsep.join([str(tmp_path), *(each or os.getcwd() for each in sys.path)])
+    done = subprocess.run(
+        [sys.executable, "-m", "dual_ur10", "rollout", "SineTracking", "-n", "1", "--no-record", *SHORT],
+        env={**os.environ, "PYTHONPATH": path, "INTERRUPT_AT": module},
+        capture_output=True,
+        text=True,
+        timeout=WAIT_S,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
+
+
+def test_another_program_that_loads_the_package_keeps_its_own_way_with_ctrl_c() -> None:
+    code = "import signal, dual_ur10; assert signal.getsignal(signal.SIGINT) is signal.default_int_handler"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=WAIT_S)

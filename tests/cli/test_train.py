@@ -1,0 +1,131 @@
+"""The commands `train` and `collect`."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from typer.testing import CliRunner
+
+from dual_ur10.cli.main import app
+
+SMALL = ("--envs", "2", "--set", "duration_s=2.0", "--setting", "hidden=[8]", "--setting", "fit_steps=5")
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(each) for each in arguments])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((), "name an environment"),
+        (("Lift",), "unknown environment"),
+        (("SineTracking", "--algo", "td3"), "unknown algorithm 'td3': use one of 'ppo', 'sac', 'bc', 'dagger'"),
+        (("SineTracking", "--agents", "both"), "unknown agents"),
+        (("SineTracking", "--setting", "rounds=2"), "unknown setting of dagger 'rounds'"),
+        (("SineTracking", "--setting", "hidden=many"), "hidden is 'many'"),
+        (("SineTracking", "--setting", "unseen=[-999]"), "unseen is (-999,)"),
+        (("SineTracking", "--set", "speed=2"), "speed"),
+        (("SineTracking", "--resume", "x"), "leave out ENV."),
+        (("--resume", "x", "--seed", 5, "--steps", 9, "--set", "a=1"), "leave out --seed, --set. Only --steps and"),
+        (("--resume", "no_such_folder"), "is no folder of a training"),
+        (("SineTracking", "--algo", "ppo", "--dataset", "a/b-v0"), "learns from no dataset"),
+    ],
+)
+def test_what_cannot_be_is_said_in_one_line(arguments, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = run("train", *arguments)
+    assert result.exit_code == 2
+    assert said in result.stderr
+    assert result.stderr.startswith("error:")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--init", "nowhere"), "nowhere cannot be read"),
+        (("--setting", "hidden=[2100,2100]"), "hidden is (2100, 2100): the network has 4"),
+    ],
+)
+def test_what_cannot_be_begun_is_said_before_a_folder_is_made(arguments, said, tmp_path, monkeypatch):
+    pytest.importorskip("stable_baselines3")
+    monkeypatch.chdir(tmp_path)
+    result = run("train", "SineTracking", *arguments)
+    assert result.exit_code == 2
+    assert said in result.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_training_prints_what_came_of_it_and_the_policy_runs(tmp_path):
+    pytest.importorskip("stable_baselines3")
+    out = tmp_path / "out"
+    result = run("train", "SineTracking", *SMALL, "--steps", 100, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert f"policy  {out / 'policy'}" in result.stdout
+    assert "95 % interval" in result.stdout
+    shown = run(
+        "rollout", "SineTracking", "--policy", out / "policy", "-n", 1, "--no-record", "--set", "duration_s=2.0",
+        "--set", "action_latency_ticks=5",
+    )  # fmt: skip
+    assert shown.exit_code == 0, shown.output
+    other = run("rollout", "SineTracking", "--policy", out / "policy", "-n", 1, "--no-record")
+    assert other.exit_code == 2
+    assert "latency_ticks" in other.stderr
+    again = run("train", "SineTracking", *SMALL, "--steps", 100, "--out", out)
+    assert again.exit_code == 2
+    assert "not empty" in again.stderr
+
+
+def test_collect_makes_a_dataset(tmp_path, monkeypatch):
+    minari = pytest.importorskip("minari")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    arguments = ("SineTracking", "-n", 2, "--envs", 2, "--set", "duration_s=2.0", "--randomization", "mild")
+    result = run("collect", *arguments)
+    assert result.exit_code == 0, result.output
+    assert "2 episodes, 2 of them well, 100 steps" in result.stdout
+    dataset = minari.load_dataset("dual-ur10/sinetracking/scripted-v0")
+    assert dataset.total_episodes == 2
+    assert run("collect", *arguments).exit_code == 2
+
+
+def test_ctrl_c_saves_and_says_how_to_go_on(tmp_path):
+    pytest.importorskip("stable_baselines3")
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "dual_ur10", "train", "SineTracking", *SMALL, "--out", str(out)]
+    process = subprocess.Popen(
+        [*command, "--steps", "1000000"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=os.environ | {"COLUMNS": "200"},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    try:
+        end = time.monotonic() + 120.0
+        while not (out / "samples-0001.safetensors").exists():
+            assert process.poll() is None
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        try:
+            text, _ = process.communicate(timeout=60)
+        except subprocess.TimeoutExpired:  # as a person would: Python drops an interrupt that comes in a destructor
+            process.send_signal(signal.SIGINT)
+            text, _ = process.communicate(timeout=60)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 130, text
+    assert f"dual-ur10 train --resume {out}" in text
+    assert "Traceback" not in text
+    rounds = len(list(out.glob("samples-*.safetensors")))
+    result = run("train", "--resume", out, "--steps", 100 * (rounds + 1))
+    assert result.exit_code == 0, result.output
+    assert (out / "policy" / "manifest.json").exists()
+    assert len(list(out.glob("samples-*.safetensors"))) == rounds + 1

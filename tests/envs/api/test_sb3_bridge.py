@@ -1,0 +1,238 @@
+import pickle
+import re
+
+import numpy as np
+import pytest
+
+import dual_ur10
+from dual_ur10 import errors
+from dual_ur10.envs import parallel_env
+from dual_ur10.kinematics.ur10 import ARMS
+from tests.soak import scaled
+
+IDS = dual_ur10.ENV_IDS
+SINE = "DualUR10/SineTracking-v0"
+
+
+stable_baselines3 = pytest.importorskip("stable_baselines3", reason="needs the extra train")
+
+from stable_baselines3.common.monitor import Monitor  # noqa: E402  # skipped above
+from stable_baselines3.common.vec_env import VecMonitor, VecNormalize  # noqa: E402  # as above
+
+from dual_ur10.envs.api.sb3_bridge import TwoAgentVecEnv  # noqa: E402  # as above
+
+
+def zeros(env):
+    return np.zeros((env.num_envs, *env.action_space.shape), dtype=np.float32)
+
+
+def equal(one, other):
+    """Whether two infos are the same."""
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(equal(one[name], other[name]) for name in one)
+    return np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("reward", ["shared", "individual"])
+@pytest.mark.parametrize(
+    ("mode", "latency"), [("joint_delta", 0), ("joint_delta", 3), ("tcp_delta", 0)], ids=lambda x: str(x)
+)
+@pytest.mark.parametrize("env_id", IDS)
+def test_rows_are_the_agents_bit_for_bit_over_episodes(env_id, mode, latency, reward):
+    keywords = {"action_mode": mode, "action_latency_ticks": latency, "reward": reward}
+    cells, seed, limit = 3, 40, 9
+    env = TwoAgentVecEnv(env_id, cells, max_episode_steps=limit, **keywords)
+    singles = [parallel_env(env_id, max_cycles=limit, **keywords) for _ in range(cells)]
+    assert env.seed(seed) == [40, 40, 41, 41, 42, 42]
+    observation = env.reset()
+    for cell, single in enumerate(singles):
+        own, infos = single.reset(seed=seed + cell)
+        for arm, agent in enumerate(ARMS):
+            assert np.array_equal(observation[2 * cell + arm], own[agent])
+            assert equal(env.reset_infos[2 * cell + arm], infos[agent])
+    rng, ends = np.random.default_rng(0), 0
+    for _ in range(scaled(500)):
+        actions = rng.uniform(-0.4, 0.4, (env.num_envs, *env.action_space.shape)).astype(np.float32)
+        observation, rewards, dones, infos = env.step(actions)
+        for cell, single in enumerate(singles):
+            rows = (2 * cell, 2 * cell + 1)
+            own, reward_of, terminated, truncated, told = single.step(
+                {a: actions[r] for a, r in zip(ARMS, rows, strict=True)}
+            )
+            over, fresh = not single.agents, None
+            if over:
+                ends += 1
+                fresh, begun = single.reset()
+            for agent, row in zip(ARMS, rows, strict=True):
+                assert rewards[row] == reward_of[agent]
+                assert dones[row] == over
+                info = dict(infos[row])
+                assert info.pop("TimeLimit.truncated") is (truncated[agent] and not terminated[agent])
+                if over:
+                    assert np.array_equal(info.pop("terminal_observation"), own[agent])
+                    assert np.array_equal(observation[row], fresh[agent])
+                    assert equal(env.reset_infos[row], begun[agent])
+                else:
+                    assert np.array_equal(observation[row], own[agent])
+                assert equal(info, told[agent])
+    assert ends >= 2 * cells
+    env.close()
+
+
+def test_types_and_shapes():
+    env = TwoAgentVecEnv("SineTracking", 2)
+    assert env.num_envs == 4
+    observation = env.reset()
+    assert env.observation_space.shape == (41,)
+    assert observation.shape == (4, 41)
+    observation, rewards, dones, infos = env.step(zeros(env))
+    assert all(env.observation_space.contains(row) for row in observation)
+    assert rewards.shape == dones.shape == (4,)
+    assert dones.dtype == bool
+    assert len(infos) == 4
+    assert infos[0]["q_rad"].shape == (6,)
+    assert "terminal_observation" not in infos[0]
+
+
+def test_one_cell_ends_alone():
+    env = TwoAgentVecEnv(SINE, 3, action_mode="joint_position", randomize=False)
+    env.seed(0)
+    env.reset()
+    start = np.array([info["q_rad"] for info in env.reset_infos])
+    goal = start.copy()
+    goal[3, 1] += 1.2  # the right arm of cell 1, into the table
+    dones = np.zeros(6, dtype=bool)
+    while not dones.any():
+        before = env.reset_infos[0]
+        observation, _, dones, infos = env.step(goal.astype(np.float32))
+    assert dones.tolist() == [False, False, True, True, False, False]
+    for row in (2, 3):
+        assert "right/" in infos[row]["safety"].subject
+        assert infos[row]["TimeLimit.truncated"] is False
+        assert infos[row]["terminal_observation"].shape == (41,)
+    assert "safety" not in infos[0]
+    assert env.reset_infos[0] is before
+    assert np.abs(observation[2:4, :6] - start[2:4]).max() < 1e-9
+
+
+def test_what_is_terminated_was_not_cut_short_by_time():
+    env = TwoAgentVecEnv(SINE, 2, max_episode_steps=2)
+    env.reset()
+    env.step(zeros(env))
+    env.cells.core.cell._physics._arms_qd[0, 0, 3] = np.nan
+    _, _, dones, infos = env.step(zeros(env))
+    assert dones.all()
+    assert [info["TimeLimit.truncated"] for info in infos] == [False, False, True, True]
+    assert ["physics_error" in info for info in infos] == [True, True, False, False]
+
+
+def test_the_generators_go_on_and_seeds_are_used_once():
+    env = TwoAgentVecEnv(SINE, 2)
+    env.seed(7)
+    first, second = env.reset(), env.reset()
+    assert not np.array_equal(first, second)
+    env.seed(7)
+    assert np.array_equal(env.reset(), first)
+    assert np.array_equal(env.reset(), second)
+    assert len(set(env.seed())) == 2
+    unseeded = [TwoAgentVecEnv(SINE, 1).reset() for _ in range(2)]
+    assert not np.array_equal(*unseeded)
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_ppo_learns_with_one_policy_for_both_arms(env_id):
+    env = VecMonitor(
+        TwoAgentVecEnv(env_id, 2, reward="individual", max_episode_steps=16), info_keywords=("is_success",)
+    )
+    model = stable_baselines3.PPO("MlpPolicy", env, n_steps=32, batch_size=64, n_epochs=1, seed=0, device="cpu")
+    before = {name: value.clone() for name, value in model.policy.state_dict().items()}
+    model.learn(scaled(5000))
+    assert any(not value.equal(before[name]) for name, value in model.policy.state_dict().items())
+    assert {episode["l"] for episode in model.ep_info_buffer} <= set(range(1, 17))
+    assert len(model.ep_info_buffer) >= 4
+    assert len(model.ep_success_buffer) == len(model.ep_info_buffer)
+    env.close()
+
+
+def test_normalising_wrapper():
+    env = VecNormalize(TwoAgentVecEnv(SINE, 2))
+    env.seed(0)
+    env.reset()
+    assert np.abs(env.step(zeros(env))[0]).max() <= 10.0
+
+
+def test_what_all_rows_share():
+    env = TwoAgentVecEnv(SINE, 2)
+    assert env.get_attr("num_envs") == [2] * 4
+    assert env.get_attr("render_mode", indices=[0, 3]) == [None, None]
+    assert env.get_attr("core", indices=2) == [env.cells.core]
+    assert env.has_attr("core")
+    assert not env.has_attr("nothing")
+    assert env.env_is_wrapped(Monitor) == [False] * 4
+    assert env.env_is_wrapped(Monitor, indices=[1]) == [False]
+    env.set_attr("note", "a")
+    assert env.get_attr("note", 0) == ["a"]
+    assert env.env_method("render") == [None] * 4
+    with pytest.raises(errors.SettingsError, match=r"'note'.*indices=None"):
+        env.set_attr("note", "b", indices=[0])
+    with pytest.raises(errors.SettingsError, match=r"'render'.*indices=None"):
+        env.env_method("render", indices=0)
+
+
+def test_bad_actions_options_and_order():
+    env = TwoAgentVecEnv(SINE, 2)
+    with pytest.raises(errors.ResetNeededError):
+        env.step(zeros(env))
+    env.reset()
+    for bad in (np.zeros((2, 12)), np.zeros((4, 7)), np.zeros(24), None):
+        with pytest.raises(errors.ActionError, match=re.escape("(4, 6)")):
+            env.step(bad)
+    actions = zeros(env)
+    actions[3, 2] = np.nan
+    with pytest.raises(errors.ActionError, match=r"number 2 of the right arm's action is nan \(cell 1\)"):
+        env.step(actions)
+    env.step(zeros(env))
+    env.set_options({"phase": 1})
+    with pytest.raises(errors.SettingsError, match="phase"):
+        env.reset()
+    env.close()
+    env.close()
+    with pytest.raises(errors.ClosedError):
+        env.step(zeros(env))
+
+
+@pytest.mark.parametrize(
+    ("keywords", "error", "text"),
+    [
+        ({"task": "Nothing"}, errors.UnknownNameError, SINE),
+        ({"num_cells": 0}, errors.SettingsError, "num_cells"),
+        ({"num_cells": 1.5}, errors.SettingsError, "num_cells"),
+        ({"reward": "mean"}, errors.UnknownNameError, "individual"),
+        ({"observation": "both"}, errors.SettingsError, "observation='state'"),
+        ({"max_episode_steps": 0}, errors.SettingsError, "max_episode_steps"),
+        ({"render_mode": "human"}, errors.UnknownNameError, "rgb_array"),
+    ],
+)
+def test_bad_keywords(keywords, error, text):
+    with pytest.raises(error, match=re.escape(text)):
+        TwoAgentVecEnv(**{"task": SINE, **keywords})
+
+
+def test_pickling_goes_on_bit_for_bit():
+    env = TwoAgentVecEnv(SINE, 2, max_episode_steps=4)
+    env.seed(0)
+    env.reset()
+    env.step(zeros(env))
+    copy = pickle.loads(pickle.dumps(env))
+    for _ in range(6):
+        ours, theirs = env.step(zeros(env)), copy.step(zeros(env))
+        assert all(np.array_equal(a, b) for a, b in zip(ours[:3], theirs[:3], strict=True))
+
+
+def test_pictures_are_one_per_cell():
+    env = TwoAgentVecEnv(SINE, 2, render_mode="rgb_array", width=64, height=48)
+    env.seed(0)
+    env.reset()
+    assert [image.shape for image in env.get_images()] == [(48, 64, 3)] * 2
+    assert env.render().shape == (96, 64, 3) or env.render().shape == (48, 128, 3)
+    assert TwoAgentVecEnv(SINE).get_images() == []

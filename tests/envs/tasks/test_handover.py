@@ -1,0 +1,332 @@
+import numpy as np
+import pytest
+
+from dual_ur10 import errors
+from dual_ur10.envs.core.core import Core
+from dual_ur10.envs.tasks.handover.settings import GRIPS, HandoverSettings, laid_quat, lying, presented_quat
+from dual_ur10.envs.tasks.handover.stages import STAGES, WIDTH_M, Facts, Hand, advance, passed, terms
+from dual_ur10.envs.tasks.handover.task import SETTLED_S, Handover, _between_long_axes
+from dual_ur10.envs.tasks.poses import yawed
+from dual_ur10.kinematics import flange_pose_quat
+from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.rotations import quat_to_matrix, rotate
+from dual_ur10.sim2real.config.cell import CellConfig
+from tests.soak import scaled
+
+BEHIND, ASIDE = ArmMount((-1.1, -0.6, 0.0)), ArmMount((-0.75, 1.2, 0.0))
+STAY = np.tile([0.0] * 6 + [1.0], 2).astype(np.float32)
+
+
+def begun(seed=0, **keywords):
+    core = Core("Handover", keywords)
+    observation, _ = core.reset([np.random.default_rng(seed)])
+    return core, observation
+
+
+def put(core, position_m, quat=(1.0, 0.0, 0.0, 0.0)):
+    """Lay the block somewhere, whoever or whatever brought it there."""
+    core.cell._physics._handling._object[0] = [*position_m, *quat]
+
+
+def hand(between=False, holds=False, opening=0.085, away=0.5):
+    return Hand(*(np.array([value]) for value in (between, holds, opening, away)))
+
+
+def facts(giving=None, receiving=None, height=0.02, meeting=0.5, target=1.0, turn=0.3, placed=False):
+    values = (np.array([value]) for value in (height, meeting, target, turn, placed))
+    return Facts(giving or hand(), receiving or hand(), *values)
+
+
+HOLDS = hand(True, True, WIDTH_M, 0.01)
+# What passes each stage, and no later one but those that it must.
+SCENES = [
+    facts(hand(True)),
+    facts(HOLDS),
+    facts(HOLDS, height=0.1),
+    facts(HOLDS, height=0.3, meeting=0.05),
+    facts(HOLDS, HOLDS, height=0.3, meeting=0.05),
+    facts(hand(), HOLDS, height=0.3, meeting=0.05),
+    facts(target=0.001, turn=0.0, placed=True),
+]
+
+
+def test_stages_are_passed_one_after_the_other():
+    stage = np.zeros(1, dtype=np.int64)
+    for k, scene in enumerate(SCENES):
+        advance(stage, passed(scene))
+        assert stage[0] == k + 1
+
+
+@pytest.mark.parametrize("left_out", [0, 1, 2, 4, 5])
+def test_no_stage_can_be_left_out(left_out):
+    stage = np.zeros(1, dtype=np.int64)
+    for scene in SCENES:
+        conditions = passed(scene)
+        conditions[:, left_out] = False
+        advance(stage, conditions)
+    assert stage[0] == left_out
+
+
+def test_stages_that_hold_at_once_are_passed_at_once_and_never_lost():
+    stage = np.zeros(1, dtype=np.int64)
+    advance(stage, passed(SCENES[3]))
+    assert stage[0] == 4
+    advance(stage, passed(facts()))
+    assert stage[0] == 4
+
+
+@pytest.mark.parametrize(
+    ("scene", "stage"),
+    [
+        (facts(hand(holds=True), height=0.07), 2),  # too low to be lifted
+        (facts(HOLDS, height=0.3, meeting=0.2), 3),  # not where it is handed over
+        (facts(HOLDS, hand(True), height=0.3), 4),  # the receiver has not closed
+        (facts(hand(), HOLDS, height=0.05), 5),  # dropped to the table
+        (facts(target=0.001, turn=0.0), 6),  # somebody still holds it, or it moves
+    ],
+)
+def test_what_does_not_pass_a_stage(scene, stage):
+    assert not passed(scene)[0, stage]
+
+
+def test_terms_rise_within_a_stage_and_are_one_after_it():
+    giver = np.array([0])
+    nearer = [
+        (0, facts(hand(away=0.2)), facts(hand(away=0.05))),
+        (1, facts(hand(True, opening=0.08)), facts(hand(True, opening=0.05))),
+        (2, facts(HOLDS, height=0.02), facts(HOLDS, height=0.06)),
+        (3, facts(HOLDS, meeting=0.5), facts(HOLDS, meeting=0.2)),
+        (4, facts(HOLDS, hand(away=0.2)), facts(HOLDS, hand(away=0.02))),
+        (5, facts(hand(opening=0.045), HOLDS), facts(hand(opening=0.07), HOLDS)),
+        (6, facts(receiving=HOLDS, target=0.5), facts(receiving=HOLDS, target=0.1)),
+    ]
+    for k, far, near in nearer:
+        stage = np.array([k])
+        low, high = (terms(each, stage, giver).mean(axis=1)[0] for each in (far, near))
+        assert low[:k].tolist() == high[:k].tolist() == [1.0] * k
+        assert 0.0 <= low[k] < high[k] <= 1.0
+        assert (high[k + 1 :] < 1.0).all()
+        assert high[[j for j in range(k + 1, 7) if STAGES[j] != "present"]].max(initial=0.0) == 0.0
+
+
+def test_each_arm_earns_what_is_its_to_do():
+    expected = [2, 2, 2, 1, 1, 2, 0]
+    for giver in (0, 1):
+        done = terms(facts(), np.array([7]), np.array([giver]))[0]
+        assert done[giver].tolist() == expected
+        assert done[1 - giver].tolist() == [2 - value for value in expected]
+    approach = [terms(facts(HOLDS, hand(away=away)), np.array([2]), np.array([0]))[0, :, 3] for away in (0.6, 0.2)]
+    assert approach[0][1] < approach[1][1]
+    assert approach[0][0] == approach[1][0]
+
+
+def test_a_block_that_only_lies_on_its_target_is_no_success():
+    core, _ = begun()
+    core.step(STAY)
+    handling = core.cell._physics._handling
+    put(core, handling._target[0][0], handling._target[1][0])
+    for _ in range(40):
+        step = core.step(STAY)
+        assert step.info["object_error_m"][0] < 0.002
+        assert step.info["stage"][0] == 0
+        assert not step.info["is_success"][0]
+        assert not step.terminated[0]
+
+
+def test_after_all_stages_it_must_lie_there_for_a_while():
+    core, _ = begun()
+    core.step(STAY)
+    handling = core.cell._physics._handling
+    core.task._stage[:] = 6
+    put(core, handling._target[0][0] + [0.1, 0.0, 0.0], handling._target[1][0])
+    assert core.step(STAY).info["stage"][0] == 6  # off the target
+    put(core, handling._target[0][0], handling._target[1][0])
+    assert core.step(STAY).info["stage"][0] == 6  # it has just moved
+    steps = 0
+    while True:
+        step = core.step(STAY)
+        steps += 1
+        assert step.info["stage"][0] == 7
+        if step.terminated[0]:
+            break
+        assert not step.info["is_success"][0]
+    assert step.info["is_success"][0]
+    assert not step.truncated[0]
+    assert steps * core.timing.period_s == pytest.approx(SETTLED_S, abs=core.timing.period_s)
+
+
+def test_the_end_where_the_front_belongs_matters_and_the_upper_side_does_not():
+    quat = laid_quat(np.array([[0.3], [np.pi + 0.3]]))
+    angle = _between_long_axes(quat, yawed(np.full((2, 1), 0.3)))
+    assert np.allclose(angle[:, 0], [0.0, np.pi])
+
+
+@pytest.mark.parametrize("where", [(0.0, 0.0, -0.2), (1.5, 0.0, 0.02), (-0.75, 2.5, 0.02)])
+def test_a_lost_block_ends_the_episode(where):
+    core, _ = begun()
+    assert not core.step(STAY).terminated[0]
+    put(core, where)
+    step = core.step(STAY)
+    assert step.terminated[0]
+    assert not step.truncated[0]
+    assert not step.info["is_success"][0]
+
+
+@pytest.mark.parametrize("where", [(0.5, 0.0, 0.02), (-0.45, 0.85, 0.02)])
+def test_a_block_anywhere_on_the_table_is_not_lost(where):
+    core, _ = begun()
+    put(core, where)
+    assert not core.step(STAY).terminated[0]
+
+
+def test_time_runs_out_and_tighter_limits_give_more_of_it():
+    core, _ = begun(duration_s=0.4)
+    over = [core.step(STAY).truncated[0] for _ in range(10)]
+    assert over == [False] * 9 + [True]
+    limits = Handover.limits
+    for cell, factor in (
+        (CellConfig(speed_rad_s=0.5), limits.speed_rad_s[0] / 0.5),
+        (CellConfig(tcp_speed_m_s=0.25), limits.tcp_speed_m_s / 0.25),
+        (CellConfig(speed_rad_s=3.0), 1.0),
+    ):
+        assert begun(cell=cell)[0].task.duration_s == pytest.approx(20.0 * factor)
+
+
+def test_starts_are_drawn_within_their_ranges_on_the_givers_side():
+    n = 200
+    core = Core("Handover", {"giver": "random"}, n=n)
+    core.reset([np.random.default_rng(seed) for seed in range(n)])
+    settings, task = core.task.settings, core.task
+    giver = task._giver
+    assert 0.35 < giver.mean() < 0.65
+    state = core._state
+    side = 1 - 2 * giver
+    block = state.object_m - np.stack([0.0 * side, 0.5 * side, 0.02 + 0.0 * side], axis=1)
+    target = state.target_m - np.stack([0.0 * side, -0.5 * side, 0.02 + 0.0 * side], axis=1)
+    for away, reach in ((block, settings.object_range_m), (target, settings.target_range_m)):
+        assert np.abs(away[:, :2]).max() <= reach
+        assert np.abs(away[:, :2]).max(axis=0).min() > 0.9 * reach
+        assert np.abs(away[:, 2]).max() < 1e-3
+    yaw = 2 * np.arctan2(state.object_quat[:, 3], state.object_quat[:, 0])
+    assert 0.9 * np.pi / 6 < np.abs(yaw).max() <= np.pi / 6
+
+
+@pytest.mark.parametrize("giver", ["left", "right"])
+def test_who_gives_can_be_chosen_and_is_observed(giver):
+    core, observation = begun(giver=giver)
+    role = 1.0 if giver == "left" else -1.0
+    assert observation.reshape(2, 56)[:, 54].tolist() == [role, -role]
+    assert core.step(STAY).info["giver"][0] == ("left", "right").index(giver)
+
+
+def test_the_hands_meet_from_opposite_sides_at_both_halves():
+    for giver in (0, 1):
+        block = quat_to_matrix(presented_quat(giver))
+        grip = quat_to_matrix(GRIPS[giver].quat)
+        tools = block @ grip
+        assert np.allclose(tools[0, :, 2], -tools[1, :, 2])
+        assert np.allclose(tools[:, 2, 2], 0.0, atol=1e-12)  # horizontal
+        assert tools[0, 1, 2] < -0.5  # the left hand points to the right
+        between = block @ (GRIPS[giver].position_m[1] - GRIPS[giver].position_m[0])
+        assert between[0] > 0.05
+        assert np.linalg.norm(between) == pytest.approx(0.1, abs=2e-3)
+        pick = quat_to_matrix(GRIPS[giver].quat[giver])
+        lay = quat_to_matrix(laid_quat(np.array(0.0))) @ grip[1 - giver]
+        assert np.allclose(pick[:, 2], [0, 0, -1])
+        assert np.allclose(lay[:, 2], [0, 0, -1])
+
+
+def test_observation_is_what_the_table_says():
+    cell = CellConfig(
+        left=ArmMount((-0.7, 0.6, 0.02), 0.1), right=ArmMount((-0.8, -0.55, 0.03), -0.1), wrench_noise=(0.0, 0.0)
+    )
+    core, _ = begun(cell=cell, giver="right")
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        action = rng.uniform(-0.3, 0.3, 14)
+        action[[6, 13]] = 0.0, 0.5
+        step = core.step(action.astype(np.float32))
+    arms, state = step.observation.reshape(2, 56), core._state
+    position, quat = flange_pose_quat(state.q_rad[0])
+    assert np.allclose(arms[:, 18:21], position, atol=1e-6)
+    assert np.allclose(np.abs((arms[:, 21:25] * quat).sum(axis=1)), 1.0)
+    assert arms[:, 25].tolist() == state.gripper_m[0].tolist() == arms[::-1, 53].tolist()
+    for k, mount in enumerate((cell.left, cell.right)):
+        turn = quat_to_matrix(yawed(np.array(mount.yaw_rad + np.pi)))
+        for first, there in ((32, state.object_m[0]), (39, state.target_m[0])):
+            assert np.allclose(turn @ arms[k, first : first + 3] + mount.position_m, there)
+    relative = arms[0, 46:49]
+    assert np.allclose(rotate(state.flange_quat[0, 0], relative) + state.flange_m[0, 0], state.flange_m[0, 1])
+    assert np.allclose(arms[:, 55], 0.4 / 20.0)
+    assert (np.abs(step.observation[0]) <= core.task.observation_bound).all()
+    assert core.task.agent_bound.shape == (2, 56)
+
+
+def test_measuring_changes_nothing():
+    core, _ = begun()
+    core.step(STAY)
+    first, second = (core.task.measure(core._state) for _ in range(2))
+    assert np.array_equal(first.grip_in_tool_m, second.grip_in_tool_m)
+    assert core.task._count[0] == 1
+
+
+def test_rows_are_bit_equal_to_single_cells():
+    n, steps = 3, scaled(600)
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-0.15, 0.15, (steps, n, 14)).astype(np.float32)
+    together = Core("Handover", {"giver": "random"}, n=n, threads=2)
+    together.reset([np.random.default_rng(seed) for seed in range(n)])
+    alone = []
+    for seed in range(n):
+        core = Core("Handover", {"giver": "random"})
+        core.reset([np.random.default_rng(seed)])
+        alone.append(core)
+    for action in actions:
+        both = together.step(action)
+        for row, core in enumerate(alone):
+            step = core.step(action[row])
+            assert np.array_equal(step.observation[0], both.observation[row])
+            assert step.reward[0] == both.reward[row]
+            for name, values in step.info.items():
+                assert np.array_equal(values[0], both.info[name][row]), name
+
+
+def test_lying_blocks_are_on_their_side():
+    block = lying(np.array([[0.01, 0.02, 0.3], [0.01, 0.02, 0.3]]), np.array([0, 1]))
+    assert np.allclose(block.position_m, [[0.01, 0.52, 0.02], [0.01, -0.48, 0.02]])
+
+
+@pytest.mark.parametrize(
+    ("keywords", "error", "text"),
+    [
+        ({"giver": "both"}, errors.UnknownNameError, "random"),
+        ({"duration_s": 0.0}, errors.SettingsError, "duration_s"),
+        ({"object_range_m": -0.1}, errors.SettingsError, "object_range_m"),
+        ({"object_turn_rad": "wide"}, errors.SettingsError, "object_turn_rad"),
+        ({"target_range_m": float("nan")}, errors.SettingsError, "target_range_m"),
+        ({"target_turn_rad": 9.0}, errors.SettingsError, "target_turn_rad"),
+        ({"success_error_m": 0.0}, errors.SettingsError, "success_error_m"),
+        ({"success_turn_rad": True}, errors.SettingsError, "success_turn_rad"),
+        ({"grip_force_n": 1.0}, errors.SettingsError, "grip_force_n"),
+        ({"reach_m": 1.0}, errors.UnknownNameError, "object_range_m"),
+        (
+            {"object_range_m": 0.3, "giver": "right", "cell": CellConfig(right=BEHIND)},
+            errors.WorkspaceError,
+            "right arm .* the block .* object_range_m",
+        ),
+        (
+            {"target_range_m": 0.3, "cell": CellConfig(right=BEHIND)},
+            errors.WorkspaceError,
+            "right arm .* the target .* target_range_m",
+        ),
+        ({"cell": CellConfig(left=ASIDE)}, errors.WorkspaceError, "left arm .* handed over, .* move the base"),
+    ],
+)
+def test_bad_keywords_are_refused_by_name(keywords, error, text):
+    with pytest.raises(error, match=text):
+        Core("Handover", keywords)
+
+
+def test_settings_are_equal_by_value():
+    assert HandoverSettings(duration_s=20) == HandoverSettings()
+    assert HandoverSettings(giver="random").givers == (0, 1)

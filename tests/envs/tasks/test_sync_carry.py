@@ -1,0 +1,341 @@
+import re
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from dual_ur10 import CellConfig, ServojProfile, errors, policies
+from dual_ur10.assets.props import BAR_MASS_KG
+from dual_ur10.envs.tasks.poses import Poses, after, angle, seen_from
+from dual_ur10.envs.tasks.sync_carry.path import MOVES, CarryPath
+from dual_ur10.envs.tasks.sync_carry.settings import bar_pose
+from dual_ur10.kinematics.rotations import quat_from_rotvec, rotate
+from tests.soak import SOAK, scaled
+
+CARRY = "DualUR10/SyncCarry-v0"
+SHORT = 220  # steps after which the bar of the default path is 0.2 m above the table
+
+
+def run(change=None, steps=None, seed=0, **keywords):
+    """Infos of an episode of the scripted policy, whose actions `change(step, action)` may change."""
+    env = gym.make(CARRY, **keywords)
+    policy = policies.load("scripted", CARRY, **keywords)
+    observation, _ = env.reset(seed=seed)
+    infos, over, reward = [], False, 0.0
+    while not over and (steps is None or len(infos) < steps):
+        action = policy(observation)
+        if change is not None:
+            action = change(len(infos), action)
+        observation, reward, terminated, truncated, info = env.step(action)
+        infos.append({**info, "observation": observation, "reward": reward, "terminated": terminated})
+        over = terminated or truncated
+    task = env.unwrapped.task
+    env.close()
+    return infos, task
+
+
+def column(infos, name):
+    return np.array([info[name] for info in infos])
+
+
+@pytest.mark.parametrize("duration_s", list(MOVES))
+def test_the_path_is_smooth_and_as_fast_as_promised(duration_s):
+    step_s = 0.002
+    time = np.arange(-0.5, duration_s + 0.5, step_s)[None]
+    bar = CarryPath(duration_s)(time, bar_pose(np.zeros((1, 3))))
+    assert np.allclose(np.linalg.norm(bar.quat, axis=-1), 1.0, atol=1e-12)
+    ends = [bar.position_m + rotate(bar.quat, np.array([0.0, y, 0.0])) for y in (-0.5, 0.0, 0.5)]
+    points = np.concatenate(ends)
+    speed = np.diff(points, axis=1) / step_s
+    assert 0.22 < np.linalg.norm(speed, axis=2).max() < 0.2251
+    acceleration = np.diff(speed, axis=1) / step_s
+    # Minimum jerk: no step in acceleration, whose rate is the jerk.
+    assert np.abs(np.diff(acceleration, axis=1)).max() / step_s < 5.0
+    for k in (0, -1):
+        assert np.allclose(bar.position_m[0, k], [0.0, 0.0, 0.02], atol=1e-12)
+        assert np.allclose(bar.quat[0, k], [1, 0, 0, 0], atol=1e-12)
+    # Yaw, roll and pitch as promised.
+    axes = rotate(bar.quat, np.eye(3)[:, None, None])[:, 0]
+    degrees = np.degrees(
+        [np.arctan2(axes[0, :, 1], axes[0, :, 0]), np.arcsin(axes[1, :, 2]), -np.arcsin(axes[0, :, 2])]
+    )
+    assert np.allclose(np.abs(degrees).max(axis=1), [20.0, 10.0, 15.0], atol=0.5)
+
+
+def test_poses_compose():
+    rng = np.random.default_rng(0)
+    one, other = (Poses(rng.normal(size=(4, 3)), quat_from_rotvec(rng.normal(size=(4, 3)))) for _ in range(2))
+    again = seen_from(one, after(one, other))
+    assert np.allclose(again.position_m, other.position_m, atol=1e-12)
+    assert np.allclose(np.abs((again.quat * other.quat).sum(axis=1)), 1.0, atol=1e-12)
+    vectors = np.array([[0.3, 0, 0], [0, -1e-9, 0]])
+    assert np.allclose(angle(quat_from_rotvec(vectors)), [0.3, 1e-9], rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "slip_mm", "relative_mm", "degrees", "squeeze_n"),
+    [
+        ({"grasp": "rigid"}, None, 0.1, 0.02, 5.0),
+        ({"duration_s": 60.0}, 0.3, 0.4, 0.05, 10.0),
+    ],
+    ids=["rigid", "friction"],
+)
+def test_scripted_figures(keywords, slip_mm, relative_mm, degrees, squeeze_n):
+    infos, task = run(**keywords)
+    assert infos[-1]["is_success"]
+    carried = [info for info in infos if info["clock_s"] > 0]
+    assert column(carried, "relative_error_m").max() < relative_mm * 1e-3
+    assert np.degrees(column(carried, "relative_error_rad").max()) < degrees
+    assert np.abs(column(carried, "squeeze_n")).max() < squeeze_n
+    if slip_mm is not None:
+        assert column(carried, "slip_m").max() < slip_mm * 1e-3
+    air = [info for info in carried if info["object_m"][2] > 0.1]
+    assert np.abs(column(air, "load_share") - 0.5).max() < 0.1
+    speed = np.abs(np.diff(column(infos, "q_rad"), axis=0)).max() / task.timing.period_s
+    assert speed < max(task.limits.speed_rad_s)
+    assert not any("safety" in info for info in infos)
+    assert column(air, "reward").min() > 0.95
+
+
+def test_success_over_random_plants():
+    episodes, width = (300, 15) if SOAK else (4, 4)
+    successes = 0
+    for first in range(0, episodes, width):
+        env = gym.make_vec(CARRY, num_envs=width, randomization="mild", autoreset_mode="Disabled")
+        policy = policies.load("scripted", CARRY, randomization="mild")
+        observation, _ = env.reset(seed=first)
+        over = np.zeros(width, dtype=bool)
+        while not over.all():
+            observation, _, terminated, over, info = env.step(policy(observation))
+            assert not terminated.any(), info
+        successes += int(info["is_success"].sum())
+        env.close()
+    assert successes >= 0.99 * episodes
+
+
+def test_tight_caps_slow_both_arms_and_keep_the_grasp():
+    caps = CellConfig(speed_rad_s=0.5)
+    infos, task = run(cell=caps, grasp="rigid")
+    free, _ = run(grasp="rigid")
+    assert len(infos) > 1.15 * len(free)
+    assert infos[-1]["is_success"]
+    speed = np.abs(np.diff(column(infos, "q_rad"), axis=0)).max() / task.timing.period_s
+    assert 0.35 < speed < 0.5
+    assert column(infos, "relative_error_m").max() < 1e-4
+    assert np.abs(column(infos, "squeeze_n")).max() < 5.0
+    friction, _ = run(cell=caps, steps=350)
+    lifted = friction[-1]
+    assert lifted["object_m"][2] > 0.1
+    assert column(friction[150:], "relative_error_m").max() < 4e-4
+
+
+def test_what_is_felt_is_the_load():
+    infos, task = run(steps=SHORT + 40)
+    wrench = infos[-1]["observation"].reshape(2, task.agent_bound.shape[1])[:, 26:32]
+    # Half the bar's weight on each, with the noise of a CB3's estimate.
+    assert np.allclose(wrench[:, 2], -9.81 * BAR_MASS_KG / 2, atol=12.0)
+    quiet, _ = run(steps=SHORT + 40, cell=CellConfig(wrench_noise=(0.0, 0.0)))
+    calm = quiet[-1]["observation"].reshape(2, -1)[:, 26:32]
+    assert np.allclose(calm[:, 2], -9.81 * BAR_MASS_KG / 2, atol=1.5)
+    assert np.abs(calm[:, :2]).max() < 6.0  # it accelerates
+    assert not np.array_equal(wrench, calm)
+    before = quiet[5]["observation"].reshape(2, -1)[:, 26:32]
+    assert np.abs(before).max() < 1.0  # the gripper's own weight is taken off
+
+
+def test_an_unknown_load_sags():
+    known, _ = run(steps=SHORT, grasp="rigid")
+    unknown, _ = run(steps=SHORT, grasp="rigid", payload="unknown")
+    sag = known[-1]["object_m"][2] - unknown[-1]["object_m"][2]
+    assert 1e-3 < sag < 6e-3  # 20 N on a few thousand N/m
+
+
+def let_go(arm, from_step):
+    def change(step, action):
+        if step >= from_step:
+            action = action.copy()
+            action[7 * arm + 6] = 1.0
+        return action
+
+    return change
+
+
+@pytest.mark.parametrize("arm", [0, 1])
+def test_a_bar_that_is_dropped_ends_the_episode_without_success(arm):
+    infos, _ = run(let_go(arm, SHORT))
+    assert infos[-1]["terminated"]
+    assert not infos[-1]["is_success"]
+    assert infos[-1]["object_error_m"] > 0.15 or "safety" in infos[-1]
+    assert infos[SHORT + 15]["reward/grasp"] == 0.5
+    assert infos[SHORT + 15]["reward/position"] == 0.0
+
+
+def test_one_arm_cannot_earn_success():
+    # The right gripper never closes: the bar is lifted by the left one alone, as far as it goes.
+    infos, _ = run(let_go(1, 0))
+    assert not infos[-1]["is_success"]
+    assert max(info["reward/synchrony"] for info in infos) == 0.0
+
+
+def test_a_share_of_the_load_is_needed():
+    _, task = run(grasp="rigid", steps=SHORT)
+    task._carried[:] = [[0.9, 0.1]]
+    task._squares[:] = task._worst_slip[:] = 0.0
+    good = task._done_well(np.array([True]), np.array([[True, True]]))
+    assert not good[0]
+    task._carried[:] = [[0.7, 0.3]]
+    assert task._done_well(np.array([True]), np.array([[True, True]]))[0]
+    assert not task._done_well(np.array([True]), np.array([[True, False]]))[0]
+    steps = task._count[0] - 1.5 / 0.04
+    for row, most in ((0, 0.01), (1, 0.05)):
+        task._squares[row] = (0.98 * most) ** 2 * steps
+        assert task._done_well(np.array([True]), np.array([[True, True]]))[0]
+        task._squares[row] = (1.02 * most) ** 2 * steps
+        assert not task._done_well(np.array([True]), np.array([[True, True]]))[0]
+        task._squares[row] = 0.0
+    task._worst_slip[:] = 0.006
+    assert not task._done_well(np.array([True]), np.array([[True, True]]))[0]
+
+
+@pytest.mark.parametrize(
+    ("keywords", "error", "text"),
+    [
+        ({"grasp": "glue"}, errors.UnknownNameError, "rigid"),
+        ({"payload": "heavy"}, errors.UnknownNameError, "unknown"),
+        ({"duration_s": 45.0}, errors.SettingsError, "30.0 or 60.0"),
+        ({"grip_force_n": 300.0}, errors.SettingsError, "20 to 235"),
+        ({"object_range_m": "wide"}, errors.SettingsError, "object_range_m"),
+        ({"object_range_m": 0.3}, errors.WorkspaceError, "cannot reach the bar"),
+        ({"success_slip_m": -1}, errors.SettingsError, "success_slip_m"),
+        ({"randomization": "wild"}, errors.UnknownNameError, "mild"),
+        ({"randomization": {"mas": 0.1}}, errors.UnknownNameError, "'mass'"),
+        ({"randomization": {"mass": 2.0}}, errors.SettingsError, "0 to 0.5"),
+        ({"object_turn_rad": 3.0}, errors.SettingsError, "0 to 1"),
+    ],
+)
+def test_bad_keywords_are_refused_by_name(keywords, error, text):
+    with pytest.raises(error, match=re.escape(text)):
+        gym.make(CARRY, **keywords)
+
+
+def test_the_policy_wants_observations_of_its_task():
+    policy = policies.load("scripted", CARRY)
+    with pytest.raises(errors.ActionError, match="124"):
+        policy(np.zeros(122))
+    with pytest.raises(errors.SettingsError, match="tcp_delta"):
+        policies.load("scripted", CARRY, action_mode="tcp_delta")
+
+
+def test_joint_position_and_latency_work_too():
+    infos, _ = run(action_mode="joint_position", action_latency_ticks=3, steps=SHORT + 30)
+    assert infos[-1]["object_m"][2] > 0.15
+    assert column(infos[150:], "relative_error_m").max() < 4e-4
+
+
+class Cheat:
+    """The scripted policy, told of other references than there are."""
+
+    def __init__(self, **keywords):
+        self.policy = policies.load("scripted", CARRY, **keywords)
+
+    def __call__(self, observation):
+        arms = observation.reshape(2, 61).copy()
+        for first in (38, 45):  # reference now and ahead
+            self.change(arms[:, first : first + 3], arms[:, first + 3 : first + 7])
+        return self.policy(arms.reshape(-1))
+
+
+class NeverTurns(Cheat):
+    def change(self, position, quat):
+        if not hasattr(self, "kept"):
+            self.kept = quat.copy()
+        quat[:] = self.kept
+
+
+class NeverPutsDown(Cheat):
+    def change(self, position, quat):
+        position[:, 2] = np.maximum(position[:, 2], 0.05) if getattr(self, "up", False) else position[:, 2]
+        self.up = getattr(self, "up", False) or bool((position[:, 2] > 0.2).all())
+
+
+@pytest.mark.parametrize("cheat", [NeverTurns, NeverPutsDown])
+def test_the_bar_must_be_turned_and_put_down(cheat):
+    env, policy = gym.make(CARRY, grasp="rigid"), cheat(grasp="rigid")
+    observation, _ = env.reset(seed=0)
+    over = False
+    while not over:
+        observation, _, terminated, truncated, info = env.step(policy(observation))
+        over = terminated or truncated
+    assert not info["is_success"]
+    assert truncated
+
+
+def test_fingers_beside_the_bar_do_not_hold_it():
+    """Nothing is earned, and nothing is told to the controllers, without a grasp."""
+
+    def nearly(step, action):
+        action = action.copy()
+        opening = 2 * 0.0447 / 0.085 - 1
+        action[[6, 13]] = np.maximum(action[[6, 13]], opening)
+        return action
+
+    infos, task = run(nearly, steps=140)
+    assert max(info["reward/grasp"] for info in infos) == 0.0
+    assert not task._declared.any()
+    one, task = run(let_go(1, 0), steps=140)
+    assert one[-1]["reward/grasp"] == 0.5
+    assert not task._declared.any()
+
+
+@pytest.mark.parametrize("keywords", [{"grasp": "rigid"}, {"randomization": "mild", "action_latency_ticks": 7}])
+def test_an_unpickled_environment_goes_on_as_it_was(keywords):
+    import pickle
+
+    env = gym.make(CARRY, **keywords).unwrapped
+    policy = policies.load("scripted", CARRY, **keywords)
+    observation, _ = env.reset(seed=3)
+    for _ in range(60):
+        observation, *_ = env.step(policy(observation))
+    other = pickle.loads(pickle.dumps(env))
+    for _ in range(30):
+        action = policy(observation)
+        observation, reward, *_ = env.step(action)
+        again, same, *_ = other.step(action)
+        assert np.array_equal(observation, again)
+        assert reward == same
+
+
+@pytest.mark.parametrize(
+    ("cell", "rate"),
+    [
+        (CellConfig(servoj=ServojProfile("e-series")), 25.0),
+        (CellConfig(servoj=ServojProfile("e-series")), 12.5),
+        (CellConfig(servoj=ServojProfile("cb3", 0.05, 500)), 25.0),
+        (CellConfig(servoj=ServojProfile("cb3", 0.1, 300)), 25.0),
+        (CellConfig(speed_rad_s=0.1), 25.0),
+        (CellConfig(tcp_speed_m_s=0.05), 25.0),
+    ],
+    ids=["e-series", "e-series slow", "cb3 0.05", "cb3 0.1", "slow joints", "slow tips"],
+)
+def test_it_gets_down_to_the_bar_on_other_cells(cell, rate):
+    keywords = {"cell": cell, "policy_rate_hz": rate}
+    n = scaled(60)
+    env = gym.make_vec(CARRY, num_envs=n, autoreset_mode="Disabled", **keywords)
+    policy = policies.load("scripted", CARRY, **keywords)
+    observation, _ = env.reset(seed=0)
+    clock = np.full(n, -1.0)
+    while (clock < 0.3).all():
+        observation, _, terminated, _, info = env.step(policy(observation))
+        assert not terminated.any(), info["safety"]
+        clock = info["clock_s"]
+    assert info["reward/grasp"].min() == 1.0
+
+
+def test_observations_are_the_callers_own():
+    env = gym.make_vec(CARRY, num_envs=2, autoreset_mode="Disabled")
+    env.reset(seed=0)
+    observation = env.step(np.zeros((2, 14), dtype=np.float32))[0]
+    kept = observation.copy()
+    observation *= 0.0
+    again, _ = env.reset(options={"reset_mask": np.array([True, False])})
+    assert np.array_equal(again[1], kept[1])

@@ -1,0 +1,57 @@
+import numpy as np
+import pytest
+from dm_control.utils import rewards
+
+from dual_ur10 import errors
+from dual_ur10.envs.core.core import load_task
+from dual_ur10.envs.tasks.sine_tracking.path import SineSettings
+from dual_ur10.envs.tasks.task import gaussian, task_settings
+from dual_ur10.kinematics.frames import ArmMount, to_base
+
+
+@pytest.mark.parametrize("margin", [0.005, 0.02])
+def test_gaussian_is_dm_controls_tolerance(margin):
+    distance = np.linspace(0, 0.1, 50)
+    expected = rewards.tolerance(distance, bounds=(0, 0), margin=margin, sigmoid="gaussian", value_at_margin=0.1)
+    assert np.allclose(gaussian(distance, margin), expected, atol=1e-12)
+
+
+def test_the_sine_begins_at_rest_without_acceleration():
+    settings = SineSettings(soft_start_s=2.0)
+    time = np.linspace(0, 4, 4001)
+    for phase in (0.0, 1.0, np.pi / 2):
+        x = settings.displacement_m(time, np.array(phase))
+        speed = np.gradient(x, time)
+        acceleration = np.gradient(speed, time)
+        assert abs(x[0]) < 1e-12
+        assert abs(speed[1]) < 1e-6
+        assert abs(acceleration[2]) < 1e-2
+        assert np.abs(speed).max() <= settings.peak_speed_m_s * 1.001
+        assert np.abs(np.diff(speed)).max() < 2e-3  # no step at the end of the soft start
+        late = time >= 2.0
+        assert np.allclose(x[late], 0.1 * np.sin(np.pi * time[late] + phase), atol=1e-12)
+
+
+def test_displacements_do_not_depend_on_what_is_computed_beside_them():
+    settings = SineSettings()
+    alone = settings.displacement_m(np.array([[5.0, 5.04]]), np.array([[0.3]]))
+    beside = settings.displacement_m(np.array([[5.0, 5.04], [0.1, 0.14]]), np.array([[0.3], [1.0]]))
+    assert np.array_equal(alone[0], beside[0])
+
+
+def test_to_base_turns_points_of_the_cell_into_urs_base():
+    position, rotation = to_base((ArmMount((1.0, 2.0, 3.0), np.pi / 2), ArmMount((0.0, -1.0, 0.0))))
+    # Half a turn from base_link: what lies ahead of the arm has negative x.
+    assert np.allclose(rotation[1] @ (np.array([0.5, -1.0, 0.2]) - position[1]), [-0.5, 0.0, 0.2])
+    assert np.allclose(rotation[0] @ (np.array([1.0, 2.5, 3.0]) - position[0]), [-0.5, 0.0, 0.0])
+
+
+def test_settings_by_keyword():
+    task = load_task("SineTracking")
+    assert task_settings(task, {"amplitude_m": 0.2}) == SineSettings(amplitude_m=0.2)
+    with pytest.raises(errors.UnknownNameError, match="amplitude_m"):
+        task_settings(task, {"amplitude": 0.2})
+    with pytest.raises(errors.UnknownNameError, match="SineTracking"):
+        load_task("Sine")
+    assert np.allclose(SineSettings(axis=(0, 3, 4)).direction, [0, 0.6, 0.8])
+    assert SineSettings(arms="right").tracking.tolist() == [0.0, 1.0]

@@ -1,0 +1,109 @@
+"""Two arms that hold one object: rows 34, 50 and 52 of the table of faults in `docs/safety.md`."""
+
+import numpy as np
+import pytest
+
+from dual_ur10 import policies
+from dual_ur10.kinematics.frames import Frames
+from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
+from dual_ur10.sim2real.runtime.safety_monitor import _seen
+from tests import soak
+from tests.live.faults.lab import ARMS, Lab
+
+ROD = """
+[[obstacle]]
+name = "rod"
+kind = "capsule"
+from_m = [-0.6, 0.0, 0.25]
+to_m = [0.6, 0.0, 0.25]
+radius_m = 0.01
+"""
+
+
+@pytest.fixture(scope="module")
+def the_lab(tmp_path_factory):
+    made = Lab(tmp_path_factory.mktemp("carry"), task="SyncCarry")
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def lab(the_lab):
+    the_lab.policy = policies.load("scripted", "DualUR10/SyncCarry-v0")
+    yield the_lab
+    the_lab.audit()
+    the_lab.mend()
+
+
+def go(lab, observation, steps):
+    for _ in range(steps):
+        observation, _, terminated, _, info = lab.env.step(lab.policy(observation))
+        assert not terminated, info
+    return observation
+
+
+@pytest.mark.parametrize(("joint", "away"), [(5, 0.06), (0, 0.03)] if soak.SOAK else [(5, 0.06)])
+def test_52_arms_that_hold_one_object_stop_when_one_is_not_where_it_should_be(lab, joint, away):
+    go(lab, lab.begin(steps=0), 5)
+    hold = np.zeros(14, dtype=np.float32)
+    lab.policy = lambda observation=None: hold
+    for _ in range(25):
+        lab.env.step(hold)
+    told = list(lab.ask("left", "actual_q")[0])
+    told[joint] += away
+    lab.override("left", actual_q=told)
+    error = lab.step_until_faulted()
+    lab.assert_stopped(error, "the arms, which hold one object, are ", "allowed are 10 mm and 3°", seen_ticks=7)
+
+
+def test_50_what_is_carried_meets_nothing(lab):
+    """The bar's middle would, half a metre from both hands."""
+    lab.path.write_text(lab.path.read_text() + ROD)
+    observation, terminated = lab.begin(steps=0), False
+    for _ in range(300):
+        observation, _, terminated, _, info = lab.env.step(lab.policy(observation))
+        for wire in lab.wires:
+            wire.note()
+        if terminated:
+            break
+    assert terminated
+    assert "held and obstacle/rod" in info["safety"].subject
+    assert lab.latch.read() is None  # it is no fault
+    lab.assert_within_limits()
+
+
+def test_34_what_two_arms_hold_is_not_torn_by_a_slider(lab):
+    observation = go(lab, lab.begin(steps=0), 10)
+    lab.cell.ask("slider", arm="left", fraction=0.1)
+    observation = go(lab, observation, 5)
+    lab.cell.ask("slider", arm="left", fraction=1.0)
+    observation = go(lab, observation, 15)
+    lab.cell.ask("slider", arm="right", fraction=0.5)
+    go(lab, observation, 20)
+    assert lab.latch.read() is None
+    mounts = (lab.env.unwrapped.core.config.left, lab.env.unwrapped.core.config.right)
+    sent = [memory.sent()[0] for memory in lab.runner.arms]
+    low = max(each.period[0] for each in sent)
+    periods = np.arange(low, min(each.period[-1] for each in sent) + 1)
+    indices = [np.interp(periods, each.period, each.index) for each in sent]
+    apart_m, apart_rad = [], []
+    for row in range(0, len(periods), 5):
+        # What each was sent, and what it should have been sent were both as far as the left one.
+        was = [memory.target(index[row]) for memory, index in zip(lab.runner.arms, indices, strict=True)]
+        should = [memory.target(indices[0][row]) for memory in lab.runner.arms]
+        found, wanted = (_seen(each, mounts, Frames(mounts)) for each in (was, should))
+        apart_m.append(np.linalg.norm(found[0] - wanted[0]))
+        apart_rad.append(np.linalg.norm(quat_to_rotvec(quat_multiply(quat_conjugate(wanted[1]), found[1]))))
+    assert max(apart_m) < 1e-3
+    assert max(apart_rad) < np.radians(0.3)
+
+
+@pytest.mark.skipif(not soak.SOAK, reason="takes a minute: in a soak")
+def test_34_a_carry_succeeds_whatever_the_slider_does(lab):
+    observation, over, steps = lab.begin(steps=0), False, 0
+    while not over:
+        if steps % 50 == 25:
+            lab.cell.ask("slider", arm=ARMS[steps // 50 % 2], fraction=(0.25, 1.0)[steps // 100 % 2])
+        observation, _, terminated, truncated, info = lab.env.step(lab.policy(observation))
+        over, steps = terminated or truncated, steps + 1
+    assert info["is_success"]

@@ -1,0 +1,205 @@
+"""What goes wrong before the first target, on the way to a start, and while a program ends."""
+
+import dataclasses
+import os
+import signal
+import time
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from dual_ur10.errors import CellFaulted, ClosedError, LinkError, SettingsError, StartError
+from dual_ur10.sim2real.recording.reader import read_run
+from dual_ur10.sim2real.runtime.arm_memory import Phase
+from dual_ur10.sim2real.runtime.arm_sender import ArmSender
+
+
+@pytest.mark.parametrize("arm", [0, 1])
+@pytest.mark.parametrize("wait_s", [0.15, 1.0])
+def test_11_an_arm_whose_process_dies_before_the_first_target_does_not_leave_the_other_alone(lab, arm, wait_s):
+    lab.make()
+    lab.note()
+    os.kill(lab.pids[arm], signal.SIGKILL)
+    time.sleep(wait_s)  # somebody reads the question meanwhile
+    with pytest.raises((CellFaulted, StartError), match="does nothing any more"):
+        lab.env.reset(seed=0)
+    lab.assert_nothing_executed()
+    lab.close_env()
+    lab.assert_at_rest()
+    if wait_s > 0.5:
+        lab.assert_latched("does nothing any more")
+
+
+def test_11_an_arm_whose_process_dies_as_both_begin_leaves_the_other_only_a_start(lab):
+    """The last instant: `begin` has looked at both already."""
+    lab.make()
+    lab.note()
+    begin = lab.runner.cell.begin
+
+    def late(at_s):
+        os.kill(lab.pids[1], signal.SIGKILL)
+        begin(at_s)
+
+    lab.runner.cell.begin = late
+    with pytest.raises(CellFaulted, match=r"does not begin|does nothing any more"):
+        lab.env.reset(seed=0)
+    start = lab.executed("left")
+    assert len(start) < 0.5 / lab.tick_s
+    assert np.abs(start - start[:1]).max(initial=0.0) < 0.01
+    assert not len(lab.executed("right"))
+    lab.close_env()
+    lab.assert_latched("right")
+
+
+def test_11_arms_that_stopped_because_nobody_watched_are_latched_by_closing(lab):
+    """The policy was thinking meanwhile, and then its program ended in order."""
+    lab.begin()
+    lab.note()
+    os.kill(lab.pids[2], signal.SIGKILL)
+    end = time.monotonic() + 5.0
+    while any(memory.phase < Phase.STOPPED for memory in lab.runner.arms) and time.monotonic() < end:
+        time.sleep(0.01)
+    assert lab.latch.read() is None  # nobody has looked
+    lab.close_env()
+    lab.assert_latched("the supervisor does nothing any more")
+
+
+def test_59_a_stop_that_cannot_be_kept_is_told_to_the_next_start_all_the_same(lab):
+    """The disk is full, say; the supervisor, which keeps it as well, is gone."""
+    lab.begin()
+    lab.note()
+
+    def full(text):
+        raise OSError(28, "No space left on device")
+
+    lab.runner.latch.set = full
+    os.kill(lab.pids[2], signal.SIGKILL)
+    error = lab.step_until_faulted()
+    assert "the supervisor does nothing any more" in str(error)
+    lab.close_env()
+    assert lab.latch.read() is None
+    lab.assert_at_rest()
+    with pytest.raises(CellFaulted, match="ended without stopping them in order"):
+        lab.make()
+
+
+def test_29_a_stop_of_a_controller_while_its_arm_is_led_to_rest_is_latched(lab):
+    lab.begin()
+    runner = lab.runner
+    ends = runner.cell.end
+
+    def both():
+        ends()
+        for memory in runner.arms:
+            memory.stop()
+        lab.do("stop", arm="left", mode=3)
+
+    runner.cell.end = both
+    lab.close_env()
+    fault = lab.latch.read()
+    if runner.came_to_rest and fault is None:
+        pytest.fail("this machine is too busy: the arm was at rest before its controller stopped")
+    assert "left" in fault.text
+
+
+def test_57_a_process_that_hangs_while_a_program_ends_is_ended_and_its_arm_by_the_dashboard(lab):
+    lab.begin()
+    lab.turn("watchdog", {"on": True}, arm="left", on=False)  # nothing but the dashboard ends its program
+    runner = lab.runner
+    lab.suspend(lab.pids[0])
+    begun = time.monotonic()
+    lab.close_env()
+    assert time.monotonic() - begun < 10.0
+    assert not runner.came_to_rest
+    lab.assert_at_rest()
+    lab.assert_latched("left: its process did not stop")
+
+
+def test_33_a_program_that_is_paused_by_a_stop_is_ended_by_the_dashboard(lab):
+    """Nothing of this package relies on that a watchdog acts on a program that does not run."""
+    lab.begin()
+    for arm in ("left", "right"):
+        lab.turn("watchdog", {"on": True}, arm=arm, on=False)
+    lab.do("stop", arm="left", mode=3)  # which pauses its program
+    error = lab.step_until_faulted()
+    assert "left" in str(error)
+    lab.cell.wait_until("left", "runtime_state", 1)
+    lab.cell.ask("release", arm="left", mode=3)
+    lab.assert_at_rest()
+    lab.assert_latched("left")
+
+
+def test_57_an_interrupt_on_the_way_to_a_start_stops_both_arms_soon(lab):
+    """As in a notebook: the program goes on, and nothing is closed."""
+    for arm, q in zip(("left", "right"), lab._home, strict=True):
+        lab.play(arm, f"movej({[q[0] + (0.5 if arm == 'left' else -0.5), *q[1:]]}, a=4.0, v=2.0)")
+    for arm in ("left", "right"):
+        lab.cell.wait_until(arm, "runtime_state", 1)
+    lab.make()
+    previous = signal.signal(signal.SIGALRM, lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 1.2)
+        with pytest.raises(KeyboardInterrupt):
+            lab.env.reset(seed=0)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, previous)
+    lab.note()
+    time.sleep(1.5)  # half a second, and the ramp
+    lab.assert_at_rest()
+    with pytest.raises(CellFaulted, match="the policy gave no action"):
+        lab.env.reset(seed=0)
+    lab.close_env()
+    lab.assert_latched("the policy gave no action")
+
+
+def test_measured_states_of_a_stop_are_in_the_black_box(lab, tmp_path):
+    lab.begin(record=str(tmp_path))
+    lab.do("stop", arm="left", mode=5)
+    lab.step_until_faulted()
+    lab.close_env()
+    (box,) = tmp_path.rglob("blackbox-*.mcap")
+    run = read_run(box)
+    state = run.arms[1].state
+    assert np.abs(state["qd_rad_s"]).max() > 0.1
+    assert np.abs(state["qd_rad_s"][-1]).max() < 0.02  # the other arm was led to rest, and is seen to come there
+    assert run.arms[1].sent["sent_s"][-1] < state["arrival_s"][-1] + 2 * lab.tick_s
+
+
+@pytest.mark.parametrize("change", [{"speed_factor": 0.5}, {"speed_rad_s": 0.7}, {"minimum_clearance_m": 0.01}])
+def test_a_configuration_that_is_not_what_the_cell_file_says_is_refused(lab, change):
+    """The processes of the arms go by the file: limits that only one of both knows are none."""
+    lab.mark()
+    config = dataclasses.replace(lab.file.config(), **change)
+    with pytest.raises(SettingsError, match=f"{next(iter(change))} of the cell is .* its cell file says"):
+        gym.make("DualUR10/SineTracking-v0", cell=config)
+    lab.assert_nothing_has_moved()
+
+
+def test_an_arm_is_led_to_rest_also_where_nothing_is_heard_of_it_any_more():
+    """Its link breaks within the ramp, and is closed then."""
+
+    class Link:
+        polled = 0
+
+        def fileno(self):
+            if self.polled:
+                raise ClosedError("closed")
+            return number
+
+        def poll(self):
+            self.polled += 1
+            raise LinkError("lost")
+
+    number = os.memfd_create("always readable")
+    sender = object.__new__(ArmSender)
+    sender.link = Link()
+    try:
+        for _ in range(3):
+            begun = time.monotonic()
+            assert not sender._hear(begun + 0.02)
+            assert time.monotonic() >= begun + 0.02
+    finally:
+        os.close(number)
+    assert sender.link.polled == 1

@@ -1,0 +1,81 @@
+"""Where arms must not go: rows 48 to 52 of the table of faults in `docs/safety.md`."""
+
+import time
+
+import numpy as np
+import pytest
+
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
+from dual_ur10.sim2real.control.singularity import HALT_CONDITION, SLOW_CONDITION, condition
+from tests import soak
+from tests.live.faults.lab import ARMS
+
+WALL = """
+[[obstacle]]
+name = "wall"
+kind = "plane"
+point_m = [{x}, 0.0, 0.0]
+normal = [-1.0, 0.0, 0.0]
+"""
+
+
+def drive(lab, *moves, most=300):
+    """Turn joints of arms, given as arm, joint and speed, until the episode ends. Returns `info` of the last step."""
+    action = np.zeros((2, 6))
+    for arm, joint, share in moves:
+        action[arm, joint] = share
+    for _ in range(most):
+        _, _, over, _, info = lab.env.step(action.reshape(-1))
+        if over:
+            return info
+    raise AssertionError("nothing was in the way")
+
+
+WAYS = [
+    pytest.param(((1, 2, 1.0), (1, 1, -0.5)), ("right/wrist", "right/"), id="48-self"),
+    pytest.param(((0, 0, -1.0), (1, 0, 1.0)), ("left/", "right/"), id="49-arms"),
+    pytest.param(((0, 1, 1.0),), ("left/", "table"), id="50-table"),
+]
+
+
+@pytest.mark.parametrize(("moves", "words"), WAYS if soak.SOAK else WAYS[:2])
+def test_48_49_50_the_gate_brakes_before_anything_meets(lab, moves, words):
+    lab.begin(steps=0)
+    info = drive(lab, *moves)
+    first, _, second = info["safety"].subject.partition(" and ")
+    assert info["safety"].kind == "distance"
+    assert first.startswith(words[0])
+    assert second.startswith(words[1])
+    time.sleep(1.0)
+    for arm in ARMS:
+        assert np.abs(lab.ask(arm, "actual_qd")[0]).max() < 1e-3
+    assert 0.0199 <= lab.nearest_m() < 0.2
+    lab.assert_within_limits()
+    assert lab.latch.read() is None  # it is no fault
+
+
+def test_50_an_obstacle_of_the_cell_file_is_one(lab):
+    lab.path.write_text(lab.path.read_text() + WALL.format(x=0.35))
+    lab.begin(steps=0)
+    info = drive(lab, (0, 1, 0.5), (0, 2, -1.0), (0, 3, 0.5))
+    assert "wall" in info["safety"].subject, info["safety"]
+    time.sleep(0.5)
+    assert lab.nearest_m() >= 0.0199
+
+
+def test_51_cartesian_actions_end_before_a_singularity_and_keep_to_the_limits(lab):
+    lab.make(action_mode="tcp_delta")
+    lab.env.reset(seed=0)
+    action = np.zeros((2, 6))
+    action[0, 0] = 1.0  # outwards, until the arm is stretched
+    ended = False
+    for _ in range(200 if soak.SOAK else 90):
+        _, _, ended, _, info = lab.env.step(action.reshape(-1))
+        if ended:
+            break
+    assert not ended or info["safety"].kind == "distance"
+    assert lab.latch.read() is None
+    lab.assert_within_limits()
+    found = condition(lab.executed("left"), NOMINAL_DH)
+    assert SLOW_CONDITION < found.max() <= HALT_CONDITION
+    assert found[-1] == pytest.approx(found.max(), rel=0.1)  # all but stretched, there it waits

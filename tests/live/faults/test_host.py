@@ -1,0 +1,201 @@
+"""What goes wrong with this machine and its processes: rows 54 to 57 and 59 of the table in `docs/safety.md`."""
+
+import contextlib
+import math
+import os
+import random
+import signal
+import time
+
+import numpy as np
+import pytest
+
+from dual_ur10.errors import CellFaulted, RecordingError
+from dual_ur10.sim2real.recording.reader import read_run
+from tests import soak
+from tests.live.faults.lab import assert_gone, descendants
+from tests.live.faults.wire import demand
+
+TICK_S = 0.008
+LATCHED = "the program that gives targets has ended"
+
+
+def in_step(lab):
+    """No target was sent right behind another one, to catch up."""
+    for memory in lab.runner.arms:
+        sent = memory.sent()[0]
+        assert (np.diff(sent.period) >= 1).all()
+        # What was in time may come right behind one for which this machine stood still between a look at the clock and
+        # the sending. What was late itself must not: that would be catching up.
+        soon = np.diff(sent.sent_s) < 0.4 * TICK_S
+        late_s = sent.late_s[1:] - (np.diff(sent.period) - 1) * TICK_S
+        assert late_s[soon].max(initial=0.0) < 0.5 * TICK_S
+        assert (np.diff(sent.index) <= np.diff(sent.period) * (1.0 + 1e-2)).all()
+
+
+@pytest.mark.parametrize("periods", [1, 5] if soak.SOAK else [5])
+def test_54_a_process_that_is_held_up_for_short_leaves_out_what_is_late(lab, periods):
+    lab.begin()
+    for k in range(12):
+        lab.suspend(lab.pids[k % 2])
+        time.sleep((periods + 0.1 * (k - 6)) * TICK_S)
+        lab.wake(lab.pids[k % 2])
+        lab.env.step(lab.policy())
+    assert lab.latch.read() is None
+    in_step(lab)
+    lab.assert_within_limits()
+
+
+DASHBOARD_TICKS = 30  # 0.1 s until it counts as lost, and then it is asked for
+SILENT_TICKS = 17  # 0.1 s until what is silent counts as lost, and what is on its way
+
+
+@pytest.mark.parametrize("who", ["left", "right", "supervisor"] if soak.SOAK else ["left", "supervisor"])
+def test_54_a_process_that_is_held_up_for_long_stops_both(lab, who):
+    lab.begin()
+    pid = lab.pids[("left", "right", "supervisor").index(who)]
+    lab.note()
+    lab.suspend(pid)
+    time.sleep(0.4)
+    lab.wake(pid)
+    lab.assert_stopped(lab.step_until_faulted(), who, "does nothing any more", seen_ticks=SILENT_TICKS)
+
+
+@pytest.mark.parametrize("who", ["left", "right"] if soak.SOAK else ["right"])
+def test_54_the_supervisor_ends_a_program_whose_process_and_watchdog_do_nothing(lab, who):
+    lab.begin()
+    starved = lab.starved()
+    lab.turn("watchdog", {"on": True}, arm=who, on=False)
+    tick = lab.note()
+    lab.suspend(lab.pids[("left", "right").index(who)])
+    lab.cell.wait_until(who, "runtime_state", 1)
+    wire = lab.wires[("left", "right").index(who)]
+    assert wire.received()["ended_tick"] - tick <= DASHBOARD_TICKS
+    assert lab.starved() == starved, "a watchdog came before"
+    lab.assert_stopped(lab.step_until_faulted(), who, "does nothing any more", seen_ticks=SILENT_TICKS)
+
+
+@pytest.mark.parametrize("who", ["left", "right", "supervisor"] if soak.SOAK else ["right"])
+def test_11_a_process_that_is_killed_stops_both(lab, who):
+    lab.begin()
+    lab.note()
+    os.kill(lab.pids[("left", "right", "supervisor").index(who)], signal.SIGKILL)
+    lab.assert_stopped(lab.step_until_faulted(), who, seen_ticks=SILENT_TICKS)
+
+
+@pytest.mark.parametrize("who", ["all", "program", "arms", "supervisor"] if soak.SOAK else ["all"])
+def test_56_a_machine_that_was_asleep_sends_nothing_when_it_wakes(lab, who):
+    process = lab.program("rollout", "SineTracking", "-n", "1", "--no-record")
+    lab.wait_until_moving(process)
+    started = descendants(process.pid)
+    chosen = {"all": [process.pid, *started], "program": [process.pid], "arms": started[:2], "supervisor": started[2:3]}
+    lab.note()
+    lab.suspend(*chosen[who])
+    lab.assert_at_rest()  # the watchdogs in the controllers see to that
+    time.sleep(2.0)
+    count = lab.traffic()
+    lab.wake(*chosen[who])
+    assert process.wait(30.0) == 2
+    assert_gone(started)
+    # A call that was under way comes to its end: one package for an arm, which meets no program.
+    more = [now - before for now, before in zip(lab.traffic(), count, strict=True)]
+    packages = [more.pop(at) for at in (4, 2)]
+    demand(not any(more) and max(packages) <= 1, f"what woke up sent something: {count} before, {lab.traffic()} now")
+    # The policy alone: its targets come to rest, and 0.5 s later it is a fault.
+    lab.assert_nothing_more(80 if who == "program" else SILENT_TICKS)
+    lab.assert_latched()
+
+
+KILLS = 100 if soak.SOAK else 4
+INTERRUPTED_TICKS = 60
+SIGNALS = 200 if soak.SOAK else 4
+
+
+@pytest.mark.parametrize("number", range(KILLS))
+def test_57_a_runner_that_is_killed_leaves_both_arms_at_rest_and_a_whole_record(lab, number, tmp_path):
+    """Even numbers: the program alone; odd ones: all of its processes."""
+    process = lab.program("rollout", "SineTracking", "-n", "1", "--record", str(tmp_path))
+    lab.wait_until_moving(process)
+    time.sleep(random.Random(number).uniform(0.0, 1.0))
+    alone, started = number % 2 == 0, descendants(process.pid)
+    tick = lab.note()
+    process.kill()
+    for pid in () if alone else started:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+    lab.assert_at_rest()
+    assert_gone(started)
+    ended = [wire.received()["ended_tick"] - tick for wire in lab.wires]
+    assert max(ended) <= math.ceil(0.15 / TICK_S) + 1, f"programs ended {ended} control periods after the kill"
+    lab.assert_nothing_more()
+    for wire in lab.wires if alone else ():
+        wire.assert_rested(tick, TICK_S)
+    lab.assert_within_hard_limits()
+    if not alone:  # nobody was left to say so: the next program finds it
+        with pytest.raises(CellFaulted, match="ended without stopping"):
+            lab.make()
+    lab.assert_latched(LATCHED if alone else "ended without stopping")
+    assert_no_gap(read_run(next(tmp_path.iterdir()), allow_partial=True))
+
+
+def assert_no_gap(run):
+    """All states that a controller told are there, up to the end."""
+    for arm in run.arms:
+        times = arm.state["timestamp_s"]
+        assert len(times) > 20
+        assert np.unique(np.diff(times).round(4)).tolist() == [TICK_S]
+        assert all(np.isfinite(arm.state[name]).all() for name in ("q_rad", "qd_rad_s", "target_q_rad"))
+        assert np.isfinite(arm.sent["target_rad"]).all()
+
+
+@pytest.mark.parametrize("number", range(SIGNALS))
+def test_57_a_runner_that_is_interrupted_at_any_time_leaves_both_arms_at_rest(lab, number, tmp_path):
+    """Even numbers: Ctrl-C; odd ones: SIGTERM. Every other two: twice."""
+    rng = random.Random(number)
+    process = lab.program("rollout", "SineTracking", "-n", "1", "--record", str(tmp_path))
+    moves = rng.random() < 0.6
+    if moves:
+        lab.wait_until_moving(process)
+    time.sleep(rng.uniform(0.0, 1.0 if moves else 3.0))
+    which, twice = (signal.SIGINT, signal.SIGTERM)[number % 2], number % 4 >= 2
+    started = descendants(process.pid)
+    lab.note()
+    process.send_signal(which)
+    if twice:
+        time.sleep(rng.uniform(0.0, 0.4))
+        process.send_signal(which)
+    assert process.wait(30.0) != 0
+    assert_gone({*started, *descendants(process.pid)})
+    lab.assert_at_rest()
+    if moves:
+        # Ctrl-C is seen when a step has ended, and closing brakes both; what the policy still has may be gone on with.
+        lab.assert_nothing_more(INTERRUPTED_TICKS)
+    lab.audit()
+    for folder in tmp_path.iterdir():
+        if (folder / "run.mcap").exists():
+            assert (folder / "run.mcap").read_bytes()[:1] in (b"", b"\x89")
+            if moves:
+                read_run(folder, allow_partial=True)
+    # A person clears it where it was a fault, and then all goes on.
+    lab.latch.clear()
+    lab.make()
+
+
+@pytest.mark.skipif(not soak.SOAK, reason="in a soak")
+@pytest.mark.parametrize("moving", [False, True])
+def test_57_ctrl_c_in_a_program_is_a_controlled_stop_and_no_fault(lab, moving):
+    lab.begin(steps=5)
+    if not moving:
+        lab.env.unwrapped.core.cell.finish()
+    lab.close_env()
+    lab.assert_at_rest()
+    assert lab.latch.read() is None
+    lab.make()
+
+
+@pytest.mark.parametrize("where", ["/proc/nowhere", "/dev/full"] if soak.SOAK else ["/dev/full"])
+def test_59_a_record_that_cannot_be_written_is_refused_before_anything_moves(lab, where):
+    with pytest.raises(RecordingError, match="cannot make a folder for the run"):
+        lab.make(record=where)
+    lab.assert_nothing_has_moved()
+    lab.make()

@@ -1,0 +1,265 @@
+"""What a policy does wrong: rows 1 to 16 of the table of faults in `docs/safety.md`."""
+
+import time
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from dual_ur10 import policies
+from dual_ur10.errors import ActionError, CellFaulted
+from dual_ur10.policies.evaluation.rollout import rollout
+from dual_ur10.sim2real.recording.reader import read_run
+from dual_ur10.sim2real.recording.run import LATE
+from tests import soak
+from tests.live.faults.lab import ARMS, Swing, assert_gone, descendants
+
+
+def with_number(value, arm=0, joint=2, kind=np.float32):
+    action = np.zeros((2, 6), dtype=kind)
+    action[arm, joint] = value
+    return action.reshape(-1)
+
+
+MALFORMED = [
+    pytest.param("1", lambda: with_number(np.nan), "number 2 of the left arm's action is nan", id="1-nan"),
+    pytest.param("2", lambda: with_number(-np.inf, 1, 5), "number 5 of the right arm's action is -inf", id="2-inf"),
+    pytest.param("3", lambda: np.zeros(5), "found (5,)", id="3-shape"),
+    pytest.param("4", lambda: np.zeros(12, dtype=complex), "found complex128", id="4-complex"),
+]
+MORE = [
+    pytest.param("1", lambda: with_number(np.nan, 1, 0, np.float64), "number 0 of the right", id="1-double"),
+    pytest.param("2", lambda: with_number(np.inf), "number 2 of the left arm's action is inf", id="2-positive"),
+    pytest.param("3", lambda: np.zeros(7), "found (7,)", id="3-seven"),
+    pytest.param("3", lambda: np.zeros((6, 2)), "found (6, 2)", id="3-turned"),
+    pytest.param("3", lambda: np.float64(0.1), "found ()", id="3-one"),
+    pytest.param("3", lambda: np.zeros((12, 1)), "found (12, 1)", id="3-column"),
+    pytest.param("3", list, "found (0,)", id="3-none"),
+    pytest.param("4", lambda: [None] * 12, "object", id="4-object"),
+    pytest.param("4", lambda: "0" * 12, "str", id="4-text"),
+    pytest.param("4", lambda: np.zeros(12, dtype=bool), "bool", id="4-bool"),
+    pytest.param("4", lambda: np.full(12, 1e9).astype(np.float16), "inf", id="4-half"),
+    pytest.param("4", lambda: [[0.0] * 6, [0.0] * 5], "list", id="4-ragged"),
+]
+
+
+@pytest.mark.filterwarnings("ignore:overflow encountered")
+@pytest.mark.parametrize(("row", "action", "text"), MALFORMED + (MORE if soak.SOAK else []))
+def test_1_2_3_4_what_is_no_action_stops_both(lab, row, action, text):
+    lab.begin()
+    lab.note()
+    with pytest.raises(ActionError) as found:
+        lab.env.unwrapped.step(action())
+    assert text in str(found.value)
+    lab.assert_stopped(found.value, "the policy's action was refused", text, ramped=ARMS)
+
+
+@pytest.mark.parametrize(
+    "actions",
+    [
+        pytest.param(lambda k: np.where(np.arange(12) % 2 == k % 2, 1e9, -1e9), id="5-huge"),
+        pytest.param(lambda k: np.full(12, (-1.0) ** k), id="6-oscillating"),
+    ],
+)
+def test_5_6_the_wildest_legal_actions_keep_to_the_limits(lab, actions):
+    lab.begin(steps=1)
+    home = lab.executed("left")[-1]
+    over = False
+    for k in range(400 if soak.SOAK else 40):
+        if over:
+            break
+        _, _, over, _, info = lab.env.step(actions(k))
+    # Whatever there is room for is done, and the gate sees to the rest.
+    assert not over or info["safety"].kind == "distance"
+    lab.assert_within_limits()
+    moved = np.abs(lab.executed("left") - home)
+    assert 1e-3 < moved.max() < 0.5
+
+
+def test_5_what_is_out_of_the_action_space_is_clipped_as_in_simulation(lab):
+    env = gym.make("DualUR10/SineTracking-v0", action_latency_ticks=5, disable_env_checker=True)
+    env.reset(seed=0)
+    lab.begin(steps=0)
+    wild = [share * np.random.default_rng(0).choice([-1.0, 1.0], 12) for share in (1.0, 50.0, 1e9)]
+    ends = []
+    for made in (env, lab.env):
+        core = made.unwrapped.core
+        for action in wild:
+            made.unwrapped.step(action)
+        assert core.clipped_actions == 2  # the first one is within
+        ends.append(core.pipeline.gate.last_targets_rad)
+    env.close()
+    assert np.array_equal(*ends)
+
+
+def test_7_the_same_action_for_ever_ends_at_rest_short_of_everything(lab):
+    lab.begin(steps=0)
+    action = np.zeros((2, 6))
+    action[:, 1] = 1.0  # both arms bow to the table
+    over, steps = False, 0
+    while not over and steps < 500:
+        _, _, over, _, info = lab.env.step(action.reshape(-1))
+        steps += 1
+    assert over
+    assert info["safety"].kind == "distance"
+    lab.assert_within_limits()
+    time.sleep(0.5)
+    for arm in ARMS:
+        assert np.abs(lab.ask(arm, "actual_qd")[0]).max() < 1e-2
+    assert lab.nearest_m() >= 0.0199
+    assert lab.latch.read() is None
+    lab.env.reset(seed=0)  # from there a way leads back
+
+
+@pytest.mark.parametrize(("row", "late_s"), [(8, 0.08), (9, 0.3)])
+def test_8_9_an_action_that_comes_late_finds_both_arms_at_rest_and_goes_on(lab, row, late_s, tmp_path):
+    lab.begin(record=str(tmp_path))
+    cell = lab.env.unwrapped.core.cell
+    before = cell.late_periods
+    time.sleep(late_s)
+    lab.env.step(lab.policy())
+    assert cell.late_periods > before
+    for _ in range(10):
+        lab.env.step(lab.policy())
+    assert lab.latch.read() is None
+    lab.assert_within_limits()
+    for memory in lab.runner.arms:  # none of what was late was made up for in a hurry
+        assert (np.diff(memory.sent()[0].period) >= 1).all()
+    # What was sent for each action, and for which there was nothing, is in the record.
+    lab.close_env()
+    run = read_run(next(tmp_path.iterdir()))
+    (episode,) = run.episodes
+    late = episode.first_target == LATE
+    assert late.sum() == sum(each.kind == "late" for each in run.events) > 0
+    for arm in range(2):
+        sent = run.arms[arm].sent
+        index, target_rad = sent["index"], sent["target_rad"]
+        first = episode.first_target[~late]
+        first_rad = episode.targets_rad[~late, 0, arm]
+        within = (first >= index[0]) & (first <= index[-1])
+        assert within.sum() >= 5
+        # Where a clock is followed, what is sent lies between two targets: on a line, but for what they bend by.
+        found = np.stack([np.interp(first[within], index, each) for each in target_rad.T], axis=1)
+        assert np.abs(found - first_rad[within]).max() < 5e-4
+
+
+def test_10_a_policy_that_is_silent_for_long_stops_both(lab):
+    lab.begin()
+    lab.note()
+    time.sleep(1.0)
+    with pytest.raises(CellFaulted) as found:
+        lab.env.step(lab.policy())
+    lab.assert_within_limits()
+    # Half a second after the last action's targets, which are no more than these, rest and brake.
+    core = lab.env.unwrapped.core
+    waiting = 0.5 / lab.tick_s + core.cell.latency_ticks + core.cell.ticks
+    lab.assert_stopped(found.value, "the policy gave no action for", seen_ticks=waiting + 3, ramped=ARMS)
+
+
+ENDINGS = {
+    "exit": "os._exit(3)",
+    "sys.exit": "sys.exit(3)",
+    "kill": "os.kill(os.getpid(), signal.SIGKILL)",
+    "segfault": "ctypes.string_at(0)",
+    "abort": "os.abort()",
+}
+
+DYING = """
+import ctypes, os, signal, sys
+import gymnasium as gym
+import dual_ur10
+from dual_ur10.policies.evaluation.rollout import rollout
+from dual_ur10.sim2real.recording.reader import read_run
+from dual_ur10.sim2real.recording.run import LATE
+from tests.live.faults.lab import Swing
+
+class Dying(Swing):
+    def __call__(self, observation):
+        if self._steps >= 20:
+            {end}
+        return super().__call__(observation)
+
+rollout(gym.make("DualUR10/SineTracking-v0", cell=sys.argv[1]), Dying())
+"""
+
+
+@pytest.mark.parametrize("end", ENDINGS if soak.SOAK else ["segfault"])
+def test_11_a_policy_that_takes_its_process_with_it_stops_both(lab, end):
+    process = lab.program(code=DYING.format(end=ENDINGS[end]))
+    lab.wait_until_moving(process)
+    pids = descendants(process.pid)
+    assert process.wait(60.0) != 0, process.stdout.read()
+    lab.note()  # or some time after it
+    lab.assert_at_rest()
+    assert_gone(pids)
+    lab.assert_nothing_more()
+    for wire in lab.wires:
+        wire.assert_rested(lab.fault_tick, lab.tick_s)
+    if end != "sys.exit":  # that ends in order, and is no fault
+        lab.assert_latched("the program that gives targets has ended")
+    lab.assert_within_hard_limits()
+
+
+def test_12_a_policy_that_fails_stops_both_and_its_traceback_is_kept(lab):
+    class Failing(Swing):
+        def __call__(self, observation=None):
+            if self._steps == 20:
+                lab.note()
+                raise ZeroDivisionError("of this policy")
+            return super().__call__(observation)
+
+    lab.make()
+    with pytest.raises(ZeroDivisionError, match="of this policy") as found:
+        rollout(lab.env, Failing(), seed=0)
+    assert found.traceback[-1].name == "__call__"
+    lab.assert_stopped(found.value, "the policy failed: ZeroDivisionError: of this policy")
+
+
+@pytest.mark.parametrize("wrong", ["missing", "extra"] if soak.SOAK else ["missing"])
+def test_13_agents_are_told_by_their_names_and_there_are_two(lab, wrong):
+    from dual_ur10.envs.api.parallel_env import parallel_env
+
+    lab.close_env()
+    lab.mark()
+    lab.env = env = parallel_env("SineTracking", cell=str(lab.path))
+    env.reset(seed=0)
+    lab.assert_watched()
+    begin = [len(lab.executed(arm)) for arm in ARMS]
+    actions = dict(zip(ARMS, np.zeros((2, 6), dtype=np.float32), strict=True))
+    actions["left"][4] = 0.2
+    for _ in range(10):
+        env.step(dict(reversed(actions.items())))
+    moved = [np.abs(np.ptp(lab.executed(arm)[first:], axis=0)).max() for arm, first in zip(ARMS, begin, strict=True)]
+    assert moved[0] > 1e-3
+    assert moved[1] < 1e-4
+    if wrong == "missing":
+        del actions["right"]
+    else:
+        actions["middle"] = actions["left"]
+    lab.note()
+    with pytest.raises(ActionError, match=r"right|middle"):
+        env.step(actions)
+    lab.assert_at_rest()
+    lab.assert_nothing_more()
+    lab.close_env()
+    lab.assert_latched("the policy")
+
+
+def test_15_an_action_that_its_policy_changes_later_was_copied(lab):
+    lab.begin(steps=3)
+    action = np.zeros(12)
+    for value in (0.1, -0.1, 0.1):
+        action[:] = value
+        lab.env.step(action)
+        action[:] = np.nan
+    assert np.isfinite(lab.executed("left")).all()
+    assert lab.latch.read() is None
+
+
+def test_16_a_policy_for_other_observations_is_refused_before_it_acts(lab):
+    lab.make()
+    policy = policies.load("scripted", "DualUR10/SyncCarry-v0")
+    with pytest.raises(ActionError):
+        rollout(lab.env, policy, seed=0)
+    lab.note()  # they rest, where the episode begins
+    lab.assert_stopped(None, "the policy failed: ActionError")

@@ -1,0 +1,160 @@
+"""What goes wrong at a robot while it moves: rows 29 to 43 of the table of faults in `docs/safety.md`."""
+
+import contextlib
+import logging
+import time
+
+import numpy as np
+import pytest
+
+from dual_ur10.errors import EmulatorError, StartError
+from dual_ur10.sim2real.runtime.arm_sender import first_reason
+from tests import soak
+from tests.live.faults.lab import ARMS
+
+MODES = [3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 99, 255]
+
+
+ALL = [(arm, mode) for mode in MODES for arm in ARMS]
+
+
+def other(arm):
+    return ARMS[1 - ARMS.index(arm)]
+
+
+@pytest.mark.parametrize(("arm", "mode"), ALL if soak.SOAK else [("left", 3), ("right", 5), ("left", 7), ("right", 21)])
+def test_29_30_31_a_stop_of_one_arm_stops_both_and_stays(lab, arm, mode):
+    lab.begin()
+    lab.do("stop", arm=arm, mode=mode)
+    error = lab.step_until_faulted()
+    lab.cell.ask("release", arm=arm, mode=mode)
+    time.sleep(0.1)
+    lab.assert_stopped(error, f"{arm}: ", f"safety mode {mode} (", ramped=[other(arm)])
+
+
+def test_29_the_reason_is_that_of_the_arm_that_stopped_first():
+    why = "right: safety mode 3 (PROTECTIVE_STOP)"
+    others = ["left: a stop was asked for", f"left: the other arm stops: {why}"]
+    for each in others:
+        assert first_reason([each, why]) == first_reason([why, each]) == why
+    assert first_reason(others) in others
+
+
+@pytest.mark.skipif(not soak.SOAK, reason="waits until it could be: in a soak")
+def test_29_a_protective_stop_is_not_unlocked(lab):
+    lab.begin()
+    lab.do("stop", arm="right", mode=3)
+    error = lab.step_until_faulted()
+    time.sleep(10.0)  # from 5 s on it could be
+    assert lab.ask("right", "safety_mode") == [3]
+    lab.assert_stopped(error, "right: safety mode 3 (PROTECTIVE_STOP)", arms=["left"])
+    assert lab.ask("right", "safety_mode") == [3]
+
+
+@pytest.mark.parametrize("bits", [1 << 3 | 1, 1 << 11, 0] if soak.SOAK else [1 << 11])
+def test_31_bits_of_a_stop_alone_stop_both(lab, bits):
+    lab.begin()
+    lab.override("left", safety_status_bits=bits)
+    lab.assert_stopped(lab.step_until_faulted(), f"left: safety status bits 0x{bits:x}")
+
+
+def test_32_a_program_that_is_stopped_at_the_pendant_stops_both(lab):
+    lab.begin()
+    lab.do("press", arm="left", button="stop")
+    lab.assert_stopped(lab.step_until_faulted(), "left: program state", ramped=["right"])
+
+
+def test_33_a_program_that_is_paused_and_resumed_does_not_go_on(lab):
+    lab.begin()
+    lab.do("press", arm="right", button="pause")
+    error = lab.step_until_faulted()
+    with contextlib.suppress(EmulatorError):  # it has ended already
+        lab.cell.ask("press", arm="right", button="resume")
+    lab.assert_stopped(error, "right: program state")
+
+
+@pytest.mark.parametrize(("arm", "fraction"), [("left", 0.5), ("right", 0.1)])
+def test_34_a_speed_slider_slows_both_arms_alike(lab, arm, fraction):
+    lab.begin()
+    memories = lab.runner.arms
+    first = [memory.sent_count for memory in memories]
+    lab.cell.ask("slider", arm=arm, fraction=fraction)
+    for _ in range(6):
+        lab.env.step(lab.policy())
+        apart = [np.abs(np.subtract(memory.status.q_rad, memory.status.target_q_rad)).max() for memory in memories]
+        assert max(apart) < 0.01  # no error builds up
+    slow = [memory.sent_count for memory in memories]
+    lab.cell.ask("slider", arm=arm, fraction=1.0)
+    for _ in range(25):
+        lab.env.step(lab.policy())
+    assert lab.latch.read() is None
+    sent = [memory.sent(begin)[0] for memory, begin in zip(memories, first, strict=True)]
+    rates = [np.diff(each.index) / np.diff(each.period) for each in sent]
+    paced = [rate[: end - begin - 1].min() for rate, begin, end in zip(rates, first, slow, strict=True)]
+    assert max(paced) <= fraction
+    assert min(paced) >= fraction / 2
+    assert [float(rate[-1]) for rate in rates] == pytest.approx([1.0, 1.0], abs=1e-2)
+    # At any time both are as far as each other: what both hold is not torn.
+    left, right = (np.interp(np.arange(20, 120), each.period - sent[0].period[0], each.index) for each in sent)
+    assert np.abs(left - right).max() < 0.35
+    lab.assert_within_limits()
+
+
+def test_35_reduced_mode_stops_both_and_nothing_begins_in_it(lab):
+    lab.begin()
+    lab.do("reduce", arm="left", on=True)
+    lab.assert_stopped(lab.step_until_faulted(), "left: safety mode 2 (REDUCED)")
+    lab.latch.clear()
+    with pytest.raises(StartError, match=r"left, safety mode: 2 \(REDUCED\), expected: 1 \(NORMAL\); "):
+        lab.make()
+    lab.assert_nothing_has_moved()
+
+
+def test_42_an_arm_that_does_not_go_where_it_is_led_stops_both(lab):
+    lab.begin()
+    here = list(lab.ask("left", "target_q")[0])
+    here[4] += 0.2
+    lab.override("left", actual_q=here)
+    lab.assert_stopped(lab.step_until_faulted(), "left: wrist_2_joint is ", "allowed are 0.100", seen_ticks=6)
+
+
+def test_42_a_joint_that_gets_hot_is_told(lab, caplog):
+    lab.begin()
+    lab.override("right", joint_temperatures=[30.0, 30.0, 81.0, 30.0, 30.0, 30.0])
+    with caplog.at_level(logging.WARNING):
+        for _ in range(15):
+            lab.env.step(lab.policy())
+    assert lab.latch.read() is None
+    assert any("right: elbow_joint has 81 °C" in each.message for each in caplog.records)
+
+
+def test_43_a_controller_whose_time_goes_back_stops_both(lab):
+    lab.begin()
+    lab.override("right", timestamp=1.0)
+    lab.assert_stopped(lab.step_until_faulted(), "right: ", "time")
+
+
+@pytest.mark.parametrize("values", [{"robot_mode": 5}, {"robot_status_bits": 2}, {"actual_q": [float("nan")] * 6}])
+def test_38_an_arm_that_loses_its_power_or_its_senses_stops_both(lab, values):
+    if not soak.SOAK and "robot_mode" not in values:
+        pytest.skip("in a soak")
+    lab.begin()
+    lab.override("left", **values)
+    lab.assert_stopped(lab.step_until_faulted(), "left: ")
+
+
+def test_30_an_emergency_stop_and_power_that_comes_back_move_nothing(lab):
+    lab.begin()
+    lab.do("stop", arm="left", mode=7)
+    error = lab.step_until_faulted()
+    lab.cell.ask("release", arm="left", mode=7)
+    lab.cell.wait_until("left", "safety_mode", 1)
+    for button, mode in (("power_on", 5), ("release_brakes", 7)):
+        lab.cell.ask("press", arm="left", button=button)
+        lab.cell.wait_until("left", "robot_mode", mode)
+    lab.assert_stopped(error, "left: ", "7 (ROBOT_EMERGENCY_STOP)")
+    # A person has looked: everything is checked from the beginning, and the way to the start is gone slowly.
+    lab.latch.clear()
+    lab.begin(steps=5)
+    for arm in ARMS:
+        assert lab.ask(arm, "runtime_state") == [2]

@@ -1,0 +1,738 @@
+"""Evaluation: many seeded episodes, what they say together, and the command that runs them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, VectorEnv
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rich.console import Console
+from scipy.stats import binomtest
+from typer.testing import CliRunner
+
+import dual_ur10
+from dual_ur10 import CellConfig, Perturbation, errors, files, policies
+from dual_ur10.cli import evaluate as cli_evaluate
+from dual_ur10.cli import main as cli
+from dual_ur10.policies.evaluation import evaluate as module
+from dual_ur10.policies.evaluation.evaluate import EpisodeAware, evaluate
+from dual_ur10.policies.evaluation.results import Episode, Evaluation
+from dual_ur10.policies.evaluation.rollout import rollout
+from dual_ur10.policies.evaluation.statistics import wilson_interval
+from tests.soak import scaled
+
+SINE = "DualUR10/SineTracking-v0"
+STUB = "Test/Stub-v0"
+WILD = CellConfig(perturbation=Perturbation(jitter_s=0.004, loss=0.05, latency_s=0.002, mass_scale=1.03))
+
+
+# The interval
+
+
+@pytest.mark.parametrize(
+    ("successes", "trials", "low", "high"),
+    [(0, 10, 0.0, 0.2775), (5, 10, 0.2366, 0.7634), (10, 10, 0.7225, 1.0), (81, 263, 0.2553, 0.3662), (0, 0, 0.0, 1.0)],
+)
+def test_interval_has_the_known_values(successes: int, trials: int, low: float, high: float) -> None:
+    assert wilson_interval(successes, trials) == pytest.approx((low, high), abs=1e-4)
+
+
+counts = st.integers(1, 10_000).flatmap(lambda trials: st.tuples(st.integers(0, trials), st.just(trials)))
+
+
+@given(counts, st.floats(0.5, 0.999))
+@settings(deadline=None)
+def test_interval_is_scipys(count: tuple[int, int], confidence: float) -> None:
+    expected = binomtest(*count).proportion_ci(confidence, method="wilson")
+    assert wilson_interval(*count, confidence) == pytest.approx((expected.low, expected.high), abs=1e-12)
+
+
+@given(counts, st.integers(2, 50))
+@settings(deadline=None)
+def test_interval_holds_the_rate_and_shrinks(count: tuple[int, int], more: int) -> None:
+    low, high = wilson_interval(*count)
+    assert 0.0 <= low <= count[0] / count[1] <= high <= 1.0
+    narrow = wilson_interval(more * count[0], more * count[1])
+    assert narrow[1] - narrow[0] < high - low
+
+
+@pytest.mark.parametrize("arguments", [(-1, 3), (4, 3), (1, 3, 0.0), (1, 3, 1.0), (1, 3, math.nan)])
+def test_interval_of_nonsense_is_refused(arguments: Any) -> None:
+    with pytest.raises(errors.SettingsError):
+        wilson_interval(*arguments)
+
+
+# A real environment
+
+
+PUSHES = np.resize(np.array([1, 1, -1, 0.5], dtype=np.float32), 12)
+
+
+class Push:
+    """Moves both arms until something is in the way: after a time that depends on where they start."""
+
+    def reset(self) -> None:
+        """There is nothing to forget."""
+
+    def __call__(self, observation: Any) -> Any:
+        return np.tile(PUSHES, (len(observation), 1))
+
+
+@pytest.mark.parametrize(
+    ("policy", "keywords"),
+    [
+        ("scripted", {"duration_s": 1.2, "cell": WILD}),
+        ("scripted", {"duration_s": 0.4, "policy_rate_hz": 125, "action_latency_ticks": 3}),
+        ("random", {"duration_s": 1.2}),
+        (Push(), {"duration_s": 4.0}),
+    ],
+    ids=["scripted", "fast", "random", "push"],
+)
+def test_no_number_depends_on_what_runs_beside_it(policy: Any, keywords: dict[str, Any]) -> None:
+    episodes = 7 + scaled(60)
+    alone = evaluate(SINE, policy, episodes=episodes, seed=3, num_envs=1, env_kwargs=keywords)
+    assert [each.seed for each in alone.episodes] == list(range(3, 3 + episodes))
+    assert len({each.total_reward for each in alone.episodes}) == episodes
+    for num_envs, threads in ((3, 1), (8, 1), (8, 2), (64, 2)):
+        more = {**keywords, "threads": threads}
+        assert evaluate(SINE, policy, episodes=episodes, seed=3, num_envs=num_envs, env_kwargs=more).episodes == (
+            alone.episodes
+        )
+    if isinstance(policy, Push):
+        assert len({each.steps for each in alone.episodes}) > 2  # or rows would always begin at the same time
+        assert all(re.search("distance|joint", each.ended_by) for each in alone.cut_short)
+        assert alone.cut_short
+
+
+class Mixed(Push):
+    """The scripted policy, but for each third seed `Push`: so rows of the scripted one begin one by one."""
+
+    def __init__(self, keywords: dict[str, Any]) -> None:
+        self.scripted = policies.load("scripted", SINE, **keywords)
+        self.pushes: dict[int, bool] = {}
+
+    def reset(self) -> None:
+        self.scripted.reset()
+
+    def begin(self, rows: Any, seeds: Sequence[int]) -> None:
+        self.pushes.update((row, seed % 3 == 1) for row, seed in zip(rows.tolist(), seeds, strict=True))
+
+    def __call__(self, observation: Any) -> Any:
+        pushes = np.array([self.pushes[row] for row in range(len(observation))])
+        return np.where(pushes[:, None], super().__call__(observation), self.scripted(observation))
+
+
+def test_a_policy_that_learns_begins_anew_in_single_rows() -> None:
+    keywords = {"duration_s": 3.0, "cell": WILD}
+    alone, three, eight = (
+        evaluate(SINE, Mixed(keywords), episodes=9, num_envs=num_envs, env_kwargs=keywords).episodes
+        for num_envs in (1, 3, 8)
+    )
+    assert alone == three == eight
+    assert len({each.steps for each in alone}) > 2
+
+
+class Winding:
+    """Turns more and more since its reset, and does not look at what comes of it."""
+
+    def reset(self) -> None:
+        self.calls = 0
+
+    def __call__(self, observation: Any) -> Any:
+        self.calls += 1
+        return np.tile(PUSHES * np.float32(np.sin(self.calls / 20)), (len(observation), 1))
+
+
+def test_a_policy_that_notices_nothing_is_reset_for_every_episode() -> None:
+    keywords = {"duration_s": 4.0}
+    alone, three, eight = (
+        evaluate(SINE, Winding(), episodes=10, num_envs=num_envs, env_kwargs=keywords).episodes
+        for num_envs in (1, 3, 8)
+    )
+    assert alone == three == eight
+    assert len({each.steps for each in alone}) > 2
+
+
+def test_an_episode_is_what_a_rollout_gives() -> None:
+    keywords = {"duration_s": 1.2, "cell": WILD}
+    found = evaluate(SINE, "scripted", episodes=5, num_envs=3, env_kwargs=keywords)
+    env = gym.make(SINE, **keywords)
+    for seed, episode in enumerate(found.episodes):
+        record = rollout(env, policies.load("scripted", SINE, **keywords), seed=seed)
+        assert record.flange_error_m is not None
+        assert (episode.seed, episode.success, episode.steps) == (seed, record.success, record.steps)
+        assert episode.total_reward == pytest.approx(record.reward.sum(), rel=1e-12)
+        assert episode.time_s == record.time_s[-1]
+        for arm, name in enumerate(("left", "right")):
+            assert episode.peak[f"flange_error_m/{name}"] == record.flange_error_m[:, arm].max()
+            assert episode.last[f"flange_error_m/{name}"] == record.flange_error_m[-1, arm]
+    env.close()
+
+
+def test_a_policy_may_be_an_object_and_is_taken_as_it_is() -> None:
+    keywords = {"duration_s": 0.4, "cell": WILD, "action_mode": "joint_position"}
+    policy = policies.load("scripted", SINE, **keywords)
+    given_one = evaluate(SINE, policy, episodes=4, num_envs=2, env_kwargs=keywords)
+    by_name = evaluate(SINE, "scripted", episodes=4, num_envs=2, env_kwargs=keywords)
+    assert given_one.policy == "SineTrackingPolicy"
+    assert by_name.policy == "scripted"
+    assert given_one.episodes == by_name.episodes
+    assert given_one.success_rate == 1.0
+
+
+def test_random_actions_differ_between_episodes_whose_start_does_not() -> None:
+    found = evaluate(SINE, "random", episodes=4, env_kwargs={"duration_s": 0.4, "randomize": False})
+    assert len({each.total_reward for each in found.episodes}) == 4
+    still = evaluate(SINE, "zero", episodes=4, env_kwargs={"duration_s": 0.4, "randomize": False})
+    assert len({each.total_reward for each in still.episodes}) == 1
+
+
+def test_what_is_evaluated_is_named() -> None:
+    found = evaluate(SINE, "zero", episodes=2, seed=9, env_kwargs={"duration_s": 0.2})
+    assert (found.env_id, found.policy, found.kwargs, found.seed) == (SINE, "zero", {"duration_s": 0.2}, 9)
+    assert found.versions["dual_ur10"] == dual_ur10.__version__
+    assert found.versions["numpy"] == np.__version__
+    assert set(found.versions) == {"dual_ur10", "mujoco", "gymnasium", "numpy"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"episodes": 0}, "episodes is 0"),
+        ({"episodes": 2.0}, "episodes is 2.0"),
+        ({"episodes": True}, "episodes is True"),
+        ({"seed": -1}, "seed is -1"),
+        ({"num_envs": 0}, "num_envs is 0"),
+        ({"max_steps": 0}, "max_steps is 0"),
+        ({"env_kwargs": {"num_envs": 3}}, "keyword num_envs"),
+        ({"env_kwargs": {"autoreset_mode": "NextStep"}}, "keyword autoreset_mode"),
+        ({"env_kwargs": {"task": "Juggling"}}, "keyword task"),
+        ({"env_kwargs": {"amplitud": 1}}, "unknown keyword of SineTracking 'amplitud'"),
+        (
+            {"policy": "magic"},
+            "unknown policy 'magic': use one of 'scripted', 'learned', 'learned-two-agents', 'random', 'zero'",
+        ),
+        ({"env_id": "DualUR10/Juggling-v0"}, "unknown environment 'DualUR10/Juggling-v0'"),
+    ],
+)
+def test_bad_arguments_are_named(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(errors.DualUR10Error, match=re.escape(message)):
+        evaluate(**{"env_id": SINE, "policy": "scripted", "episodes": 1, **arguments})
+
+
+# An environment that says what an evaluation must be able to hear
+
+
+def stub_length(seed: int) -> int:
+    return 3 + seed * 7 % 5
+
+
+class Stub(VectorEnv[Any, Any, Any]):
+    """Rows end after a time of their own. An observation is the seed and the step of its row.
+
+    A seed that is reset again gives a huge reward, and an episode of one step or without an end: that none of it is
+    kept can be seen.
+    """
+
+    made: Stub
+    metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}  # noqa: RUF012  # as Gymnasium declares it
+
+    def __init__(self, num_envs: int, autoreset_mode: str, endless: int = -1, duration_s: float = 1.0) -> None:
+        assert autoreset_mode == "Disabled"
+        type(self).made = self
+        self.num_envs, self.endless = num_envs, endless
+        self.single_action_space = gym.spaces.Box(-1, 1, (2,), np.float32)
+        self.action_space = gym.spaces.Box(-1, 1, (num_envs, 2), np.float32)
+        task = SimpleNamespace(stages=("gripped", "handed over"), settings=SimpleNamespace(duration_s=duration_s))
+        self.core = SimpleNamespace(timing=SimpleNamespace(period_s=0.5), task=task, stop=lambda reason: None)
+        self.seeds, self.steps = np.full(num_envs, -1), np.zeros(num_envs, dtype=int)
+        self.done, self.again = np.ones(num_envs, dtype=bool), np.zeros(num_envs, dtype=bool)
+        self.known: set[int] = set()
+        self.order: list[int] = []
+
+    def reset(self, *, seed: Any = None, options: Any = None) -> Any:
+        mask = options["reset_mask"]
+        assert mask.all() or (mask == self.done).all()
+        for row in np.flatnonzero(mask).tolist():
+            self.again[row] = seed[row] in self.known
+            self.known.add(seed[row])
+            if not self.again[row]:
+                self.order.append(seed[row])
+            self.seeds[row], self.steps[row], self.done[row] = seed[row], 0, False
+        return self.observation(), {"force_n": np.full(self.num_envs, 1e6), "_force_n": mask}
+
+    def observation(self) -> Any:
+        return np.stack([self.seeds, self.steps], axis=1).astype(np.float64)
+
+    def step(self, actions: Any) -> Any:
+        assert not self.done.any()
+        assert actions.dtype == np.float32
+        assert actions.shape == (self.num_envs, 2)
+        self.steps += 1
+        n, seeds, steps, everyone = self.num_envs, self.seeds, self.steps, np.ones(self.num_envs, dtype=bool)
+        lengths = np.array([stub_length(int(each)) for each in seeds])
+        over = np.where(self.again, seeds % 2 == 0, (steps == lengths) & (seeds != self.endless))
+        refused = over & (seeds % 4 == 1)
+        diverged = over & (seeds % 4 == 2)
+        self.done = over
+        text = np.full(n, None, dtype=object)
+        text[refused], text[diverged] = "too close", "diverged"
+        # Stage 2 is reached in between by seeds that are multiples of 3, and lost again.
+        stage = np.where((seeds % 3 == 0) & (steps == 2), 2, seeds % 2)
+        sometimes = steps % 2 == 1
+        info = {
+            "is_success": over & (seeds % 4 == 0),
+            "_is_success": over,
+            "stage": stage,
+            "_stage": everyone,
+            "force_n": np.where(self.again, 1e9, -10.0 * seeds - steps),
+            "_force_n": everyone,
+            "gap_m": np.stack([steps * 1.0, -steps * 2.0], axis=1),
+            "_gap_m": sometimes,
+            "late_s": np.where(steps == 2, 7.0, np.nan),
+            "_late_s": everyone,
+            "never_s": np.full(n, np.nan),
+            "_never_s": everyone,
+            "wild_rad": np.where(seeds == 5, np.inf, 1.0),
+            "_wild_rad": everyone,
+            "q_rad": np.zeros((n, 2, 6)),
+            "_q_rad": everyone,
+            "count_n": np.ones(n, dtype=int),
+            "_count_n": everyone,
+            "share": np.ones(n),
+            "_share": everyone,
+            "name_m": np.full(n, "x", dtype=object),
+            "_name_m": everyone,
+        }
+        if (seeds == 6).any():
+            info |= {"rare_m": np.ones(n), "_rare_m": seeds == 6}
+        if refused.any():
+            info |= {"safety": text, "_safety": refused}
+        if diverged.any():
+            info |= {"physics_error": text, "_physics_error": diverged}
+        reward = np.where(self.again, 1e9, seeds + 0.25)
+        return self.observation(), reward, refused | diverged, over & ~refused & ~diverged, info
+
+
+class Watching:
+    """A policy that checks what it is told against what it sees."""
+
+    def __init__(self) -> None:
+        self.resets = 0
+        self.begun: list[tuple[int, int]] = []
+        self.expected: dict[int, int] = {}
+
+    def reset(self) -> None:
+        self.resets += 1
+
+    def begin(self, rows: Any, seeds: Sequence[int]) -> None:
+        self.begun += zip(rows.tolist(), seeds, strict=True)
+        self.expected = dict(zip(rows.tolist(), seeds, strict=True))
+
+    def __call__(self, observation: Any) -> Any:
+        first = {row: int(seed) for row, (seed, step) in enumerate(observation) if step == 0}
+        assert first == self.expected
+        self.expected = {}
+        return np.zeros((len(observation), 2))
+
+
+@pytest.fixture(autouse=True)
+def stub() -> Iterator[None]:
+    gym.register(STUB, entry_point=lambda: None, vector_entry_point=Stub)
+    yield
+    del gym.registry[STUB]
+
+
+def stub_evaluation(**arguments: Any) -> Evaluation:
+    return evaluate(STUB, Watching(), **{"episodes": 9, "num_envs": 4, **arguments})
+
+
+def test_every_episode_counts_once_in_the_order_of_seeds() -> None:
+    alone = stub_evaluation(num_envs=1)
+    assert [each.steps for each in alone.episodes] == [stub_length(seed) for seed in range(9)]
+    assert [each.time_s for each in alone.episodes] == [0.5 * stub_length(seed) for seed in range(9)]
+    assert [each.total_reward for each in alone.episodes] == [(s + 0.25) * stub_length(s) for s in range(9)]
+    assert [each.success for each in alone.episodes] == [seed % 4 == 0 for seed in range(9)]
+    assert [each.ended_by for each in alone.episodes] == (["", "too close", "diverged", ""] * 3)[:9]
+    for num_envs in (2, 3, 4, 8, 9, 50):
+        found = stub_evaluation(num_envs=num_envs)
+        assert found.episodes == alone.episodes
+        assert Stub.made.order == list(range(9))
+        assert Stub.made.num_envs == min(num_envs, 9)
+        assert found.as_table().row_count == alone.as_table().row_count
+
+
+def test_numbers_of_info_are_kept_with_their_peaks() -> None:
+    episode = stub_evaluation(seed=3, episodes=4).episodes[1]  # seed 4, 6 steps
+    assert stub_length(4) == 6
+    assert episode.peak == {
+        "force_n": 46.0,
+        "gap_m/left": 5.0,
+        "gap_m/right": 10.0,
+        "late_s": 7.0,
+        "wild_rad": 1.0,
+    }
+    assert episode.last == {
+        "force_n": -46.0,
+        "gap_m/left": 5.0,
+        "gap_m/right": -10.0,
+        "late_s": None,
+        "wild_rad": 1.0,
+    }
+
+
+def test_what_is_known_of_one_row_alone_is_in_no_other() -> None:
+    for num_envs in (1, 4):
+        found = stub_evaluation(num_envs=num_envs)
+        assert [each.seed for each in found.episodes if "rare_m" in each.peak] == [6]
+        assert [each.seed for each in found.episodes if "wild_rad" not in each.peak] == [5]
+        assert found.spreads["rare_m"].largest == 1.0
+
+
+def test_stages_that_were_reached_count_even_if_lost_again() -> None:
+    found = stub_evaluation()
+    assert [each.stage for each in found.episodes] == [seed % 2 for seed in range(9)]
+    assert [each.best_stage for each in found.episodes] == [2, 1, 0, 2, 0, 1, 2, 1, 0]
+    assert found.stages == ("gripped", "handed over")
+    assert found.stage_scores == {"gripped": 6 / 9, "handed over": 3 / 9}
+    without = evaluate(SINE, "zero", episodes=1, env_kwargs={"duration_s": 0.2})
+    assert (without.episodes[0].stage, without.stages, without.stage_scores) == (None, (), {})
+
+
+def test_a_policy_is_told_of_every_beginning() -> None:
+    policy = Watching()
+    assert isinstance(policy, EpisodeAware)
+    evaluate(STUB, policy, episodes=9, num_envs=4)
+    assert policy.begun[:4] == [(0, 0), (1, 1), (2, 2), (3, 3)]
+    assert policy.resets == 1  # these episodes never begin at the same time again
+    evaluate(STUB, policy, episodes=9, num_envs=1)
+    assert policy.resets == 1 + 9
+
+
+def test_a_policy_that_is_not_told_begins_all_rows_together() -> None:
+    class Counting:
+        resets = 0
+
+        def reset(self) -> None:
+            self.resets += 1
+
+        def __call__(self, observation: Any) -> Any:
+            return np.zeros((len(observation), 2))
+
+    for num_envs, waves in ((1, 9), (3, 3), (4, 3), (9, 1)):
+        policy = Counting()
+        found = evaluate(STUB, policy, episodes=9, num_envs=num_envs, max_steps=7)
+        assert found.episodes == stub_evaluation().episodes
+        assert policy.resets == waves
+        assert len(Stub.made.order) == 9
+
+
+def test_an_endless_episode_is_an_error_and_a_row_without_work_is_not() -> None:
+    for num_envs in (1, 4):
+        with pytest.raises(errors.DualUR10Error, match="seed 5 has not ended after 40 steps \\(20 s\\)"):
+            stub_evaluation(num_envs=num_envs, max_steps=40, env_kwargs={"endless": 5})
+        assert Stub.made.closed
+    with pytest.raises(errors.DualUR10Error, match="after 1200 steps"):
+        stub_evaluation(episodes=1, env_kwargs={"endless": 0})
+    with pytest.raises(errors.DualUR10Error, match="after 4000 steps"):
+        stub_evaluation(episodes=1, env_kwargs={"endless": 0, "duration_s": 1000.0})
+    # The last rows to run leave the others with an endless episode of the stub's; the longest has 7 steps.
+    assert len(stub_evaluation(max_steps=7).episodes) == 9
+    with pytest.raises(errors.DualUR10Error, match="after 6 steps"):
+        stub_evaluation(max_steps=6)
+
+
+@pytest.mark.parametrize("num_envs", [1, 4])
+def test_progress_tells_of_evaluations_that_could_have_been_asked_for(num_envs: int) -> None:
+    seen: list[Evaluation] = []
+    whole = stub_evaluation(num_envs=num_envs, on_progress=seen.append)
+    sizes = [len(each.episodes) for each in seen]
+    assert sizes == sorted(set(sizes))
+    assert sizes[-1] == 9
+    assert len(sizes) > 3
+    assert seen[-1] == whole
+    for each in seen:
+        assert each == stub_evaluation(episodes=len(each.episodes), num_envs=1)
+
+
+def test_the_environment_is_closed_when_the_policy_fails() -> None:
+    class Broken(Watching):
+        def __call__(self, observation: Any) -> Any:
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        evaluate(STUB, Broken(), episodes=1)
+    assert Stub.made.closed
+
+
+# What the episodes say together
+
+
+def episode(seed: int, success: bool = True, time_s: float = 1.0, **values: Any) -> Episode:
+    return Episode(seed=seed, success=success, total_reward=float(seed), steps=10, time_s=time_s, **values)
+
+
+def evaluation(*episodes: Episode, **values: Any) -> Evaluation:
+    plain: dict[str, Any] = {"env_id": SINE, "policy": "scripted", "kwargs": {}, "seed": 0, "stages": ()}
+    return Evaluation(**{**plain, "versions": {}, "episodes": episodes, **values})
+
+
+def test_rates_times_and_returns() -> None:
+    found = evaluation(*(episode(k, k != 3, 1.0 + k) for k in range(11)))
+    assert (found.successes, found.success_rate, found.mean_return) == (10, 10 / 11, 5.0)
+    assert found.interval == wilson_interval(10, 11)
+    assert found.std_return == pytest.approx(math.sqrt(10))
+    assert (found.median_time_s, found.p90_time_s) == (6.5, pytest.approx(10.1))
+    none = evaluation(episode(0, False))
+    assert (none.median_time_s, none.p90_time_s) == (None, None)
+
+
+def test_spreads() -> None:
+    found = evaluation(
+        episode(0, peak={"x_m": 3.0, "y_m": 1.0}, last={"x_m": -2.0, "y_m": None}),
+        episode(1, peak={"x_m": 1.0}, last={"x_m": 1.0}),
+    ).spreads
+    assert (found["x_m"].largest, found["x_m"].median, found["x_m"].last) == (3.0, 2.0, 1.5)
+    assert (found["y_m"].largest, found["y_m"].median, found["y_m"].last) == (1.0, 1.0, None)
+
+
+def test_an_evaluation_of_nothing_is_none() -> None:
+    with pytest.raises(errors.SettingsError):
+        evaluation()
+
+
+def test_table_says_it_all() -> None:
+    found = replace(stub_evaluation(), policy="[b]me[/b]")
+    console = Console(file=io.StringIO(), width=120)
+    console.print(found.as_table())
+    text = console.file.getvalue()  # type: ignore[attr-defined]  # a StringIO
+    for words in (
+        "Test/Stub-v0, [b]me[/b], 9 episodes from seed 0",
+        "3 of 9, 33.3 %",
+        "12.1 % to 64.6 %",
+        "reached: handed over",
+        "2.00 s",
+        "seed 1: too close",
+        "force_n",
+        "gap_m/left",
+    ):
+        assert words in text
+    assert re.search(r"cut short\s*│\s*4 ", text)
+
+
+def test_json_is_whole_and_the_same_however_it_was_run(tmp_path: Path) -> None:
+    for num_envs in (1, 4):
+        stub_evaluation(num_envs=num_envs, episodes=4).to_json(tmp_path / f"{num_envs}.json")
+    text = (tmp_path / "1.json").read_text()
+    assert text == (tmp_path / "4.json").read_text()
+    data = json.loads(text)
+    assert [each["return"] for each in data["episodes"]] == [(s + 0.25) * stub_length(s) for s in range(4)]
+    assert data["episodes"][1]["ended_by"] == "too close"
+    assert data["summary"]["success_rate"] == 0.25
+    assert data["summary"]["success_interval"] == list(wilson_interval(1, 4))
+    assert data["stages"] == ["gripped", "handed over"]
+    assert data["versions"]["dual_ur10"] == dual_ur10.__version__
+
+
+def test_json_takes_every_keyword(tmp_path: Path) -> None:
+    kwargs = {"cell": WILD, "axis": (0, 1, np.float32(0.5)), "a": np.arange(2), "f": print, "i": math.inf, "n": None}
+    evaluation(episode(0), kwargs=kwargs).to_json(tmp_path / "x.json")
+    found = json.loads((tmp_path / "x.json").read_text())["kwargs"]
+    assert found["cell"]["type"] == "CellConfig"
+    assert found["cell"]["perturbation"]["loss"] == 0.05
+    assert (found["axis"], found["a"], found["n"], found["i"]) == ([0, 1, 0.5], [0, 1], None, "inf")
+    assert found["f"] == "<builtin_function_or_method>"
+
+
+def test_csv_has_a_row_per_episode(tmp_path: Path) -> None:
+    found = stub_evaluation()
+    found = replace(found, episodes=(*found.episodes[:8], replace(found.episodes[8], ended_by='a, "b"\nc')))
+    found.to_csv(tmp_path / "x.csv")
+    with (tmp_path / "x.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["seed"]) for row in rows] == list(range(9))
+    assert [float(row["return"]) for row in rows] == [each.total_reward for each in found.episodes]
+    assert [row["peak/rare_m"] for row in rows] == ["", "", "", "", "", "", "1.0", "", ""]
+    assert rows[0]["last/late_s"] == ""
+    assert float(rows[4]["last/force_n"]) == -46.0
+    assert rows[8]["ended_by"] == 'a, "b"\nc'
+
+
+# Files
+
+
+@pytest.mark.parametrize("write", [Evaluation.to_json, Evaluation.to_csv])
+def test_a_file_is_replaced_at_once_or_not_at_all(write: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, link = tmp_path / "x", tmp_path / "link"
+    path.write_text("before")
+    link.symlink_to(path)
+
+    def full(_: int) -> None:
+        assert path.read_text() == "before"
+        raise OSError("no space left")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files.os, "fsync", full)
+        with pytest.raises(errors.DualUR10Error, match="no space left"):
+            write(evaluation(episode(0)), path)
+    assert path.read_text() == "before"
+    assert sorted(tmp_path.iterdir()) == [link, path]
+    with path.open() as reader:
+        write(evaluation(episode(0)), str(link))
+        assert reader.read() == "before"
+    assert "before" not in path.read_text()
+    assert link.is_symlink()
+    assert sorted(tmp_path.iterdir()) == [link, path]
+
+
+def test_a_path_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    for path, reason in (
+        (tmp_path / "none" / "x.json", "does not exist"),
+        (tmp_path, "no regular file"),
+        (Path("/dev/null"), "no regular file"),
+        (tmp_path / "loop" / "x.json", "cannot write"),
+    ):
+        with pytest.raises(errors.DualUR10Error, match=reason):
+            evaluation(episode(0)).to_json(path)
+
+
+# The command
+
+
+def run(*arguments: str) -> tuple[int, str]:
+    result = CliRunner().invoke(cli.app, ["evaluate", *arguments], env={"COLUMNS": "160"})
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, re.sub(r"\x1b\[[0-9;]*m", "", result.output)
+
+
+SHORT = ("SineTracking", "-n", "5", "--set", "duration_s=0.4")
+
+
+def test_command_prints_a_table_and_writes_files(tmp_path: Path) -> None:
+    code, text = run(*SHORT, "--seed", "2", "--json", str(tmp_path / "x.json"), "--csv", str(tmp_path / "x.csv"))
+    assert code == 0
+    assert "5 of 5, 100.0 %" in text
+    assert "running" not in text  # no bar where nobody watches
+    data = json.loads((tmp_path / "x.json").read_text())
+    assert [each["seed"] for each in data["episodes"]] == [2, 3, 4, 5, 6]
+    assert data["kwargs"] == {"duration_s": 0.4}
+    assert len((tmp_path / "x.csv").read_text().splitlines()) == 6
+
+
+def test_command_knows_perturbed_and_the_number_of_envs(tmp_path: Path) -> None:
+    found = []
+    for more in ((), ("--envs", "2"), ("--perturbed",)):
+        code, _ = run(*SHORT, *more, "--json", str(tmp_path / "x.json"))
+        assert code == 0
+        found.append(json.loads((tmp_path / "x.json").read_text())["episodes"])
+    assert found[0] == found[1]
+    assert found[0][0]["peak"]["flange_error_m/left"] < 1e-5 < found[2][0]["peak"]["flange_error_m/left"]
+
+
+@pytest.mark.parametrize(("policy", "wanted", "expected"), [("zero", "0.5", 1), ("zero", "0", 0), ("scripted", "1", 0)])
+def test_too_few_successes_are_exit_code_1(policy: str, wanted: str, expected: int, tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    code, text = run(
+        "SineTracking", "-n", "3", "--set", "duration_s=2", "-p", policy, "--min-success", wanted, "--json", str(path)
+    )
+    assert code == expected
+    assert ("too few successes: 0 of 3 are a rate of 0, wanted 0.5 or more" in text) == bool(expected)
+    assert path.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("Juggling",), "unknown environment 'Juggling'"),
+        (
+            ("SineTracking", "-p", "psychic"),
+            "unknown policy 'psychic': use one of 'scripted', 'learned', 'learned-two-agents', 'random', 'zero'",
+        ),
+        (("SineTracking", "--set", "amplitud=0.1"), "unknown keyword of SineTracking 'amplitud'"),
+        (("SineTracking", "--set", "amplitude_m"), "write it as KEY=VALUE"),
+        (("SineTracking", "--set", "num_envs=3"), "keyword num_envs"),
+        (("SineTracking", "--episodes", "0"), "episodes is 0: it must be a whole number, 1 or more"),
+        (("SineTracking", "--envs", "0"), "num_envs is 0"),
+        (("SineTracking", "--min-success", "1.5"), "--min-success is 1.5: it must be a share from 0 to 1"),
+        (("SineTracking", "--min-success", "nan"), "--min-success is nan"),
+        (("SineTracking", "--randomization", "x", "--set", "randomization=y"), "randomization is set twice"),
+        (("SineTracking", "--json", "none/x.json"), "cannot write none/x.json"),
+        (("SineTracking", "--json", "x", "--csv", "./x"), "--json and --csv both name x"),
+    ],
+)
+def test_a_bad_argument_is_one_line_and_exit_code_2(arguments: tuple[str, ...], message: str) -> None:
+    code, text = run(*arguments)
+    assert code == 2
+    assert text.startswith("error: ")
+    assert message in text
+    assert text.count("\n") == 1
+
+
+def test_a_failed_run_leaves_an_old_file_alone(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    path.write_text("before")
+    assert run("SineTracking", "--set", "axis=w", "--json", str(path))[0] == 2
+    assert path.read_text() == "before"
+
+
+def test_randomization_is_a_keyword_of_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: dict[str, Any] = {}
+
+    def record(*_: Any, **arguments: Any) -> None:
+        seen.update(arguments)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "evaluate", record)
+    code, text = run("SineTracking", "--randomization", "plant", "--set", "randomize=false")
+    assert (code, text) == (130, "interrupted after 0 of 300 episodes; no result was written\n")
+    assert seen["env_kwargs"] == {"randomization": "plant", "randomize": False}
+    assert (seen["episodes"], seen["seed"], seen["num_envs"]) == (300, 0, 8)
+
+
+def test_ctrl_c_prints_what_was_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    path.write_text("before")
+    load, calls = policies.load, []
+
+    def interrupted(*arguments: Any, **keywords: Any) -> Any:
+        policy = load(*arguments, **keywords)
+
+        class Interrupted:
+            reset = policy.reset
+
+            def __call__(self, observation: Any) -> Any:
+                calls.append(1)
+                if len(calls) == 25:
+                    raise KeyboardInterrupt
+                return policy(observation)
+
+        return Interrupted()
+
+    monkeypatch.setattr(policies, "load", interrupted)
+    code, text = run("SineTracking", "-n", "50", "--envs", "2", "--set", "duration_s=0.4", "--json", str(path))
+    assert code == 130
+    assert "4 of 4, 100.0 %" in text
+    assert "interrupted after 4 of 50 episodes" in text
+    assert path.read_text() == "before"
+
+
+def test_a_terminal_sees_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = Console(file=io.StringIO(), force_terminal=True, width=160)
+    monkeypatch.setattr(cli_evaluate, "console", screen)
+    assert run(*SHORT)[0] == 0
+    assert "success 100.0 %" in re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", screen.file.getvalue())  # type: ignore[attr-defined]

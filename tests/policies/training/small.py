@@ -1,0 +1,27 @@
+"""Trainings that take seconds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dual_ur10.policies.training.settings import Training, defaults
+
+IMITATION: dict[str, Any] = {"hidden": (16,), "fit_steps": 30, "batch_size": 64}
+REINFORCEMENT: dict[str, dict[str, Any]] = {
+    "ppo": {"hidden": (16,), "steps_per_update": 16, "batch_size": 16, "epochs": 2},
+    "sac": {"hidden": (16,), "learning_starts": 40, "gradient_steps": 1, "batch_size": 16, "buffer_size": 500},
+}
+SHORT: dict[str, Any] = {"duration_s": 2.0}
+STEPS = 50
+"""Of an episode."""
+
+
+def small(algorithm: str = "dagger", agents: str = "joint", *, rounds: int = 2, **given: Any) -> Training:
+    """A training of SineTracking in two cells, of so many episodes each."""
+    changes = IMITATION if algorithm in ("bc", "dagger") else REINFORCEMENT[algorithm]
+    keywords = {**SHORT, **given.pop("keywords", {})}
+    changes = {**changes, **given.pop("changes", {})}
+    given = {"envs": 2, "steps": 2 * STEPS * rounds, **given}
+    asked = defaults("SineTracking", algorithm, agents, keywords=keywords, changes=changes, **given)
+    object.__setattr__(asked, "checks", 2)
+    return asked

@@ -1,0 +1,218 @@
+"""Datasets of Minari, made and read."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from dual_ur10 import policies
+from dual_ur10.errors import DatasetError, SettingsError
+from dual_ur10.policies.evaluation.evaluate import evaluate
+from dual_ur10.policies.learned.signature import described
+from dual_ur10.policies.training.dataset import collect, read_dataset
+from dual_ur10.sim2real.config.cell_file import starting_text
+
+minari = pytest.importorskip("minari")
+h5py = pytest.importorskip("h5py")
+
+SINE = "DualUR10/SineTracking-v0"
+KEYWORDS = {"duration_s": 2.0, "action_latency_ticks": 5, "randomization": "mild"}
+
+
+@pytest.fixture(autouse=True)
+def _own_folder(tmp_path_factory, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path_factory.mktemp("datasets")))
+
+
+def made(name="ur10/sine/scripted-v0", **given):
+    given = {"episodes": 3, "envs": 2, "seed": 4, "env_kwargs": KEYWORDS, **given}
+    return collect(given.pop("env_id", "SineTracking"), name, **given)
+
+
+def test_anyone_with_minari_can_use_it():
+    told = []
+    made(on_progress=lambda *counts: told.append(counts))
+    dataset = minari.load_dataset("ur10/sine/scripted-v0")
+    assert dataset.total_episodes == 3
+    assert dataset.total_steps == 150
+    assert told == [(2, 2), (3, 3)]
+    assert dataset.spec.env_spec.id == SINE
+    assert dataset.spec.env_spec.kwargs["action_latency_ticks"] == 5
+    alone = evaluate(SINE, "scripted", episodes=3, num_envs=1, seed=4, env_kwargs=KEYWORDS)
+    for episode, wanted in zip(dataset.iterate_episodes(), alone.episodes, strict=True):
+        assert set(episode.observations) == set(episode.actions) == {"left", "right"}
+        assert episode.observations["left"].shape == (51, 41)
+        assert episode.actions["right"].shape == (50, 6)
+        assert episode.rewards.sum() == pytest.approx(wanted.total_reward, abs=1e-9)
+        assert episode.infos["is_success"][-1] == wanted.success
+    metadata = list(dataset.storage.get_episode_metadata(range(3)))
+    assert [each["success"] for each in metadata] == ["true"] * 3
+    assert [each["seed"] for each in metadata] == [4, 5, 6]
+
+
+def test_what_is_read_is_what_was_seen_and_done():
+    made(episodes=1)
+    observation, action = read_dataset("ur10/sine/scripted-v0", described(SINE, KEYWORDS))
+    policy = policies.load("scripted", SINE, **KEYWORDS)
+    assert observation.shape == (50, 68)
+    said = np.array([policy(row) for row in observation.astype(np.float64)])
+    np.testing.assert_allclose(said, action, atol=2e-4)  # single precision of what was seen
+
+
+def test_only_what_went_well_is_learned_from():
+    made("ur10/other-v0", policy="scripted", episodes=2)
+    place = described(SINE, KEYWORDS)
+    whole, _ = read_dataset("ur10/other-v0", place)
+    dataset = minari.load_dataset("ur10/other-v0")
+    dataset.storage.update_episode_metadata([{"success": "false"}], [0])
+    half, _ = read_dataset("ur10/other-v0", place)
+    assert (len(whole), len(half)) == (100, 50)
+    np.testing.assert_array_equal(half, whole[50:])
+
+
+def test_nothing_is_learned_where_nothing_went_well():
+    made(episodes=2)
+    storage = minari.load_dataset("ur10/sine/scripted-v0").storage
+    place = described(SINE, KEYWORDS)
+    storage.update_episode_metadata([{"success": "false"}] * 2, [0, 1])
+    with pytest.raises(DatasetError, match="2 episodes, of which none succeeded"):
+        read_dataset("ur10/sine/scripted-v0", place)
+    storage.update_episode_metadata([{"success": "unknown"}] * 2, [0, 1])
+    assert len(read_dataset("ur10/sine/scripted-v0", place)[0]) == 100
+
+
+def test_a_damaged_one_is_named(tmp_path):
+    made(episodes=2)
+    path = minari.load_dataset("ur10/sine/scripted-v0").storage.data_path / "main_data.hdf5"
+    place, whole = described(SINE, KEYWORDS), path.read_bytes()
+    with h5py.File(path, "a") as file:
+        del file["episode_1"]
+    with pytest.raises(DatasetError, match=r"ur10/sine/scripted-v0 .*cannot be read"):
+        read_dataset("ur10/sine/scripted-v0", place)
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(DatasetError, match=r"ur10/sine/scripted-v0.* cannot be read"):
+        read_dataset("ur10/sine/scripted-v0", place)
+
+
+@pytest.mark.parametrize("policy", ["zero", "random"])
+def test_every_named_policy_can_be_collected_from(policy):
+    dataset = made(policy=policy, episodes=2)
+    actions = next(iter(dataset.iterate_episodes())).actions["left"]
+    assert actions.any() == (policy == "random")
+
+
+@pytest.mark.parametrize(
+    ("keywords", "match"),
+    [({"observation": "pixels"}, "observation='state' alone"), ({"cell": "lab.toml"}, "two controllers.*to_minari")],
+)
+def test_only_states_in_simulation_are_collected(tmp_path, monkeypatch, keywords, match):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lab.toml").write_text(starting_text("emulated", None, None, "cb3", None, "lab.toml"))
+    with pytest.raises(SettingsError, match=match):
+        made(env_kwargs=keywords)
+
+
+@pytest.mark.parametrize(
+    ("other", "match"),
+    [
+        ({"env_id": "DualUR10/Handover-v0", "duration_s": None}, "env_id"),
+        ({"action_latency_ticks": 0}, "rate"),
+        ({"policy_rate_hz": 12.5}, "rate"),
+        ({"compensate_lag": False}, "actions"),
+        ({"action_mode": "joint_position"}, "action"),
+    ],
+)
+def test_one_of_another_environment_is_refused(other, match):
+    made()
+    env_id = other.pop("env_id", SINE)
+    keywords = {name: value for name, value in {**KEYWORDS, **other}.items() if value is not None}
+    with pytest.raises(DatasetError, match=f"with {match}"):
+        read_dataset("ur10/sine/scripted-v0", described(env_id, keywords))
+
+
+def test_nothing_is_written_over():
+    made()
+    with pytest.raises(DatasetError, match="exists"):
+        made()
+    assert minari.load_dataset("ur10/sine/scripted-v0").total_episodes == 3
+
+
+@pytest.mark.parametrize("name", ["", "no version", "a/b", "../x-v0", "a b-v0"])
+def test_names_that_are_none_are_refused_before_anything_runs(name, monkeypatch):
+    monkeypatch.setattr(policies, "load", lambda *_, **__: pytest.fail("it ran"))
+    with pytest.raises(DatasetError, match="no name of a dataset"):
+        made(name)
+
+
+@pytest.mark.parametrize("name", ["no/such-v0", "nonsense"])
+def test_one_that_is_not_there_is_refused(name):
+    with pytest.raises(DatasetError, match="cannot be read"):
+        read_dataset(name, described(SINE, KEYWORDS))
+
+
+def test_one_that_does_not_say_what_it_is_of_is_refused():
+    made(episodes=1)
+    path = minari.load_dataset("ur10/sine/scripted-v0").storage.data_path / "metadata.json"
+    told = json.loads(path.read_text())
+    for spec in (None, "", "{}", '{"id": "CartPole-v1"}'):
+        path.write_text(json.dumps({**told, "env_spec": spec}))
+        with pytest.raises(DatasetError, match=r"does not say|cannot be read"):
+            read_dataset("ur10/sine/scripted-v0", described(SINE, KEYWORDS))
+
+
+def test_cloning_learns_from_one_and_from_nothing_else(tmp_path, monkeypatch):
+    pytest.importorskip("stable_baselines3")
+    from dual_ur10.policies.learned import checkpoint
+    from dual_ur10.policies.training import imitation as imitate
+    from dual_ur10.policies.training.train import resume, train
+    from tests.policies.training.small import small
+
+    made(episodes=4)
+    asked = small("bc", dataset="ur10/sine/scripted-v0")
+    monkeypatch.setattr(imitate, "gather", lambda *_, **__: pytest.fail("it asked the expert"))
+    path = train(asked, tmp_path / "out")
+    manifest = checkpoint.read_manifest(path)
+    assert manifest.training["from_dataset"] is True
+    assert (manifest.training["steps"], manifest.training["samples"]) == (0, 200)
+    assert "ur10/sine" not in (path / "manifest.json").read_text()
+
+    with monkeypatch.context() as patch:
+        patch.setattr(imitate, "Fit", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            train(asked, tmp_path / "interrupted")
+    for out in ("interrupted", "out"):
+        again = checkpoint.read_manifest(resume(tmp_path / out))
+        assert again.weights_sha256 == manifest.weights_sha256
+
+
+def test_dagger_begins_with_one(tmp_path):
+    pytest.importorskip("stable_baselines3")
+    from dual_ur10.policies.learned import checkpoint
+    from dual_ur10.policies.training.train import train
+    from tests.policies.training.small import STEPS, small
+
+    made(episodes=4)
+    path = train(small("dagger", rounds=2, dataset="ur10/sine/scripted-v0"), tmp_path / "out")
+    assert len(list(path.parent.glob("samples-*"))) == 3
+    looked = [checkpoint.read_manifest(each).training for each in path.parent.glob("steps-*")]
+    assert {(each["steps"], each["samples"]) for each in looked} <= {
+        (0, 200),
+        (2 * STEPS, 200 + 2 * STEPS),
+        (4 * STEPS, 200 + 4 * STEPS),
+    }
+    assert any(each["steps"] == 0 for each in looked)  # a pupil drives from the beginning
+
+
+def test_one_that_does_not_fit_is_refused_before_anything_is_made(tmp_path):
+    pytest.importorskip("stable_baselines3")
+    from dual_ur10.policies.training.train import train
+    from tests.policies.training.small import small
+
+    made(episodes=1)
+    with pytest.raises(DatasetError, match="with rate"):
+        train(small("bc", dataset="ur10/sine/scripted-v0", keywords={"action_latency_ticks": 0}), tmp_path / "b")
+    with pytest.raises(DatasetError, match="cannot be read"):
+        train(small("dagger", dataset="no/such-v0"), tmp_path / "b")
+    assert not (tmp_path / "b").exists()

@@ -1,0 +1,252 @@
+"""Cloning and DAgger, whole, in seconds."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import errno
+import json
+import os
+import shutil
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from dual_ur10 import policies
+from dual_ur10.errors import CheckpointError, SettingsError, TrainingError
+from dual_ur10.policies.learned import checkpoint
+from dual_ur10.policies.training import folder as folders
+from dual_ur10.policies.training import imitation as imitate
+from dual_ur10.policies.training.train import resume, train
+from tests.policies.training.small import STEPS, small
+
+SINE = "DualUR10/SineTracking-v0"
+
+
+def sha_of(path):
+    return checkpoint.read_manifest(path).weights_sha256
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A DAgger training of three rounds."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    return train(small(rounds=3), out)
+
+
+def test_its_folder_has_all_that_it_says(whole):
+    folder = whole.parent
+    names = {each.name.split(".out")[0] for each in folder.iterdir()}
+    samples = {f"samples-000{k}.safetensors" for k in range(3)}
+    kept = {name for name in names if name.startswith("steps-")}
+    assert kept
+    assert names == {"training.json", "state", "policy", "curve.png", "progress.csv", "events", *samples, *kept}
+    assert (folder / "curve.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    table = list(csv.DictReader((folder / "progress.csv").read_text().splitlines()))
+    assert [int(each["time/steps"]) for each in table] == [100, 100, 200, 200, 300, 300]  # a fit and a look each
+    assert table[1]["check/success_rate"]
+    assert json.loads((folder / "training.json").read_text())["algorithm"] == "dagger"
+
+
+def test_what_comes_of_it_says_where_it_is_from(whole):
+    manifest = checkpoint.read_manifest(whole)
+    assert manifest.target.env_id == SINE
+    assert manifest.target.rate.latency_ticks == 5
+    assert manifest.training["algorithm"] == "dagger"
+    assert manifest.training["steps"] in (2 * STEPS, 2 * 2 * STEPS, 3 * 2 * STEPS)
+    assert manifest.training["settings"]["hidden"] == [16]
+    assert manifest.evaluation["episodes"] == 2
+    assert manifest.evaluation["seed"] == 10_000_000
+    text = (whole / "manifest.json").read_text()
+    assert str(whole.parent.parent) not in text  # nobody's folders
+
+
+def test_the_best_at_a_look_comes_of_it(tmp_path, monkeypatch):
+    """Of four fits, the second is as good as the third, and the fourth is worse."""
+    rates, seen = [0.0, 1.0, 1.0, 0.5], []
+    real = folders.check_of
+
+    def check_of(*arguments):
+        seen.append(dataclasses.replace(real(*arguments), success_rate=rates[len(seen)], mean_return=float(len(seen))))
+        return seen[-1]
+
+    monkeypatch.setattr(folders, "check_of", check_of)
+    policy = train(small(rounds=4), tmp_path / "out")
+    assert [each.steps for each in seen] == [100, 200, 300, 400]
+    kept = sorted(each.name for each in policy.parent.glob("steps-*"))
+    assert kept == ["steps-000000100", "steps-000000200", "steps-000000300"]  # each the best so far
+    assert sha_of(policy) == sha_of(policy.parent / kept[-1])
+    assert checkpoint.read_manifest(policy).training["steps"] == 300
+
+
+def test_the_same_seed_gives_the_same_bits_on_any_number_of_threads(whole, tmp_path):
+    assert sha_of(train(small(rounds=3), tmp_path / "again", threads=1)) == sha_of(whole)
+    assert sha_of(train(small(rounds=3, seed=1), tmp_path / "other")) != sha_of(whole)
+
+
+@pytest.mark.parametrize("at", [0, 1, 2])
+def test_one_that_was_interrupted_comes_to_the_same(whole, tmp_path, monkeypatch, at):
+    real, calls = imitate.gather, []
+
+    def interrupted(*arguments, **keywords):
+        calls.append(1)
+        if len(calls) > at:
+            raise KeyboardInterrupt
+        return real(*arguments, **keywords)
+
+    monkeypatch.setattr(imitate, "gather", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        train(small(rounds=3), tmp_path / "out")
+    monkeypatch.undo()
+    assert not (tmp_path / "out" / "policy").exists()
+    assert sha_of(resume(tmp_path / "out")) == sha_of(whole)
+
+
+@pytest.mark.parametrize("name", ["rounds", "longest", "steps"])
+@pytest.mark.parametrize("value", ["x", None, []])
+def test_a_state_that_cannot_be_is_named(whole, tmp_path, name, value):
+    copied = shutil.copytree(whole.parent, tmp_path / "out")
+    path = copied / "state" / "values.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), name: value}))
+    with pytest.raises(TrainingError, match=r"the state in .* cannot be read"):
+        resume(copied)
+
+
+def test_more_steps_can_be_asked_for(tmp_path):
+    first = train(small(rounds=1), tmp_path / "out")
+    more = resume(tmp_path / "out", steps=2 * 2 * STEPS)
+    assert (first.name, more.name) == ("policy", "policy-2")
+    assert len(list((tmp_path / "out").glob("samples-*"))) == 2
+    assert sha_of(more) == sha_of(train(small(rounds=2), tmp_path / "whole"))
+    assert sha_of(more) == sha_of(train(small(rounds=2), tmp_path / "at_once"))
+
+
+@pytest.mark.parametrize("agents", ["joint", "shared", "independent"])
+def test_every_kind_of_agents_acts(tmp_path, agents):
+    asked = small("bc", agents, rounds=1)
+    path = train(asked, tmp_path / "out")
+    policy = policies.load(path, SINE, **asked.keywords)
+    assert policy.manifest.agents == agents
+    assert policy.manifest.network.layers[0] == (68 if agents == "joint" else 41)
+    env = gym.make(SINE, **asked.keywords)
+    observation, _ = env.reset(seed=0)
+    action = policy(observation)
+    assert action.shape == (12,)
+    assert np.abs(action).max() > 0.0
+    env.step(action)
+    env.close()
+
+
+@pytest.mark.parametrize(("agents", "blind"), [("joint", [0, 33, 34, 67]), ("shared", [0, 40])])
+def test_a_network_is_blind_to_what_its_settings_say(tmp_path, agents, blind):
+    asked = small("bc", agents, rounds=1, changes={"unseen": (0, -1)})
+    (normaliser,) = checkpoint.read_manifest(train(asked, tmp_path / "out")).normalisers
+    assert np.flatnonzero(np.array(normaliser.var) > 1e12).tolist() == blind
+
+
+def test_numbers_that_there_are_not_are_refused_before_anything_is_learned(tmp_path):
+    with pytest.raises(SettingsError, match="unseen has 34"):
+        train(small("bc", rounds=1, changes={"unseen": (34,)}), tmp_path / "out")
+    assert not list((tmp_path / "out").glob("samples*"))
+
+
+def test_the_two_of_independent_agents_differ(tmp_path):
+    policy = checkpoint.load(train(small("bc", "independent", rounds=1), tmp_path / "out"))
+    left, right = policy.layers
+    assert left[0][0].tobytes() != right[0][0].tobytes()
+
+
+def test_it_learns(tmp_path):
+    changes = {"hidden": (64, 64), "fit_steps": 1000, "batch_size": 256}
+    keywords = {"randomize": False, "randomization": "none"}
+    asked = small(envs=8, rounds=1, steps=3 * 8 * STEPS, changes=changes, keywords=keywords)
+    learned = checkpoint.read_manifest(train(asked, tmp_path / "out")).evaluation["mean_return"]
+    raw = checkpoint.read_manifest(train(small(rounds=1, keywords=keywords), tmp_path / "raw")).evaluation[
+        "mean_return"
+    ]
+    assert learned > 3 * raw
+
+
+def test_a_checkpoint_can_be_begun_with(whole, tmp_path):
+    asked = small("bc", rounds=1, init=str(whole), changes={"fit_steps": 1, "learning_rate": 1e-9})
+    after, before = checkpoint.load(train(asked, tmp_path / "out")), checkpoint.load(whole)
+    for (a, b), (c, d) in zip(before.layers[0], after.layers[0], strict=True):
+        np.testing.assert_allclose(a, c, rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(b, d, rtol=1e-4, atol=1e-5)
+    assert checkpoint.read_manifest(tmp_path / "out" / "policy").training["from_checkpoint"] is True
+    with pytest.raises(TrainingError, match="both must be the same"):
+        train(small("bc", rounds=1, init=str(whole), changes={"hidden": (8,)}), tmp_path / "wrong")
+
+
+@pytest.mark.parametrize("nth", [0, 1, 3])
+def test_a_full_disk_loses_nothing_that_was_saved(whole, tmp_path, monkeypatch, nth):
+    real, count = os.fsync, []
+
+    def full(descriptor):
+        if (tmp_path / "out" / "training.json").exists():
+            count.append(1)
+        if len(count) > nth:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return real(descriptor)
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises((TrainingError, CheckpointError), match="No space left"):
+        train(small(rounds=3), tmp_path / "out")
+    monkeypatch.undo()
+    if (tmp_path / "out" / "state").exists():
+        assert sha_of(resume(tmp_path / "out")) == sha_of(whole)
+    else:
+        assert nth < 3
+
+
+def test_a_disk_that_is_full_for_the_logs_is_a_named_error(tmp_path, monkeypatch):
+    from stable_baselines3.common.logger import CSVOutputFormat
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(CSVOutputFormat, "write", full)
+        with pytest.raises(TrainingError, match=r"No space left.*--resume"):
+            train(small(rounds=1), tmp_path / "out")
+    assert resume(tmp_path / "out").name == "policy"
+
+
+def test_a_folder_with_something_in_it_is_left_alone(whole, tmp_path):
+    before = sorted(each.name for each in whole.parent.iterdir())
+    with pytest.raises(TrainingError, match="not empty"):
+        train(small(), whole.parent)
+    assert sorted(each.name for each in whole.parent.iterdir()) == before
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(TrainingError, match="cannot make"):
+        train(small(), tmp_path / "file")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "match"),
+    [
+        ("training.json", None, "is no folder of a training"),
+        ("training.json", b"[]", "cannot be read"),
+        ("training.json", b"{" * 100_000, "cannot be read"),
+        ("samples-0000.safetensors", b"no", "cannot be read"),
+        ("samples-0000.safetensors", None, "cannot be read"),
+        ("state/values.json", b'{"rounds": 1, "steps": 100}', "not of this version"),
+    ],
+)
+def test_a_damaged_training_is_refused(tmp_path, name, content, match):
+    train(small(rounds=1), tmp_path / "out")
+    path = tmp_path / "out" / name
+    path.unlink() if content is None else path.write_bytes(content)
+    with pytest.raises(TrainingError, match=match):
+        resume(tmp_path / "out", steps=1000)
+
+
+def test_samples_of_another_environment_are_refused(whole, tmp_path):
+    train(small(rounds=1), tmp_path / "out")
+    asked = tmp_path / "out" / "training.json"
+    asked.write_text(asked.read_text().replace("SineTracking", "Handover").replace('"duration_s": 2.0,', ""))
+    with pytest.raises(TrainingError, match="another environment"):
+        resume(tmp_path / "out", steps=1000)

@@ -1,0 +1,120 @@
+"""Fitting networks to samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from dual_ur10.policies.learned.network import Network  # noqa: E402
+from dual_ur10.policies.training.regression import Fit, normaliser_of, reproducible  # noqa: E402
+from dual_ur10.policies.training.settings import Imitation  # noqa: E402
+
+SETTINGS = Imitation(hidden=(32, 32), batch_size=256)
+
+
+def samples(count=2000, seed=0):
+    rng = np.random.default_rng(seed)
+    observation = (rng.standard_normal((count, 5)) * [1, 0.1, 10, 1, 0] + [0, 1, 2, 3, 4]).astype(np.float32)
+    action = np.stack([np.tanh(observation[:, 0]), 0.2 * observation[:, 1] * observation[:, 3]], axis=1)
+    return observation, (0.5 * action + [0.1, -0.2]).astype(np.float32)
+
+
+def fitted(seed=0, steps=600, **given):
+    observation, action = samples()
+    with reproducible(seed):
+        fit = Fit(SETTINGS, **given)
+        loss = fit(observation, action, steps, np.random.default_rng(seed))
+    return fit, loss
+
+
+def network(fit):
+    one = np.ones(2, dtype=np.float32)
+    return Network(fit.shape(), fit.layers(), -one, one, fit.normaliser)
+
+
+def test_a_policy_of_the_layers_does_what_was_shown():
+    fit, loss = fitted()
+    observation, action = samples(500, seed=1)
+    found = network(fit)(observation.astype(np.float64))
+    shares = ((found - action) ** 2).mean(axis=0) / action.var(axis=0)
+    assert shares.max() < 0.03
+    assert loss < 0.05
+    assert fit.shape().layers == (5, 32, 32, 2)
+
+
+def test_what_hardly_varies_is_not_blown_up():
+    observation, _ = samples()
+    normaliser = normaliser_of(observation)
+    assert normaliser.mean[4] == 4.0
+    assert normaliser.var[4] == (2e-3) ** 2
+    assert normaliser.var[2] == pytest.approx(100, rel=0.1)
+
+
+def nearly_together(count, seed):
+    """Two numbers that move together, and what their small difference asks for."""
+    rng = np.random.default_rng(seed)
+    first, apart = rng.standard_normal(count), 0.004 * rng.standard_normal(count)
+    observation = np.stack([first, first + apart, np.full(count, 2.0)], axis=1).astype(np.float32)
+    return observation, (-50.0 * apart[:, None]).astype(np.float32)
+
+
+def test_a_small_difference_of_numbers_that_move_together_is_seen():
+    fit = Fit(SETTINGS)
+    with reproducible(0):
+        fit(*nearly_together(2000, 0), 400, np.random.default_rng(0))
+    one = np.ones(1, dtype=np.float32)
+    act = Network(fit.shape(), fit.layers(), -one, one, fit.normaliser)
+    observation, action = nearly_together(500, 1)
+    found = act(observation.astype(np.float64))
+    assert ((found - action) ** 2).mean() < 0.02 * action.var()
+    # What was never seen to vary says nothing when it does.
+    moved = observation.astype(np.float64) + np.array([0, 0, 0.1])
+    np.testing.assert_allclose(act(moved), found, atol=0.2)
+
+
+def test_it_is_blind_to_what_it_is_not_to_see():
+    observation, action = samples()
+    fit = Fit(SETTINGS, unseen=[1, 3])
+    with reproducible(0):
+        fit(observation, action, 300, np.random.default_rng(0))
+    other = observation.astype(np.float64)
+    other[:, [1, 3]] += 5.0
+    assert network(fit)(other).tobytes() == network(fit)(observation.astype(np.float64)).tobytes()
+    other[:, 0] += 0.5
+    assert np.abs(network(fit)(other) - network(fit)(observation.astype(np.float64))).max() > 0.1
+
+
+def test_the_same_seed_gives_the_same_bits():
+    first, second, other = (fitted(seed, 20)[0].layers() for seed in (3, 3, 4))
+    for (a, b), (c, d) in zip(first, second, strict=True):
+        assert a.tobytes() == c.tobytes()
+        assert b.tobytes() == d.tobytes()
+    assert first[0][0].tobytes() != other[0][0].tobytes()
+
+
+def test_it_begins_with_what_it_is_given():
+    before, _ = fitted(steps=200)
+    after, _ = fitted(steps=0, seed=9, layers=before.layers(), normaliser=before.normaliser)
+    for (a, b), (c, d) in zip(before.layers(), after.layers(), strict=True):
+        np.testing.assert_allclose(a, c, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(b, d, rtol=1e-5, atol=1e-6)
+
+
+def test_torch_is_left_as_it_was():
+    before = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled(), torch.get_rng_state()
+    strict = []
+
+    def fails():
+        with reproducible(7):
+            torch.rand(3)
+            strict.append(torch.are_deterministic_algorithms_enabled())
+            raise RuntimeError("x")
+
+    with pytest.raises(RuntimeError, match="x"):
+        fails()
+    assert strict == [True]
+    after = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled(), torch.get_rng_state()
+    assert before[:2] == after[:2]
+    assert torch.equal(before[2], after[2])

@@ -1,0 +1,189 @@
+"""PPO and SAC, whole, in seconds."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from dual_ur10 import policies
+from dual_ur10.envs.api.sb3_bridge import JointVecEnv
+from dual_ur10.errors import SettingsError, TrainingError
+from dual_ur10.policies.learned import checkpoint
+from dual_ur10.policies.training import folder, models, state
+from dual_ur10.policies.training import reinforcement as reinforce
+from dual_ur10.policies.training.train import resume, train
+from tests.policies.training.small import small
+
+SINE = "DualUR10/SineTracking-v0"
+
+
+def sha_of(path):
+    return checkpoint.read_manifest(path).weights_sha256
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "agents"),
+    [("ppo", "joint"), ("ppo", "shared"), ("ppo", "independent"), ("sac", "joint"), ("sac", "independent")],
+)
+def test_the_same_seed_gives_the_same_bits(tmp_path, algorithm, agents):
+    asked = small(algorithm, agents, steps=128)
+    first, second = train(asked, tmp_path / "a"), train(asked, tmp_path / "b", threads=1)
+    assert sha_of(first) == sha_of(second)
+    policy = policies.load(first, SINE, **asked.keywords)
+    assert policy.manifest.agents == agents
+    assert policy(np.zeros(68)).shape == (12,)
+    assert policy.manifest.evaluation["episodes"] == 2
+    if agents == "joint":
+        other = small(algorithm, agents, steps=128, seed=1)
+        assert sha_of(train(other, tmp_path / "c")) != sha_of(first)
+    assert {"state", "training.json", "curve.png", "progress.csv"} <= {each.name for each in (tmp_path / "a").iterdir()}
+
+
+def test_steps_are_those_of_the_environment(tmp_path):
+    for agents in ("joint", "shared", "independent"):
+        train(small("ppo", agents, steps=128), tmp_path / agents)
+        assert state.load(tmp_path / agents / "state")[1]["steps"] == 128
+
+
+@pytest.mark.parametrize(("algorithm", "agents"), [("ppo", "joint"), ("ppo", "independent"), ("sac", "joint")])
+def test_one_that_was_interrupted_goes_on_from_what_it_had_learned(tmp_path, monkeypatch, algorithm, agents):
+    real, saved = reinforce.Reinforcer.watch, []
+
+    def interrupted(self, infos, steps):
+        real(self, infos, steps)
+        if steps >= 80:
+            for k, (model, around) in enumerate(self._models):
+                saved.append(models.tensors_of(model, around, f"{k}."))
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(reinforce.Reinforcer, "watch", interrupted)
+    asked = small(algorithm, agents, steps=160)
+    with pytest.raises(KeyboardInterrupt):
+        train(asked, tmp_path / "out")
+    monkeypatch.undo()
+    begun = []
+    restore = models.restore
+
+    def watched(model, around, prefix, tensors):
+        restore(model, around, prefix, tensors)
+        begun.append(models.tensors_of(model, around, prefix))
+
+    monkeypatch.setattr(models, "restore", watched)
+    path = resume(tmp_path / "out")
+    assert len(begun) == len(saved) == (2 if agents == "independent" else 1)
+    for before, after in zip(saved, begun, strict=True):
+        assert before.keys() == after.keys()
+        for name, value in before.items():
+            np.testing.assert_array_equal(after[name], value, err_msg=name)
+    assert any("optimizer/state" in name for name in begun[0])
+    assert state.load(tmp_path / "out" / "state")[1]["steps"] >= 160
+    assert path.name == "policy"
+
+
+def test_ppo_begins_with_what_dagger_has_learned(tmp_path):
+    teacher = train(small("dagger", changes={"hidden": (16,)}), tmp_path / "dagger")
+    asked = small("ppo", init=str(teacher), steps=32)
+    seen = []
+    learned = policies.load(teacher, SINE, **asked.keywords)
+    env = JointVecEnv("SineTracking", 2, **asked.keywords)
+    model, around = models.make("ppo", env, asked.settings, 0)
+    models.begin_with([(model, around)], learned)
+    rng = np.random.default_rng(0)
+    env.seed(0)
+    observation = env.reset()
+    for _ in range(10):
+        wanted = learned(observation)
+        found, _ = model.predict(around.normalize_obs(observation), deterministic=True)
+        np.testing.assert_allclose(found, wanted, atol=1e-5)
+        seen.append(wanted)
+        observation, *_ = env.step(rng.uniform(-1, 1, (2, 12)).astype(np.float32))
+    assert np.abs(np.array(seen)).max() > 0.1
+    env.close()
+    path = train(asked, tmp_path / "ppo")
+    assert checkpoint.read_manifest(path).training["from_checkpoint"] is True
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "agents", "hidden", "match"),
+    [
+        ("ppo", "joint", (8,), "68 - 16 - 12 tanh clip; this training makes joint, 68 - 8 - 12"),
+        ("ppo", "independent", (16,), "is joint.* makes independent, 41 - 16 - 6"),
+        ("dagger", "joint", (8,), "makes joint, 68 - 8 - 12"),
+        ("sac", "joint", (16,), "use ppo"),
+    ],
+)
+def test_a_checkpoint_that_does_not_fit_is_refused_before_anything_is_made(tmp_path, algorithm, agents, hidden, match):
+    teacher = train(small("bc", rounds=1), tmp_path / "bc")
+    with pytest.raises((TrainingError, SettingsError), match=match):
+        train(
+            small(algorithm, agents, init=str(teacher), steps=32, changes={"hidden": hidden}),
+            tmp_path / "out",
+        )
+    assert not (tmp_path / "out").exists()
+
+
+def test_one_that_began_without_a_normaliser_goes_on_without(tmp_path):
+    teacher = train(small("bc", rounds=1), tmp_path / "bc")
+    learned = checkpoint.load(teacher)
+    checkpoint.save(tmp_path / "bare", learned.layers, dataclasses.replace(learned.manifest, normalisers=()))
+    asked = small("ppo", init=str(tmp_path / "bare"), steps=32)
+    path = train(asked, tmp_path / "out")
+    assert checkpoint.read_manifest(path).normalisers == ()
+    model, around = models.make("ppo", JointVecEnv("SineTracking", 2, **asked.keywords), asked.settings, 0)
+    assert around.norm_obs
+    models.restore(model, around, "0.", state.load(tmp_path / "out" / "state")[0])
+    assert around.norm_obs is False
+    around.close()
+
+
+def test_one_that_diverges_is_told(tmp_path, monkeypatch):
+    real = reinforce.Reinforcer.watch
+
+    def spoiled(self, infos, steps):
+        real(self, infos, steps)
+        if steps >= 40:
+            for each in self._models[0][0].policy.parameters():
+                each.data.fill_(float("nan"))
+
+    monkeypatch.setattr(reinforce.Reinforcer, "watch", spoiled)
+    with pytest.raises(TrainingError, match=r"diverged after \d+ steps.* smaller learning_rate, found 0.0003"):
+        train(small("ppo", steps=128), tmp_path / "out")
+
+
+def test_an_error_that_is_no_divergence_is_told_as_it_is(tmp_path, monkeypatch):
+    def broken(self, infos, steps):
+        raise ValueError("something else")
+
+    monkeypatch.setattr(reinforce.Reinforcer, "watch", broken)
+    with pytest.raises(ValueError, match="something else"):
+        train(small("ppo", steps=128), tmp_path / "out")
+
+
+def test_the_state_of_another_training_is_refused(tmp_path):
+    train(small("ppo", steps=64), tmp_path / "a")
+    train(small("ppo", steps=64, changes={"hidden": (8,)}), tmp_path / "b")
+    mixed = tmp_path / "b" / "state" / "tensors.safetensors"
+    mixed.write_bytes((tmp_path / "a" / "state" / "tensors.safetensors").read_bytes())
+    with pytest.raises(TrainingError, match="not of this training"):
+        resume(tmp_path / "b", steps=128)
+
+
+def test_the_best_look_is_kept(tmp_path, monkeypatch):
+    ranks = iter([0.2, 0.9, 0.5, 0.1])
+    real = folder.check_of
+
+    def ranked(evaluation, steps, seconds):
+        check = real(evaluation, steps, seconds)
+        object.__setattr__(check, "success_rate", next(ranks, 0.0))
+        return check
+
+    monkeypatch.setattr(folder, "check_of", ranked)
+    monkeypatch.setattr(reinforce, "_LOOKS", 4)
+    path = train(small("ppo", steps=128), tmp_path / "out")
+    kept = sorted(each.name for each in (tmp_path / "out").glob("steps-*"))
+    assert kept == ["steps-000000032", "steps-000000064"]
+    assert sha_of(path) == sha_of(tmp_path / "out" / "steps-000000064")

@@ -1,0 +1,131 @@
+"""What a training is asked to do."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import pytest
+
+from dual_ur10 import ENV_IDS
+from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.policies.training import seeds
+from dual_ur10.policies.training.settings import SETTINGS, Imitation, Reinforcement, defaults
+from dual_ur10.sim2real.config.cell_file import starting_text
+from tests.policies.training.small import small
+
+
+@pytest.mark.parametrize("env_id", ENV_IDS)
+@pytest.mark.parametrize("algorithm", ["ppo", "sac", "bc", "dagger"])
+def test_every_task_has_settings_for_every_algorithm(env_id, algorithm):
+    asked = defaults(env_id, algorithm)
+    assert asked.env_id == env_id
+    own = SETTINGS[env_id.split("/")[1].rsplit("-v", 1)[0]]
+    assert asked.steps == own.steps[algorithm]
+    assert asked.keywords == {"randomization": own.randomization, "action_latency_ticks": 5}
+    assert isinstance(asked.settings, Imitation if algorithm in ("bc", "dagger") else Reinforcement)
+
+
+def test_what_is_given_counts():
+    asked = defaults(
+        "SyncCarry",
+        "bc",
+        "shared",
+        envs=3,
+        steps=4,
+        seed=5,
+        randomization="wide",
+        keywords={"action_latency_ticks": 0, "grasp": "rigid"},
+        changes={"hidden": (7,)},
+    )
+    assert (asked.agents, asked.envs, asked.steps, asked.seed) == ("shared", 3, 4, 5)
+    assert asked.keywords == {"action_latency_ticks": 0, "grasp": "rigid", "randomization": "wide"}
+    assert asked.settings == dataclasses.replace(SETTINGS["SyncCarry"].imitation, hidden=(7,))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"algorithm": "ppo2"},
+        {"agents": "both"},
+        {"changes": {"rounds": 1}},
+        {"keywords": {"amplitud_m": 0.1}},
+        {"changes": {"activation": "gelu"}},
+        {"env_id": "Lift"},
+    ],
+)
+def test_unknown_names_are_refused(wrong):
+    with pytest.raises(UnknownNameError):
+        defaults(**{"env_id": "SineTracking", **wrong})
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"envs": 0},
+        {"envs": True},
+        {"steps": 0},
+        {"steps": 1.5},
+        {"seed": -1},
+        {"seed": 2_000_000},
+        {"changes": {"hidden": ()}},
+        {"changes": {"hidden": (0,)}},
+        {"changes": {"hidden": (5000,)}},
+        {"changes": {"learning_rate": 0.0}},
+        {"changes": {"learning_rate": math.nan}},
+        {"changes": {"noise": -0.1}},
+        {"changes": {"batch_size": 0}},
+        {"changes": {"batch_size": 10.5}},
+        {"changes": {"fit_steps": "many"}},
+        {"changes": {"learning_rate": "fast"}},
+        {"changes": {"hidden": 64}},
+        {"changes": {"unseen": 3}},
+        {"changes": {"unseen": (0.5,)}},
+        {"changes": {"unseen": (True,)}},
+        {"changes": {"unseen": (1000,)}},
+        {"changes": {"patience": -1.0}},
+        {"randomization": "mild", "keywords": {"randomization": "none"}},
+        {"changes": {"expert_share": 1.5}},
+        {"changes": {"learning_rate": 2.0}},
+        {"changes": {"batch_size": 1}},
+        {"changes": {"batch_size": True}},
+        {"keywords": {"observation": "pixels"}},
+    ],
+)
+def test_impossible_values_are_refused(wrong):
+    with pytest.raises(SettingsError):
+        defaults("SineTracking", "dagger", **wrong)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"dataset": "a/b-v0"},
+        {"changes": {"gamma": 2.0}},
+        {"changes": {"gae_lambda": 1.1}},
+        {"envs": 1, "changes": {"steps_per_update": 1}},
+    ],
+)
+def test_what_ppo_cannot_learn_with_is_refused(wrong):
+    with pytest.raises(SettingsError):
+        defaults("SineTracking", "ppo", **wrong)
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac", "bc", "dagger"])
+def test_nothing_is_trained_on_two_controllers(tmp_path, algorithm):
+    path = tmp_path / "lab.toml"
+    path.write_text(starting_text("emulated", None, None, "cb3", None, str(path)))
+    with pytest.raises(SettingsError, match="is of two controllers, and training is in simulation: train without"):
+        defaults("SineTracking", algorithm, envs=1, randomization="none", keywords={"cell": str(path)})
+
+
+def test_no_training_learns_from_episodes_it_is_judged_by():
+    shown = range(10_000)  # figures that are published begin at 0
+    checks = range(seeds.CHECKS, seeds.CHECKS + 10_000)
+    first, last = seeds.episodes_of(0), seeds.episodes_of(1_999_999) + 999_999
+    assert shown.stop <= checks.start < checks.stop <= first < last < 2**63
+    assert seeds.episodes_of(1) - seeds.episodes_of(0) == 1_000_000
+
+
+def test_the_small_ones_of_these_tests_are_small():
+    assert small().steps == 200

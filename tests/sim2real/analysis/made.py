@@ -1,0 +1,197 @@
+"""Recorded runs that were made up: what is in them is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
+from dual_ur10.sim2real.control.servoj import ServojLaw
+from dual_ur10.sim2real.recording.run import ArmLog, Episode, Header, Run
+
+Array = NDArray[np.float64]
+
+START = np.array([0.1, -1.7, 2.0, -1.9, -1.5, 0.2])
+DH = {name: list(getattr(NOMINAL_DH, name)) for name in ("a_m", "d_m", "alpha_rad", "theta_rad")}
+PARTS = 8  # of a tick, in which the law is simulated
+
+
+def header(**values: Any) -> Header:
+    given: dict[str, Any] = {
+        "env_id": "DualUR10/SineTracking-v0",
+        "kwargs": {},
+        "seed": 3,
+        "source": "mujoco",
+        "family": "cb3",
+        "tick_s": 0.008,
+        "period_ticks": 5,
+        "latency_ticks": 0,
+        "speed_factor": 1.0,
+        "mounts": [{"position_m": [-0.75, y, 0.0], "yaw_rad": 0.0, "dh": DH} for y in (0.6, -0.6)],
+        "servoj": [{"lookahead_s": 0.03, "gain": 2000.0}] * 2,
+        "versions": {"dual_ur10": "0.1.0"},
+        "started_utc": "2026-11-21T10:00:00Z",
+        "policy": "scripted",
+        "policy_sha256": None,
+        "cell_file": None,
+        "cell_sha256": None,
+        "extra": {},
+    }
+    return Header(**{**given, **values})
+
+
+def motion(count: int, tick_s: float, size: float = 0.1) -> Array:
+    """(count, 2, 6) targets from rest: sines that differ from joint to joint."""
+    times = np.arange(count)[:, None] * tick_s
+    phase = np.arange(12) * 0.7
+    share = np.minimum(times / 1.5, 1.0)
+    soft = share**3 * (10 - 15 * share + 6 * share**2)
+    moves = size * soft * (np.sin(np.pi * times + phase) - np.sin(phase))
+    return np.tile(START, 2).reshape(1, 2, 6) + moves.reshape(count, 2, 6)
+
+
+def led(targets: Array, lookahead_s: float, gain: float, tick_s: float, delay_parts: int) -> Array:
+    """(ticks + 1, 6) where the law leads the joints: each target acts `delay_parts` parts of a tick late."""
+    step = ServojLaw(lookahead_s, gain).transition(tick_s / PARTS)
+    acting = np.repeat(targets, PARTS, axis=0)
+    acting = np.concatenate([np.repeat(targets[:1], delay_parts, axis=0), acting])[: len(targets) * PARTS]
+    state, rows = np.array([targets[0], np.zeros(6)]), [targets[0]]
+    for target in acting:
+        held = np.array([target, np.zeros(6)])
+        state = step @ (state - held) + held
+        rows.append(state[0])
+    return np.array(rows)[::PARTS]
+
+
+def run(
+    seconds: float = 6.0,
+    *,
+    episodes: int = 1,
+    lookahead_s: tuple[float, float] = (0.03, 0.03),
+    delay_parts: tuple[int, int] = (0, 0),
+    noise_rad: float = 0.0,
+    size: float = 0.1,
+    first_index: int = 0,
+    slower: float = 1.0,
+    seed: int = 0,
+    offset_rad: float = 0.0,
+    **values: Any,
+) -> Run:
+    """A run of `episodes` times the same motion.
+
+    Args:
+        slower: By how much slower than the task the cell runs: targets in between, as an arm's process sends them.
+    """
+    head, rng = header(**values), np.random.default_rng(seed)
+    tick_s, ticks, late = head.tick_s, head.period_ticks, head.latency_ticks
+    steps = round(seconds / tick_s / ticks)
+    count = steps * ticks
+    out = motion(count, tick_s, size)
+    wire = np.concatenate([np.repeat(out[:1], late, axis=0), out])[:count]
+    sends = int((count - 1) / slower) + 1
+    index = np.arange(sends) * slower
+    targets = wire[:, :, :]
+    if slower != 1.0:
+        flat = wire.reshape(count, 12)
+        targets = np.stack([np.interp(index, np.arange(count), each) for each in flat.T], 1).reshape(-1, 2, 6)
+    length_s = (sends + 50) * tick_s
+    arms = []
+    for arm in range(2):
+        state: dict[str, list[Array]] = {name: [] for name in ("arrival_s", "timestamp_s", "q_rad", "target_q_rad")}
+        sent: dict[str, list[Array]] = {name: [] for name in ("period", "index", "sent_s", "late_s", "target_rad")}
+        way = led(targets[:, arm], lookahead_s[arm], head.servoj[arm]["gain"], tick_s, delay_parts[arm])
+        for number in range(episodes):
+            begin = 1.0 + number * length_s
+            state["arrival_s"].append(begin + np.arange(sends + 1) * tick_s)
+            state["timestamp_s"].append(500.0 + begin + np.arange(sends + 1) * tick_s)
+            state["q_rad"].append(way + offset_rad + noise_rad * rng.standard_normal(way.shape))
+            state["target_q_rad"].append(way)
+            sent["period"].append(np.arange(sends) + 0.0)
+            sent["index"].append(first_index + index)
+            sent["sent_s"].append(begin + np.arange(sends) * tick_s)
+            sent["late_s"].append(np.zeros(sends))
+            sent["target_rad"].append(targets[:, arm])
+        arms.append(ArmLog(*({name: np.concatenate(each) for name, each in log.items()} for log in (state, sent))))
+    every = np.concatenate([np.arange(0, sends, max(1, round(ticks / slower))), [sends]])[: steps + 1]
+    made = [
+        Episode(
+            seed=3 if number == 0 else None,
+            number=number,
+            begin_s=1.0 + number * length_s,
+            action=np.zeros((steps, 12), dtype=np.float32),
+            targets_rad=out.reshape(steps, ticks, 2, 6),
+            gripper_m=None,
+            gated=np.zeros(steps, dtype=bool),
+            reward=np.zeros(steps),
+            terminated=np.zeros(steps, dtype=bool),
+            truncated=np.arange(steps) == steps - 1,
+            success=True,
+            ended_by="",
+            observation=None,
+            time_s=np.arange(1, steps + 1) * ticks * tick_s,
+            q_rad=np.stack([each.state["q_rad"][number * (sends + 1) + every] for each in arms], axis=1),
+            flange_m=np.zeros((steps + 1, 2, 3)),
+            initial_state=None,
+        )
+        for number in range(episodes)
+    ]
+    return Run(head, (arms[0], arms[1]), made, [], True)
+
+
+def with_arm(made: Run, arm: int, **logs: dict[str, Array]) -> Run:
+    """The same run with values of an arm's logs replaced: `state={"q_rad": ...}`, `sent={...}`."""
+    arms = list(made.arms)
+    arms[arm] = ArmLog(
+        {**arms[arm].state, **logs.get("state", {})},
+        {**arms[arm].sent, **logs.get("sent", {})},
+    )
+    return replace(made, arms=(arms[0], arms[1]))
+
+
+def rested(
+    seconds: float = 6.0,
+    *,
+    at: tuple[int, ...] = (40,),
+    pause: int = 60,
+    sent_later_s: float = 0.0,
+    told: bool = True,
+    first_index: int = 4711,
+    **values: Any,
+) -> Run:
+    """The motion of `run` where the actions of some steps came too late: both arms then stand for `pause` targets.
+
+    Args:
+        at: These steps.
+        sent_later_s: By how much later the right arm's targets are sent.
+        told: Whether the steps say with which targets they begin.
+    """
+    head = header(source="emulated", **values)
+    tick_s, ticks, late = head.tick_s, head.period_ticks, head.latency_ticks
+    steps = round(seconds / tick_s / ticks)
+    out = motion(steps * ticks, tick_s).reshape(steps, ticks, 2, 6)
+    wire, begins = [out[0, :1][:0], *[out[0, :1]] * late], []
+    for step in range(steps):
+        begins.append(-1 if step in at else first_index + sum(map(len, wire)))
+        last = np.concatenate([out[0, :1], *wire])[-1:]
+        wire.append(np.repeat(last, pause, axis=0) if step in at else out[step])
+    targets = np.concatenate(wire)
+    sends = len(targets)
+    arms = []
+    for arm in range(2):
+        way = led(targets[:, arm], 0.03, head.servoj[arm]["gain"], tick_s, 0)
+        times = 1.0 + np.arange(sends) * tick_s
+        state = {"arrival_s": np.append(times, times[-1] + tick_s), "q_rad": way, "target_q_rad": way}
+        sent = {
+            "period": np.arange(sends) + 0.0,
+            "index": first_index + np.arange(sends) + 0.0,
+            "sent_s": times + arm * sent_later_s,
+            "late_s": np.zeros(sends),
+            "target_rad": targets[:, arm],
+        }
+        arms.append(ArmLog({**state, "timestamp_s": 500.0 + state["arrival_s"]}, sent))
+    plain = run(seconds, **values).episodes[0]
+    episode = replace(plain, first_target=np.array(begins) if told else None)
+    return Run(head, (arms[0], arms[1]), [episode], [], True)

@@ -1,0 +1,136 @@
+"""The switch: what controllers receive is what the simulation sends, bit for bit."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import dual_ur10  # noqa: F401  # registers the environments
+from dual_ur10 import policies
+from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
+from dual_ur10.sim2real.recording.reader import read_run
+from tests import soak
+
+ARMS = ("left", "right")
+TICKS = soak.scaled(10_000)
+LATENCY = 100  # so long that no machine is too slow, and nothing else changes by it
+PERIOD = 5
+AHEAD = 13  # targets that may be left out in a row, because their time had passed: 0.1 s later arms are stopped
+TRIES = 3
+SHARE = 0.9  # of all targets that controllers receive, however busy the machine is
+
+
+class Wild:
+    """Random actions with what a scripted policy does: every limit binds at times."""
+
+    def __init__(self, scripted, seed):
+        self._scripted, self._rng = scripted, np.random.default_rng(seed)
+
+    def reset(self):
+        """Begin again."""
+        self._scripted.reset()
+
+    def __call__(self, observation):
+        """An action, (12,)."""
+        action = np.asarray(self._scripted(observation), dtype=np.float32)
+        return (action + self._rng.uniform(-0.4, 0.4, action.shape)).astype(np.float32)
+
+
+def test_the_same_actions_give_the_same_targets_to_the_last_bit(tmp_path):
+    keywords = {"duration_s": max(4.0, TICKS * 0.008), "action_latency_ticks": LATENCY, "action_mode": "joint_delta"}
+    env_id = "DualUR10/SineTracking-v0"
+    env = gym.make(env_id, record=str(tmp_path), disable_env_checker=True, **keywords)
+    policy = Wild(policies.load("scripted", env_id, **keywords), 0)
+    policy.reset()
+    observation, _ = env.reset(seed=3)
+    actions = []
+    while PERIOD * len(actions) < TICKS:
+        actions.append(policy(observation))
+        observation, _, terminated, _, _ = env.step(actions[-1])
+        assert not terminated, "the gate has refused something: choose another seed"
+    env.close()
+    (episode,) = read_run(next(tmp_path.iterdir())).episodes
+    expected = episode.targets_rad.reshape(-1, 2, 6)
+    assert len(expected) >= TICKS
+    assert np.abs(np.diff(expected, axis=0)).max() > 1e-3
+
+    for number in range(TRIES):
+        received, shifted = received_by_controllers(tmp_path / str(number), keywords, actions)
+        whole = all(tuple(expected[-1, arm]) in {tuple(each) for each in received[arm]} for arm in range(2))
+        if whole and not shifted:
+            break
+    assert not shifted, "a machine that stands still again and again: clocks were shifted in every try"
+    assert whole, "a machine that stands still again and again: the last targets came too late in every try"
+    for arm in range(2):
+        found, followed = aligned(received[arm], expected[:, arm])
+        assert found[-1] == len(expected) - 1
+        # A busy machine leaves some out; none is another.
+        assert len(set(found)) >= SHARE * len(expected)
+        assert not followed or len(found) > 100  # what follows is the brake
+
+
+def received_by_controllers(folder, keywords, actions):
+    """Targets that each emulated controller received, and whether a stall has shifted a clock against them.
+
+    Where a controller stands still for a while its periods lie between targets afterwards, until the shift is gone.
+    """
+    folder.mkdir()
+    with EmulatedCell(plant="mild", seed=5, cell=str(folder / "lab.toml")) as cell:
+        for arm in ARMS:
+            cell.wait_until(arm, "robot_mode", 7)
+        env = gym.make("DualUR10/SineTracking-v0", cell=str(folder / "lab.toml"), disable_env_checker=True, **keywords)
+        received = [[], []]
+        seen = [0, 0]
+
+        def collect():
+            for arm, name in enumerate(ARMS):
+                rows = cell.packages(name, seen[arm])
+                seen[arm] += len(rows)
+                received[arm] += [each[2] for each in rows]
+
+        try:
+            seen = [cell.ask("received", arm=arm)["motion"] for arm in ARMS]
+            env.reset(seed=3)
+            shifted = False
+            arms = env.unwrapped.core.cell.runner.arms
+            for step, action in enumerate(actions):
+                env.step(action)
+                if step % 20 == 0:
+                    collect()
+                    index = np.concatenate([each.sent()[0].index for each in arms])
+                    shifted |= bool((np.abs(index - np.rint(index)) > 1e-9).any())
+            core = env.unwrapped.core
+            assert core.cell.late_periods == 0, "an action came late: this machine is too busy"
+            # The last targets are still to come.
+            core.cell.runner.wait_for(core.cell.runner.now + LATENCY)
+            collect()
+        finally:
+            env.close()
+    return received, shifted
+
+
+def aligned(executed, expected):
+    """Numbers of the expected targets in the order in which they were executed, and how many others followed them."""
+    known = [tuple(each) for each in expected.tolist()]
+    begin = next(k for k, each in enumerate(executed) if tuple(each) == known[0])
+    found = [0]
+    for k, target in enumerate(executed[begin + 1 :], start=begin + 1):
+        near = range(found[-1], min(found[-1] + AHEAD, len(known)))
+        number = next((each for each in near if known[each] == tuple(target)), None)
+        if number is None:
+            assert found[-1] == len(known) - 1, f"{target} is none of the targets behind number {found[-1]}"
+            return found, len(executed) - k
+        found.append(number)
+    return found, 0
+
+
+@pytest.mark.parametrize("tick", [0, 7, 199])
+def test_one_wrong_bit_is_seen(tick):
+    expected = np.random.default_rng(0).uniform(-1, 1, (200, 6))
+    executed = expected.copy()
+    assert aligned(executed.tolist(), expected)[0] == list(range(200))
+    executed[tick, 3] = np.nextafter(executed[tick, 3], 2.0)
+    try:
+        numbers, _ = aligned(executed.tolist(), expected)
+    except (AssertionError, StopIteration):
+        return
+    assert numbers[-1] < 199

@@ -1,0 +1,563 @@
+"""The doctor: an arm in order has nothing that fails, and each thing that is wrong is found, named and has a remedy."""
+
+import contextlib
+import dataclasses
+import re
+import time
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from dual_ur10.cli import main as cli
+from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.kinematics.ur10 import DH_A_M, NOMINAL_DH, DHParameters
+from dual_ur10.sim2real.commissioning import doctor
+from dual_ur10.sim2real.commissioning.doctor import REGISTERS, ExpectedArm, Finding, any_fails, check_arm, check_cell
+from dual_ur10.sim2real.commissioning.doctor_state import (
+    calibration_findings,
+    flange_error_m,
+    round_trip_findings,
+    safety_findings,
+    stream_findings,
+    tool_findings,
+)
+from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
+from dual_ur10.sim2real.emulator.profile import PROFILES
+from dual_ur10.sim2real.links.network_route import Route, is_loopback, route_to
+from dual_ur10.sim2real.links.primary_link import PrimaryFacts
+from dual_ur10.sim2real.links.rtde_link import RtdeClient
+from dual_ur10.sim2real.links.rtde_stream import Sample
+from dual_ur10.sim2real.protocol.primary_packet import kinematics_checksums
+from dual_ur10.sim2real.protocol.rtde_codec import Kind
+from tests.sim2real.links.test_arm_status import status_of
+
+TIMED = ("RTDE rate", "RTDE jitter", "round trip")
+"""Depend on what else this machine does: judged by pure functions, which have tests of their own."""
+
+_SILENT_S = 2.0  # until an arm is given up; the other one must answer in it, on a busy machine too
+
+SAFETY = PROFILES["cb3"].safety_checksum
+BARE = {
+    "dh": NOMINAL_DH, "tcp": (0.0,) * 6, "payload_kg": 0.0, "payload_cog_m": (0.0,) * 3, "safety_checksum": SAFETY,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def cb3():
+    with EmulatedCell(plant="nominal") as cell:
+        cell.ask("pretend", arm="right", serial_number="2010300002")
+        yield cell
+
+
+@pytest.fixture(scope="module")
+def e_series():
+    with EmulatedCell(plant="nominal", family="e-series") as cell:
+        cell.ask("pretend", arm="right", serial_number="2021500002")
+        yield cell
+
+
+def expected(cell, arm="left", **values):
+    family = cell.description[arm]["family"]
+    return ExpectedArm(**{"host": getattr(cell, arm), "family": family, **BARE, **values})
+
+
+def look(cell, **values):
+    """What is found of the left arm, by name, apart from timings."""
+    findings = check_arm("left", expected(cell, **values), observe_s=0.05)
+    assert all(each.arm == "left" for each in findings)
+    assert len({each.name for each in findings}) == len(findings)
+    return {each.name: each for each in findings if each.name not in TIMED}
+
+
+def bad(findings):
+    return {name: each for name, each in findings.items() if each.level != "ok"}
+
+
+@contextlib.contextmanager
+def override(cell, **values):
+    cell.ask("override", arm="left", **values)
+    try:
+        yield
+    finally:
+        cell.ask("override", arm="left", **dict.fromkeys(values))
+
+
+ALL = {
+    "ports", "calibration", "family", "robot mode", "safety mode", "program", "speed slider", "at rest", "TCP",
+    "payload", "registers", "model", "robot type", "safety checksum",
+}  # fmt: skip
+
+
+def test_a_cb3_in_order(cb3):
+    findings = look(cb3)
+    assert bad(findings) == {}
+    assert findings.keys() == ALL
+    assert findings["family"].found == "cb3, software 3.15.8.106339"
+
+
+def test_an_e_series_controller_in_order(e_series):
+    findings = look(e_series, serial_number="2021500001", checksums=kinematics_checksums(NOMINAL_DH))
+    assert bad(findings) == {}
+    assert findings.keys() == ALL | {"remote control", "serial number", "calibration checksums"}
+
+
+def test_both_arms_in_order(e_series):
+    findings = check_cell(expected(e_series), expected(e_series, "right"), observe_s=0.05)
+    assert [each for each in findings if each.level != "ok" and each.name not in TIMED] == []
+    assert {each.arm for each in findings} == {"cell", "left", "right"}
+    assert {each.name for each in findings} >= set(TIMED)
+
+
+def test_nothing_is_left_behind(cb3):
+    before = cb3.ask("state", arm="left")
+    for _ in range(3):  # the registers of the last time are free again
+        assert look(cb3)["registers"].level == "ok"
+    end = time.monotonic() + 20.0
+    while any(each for each in cb3.ask("clients", arm="left").values()):
+        assert time.monotonic() < end
+    after = cb3.ask("state", arm="left")
+    names = ("robot_mode", "safety_mode", "runtime_state", "target_q", "actual_digital_output_bits", "payload")
+    assert {name: after[name] for name in names} == {name: before[name] for name in names}
+
+
+def test_what_is_not_expected_is_told_and_warned_of(cb3):
+    findings = bad(look(cb3, dh=None, tcp=None, payload_kg=None, safety_checksum=None))
+    assert findings.keys() == {"calibration", "TCP", "payload", "safety checksum"}
+    assert {each.level for each in findings.values()} == {"warn"}
+    assert "0.000 mm off the nominal" in findings["calibration"].found
+    assert f"safety_checksum = 0x{SAFETY:08x} in the cell file" in findings["safety checksum"].remedy
+
+
+# One thing is wrong.
+
+
+@pytest.mark.parametrize(
+    ("values", "name", "found", "remedy"),
+    [
+        ({"robot_mode": 3}, "robot mode", "3 (POWER_OFF)", "power the arm on"),
+        ({"robot_mode": 5}, "robot mode", "5 (IDLE)", "brakes"),
+        ({"safety_mode": 3}, "safety mode", "3 (PROTECTIVE_STOP)", "cause"),
+        ({"safety_mode": 2}, "safety mode", "2 (REDUCED)", "clear it"),
+        ({"safety_mode": 21}, "safety mode", "21 (unknown)", "cause"),
+        ({"safety_status_bits": 0x401}, "status bits", "stopped due to safety", "cause"),
+        ({"robot_status_bits": 5}, "status bits", "freedrive", "cause"),
+        ({"runtime_state": 2}, "program", "2 (PLAYING)", "stop the program"),
+        ({"runtime_state": 4}, "program", "4 (PAUSED)", "stop the program"),
+        ({"target_speed_fraction": 0.5}, "speed slider", "50 %", "100 %"),
+        ({"actual_qd": [0, 0, 0, -0.1, 0, 0]}, "at rest", "0.1000 rad/s", "wait"),
+        ({"payload": 1.0}, "payload", "1.000 kg", "installation"),
+        ({"tcp_offset": [0, 0, 0.01, 0, 0, 0]}, "TCP", "0.01", "installation"),
+        ({"tcp_offset": [0, 0, 0, 0, 0.1, 0]}, "TCP", "0.1", "installation"),
+    ],
+)
+def test_a_state_that_is_not_right(cb3, values, name, found, remedy):
+    with override(cb3, **values):
+        findings = bad(look(cb3))
+    assert findings.keys() == {name}
+    assert findings[name].level == "fail"
+    assert found in findings[name].found
+    assert remedy in findings[name].remedy
+    assert findings[name].expected
+    assert findings[name].message.startswith(f"left, {name}: ")
+
+
+def test_the_slider_itself(cb3):
+    cb3.ask("slider", arm="left", fraction=0.1)
+    try:
+        assert bad(look(cb3))["speed slider"].found == "10 %"
+    finally:
+        cb3.ask("slider", arm="left", fraction=1.0)
+
+
+def test_local_control(e_series):
+    e_series.ask("remote", arm="left", on=False)
+    try:
+        findings = bad(look(e_series))
+    finally:
+        e_series.ask("remote", arm="left", on=True)
+    assert findings.keys() == {"remote control"}
+    assert findings["remote control"].remedy == "switch left to Remote Control on its pendant"
+
+
+@pytest.mark.parametrize(
+    ("told", "names", "found"),
+    [
+        ({"model": "UR5", "robot_type": 1}, {"model", "robot type"}, ("UR5", "1 (UR5)")),
+        ({"model": "UR10e"}, {"model"}, ("UR10e",)),
+        ({"robot_type": 12}, {"robot type"}, ("12 (unknown)",)),
+        ({"version": [5, 12, 0, 1]}, {"family", "remote control"}, ("e-series, software 5.12.0.1",)),
+    ],
+)
+def test_another_robot(cb3, told, names, found):
+    cb3.ask("remote", arm="left", on=False)
+    cb3.ask("pretend", arm="left", **told)
+    try:
+        findings = bad(look(cb3))
+    finally:
+        cb3.ask("pretend", arm="left", version=[3, 15, 8, 106339], model="UR10", robot_type=2)
+    assert findings.keys() == names
+    assert {each.level for each in findings.values()} == {"fail"}
+    assert {*found} <= {each.found for each in findings.values()}
+
+
+def test_an_old_controller_has_no_serial_number_and_no_model(cb3):
+    cb3.ask("pretend", arm="left", version=[3, 10, 0, 1])
+    try:
+        findings = look(cb3, serial_number="1")
+        cell = check_cell(expected(cb3), expected(cb3, "right"), observe_s=0.05)[0]
+    finally:
+        cb3.ask("pretend", arm="left", version=[3, 15, 8, 106339])
+    assert bad(findings).keys() == {"serial number"}
+    assert (findings["serial number"].level, findings["serial number"].found) == ("warn", "not told by this software")
+    assert "model" not in findings
+    assert findings["robot type"].level == "ok"
+    assert (cell.level, "could not be compared" in cell.found) == ("ok", True)
+
+
+def test_an_old_controller_tells_nothing_of_its_tool():
+    status = dataclasses.replace(status_of(), payload_kg=None, payload_cog_m=None, tcp_offset=None)
+    findings = list(tool_findings("left", ExpectedArm(host="127.0.0.1", **BARE), status))
+    assert [each.name for each in findings] == ["TCP", "payload"]
+    assert {each.level for each in findings} == {"warn"}
+    assert {each.found for each in findings} == {"not told by this software"}
+
+
+def test_another_arm_of_the_same_kind(e_series):
+    findings = bad(look(e_series, serial_number="2021500002", checksums=(1, 2, 3, 4, 5, 6)))
+    assert findings.keys() == {"serial number", "calibration checksums"}
+    assert "swapped" in findings["serial number"].remedy
+
+
+@pytest.mark.parametrize(("error_m", "level"), [(0.00002, "ok"), (0.0002, "warn"), (0.003, "fail")])
+def test_another_calibration(cb3, error_m, level):
+    cb3.ask("calibration", arm="left", error_m=error_m)
+    try:
+        finding = look(cb3)["calibration"]
+    finally:
+        cb3.ask("calibration", arm="left", error_m=0.0)
+    assert finding.level == level
+    assert "nominal UR10's, which the cell file goes by" in finding.found  # it gives no other
+    off_m = float(re.search(r"([\d.]+) mm", finding.found)[1]) / 1e3
+    assert error_m <= off_m <= 2 * error_m + 1e-6
+
+
+def test_registers_in_use(cb3):
+    deadline_s = time.monotonic() + 20.0
+    client = RtdeClient("", cb3.left, 30004, deadline_s)
+    number, _ = client.set_up(Kind.SETUP_INPUTS, REGISTERS[3:5], b"", deadline_s)
+    assert number == 1
+    findings = bad(look(cb3))
+    client.socket.close_and_wait(deadline_s)
+    assert findings.keys() == {"registers"}
+    assert findings["registers"].found == "in use: input_int_register_3 and 1 more"
+    assert "EtherNet/IP" in findings["registers"].remedy
+    assert bad(look(cb3)) == {}
+
+
+# The network.
+
+
+def test_a_port_that_is_closed_is_named_and_the_rest_is_looked_at(cb3):
+    cb3.ask("refuse", arm="left", port="realtime")
+    cb3.ask("refuse", arm="left", port="dashboard")
+    try:
+        findings = look(cb3)
+    finally:
+        cb3.ask("heal", arm="left")
+    assert bad(findings).keys() == {"port 30003", "port 29999"}
+    assert f"{cb3.left}:30003: no connection" in findings["port 30003"].found
+    assert "cable" in findings["port 30003"].remedy
+    assert findings.keys() >= {"robot mode", "calibration", "registers", "robot type"}
+
+
+@pytest.mark.parametrize("fault", [{"half_open": True}, {"mute": True}])
+def test_a_controller_that_is_silent_is_given_up(cb3, fault):
+    cb3.ask("link", arm="left", port="all", **fault)
+    try:
+        findings = check_cell(expected(cb3), expected(cb3, "right"), timeout_s=_SILENT_S, observe_s=0.05)
+    finally:
+        cb3.ask("heal", arm="left")
+    wrong = {(each.arm, each.name) for each in findings if each.level == "fail"}
+    assert wrong - {("right", name) for name in TIMED} == {
+        ("left", "dashboard"), ("left", "primary interface"), ("left", "RTDE"),
+    }  # fmt: skip
+    assert all("no answer in time" in each.found for each in findings if each.name == "RTDE")
+
+
+def test_data_that_do_not_come(cb3):
+    with override(cb3, timestamp=1e6):
+        findings = check_arm("left", expected(cb3), observe_s=0.05)
+    (rate,) = [each for each in findings if each.name == "RTDE rate"]
+    assert rate.level == "fail"
+    assert "does not go on" in rate.found
+
+
+def test_a_slow_network_is_found(cb3):
+    cb3.ask("link", arm="left", port="rtde", delay_s=0.02)
+    try:
+        findings = check_arm("left", expected(cb3), timeout_s=5.0, observe_s=0.05)
+    finally:
+        cb3.ask("heal", arm="left")
+    (finding,) = [each for each in findings if each.name == "round trip"]
+    assert finding.level == "fail"
+    assert "4 ms" in finding.expected
+
+
+def test_one_host_for_both_arms(cb3):
+    findings = check_cell(expected(cb3), expected(cb3), observe_s=0.05)
+    first = findings[0]
+    assert (first.arm, first.name, first.level) == ("cell", "two controllers", "fail")
+    assert cb3.left in first.found
+    assert {each.arm for each in findings[1:]} == {"left"}
+
+
+def test_two_addresses_of_one_controller(cb3):
+    cb3.ask("pretend", arm="right", serial_number="2010300001")
+    try:
+        first = check_cell(expected(cb3), expected(cb3, "right"), observe_s=0.05)[0]
+    finally:
+        cb3.ask("pretend", arm="right", serial_number="2010300002")
+    assert (first.arm, first.level) == ("cell", "fail")
+    assert "2010300001 and 2010300001" in first.found
+
+
+HEADER = "Iface Destination Gateway Flags RefCnt Use Metric Mask MTU Window IRTT\n"
+
+
+@pytest.fixture
+def routes(tmp_path):
+    """Makes a table of routes, as the kernel of a little-endian machine prints it, and wireless interfaces."""
+
+    def hexed(address):
+        return "".join(f"{int(each):02X}" for each in reversed(address.split(".")))
+
+    def make(*rows, wireless=()):
+        lines = [
+            f"{interface} {hexed(net)} {hexed(gateway)} {flags:04X} 0 0 {metric} {hexed(mask)} 0 0 0\n"
+            for interface, net, gateway, flags, metric, mask in rows
+        ]
+        (tmp_path / "route").write_text(HEADER + "".join(lines))
+        for interface in wireless:
+            (tmp_path / interface / "wireless").mkdir(parents=True)
+        return {"routes": tmp_path / "route", "interfaces": tmp_path}
+
+    return make
+
+
+DEFAULT = ("eth0", "0.0.0.0", "10.0.0.1", 3, 100, "0.0.0.0")
+OFFICE = ("eth0", "10.0.0.0", "0.0.0.0", 1, 100, "255.255.255.0")
+ARMS = ("eth1", "192.168.1.0", "0.0.0.0", 1, 0, "255.255.255.0")
+
+
+def test_the_most_exact_route_is_taken(routes, monkeypatch):
+    monkeypatch.setattr("sys.byteorder", "little")
+    table = routes(DEFAULT, OFFICE, ARMS, wireless=["wlan0"])
+    assert route_to("192.168.1.11", **table) == Route("eth1", None, False, False)
+    assert route_to("10.0.0.7", **table) == Route("eth0", None, True, False)
+    assert route_to("8.8.8.8", **table) == Route("eth0", "10.0.0.1", True, False)
+    two = routes(ARMS, ("wlan0", "192.168.1.0", "0.0.0.0", 1, 600, "255.255.255.0"))
+    assert route_to("192.168.1.11", **two).interface == "eth1"
+    down = routes(("eth1", "192.168.1.0", "0.0.0.0", 0, 0, "255.255.255.0"), DEFAULT)
+    assert route_to("192.168.1.11", **down).interface == "eth0"
+    air = routes(("wlan0", "192.168.1.0", "0.0.0.0", 1, 600, "255.255.255.0"))
+    assert route_to("192.168.1.11", **air) == Route("wlan0", None, False, True)
+
+
+def test_a_route_that_cannot_be_told_is_none(routes, tmp_path, monkeypatch):
+    assert route_to("192.168.1.11", **routes(OFFICE)) is None
+    assert route_to("192.168.1.11", tmp_path / "none") is None
+    (tmp_path / "bad").write_text(HEADER + "eth0\nx y z w a b c d\n../.. 0 0 1 0 0 0 0\neth0 FFFFFFFFFF 0 1 0 0 0 0\n")
+    assert route_to("192.168.1.11", tmp_path / "bad") is None
+    (tmp_path / "binary").write_bytes(b"\xff\xfe\n" * 10)
+    assert route_to("192.168.1.11", tmp_path / "binary") is None
+    monkeypatch.setattr("sys.platform", "darwin")
+    assert route_to("192.168.1.11", **routes(ARMS)) is None
+    assert route_to("127.3.2.1", tmp_path / "none").interface == "lo"
+    assert is_loopback("127.3.2.1")
+    assert not is_loopback("128.0.0.1")
+
+
+@pytest.mark.parametrize(
+    ("route", "level", "text"),
+    [
+        (Route("eth1", None, False, False), "ok", "by eth1"),
+        (Route("eth0", None, True, False), "warn", "other networks"),
+        (Route("eth1", "10.0.0.1", False, False), "warn", "router 10.0.0.1"),
+        (Route("wlan0", None, False, True), "fail", "Wi-Fi"),
+        (None, "warn", "could not be told"),
+    ],
+)
+def test_a_route_is_judged(monkeypatch, route, level, text):
+    monkeypatch.setattr(doctor, "route_to", lambda host: route)
+    arm = doctor._Arm("left", ExpectedArm(host="192.168.1.11"), 1.0, 1.0)
+    (finding,) = doctor._network(arm)
+    assert finding.level == level
+    assert text in finding.found
+    assert list(doctor._network(dataclasses.replace(arm, expected=ExpectedArm(host="127.0.0.5")))) == []
+
+
+# Pure functions.
+
+
+def samples(times, late=()):
+    delays = dict(late)
+    return [Sample({"timestamp": at}, 100.0 + at + delays.get(index, 0.0)) for index, at in enumerate(times)]
+
+
+@pytest.mark.parametrize(
+    ("times", "late", "rate", "jitter"),
+    [
+        (np.arange(40) * 0.008, {}, "ok", "ok"),
+        (np.arange(40) * 0.008, {7: 0.007}, "ok", "ok"),
+        (np.arange(40) * 0.008, {7: 0.009}, "ok", "warn"),
+        (np.arange(40) * 0.008, {7: 0.11}, "ok", "fail"),
+        (np.delete(np.arange(40) * 0.008, [9]), {}, "warn", "ok"),
+        (np.arange(20) * 0.016, {}, "fail", "ok"),
+    ],
+)
+def test_a_stream_is_judged(times, late, rate, jitter):
+    found = {each.name: each.level for each in stream_findings("left", samples(times, late.items()), 125.0)}
+    assert found == {"RTDE rate": rate, "RTDE jitter": jitter}
+
+
+@pytest.mark.parametrize("times", [[], [1.0], [1.0, 1.0, 1.0]])
+def test_a_stream_that_stands_still_fails(times):
+    (finding,) = stream_findings("left", samples(times), 125.0)
+    assert (finding.name, finding.level) == ("RTDE rate", "fail")
+
+
+@pytest.mark.parametrize(("times", "level"), [([0.001] * 9, "ok"), ([0.001] * 9 + [0.02], "warn"), ([0.005], "fail")])
+def test_round_trips_are_judged(times, level):
+    (finding,) = round_trip_findings("left", times)
+    assert finding.level == level
+
+
+def test_a_rotation_by_half_a_turn_has_two_vectors():
+    status = status_of(tcp_offset=(0.0, 0.0, 0.1, np.pi, 0.0, 0.0))
+    (tcp, _) = tool_findings("left", ExpectedArm(host="127.0.0.1", tcp=(0.0, 0.0, 0.1, -np.pi, 0.0, 0.0)), status)
+    assert tcp.level == "ok"
+
+
+@pytest.mark.parametrize(
+    ("mass", "cog", "level"),
+    [
+        (1.0, (0.0, 0.0, 0.05), "ok"),
+        (1.04, (0.0, 0.003, 0.053), "ok"),
+        (1.06, (0.0, 0.0, 0.05), "fail"),
+        (0.94, (0.0, 0.0, 0.05), "fail"),
+        (1.0, (0.0, 0.0, 0.056), "fail"),
+    ],
+)
+def test_a_payload_is_compared(mass, cog, level):
+    status = status_of(payload=mass, payload_cog=cog)
+    wanted = ExpectedArm(host="127.0.0.1", payload_kg=1.0, payload_cog_m=(0.0, 0.0, 0.05))
+    assert [each.level for each in tool_findings("left", wanted, status)][1] == level
+
+
+def test_other_safety_settings_fail(cb3):
+    cb3.ask("pretend", arm="left", safety_checksum=0xBEEF)
+    try:
+        finding = look(cb3)["safety checksum"]
+    finally:
+        cb3.ask("pretend", arm="left", safety_checksum=SAFETY)
+    assert (finding.level, finding.found, finding.expected) == ("fail", "0x0000beef", f"0x{SAFETY:08x}")
+    assert "assess the risk" in finding.remedy
+
+
+@pytest.mark.parametrize("wanted", [None, SAFETY])
+def test_a_controller_that_tells_no_safety_checksum_is_warned_of(wanted):
+    facts = PrimaryFacts((3, 15, 8, 1), 2, (0,) * 6, *[(0.0,) * 6] * 4)
+    (finding,) = safety_findings("left", ExpectedArm(host="127.0.0.1", safety_checksum=wanted), facts)
+    assert (finding.level, finding.found) == ("warn", "not told by this software")
+    assert "pendant" in finding.remedy
+
+
+def test_flange_errors_are_distances():
+    longer = DHParameters(a_m=(DH_A_M[0], DH_A_M[1] + 0.002, *DH_A_M[2:]))
+    assert flange_error_m(NOMINAL_DH, NOMINAL_DH) == 0.0
+    assert flange_error_m(longer, NOMINAL_DH) == pytest.approx(0.002, rel=1e-9)
+
+
+def test_parameters_of_another_robot_fail():
+    rows = {"theta_rad": (0.0,) * 6, "a_m": (0.0, -0.425, -0.392, 0.0, 0.0, 0.0), "alpha_rad": NOMINAL_DH.alpha_rad}
+    facts = PrimaryFacts((3, 15, 8, 1), 2, (0,) * 6, d_m=NOMINAL_DH.d_m, **rows)
+    (finding,) = calibration_findings("left", ExpectedArm(host="127.0.0.1"), facts)
+    assert finding.level == "fail"
+    assert "another robot" in finding.found
+
+
+@pytest.mark.parametrize(
+    ("values", "kind"),
+    [
+        ({"host": "robot"}, SettingsError),
+        ({"family": "cb2"}, UnknownNameError),
+        ({"tcp": (0.0,) * 5}, SettingsError),
+        ({"payload_cog_m": (0.0,) * 4}, SettingsError),
+        ({"checksums": ()}, SettingsError),
+    ],
+)
+def test_what_cannot_be_expected_is_refused(values, kind):
+    with pytest.raises(kind):
+        ExpectedArm(**{"host": "127.0.0.1", **values})
+
+
+def test_what_fails():
+    ok, warn, fail = (Finding("left", "x", level, "y") for level in ("ok", "warn", "fail"))
+    assert not any_fails([ok, warn])
+    assert any_fails([ok, fail, warn])
+
+
+# The command line.
+
+
+def run(*arguments):
+    result = CliRunner().invoke(cli.app, ["doctor", *arguments], env={"COLUMNS": "200"})
+    return result.exit_code, re.sub(r"\x1b\[[0-9;]*m", "", result.output)
+
+
+def test_the_command_prints_and_fails_if_something_does(cb3):
+    with override(cb3, safety_mode=3):
+        code, text = run("--left", cb3.left, "--right", cb3.right)
+    assert code == 1
+    for word in ("safety mode", "PROTECTIVE", "speed slider", "two controllers", "fail", "warn", "ok"):
+        assert word in text
+    assert "Traceback" not in text
+
+
+def test_the_command_is_content_with_warnings(cb3, monkeypatch):
+    monkeypatch.setattr("dual_ur10.sim2real.commissioning.doctor_state.MOST_ROUND_TRIP_S", 10.0)
+    monkeypatch.setattr(doctor, "stream_findings", lambda *_: [])
+    code, text = run("--left", cb3.left, "--right", cb3.right)
+    assert code == 0, text
+    assert "8 warnings, 0 failed" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("--left", "robot", "--right", "127.0.0.2"), "IPv4"),
+        (("--left", "127.0.0.1", "--right", "127.0.0.2", "--family", "cb2"), "e-series"),
+    ],
+)
+def test_what_cannot_be_is_one_line_and_exit_code_2(arguments, word):
+    code, text = run(*arguments)
+    assert code == 2
+    assert word in text
+    assert len(text.strip().splitlines()) == 1
+
+
+def test_a_cell_file_says_what_is_expected(tmp_path, monkeypatch):
+    monkeypatch.setattr("dual_ur10.sim2real.commissioning.doctor_state.MOST_ROUND_TRIP_S", 10.0)
+    monkeypatch.setattr(doctor, "stream_findings", lambda *_: [])
+    file = tmp_path / "cell.toml"
+    with EmulatedCell(plant="nominal", cell=str(file)) as cell:
+        done = CliRunner().invoke(cli.app, ["doctor", str(file)], env={"COLUMNS": "250"})
+        assert done.exit_code == 0, done.output
+        text = file.read_text().replace("[left]", '[left]\nserial_number = "12345"', 1)
+        file.write_text(text)
+        done = CliRunner().invoke(cli.app, ["doctor", str(file)], env={"COLUMNS": "250"})
+        assert done.exit_code == 1
+        assert "12345" in done.output
+        for arguments in ([], ["--left", cell.left], [str(file), "--left", cell.left]):
+            assert CliRunner().invoke(cli.app, ["doctor", *arguments]).exit_code == 2

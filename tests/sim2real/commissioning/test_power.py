@@ -1,0 +1,248 @@
+"""Power on: only where nothing else is wrong, only if a person agrees, and nothing but power and brakes."""
+
+import dataclasses
+import time
+
+import pytest
+
+from dual_ur10.errors import LinkError, OperationRefusedError
+from dual_ur10.sim2real.commissioning import power
+from dual_ur10.sim2real.commissioning.power import power_on
+from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
+from dual_ur10.sim2real.links.dashboard_link import DashboardLink
+
+ARMS = ("left", "right")
+
+
+@pytest.fixture(scope="module", params=["cb3", "e-series"])
+def made(request, tmp_path_factory):
+    path = tmp_path_factory.mktemp("cell") / "cell.toml"
+    with EmulatedCell(plant="nominal", powered=False, family=request.param, cell=str(path)) as cell:
+        yield cell, load_cell_file(path)
+
+
+@pytest.fixture
+def cell(made):
+    """Both arms without power."""
+    cell, _ = made
+    yield cell
+    for arm in ARMS:
+        cell.ask("heal", arm=arm)
+        cell.ask("override", arm=arm, robot_mode=None, runtime_state=None, safety_mode=None)
+        for mode in range(3, 15):
+            cell.ask("release", arm=arm, mode=mode)
+        cell.ask("reduce", arm=arm, on=False)
+        cell.ask("remote", arm=arm, on=True)
+        cell.ask("press", arm=arm, button="power_off")
+        cell.wait_until(arm, "robot_mode", 3)
+    begin = cell.ask("info")["ticks"]
+    while cell.ask("info")["ticks"] < begin + 5:  # after an emergency stop, power is refused until the arm rests
+        time.sleep(0.005)
+
+
+@pytest.fixture
+def file(made):
+    return made[1]
+
+
+@pytest.fixture
+def sent(monkeypatch):
+    """All that is sent to dashboards but questions."""
+    found = []
+    ask = DashboardLink.ask
+
+    def listen(link, command):
+        if command not in QUESTIONS:
+            found.append((link.where.split()[0], command))
+        return ask(link, command)
+
+    monkeypatch.setattr(DashboardLink, "ask", listen)
+    return found
+
+
+QUESTIONS = ("PolyscopeVersion", "robotmode", "safetystatus", "safetymode", "programState", "is in remote control")
+
+
+def modes(cell):
+    return [cell.ask("state", arm=arm, names=["robot_mode"])["robot_mode"] for arm in ARMS]
+
+
+def never(question):
+    raise AssertionError(f"asked: {question}")
+
+
+def test_both_arms_are_powered_and_their_brakes_released(cell, file, sent):
+    questions = []
+    file = dataclasses.replace(file, left=dataclasses.replace(file.left, payload_kg=1.5))
+    assert power_on(file, lambda question: questions.append(question) or True)
+    assert modes(cell) == [7, 7]
+    assert len(questions) == 1
+    assert "left arm (POWER_OFF) and the right arm (POWER_OFF)" in questions[0]
+    assert "left 1.5 kg, right not said" in questions[0]
+    assert sent == [
+        ("left", "power on"),
+        ("right", "power on"),
+        ("left", "brake release"),
+        ("right", "brake release"),
+    ]
+    sent.clear()
+    assert not power_on(file, never)  # there is nothing to do, and nothing to ask
+    assert sent == []
+
+
+def test_only_the_arm_that_needs_it(cell, file, sent):
+    cell.ask("press", arm="left", button="release_brakes")
+    cell.ask("press", arm="right", button="power_on")
+    cell.wait_until("left", "robot_mode", 7)
+    cell.wait_until("right", "robot_mode", 5)
+    questions = []
+    assert power_on(file, lambda question: questions.append(question) or True)
+    assert "left" not in questions[0]
+    assert "right arm (IDLE)" in questions[0]
+    assert sent == [("right", "brake release")]
+    assert modes(cell) == [7, 7]
+
+
+@pytest.mark.parametrize("answer", [False, None, "yes", 1])
+def test_nothing_without_a_yes(cell, file, sent, answer):
+    with pytest.raises(OperationRefusedError, match="not confirmed: nothing was switched"):
+        power_on(file, lambda question: answer)
+    assert sent == []
+    assert modes(cell) == [3, 3]
+
+
+WRONG = [
+    ("stop", {"mode": 3}, "right arm.*safety PROTECTIVE_STOP, expected is NORMAL"),
+    ("stop", {"mode": 5}, "safety SAFEGUARD_STOP"),
+    ("stop", {"mode": 6}, "safety SYSTEM_EMERGENCY_STOP"),
+    ("stop", {"mode": 7}, "safety ROBOT_EMERGENCY_STOP"),
+    ("stop", {"mode": 8}, "safety VIOLATION"),
+    ("stop", {"mode": 9}, "safety FAULT"),
+    ("reduce", {}, "safety REDUCED"),
+    ("override", {"robot_mode": 2}, "robot mode BOOTING, expected are POWER_OFF, IDLE or RUNNING"),
+    ("override", {"robot_mode": 1}, "robot mode CONFIRM_SAFETY"),
+    ("override", {"robot_mode": 6}, "robot mode BACKDRIVE"),
+    ("override", {"runtime_state": 2}, "program PLAYING.*stop it"),
+    ("override", {"runtime_state": 4}, "program PAUSED.*stop it"),
+]
+
+
+@pytest.mark.parametrize(("knob", "values", "text"), WRONG)
+def test_anything_else_that_is_wrong_with_one_arm_keeps_both_off(cell, file, sent, knob, values, text):
+    cell.ask(knob, arm="right", **values)
+    with pytest.raises(OperationRefusedError, match=f"no arm was given power: .*{text}"):
+        power_on(file, never)
+    assert sent == []
+    assert modes(cell)[0] == 3
+
+
+def test_all_that_is_wrong_is_named(cell, file):
+    cell.ask("stop", arm="left", mode=3)
+    cell.ask("stop", arm="right", mode=5)
+    with pytest.raises(OperationRefusedError, match=r"left arm.*PROTECTIVE_STOP.*right arm.*SAFEGUARD_STOP"):
+        power_on(file, never)
+
+
+def test_local_mode(cell, file, sent):
+    if file.left.family == "cb3":
+        pytest.skip("a CB3 has no such mode")
+    cell.ask("remote", arm="left", on=False)
+    with pytest.raises(OperationRefusedError, match=r"left arm.*local mode.*Remote Control"):
+        power_on(file, never)
+    assert sent == []
+
+
+def test_what_goes_wrong_while_the_person_thinks(cell, file, sent):
+    def think(question):
+        cell.ask("stop", arm="left", mode=7)
+        return True
+
+    with pytest.raises(OperationRefusedError, match=r"no arm was given power: left arm.*ROBOT_EMERGENCY_STOP"):
+        power_on(file, think)
+    assert sent == []
+    assert modes(cell) == [3, 3]
+
+
+def test_an_arm_that_nobody_was_asked_about_is_left_alone(cell, file, sent):
+    cell.ask("press", arm="right", button="release_brakes")
+    cell.wait_until("right", "robot_mode", 7)
+
+    def think(question):
+        assert "right" not in question.split("?")[0]
+        cell.ask("press", arm="right", button="power_off")
+        return True
+
+    with pytest.raises(OperationRefusedError, match=r"right arm.*POWER_OFF, and RUNNING when a person was asked"):
+        power_on(file, think)
+    assert sent == []
+
+
+def test_what_goes_wrong_meanwhile_releases_no_brakes(cell, file, sent, monkeypatch):
+    wait = time.sleep
+
+    def stopped(seconds):
+        cell.ask("stop", arm="left", mode=5)
+        wait(seconds)
+
+    monkeypatch.setattr(power.time, "sleep", stopped)
+    with pytest.raises(OperationRefusedError, match=r"left arm.*SAFEGUARD_STOP"):
+        power_on(file, lambda question: True)
+    assert {command for _, command in sent} == {"power on"}
+    monkeypatch.undo()
+    cell.wait_until("right", "robot_mode", 5)
+
+
+def test_an_arm_that_boots_on_the_way(cell, file, monkeypatch):
+    wait, modes_shown = time.sleep, [2, None]
+
+    def boot(seconds):
+        if modes_shown:
+            cell.ask("override", arm="left", robot_mode=modes_shown.pop(0))
+        wait(seconds)
+
+    monkeypatch.setattr(power.time, "sleep", boot)
+    assert power_on(file, lambda question: True)
+    assert modes_shown == []
+    monkeypatch.undo()
+    assert modes(cell) == [7, 7]
+
+
+@pytest.mark.parametrize("limit", ["POWER_S", "BRAKES_S"])
+def test_an_arm_that_does_not_get_there(cell, file, monkeypatch, limit):
+    monkeypatch.setattr(power, limit, 0.0)
+    expected = "IDLE" if limit == "POWER_S" else "RUNNING"
+    with pytest.raises(LinkError, match=rf"robot mode \w+ after 0 s, expected is {expected}"):
+        power_on(file, lambda question: True)
+
+
+def test_a_controller_that_refuses(cell, file, monkeypatch):
+    ask = DashboardLink.ask
+
+    def refuse(link, command):
+        return "Failed to execute: power on" if command == "power on" else ask(link, command)
+
+    monkeypatch.setattr(DashboardLink, "ask", refuse)
+    with pytest.raises(
+        OperationRefusedError, match=r"answers 'Failed to execute: power on'.*expected is 'Powering on'"
+    ):
+        power_on(file, lambda question: True)
+
+
+@pytest.mark.parametrize("fault", ["refuse", "mute", "drop"])
+def test_a_dashboard_that_is_lost(cell, file, sent, fault):
+    def break_it(question=""):
+        if fault == "mute":
+            cell.ask("link", arm="right", port="dashboard", mute=True)
+        else:
+            cell.ask("refuse", arm="right", port="dashboard")
+            cell.ask("drop", arm="right", port="dashboard")
+        return True
+
+    confirm = break_it if fault == "drop" else never
+    if fault != "drop":
+        break_it()
+    with pytest.raises(LinkError, match="right arm, dashboard"):
+        power_on(file, confirm)
+    assert sent == []
+    assert modes(cell) == [3, 3]

@@ -1,0 +1,849 @@
+"""Cell files: what is read is what was written, and nothing that is not legal is read."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+import os
+import random
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from dual_ur10 import ENV_IDS
+from dual_ur10.assets.settings import SceneSettings
+from dual_ur10.envs.api.dual_arm_env import DualArmEnv
+from dual_ur10.errors import CellFileError, DualUR10Error, SettingsError
+from dual_ur10.kinematics import ur10
+from dual_ur10.sim2real.config import cell_file as module
+from dual_ur10.sim2real.config.cell import CellConfig, Perturbation
+from dual_ur10.sim2real.config.cell_file import CellFile, examine_text, load_cell_file, starting_text
+from dual_ur10.sim2real.config.cell_file_entries import (
+    ArmLimits,
+    AttachedTracker,
+    Box,
+    Capsule,
+    DigitalGripper,
+    EmulatedTracker,
+    EmulatorEntry,
+    GivenTracker,
+    Measured,
+    NoGripper,
+    Plane,
+    RobotiqSocket,
+)
+from dual_ur10.sim2real.config.cell_file_keys import Key
+from dual_ur10.sim2real.config.cell_file_schema import ARM_KEYS, ARM_TABLES, CELL, rows
+from dual_ur10.sim2real.config.cell_file_text import EXAMPLES, toml_text, write_new
+from dual_ur10.sim2real.control.limits import MotionLimits
+from dual_ur10.sim2real.control.servoj import ServojProfile
+from dual_ur10.sim2real.emulator.cell_file_writer import write_cell_file
+from dual_ur10.sim2real.emulator.main import Emulator, EmulatorOptions
+from tests.soak import scaled
+
+ROOT = Path(__file__).parents[3]
+DELETE = object()
+
+ARM: dict[str, Any] = {
+    "family": "cb3",
+    "base_yaw_rad": 0.5,
+    "base_uncertainty_m": 0.002,
+    "tcp_position_m": [0.0, 0.0, 0.17],
+    "tcp_rotation_rad": [0.0, 0.0, 1.0],
+    "payload_kg": 1.2,
+    "payload_cog_m": [0.0, 0.01, 0.05],
+}
+GOOD: dict[str, Any] = {
+    "kind": "real",
+    "name": "lab-1",
+    "speed_factor": 0.25,
+    "left": {**ARM, "host": "192.168.1.10", "base_position_m": [-0.75, 0.6, 0.0]},
+    "right": {**ARM, "host": "192.168.1.11", "base_position_m": [-0.75, -0.6, 0]},
+}
+SMALL: dict[str, Any] = {"kind": "emulated", "left": {"host": "127.0.0.2"}, "right": {"host": "127.0.0.3"}}
+
+
+def edited(base: dict[str, Any], **edits: Any) -> dict[str, Any]:
+    """With values at paths such as `left__servoj__gain`."""
+    result = copy.deepcopy(base)
+    for path, value in edits.items():
+        *tables, name = path.split("__")
+        place = result
+        for table in tables:
+            place = place.setdefault(table, {})
+        if value is DELETE:
+            del place[name]
+        else:
+            place[name] = value
+    return result
+
+
+def loaded(tmp_path: Path, content: dict[str, Any] | str | bytes) -> CellFile:
+    path = tmp_path / "lab.toml"
+    text = toml_text(content) if isinstance(content, dict) else content
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return load_cell_file(path)
+
+
+def refused(tmp_path: Path, content: dict[str, Any] | str | bytes) -> str:
+    with pytest.raises(CellFileError) as caught:
+        loaded(tmp_path, content)
+    text = str(caught.value)
+    assert "lab.toml" in text
+    assert "\n" not in text
+    assert len(text) < 1000 + len(str(tmp_path)) * 3
+    return text
+
+
+# What a file says.
+
+
+def test_a_file_says_what_stands_in_it(tmp_path: Path) -> None:
+    cell = loaded(
+        tmp_path,
+        edited(
+            GOOD,
+            task="DualUR10/SyncCarry-v0",
+            rt_priority=80,
+            left__serial_number="2010300001",
+            left__safety_checksum=0x57F4285B,
+            left__gripper={"kind": "robotiq", "port": 1234},
+            right__gripper={"kind": "digital_output", "output": 16, "open_level": True},
+            left__servoj={"lookahead_s": 0.05, "gain": 500},
+            left__limits={"speed_rad_s": 1, "jerk_rad_s3": 150.0},
+            left__measured={"lookahead_s": 0.031, "latency_s": 0},
+            left__calibration={"theta_rad": [1e-4, 0, 0, 0, 0, 0], "checksum": [1, 2, 3, 4, 5, 4294967295]},
+            tracker={"kind": "given", "position_m": [0, 0, 0.1], "rotation_rad": [0, 0, 1.5]},
+            obstacle=[
+                {"name": "wall", "kind": "plane", "point_m": [1, 0, 0], "normal": [-1, 0, 0]},
+                {"name": "box", "kind": "box", "position_m": [0, 1.5, 0.2], "size_m": [0.1, 0.2, 0.3]},
+                {"name": "post", "kind": "capsule", "from_m": [1, 1, 0], "to_m": [1, 1, 2], "radius_m": 0.1},
+            ],
+        ),
+    )
+    left = cell.left
+    assert (cell.kind, cell.name, cell.task, cell.speed_factor, cell.rt_priority) == (
+        "real",
+        "lab-1",
+        "DualUR10/SyncCarry-v0",
+        0.25,
+        80,
+    )
+    assert (left.host, left.family, left.serial_number) == ("192.168.1.10", "cb3", "2010300001")
+    assert left.servoj == ServojProfile("cb3", 0.05, 500.0)
+    assert left.mount.position_m == (-0.75, 0.6, 0.0)
+    assert left.mount.yaw_rad == 0.5
+    assert left.mount.dh.theta_rad[0] == 1e-4
+    assert left.mount.dh.a_m == tuple(ur10.DH_A_M)
+    assert left.checksum == (1, 2, 3, 4, 5, 4294967295)
+    assert left.safety_checksum == 0x57F4285B
+    assert (left.base_uncertainty_m, left.base_uncertainty_rad) == (0.002, 0.0)
+    assert left.tcp == (0.0, 0.0, 0.17, 0.0, 0.0, 1.0)
+    assert (left.payload_kg, left.payload_cog_m) == (1.2, (0.0, 0.01, 0.05))
+    assert left.limits == ArmLimits(speed_rad_s=1.0, jerk_rad_s3=150.0)
+    assert left.measured == Measured(lookahead_s=0.031, latency_s=0.0)
+    assert cell.right.measured == Measured()
+    assert left.gripper == RobotiqSocket(port=1234)
+    assert cell.right.gripper == DigitalGripper(output=16, open_level=True)
+    assert cell.tracker == GivenTracker(position_m=(0.0, 0.0, 0.1), rotation_rad=(0.0, 0.0, 1.5))
+    assert cell.obstacles == (
+        Plane(name="wall", point_m=(1.0, 0.0, 0.0), normal=(-1.0, 0.0, 0.0)),
+        Box(name="box", position_m=(0.0, 1.5, 0.2), size_m=(0.1, 0.2, 0.3)),
+        Capsule(name="post", from_m=(1.0, 1.0, 0.0), to_m=(1.0, 1.0, 2.0), radius_m=0.1),
+    )
+    assert cell.emulator is None
+    assert cell.source.endswith("lab.toml")
+
+
+def test_defaults_of_an_emulated_cell(tmp_path: Path) -> None:
+    cell = loaded(tmp_path, SMALL)
+    assert [each.mount for each in cell.arms] == list(SceneSettings().mounts)
+    assert dataclasses.replace(cell.config(), kind="mujoco", file=None) == CellConfig()
+    assert (cell.speed_factor, cell.rt_priority, cell.name, cell.task) == (1.0, 0, "cell", None)
+    assert cell.left.gripper == NoGripper()
+    assert (
+        cell.left.tcp
+        is cell.left.payload_kg
+        is cell.left.serial_number
+        is cell.left.checksum
+        is cell.left.safety_checksum
+        is None
+    )
+    assert cell.tracker is cell.emulator is None
+    assert cell.obstacles == ()
+    assert loaded(tmp_path, edited(SMALL, left__gripper={"kind": "robotiq"})).left.gripper == RobotiqSocket(port=63352)
+    only = loaded(tmp_path, edited(SMALL, left__tcp_position_m=[0, 0, 0.1]))
+    assert only.left.tcp == (0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("kind", ["attached", "emulated"])
+def test_trackers_by_kind(tmp_path: Path, kind: str) -> None:
+    emulator = {"port": 4000, "task": ENV_IDS[0], "pid": 17}
+    cell = loaded(tmp_path, edited(SMALL, tracker={"kind": kind}, emulator=emulator))
+    assert cell.tracker == {"attached": AttachedTracker(), "emulated": EmulatedTracker()}[kind]
+    assert cell.emulator == EmulatorEntry(port=4000, task=ENV_IDS[0], pid=17)
+
+
+def test_the_emulators_file_loads(tmp_path: Path) -> None:
+    for task in ("SineTracking", "Handover"):
+        path = tmp_path / f"{task}.toml"
+        emulator = Emulator(EmulatorOptions(task=task, family="e-series", cell=str(path)))
+        try:
+            cell = load_cell_file(path)
+            assert [each.host for each in cell.arms] == [each.host for each in emulator.servers]
+            assert cell.emulator == EmulatorEntry(**emulator.description()["emulator"])
+            config = emulator.world.config
+            assert (cell.config().left, cell.config().servoj) == (config.left, config.servoj)
+            assert isinstance(cell.right.gripper, RobotiqSocket) == (task == "Handover")
+        finally:
+            emulator.close()
+    write_cell_file(path, cell.mapping())  # and one place knows how it is written
+    assert path.read_text() == cell.text()
+
+
+# Written and read again.
+
+
+def one(key: Key) -> st.SearchStrategy[Any]:
+    if key.choices:
+        return st.sampled_from(key.choices)
+    if key.name == "task":
+        return st.sampled_from(ENV_IDS)
+    if key.type == "text":
+        return st.from_regex(key.pattern[0], fullmatch=True)
+    if key.type == "switch":
+        return st.booleans()
+    if key.type == "integer":
+        return st.integers(int(key.low), int(key.high))
+    return st.floats(key.low, key.high)
+
+
+def table_of(keys: tuple[Key, ...], real: bool, **fixed: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any]]:
+    must, may = {}, {}
+    for key in keys:
+        each = one(key) if not key.count else st.lists(one(key), min_size=key.count, max_size=key.count)
+        required = key.required == "always" or (key.required == "real" and real)
+        (must if required else may)[key.name] = fixed.get(key.name, each)
+    return st.fixed_dictionaries(must, optional=may)
+
+
+@st.composite
+def variant_of(draw: st.DrawFn, variants: Any, real: bool, **more: st.SearchStrategy[Any]) -> dict[str, Any]:
+    kind = draw(st.sampled_from(sorted(variants)))
+    if kind == "plane":
+        normal = draw(st.sampled_from([(1, 0, 0), (0, -1.0, 0), (0, 0.6, 0.8)]))
+        values = {"normal": list(normal), "point_m": [-6.0 * each for each in normal]}
+    else:
+        values = draw(table_of(variants[kind], real))
+    return {"kind": kind, **values, **{name: draw(each) for name, each in more.items()}}
+
+
+@st.composite
+def arm_tables(draw: st.DrawFn, real: bool, side: float, host: str) -> dict[str, Any]:
+    near, tables = st.floats(-0.01, 0.01), {each.name: each for each in ARM_TABLES}
+    position = st.tuples(st.floats(-3, 3), st.floats(0.2, 3).map(lambda y: side * y), st.floats(0, 3)).map(list)
+    values = draw(table_of(ARM_KEYS, real, host=st.just(host), base_position_m=position))
+    if draw(st.booleans()):
+        values["gripper"] = draw(variant_of(tables["gripper"].variants, real))
+    if draw(st.booleans()):
+        values["limits"] = draw(table_of(tables["limits"].keys, real))
+    if draw(st.booleans()):
+        values["measured"] = draw(table_of(tables["measured"].keys, real))
+    if draw(st.booleans()):
+        lookahead = draw(st.floats(0.03, 0.2))
+        gain = draw(st.floats(min(2000.0, max(100.0, 1.001 * (0.6 / lookahead) ** 2)), 2000.0))
+        values["servoj"] = {"lookahead_s": lookahead, "gain": gain}
+    if draw(st.booleans()):
+        d = [each + draw(near) for each in ur10.DH_D_M.tolist()]
+        values["calibration"] = {
+            "d_m": d,
+            "checksum": draw(st.lists(st.integers(0, 2**32 - 1), min_size=6, max_size=6)),
+        }
+    return values
+
+
+@st.composite
+def contents(draw: st.DrawFn) -> dict[str, Any]:
+    real = draw(st.booleans())
+    tables = {each.name: each for each in CELL.tables}
+    values = draw(table_of(CELL.keys, real, kind=st.just("real" if real else "emulated")))
+    hosts = ("10.1.2.3", "192.168.0.7") if real else ("127.0.0.1", "127.9.8.7")
+    for name, side, host in zip(ur10.ARMS, (1.0, -1.0), hosts, strict=True):
+        values[name] = draw(arm_tables(real, side, host))
+    if not real:
+        values["emulator"] = draw(table_of(tables["emulator"].keys, real))
+    if draw(st.booleans()):
+        kinds = {name: keys for name, keys in tables["tracker"].variants.items() if not (real and name == "emulated")}
+        values["tracker"] = draw(variant_of(kinds, real))
+    count = draw(st.integers(0, 3))
+    if count:
+        obstacle = tables["obstacle"].variants
+        values["obstacle"] = [draw(variant_of(obstacle, real, name=st.just(f"o_{row}"))) for row in range(count)]
+    return values
+
+
+def holds(found: Any, given_: Any) -> bool:
+    """Whether everything that was given stands in what was found."""
+    if isinstance(given_, dict):
+        return all(holds(found.get(name, {}), each) for name, each in given_.items())
+    if isinstance(given_, list):
+        return len(found) == len(given_) and all(map(holds, found, given_))
+    return bool(found == given_)
+
+
+@settings(max_examples=scaled(2000), deadline=None, suppress_health_check=list(HealthCheck))
+@given(contents())
+def test_what_is_written_is_read_again(content: dict[str, Any]) -> None:
+    cell, findings = examine_text(toml_text(content))
+    assert findings == []
+    assert cell is not None
+    again, findings = examine_text(cell.text())
+    assert findings == []
+    assert again == cell
+    assert again.text() == cell.text()
+    assert again.sha256 == cell.sha256
+    assert holds(tomllib.loads(cell.text()), content)
+
+
+def test_the_hash_is_of_what_a_file_means(tmp_path: Path) -> None:
+    plain = loaded(tmp_path, GOOD)
+    again = loaded(tmp_path, "# a comment\r\n" + toml_text(GOOD).replace("\n", "\r\n").replace("= 0.5", "= 5e-1"))
+    assert (again, again.sha256) == (plain, plain.sha256)
+    assert examine_text(toml_text(GOOD), "elsewhere").cell == plain
+    assert loaded(tmp_path, edited(GOOD, left__base_yaw_rad=-0.0)) == loaded(
+        tmp_path, edited(GOOD, left__base_yaw_rad=0)
+    )
+    zeros = [loaded(tmp_path, edited(GOOD, left__base_yaw_rad=each)).sha256 for each in (-0.0, 0.0, 0)]
+    assert len(set(zeros)) == 1
+    assert loaded(tmp_path, edited(GOOD, left__payload_kg=1.3)).sha256 != plain.sha256
+    assert re.fullmatch("[0-9a-f]{64}", plain.sha256)
+
+
+def test_texts_are_toml_whatever_they_hold() -> None:
+    odd = {"a": 'q"\\\n\x7f\x00é😀', "b": [1e-7, 1e22, True], "c": [], "t": {"u": {"v": 1}}, "w": [{"x": 1}, {"x": 2}]}
+    assert tomllib.loads(toml_text(odd)) == odd
+    assert tomllib.loads(toml_text({"a": 1, "empty": {}})) == {"a": 1, "empty": {}}
+
+
+def test_what_is_made_by_hand_is_checked_too(tmp_path: Path) -> None:
+    cell = loaded(tmp_path, GOOD)
+    assert dataclasses.replace(cell, speed_factor=0.5).speed_factor == 0.5
+    with pytest.raises(CellFileError, match=r"lab\.toml: speed_factor is 2"):
+        dataclasses.replace(cell, speed_factor=2.0)
+    with pytest.raises(CellFileError, match=r"right\.host is 192\.168\.1\.10, as left\.host is"):
+        dataclasses.replace(cell, right=dataclasses.replace(cell.right, host="192.168.1.10"))
+
+
+# What is refused.
+
+BOX = {"name": "b", "kind": "box", "position_m": [0, 1.5, 0], "size_m": [1, 1, 1]}
+PLANE = {"name": "p", "kind": "plane", "point_m": [1, 0, 0], "normal": [-1, 0, 0]}
+REFUSED: list[tuple[dict[str, Any], tuple[str, ...]]] = [
+    # Types.
+    ({"speed_factor": True}, ("speed_factor is true", "a number, 0.05 to 1", "speed_factor = 0.25")),
+    ({"speed_factor": "0.5"}, ('speed_factor is "0.5"', "a number")),
+    ({"rt_priority": 1.0}, ("rt_priority is 1.0", "a whole number, 0 to 90")),
+    ({"rt_priority": False}, ("rt_priority is false",)),
+    ({"name": 3}, ("name is 3", "letters")),
+    ({"left": 3}, ("left is 3", "a table", "[left]")),
+    ({"left__servoj": [1]}, ("left.servoj is [1]", "[left.servoj]")),
+    ({"left__tcp_position_m": 0.1}, ("left.tcp_position_m is 0.1", "3 numbers, -1 to 1", "in brackets")),
+    ({"left__tcp_position_m": [0, 0]}, ("left.tcp_position_m is [0, 0]", "3 of them")),
+    ({"left__tcp_position_m": [0, 0, True]}, ("left.tcp_position_m[2] is true",)),
+    ({"left__serial_number": 2010300001}, ("left.serial_number is 2010300001", "in quotes")),
+    ({"left__calibration__checksum": [1, 2, 3, 4, 5, 1.5]}, ("left.calibration.checksum[5] is 1.5",)),
+    (
+        {"right__gripper": {"kind": "digital_output", "output": 1, "open_level": 1}},
+        ("open_level is 1", "true or false"),
+    ),
+    ({"obstacle": BOX}, ("obstacle is a table", "[[obstacle]]")),
+    ({"obstacle": [1]}, ("obstacle[0] is 1", "a table")),
+    ({"obstacle": [{**BOX, "name": f"b{i}"} for i in range(65)]}, ("obstacle is 65 tables", "at most 64")),
+    # Ranges.
+    ({"speed_factor": 0}, ("speed_factor is 0",)),
+    ({"speed_factor": 1.0001}, ("speed_factor is 1.0001",)),
+    ({"speed_factor": -0.1}, ("speed_factor is -0.1",)),
+    ({"rt_priority": 91}, ("rt_priority is 91", "0 to 90")),
+    ({"rt_priority": 10**400}, ("rt_priority is a very large number",)),
+    ({"speed_factor": 10**400}, ("speed_factor is a very large number",)),
+    ({"left__base_yaw_rad": 90}, ("left.base_yaw_rad is 90", "-6.28319 to 6.28319")),
+    ({"left__base_position_m": [-750, 600, 0]}, ("left.base_position_m[0] is -750", "-3 to 3")),
+    ({"left__base_uncertainty_m": -0.001}, ("left.base_uncertainty_m is -0.001",)),
+    ({"left__payload_kg": 10.5}, ("left.payload_kg is 10.5", "0 to 10")),
+    ({"left__servoj__gain": 5000}, ("left.servoj.gain is 5000", "100 to 2000")),
+    ({"left__servoj__lookahead_s": 0.3}, ("left.servoj.lookahead_s is 0.3", "0.03 to 0.2")),
+    ({"left__gripper": {"kind": "robotiq", "port": 65536}}, ("left.gripper.port is 65536",)),
+    ({"left__gripper": {"kind": "digital_output", "output": 18}}, ("left.gripper.output is 18", "0 to 17")),
+    # Only tighter than the hard limits.
+    ({"left__limits__speed_rad_s": 1.69}, ("left.limits.speed_rad_s is 1.69", "0.01 to 1.68", "hard limit", "2.51")),
+    ({"left__limits__acceleration_rad_s2": 10.1}, ("left.limits.acceleration_rad_s2 is 10.1", "to 10", "hard limit")),
+    ({"left__limits__jerk_rad_s3": 2001}, ("left.limits.jerk_rad_s3 is 2001", "to 2000", "hard limit")),
+    ({"right__limits__tcp_speed_m_s": 1.6}, ("right.limits.tcp_speed_m_s is 1.6", "to 1.5", "hard limit")),
+    ({"right__limits__tcp_speed_m_s": 0.0}, ("right.limits.tcp_speed_m_s is 0.0",)),
+    # Texts.
+    ({"kind": "reel"}, ('kind is "reel"', '"real" or "emulated"')),
+    ({"left__family": "e"}, ('left.family is "e"', '"cb3" or "e-series"')),
+    ({"name": "../etc"}, ('name is "../etc"',)),
+    ({"name": "a\nstopj(2)"}, ('name is "a\\nstopj(2)"',)),
+    ({"name": "a\n"}, ("name is",)),
+    ({"name": "x" * 65}, ("name is", "...")),
+    ({"left__serial_number": "20 1"}, ("left.serial_number is",)),
+    ({"task": "SyncCarry"}, ('task is "SyncCarry"', "DualUR10/SineTracking-v0")),
+    ({"left__host": "ur-left.lab"}, ('left.host is "ur-left.lab"', "names are not looked up")),
+    ({"left__host": "192.168.1.010"}, ("left.host is",)),
+    ({"left__host": "192.168.1.10:30004"}, ("left.host is",)),
+    ({"left__host": "::1"}, ("left.host is",)),
+    ({"left__host": "10.1"}, ("left.host is",)),
+    ({"left__host": "１０.0.0.1"}, ("left.host is",)),
+    # Keys.
+    ({"left__servoj": {"gian": 500}}, ("left.servoj.gian is no key", "Did you mean gain?", "lookahead_s, gain")),
+    ({"speedfactor": 0.2}, ("speedfactor is no key", "Did you mean speed_factor?")),
+    ({"left__gain": 500}, ("left.gain is no key", "Did you mean ARM.servoj.gain?", "[left]")),
+    ({"left__gripper": {"kind": "none", "port": 3}}, ("left.gripper.port is no key", 'kind = "robotiq" only')),
+    ({"obstacle": [{**BOX, "radius_m": 1}]}, ("obstacle[0].radius_m is no key", 'kind = "capsule" only')),
+    ({"obstacle": [{**PLANE, "include": "x"}]}, ("obstacle[0].include is no key",)),
+    ({"left__gripper": {"kind": "robot"}}, ('left.gripper.kind is "robot"', '"robotiq"')),
+    ({"left__gripper": {"kind": "digital_output"}}, ("left.gripper.output is missing", "output = 0")),
+    ({"left__gripper": {"kind": ["none"]}}, ("left.gripper.kind is",)),
+    ({"obstacle": [{"name": "b"}]}, ("obstacle[0].kind is missing", '"box" or "capsule" or "plane"')),
+    ({"obstacle": [{"name": "b", "kind": "box", "size_m": [1, 1, 1]}]}, ("obstacle[0].position_m is missing",)),
+    ({"tracker": {"kind": "given"}}, ("tracker.position_m is missing",)),
+    ({"kind": DELETE}, ("kind is missing", 'kind = "real"')),
+    ({"right": DELETE}, ("right is missing", "two arms", "[right]")),
+    ({"left__host": DELETE}, ("left.host is missing",)),
+    # What the file of a real cell has to say.
+    *[
+        ({f"left__{name}": DELETE}, (f"left.{name} is missing", "the file of a real cell"))
+        for name in sorted({*ARM, "base_position_m"} - {"base_uncertainty_m"})
+    ],
+    ({"speed_factor": DELETE}, ("speed_factor is missing", "the file of a real cell")),
+    # What does not fit together.
+    ({"left__host": "127.0.0.1"}, ("left.host is 127.0.0.1", 'kind = "real"', "no robot")),
+    ({"right__host": "127.4.5.6"}, ("right.host is 127.4.5.6", "no robot")),
+    ({"right__host": "0.0.0.0"}, ("right.host is 0.0.0.0", "no single machine")),
+    ({"right__host": "224.0.0.1"}, ("right.host is 224.0.0.1", "no single machine")),
+    ({"right__host": "255.255.255.255"}, ("right.host is 255.255.255.255", "no single machine")),
+    ({"kind": "emulated"}, ("left.host is 192.168.1.10", 'kind = "emulated"', "127.0.0.0/8")),
+    ({"right__host": "192.168.1.10"}, ("right.host is 192.168.1.10, as left.host is", "of its own")),
+    ({"left__servoj__gain": 100}, ("left.servoj.gain is 100", "damping 0.15", "0.3", "a gain of 400")),
+    ({"left__base_position_m": [-0.75, -0.5, 0.0]}, ("left.base_position_m and right", "0.100 m apart", "0.3 m")),
+    ({"left__base_position_m": [0, 0.6, -0.2]}, ("left.base_position_m", "inside the table")),
+    ({"left__base_position_m": [-2, 0.6, -0.8]}, ("left.base_position_m", "floor")),
+    (
+        {"left__calibration": {"a_m": [0, -0.425, -0.39225, 0, 0, 0]}},
+        ("left.calibration: DH parameter a_m[1] is -0.425", "another robot"),
+    ),
+    ({"emulator": {"port": 4000}}, ("emulator is in the file of a real cell", 'kind = "emulated"')),
+    ({"tracker": {"kind": "emulated"}}, ('tracker.kind is "emulated"', "[emulator]")),
+    ({"obstacle": [BOX, PLANE, {**PLANE, "name": "b"}]}, ("obstacle[2].name is 'b', as that of obstacle[0]",)),
+    ({"obstacle": [{**PLANE, "normal": [-1, -1, 0]}]}, ("obstacle[0].normal has the length 1.41421", "allowed is 1")),
+    ({"obstacle": [{**PLANE, "normal": [0, 0, 0]}]}, ("obstacle[0].normal has the length 0",)),
+    ({"obstacle": [{**PLANE, "normal": [1, 0, 0]}]}, ("obstacle[0].normal points away from the left base", "1.75 m")),
+]
+
+
+@pytest.mark.parametrize(("edits", "words"), REFUSED, ids=lambda each: "-".join(each)[:50] if each else "")
+def test_what_is_not_legal_is_refused(tmp_path: Path, edits: dict[str, Any], words: tuple[str, ...]) -> None:
+    assert loaded(tmp_path, GOOD).kind == "real"
+    text = refused(tmp_path, edited(GOOD, **edits))
+    for word in words:
+        assert word in text
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf", "+nan", "1e999", "1979-05-27", "07:32:00"])
+@pytest.mark.parametrize("line", ["payload_kg = 1.2", "base_yaw_rad = 0.5", "speed_factor = 0.25"])
+def test_what_is_no_finite_number_is_refused(tmp_path: Path, line: str, value: str) -> None:
+    name = line.split()[0]
+    text = toml_text(GOOD).replace(line, f"{name} = {value}")
+    assert f"{name} is " in refused(tmp_path, text)
+    text = toml_text(GOOD).replace("[0.0, 0.0, 0.17]", f"[0.0, {value}, 0.17]")
+    assert "left.tcp_position_m[1] is " in refused(tmp_path, text)
+
+
+def test_an_emulated_tracker_needs_an_emulator(tmp_path: Path) -> None:
+    assert "[emulator]" in refused(tmp_path, edited(SMALL, tracker={"kind": "emulated"}))
+
+
+def test_all_findings_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "lab.toml"
+    path.write_text(toml_text(edited(GOOD, speed_factor=7, left__hots="x", right__payload_kg=-1)))
+    cell, findings = module.examine(path)
+    assert cell is None
+    assert [each.split()[0] for each in findings] == ["speed_factor", "left.hots", "right.payload_kg"]
+    with pytest.raises(CellFileError, match=r"lab\.toml: speed_factor is 7.*\(2 more: .*cell check"):
+        load_cell_file(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "kind is missing"),
+        (b"kind = 'real'\nkind = 'real'\n", "no TOML"),
+        (b"import os\n", "no TOML"),
+        (b"\xff\xfe", "no text in UTF-8"),
+        (b"\x00", "no TOML"),
+        (b"a = " + b"[" * 60_000, "no TOML"),
+        (b"a = " + b"9" * 60_000, "no TOML"),
+        (b"a" + b".a" * 30_000 + b" = 1", "line 1 has 30000 dots"),
+        (b"\n[" + b'"a". ' * 13_000 + b"a]", "line 2 has 13000 dots"),
+        (b"# " + b"x" * 65_536, "longer than 65536 bytes"),
+        (b"kind = " + b"[" * 150 + b"]" * 150, "kind is [[[[...]]]]"),
+        (b'"\\u001b[31m\\n" = 1', "is no key"),
+        (b'"\\u007f\\u202e\\U0001F600" = 1', "is no key"),
+        (b'kind = "\\u007f\\u202e\\U0001F600"', "kind is"),
+        (b'kind = "emulated"\nleft = {"' + b"k" * 60_000 + b'" = 1}', "..."),
+    ],
+    ids=lambda each: repr(each[:20]),
+)
+def test_hostile_files_are_refused(tmp_path: Path, content: bytes, words: str) -> None:
+    text = refused(tmp_path, content)
+    assert words in text
+    assert text.isprintable()
+
+
+def test_the_largest_file_is_read(tmp_path: Path) -> None:
+    text = toml_text(GOOD)
+    assert loaded(tmp_path, text + "#" * (65_536 - len(text))).kind == "real"
+    refused(tmp_path, text + "#" * (65_537 - len(text)))
+
+
+def test_what_is_no_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(CellFileError, match=r"no cell file .*none\.toml.*cell new"):
+        load_cell_file(tmp_path / "none.toml")
+    with pytest.raises(CellFileError, match="no regular file"):
+        load_cell_file(tmp_path)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(CellFileError, match="no regular file"):
+        load_cell_file(tmp_path / "pipe")
+    with pytest.raises(CellFileError):
+        load_cell_file("a\0b")
+    (tmp_path / "round").symlink_to(tmp_path / "round")
+    with pytest.raises(CellFileError):
+        load_cell_file(tmp_path / "round")
+    with pytest.raises(CellFileError):
+        load_cell_file(tmp_path / ("x" * 5000))
+
+
+ODD = ["nan", "-inf", "true", "''", '"x"', "[]", "{}", "[[]]", "1e400", "-0.0", "0x10", "1_0", "1979-05-27", "9" * 400]
+
+
+def mutated(text: str, chance: random.Random) -> str:
+    for _ in range(chance.randint(1, 4)):
+        lines = text.split("\n")
+        row, other = chance.randrange(len(lines)), chance.randrange(len(lines))
+        way = chance.randrange(6)
+        if way == 0 and text:
+            at = chance.randrange(len(text))
+            text = text[:at] + chance.choice('[]{}="\\\n.#,-0a\x00\x1bé😀') + text[at + chance.randint(0, 3) :]
+        elif way == 1:
+            del lines[row]
+            text = "\n".join(lines)
+        elif way == 2:
+            lines[row], lines[other] = lines[other], lines[row]
+            text = "\n".join(lines)
+        elif way == 3 and " = " in lines[row]:
+            lines[row] = f"{lines[row].split(' = ')[0]} = {chance.choice(ODD)}"
+            text = "\n".join(lines)
+        elif way == 4 and " = " in lines[row] and " = " in lines[other]:
+            lines[row] = f"{lines[row].split(' = ')[0]} = {lines[other].split(' = ')[1]}"
+            text = "\n".join(lines)
+        elif way == 5:
+            text = text[: chance.randrange(len(text) + 1)] + text[chance.randrange(len(text) + 1) :]
+    return text
+
+
+def test_mutated_texts_are_refused_or_right() -> None:
+    extra = re.sub("^# ?", "", EXAMPLES.split("\n", 1)[1], flags=re.MULTILINE)
+    texts = [toml_text(GOOD) + extra, toml_text(SMALL), starting_text("emulated")]
+    chance, right = random.Random(0), 0
+    for count in range(scaled(10_000)):
+        text = mutated(texts[count % 3], chance)
+        try:
+            cell, findings = examine_text(text)
+            if cell is not None:
+                right += 1
+                assert examine_text(cell.text()) == (cell, [])
+                cell.config()
+            assert (cell is None) == bool(findings)
+            assert all(each.isprintable() for each in findings)
+        except CellFileError:
+            continue
+    assert 0 < right < scaled(10_000) // 2
+
+
+# What it is for the rest of the package.
+
+
+def test_its_configuration_has_mounts_servoj_and_caps(tmp_path: Path) -> None:
+    edits: dict[str, Any] = {}
+    for arm in ur10.ARMS:
+        edits |= {f"{arm}__family": "e-series", f"{arm}__servoj": {"lookahead_s": 0.1, "gain": 300}}
+    edits |= {"left__limits": {"speed_rad_s": 0.5, "tcp_speed_m_s": 0.4}, "right__limits": {"tcp_speed_m_s": 0.25}}
+    edits |= {"left__calibration": {"theta_rad": [1e-3, 0, 0, 0, 0, 0]}, "right__tcp_position_m": [0.0, 0.1, 0.2]}
+    cell = loaded(tmp_path, edited(GOOD, **edits))
+    config = cell.config()
+    assert config.servoj == ServojProfile("e-series", 0.1, 300.0)
+    assert (config.left, config.right) == (cell.left.mount, cell.right.mount)
+    assert config.left.dh.theta_rad[0] == 1e-3
+    assert (config.speed_rad_s, config.tcp_speed_m_s) == (0.5, 0.25)
+    assert config.tcp_m == (tuple(GOOD["left"]["tcp_position_m"]), (0.0, 0.1, 0.2))
+    assert config.capped(MotionLimits()).tcp_m == config.tcp_m
+    assert loaded(tmp_path, edited(GOOD, commissioned=True)).config().speed_rad_s is None
+
+
+def test_hands_that_are_mounted_are_measured_whatever_the_task_needs(tmp_path: Path) -> None:
+    hand = {"right__gripper": {"kind": "digital_output", "output": 16}}
+    bare, handy = (loaded(tmp_path, edited(GOOD, **edits)) for edits in ({}, hand))
+    assert not bare.config().hands
+    assert handy.config().hands
+    assert handy.simulated().hands
+    looked_at = []
+    for cell in (bare, handy):
+        env = DualArmEnv("SineTracking", cell=cell.simulated())
+        assert env.action_space.shape == (12,)  # nothing that it could open or close
+        looked_at.append({pair for pair in env.core._clearance.pairs if {"left/fingers", "right/palm"} & set(pair)})
+        env.close()
+    assert not looked_at[0]
+    assert ("right/palm", "table") in looked_at[1]
+    low: dict[str, Any] = {"axis": "z", "center_m": ((0.0, 0.6, 0.3), (0.0, -0.6, 0.3))}
+    DualArmEnv("SineTracking", cell=bare.simulated(), **low).close()
+    with pytest.raises(SettingsError, match=r"sine's path .*/fingers and table come as close as"):
+        DualArmEnv("SineTracking", cell=handy.simulated(), **low)
+
+
+def test_a_real_cell_is_as_slow_as_in_first_runs_until_somebody_has_signed(tmp_path: Path) -> None:
+    limits = {"speed_rad_s": 1.5, "tcp_speed_m_s": 1.0}
+    fast = edited(GOOD, left__limits=limits, right__limits=limits)
+    for values in (GOOD, fast):
+        config = loaded(tmp_path, values).config()
+        assert (config.speed_rad_s, config.tcp_speed_m_s) == (0.5, 0.25)
+        assert (config.acceleration_rad_s2, config.jerk_rad_s3) == (None, None)
+    tight = loaded(tmp_path, edited(GOOD, right__limits={"speed_rad_s": 0.1, "tcp_speed_m_s": 0.05})).config()
+    assert (tight.speed_rad_s, tight.tcp_speed_m_s) == (0.1, 0.05)
+    signed = loaded(tmp_path, edited(fast, commissioned=True)).config()
+    assert (signed.speed_rad_s, signed.tcp_speed_m_s) == (1.5, 1.0)
+    emulated = loaded(tmp_path, SMALL).config()
+    assert (emulated.speed_rad_s, emulated.tcp_speed_m_s) == (None, None)
+
+
+def test_notes_name_limits_that_are_not_those_of_first_runs(tmp_path: Path) -> None:
+    edits = {"left__limits": {"speed_rad_s": 0.6, "tcp_speed_m_s": 0.25}, "commissioned": True}
+    notes = [each for each in loaded(tmp_path, edited(GOOD, **edits)).notes() if "limits" in each]
+    assert notes == [
+        "left.limits.speed_rad_s is 0.6: first runs are made at 0.5 rad/s",
+        "right.limits.speed_rad_s is not said: first runs are made at 0.5 rad/s",
+        "right.limits.tcp_speed_m_s is not said: first runs are made at 0.25 m/s",
+    ]
+    text = "\n".join(loaded(tmp_path, GOOD).notes())
+    assert "commissioned is false: no arm exceeds 0.5 rad/s and 0.25 m/s" in text
+
+
+def test_what_was_measured_is_used_for_compensation_and_for_its_simulation(tmp_path: Path) -> None:
+    bare = loaded(tmp_path, GOOD)
+    assert bare.config().measured_lookahead_s is None
+    assert bare.simulated() == dataclasses.replace(bare.config(), kind="mujoco", file=None)
+    edits: dict[str, Any] = {"left__measured": {"lookahead_s": 0.036, "latency_s": 0.004}}
+    one = loaded(tmp_path, edited(GOOD, **edits))
+    assert one.config().measured_lookahead_s == pytest.approx((0.036 + 0.03) / 2)
+    assert one.config().perturbation == Perturbation()
+    edits |= {"right__measured": {"lookahead_s": 0.045, "latency_s": 0.3}}
+    cell = loaded(tmp_path, edited(GOOD, **edits))
+    assert cell.config().measured_lookahead_s == pytest.approx(0.0405)
+    found = cell.simulated()
+    assert (found.kind, found.file, found.measured_lookahead_s) == ("mujoco", None, cell.config().measured_lookahead_s)
+    assert found.perturbation.lookahead_scale == pytest.approx((1.2, 1.5))
+    assert found.perturbation.latency_s == (0.004, 0.2)  # the most that a simulation takes
+
+
+def test_the_environment_takes_out_the_lag_that_was_measured(tmp_path: Path) -> None:
+    edits = {"left__measured": {"lookahead_s": 0.05}, "speed_factor": 1.0, "commissioned": True}
+    cell = loaded(tmp_path, edited(GOOD, **edits)).simulated()
+    env = DualArmEnv("SineTracking", cell=cell)
+    law = env.core.pipeline.adapter._law
+    assert (law.lookahead_s, law.gain) == (0.04, cell.servoj.gain)
+    env.close()
+
+
+@pytest.mark.parametrize("value", [0.0, 0.6, float("nan"), "x"])
+def test_a_measured_lookahead_has_bounds(value: Any) -> None:
+    with pytest.raises(SettingsError, match="measured_lookahead_s of the cell is"):
+        CellConfig(measured_lookahead_s=value)
+
+
+def test_the_tighter_limits_of_both_arms_hold(tmp_path: Path) -> None:
+    tight = {"left__limits": {"speed_rad_s": 0.5, "jerk_rad_s3": 100}, "right__limits": {"acceleration_rad_s2": 3}}
+    cell = loaded(tmp_path, edited(GOOD, **tight, right__limits__jerk_rad_s3=90, speed_factor=1.0, commissioned=True))
+    upper = (1.0,) * 6
+    found = cell.config().capped(MotionLimits(tcp_speed_m_s=1.2, upper_rad=upper))
+    assert found.speed_rad_s == (0.5,) * 6
+    assert (found.acceleration_rad_s2, found.jerk_rad_s3, found.tcp_speed_m_s) == (3.0, 90.0, 1.2)
+    assert found.upper_rad == upper
+    hard = MotionLimits()
+    bare = edited(SMALL, left__family="cb3")
+    assert loaded(tmp_path, bare).config().capped(hard) == hard
+    np.testing.assert_array_equal(hard.speed_rad_s, ur10.HARD_SPEED_RAD_S)
+
+
+@pytest.mark.parametrize(
+    ("edits", "words"),
+    [
+        ({"right__family": "e-series"}, r"right\.family is 'e-series' and left\.family is 'cb3'"),
+        ({"right__servoj__gain": 1000}, r"right\.servoj\.gain is 1000.* and left\.servoj\.gain is 2000"),
+        (
+            {"left__servoj__lookahead_s": 0.1},
+            r"right\.servoj\.lookahead_s is 0.03 and left\.servoj\.lookahead_s is 0.1",
+        ),
+    ],
+)
+def test_arms_that_differ_are_refused_for_now(tmp_path: Path, edits: dict[str, Any], words: str) -> None:
+    cell = loaded(tmp_path, edited(GOOD, **edits))
+    with pytest.raises(CellFileError, match=rf"lab\.toml: {words}.*both arms need the same"):
+        cell.config()
+
+
+def test_notes_name_what_a_real_cell_leaves_open(tmp_path: Path) -> None:
+    text = "\n".join(loaded(tmp_path, edited(GOOD, speed_factor=0.5)).notes())
+    for word in (
+        "left.calibration is",
+        "right.calibration.checksum",
+        "left.serial_number",
+        "left.safety_checksum",
+        "speed_factor is 0.5",
+    ):
+        assert word in text
+    sure: dict[str, Any] = {}
+    for arm in ur10.ARMS:
+        sure |= {f"{arm}__serial_number": "1", f"{arm}__safety_checksum": 1, f"{arm}__base_uncertainty_rad": 0.01}
+        sure |= {f"{arm}__calibration": {"theta_rad": [1e-4, 0, 0, 0, 0, 0], "checksum": [1] * 6}}
+        sure |= {f"{arm}__limits": {"speed_rad_s": 0.5, "tcp_speed_m_s": 0.25}}
+    sure |= {"commissioned": True}
+    (note,) = loaded(tmp_path, edited(GOOD, **sure, right__gripper={"kind": "robotiq"})).notes()
+    assert note.startswith("left.tcp_position_m is not at the flange and left.gripper is none: ")
+    sure |= {f"{arm}__gripper": {"kind": "robotiq"} for arm in ur10.ARMS}
+    assert loaded(tmp_path, edited(GOOD, **sure)).notes() == []
+    assert loaded(tmp_path, SMALL).notes() == []
+
+
+# The file to begin with, and the documents.
+
+
+@pytest.mark.parametrize("kind", ["real", "emulated"])
+@pytest.mark.parametrize("family", ["cb3", "e-series"])
+def test_the_file_to_begin_with_is_legal_and_slow(tmp_path: Path, kind: Any, family: str) -> None:
+    hosts = ("10.0.0.1", "10.0.0.2") if kind == "real" else (None, None)
+    text = starting_text(kind, *hosts, family=family, task=ENV_IDS[1])
+    cell = loaded(tmp_path, text)
+    assert (cell.kind, cell.left.family, cell.right.family, cell.task) == (kind, family, family, ENV_IDS[1])
+    assert cell.speed_factor == 0.25
+    assert (cell.config().speed_rad_s, cell.config().tcp_speed_m_s) == (0.5, 0.25)
+    assert all(line.startswith("#") for line in text[text.index(EXAMPLES) :].splitlines())
+    explained = text[text.index("[left]") : text.index("[right]")].splitlines()
+    assert all("  # " in line for line in explained if " = " in line)
+    # The examples below are legal, too.
+    extra = re.sub("^# ?", "", EXAMPLES.split("\n", 1)[1], flags=re.MULTILINE)
+    more = loaded(tmp_path, text + extra)
+    assert [each.kind for each in more.obstacles] == ["plane", "box", "capsule"]
+    assert more.tracker == AttachedTracker(position_m=(0.0, 0.0, 0.17))
+
+
+def test_a_real_cell_needs_addresses() -> None:
+    with pytest.raises(CellFileError, match=r"the address of the right arm is missing.*--right"):
+        starting_text("real", "10.0.0.1")
+    with pytest.raises(CellFileError, match=r"x\.toml: left\.host is 127\.0\.0\.1"):
+        starting_text("real", "127.0.0.1", "10.0.0.2", source="x.toml")
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    write_new(path, "first")
+    for name in ("a.toml", "link.toml", "dangling.toml"):
+        if name == "link.toml":
+            (tmp_path / name).symlink_to(path)
+        if name == "dangling.toml":
+            (tmp_path / name).symlink_to(tmp_path / "elsewhere")
+        with pytest.raises(CellFileError, match="exists: it was left as it is"):
+            write_new(tmp_path / name, "second")
+    assert path.read_text() == "first"
+    assert not (tmp_path / "elsewhere").exists()
+    with pytest.raises(DualUR10Error, match="does not exist"):
+        write_new(tmp_path / "none" / "a.toml", "x")
+    with pytest.raises(DualUR10Error):
+        write_new(tmp_path, "x")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a full disk")
+def test_a_full_disk_leaves_no_half_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, real_open = tmp_path / "a.toml", Path.open
+
+    def full(self: Path, *arguments: Any, **keywords: Any) -> Any:
+        real_open(self, *arguments, **keywords).close()
+        return Path("/dev/full").open("w", buffering=1)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            type(path), "open", lambda self, *a, **k: full(self, *a, **k) if self == path else real_open(self, *a, **k)
+        )
+        with pytest.raises(DualUR10Error, match="cannot write"):
+            write_new(path, "text\n")
+    assert not path.exists()
+
+
+def test_every_sample_is_legal() -> None:
+    for path, key in rows():
+        value = tomllib.loads(key.sample)[key.name]
+        many = value if key.count else [value]
+        assert len(many) == max(1, key.count), path
+        for each in many:
+            if key.type in ("number", "integer"):
+                assert key.low <= each <= key.high, path
+                assert math.isfinite(key.low) and math.isfinite(key.high), path  # noqa: PT018
+            elif key.choices:
+                assert each in key.choices, path
+
+
+def test_units_are_in_the_names() -> None:
+    bare = {"kind", "name", "task", "speed_factor", "rt_priority", "host", "family", "serial_number", "port", "pid"}
+    bare |= {
+        "commissioned",
+        "allow_reduced_mode",
+        "output",
+        "open_level",
+        "gain",
+        "checksum",
+        "safety_checksum",
+        "arm",
+        "normal",
+    }  # numbers without a unit, and texts
+    for path, key in rows():
+        assert key.name in bare or re.search(r"_(m|rad|kg|s|s2|s3)$", key.name), path
+
+
+def row_of(path: str, key: Key) -> str:
+    default = "—" if key.default is None else f"`{toml_text({'x': key.default}).removeprefix('x = ').strip()}`"
+    needed = {"always": "yes", "real": "if real", "": "no"}[key.required]
+    name, space, kind = path.partition(" ")
+    return f"| `{name}`{space}{kind} | {key.meaning} | {key.allowed} | {needed} | {default} |"
+
+
+def test_the_documents_list_every_key() -> None:
+    text = (ROOT / "docs" / "cell_file.md").read_text()
+    found = [line for line in text.splitlines() if line.startswith("| `")]
+    assert found == [row_of(path, key) for path, key in rows()]
+
+
+def test_the_documents_example_is_legal(tmp_path: Path) -> None:
+    blocks = re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / "cell_file.md").read_text(), re.DOTALL)
+    assert blocks
+    for block in blocks:
+        assert loaded(tmp_path, block).kind == "real"
+
+
+def test_the_error_is_a_settings_error() -> None:
+    assert issubclass(CellFileError, SettingsError)

@@ -1,0 +1,103 @@
+"""What the safety tests share: adversarial actions, and limits checked from their definition."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dual_ur10.kinematics import flange_pose
+from dual_ur10.kinematics.ur10 import DH_A_M, DH_D_M
+from dual_ur10.sim2real.control.limits import MotionLimits
+
+HARD = MotionLimits()
+TIGHT = MotionLimits(speed_rad_s=0.5, acceleration_rad_s2=4.0, jerk_rad_s3=200.0, tcp_speed_m_s=0.25)
+NARROW = MotionLimits(
+    speed_rad_s=(0.9, 0.6, 1.1, 2.0, 2.5, 0.3),
+    acceleration_rad_s2=7.0,
+    jerk_rad_s3=600.0,
+    tcp_speed_m_s=0.7,
+    lower_rad=(-1.0, -2.2, 0.9, -3.0, -2.5, 0.4),
+    upper_rad=(0.7, -0.9, 2.6, -1.1, -0.6, 2.2),
+)
+TOOL = MotionLimits(
+    speed_rad_s=1.2, tcp_speed_m_s=0.25, tcp_m=((0.02, -0.03, 0.19), (0.0, 0.25, 0.1))
+)  # tools that are faster than their flanges
+
+ACTION_KINDS = ("huge", "alternating", "denormal", "zero", "random", "constant", "steps", "float32", "sine")
+
+
+class AlwaysClear:
+    """Stands for `Clearance` where only the limits matter."""
+
+    def spare_m(self, q_rad: np.ndarray) -> np.ndarray:
+        return np.ones((len(q_rad), 1))
+
+    def spare_of_balls_m(self) -> np.ndarray:
+        return np.ones((1, 1))
+
+    def travel_m(self, way_rad: np.ndarray) -> np.ndarray:
+        return np.zeros((len(way_rad), 1))
+
+
+def adversarial_action(kind: str, period: int, rng: np.random.Generator, size: tuple[int, ...]) -> np.ndarray:
+    if kind == "huge":
+        return rng.choice([-1e9, 1e9], size)
+    if kind == "alternating":
+        return np.full(size, 1.0 if period % 2 else -1.0)
+    if kind == "denormal":
+        return rng.choice([-5e-324, 5e-324, 1e-310, -0.0], size)
+    if kind == "zero":
+        return np.zeros(size)
+    if kind == "random":
+        return rng.uniform(-1.0, 1.0, size)
+    if kind == "constant":
+        return np.broadcast_to(np.random.default_rng(size[0]).uniform(-3.0, 3.0, size[1:]), size).copy()
+    if kind == "steps":
+        return np.broadcast_to(rng.uniform(-6.0, 6.0, size[1:]) if period % 13 < 2 else np.zeros(size[1:]), size).copy()
+    if kind == "float32":
+        return rng.normal(0.0, 2.0, size).astype(np.float32)
+    return np.sin(period * 0.3 + np.arange(np.prod(size)).reshape(size)) * 1.3
+
+
+def elbow_position(q_rad: np.ndarray) -> np.ndarray:
+    reach = DH_A_M[1] * np.cos(q_rad[..., 1])
+    height = DH_D_M[0] + DH_A_M[1] * np.sin(q_rad[..., 1])
+    return np.stack([np.cos(q_rad[..., 0]) * reach, np.sin(q_rad[..., 0]) * reach, height], axis=-1)
+
+
+def tip_speed(sent: np.ndarray, tick_s: float, tcp_m: object = ((0, 0, 0), (0, 0, 0))) -> np.ndarray:
+    """(n, t - 1) largest speed of both arms' elbows, flanges and tool centre points over (n, t, 2, 6) targets."""
+    position, rotation = flange_pose(sent)
+    tool = position + np.einsum("ntaij,aj->ntai", rotation, np.asarray(tcp_m))
+    points = np.stack([elbow_position(sent), position, tool])
+    moved = np.linalg.norm(np.diff(points, axis=2), axis=-1) / tick_s
+    return moved.max(axis=(0, 3))
+
+
+def worst_use(sent: np.ndarray, limits: MotionLimits, tick_s: float) -> dict[str, float]:
+    """Largest used share of each limit over (n, t, 2, 6) targets; of the position's, the excess in rad plus 1."""
+    speed = np.diff(sent, axis=1) / tick_s
+    acceleration = np.diff(speed, axis=1) / tick_s
+    jerk = np.diff(acceleration, axis=1) / tick_s
+    beyond = np.maximum(sent - limits.upper_rad, np.asarray(limits.lower_rad) - sent).max()
+    return {
+        "speed": float((np.abs(speed) / limits.speed_rad_s).max()),
+        "acceleration": float(np.abs(acceleration).max() / limits.acceleration_rad_s2),
+        "jerk": float(np.abs(jerk).max() / limits.jerk_rad_s3),
+        "position": 1.0 + float(beyond),
+        "tip": float(tip_speed(sent, tick_s, limits.tcp_m).max() / limits.tcp_speed_m_s),
+    }
+
+
+def assert_within(sent: np.ndarray, limits: MotionLimits, tick_s: float, tolerance: float = 1e-9) -> None:
+    used = worst_use(sent, limits, tick_s)
+    assert max(used.values()) <= 1.0 + tolerance, used
+
+
+def braked(last_three: np.ndarray, limits: MotionLimits, tick_s: float) -> np.ndarray:
+    """(n, t, 2, 6) the three targets and the brake after them, by its definition, until it has all but stopped."""
+    ratio = np.exp(-limits.brake_rate() * tick_s)
+    sent = list(np.moveaxis(last_three, 1, 0))
+    for _ in range(int(12.0 / (limits.brake_rate() * tick_s)) + 10):
+        speed, before = sent[-1] - sent[-2], sent[-2] - sent[-3]
+        sent.append(sent[-1] + 2 * ratio * speed - ratio**2 * before)
+    return np.stack(sent, axis=1)

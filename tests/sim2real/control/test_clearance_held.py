@@ -1,0 +1,106 @@
+"""What hands hold is part of the model that the safety gate measures by."""
+
+import dataclasses
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+import pytest
+
+from dual_ur10 import policies
+from dual_ur10.assets import held, scene
+from dual_ur10.assets.obstacles import Capsule
+from dual_ur10.assets.props import prop_size_m
+from dual_ur10.assets.scene import HOME_Q_RAD, Equipment, SceneSettings
+from dual_ur10.envs.tasks.handover.settings import GRIPS
+from dual_ur10.envs.tasks.poses import Poses
+from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
+from dual_ur10.kinematics.rotations import quat_to_matrix
+from dual_ur10.kinematics.ur10 import ARMS, LINKS
+from dual_ur10.sim2real.config.cell import CellConfig
+from tests.sim2real.control.reference_cell import random_q, segment
+
+PROPS = {prop: SceneSettings(equipment=Equipment(grippers=True, prop=prop)) for prop in ("bar", "block")}
+EMPTY = SceneSettings(equipment=Equipment(grippers=True))
+ROD = Capsule(name="rod", from_m=(-0.6, 0.0, 0.25), to_m=(0.6, 0.0, 0.25), radius_m=0.01)
+GRIPS_OF = [("bar", CarrySettings(grasp=grasp).grip) for grasp in ("rigid", "friction")]
+GRIPS_OF += [("block", grips) for grips in GRIPS]
+
+
+@pytest.mark.parametrize("prop", PROPS)
+def test_pairs(prop):
+    pairs = scene.clearance_pairs(PROPS[prop])
+    twin = scene.build_clearance_model(PROPS[prop])
+    bare = scene.clearance_pairs(EMPTY)
+    assert pairs == bare + held.PAIRS
+    assert [twin.sensor(i).name for i in range(twin.nsensor)] == [":".join(pair) for pair in pairs]
+    near = scene.clearance_pairs(dataclasses.replace(PROPS[prop], obstacles=(ROD,)))
+    assert near[: len(pairs)] == pairs
+    assert {f"{arm}/held" for arm in ARMS} <= {first for first, _ in near[len(pairs) :]}
+
+
+@pytest.mark.parametrize(("prop", "grips"), GRIPS_OF)
+@pytest.mark.parametrize("arm", [0, 1])
+def test_it_is_where_the_prop_is_when_it_is_gripped(prop: str, grips: Poses, arm: int):
+    """Inside it, to its ends, or of the bar to its middle, and with all corners near."""
+    model = scene.build_model(PROPS[prop])
+    twin = scene.build_clearance_model(PROPS[prop])
+    data, cell = mujoco.MjData(twin), mujoco.MjData(model)
+    data.qpos[:] = HOME_Q_RAD.ravel()
+    cell.qpos[: model.nq - 7] = np.pad(HOME_Q_RAD, ((0, 0), (0, 2))).ravel()
+    mujoco.mj_kinematics(twin, data)
+    mujoco.mj_kinematics(model, cell)
+    tool = cell.site(f"{ARMS[arm]}/tcp")
+    grip = quat_to_matrix(grips.quat[arm])
+    half = np.array(prop_size_m(prop)) / 2
+    long = int(half.argmax())
+    geom = twin.geom(f"{ARMS[arm]}/held").id
+    line = (segment(twin, data, geom, 101) - tool.xpos) @ tool.xmat.reshape(3, 3)
+    in_prop = line @ grip.T + grips.position_m[arm]
+    radius = twin.geom_size[geom, 0]
+    across = np.delete(np.abs(in_prop), long, axis=1) + radius
+    assert (across <= np.delete(half, long) + 0.0061).all()  # the grip is that much before the middle
+    low, high = in_prop[:, long].min() - radius, in_prop[:, long].max() + radius
+    ends = (-half[long], half[long])
+    if prop == "bar":
+        ends = (0.0, half[long]) if arm == 0 else (-half[long], 0.0)
+    assert (low, high) == pytest.approx(ends, abs=1e-6)
+
+
+@pytest.mark.parametrize("prop", PROPS)
+def test_what_it_can_meet_is_measured(prop):
+    """But for the other hand's fingers, which take it, and what the other hand holds, which is the same."""
+    twin = scene.build_clearance_model(PROPS[prop])
+    data = mujoco.MjData(twin)
+    measured = set(held.PAIRS)
+    fromto = np.zeros(6)
+    parts = ("base_link", *LINKS, "palm")
+    seen = set()
+    for q in random_q(np.random.default_rng(0), 3000):
+        data.qpos[:] = q.ravel()
+        mujoco.mj_kinematics(twin, data)
+        for arm in ARMS:
+            thing = twin.geom(f"{arm}/held").id
+            for other in (f"{each}/{part}" for each in ARMS for part in parts):
+                if mujoco.mj_geomDistance(twin, data, thing, twin.geom(other).id, 0.02, fromto) < 0.01:
+                    seen.add((f"{arm}/held", other))
+    assert seen <= measured
+    assert {(f"{arm}/held", f"{arm}/forearm_link") for arm in ARMS} <= seen
+
+
+def test_the_bar_is_not_lifted_against_what_is_above_its_middle():
+    """Both hands are half a metre away from it."""
+    settings = {"action_latency_ticks": 5, "cell": CellConfig(obstacles=(ROD,))}
+    env = gym.make("DualUR10/SyncCarry-v0", **settings)
+    policy = policies.load("scripted", "DualUR10/SyncCarry-v0", **settings)
+    observation, _ = env.reset(seed=0)
+    over = False
+    while not over:
+        observation, _, terminated, truncated, info = env.step(policy(observation))
+        over = terminated or truncated
+    assert terminated
+    assert "held and obstacle/rod" in info["safety"].subject
+    model, data = env.unwrapped.core.cell_data(0)
+    fromto = np.zeros(6)
+    away = mujoco.mj_geomDistance(model, data, model.geom("bar").id, model.geom("obstacle/rod").id, 1.0, fromto)
+    assert away > 0.015

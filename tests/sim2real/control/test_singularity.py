@@ -1,0 +1,131 @@
+"""Cartesian steps become smaller towards a singularity, end before it, and lead away from it at full speed."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from dual_ur10.assets.scene import HOME_Q_RAD
+from dual_ur10.kinematics.forward import pose_and_jacobian
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
+from dual_ur10.sim2real.control.adapter import TCP_STEP_M_S, TCP_TURN_RAD_S, ServojAdapter
+from dual_ur10.sim2real.control.servoj import ServojProfile
+from dual_ur10.sim2real.control.singularity import HALT_CONDITION, SLOW_CONDITION, condition, share_of_step
+from tests.sim2real.control.test_adapter import HARD
+
+# Which joint leads an arm at home, or near it, into a singularity, and which way.
+SINGULARITIES = {"elbow": (2, 0.0), "wrist": (4, 0.0)}
+POSTURES = arrays(np.float64, (4, 6), elements=st.floats(-3.0, 3.0))
+
+
+def jacobian(q):
+    return pose_and_jacobian(q, NOMINAL_DH)[2]
+
+
+@given(POSTURES)
+def test_the_condition_is_that_of_the_jacobian(q):
+    wanted = np.linalg.cond(jacobian(q))
+    near = wanted > 1e9
+    np.testing.assert_allclose(condition(q, NOMINAL_DH)[~near], wanted[~near], rtol=1e-6)
+    assert (condition(q, NOMINAL_DH)[near] > 1e8).all()
+
+
+@settings(max_examples=300)
+@given(POSTURES, arrays(np.float64, (4, 6), elements=st.floats(-0.2, 0.2)), st.floats(1.0, 10.0))
+def test_a_step_is_made_smaller_only_towards_a_singularity(q, step, ahead):
+    share = share_of_step(q, step, ahead, NOMINAL_DH)
+    assert set(share * 8) <= set(range(9))
+    for row in range(len(q)):
+        on_way = condition(q[row] + np.arange(9)[:, None] / 8 * ahead * step[row], NOMINAL_DH)
+        here, most = on_way[0], on_way.max()
+        assume(most < 1e6)  # beyond, its last digits are noise
+        if most <= max(SLOW_CONDITION, here):
+            assert share[row] == 1.0
+        elif most > max(SLOW_CONDITION, here * (1 + 2e-6)):
+            assert share[row] < 1.0
+            most = on_way[: int(share[row] * 8) + 1].max()
+            assert most <= max(here * (1 + 2e-6), HALT_CONDITION - share[row] * (HALT_CONDITION - SLOW_CONDITION))
+            more = on_way[: int(share[row] * 8) + 2].max() * (1 + 2e-6)
+            assert more > HALT_CONDITION - (share[row] + 1 / 8) * (HALT_CONDITION - SLOW_CONDITION)
+        if here >= HALT_CONDITION and on_way[1] > here * (1 + 2e-6):
+            assert share[row] == 0.0
+
+
+@given(POSTURES)
+def test_rows_do_not_depend_on_each_other(q):
+    step = 0.1 * np.roll(q, 1, axis=0)
+    together = share_of_step(q, step, 5.0, NOMINAL_DH)
+    alone = [share_of_step(q[k : k + 1], step[k : k + 1], 5.0, NOMINAL_DH)[0] for k in range(len(q))]
+    np.testing.assert_array_equal(together, alone)
+
+
+def along(adapter, joint, way):
+    """The action that turns one joint of the left arm alone, as far as flange steps can."""
+    q = adapter.commanded_q_rad[0, 0]
+    twist = jacobian(q)[:, joint] * way
+    twist[[0, 1, 3, 4]] *= -1.0  # `base` is half a turn from the cell's frame
+    share = np.concatenate([twist[:3] / TCP_STEP_M_S, twist[3:] / TCP_TURN_RAD_S])
+    action = np.zeros((1, 2, 6))
+    action[0, 0] = 0.9 * share / np.abs(share).max()
+    return action
+
+
+@pytest.mark.parametrize(("joint", "at_rad"), SINGULARITIES.values(), ids=SINGULARITIES)
+def test_flange_steps_end_before_a_singularity_and_lead_back_from_it(joint, at_rad):
+    adapter = ServojAdapter(ServojProfile(), HARD, 5, mode="tcp_delta")
+    adapter.reset(HOME_Q_RAD[None])
+    way = np.sign(at_rad - HOME_Q_RAD[0, joint])
+    conditions, steps, sent = [], [], []
+    for _ in range(600):
+        before = adapter.commanded_q_rad[0, 0]
+        sent.append(adapter(along(adapter, joint, way)).targets_rad[0, :, 0])
+        after = adapter.commanded_q_rad[0, 0]
+        conditions.append(float(condition(after[None], NOMINAL_DH)[0]))
+        steps.append(float(np.abs(after - before).max()))
+    # Nothing that is sent is nearer, either, although arms come to rest behind what they are told.
+    assert condition(np.concatenate(sent), NOMINAL_DH).max() <= HALT_CONDITION
+    assert conditions[-1] >= 0.85 * HALT_CONDITION
+    assert steps[-1] < 1e-9
+    fast = max(steps)
+    assert steps[int(np.argmax(np.array(conditions) > 24.0))] < 0.6 * fast
+    before = adapter.commanded_q_rad[0, 0]
+    adapter(along(adapter, joint, -way))
+    assert np.abs(adapter.commanded_q_rad[0, 0] - before).max() > 0.5 * fast
+    assert condition(adapter.commanded_q_rad[0, :1], NOMINAL_DH)[0] < conditions[-1]
+
+
+def test_turning_the_base_near_a_singularity_is_not_held_back():
+    q = np.array([[0.3, -1.2, 0.4, -1.0, 1.2, 0.0]])
+    assert condition(q, NOMINAL_DH)[0] > SLOW_CONDITION
+    for turn in np.linspace(-0.1, 0.1, 201):
+        step = np.array([[turn, 0.0, 0.0, 0.0, 0.0, 0.0]])
+        assert share_of_step(q, step, 5.0, NOMINAL_DH)[0] == 1.0
+
+
+@pytest.mark.parametrize("period_ticks", [1, 5, 12])
+def test_an_arm_that_stretches_at_full_speed_comes_to_rest_before_it_is_stretched(period_ticks):
+    adapter = ServojAdapter(ServojProfile(), HARD, period_ticks, mode="tcp_delta")
+    adapter.reset(HOME_Q_RAD[None])
+    action = np.zeros((1, 2, 6))
+    action[0, 0, 0] = 1.0  # away from the base
+    sent = np.concatenate([adapter(action).targets_rad[0, :, 0] for _ in range(600 // period_ticks)])
+    conditions = condition(sent, NOMINAL_DH)
+    assert 0.8 * HALT_CONDITION < conditions.max() <= HALT_CONDITION
+    assert np.ptp(sent[-50:], axis=0).max() < 1e-3
+
+
+def test_a_flange_that_is_drawn_in_above_the_base_comes_to_rest_before_the_shoulder_is_singular():
+    adapter = ServojAdapter(ServojProfile(), HARD, 5, mode="tcp_delta")
+    adapter.reset(HOME_Q_RAD[None])
+    action = np.zeros((1, 2, 6))
+    action[0, 0, 0] = -1.0  # towards the base
+    sent = np.concatenate([adapter(action).targets_rad[0, :, 0] for _ in range(150)])
+    conditions = condition(sent, NOMINAL_DH)
+    assert 0.8 * HALT_CONDITION < conditions.max() <= HALT_CONDITION
+    assert np.ptp(sent[-50:], axis=0).max() < 1e-3
+    assert np.abs(np.sin(sent[-1, [2, 4]])).min() > 0.5  # neither elbow nor wrist is near theirs
+    action[0, 0, 0] = 1.0
+    for _ in range(10):
+        adapter(action)
+    assert condition(adapter.commanded_q_rad[0, :1], NOMINAL_DH)[0] < 0.5 * conditions[-1]

@@ -1,0 +1,298 @@
+"""What the safety gate looks at between the postures at which brakes end."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from dual_ur10.assets.obstacles import Box, Capsule, Plane
+from dual_ur10.assets.scene import CLEARANCE_CUTOFF_M, HOME_Q_RAD, Equipment, SceneSettings
+from dual_ur10.sim2real.control.adapter import ServojAdapter
+from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
+from dual_ur10.sim2real.control.gate import SafetyGate
+from dual_ur10.sim2real.control.limits import HISTORY
+from dual_ur10.sim2real.control.servoj import ServojProfile
+from dual_ur10.sim2real.control.swept_clearance import BETWEEN_M, Between
+from dual_ur10.sim2real.runtime.approach import Leaving, plan
+from tests.sim2real.control.motion_checks import HARD, AlwaysClear
+from tests.sim2real.control.reference_cell import UNEQUAL, random_q
+
+WIDE_M = 0.01
+HOME = HOME_Q_RAD.reshape(12)
+RODS = tuple(
+    Capsule(name=f"rod-{k}", from_m=(0.1 + 0.15 * (k % 2), y, 0.0), to_m=(0.1 + 0.15 * (k % 2), y, 1.6), radius_m=0.004)
+    for k, y in enumerate((-1.1, -0.75, -0.3, 0.0, 0.3, 0.75, 1.1))
+)
+CLUTTER = (*RODS, Box(name="plate", position_m=(0.3, 0.0, 0.9), size_m=(0.6, 0.01, 0.4)))
+
+
+class Post(AlwaysClear):
+    """Something thin at an angle of the left arm's first joint, in a cell whose arms are levers of 1 m."""
+
+    def __init__(self, at_rad, n=1):
+        self.at_rad, self.n, self.looks = at_rad, n, 0
+
+    def spare_m(self, q_rad):
+        self.looks += 1
+        assert q_rad.shape == (self.n, 12)
+        return np.stack([np.abs(q_rad[:, 0] - self.at_rad) - WIDE_M, np.full(self.n, 5.0)], axis=1)
+
+    def spare_of_balls_m(self):
+        return np.full((self.n, 2), -1.0)
+
+    def travel_m(self, way_rad):
+        return np.stack([way_rad[:, 0], way_rad[:, 1]], axis=1)
+
+    def alone(self):
+        return self if self.n == 1 else Post(self.at_rad)
+
+    def worst(self, q_rad):
+        return "left/forearm_link and post", abs(q_rad[0] - self.at_rad), WIDE_M
+
+
+def driven(clearance, push, periods, n=1, ticks=5):
+    """All targets, (n, ticks, 12), that leave where a policy pushes joints, and all verdicts.
+
+    What it pushes by, (n, 12) or (12,), may be a function of the period.
+    """
+    adapter = ServojAdapter(ServojProfile("cb3"), HARD, ticks, n=n)
+    gate = SafetyGate(HARD, 0.008, ticks, clearance, n=n)
+    start = np.tile(HOME_Q_RAD, (n, 1, 1))
+    adapter.reset(start)
+    gate.reset(start)
+    sent, verdicts = [], {}
+    for period in range(periods):
+        now = push(period) if callable(push) else push
+        found = gate(adapter(np.broadcast_to(now, (n, 12)).reshape(n, 2, 6)).targets_rad.copy())
+        sent.append(found.targets_rad.reshape(n, -1, 12))
+        verdicts = found.verdicts
+    return np.concatenate(sent, axis=1), verdicts
+
+
+TURN = np.array([1.0] + [0.0] * 11)
+
+
+@pytest.mark.parametrize("phase", np.linspace(0.0, 0.08, 8, endpoint=False))
+def test_a_thin_thing_between_two_looks_is_seen(phase):
+    post = Post(HOME[0] + 0.9 + phase)
+    sent, verdicts = driven(post, TURN, 60)
+    assert np.abs(np.diff(sent[0, :, 0])).max() > 0.01  # 8 cm a period: it would be by
+    assert sent[0, :, 0].max() <= post.at_rad - WIDE_M + BETWEEN_M
+    assert verdicts[0].kind == "distance"
+    assert verdicts[0].found < WIDE_M == verdicts[0].allowed
+    assert verdicts[0].subject == "left/forearm_link and post"
+
+
+def test_each_row_is_looked_at_by_itself():
+    """What stops one row in a batch is what stops it alone, and the others go on."""
+    push = np.stack([TURN, 0.0 * TURN, -TURN, 0.5 * TURN])
+    whole, verdicts = driven(Post(HOME[0] + 0.93, n=4), push, 40, n=4)
+    for row in range(4):
+        alone, its_own = driven(Post(HOME[0] + 0.93), push[row], 40)
+        np.testing.assert_array_equal(alone[0], whole[row])
+        assert (row in verdicts) == bool(its_own)
+        if its_own:
+            assert its_own[0] == verdicts[row]
+    assert set(verdicts) == {0, 3}
+
+
+def test_where_there_is_room_nothing_more_is_measured():
+    post = Post(HOME[0] + 3.0)
+    driven(post, TURN, 30)
+    assert post.looks == 30
+
+
+def test_what_moves_along_something_is_not_refused():
+    """Where a pair's own joints rest, others may move as they like, however near it is."""
+    post = Post(HOME[0] + WIDE_M)
+    post.spare_m = lambda q: np.array([[0.0 if abs(q[0, 0] - HOME[0]) < 1e-9 else -1.0, 5.0]])
+    sent, verdicts = driven(post, np.roll(TURN, 1), 30)
+    assert not verdicts
+    assert np.ptp(sent[0, :, 1]) > 0.5
+
+
+SCENES = [
+    pytest.param(SceneSettings(), {}, id="bare"),
+    pytest.param(UNEQUAL, {"uncertainty": ((0.004, 0.01), (0.002, 0.02))}, id="calibrated, uncertain"),
+    pytest.param(SceneSettings(equipment=Equipment(grippers=True), obstacles=CLUTTER), {}, id="hands, obstacles"),
+]
+
+
+@pytest.mark.parametrize(("settings", "keywords"), SCENES)
+def test_no_distance_changes_by_more_than_the_joints_move_it(settings, keywords):
+    n = 400
+    clearance = Clearance(settings, n=n, **keywords)
+    rng = np.random.default_rng(0)
+    begin = random_q(rng, n).reshape(n, 12) * 0.5 + HOME
+    tight = 0.0
+    for size in (1e-3, 0.02, 0.2):
+        # One joint, one arm, all: what moves things least and most.
+        for mask in (
+            np.eye(12)[rng.integers(12, size=n)],
+            np.repeat(np.eye(2)[rng.integers(2, size=n)], 6, axis=1),
+            1.0,
+        ):
+            end = begin + size * rng.uniform(-1, 1, (n, 12)) * mask
+            first, second = (clearance.spare_m(each).copy() for each in (begin, end))
+            apart = np.minimum(first, second) > -MINIMUM_M  # how deep two things are in each other is not exact
+            travel = clearance.travel_m(np.abs(end - begin))
+            change = np.abs(first - second)
+            assert (change <= travel + 1e-5)[apart].all()
+            tight = max(tight, (change / np.maximum(travel, 1e-3))[apart].max())
+    assert tight > 0.5  # the bound is of the size of what happens
+
+
+@pytest.mark.parametrize(("settings", "keywords"), SCENES)
+def test_balls_are_nearer_than_what_they_are_around(settings, keywords):
+    wall = Plane(name="wall", point_m=(2.0, 0.0, 0.0), normal=(-1.0, 0.0, 0.0))
+    settings = dataclasses.replace(settings, obstacles=(*settings.obstacles, wall))
+    clearance = Clearance(settings, n=400, **keywords)
+    spare = clearance.spare_m(random_q(np.random.default_rng(3), 400).reshape(400, 12)).copy()
+    balls = clearance.spare_of_balls_m()
+    measured = clearance.distances_m(random_q(np.random.default_rng(3), 400).reshape(400, 12)) < CLEARANCE_CUTOFF_M
+    assert (balls <= spare + 1e-9)[measured].all()
+    assert balls.max() > 0.5  # they tell what is not measured
+
+
+def test_a_single_one_measures_what_a_batch_does():
+    clearance = Clearance(SceneSettings(obstacles=CLUTTER), n=3, uncertainty=((0.004, 0.01), (0.002, 0.02)))
+    one = clearance.alone()
+    postures = HOME + np.random.default_rng(1).uniform(-0.5, 0.5, (3, 12))
+    whole = clearance.spare_m(postures).copy()
+    for row in range(3):
+        np.testing.assert_array_equal(one.spare_m(postures[[row]])[0], whole[row])
+    assert one.alone() is one
+    assert clearance.alone() is one
+
+
+@pytest.mark.parametrize(("ticks", "steady"), [(5, True), (25, True), (125, False)])
+def test_arms_at_full_speed_keep_away_from_thin_rods(ticks, steady):
+    """Where only ends of brakes were looked at, they came within 12 mm at 25 Hz, and went 50 mm into one at 5 Hz.
+
+    At 1 Hz a joint goes forth and back within a window, 10 mm into a rod where only its ends were looked at, too.
+    """
+    n = 32
+    rng = np.random.default_rng(0 if steady else 1)
+    settings = SceneSettings(obstacles=RODS, equipment=Equipment(grippers=True))
+    push = rng.choice([-1.0, 1.0], (n, 12)) * rng.uniform(0.3, 1.0, (n, 12)) * np.tile([1.0, 0.5, 0.5, 1, 1, 1], 2)
+    by = push if steady else lambda period: rng.uniform(-1.0, 1.0, (n, 12))
+    sent, verdicts = driven(Clearance(settings, n=n), by, max(500 // ticks, 24), n=n, ticks=ticks)
+    measured = Clearance(settings, n=sent.shape[1])
+    nearest = min(measured.distances_m(row).min() for row in sent)
+    assert nearest >= MINIMUM_M - BETWEEN_M
+    assert len(verdicts) > 0.9 * n
+
+
+@pytest.mark.parametrize("ticks", [25, 125])
+def test_a_joint_that_goes_forth_and_back_within_a_window_is_seen(ticks):
+    """As far as limits allow in that time, from rest to rest: what a rest shows tells nothing of it."""
+    share = np.minimum(np.arange(1, ticks + 1) / (ticks - 3), 1.0)
+    way = 64.0 * (share * (1.0 - share)) ** 3 * 9.0 * (0.008 * (ticks - 3)) ** 2 / 24.0
+    targets = np.tile(HOME, (1, ticks, 1))
+    targets[0, :, 0] += way
+    gate = SafetyGate(HARD, 0.008, ticks, Post(HOME[0] + WIDE_M + 2e-3))
+    gate.reset(HOME_Q_RAD[None])
+    found = gate(targets.reshape(1, ticks, 2, 6))
+    assert way.max() > BETWEEN_M + 3e-3
+    assert found.verdicts[0].kind == "distance"
+
+
+@pytest.mark.parametrize("jump", [0.3, 30.0, 1e6, 1e17, 1e300])
+def test_what_no_arm_can_do_is_refused_before_anybody_looks(jump):
+    post = Post(HOME[0] + 0.05)
+    gate = SafetyGate(HARD, 0.008, 5, post)
+    gate.reset(HOME_Q_RAD[None])
+    targets = np.tile(HOME, (1, 5, 1))
+    targets[..., 0] += jump
+    (verdict,) = gate(targets.reshape(1, 5, 2, 6)).verdicts.values()
+    assert verdict.kind != "distance"
+    assert post.looks == 1
+
+
+class Corridor(Post):
+    """Walls at all sides, 0.1 mm from too near."""
+
+    def spare_m(self, q_rad):
+        self.looks += 1
+        return np.full((1, 1), 1e-4)
+
+    def spare_of_balls_m(self):
+        return np.full((1, 1), -1.0)
+
+    def travel_m(self, way_rad):
+        return 10.0 * way_rad.sum(axis=1, keepdims=True)
+
+
+def test_looks_are_bounded():
+    corridor = Corridor(0.0)
+    sent, verdicts = driven(corridor, np.ones(12), 40)
+    assert verdicts[0].kind == "distance"
+    assert corridor.looks < 40 * 2 + 8 * 100
+    assert np.ptp(sent[0, -3:], axis=0).max() < 1e-4  # at rest
+
+
+class Scripted:
+    """Two coordinates, something thin that the second one meets, and rows where all is near: those of kind 1."""
+
+    def __init__(self, n):
+        self.n = n
+
+    def spare_m(self, q_rad):
+        thin = np.abs(q_rad[:, 0]) + np.abs(q_rad[:, 1] - 0.03) - 0.002
+        return np.where(q_rad[:, 3] > 0.0, 0.001, thin)[:, None]
+
+    def spare_of_balls_m(self):
+        return np.full((self.n, 1), -1.0)
+
+    def travel_m(self, way_rad):
+        return way_rad[:, :3].sum(axis=1)[:, None]
+
+    def alone(self):
+        return self if self.n == 1 else Scripted(1)
+
+
+def test_what_is_known_of_a_row_does_not_depend_on_its_neighbours():
+    def posture(x, y, z, kind=0.0):
+        return np.array([x, y, z, kind] + [0.0] * 8)
+
+    there = posture(0, 0.06, 0)
+    mine = [(posture(-0.005, 0, 0), posture(0, 0, 0), posture(0, 0, 0.01)), (posture(0, 0, 0), there, there)]
+    near = posture(0, 0.004, 0, 1.0)
+    busy = [(posture(0, 0, 0, 1.0), near, near), (near, near, near)]
+    answers = []
+    for rows in ([mine], [busy, mine]):
+        distances = Scripted(len(rows))
+        between = Between(distances, np.zeros((1, HISTORY)), 2)
+        for call in range(2):
+            last, end, rest = (np.array([row[call][k] for row in rows]) for k in range(3))
+            window = np.stack([last] * HISTORY + [(last + end) / 2, end], axis=1)
+            going = np.ones(len(rows), dtype=bool)
+            found = between(window, rest, rest, distances.spare_m(rest), going)
+        answers.append(len(rows) - 1 in found)
+    assert answers[0] == answers[1]
+
+
+def test_arms_that_stand_too_close_are_led_away_whatever_rounds():
+    """A pair that nothing moves stays as close as it is, but for rounding."""
+    clearance = Clearance(SceneSettings())
+    rng = np.random.default_rng(0)
+    starts = 0
+    while starts < 10:
+        start = HOME.copy()
+        start[2:6] += rng.uniform(-1.0, 1.0, 4) * (1.0, 2.0, 2.0, 2.0)
+        spare = clearance.spare_m(start[None])[0]
+        if not (-0.02 < spare.min() < 0.0 and (spare < 0.0).sum() == 1):
+            continue
+        if not all(each.startswith("left/") for each in clearance.pairs[int(spare.argmin())]):
+            continue
+        starts += 1
+        for joint in (0, 6, 7):  # carries both, or neither
+            goal = start.copy()
+            goal[joint] += 0.3
+            targets = plan(start.reshape(2, 6), goal.reshape(2, 6), clearance).targets(0.008)
+            targets = targets[: len(targets) // 5 * 5].reshape(-1, 1, 5, 2, 6)
+            gate = SafetyGate(HARD, 0.008, 5, Leaving(clearance, start.reshape(2, 6)))
+            gate.reset(start.reshape(1, 2, 6))
+            assert not any(gate(window).verdicts for window in targets)

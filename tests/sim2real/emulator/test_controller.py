@@ -1,0 +1,549 @@
+"""Controller, program and safety together: whatever happens, what is told agrees, and nothing moves that must not."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dual_ur10.errors import OperationRefusedError
+from dual_ur10.kinematics.ur10 import JOINT_SPEED_RAD_S
+from dual_ur10.sim2real.protocol.modes import RobotMode, RuntimeState, SafetyBits, SafetyMode
+from tests.sim2real.emulator.ticking import COUNT, HOME, PLAYS, Bench, program
+from tests.soak import scaled
+
+FAR = [1.2, -1.2, 1.2, -1.0, -1.2, 1.5]
+MOVE = f"movej({FAR}, a=3, v=1)"
+SWING = f"""h = {HOME}
+k = 0
+while True:
+  servoj([0.15 * sin(0.02 * k), -1.57, 1.57, -1.57, -1.57, 0.1 * sin(0.03 * k)], t=0.008, lookahead_time=0.1, gain=300)
+  k = k + 1
+end"""
+LINES = """while True:
+  movel(p[0.6, -0.2, 0.5, 0, 3.1, 0], a=1, v=0.4)
+  movel(p[0.6, 0.2, 0.4, 0, 3.1, 0], r=0.02)
+end"""
+IDLE = "while True:\n  sync()\nend"
+PROGRAMS = (
+    program(MOVE),
+    program(SWING),
+    program(
+        "while True:\n  speedj([0.4, -0.2, 0.1, 0.3, 0, -0.5], 2, 0.1)\n  speedj([-0.4, 0.2, 0, 0, 0, 0], 2, 0.1)\nend"
+    ),
+    program(COUNT + IDLE),
+    program(LINES),
+    program("sleep(0.05)\nx = [1][3]"),
+    program("while True:\nend"),
+    program("protective_stop()\n" + IDLE),
+    program("servoj([1, 0, 0, 0, 0, 0])\nsync()"),
+    program("force_mode(p[0,0,0,0,0,0], [0,0,1,0,0,0], [0,0,5,0,0,0], 2, [0.1,0.1,0.1,0.3,0.3,0.3])\nsleep(1)"),
+    program('rtde_set_watchdog("input_int_register_0", 10, "stop")\n' + IDLE),
+    program('rtde_set_watchdog("input_int_register_0", 10, "pause")\n' + SWING),
+    "sec s():\n  set_standard_digital_out(1, True)\nend\n",
+    "sec m():\n  movej([0, 0, 0, 0, 0, 0])\nend\n",
+    "movej([0.2, -1.5, 1.5, -1.5, -1.5, 0])\n",
+    "def broken(:\nend\n",
+    program("no_such_function()"),
+)
+BUTTONS = ["play", "resume", "pause", "stop", "power_on", "power_off", "release_brakes", "unlock_protective_stop"]
+BUTTONS += ["restart_safety"]
+MODES = st.integers(0, 255) | st.integers(3, 14)
+
+EVENTS = st.one_of(
+    st.tuples(st.just("stop"), MODES),
+    st.tuples(st.just("release"), MODES),
+    st.tuples(st.just("release all")),
+    st.tuples(st.just("press"), st.sampled_from(BUTTONS)),
+    st.tuples(st.just("press"), st.sampled_from(["play", "release_brakes", "pause"])),
+    st.tuples(st.just("run"), st.integers(0, len(PROGRAMS) - 1)),
+    st.tuples(st.just("run"), st.integers(0, 4)),
+    st.tuples(st.just("slider"), st.sampled_from([0.0, 0.1, 0.5, 1.0]) | st.floats(0.0, 1.0)),
+    st.tuples(st.just("reduce"), st.booleans()),
+    st.tuples(st.just("remote"), st.booleans()),
+    st.tuples(st.just("tick"), st.integers(1, 60)),
+    st.tuples(st.just("tick"), st.integers(1, 250)),
+)
+
+
+def happen(bench, name, *values):
+    controller = bench.controller
+    try:
+        match name:
+            case "stop":
+                controller.safety.stop(values[0])
+            case "release":
+                controller.safety.release(values[0])
+            case "release all":
+                for mode in range(256):
+                    controller.safety.release(mode)
+            case "press":
+                getattr(bench.pendant, values[0])()
+            case "run":
+                bench.run(PROGRAMS[values[0]])
+            case "slider":
+                controller.io.set_slider(values[0])
+            case "reduce":
+                controller.safety.reduce(values[0])
+            case "remote":
+                controller.remote_control = values[0]
+            case "tick":
+                bench.tick(values[0])
+    except OperationRefusedError:
+        pass
+    bench.tick()
+    bench.agree()
+
+
+@pytest.mark.parametrize("family", ["cb3", "e-series"])
+@settings(max_examples=scaled(1200), deadline=None)
+@given(events=st.lists(EVENTS, max_size=40), powered=st.booleans(), resumes=st.booleans(), pauses=st.booleans())
+def test_whatever_happens_what_is_told_agrees_and_nothing_moves_that_must_not(family, events, powered, resumes, pauses):
+    bench = Bench(family, powered=powered, safeguard_resumes=resumes, emergency_stop_pauses=pauses, unlock_wait_s=0.5)
+    for event in events:
+        happen(bench, *event)
+    # And there is a way back from everything.
+    for mode in range(256):
+        bench.controller.safety.release(mode)
+    bench.controller.remote_control = True
+    bench.controller.io.set_slider(1.0)
+    bench.pendant.stop()
+    bench.passing(0.4)  # an arm that loses its power has to come to rest first
+    happen(bench, "press", "release_brakes")
+    bench.until(lambda: bench.controller.safety.may_move, 1500)
+    bench.tick()
+    bench.run(program(COUNT + IDLE))
+    bench.tick(3)
+    assert bench.state in PLAYS
+    bench.agree()
+
+
+# Stops.
+
+
+def moving(bench, text=MOVE):
+    bench.run(program(COUNT + text))
+    bench.tick(60)
+    assert bench.moved > 0.0
+    return bench.controller.registers.output_int
+
+
+def stands(bench, ticks=150):
+    q = bench.q.copy()
+    bench.tick(ticks)
+    assert np.array_equal(bench.q, q)
+
+
+@pytest.mark.parametrize("mode", [3, 4, 10, 12, 99, 255])
+def test_a_stop_pauses_and_the_arm_stands_until_play(mode):
+    bench = Bench(unlock_wait_s=0.2)
+    counts = moving(bench)
+    bench.controller.safety.stop(mode)
+    bench.tick(25)
+    assert bench.state == RuntimeState.PAUSED
+    count = counts[0]
+    stands(bench)
+    with pytest.raises(OperationRefusedError, match="stopped"):
+        bench.pendant.play()
+    if mode == SafetyMode.PROTECTIVE_STOP:
+        bench.pendant.unlock_protective_stop()
+    else:
+        bench.controller.safety.release(mode)
+    stands(bench)
+    assert (bench.state, counts[0]) == (RuntimeState.PAUSED, count)
+    bench.pendant.play()
+    bench.until(lambda: bench.state == RuntimeState.STOPPED or np.allclose(bench.q, FAR, atol=1e-6))
+    assert bench.q == pytest.approx(FAR, abs=1e-6)  # it kept its path
+    assert counts[0] > count
+
+
+def test_after_an_unlocked_protective_stop_a_new_program_runs():
+    bench = Bench(unlock_wait_s=0.2)
+    moving(bench)
+    bench.controller.safety.stop(3)
+    bench.tick(40)
+    bench.pendant.unlock_protective_stop()
+    bench.tick(2)
+    bench.run(program(IDLE))
+    bench.tick(2)
+    assert bench.state in PLAYS
+    stands(bench)  # what the old one wanted is gone
+
+
+def test_a_stop_takes_its_time_and_not_longer():
+    bench = Bench()
+    moving(bench)
+    bench.controller.safety.stop(3)
+    speeds = []
+    for _ in range(25):
+        bench.tick()
+        speeds.append(bench.moved / bench.tick_s)
+    moved = [speed > 0.0 for speed in speeds]
+    assert 0.1 <= sum(moved) * bench.tick_s <= 0.16
+    assert all(a >= b for a, b in itertools.pairwise(speeds))
+
+
+@pytest.mark.parametrize("mode", [6, 7, 8, 9])
+def test_a_grave_stop_ends_the_program_and_takes_power(mode):
+    bench = Bench()
+    moving(bench)
+    bench.controller.safety.stop(mode)
+    bench.tick(2)
+    assert bench.state == RuntimeState.STOPPING
+    assert bench.moved > 0.0
+    assert bench.controller.values["robot_mode"] == RobotMode.RUNNING  # not before it stands
+    bench.tick(23)
+    assert bench.state == RuntimeState.STOPPED
+    assert bench.controller.values["robot_mode"] == RobotMode.POWER_OFF
+    assert bench.ask("robotmode") == "Robotmode: POWER_OFF"
+    assert bench.robot_mode_data()["power"] is False
+    assert bench.ask("power on") == "Failed to execute: power on"
+    if mode in (8, 9):
+        bench.pendant.restart_safety()
+        bench.passing(1.1)
+    else:
+        bench.controller.safety.release(mode)
+    stands(bench)
+    bench.pendant.release_brakes()
+    bench.passing(1.5)
+    assert bench.controller.safety.may_move
+    stands(bench)
+
+
+def test_a_safeguard_stop_pauses_and_goes_on():
+    bench = Bench()
+    moving(bench)
+    bench.controller.safety.stop(5)
+    bench.tick(25)
+    assert bench.state == RuntimeState.PAUSED
+    stands(bench)
+    bench.controller.safety.release(5)
+    bench.tick(3)
+    assert bench.state == RuntimeState.RESUMING
+    bench.until(lambda: np.allclose(bench.q, FAR, atol=1e-6))
+    off = Bench(safeguard_resumes=False)
+    moving(off)
+    off.controller.safety.stop(5)
+    off.tick(25)
+    off.controller.safety.release(5)
+    stands(off)
+    assert off.state == RuntimeState.PAUSED
+
+
+def test_a_program_paused_by_hand_does_not_go_on_after_a_safeguard_stop():
+    bench = Bench()
+    moving(bench)
+    bench.pendant.pause()
+    bench.tick(40)
+    bench.controller.safety.stop(5)
+    bench.tick(40)
+    bench.controller.safety.release(5)
+    stands(bench)
+    assert bench.state == RuntimeState.PAUSED
+
+
+@pytest.mark.parametrize("graver", [3, 99])
+def test_a_safeguard_stop_with_another_stop_does_not_go_on(graver):
+    bench = Bench(unlock_wait_s=0.1)
+    moving(bench)
+    bench.controller.safety.stop(5)
+    bench.tick(10)
+    bench.controller.safety.stop(graver)
+    bench.tick(40)
+    for mode in (graver, 5):
+        bench.controller.safety.release(mode)
+        stands(bench, 40)
+    assert bench.state == RuntimeState.PAUSED
+
+
+@pytest.mark.parametrize("mode", [3, 5, 7, 42])
+def test_a_program_that_is_sent_during_a_stop_is_not_started(mode):
+    bench = Bench()
+    bench.controller.safety.stop(mode)
+    bench.tick(3)
+    for text in (program(COUNT + MOVE), f"{MOVE}\n"):
+        bench.run(text)
+        bench.tick(3)
+        assert bench.state == RuntimeState.STOPPED
+    messages = b"".join(bench.controller.messages)
+    assert b"not started" in messages
+    bench.controller.safety.release(mode)
+    stands(bench)
+    assert bench.controller.registers.output_int[0] == 0
+
+
+def test_a_program_that_is_sent_in_the_same_period_as_a_stop_runs_no_line():
+    bench = Bench()
+    bench.tick()
+    bench.controller.safety.stop(3)
+    bench.run(program(COUNT + MOVE))
+    stands(bench, 40)
+    assert bench.controller.registers.output_int[0] == 0
+
+
+def test_a_program_without_power_is_not_started():
+    bench = Bench(powered=False)
+    bench.tick()
+    bench.run(program(MOVE))
+    stands(bench, 40)
+    assert bench.state == RuntimeState.STOPPED
+    with pytest.raises(OperationRefusedError, match="no power"):
+        bench.pendant.play()
+
+
+def test_taking_power_away_stops_the_arm():
+    bench = Bench()
+    moving(bench)
+    assert bench.ask("power off") == "Powering off"
+    bench.tick(25)
+    assert bench.state == RuntimeState.STOPPED
+    stands(bench)
+
+
+def test_a_controller_that_was_shut_down_stays_so():
+    bench = Bench()
+    moving(bench)
+    assert bench.ask("shutdown") == "Shutting down"
+    assert bench.off == 1
+    for button in ("power_on", "release_brakes"):
+        with pytest.raises(OperationRefusedError, match="shut down"):
+            getattr(bench.pendant, button)()
+    bench.pendant.power_off()
+    bench.controller.safety.stop(7)
+    bench.passing(2.0)
+    assert bench.controller.values["robot_mode"] == RobotMode.DISCONNECTED
+
+
+# Pauses and the slider.
+
+
+def test_pause_and_play_keep_the_path():
+    def path(pauses):
+        bench = Bench()
+        bench.run(program(MOVE))
+        found = []
+        for tick in range(1000):
+            bench.tick()
+            found.append(bench.q)
+            if tick in pauses:
+                bench.pendant.pause()
+                bench.tick(60)
+                assert bench.state == RuntimeState.PAUSED
+                stands(bench, 20)
+                bench.pendant.play()
+        return np.array(found)
+
+    straight, paused = path(()), path((40, 90))
+    assert np.allclose(straight[-1], FAR, atol=1e-6)
+    assert np.allclose(paused[-1], FAR, atol=1e-6)
+    # All joints move in proportion: so does every point of the path.
+    way = np.array(FAR) - HOME
+    for q in paused[::5]:
+        share = (q - HOME)[0] / way[0]
+        assert np.allclose(q, HOME + share * way, atol=1e-6)
+
+
+@pytest.mark.parametrize("what", ["stop", "load", "safeguard"])
+def test_what_is_left_of_a_paused_programs_motion_is_given_up_with_it(what):
+    bench = Bench()
+    moving(bench)
+    bench.pendant.pause()
+    bench.tick(60)
+    q = bench.q.copy()
+    if what == "stop":
+        bench.pendant.stop()
+    elif what == "load":
+        bench.run(program(IDLE))
+    else:
+        bench.controller.safety.stop(5)
+        bench.pendant.stop()
+        bench.tick(20)
+        bench.controller.safety.release(5)
+    bench.tick(150)
+    assert np.array_equal(bench.q, q)
+
+
+def top_speed(bench, ticks):
+    return max((bench.tick(), bench.moved)[1] for _ in range(ticks)) / bench.tick_s
+
+
+@pytest.mark.parametrize("text", [MOVE, SWING, "speedj([0.5, 0, 0, 0, 0, 0], 2, 1)"])
+def test_the_slider_slows_all_motion(text):
+    speeds = {}
+    for slider in (1.0, 0.1):
+        bench = Bench()
+        bench.controller.io.set_slider(slider)
+        bench.tick(40)
+        bench.run(program(text))
+        speeds[slider] = top_speed(bench, 90)
+        assert bench.controller.values["speed_scaling"] == pytest.approx(slider)
+    assert speeds[0.1] <= 0.1001 * max(speeds[1.0], np.max(JOINT_SPEED_RAD_S) * (text == SWING))
+    assert 0.0 < speeds[0.1] <= 0.5 * speeds[1.0]
+
+
+def test_servoj_at_a_tenth_follows_at_a_tenth_of_the_speed():
+    def way(slider):
+        bench = Bench()
+        bench.controller.io.set_slider(slider)
+        bench.tick(40)
+        bench.run(program(f"while True:\n  servoj({[0.1, *HOME[1:]]}, t=0.008, lookahead_time=0.1, gain=300)\nend"))
+        found = []
+        for _ in range(400):
+            bench.tick()
+            found.append(bench.q[0])
+        return np.array(found)
+
+    full, slow = way(1.0), way(0.1)
+    assert full[39] > 0.05
+    # Ten times the time, the same way.
+    assert np.allclose(slow[9::10][:38], full[:38], atol=2e-3)
+
+
+def test_reduced_mode_is_half_as_fast_and_no_stop():
+    bench = Bench()
+    moving(bench)
+    full = bench.moved
+    bench.controller.safety.reduce(True)
+    bench.tick(20)
+    assert bench.moved == pytest.approx(full / 2, rel=0.05)
+    assert bench.controller.values["safety_mode"] == SafetyMode.REDUCED
+    assert bench.controller.values["safety_status_bits"] == SafetyBits.REDUCED
+    assert bench.state == RuntimeState.PLAYING
+    bench.controller.safety.reduce(False)
+    bench.tick(40)
+    assert bench.moved > 0.9 * full or np.allclose(bench.q, FAR, atol=0.05)
+
+
+def test_a_slider_at_zero_stands_and_plays():
+    bench = Bench()
+    counts = moving(bench)
+    bench.controller.io.set_slider(0.0)
+    bench.tick(40)
+    count = counts[0]
+    stands(bench)
+    assert bench.state == RuntimeState.PLAYING
+    assert counts[0] == count + 150
+
+
+# Faults.
+
+
+def test_a_program_that_starves_the_arm_is_stopped_protectively():
+    bench = Bench()
+    bench.run(
+        program(
+            "k = 0\nwhile k < 60:\n  servoj([0.01 * k, -1.57, 1.57, -1.57, -1.57, 0], t=0.008)\n  k = k + 1\nend\n"
+            + IDLE
+        )
+    )
+    bench.until(lambda: bench.controller.values["safety_mode"] == 3, 200)
+    assert "sudden stop" in bench.controller.safety.reason
+    bench.tick(40)
+    assert bench.state == RuntimeState.PAUSED
+    stands(bench)
+
+
+def test_a_jump_of_servoj_is_stopped_protectively():
+    bench = Bench()
+    bench.run(program(f"servoj({[2.0, *HOME[1:]]}, t=0.008)\n{IDLE}"))
+    bench.tick(3)
+    assert bench.controller.values["safety_mode"] == 3
+    assert bench.controller.safety.reason.startswith("C204")
+    stands(bench)
+    assert bench.q == pytest.approx(HOME)
+
+
+# A watchdog.
+
+
+def test_a_watchdog_that_is_not_fed_stops_the_program_after_its_period():
+    bench = Bench()
+    bench.run(program('rtde_set_watchdog("input_int_register_0", 10, "stop")\n' + COUNT + MOVE))
+    for _ in range(10):
+        bench.tick(10)  # 0.08 s of the 0.1 s
+        bench.controller.registers.writes["input_int_register_0"] = bench.controller.ticks
+        assert bench.state == RuntimeState.PLAYING
+    assert 12 <= bench.until(lambda: bench.state != RuntimeState.PLAYING) <= 14
+    assert b"RTDE_WATCHDOG" in b"".join(bench.controller.messages)
+    bench.tick(60)
+    assert bench.state == RuntimeState.STOPPED
+    stands(bench)
+
+
+def test_a_watchdog_may_pause():
+    bench = Bench()
+    bench.run(program('rtde_set_watchdog("input_int_register_0", 10, "pause")\n' + MOVE))
+    bench.tick(60)
+    assert bench.state == RuntimeState.PAUSED
+    bench.pendant.play()
+    bench.tick(60)
+    assert bench.state == RuntimeState.PLAYING
+
+
+@pytest.mark.parametrize("between", [0, 40])
+def test_a_watchdog_ends_with_its_program(between):
+    bench = Bench()
+    bench.run(program('rtde_set_watchdog("input_int_register_0", 10, "stop")\n' + IDLE))
+    bench.tick(5)
+    if between:
+        bench.pendant.stop()
+        bench.tick(between)
+    bench.run(program(IDLE))
+    bench.tick(60)
+    assert bench.state == RuntimeState.PLAYING
+
+
+# Local mode, payload, TCP.
+
+
+def test_an_e_series_in_local_mode_refuses_programs():
+    bench = Bench("e-series")
+    bench.controller.remote_control = False
+    bench.run(program(MOVE))
+    stands(bench, 10)
+    assert b"local mode" in b"".join(bench.controller.messages)
+    for line in ("play", "stop", "pause", "power off", "brake release", "unlock protective stop", "load x"):
+        assert "Remote Control" in bench.ask(line), line
+    assert bench.controller.safety.robot_mode == RobotMode.RUNNING
+    cb3 = Bench("cb3")
+    cb3.controller.remote_control = False
+    moving(cb3)
+
+
+def test_payload_and_tcp_change_what_is_told():
+    bench = Bench()
+    bench.tick()
+    before = dict(bench.controller.values)
+    text = "set_payload(2.5, [0.01, 0.02, 0.03])\nset_tcp(p[0, 0, 0.1, 0, 0, 0])"
+    bench.run(program(text))
+    bench.tick(2)
+    values = bench.controller.values
+    assert (values["payload"], values["payload_cog"]) == (2.5, (0.01, 0.02, 0.03))
+    assert values["actual_q"] == before["actual_q"]
+    way = np.subtract(values["actual_TCP_pose"][:3], before["actual_TCP_pose"][:3])
+    assert np.linalg.norm(way) == pytest.approx(0.1)
+    assert values["actual_TCP_pose"][3:] == pytest.approx(before["actual_TCP_pose"][3:])
+    assert values["tcp_offset"] == pytest.approx([0, 0, 0.1, 0, 0, 0])
+    # The weight of what is held is no force on it.
+    assert values["actual_TCP_force"][2] == pytest.approx(2.5 * 9.81)
+    bench.wrench[2] = -2.5 * 9.81
+    bench.tick()
+    assert bench.controller.values["actual_TCP_force"][2] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_payload_beyond_the_arm_ends_the_program():
+    bench = Bench()
+    bench.run(program(f"set_payload(11)\n{IDLE}"))
+    bench.tick(2)
+    assert bench.state == RuntimeState.STOPPED
+    assert bench.controller.values["payload"] == 0.0
+
+
+def test_the_clock_is_the_controllers_own():
+    bench = Bench("e-series")
+    first = bench.controller.values["timestamp"]
+    bench.tick(500)
+    assert bench.controller.values["timestamp"] - first == pytest.approx(1.0)
+    assert math.isclose(first, bench.controller.boot_s)

@@ -1,0 +1,132 @@
+"""The simulation behind two emulated controllers."""
+
+import numpy as np
+import pytest
+
+from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.kinematics import flange_pose
+from dual_ur10.sim2real.config.cell import CellConfig
+from dual_ur10.sim2real.control.servoj import ServojProfile
+from dual_ur10.sim2real.emulator.motion import Motion
+from dual_ur10.sim2real.emulator.mujoco_world import EmulatedWorld, PlantOptions
+
+TASKS = ("SineTracking", "SyncCarry", "Handover")
+
+
+def world_of(task="SineTracking", family="cb3", **options):
+    return EmulatedWorld(CellConfig(servoj=ServojProfile(family=family)), task, PlantOptions(**options))
+
+
+def standing(world):
+    plans = np.zeros((2, world.substeps, 3, 6))
+    plans[:, :, 0] = world.start_q_rad[:, None]
+    return plans
+
+
+def openings(world):
+    return [world.read(arm).gripper_m for arm in range(2)]
+
+
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("family", ["cb3", "e-series"])
+def test_arms_stand_where_the_task_begins(task, family):
+    world = world_of(task, family, plant="nominal")
+    for _ in range(50):
+        world.advance(standing(world), openings(world), [world.gripper_kg] * 2)
+    for arm in range(2):
+        reading = world.read(arm)
+        assert np.allclose(reading.q_rad, world.start_q_rad[arm], atol=1e-9)
+        assert np.allclose(reading.wrench, 0.0, atol=1e-6)
+        assert abs(reading.torque_nm[1]) > 20.0
+        assert (reading.gripper_m is None) == (task == "SineTracking")
+
+
+def test_a_nominal_arm_follows_its_controller_exactly():
+    world = world_of(plant="nominal")
+    motions = [Motion(0.008, world.substeps, world.start_q_rad[arm]) for arm in range(2)]
+    goal = world.start_q_rad[0] + [0.3, -0.2, 0.1, 0.2, 0.3, -0.3]
+    motions[0].move_joints(goal, 1.4, 1.0)
+    most = 0.0
+    for _ in range(200):
+        world.advance([motion.plan() for motion in motions], [None, None], [0.0, 0.0])
+        most = max(most, np.abs(world.read(0).q_rad - motions[0].q).max())
+        assert np.allclose(world.read(1).q_rad, world.start_q_rad[1], atol=1e-9)
+    assert np.allclose(world.read(0).q_rad, goal, atol=1e-6)
+    assert most < 1e-4
+
+
+def test_the_default_plant_differs_and_stays_near():
+    nominal, mild = world_of(plant="nominal"), world_of(seed=3)
+    assert not nominal.drawn
+    assert set(mild.drawn) >= {"mass_scale", "friction_nm", "lookahead_scale", "latency_s", "base_shift_m"}
+    assert not np.allclose(mild.lookahead_scale, 1.0)
+    assert np.abs(mild.drawn["base_shift_m"]).max() <= 0.5e-3
+    assert np.abs(mild.drawn["base_shift_m"]).max() > 0.0
+    bodies = ["left/base_link", "right/base_link"]
+    shift = [np.abs(nominal.pose(body)[0] - mild.pose(body)[0]).max() for body in bodies]
+    assert all(0.0 < each <= 0.5e-3 for each in shift)
+
+
+def test_latency_of_the_plant_is_whole_steps_before_the_law_acts():
+    late = world_of("SyncCarry", seed=1)
+    steps = [len(line._waiting) for line in late._lines]
+    assert steps == np.rint(late.drawn["latency_s"][0] / 0.001).astype(int).tolist()
+    assert max(steps) > 0
+    plan = np.arange(late.substeps * 18, dtype=float).reshape(late.substeps, 3, 6)
+    line = late._lines[int(np.argmax(steps))]
+    first, second = line(plan), line(plan + 1000.0)
+    passed = np.concatenate([first, second])[max(steps) :]
+    assert np.array_equal(passed[: len(plan)], plan)
+
+
+def test_wrong_kinematics_show_in_where_the_flange_is():
+    right, wrong = world_of(plant="nominal"), world_of(plant="nominal", dh_error_m=0.005)
+    offsets = []
+    for world in (right, wrong):
+        believed = flange_pose(world.start_q_rad[0])[0]
+        base, _ = world.pose("left/base_link")
+        true, _ = world.pose("left/wrist_3_link")
+        offsets.append(np.linalg.norm(true - base) - np.linalg.norm(believed))
+    assert abs(offsets[0] - offsets[1]) > 5e-4
+
+
+def test_an_object_is_put_somewhere_at_rest():
+    world = world_of("Handover", plant="nominal")
+    position, quat = world.pose("block")
+    lifted = np.add(position, [0.05, -0.02, 0.1])
+    world.place(np.array([*lifted, *quat]))
+    assert np.allclose(world.pose("block")[0], lifted)
+    for _ in range(125):
+        world.advance(standing(world), openings(world), [world.gripper_kg] * 2)
+    fallen, _ = world.pose("block")
+    assert np.allclose(fallen, np.add(position, [0.05, -0.02, 0.0]), atol=5e-3)
+    with pytest.raises(SettingsError, match="no object"):
+        world_of().place(np.array([0, 0, 0, 1, 0, 0, 0]))
+
+
+def test_a_payload_that_is_not_declared_makes_an_arm_sag():
+    declared, silent = world_of("Handover", plant="nominal"), world_of("Handover", plant="nominal")
+    for _ in range(125):
+        declared.advance(standing(declared), openings(declared), [declared.gripper_kg] * 2)
+        silent.advance(standing(silent), openings(silent), [0.0, 0.0])
+    sag = silent.read(0).q_rad - declared.read(0).q_rad
+    assert np.abs(sag).max() > 1e-4
+
+
+def test_bad_names_and_values_are_refused():
+    with pytest.raises(UnknownNameError, match="plant"):
+        PlantOptions(plant="perfect")
+    for value in (-0.001, 0.5, float("nan")):
+        with pytest.raises(SettingsError, match="dh_error_m"):
+            PlantOptions(dh_error_m=value)
+    with pytest.raises(UnknownNameError, match="body"):
+        world_of().pose("moon")
+
+
+def test_a_simulation_that_diverges_is_told():
+    world = world_of(plant="nominal")
+    plans = standing(world)
+    plans[0, :, 0] = np.nan
+    world.advance(plans, [None, None], [0.0, 0.0])
+    assert world.failed
+    assert np.isfinite(world.read(0).q_rad).all()

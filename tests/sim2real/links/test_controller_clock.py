@@ -1,0 +1,122 @@
+"""The estimate of a controller's clock from packets that come late."""
+
+import math
+
+import numpy as np
+import pytest
+
+from dual_ur10.errors import LinkError
+from dual_ur10.sim2real.links.controller_clock import ControllerClock
+
+
+def packets(tick_s, seconds, *, drift=0.0, latency_s=0.0002, jitter_s=0.001, stall=0.0, seed=0):
+    """Timestamp, arrival and true beginning of every period."""
+    rng = np.random.default_rng(seed)
+    last = 0.0
+    for k in range(round(seconds / tick_s)):
+        timestamp = 5000.0 + k * tick_s
+        true = 77.0 + k * tick_s * (1.0 + drift)
+        late = latency_s + rng.exponential(jitter_s) + (0.05 if rng.random() < stall else 0.0)
+        last = max(last, true + late)  # packets do not overtake
+        yield timestamp, last, true
+
+
+@pytest.mark.parametrize("tick_s", [0.008, 0.002])
+@pytest.mark.parametrize("drift", [0.0, 1e-4, -1e-4])
+@pytest.mark.parametrize("stall", [0.0, 0.01])
+def test_the_estimate_follows_a_drifting_clock(tick_s, drift, stall):
+    clock = ControllerClock(tick_s)
+    errors = []
+    for timestamp, arrival, true in packets(tick_s, 30.0, drift=drift, stall=stall):
+        clock.note(timestamp, arrival)
+        errors.append(clock.local_s(timestamp) - true)
+    settled = np.array(errors[round(3.0 / tick_s) :])
+    assert np.abs(settled - 0.0002).max() < 0.0005
+    assert np.abs(np.diff(settled)).max() < 5e-5  # no jumps, even after a stall
+
+
+def test_nothing_is_known_before_the_first_packet():
+    clock = ControllerClock(0.008)
+    assert math.isnan(clock.offset_s)
+    assert not clock.is_settled
+    with pytest.raises(LinkError, match="first packet"):
+        clock.next_period(1.0, 0.5)
+    with pytest.raises(LinkError, match="first packet"):
+        clock.moment(1, 0.5)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.5, 0.95])
+def test_periods_come_one_after_the_other(share):
+    clock = ControllerClock(0.008)
+    for timestamp, arrival, _ in packets(0.008, 1.0, jitter_s=1e-5):
+        clock.note(timestamp, arrival)
+    now = 77.0 + 1.0
+    numbers, moments = [], []
+    for _ in range(50):
+        number, at = clock.next_period(now, share)
+        assert at > now
+        numbers.append(number)
+        moments.append(at)
+        now = at
+    assert np.diff(numbers).tolist() == [1] * 49
+    assert np.allclose(np.diff(moments), 0.008)
+    # They are where the controller's periods are.
+    into = math.fmod(moments[0] - clock.local_s(5000.0), 0.008) / 0.008
+    assert min(abs(into - share), 1 - abs(into - share)) < 1e-6
+
+
+@pytest.mark.parametrize("timestamp", [0.0, 4999.0, 6000.0])
+def test_a_controller_that_was_started_anew_is_told(timestamp):
+    clock = ControllerClock(0.008)
+    arrival = 0.0
+    for known, arrival, _ in packets(0.008, 1.0):
+        clock.note(known, arrival)
+    with pytest.raises(LinkError, match="started anew"):
+        clock.note(timestamp, arrival + 0.008)
+
+
+@pytest.mark.parametrize("waited", [10, 60, 400])
+def test_packets_that_waited_until_they_were_read_say_little(waited):
+    clock = ControllerClock(0.008)
+    stream = list(packets(0.008, 5.0))
+    read_s = stream[waited][1]
+    for timestamp, arrival, _ in stream:
+        clock.note(timestamp, max(arrival, read_s))
+    timestamp, _, true = stream[-1]
+    assert clock.local_s(timestamp) - true == pytest.approx(0.0002, abs=0.0005)
+
+
+def test_packets_that_scatter_settle_nothing_until_some_agree():
+    clock = ControllerClock(0.008)
+    for packet in range(60):
+        assert not clock.is_settled
+        clock.note(5.0 + 0.008 * packet, 105.0 + 0.008 * packet + 0.001 * (60 - packet))
+    for packet in range(60, 63):  # and now the machine has time
+        assert not clock.is_settled
+        clock.note(5.0 + 0.008 * packet, 105.0 + 0.008 * packet + 0.0001)
+    assert clock.is_settled
+    assert clock.local_s(5.0) - 105.0 == pytest.approx(0.0001, abs=1e-9)
+
+
+@pytest.mark.parametrize("together", [1, 5])
+def test_packets_that_scatter_for_ever_settle_it_in_the_end(together):
+    clock = ControllerClock(0.008)
+    first_s = None
+    for packet in range(300):
+        batch = packet // together
+        read_s = 105.0 + 0.008 * together * (batch + 1) - 0.001 * batch  # each is quicker than the one before
+        first_s = read_s if first_s is None else first_s
+        clock.note(5.0 + 0.008 * packet, read_s)
+        assert clock.is_settled == (read_s - first_s > 2.0)
+    assert clock.is_settled
+
+
+def test_what_is_sent_earlier_by_a_round_trip_arrives_in_the_same_period():
+    near, far = ControllerClock(0.008), ControllerClock(0.008, 0.003)
+    for packet in range(50):
+        near.note(5.0 + 0.008 * packet, 105.0 + 0.008 * packet)
+        far.note(5.0 + 0.008 * packet, 105.0 + 0.0015 + 0.008 * packet)  # half of it
+    number, at = near.next_period(105.5, 0.5)
+    assert far.moment(number, 0.5) == pytest.approx(at - 0.0015, abs=1e-9)
+    assert far.next_period(at - 0.0015 - 1e-6, 0.5)[0] == number
+    assert far.next_period(at - 0.0015 + 1e-6, 0.5)[0] == number + 1

@@ -1,0 +1,164 @@
+"""What is read once from the primary interface, and that whatever is wrong with it is an error."""
+
+import contextlib
+import dataclasses
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dual_ur10.errors import LinkError, ProtocolError, SettingsError
+from dual_ur10.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, NOMINAL_DH, DHParameters
+from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
+from dual_ur10.sim2real.emulator.profile import PROFILES
+from dual_ur10.sim2real.emulator.rtde_variables import zero_values
+from dual_ur10.sim2real.links.primary_link import _Reader, read_primary
+from dual_ur10.sim2real.protocol.primary_messages import text_message, version_message
+from dual_ur10.sim2real.protocol.primary_packet import PrimaryPacket, kinematics_checksums
+from tests.sim2real.links.fake_servers import serving, until_closed
+from tests.soak import scaled
+
+HERE = "127.0.0.1"
+PROFILE = PROFILES["cb3"]
+CALIBRATED = DHParameters(
+    a_m=tuple(DH_A_M + 0.001 * np.arange(6)),
+    d_m=tuple(DH_D_M - 0.0005),
+    alpha_rad=tuple(DH_ALPHA_RAD + 0.002),
+    theta_rad=(0.01, -0.02, 0.03, 0.0, 1e-9, -0.04),
+)
+
+
+def state(kinematics=CALIBRATED, profile=PROFILE):
+    return PrimaryPacket(profile, kinematics).state(zero_values(profile))
+
+
+def sub_package(kind, data=b""):
+    return struct.pack(">iB", 5 + len(data), kind) + data
+
+
+def packet(kind, body=b""):
+    return struct.pack(">iB", 5 + len(body), kind) + body
+
+
+@pytest.mark.parametrize("family", ["cb3", "e-series"])
+def test_an_emulated_controller_says_what_it_is(family):
+    with EmulatedCell(plant="nominal", family=family) as cell:
+        facts = read_primary(cell.left)
+        assert facts.version == PROFILES[family].version
+        assert facts.robot_type == 2
+        assert facts.dh() == NOMINAL_DH
+        assert facts.checksums == kinematics_checksums(NOMINAL_DH)
+        assert facts.safety_checksum == PROFILES[family].safety_checksum
+        cell.ask("calibration", arm="left", error_m=0.003)
+        cell.ask("pretend", arm="left", robot_type=1, safety_checksum=0xFEDCBA98)
+        facts = read_primary(cell.left)
+        assert facts.robot_type == 1
+        assert facts.safety_checksum == 0xFEDCBA98
+        assert facts.a_m == pytest.approx([each + 0.003 * bool(each) for each in NOMINAL_DH.a_m], abs=1e-12)
+        assert facts.checksums != kinematics_checksums(NOMINAL_DH)
+        for fault in ({"mute": True}, {"half_open": True}):
+            cell.ask("link", arm="left", port="primary", **fault)
+            with pytest.raises(LinkError, match=r"left arm, primary interface at .*30001: no answer in time; "):
+                read_primary(cell.left, 0.3, name="left")
+            cell.ask("heal", arm="left")
+
+
+def test_rows_are_not_confused_and_pieces_do_not_matter():
+    data = version_message(PROFILE) + text_message(1.0, "hello") + packet(25, b"later versions") + state()
+
+    def talk(connection):
+        for start in range(0, len(data), 7):
+            connection.sendall(data[start : start + 7])
+        until_closed(connection)
+
+    with serving(talk) as port:
+        facts = read_primary(HERE, 10.0, port)
+    assert facts.dh() == CALIBRATED
+    assert facts.checksums == kinematics_checksums(CALIBRATED)
+
+
+def test_what_is_told_only_once_may_come_in_several_packets():
+    reader = _Reader()
+    whole = state()
+    reader.feed(packet(16) + whole)
+    assert reader.facts is None
+    reader.feed(version_message(dataclasses.replace(PROFILE, version=(5, 11, 1, 2))) + packet(16))
+    assert reader.facts.version == (5, 11, 1, 2)
+    assert reader.facts.dh() == CALIBRATED
+
+
+def test_another_robots_kinematics_are_read_and_refused_as_a_ur10s():
+    reader = _Reader()
+    data = bytearray(version_message(PROFILE) + state())
+    place = bytes(data).index(struct.pack(">d", CALIBRATED.a_m[1]))
+    data[place : place + 8] = struct.pack(">d", -0.425)  # a UR5's
+    reader.feed(bytes(data))
+    assert reader.facts.a_m[1] == -0.425
+    with pytest.raises(SettingsError, match="another robot"):
+        reader.facts.dh()
+
+
+VERSION = version_message(PROFILE)
+WHOLE = VERSION + state()
+
+
+@pytest.mark.parametrize(
+    ("data", "text"),
+    [
+        (struct.pack(">iB", 4, 16), "packet of 4 bytes"),
+        (struct.pack(">iB", -1, 16), "packet of -1 bytes"),
+        (b"HTTP/1.1 400 Bad Request\r\n", "packet of 1213486160 bytes"),
+        (VERSION + packet(16, sub_package(5, b"\0" * 20)), "too short"),
+        (VERSION + packet(16, sub_package(6, b"\0" * 20)), "too short"),
+        (VERSION + packet(16, sub_package(10, b"\0" * 3)), "too short"),
+        (VERSION + packet(16, struct.pack(">iB", 4, 5)), "sub-package 5 of 4 bytes"),
+        (VERSION + packet(16, struct.pack(">iB", 500, 5)), "sub-package 5 of 500 bytes"),
+        (VERSION + packet(16, b"\0\0"), "too short"),
+        (packet(20, b"\0" * 9 + b"\3\xff\0"), "too short"),
+        (VERSION + packet(16) * 300, "packets without"),
+        (VERSION, "closed the connection"),
+        (b"", "closed the connection"),
+    ],
+)
+def test_what_is_no_primary_interface_is_named(data, text):
+    with (
+        serving(lambda connection: connection.sendall(data)) as port,
+        pytest.raises(LinkError, match=text) as caught,
+    ):
+        read_primary(HERE, 5.0, port, name="right")
+    assert str(caught.value).startswith("right arm, primary interface at 127.0.0.1:")
+
+
+def test_nothing_is_sent():
+    sent = []
+
+    def talk(connection):
+        connection.sendall(VERSION + state())
+        sent.append(until_closed(connection))
+
+    with serving(talk) as port:
+        read_primary(HERE, 5.0, port)
+    assert sent == [b""]
+
+
+@settings(max_examples=scaled(20_000), deadline=None)
+@given(st.integers(0, 10**6), st.binary(min_size=1, max_size=8))
+def test_changed_bytes_are_a_protocol_error_or_values(place, junk):
+    data = bytearray(WHOLE)
+    place %= len(data)
+    data[place : place + len(junk)] = junk
+    reader = _Reader()
+    with contextlib.suppress(ProtocolError):
+        reader.feed(bytes(data))
+        if reader.facts is not None:
+            with contextlib.suppress(SettingsError):
+                reader.facts.dh()
+
+
+def test_bad_arguments_are_refused():
+    with pytest.raises(SettingsError, match="IPv4"):
+        read_primary("robot")
+    with pytest.raises(SettingsError, match="timeout_s"):
+        read_primary(HERE, 0.0)

@@ -1,0 +1,429 @@
+"""The read-only RTDE client: what it reads, that it never waits or writes, and that whatever is wrong is an error."""
+
+import contextlib
+import itertools
+import math
+import select
+import struct
+import threading
+import time
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dual_ur10.errors import ClosedError, LinkError, ProtocolError, SettingsError
+from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
+from dual_ur10.sim2real.links.rtde_link import RtdeLink
+from dual_ur10.sim2real.links.rtde_stream import RtdeStream
+from dual_ur10.sim2real.protocol.rtde_types import TYPES
+from tests.sim2real.links.fake_servers import (
+    ANSWERS,
+    DEADLINE_S,
+    rtde_data,
+    rtde_frame,
+    rtde_request,
+    rtde_talk,
+    serving,
+    until_closed,
+)
+from tests.soak import scaled
+
+NAMES = ("robot_mode", "actual_q")
+VARIABLES = [("timestamp", TYPES["DOUBLE"]), ("robot_mode", TYPES["INT32"])]
+HERE = "127.0.0.1"
+
+
+@pytest.fixture(scope="module")
+def started():
+    with EmulatedCell(plant="nominal") as cell:
+        yield cell
+
+
+@pytest.fixture
+def cell(started):
+    """The cell, with nothing left of the test before."""
+    yield started
+    started.ask("heal", arm="left")
+    started.ask("override", arm="left", timestamp=None)
+
+
+def wait(link, condition, what):
+    """Poll until a condition holds; the samples that came."""
+    end = time.monotonic() + DEADLINE_S
+    samples = []
+    while not condition():
+        assert time.monotonic() < end, f"waited {DEADLINE_S} s for {what}"
+        select.select([link], [], [], 0.05)
+        samples += link.poll()
+    return samples
+
+
+def more(link, count):
+    aim = link.count + count
+    return wait(link, lambda: link.count >= aim, f"{count} samples")
+
+
+def fault(link):
+    """The error that polling comes to."""
+    end = time.monotonic() + DEADLINE_S
+    while time.monotonic() < end:
+        try:
+            link.poll()
+        except LinkError as error:
+            return str(error)
+        time.sleep(0.001)
+    pytest.fail(f"no error in {DEADLINE_S} s")
+
+
+# With an emulated controller.
+
+
+def test_samples_have_the_controllers_values_in_order(cell):
+    with RtdeLink(cell.left, NAMES, name="left") as link:
+        assert link.version[:2] == (3, 15)
+        assert link.frequency_hz == 125.0
+        assert link.variables == ("timestamp", *NAMES)
+        before = time.monotonic()
+        samples = more(link, 5)
+        told = cell.ask("state", arm="left", names=["actual_q"])["actual_q"]
+    times = [each.timestamp_s for each in samples]
+    assert times == sorted(set(times))
+    assert all(each.values["robot_mode"] == 7 for each in samples)
+    assert samples[-1].values["actual_q"] == pytest.approx(told, abs=1e-3)
+    assert samples[-1].values.keys() == {"timestamp", *NAMES}
+    assert before <= samples[-1].arrival_s <= time.monotonic()
+    assert samples[-1] is link.latest
+
+
+def test_data_come_as_often_as_they_are_asked_for(cell):
+    with RtdeLink(cell.left, NAMES, frequency_hz=25.0) as link:
+        times = [each.timestamp_s for each in more(link, 4)]
+    assert [b - a for a, b in itertools.pairwise(times)] == pytest.approx([0.04] * (len(times) - 1))
+
+
+def test_what_is_optional_may_be_missing_and_nothing_else(cell):
+    with RtdeLink(cell.left, NAMES, optional=("ft_raw_wrench", "payload")) as link:
+        assert link.variables == ("timestamp", *NAMES, "payload")
+        assert more(link, 1)[-1].values["payload"] == 0.0
+    with pytest.raises(
+        LinkError, match=r"left arm, RTDE at .*3\.15\.8\.\d+ has no RTDE variables ft_raw_wrench;.*update"
+    ):
+        RtdeLink(cell.left, (*NAMES, "ft_raw_wrench"), optional=("payload",), name="left")
+
+
+def test_a_silent_controller_ages_and_polling_does_not_wait(cell):
+    with RtdeLink(cell.left, NAMES) as link:
+        more(link, 2)
+        cell.ask("link", arm="left", port="rtde", mute=True)
+        while link.poll():
+            pass
+        alive = time.monotonic() - link.age_s(time.monotonic())
+        count = link.count
+        for _ in range(1000):
+            assert link.poll() == []
+        assert link.count == count
+        assert link.age_s(alive + 0.25) == pytest.approx(0.25, abs=1e-3)
+        cell.ask("link", arm="left", port="rtde", mute=False)
+        more(link, 1)
+        assert link.age_s(time.monotonic()) < time.monotonic() - alive
+
+
+def test_packages_whose_time_stands_still_are_no_sign_of_life(cell):
+    with RtdeLink(cell.left, NAMES) as link:
+        now = more(link, 1)[-1].timestamp_s + 100.0
+        cell.ask("override", arm="left", timestamp=now)
+        wait(link, lambda: link.latest.timestamp_s == now, "the time to stand")
+        at = link.latest.arrival_s + 5.0
+        age_s = link.age_s(at)
+        more(link, 5)
+        assert link.latest.arrival_s > at - 5.0
+        assert link.age_s(at) == age_s
+
+
+def test_a_timestamp_that_goes_back_breaks_the_link_for_good(cell):
+    with RtdeLink(cell.left, NAMES, name="left") as link:
+        last = more(link, 2)[-1]
+        cell.ask("override", arm="left", timestamp=0.001)
+        text = fault(link)
+        assert f"left arm, RTDE at {cell.left}:30004" in text
+        assert "went back" in text
+        assert link.latest.timestamp_s >= last.timestamp_s
+        cell.ask("override", arm="left", timestamp=None)
+        for _ in range(3):
+            with pytest.raises(LinkError, match="went back"):
+                link.poll()
+        end = time.monotonic() + DEADLINE_S
+        while cell.ask("clients", arm="left")["rtde"]:  # it does not connect again
+            assert time.monotonic() < end
+
+
+@pytest.mark.parametrize(("reset", "text"), [(False, "closed the connection"), (True, "closed the connection|broke")])
+def test_the_end_of_the_stream_is_an_error(cell, reset, text):
+    with RtdeLink(cell.left, NAMES, name="left") as link:
+        more(link, 1)
+        cell.ask("drop", arm="left", port="rtde", reset=reset)
+        found = fault(link)
+    assert any(each in found for each in text.split("|"))
+    assert "left arm" in found
+
+
+def test_a_corrupt_stream_is_an_error(cell):
+    with RtdeLink(cell.left, ("robot_mode",)) as link:
+        more(link, 1)
+        cell.ask("link", arm="left", port="rtde", corrupt=100_000)
+        assert "RTDE" in fault(link)
+
+
+def test_a_controller_that_accepts_and_is_silent_is_given_up(cell):
+    cell.ask("link", arm="left", port="rtde", half_open=True)
+    with pytest.raises(LinkError, match=r"left arm, RTDE at .*no answer in time;"):
+        RtdeLink(cell.left, NAMES, timeout_s=0.3, name="left")
+
+
+def test_a_refused_connection_is_named(cell):
+    cell.ask("refuse", arm="left", port="rtde")
+    with pytest.raises(LinkError, match=rf"left arm, RTDE at {cell.left}:30004: no connection \(.*refused.*\); check"):
+        RtdeLink(cell.left, NAMES, name="left")
+
+
+def test_links_of_both_arms_are_apart(cell):
+    with RtdeLink(cell.left, NAMES) as left, RtdeLink(cell.right, NAMES) as right:
+        cell.ask("drop", arm="left", port="rtde")
+        fault(left)
+        more(right, 3)
+
+
+def test_a_closed_link_says_so(cell):
+    link = RtdeLink(cell.left, NAMES)
+    assert select.select([link], [], [], DEADLINE_S)[0] == [link]
+    link.close()
+    link.close()
+    for use in (link.poll, link.fileno):
+        with pytest.raises(ClosedError, match="closed"):
+            use()
+
+
+# With servers of a few lines.
+
+
+def test_nothing_is_sent_after_the_start():
+    sent = []
+
+    def talk(connection):
+        rtde_talk(connection)
+        for tick in range(50):
+            connection.sendall(rtde_data(1.0 + tick))
+        sent.append(until_closed(connection))
+
+    with serving(talk) as port, RtdeLink(HERE, ["robot_mode"], port=port) as link:
+        wait(link, lambda: link.count == 50, "all samples")
+        assert link.poll() == []
+    assert sent == [b""]
+
+
+def test_what_is_asked_for():
+    asked = []
+
+    def talk(connection):
+        for kind in "VvOS":
+            asked.append(rtde_request(connection))
+            connection.sendall(rtde_frame(kind, ANSWERS[kind]))
+        until_closed(connection)
+
+    with serving(talk) as port:
+        RtdeLink(HERE, ["robot_mode", "timestamp"], port=port).close()
+    assert asked == [
+        ("V", b"\0\2"),
+        ("v", b""),
+        ("O", struct.pack(">d", 125.0) + b"timestamp,robot_mode"),
+        ("S", b""),
+    ]
+
+
+def test_pieces_and_texts_change_nothing():
+    def talk(connection):
+        text = rtde_frame("M", b"\2hi\2me\1")
+        for kind in "VvO":
+            rtde_request(connection)
+            for byte in text + rtde_frame(kind, ANSWERS[kind]):
+                connection.sendall(bytes([byte]))
+        rtde_request(connection)
+        stream = text + rtde_frame("S", b"\1") + rtde_data(1.0) + text + rtde_data(2.0, mode=-1)
+        connection.sendall(stream[:-5])
+        connection.sendall(stream[-5:])
+        until_closed(connection)
+
+    with serving(talk) as port, RtdeLink(HERE, ["robot_mode"], port=port) as link:
+        wait(link, lambda: link.count == 2, "both samples")
+        assert link.latest.values == {"timestamp": 2.0, "robot_mode": -1}
+
+
+@pytest.mark.parametrize(
+    ("answers", "text"),
+    [
+        ({"V": b"\0"}, "protocol version 2 was not accepted"),
+        ({"v": b"\0" * 15}, "15 bytes as its version"),
+        ({"O": b"\1DOUBLE"}, "1 types for 2 variables"),
+        ({"O": b""}, "0 types for 2 variables"),
+        ({"O": b"\1DOUBLE,STRING"}, "output recipe 1 with types DOUBLE, STRING"),
+        ({"O": b"\0DOUBLE,INT32"}, "output recipe 0"),
+        ({"O": b"\0NOT_FOUND,INT32"}, "has no RTDE variables timestamp"),
+        ({"S": b"\0"}, "kind 83"),
+        ({"S": b""}, "kind 83"),
+    ],
+)
+def test_answers_that_are_none_are_named(answers, text):
+    with (
+        serving(lambda connection: rtde_talk(connection, **answers)) as port,
+        pytest.raises(LinkError, match=r"right arm, RTDE at 127\.0\.0\.1:.*; ") as caught,
+    ):
+        RtdeLink(HERE, ["robot_mode"], port=port, name="right")
+    assert text in str(caught.value)
+
+
+@pytest.mark.parametrize("first", [b"HTTP/1.1 400 Bad Request\r\n\r\n", b"\0\1V", b"\0\4X\1", b"\0\4V\1\0\4V\1", b""])
+def test_what_is_no_rtde_server_is_an_error(first):
+    def talk(connection):
+        rtde_request(connection)
+        connection.sendall(first)
+
+    with serving(talk) as port, pytest.raises(LinkError):
+        RtdeLink(HERE, ["robot_mode"], port=port)
+
+
+def test_a_server_that_never_comes_to_the_point_is_given_up():
+    def talk(connection):
+        end = time.monotonic() + DEADLINE_S
+        while time.monotonic() < end:
+            connection.sendall(rtde_frame("M", b"\1a\0\3"))
+            time.sleep(0.01)
+
+    with serving(talk) as port, pytest.raises(LinkError, match="no answer in time"):
+        RtdeLink(HERE, ["robot_mode"], port=port, timeout_s=0.3)
+
+
+@pytest.mark.parametrize(
+    ("package", "text"),
+    [
+        (rtde_data(2.0, recipe=2), "recipe 2"),
+        (rtde_data(2.0)[:-1], ""),
+        (rtde_frame("U"), "recipe no with 0 bytes"),
+        (rtde_frame("U", b"\1" + b"\0" * 13), "with 14 bytes: expected are those of recipe 1, 13 bytes"),
+        (rtde_data(math.nan), "timestamp is nan"),
+        (rtde_data(math.inf), "timestamp is inf"),
+        (rtde_data(0.5), "went back"),
+        (b"\0\2U", "frame of 2 bytes"),
+        (b"\xff\xffU", "frame of 65535 bytes: at most"),
+        (rtde_frame("S", b"\1"), "kind 83"),
+        (rtde_frame("P", b"\1"), "kind 80"),
+        (b"", "closed the connection"),
+    ],
+)
+def test_a_bad_package_in_the_stream_is_an_error(package, text):
+    made = threading.Event()
+
+    def talk(connection):
+        rtde_talk(connection)
+        assert made.wait(DEADLINE_S)
+        connection.sendall(rtde_data(1.0) + package)
+
+    with serving(talk) as port, RtdeLink(HERE, ["robot_mode"], port=port, name="left") as link:
+        made.set()
+        found = fault(link)
+        assert link.latest.timestamp_s == 1.0
+    assert text in found
+    assert found.startswith("left arm, RTDE at 127.0.0.1:")
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"host": "localhost"}, "IPv4"),
+        ({"host": ""}, "IPv4"),
+        ({"variables": ["a,b"]}, "a,b"),
+        ({"variables": ["a\n"]}, "letters"),
+        ({"variables": ["robot_mode", "robot_mode"]}, "once"),
+        ({"variables": "robot_mode"}, "list"),
+        ({"optional": ["a b"]}, "a b"),
+        ({"frequency_hz": 0.0}, "frequency_hz"),
+        ({"frequency_hz": math.nan}, "frequency_hz"),
+        ({"timeout_s": 0.0}, "timeout_s"),
+        ({"timeout_s": math.inf}, "timeout_s"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(values, text):
+    with pytest.raises(SettingsError, match=text):
+        RtdeLink(**{"host": HERE, "variables": ["robot_mode"], **values})
+
+
+# The stream alone.
+
+STARTED = rtde_frame("S", b"\1")
+
+
+def stream():
+    return RtdeStream(1, VARIABLES, 10.0)
+
+
+@settings(max_examples=scaled(2000), deadline=None)
+@given(st.lists(st.integers(1, 40), max_size=30), st.integers(1, 10))
+def test_where_the_bytes_are_cut_does_not_matter(cuts, count):
+    data = STARTED + b"".join(rtde_data(float(time_s), time_s) for time_s in range(count))
+    whole, parts = stream(), stream()
+    samples = whole.feed(data, 11.0)
+    got, place = [], 0
+    for size in [*cuts, len(data)]:
+        got += parts.feed(data[place : place + size], 11.0)
+        place += size
+    assert got == samples
+    assert [each.values["robot_mode"] for each in got] == list(range(count))
+
+
+@settings(max_examples=scaled(20_000), deadline=None)
+@given(st.binary(max_size=200))
+def test_whatever_comes_it_is_a_protocol_error_or_nothing(data):
+    found = stream()
+    with contextlib.suppress(ProtocolError):
+        found.feed(STARTED + rtde_data(1.0) + data, 11.0)
+    assert found.latest.timestamp_s >= 1.0
+
+
+@settings(max_examples=scaled(20_000), deadline=None)
+@given(st.integers(0, 10**9), st.integers(1, 255))
+def test_a_changed_byte_is_found_or_is_in_a_value(where, change):
+    package = bytearray(rtde_data(2.0))
+    where %= len(package)
+    package[where] ^= change
+    found = stream()
+    found.feed(STARTED + rtde_data(1.0), 11.0)
+    if where < 4:  # length, kind, recipe; a shorter or longer package shows at once, or when the next has come
+        try:
+            found.feed(bytes(package) + rtde_data(3.0) * 50, 12.0)
+        except ProtocolError:
+            return
+        # Texts are let pass, and nothing else.
+        assert bytes(package)[2] == ord("M")
+    else:
+        try:
+            (sample,) = found.feed(bytes(package), 12.0)
+        except ProtocolError:
+            assert where < 12  # the timestamp went back, or is no number
+            return
+        assert sample.values != {"timestamp": 2.0, "robot_mode": 7}
+
+
+def test_before_the_first_sample_age_counts_from_the_start():
+    found = stream()
+    assert found.alive_s == 10.0
+    found.feed(STARTED + rtde_data(0.0), 11.0)
+    assert found.alive_s == 11.0
+    found.feed(rtde_data(0.0), 12.0)
+    assert (found.alive_s, found.latest.arrival_s) == (11.0, 12.0)
+
+
+def test_a_controller_that_talks_does_not_fill_the_log(caplog):
+    found = stream()
+    found.feed(STARTED + rtde_frame("M", b"\2hi\0\3") * 1000, 11.0)
+    assert 0 < len(caplog.records) < 100
+    assert "'hi'" in caplog.text

@@ -1,0 +1,633 @@
+"""Grippers of a cell: the links ask and command, threads keep nobody waiting, and a lost gripper is said to be lost."""
+
+import contextlib
+import dataclasses
+import threading
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dual_ur10.assets.gripper import FORCE_N, OPENING_M
+from dual_ur10.errors import ActionError, ClosedError, LinkError, OperationRefusedError, SettingsError
+from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.config.cell_file_entries import DigitalGripper, NoGripper
+from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
+from dual_ur10.sim2real.links.link_socket import LinkSocket
+from dual_ur10.sim2real.links.rtde_link import RtdeClient, RtdeLink
+from dual_ur10.sim2real.peripherals.digital_gripper import OUTPUTS, DigitalGripperLink
+from dual_ur10.sim2real.peripherals.gripper_link import (
+    FAULTS,
+    GripperReading,
+    RobotiqLink,
+    counts_of,
+    force_counts,
+    opening_of,
+)
+from dual_ur10.sim2real.peripherals.grippers import Grippers, GripperThread, link_to
+from dual_ur10.sim2real.protocol.rtde_codec import Kind
+from tests.sim2real.links.fake_servers import exactly, serving, until_closed
+
+HERE = "127.0.0.1"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    path = tmp_path_factory.mktemp("cell") / "cell.toml"
+    with EmulatedCell(task="SyncCarry", plant="nominal", cell=str(path)) as cell:
+        yield cell, load_cell_file(path)
+
+
+@pytest.fixture
+def cell(made):
+    cell, _ = made
+    yield cell
+    for arm in ("left", "right"):
+        cell.ask("heal", arm=arm)
+
+
+@pytest.fixture
+def file(made):
+    return made[1]
+
+
+def until(condition, within_s=10.0):
+    end = time.monotonic() + within_s
+    while not (found := condition()):
+        assert time.monotonic() < end, "it did not come about"
+        time.sleep(0.005)
+    return found
+
+
+def yes(question):
+    assert "keep hands away" in question
+    return True
+
+
+def never(question):
+    raise AssertionError(f"asked: {question}")
+
+
+@pytest.fixture
+def grippers(cell, file):
+    with Grippers(file, force_n=100.0) as grippers:
+        grippers.activate(yes)
+        grippers.command((OPENING_M, OPENING_M), 0.0)
+        until(lambda: min(grippers.opening_m) > 0.98 * OPENING_M)
+        yield grippers
+
+
+def register(link, name):
+    return link._told(name, time.monotonic() + 1.0)
+
+
+# Numbers.
+
+
+@given(st.integers(0, 255))
+def test_counts_and_openings_belong_together(counts):
+    assert counts_of(opening_of(counts)) == counts
+    assert 0.0 <= opening_of(counts) <= OPENING_M
+
+
+@given(st.floats(-0.01, 0.1))
+def test_an_opening_is_met_within_half_a_step(opening_m):
+    met = min(max(opening_m, 0.0), OPENING_M)
+    assert abs(opening_of(counts_of(opening_m)) - met) <= OPENING_M / 510 + 1e-12
+
+
+def test_forces():
+    assert force_counts(FORCE_N[0]) == 0
+    assert force_counts(FORCE_N[1]) == 255
+    assert force_counts(127.5) == 128
+    for force in (19.9, 235.1, float("nan")):
+        with pytest.raises(SettingsError, match="20 to 235 N"):
+            force_counts(force)
+
+
+# On the emulated cell.
+
+
+def test_nothing_is_sent_before_somebody_asks_for_it(tmp_path):
+    path = tmp_path / "cell.toml"
+    with EmulatedCell(task="Handover", plant="nominal", cell=str(path)) as cell:
+        with Grippers(load_cell_file(path)) as grippers:
+            assert [each.needs_activation() for each in grippers.each] == [True, True]
+            assert "left arm" in grippers.fault
+            assert "not activated (STA 0, expected 3)" in grippers.fault
+            with pytest.raises(OperationRefusedError, match=r"left gripper.*not confirmed"):
+                grippers.activate(lambda question: False)
+            with pytest.raises(OperationRefusedError):
+                grippers.activate(lambda question: "yes")  # only True is
+            # Asked for nothing, both are as they were.
+            assert [each.needs_activation() for each in grippers.each] == [True, True]
+            # A command to a gripper that is not active: it is said, and does not end the thread.
+            grippers.command((0.02, None), 0.0)
+            until(lambda: "FLT 7: it has to be activated" in grippers.fault)
+            asked = []
+            grippers.activate(lambda question: asked.append(question) or True)
+            assert len(asked) == 2
+            assert grippers.fault == ""
+            grippers.activate(never)  # who is active is left alone
+        with contextlib.closing(RobotiqLink(cell.left, 63352)) as link:
+            assert not link.needs_activation()  # closing sent nothing
+
+
+def test_a_command_is_sent_when_it_is_due(grippers):
+    begin = time.monotonic()
+    grippers.command((0.03, 0.02), begin + 0.4)
+    assert time.monotonic() - begin < 0.3  # it did not wait
+    with contextlib.closing(RobotiqLink(*address(grippers, 0))) as other:
+        while time.monotonic() < begin + 0.3:
+            assert register(other, "PRE") == 0
+        until(lambda: register(other, "PRE") == counts_of(0.03))
+        assert time.monotonic() >= begin + 0.4
+        assert register(other, "FOR") == force_counts(100.0)
+    until(lambda: grippers.opening_m == pytest.approx((0.03, 0.02), abs=0.002))
+    assert grippers.fault == ""
+    assert all(each.measured_s > begin for each in grippers.each)
+
+
+def address(grippers, arm):
+    socket = grippers.each[arm]._link._socket._socket
+    return socket.getpeername()
+
+
+def test_what_is_held_stays_held(cell, file):
+    with Grippers(file) as grippers:
+        grippers.activate(yes)
+        grippers.command((0.02, OPENING_M), 0.0)
+        until(lambda: abs(grippers.opening_m[0] - 0.02) < 0.001)
+    with Grippers(file) as grippers:
+        assert grippers.opening_m[0] == pytest.approx(0.02, abs=0.001)
+        grippers.activate(never)
+        assert grippers.fault == ""
+        grippers.command((OPENING_M, OPENING_M), 0.0)
+
+
+def test_a_gripper_without_power_is_a_fault_and_comes_back_only_by_activation(grippers, cell):
+    cell.ask("press", arm="left", button="power_off")
+    try:
+        until(lambda: "the controller does not reach its gripper" in grippers.fault)
+        assert "right" not in grippers.fault
+    finally:
+        cell.ask("press", arm="left", button="release_brakes")
+    cell.wait_until("left", "robot_mode", 7)
+    until(lambda: "not activated" in grippers.fault)
+    grippers.activate(yes)
+    assert grippers.fault == ""
+
+
+@pytest.mark.parametrize("reset", [False, True])
+def test_a_lost_gripper_is_named_and_the_other_goes_on(grippers, cell, reset):
+    cell.ask("drop", arm="left", port="gripper", reset=reset)
+    until(lambda: grippers.fault)
+    assert "left arm, Robotiq gripper at" in grippers.fault
+    assert "right" not in grippers.fault
+    until(lambda: not grippers.each[0]._thread.is_alive())
+    grippers.command((0.01, 0.04), 0.0)  # no error here: the fault tells
+    until(lambda: abs(grippers.opening_m[1] - 0.04) < 0.001)
+    assert grippers.opening_m[0] > 0.08
+    time.sleep(0.1)
+    assert cell.ask("clients", arm="left")["gripper"] == []  # nothing connects again
+    with pytest.raises(LinkError, match="left arm, Robotiq gripper"):
+        grippers.activate(never)
+
+
+def test_a_silent_gripper_is_lost_and_keeps_nobody_waiting(grippers, cell):
+    cell.ask("link", arm="right", port="gripper", mute=True)
+    until(lambda: grippers.fault, within_s=5.0)
+    assert "right arm, Robotiq gripper" in grippers.fault
+    assert "no answer in time" in grippers.fault
+    begin = time.monotonic()
+    for _ in range(1000):
+        grippers.command((0.05, 0.05), begin)
+        assert grippers.fault
+    assert grippers.each[0].fault == ""
+
+
+def test_a_port_that_is_closed_connects_none(cell, file):
+    cell.ask("refuse", arm="right", port="gripper")
+    with pytest.raises(LinkError, match=r"right arm, Robotiq gripper.*refused"):
+        Grippers(file)
+    until(lambda: cell.ask("clients", arm="left")["gripper"] == [])
+
+
+def test_no_gripper(file):
+    arms = {name: dataclasses.replace(getattr(file, name), gripper=NoGripper()) for name in ("left", "right")}
+    with Grippers(dataclasses.replace(file, **arms)) as grippers:
+        grippers.command((0.01, 0.01), 0.0)
+        grippers.activate(never)
+        assert grippers.opening_m == (None, None)
+        assert grippers.fault == ""
+
+
+# The protocol, against servers that do it wrong.
+
+
+def robotiq(connection, answers, heard=None):
+    """Answer GETs from a mapping, by what the last SET said of ACT if it is there; a SET is acknowledged."""
+    rest, active = b"", ""
+    while True:
+        while b"\n" not in rest:
+            data = connection.recv(1000)
+            if not data:
+                return
+            rest += data
+        line, rest = rest.split(b"\n", 1)
+        verb, word, *values = line.decode().split()
+        if verb == "GET":
+            connection.sendall(answers.get(word + active, answers.get(word, f"{word} 0\n")).encode())
+            continue
+        active = values[0] if word == "ACT" else active
+        if heard is not None:
+            heard.append(line.decode())
+        connection.sendall(answers["SET"].encode())
+
+
+@pytest.mark.parametrize("ack", ["ack", "ack\n", "ack\r\n"])
+def test_an_ack_with_or_without_an_end(ack):
+    answers = {"STA": "STA 3\n", "POS": "POS 51\n", "OBJ": "OBJ 2\n", "SET": ack}
+    with serving(lambda connection: robotiq(connection, answers)) as port:
+        link = RobotiqLink(HERE, port)
+        for opening_m in (0.02, 0.03, 0.04):
+            assert link.command(opening_m)
+            assert link.read() == GripperReading(pytest.approx(0.8 * OPENING_M), "", True)
+        link.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "answer", "text"),
+    [
+        ("STA", "STA ?\n", None),
+        ("STA", "STA 256\n", "expected is 'STA ' and a number"),
+        ("STA", "POS 3\n", "expected is 'STA ' and a number"),
+        ("STA", "STA -1\n", "expected is 'STA ' and a number"),
+        ("STA", "x" * 300, "no Robotiq gripper"),
+    ],
+)
+def test_an_answer_that_is_none(name, answer, text):
+    with serving(lambda connection: robotiq(connection, {name: answer, "SET": "ack"})) as port:
+        if text is None:
+            link = RobotiqLink(HERE, port)
+            assert "does not reach its gripper" in link.read().fault
+            link.close()
+        else:
+            with pytest.raises(LinkError, match=text):
+                RobotiqLink(HERE, port)
+
+
+def test_a_command_that_is_not_taken():
+    with serving(lambda connection: robotiq(connection, {"SET": "?\n"})) as port:
+        link = RobotiqLink(HERE, port)
+        with pytest.raises(LinkError, match=r"answers '\?' to 'SET POS"):
+            link.command(0.01)
+        link.close()
+
+
+@pytest.mark.parametrize("code", [*sorted(FAULTS), 1, 0x53])
+def test_faults_are_explained(code):
+    with serving(lambda connection: robotiq(connection, {"STA": "STA 3\n", "FLT": f"FLT {code}\n"})) as port:
+        link = RobotiqLink(HERE, port)
+        text = link.read().fault
+        assert text.startswith(f"FLT {code}: ")
+        assert ("does not list" in text) == (code & 15 not in FAULTS)
+        assert link.needs_activation() == (code & 15 > 5)
+        link.close()
+
+
+def test_an_activation_that_does_not_end():
+    with serving(lambda connection: robotiq(connection, {"SET": "ack"})) as port:
+        link = RobotiqLink(HERE, port)
+        with pytest.raises(LinkError, match=r"not active after 0.1 s"):
+            link.activate(0.1)
+        link.close()
+
+
+def test_an_activation_begins_with_a_reset():
+    heard = []
+    answers = {"SET": "ack", "STA": "STA 3\n", "STA0": "STA 0\n", "STA1": "STA 3\n"}
+    with serving(lambda connection: robotiq(connection, answers, heard)) as port:
+        link = RobotiqLink(HERE, port)
+        link.activate(5.0)
+        link.close()
+    assert heard == ["SET ACT 0", "SET ACT 1"]
+
+
+def test_a_command_is_sent_once_and_again_after_an_activation():
+    heard = []
+    answers = {"SET": "ack", "STA": "STA 3\n", "STA0": "STA 0\n", "STA1": "STA 3\n"}
+    with serving(lambda connection: robotiq(connection, answers, heard)) as port:
+        link = RobotiqLink(HERE, port, 127.5)
+        step_m = OPENING_M / 255
+        commands = (0.0, 0.4 * step_m, step_m, step_m, 0.0)
+        assert [link.command(opening_m) for opening_m in commands] == [True, False, True, False, True]
+        link.activate(5.0)
+        assert link.command(0.0)
+        link.forget()  # somebody may have moved it
+        assert link.command(0.0)
+        link.close()
+    positions = [line for line in heard if "POS" in line]
+    assert positions == [f"SET POS {counts} SPE 255 FOR 128 GTO 1" for counts in (255, 254, 255, 255, 255)]
+
+
+def test_an_answer_that_was_interrupted_is_not_taken_for_the_next_ones(monkeypatch):
+    answers = {"SET": "ack", "STA": "STA 3\n"}
+    with serving(lambda connection: robotiq(connection, answers)) as port:
+        link = RobotiqLink(HERE, port)
+
+        def interrupted(deadline_s):
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(link._socket, "receive", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            link.needs_activation()
+        monkeypatch.undo()
+        with pytest.raises(ClosedError):
+            link.read()
+
+
+def test_only_what_is_asked_for_is_sent():
+    heard = []
+
+    def talk(connection):
+        heard.append(exactly(connection, 8))
+        connection.sendall(b"STA 3\n")
+        heard.append(until_closed(connection))
+
+    with serving(talk) as port:
+        RobotiqLink(HERE, port).close()
+    assert heard == [b"GET STA\n", b""]
+
+
+# The thread.
+
+
+class Link:
+    """A link that remembers, and fails when told to."""
+
+    where = "a gripper"
+
+    def __init__(self):
+        self.sent, self.closed, self.error, self.fault = [], False, None, ""
+        self.gate = threading.Event()
+        self.gate.set()
+
+    def read(self):
+        self.gate.wait(10.0)
+        if self.error is not None:
+            raise self.error
+        return GripperReading(0.05, self.fault, False)
+
+    def command(self, opening_m):
+        self.sent.append((opening_m, time.monotonic()))
+        return True
+
+    def forget(self):
+        self.sent.clear()
+
+    def needs_activation(self):
+        return False
+
+    def activate(self, within_s):
+        time.sleep(0.05)
+
+    def close(self):
+        self.closed = True
+
+
+@pytest.fixture
+def link():
+    return Link()
+
+
+@pytest.fixture
+def thread(link):
+    thread = GripperThread("left", link, 0.005)
+    yield thread
+    link.gate.set()
+    thread.close()
+    assert link.closed
+
+
+def test_commands_ahead_of_each_other_all_come_in_their_turn(thread, link):
+    """Each comes before the one before it is due: none of them starves."""
+    begin = time.monotonic()
+    for number in range(5):
+        thread.command(0.01 * number, begin + 0.1 + 0.05 * number)
+    until(lambda: len(link.sent) == 5)
+    assert [opening_m for opening_m, _ in link.sent] == pytest.approx([0.0, 0.01, 0.02, 0.03, 0.04])
+    assert all(at_s >= begin + 0.1 + 0.05 * number for number, (_, at_s) in enumerate(link.sent))
+
+
+def test_the_last_one_wins(thread, link):
+    begin = time.monotonic()
+    thread.command(0.01, begin + 0.2)
+    thread.command(0.02, begin + 0.3)
+    thread.command(0.03, begin + 0.15)  # what was to come later is forgotten
+    until(lambda: link.sent)
+    time.sleep(max(0.0, begin + 0.35 - time.monotonic()))
+    assert [opening_m for opening_m, _ in link.sent] == [0.03]
+
+
+def test_of_several_that_are_due_the_last_is_sent(thread, link):
+    link.gate.clear()  # the gripper takes its time to answer
+    time.sleep(0.05)
+    begin = time.monotonic()
+    for number in range(100):
+        thread.command(number * 1e-4, begin - 1.0 + number * 1e-3)
+    link.gate.set()
+    until(lambda: link.sent)
+    time.sleep(0.05)
+    assert [opening_m for opening_m, _ in link.sent] == [99e-4]
+
+
+def test_a_command_that_does_not_hold_any_more_when_it_is_due_is_not_sent(link):
+    """Both arms were stopped meanwhile: what is held stays held."""
+    allowed = True
+    thread = GripperThread("left", link, 0.005, may=lambda: allowed)
+    thread.command(0.01, time.monotonic())
+    until(lambda: link.sent)
+    thread.command(0.08, time.monotonic() + 0.1)
+    allowed = False
+    time.sleep(0.2)
+    allowed = True
+    time.sleep(0.05)
+    assert [opening_m for opening_m, _ in link.sent] == [0.01]
+    link.gate.set()
+    thread.close()
+
+
+def test_commands_from_before_an_activation_are_forgotten(thread, link):
+    thread.command(0.01, time.monotonic() + 0.02)
+    thread.activate()
+    time.sleep(0.1)
+    assert link.sent == []
+    thread.command(0.02, 0.0)
+    until(lambda: link.sent)
+
+
+def test_a_gripper_that_is_stuck_keeps_nobody_waiting_and_is_said_to_be(thread, link, monkeypatch):
+    monkeypatch.setattr("dual_ur10.sim2real.peripherals.grippers.STALE_S", 0.1)
+    assert thread.fault == ""
+    link.gate.clear()
+    until(lambda: "not heard for" in thread.fault)
+    thread.command(0.01, 0.0)
+    link.gate.set()
+    until(lambda: thread.fault == "")
+    until(lambda: link.sent)
+
+
+def test_a_fault_of_the_gripper_is_told_as_long_as_it_lasts(thread, link):
+    link.fault = "FLT 8: too hot"
+    until(lambda: thread.fault == "a gripper: FLT 8: too hot")
+    link.fault = ""
+    until(lambda: thread.fault == "")
+
+
+@pytest.mark.parametrize("error", [LinkError("gone"), RuntimeError("a mistake")])
+def test_a_thread_that_ends_says_why(thread, link, error):
+    link.error = error
+    until(lambda: thread.fault)
+    assert str(error) in thread.fault
+    link.error = None
+    time.sleep(0.05)
+    assert str(error) in thread.fault
+    with pytest.raises(LinkError, match=str(error)):
+        thread.needs_activation()
+    assert link.closed
+
+
+@pytest.mark.parametrize("opening_m", [-0.001, 0.086, float("nan"), float("inf")])
+def test_openings_that_it_does_not_have(thread, link, opening_m):
+    with pytest.raises(ActionError, match="left gripper"):
+        thread.command(opening_m, 0.0)
+    with pytest.raises(ActionError, match="finite time"):
+        thread.command(0.01, float("nan"))
+    assert link.sent == []
+
+
+def test_a_closed_gripper(link):
+    thread = GripperThread("left", link, 0.005)
+    thread.command(0.01, time.monotonic() + 0.05)
+    thread.close()
+    thread.close()
+    time.sleep(0.1)
+    assert link.sent == []  # also what was to come
+    assert thread.fault == ""
+    for act in (thread.needs_activation, thread.activate, lambda: thread.command(0.01, 0.0)):
+        with pytest.raises(ClosedError):
+            act()
+
+
+# A gripper at a digital output.
+
+
+@pytest.mark.parametrize(
+    ("output", "open_level"), [(0, True), (7, False), (8, True), (15, True), (16, False), (17, True)]
+)
+def test_a_digital_output(cell, output, open_level):
+    def level():
+        return bool(cell.ask("state", arm="left", names=[OUTPUTS])[OUTPUTS] >> output & 1)
+
+    others = cell.ask("state", arm="left", names=[OUTPUTS])[OUTPUTS] & ~(1 << output)
+    before = level()
+    gripper = DigitalGripper(output=output, open_level=open_level)
+    with contextlib.closing(DigitalGripperLink(cell.left, gripper, name="left")) as link:
+        assert level() == before  # nothing is sent by itself
+        assert not link.needs_activation()
+        assert f"gripper at output {output}" in link.where
+        for opening_m, opens in ((OPENING_M, True), (0.0, False), (0.06, True)):
+            link.command(opening_m)
+            until(lambda opens=opens: level() == (opens == open_level))
+            until(lambda opens=opens: link.read() == GripperReading(OPENING_M if opens else 0.0, "", None))
+            assert not link.command(opening_m)  # it is so already
+            link.forget()
+            assert link.command(opening_m)
+            assert not link.command(0.5 * OPENING_M)  # between, it stays
+        kept = level()
+    time.sleep(0.1)
+    assert level() == kept  # closing sends nothing
+    assert cell.ask("state", arm="left", names=[OUTPUTS])[OUTPUTS] & ~(1 << output) == others
+
+
+def test_a_digital_gripper_of_the_cell_file(cell, file):
+    left = dataclasses.replace(file.left, gripper=DigitalGripper(output=3, open_level=True))
+    with Grippers(dataclasses.replace(file, left=left)) as grippers:
+        grippers.command((OPENING_M, None), 0.0)
+        until(lambda: grippers.opening_m[0] == OPENING_M)
+        grippers.command((0.0, None), 0.0)
+        until(lambda: grippers.opening_m[0] == 0.0)
+        cell.ask("link", arm="left", port="rtde", mute=True)
+        until(lambda: "left arm, RTDE" in grippers.fault)
+    assert link_to(dataclasses.replace(file.left, gripper=NoGripper()), 60.0) is None
+
+
+def test_outputs_that_another_client_has(cell):
+    names = ("standard_digital_output_mask", "standard_digital_output")
+    end_s = time.monotonic() + 5.0
+    client = RtdeClient("", cell.left, 30004, end_s)
+    try:
+        client.set_up(Kind.SETUP_INPUTS, names, b"", end_s)
+        with pytest.raises(LinkError, match="standard digital outputs are in use"):
+            DigitalGripperLink(cell.left, DigitalGripper(output=1))
+        DigitalGripperLink(cell.left, DigitalGripper(output=9)).close()  # another group is free
+    finally:
+        client.socket.close_and_wait(end_s)
+
+
+def test_registers_are_left_to_others(cell):
+    """A link and all registers that commands need, at the same time."""
+    from dual_ur10.sim2real.commissioning.doctor import REGISTERS
+
+    with contextlib.closing(DigitalGripperLink(cell.left, DigitalGripper(output=1))):
+        end_s = time.monotonic() + 5.0
+        client = RtdeClient("", cell.left, 30004, end_s)
+        try:
+            _, kinds = client.set_up(Kind.SETUP_INPUTS, REGISTERS, b"", end_s)
+            assert "IN_USE" not in kinds
+        finally:
+            client.socket.close_and_wait(end_s)
+
+
+def test_an_output_that_something_else_sets(cell, monkeypatch):
+    monkeypatch.setattr("dual_ur10.sim2real.peripherals.digital_gripper.CHANGE_S", 0.1)
+    with contextlib.closing(DigitalGripperLink(cell.left, DigitalGripper(output=2, open_level=True))) as link:
+        link.command(OPENING_M)
+        cell.ask("override", arm="left", **{OUTPUTS: 0})
+        try:
+            found = until(lambda: link.read().fault)
+            assert "output 2 does not open the gripper" in found
+        finally:
+            cell.ask("override", arm="left", **{OUTPUTS: None})
+
+
+@pytest.mark.parametrize("fault", ["drop", "mute"])
+def test_a_lost_controller(cell, fault):
+    with contextlib.closing(DigitalGripperLink(cell.right, DigitalGripper(output=2), name="right")) as link:
+        link.read()
+        if fault == "drop":
+            cell.ask("drop", arm="right", port="rtde")
+        else:
+            cell.ask("link", arm="right", port="rtde", mute=True)
+
+        def lost():
+            try:
+                link.read()
+            except LinkError as error:
+                return str(error)
+            return ""
+
+        text = until(lost)
+        assert "right arm, RTDE" in text
+        assert ("stands still" in text) == (fault == "mute")
+
+
+def test_the_sending_connection_alone_is_lost(cell):
+    with contextlib.closing(DigitalGripperLink(cell.right, DigitalGripper(output=2))) as link:
+        assert isinstance(link._reader, RtdeLink)
+        assert isinstance(link._sender.socket, LinkSocket)
+        link._sender.socket._socket.shutdown(2)
+        with pytest.raises(LinkError):
+            until(lambda: link.read() is None)

@@ -1,0 +1,229 @@
+"""Functions in processes of their own, whatever program starts them."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import pickle
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from dual_ur10.sim2real.processes.child_process import LOST, Child
+
+WITHIN_S = 30.0
+PROGRAM = """
+import os
+import sys
+from dual_ur10.sim2real.processes.child_process import Child
+
+print("begins", flush=True)
+child = Child(os.mkdir, sys.argv[1])
+assert child.wait(30.0)
+print(child.code, flush=True)
+"""
+
+# A program that is interrupted at hundreds of instants, in what asks for the end of its children.
+INTERRUPTED = """
+import random
+import signal
+import sys
+import time
+from dual_ur10.sim2real.processes.child_process import Child
+
+
+def interrupt(*heard):
+    raise KeyboardInterrupt
+
+
+signal.signal(signal.SIGALRM, interrupt)
+chance = random.Random(0)
+interrupted = 0
+
+
+def during(work, within_s):
+    global interrupted
+    try:
+        signal.setitimer(signal.ITIMER_REAL, chance.uniform(1e-6, within_s))
+        while True:
+            work()
+    except KeyboardInterrupt:
+        interrupted += 1
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+child = Child(time.sleep, 600.0)
+for _ in range(300):
+    during(lambda: child.is_alive, 1e-3)
+    during(lambda: child.wait(0.0), 1e-3)
+    during(lambda: child.wait(5e-4), 3e-3)
+assert child.is_alive
+during(child.kill, 1e-3)
+child.kill()
+assert child.code == -signal.SIGKILL and child.wait(0.0)
+print("interrupted", interrupted)
+"""
+
+
+def write(path: pathlib.Path, values: object) -> None:
+    path.write_bytes(pickle.dumps((values, os.getpid(), os.getppid(), os.getsid(0), sys.stdin.read())))
+
+
+def told(path: pathlib.Path, values: object = None, **more: object) -> tuple:
+    child = Child(write, path, values)
+    assert child.wait(WITHIN_S)
+    assert (child.code, child.is_alive) == (0, False)
+    return pickle.loads(path.read_bytes()), child
+
+
+def test_it_runs_a_function_with_its_arguments_in_a_session_of_its_own(tmp_path):
+    (values, pid, parent, session, rest), child = told(tmp_path / "out", {"a": (1, 2.5)})
+    assert values == {"a": (1, 2.5)}
+    assert pid == child.pid == session
+    assert session != os.getsid(0)
+    assert parent == os.getpid()
+    assert rest == ""  # it waits for nobody to type
+
+
+def modules(path: pathlib.Path) -> None:
+    import dual_ur10.sim2real.recording.recorder_process
+    import dual_ur10.sim2real.runtime.arm_process
+    import dual_ur10.sim2real.runtime.supervisor  # noqa: F401
+
+    path.write_text(" ".join(sys.modules))
+
+
+def test_an_arm_a_supervisor_and_a_recorder_wait_for_nothing_of_the_environments(tmp_path):
+    """Each of them is a process that starts whenever an environment is made on arms."""
+    out = tmp_path / "modules"
+    assert Child(modules, out).wait(WITHIN_S)
+    loaded = {each.partition(".")[0] for each in out.read_text().split()}
+    assert "numpy" in loaded
+    assert not loaded & {"gymnasium", "pettingzoo", "mujoco", "scipy", "pinocchio", "torch"}
+
+
+def test_arguments_may_be_larger_than_a_pipe(tmp_path):
+    values = bytes(range(256)) * 20_000
+    assert told(tmp_path / "out", values)[0][0] == values
+
+
+def test_what_cannot_be_told_starts_no_process(monkeypatch):
+    monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a process was started"))
+    with pytest.raises((TypeError, pickle.PicklingError, AttributeError)):
+        Child(write, lambda: None)
+
+
+@pytest.mark.parametrize("how", ["script", "stdin", "argument"])
+def test_the_program_needs_no_guard_and_no_file(tmp_path, how):
+    script, out = tmp_path / "program.py", tmp_path / "out"
+    script.write_text(PROGRAM)
+    command = {"script": [str(script)], "stdin": ["-"], "argument": ["-c", PROGRAM]}[how]
+    given = {"input": PROGRAM} if how == "stdin" else {}
+    done = subprocess.run(
+        [sys.executable, *command, str(out)], capture_output=True, text=True, timeout=60, check=False, **given
+    )
+    assert (done.stdout.split(), done.stderr) == (["begins", "0"], "")  # once: the child does not run the program
+    assert out.is_dir()
+
+
+def test_it_finds_what_the_program_finds_in_the_folder_it_is_in(tmp_path):
+    """As in a terminal's Python, whose path begins with "", the folder it is in."""
+    (tmp_path / "beside.py").write_text("import pathlib\ndef work(name):\n    pathlib.Path(name).write_text('done')\n")
+    code = (
+        "import sys\nsys.path.insert(0, '')\nimport beside\n"
+        "from dual_ur10.sim2real.processes.child_process import Child\n"
+        "child = Child(beside.work, 'out')\nassert child.wait(30.0)\nsys.exit(child.code)\n"
+    )
+    subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, check=True, timeout=60)
+    assert (tmp_path / "out").read_text() == "done"
+
+
+def test_it_is_killed_and_waited_for():
+    child = Child(time.sleep, 60.0, name="left")
+    end = time.monotonic() + WITHIN_S
+    while not (shown := pathlib.Path(f"/proc/{child.pid}/cmdline").read_bytes()) and time.monotonic() < end:
+        time.sleep(0.01)  # it is about to begin
+    assert shown.split(b"\0")[-2:] == [b"left", b""]
+    assert child.is_alive
+    assert child.code is None
+    assert not child.wait(0.05)
+    child.kill()
+    assert not child.is_alive
+    assert child.code == -signal.SIGKILL
+    assert child.wait(0.0)
+    child.kill()  # it has ended already
+
+
+def test_no_interrupt_at_any_instant_keeps_it_from_being_asked_and_ended():
+    done = subprocess.run([sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.stdout.split(), done.stderr) == (["interrupted", "901"], "")
+
+
+def test_one_that_is_interrupted_while_it_is_started_leaves_no_process():
+    started = []
+
+    class Noted(subprocess.Popen):
+        def __init__(self, *given, **more):
+            super().__init__(*given, **more)
+            started.append(self.pid)
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(subprocess, "Popen", Noted)
+        with pytest.raises(KeyboardInterrupt):
+            Child(time.sleep, 60.0)
+    (pid,) = started
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+def test_one_whose_end_somebody_else_has_noted_is_over():
+    child = Child(time.sleep, 0.0)
+    os.waitpid(child.pid, 0)
+    assert (child.wait(WITHIN_S), child.code) == (True, LOST)
+    child.kill()
+
+
+def test_one_that_does_not_end_when_killed_is_not_waited_for_for_ever(monkeypatch, caplog):
+    child = Child(time.sleep, 60.0)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "kill", lambda *_: None)
+        child.kill(0.01)
+    assert f"process {child.pid} was killed and has not ended" in caplog.text
+    assert child.is_alive
+    child.kill()
+    assert not child.is_alive
+
+
+@pytest.mark.parametrize(("function", "argument", "code"), [(sys.exit, 3, 3), (os._exit, 7, 7), (sys.exit, 0, 0)])
+def test_its_code_is_told(function, argument, code):
+    child = Child(function, argument)
+    assert child.wait(WITHIN_S)
+    assert child.code == code
+
+
+def test_an_error_is_a_code_and_said(capfd):
+    child = Child(os.listdir, "/nowhere/at/all")
+    assert child.wait(WITHIN_S)
+    assert child.code == 1
+    assert "/nowhere/at/all" in capfd.readouterr().err
+
+
+def test_one_that_ends_before_it_has_read_is_dead_and_no_error(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    child = Child(write, tmp_path / "out", bytes(1 << 20))
+    assert child.wait(WITHIN_S)
+    assert child.code == 1
+
+
+def test_an_orphan_does_nothing(tmp_path):
+    """The program has ended before its child has come to read what to do."""
+    out = tmp_path / "out"
+    work = pickle.dumps(("tests.sim2real.processes.test_child_process", "write", os.getpid() + 1, (out, None)))
+    command = [sys.executable, "-m", "dual_ur10.sim2real.processes.child_process"]
+    subprocess.run(command, input=work, check=True, timeout=60)
+    assert not out.exists()

@@ -1,0 +1,63 @@
+"""What must not be left half done is not interrupted."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from dual_ur10.sim2real.processes.interrupts import held_back
+
+
+def test_an_interrupt_comes_right_behind():
+    done = []
+    with pytest.raises(KeyboardInterrupt):  # noqa: PT012  # what comes when is what is tested
+        with held_back():
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+            done.append("whole")
+        done.append("behind")
+    assert done == ["whole"]
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_one_inside_another_holds_back_until_the_end_of_the_outer_one():
+    done = []
+    with pytest.raises(KeyboardInterrupt), held_back():  # noqa: PT012
+        with held_back():
+            signal.raise_signal(signal.SIGINT)
+        done.append("whole")
+    assert done == ["whole"]
+
+
+def test_an_error_goes_through_and_interrupts_are_heard_again():
+    with pytest.raises(ValueError, match="inside"), held_back():
+        raise ValueError("inside")
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_in_another_thread_it_does_nothing():
+    found = []
+
+    def work():
+        with held_back():
+            found.append(signal.getsignal(signal.SIGINT))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert found == [signal.default_int_handler]
+
+
+def test_where_an_interrupt_ends_the_program_it_still_does():
+    program = (
+        "import signal\nfrom dual_ur10.sim2real.processes.interrupts import held_back\n"
+        "signal.signal(signal.SIGINT, signal.SIG_DFL)\n"
+        "with held_back():\n    signal.raise_signal(signal.SIGINT)\n    print('whole', flush=True)\nprint('behind')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout) == (-signal.SIGINT, "whole\n")

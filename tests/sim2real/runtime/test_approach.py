@@ -1,0 +1,385 @@
+"""The slow way to where a task begins."""
+
+from __future__ import annotations
+
+import itertools
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
+from dual_ur10.errors import StartError
+from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD
+from dual_ur10.sim2real.config.cell import CellConfig
+from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
+from dual_ur10.sim2real.control.gate import SafetyGate
+from dual_ur10.sim2real.control.limits import MotionLimits
+from dual_ur10.sim2real.control.time_scaling import Pace
+from dual_ur10.sim2real.runtime import path_to_start as way_to_start
+from dual_ur10.sim2real.runtime.approach import (
+    ACCELERATION_RAD_S2,
+    SPEED_RAD_S,
+    TCP_SPEED_M_S,
+    Approach,
+    Leaving,
+    Rates,
+    plan,
+)
+from dual_ur10.sim2real.runtime.arm_memory import RING, ArmMemory
+from dual_ur10.sim2real.runtime.path_to_start import WayToStart
+from tests.sim2real.control.motion_checks import AlwaysClear, tip_speed
+
+HOME = HOME_Q_RAD.reshape(12)
+TICKS_S = (0.008, 0.002)
+
+
+class Anywhere:
+    """Stands for `Clearance` where nothing is in the way."""
+
+    def shortfall_m(self, q_rad):
+        return np.array([-1.0])
+
+
+def in_real_time(targets, start, tick_s, speed_factor):
+    """(t, 2, 6) what both arms are sent, control period by control period."""
+    memories, sent = [ArmMemory(), ArmMemory()], []
+    every = np.concatenate([start.reshape(1, 2, 6), targets])
+    pace = Pace(0.0, 0.0, speed_factor, speed_factor)
+    for arm, memory in enumerate(memories):
+        written, rows = 0, []
+        period = 0
+        while (index := pace.at(float(period))) <= len(every) + 2:
+            if written < len(every) and written - index < RING // 4:  # as far ahead as there is room
+                block = every[written : written + RING // 4, arm]
+                memory.put(written, block)
+                written += len(block)
+            rows.append(memory.target(index))
+            period += 1
+        sent.append(rows)
+        memory.close()
+    return np.stack(sent, axis=1)
+
+
+def random_way(seed, size):
+    rng = np.random.default_rng(seed)
+    return [HOME, HOME + size * rng.uniform(-1, 1, 12)]
+
+
+@pytest.mark.parametrize("speed_factor", [1.0, 0.5, 0.25])
+@pytest.mark.parametrize("tick_s", TICKS_S)
+@pytest.mark.parametrize("size", [1.5, 0.2, 1e-3])
+def test_it_is_as_slow_in_real_time_as_it_says(speed_factor, tick_s, size):
+    parts = random_way(round(size * 1000), size)
+    approach = Approach([*parts, HOME], speed_factor)
+    sent = in_real_time(approach.targets(tick_s), HOME, tick_s, speed_factor)
+    moved = np.diff(sent, axis=0, prepend=sent[:1], append=sent[-1:]) / tick_s
+    found = np.array(
+        [
+            np.abs(moved).max() / SPEED_RAD_S,
+            tip_speed(sent[None], tick_s).max() / TCP_SPEED_M_S,
+            np.abs(np.diff(moved, axis=0)).max() / tick_s / ACCELERATION_RAD_S2,
+        ]
+    )
+    assert (found <= 1.01).all(), found
+    assert found.max() > (0.98 if size > 1e-3 else 0.5)  # and not slower than it must be
+    assert len(sent) * tick_s == pytest.approx(approach.duration_s, abs=10 * tick_s / speed_factor)
+
+
+@pytest.mark.parametrize("speed_factor", [1.0, 0.5])
+@pytest.mark.parametrize(
+    ("caps", "which"),
+    [
+        ({"speed_rad_s": 0.05}, 0),
+        ({"tcp_speed_m_s": 0.04}, 1),
+        ({"acceleration_rad_s2": 0.02}, 2),
+        ({"jerk_rad_s3": 0.05}, 3),
+    ],
+)
+def test_what_a_cell_allows_holds_on_the_way_too(caps, which, speed_factor):
+    rates = Rates().capped(CellConfig(**caps))
+    parts = random_way(3, 0.4)
+    approach = plan(*np.array(parts).reshape(2, 2, 6), Anywhere(), speed_factor, rates)
+    sent = in_real_time(approach.targets(0.008), HOME, 0.008, speed_factor)
+    moved = np.diff(sent, axis=0, prepend=sent[:1], append=sent[-1:]) / 0.008
+    changed = np.diff(moved, axis=0) / 0.008
+    (value,) = caps.values()
+    found = [
+        np.abs(moved).max(),
+        tip_speed(sent[None], 0.008).max(),
+        np.abs(changed).max(),
+        np.abs(np.diff(changed[::20], axis=0)).max() / 0.16,  # of the way, not of its numbers' last digits
+    ]
+    assert 0.9 * value < found[which] <= 1.02 * value
+    assert found[0] <= 1.01 * SPEED_RAD_S
+    # Where the cell allows more, nothing changes.
+    assert Rates().capped(CellConfig(speed_rad_s=1.0, jerk_rad_s3=100.0)).speed_rad_s == SPEED_RAD_S
+    assert Rates().capped(CellConfig()) == Rates()
+
+
+@pytest.mark.parametrize("speed_factor", [1.0, 0.3])
+@pytest.mark.parametrize("size", [1.5, 1e-3, 1e-6])
+def test_it_begins_and_ends_exactly_where_it_should(speed_factor, size):
+    goal = HOME + size * np.random.default_rng(1).uniform(-1, 1, 12)
+    targets = plan(HOME.reshape(2, 6), goal.reshape(2, 6), Anywhere(), speed_factor).targets(0.008)
+    assert targets.shape[1:] == (2, 6)
+    assert (targets[-1].reshape(12) == goal).all()
+    assert np.abs(targets[0].reshape(12) - HOME).max() < ACCELERATION_RAD_S2 * (0.008 / speed_factor) ** 2
+    # Straight in the joints.
+    along = (targets.reshape(-1, 12) - HOME) / (goal - HOME)
+    np.testing.assert_allclose(along, np.broadcast_to(along[:, :1], along.shape), atol=1e-6)
+    assert (np.diff(along[:, 0]) >= -1e-9).all()
+
+
+def test_who_is_there_stays_there():
+    approach = plan(HOME.reshape(2, 6), HOME.reshape(2, 6), Anywhere())
+    assert approach.duration_s == 0.0
+    assert (approach.targets(0.008) == HOME_Q_RAD).all()
+    assert len(approach.targets(0.008)) >= 1
+
+
+def test_between_two_parts_both_arms_rest():
+    parts = [HOME, HOME + 0.3, HOME - 0.1]
+    approach = Approach(parts)
+    targets = np.concatenate([HOME[None], approach.targets(0.008).reshape(-1, 12)])
+    (middle,) = np.flatnonzero((targets == parts[1]).all(axis=1))
+    steps = np.abs(np.diff(targets, axis=0)).max(axis=1)
+    assert max(steps[middle - 1], steps[middle]) < 1e-5
+    assert approach.duration_s == pytest.approx(sum(approach.durations_s))
+    assert middle * 0.008 == pytest.approx(approach.durations_s[0], abs=0.01)
+
+
+# What is in the way.
+
+
+@pytest.fixture(scope="module")
+def clearance():
+    return Clearance(SceneSettings())
+
+
+def nearest_m(clearance, approach, every=0.005):
+    """Smallest distance of any pair on the way."""
+    found = []
+    for start, end in itertools.pairwise(approach.parts):
+        count = 2 + round(np.abs(end - start).max() / every)
+        found += [
+            clearance.distances_m(q[None])[0].min() for q in start + np.linspace(0, 1, count)[:, None] * (end - start)
+        ]
+    return min(found)
+
+
+def test_a_free_way_is_gone_by_both_at_once(clearance):
+    goal = HOME_Q_RAD + 0.1
+    approach = plan(HOME_Q_RAD, goal, clearance)
+    assert len(approach.parts) == 2
+    assert nearest_m(clearance, approach) >= MINIMUM_M
+
+
+def crossings():
+    """Postures of two arms close together, between which not all straight ways are free."""
+    rng = np.random.default_rng(3)
+    for _ in range(400):
+        yield [HOME_Q_RAD + rng.uniform(-1, 1, (2, 6)) * [1.2, 0.5, 0.5, 1, 1, 1] for _ in range(2)]
+
+
+@pytest.fixture(scope="module")
+def close():
+    return Clearance(SceneSettings(ArmMount((0.0, 0.4, 0.0)), ArmMount((0.0, -0.4, 0.0))))
+
+
+def test_where_both_at_once_may_not_one_goes_after_the_other(close):
+    kinds, nearest = set(), []
+    for q, goal in crossings():
+        ends = np.array([q, goal]).reshape(2, 12)
+        if any(close.shortfall_m(end).max() > 0.0 for end in ends):
+            continue
+        try:
+            approach = plan(q, goal, close)
+        except StartError as error:
+            assert "no straight way leads" in str(error)  # noqa: PT017
+            kinds.add("none")
+            continue
+        assert (approach.parts[0] == ends[0]).all()
+        assert (approach.parts[-1] == ends[1]).all()
+        if len(approach.parts) == 2:
+            kinds.add("both")
+        else:
+            middle = approach.parts[1]
+            left_first = (middle[:6] == ends[1][:6]).all() and (middle[6:] == ends[0][6:]).all()
+            right_first = (middle[:6] == ends[0][:6]).all() and (middle[6:] == ends[1][6:]).all()
+            assert left_first != right_first
+            kinds.add("left" if left_first else "right")
+        nearest.append(nearest_m(close, approach, 0.02))
+        if len(kinds) == 4 and len(nearest) > 60:
+            break
+    assert kinds == {"both", "left", "right", "none"}
+    # Between the postures that are looked at, they may come nearer by a little.
+    assert min(nearest) > MINIMUM_M - 0.004
+
+
+def test_an_arm_that_stands_too_close_may_go_away_and_not_nearer(clearance):
+    down = HOME_Q_RAD.copy()
+    while clearance.shortfall_m(down.reshape(12)).max() < 0.06:
+        down[0, 1] += 0.01  # towards the table, the arm comes too close to it
+    approach = plan(down, HOME_Q_RAD, clearance)
+    assert len(approach.parts) == 2
+    lower = down.copy()
+    lower[0, 1] += 0.05
+    for start, goal in ((down, lower), (HOME_Q_RAD, down)):
+        with pytest.raises(StartError, match=r"no straight way .* would come within -?\d+ mm, allowed are 20 mm"):
+            plan(start, goal, clearance)
+
+
+class Somewhere:
+    """Stands for `Clearance` where what is in the way is a function of the left base alone."""
+
+    def __init__(self, shortfall):
+        self.shortfall = shortfall
+
+    def shortfall_m(self, q_rad):
+        return np.array([self.shortfall(q_rad[0] - HOME[0])])
+
+    def worst(self, q_rad):
+        return "left/palm and table", 0.02 - self.shortfall_m(q_rad)[0], 0.02
+
+
+@pytest.mark.parametrize(
+    ("shortfall", "free"),
+    [
+        (lambda way: 0.01 if 0.5 < way < 0.53 else -0.1, False),  # narrow, and in the way
+        (lambda way: 0.05 - 0.1 * way, True),  # ever farther apart
+        (lambda way: 0.05 - 0.2 * way + 0.2 * way**2, False),  # away, and nearer again
+        (lambda way: 0.05 + 0.001 * way, False),
+    ],
+)
+def test_everything_on_the_way_is_looked_at(shortfall, free):
+    goal = HOME_Q_RAD + 1.0
+    if free:
+        assert len(plan(HOME_Q_RAD, goal, Somewhere(shortfall)).parts) == 2
+    else:
+        with pytest.raises(StartError, match="left/palm and table would come within"):
+            plan(HOME_Q_RAD, goal, Somewhere(shortfall))
+
+
+@pytest.mark.parametrize(("arm", "name"), [(0, "left"), (1, "right")])
+@pytest.mark.parametrize("joint", range(6))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_joint_out_of_its_range_is_turned_back_by_hand(clearance, arm, name, joint, sign):
+    q = HOME_Q_RAD.copy()
+    q[arm, joint] = sign * (JOINT_RANGE_RAD[joint] + 0.01)
+    with pytest.raises(StartError, match=rf"{name}: .* is at {q[arm, joint]:.3f} rad.*turn it back by hand"):
+        plan(q, HOME_Q_RAD, clearance)
+
+
+# The gate on the way.
+
+
+class Pairs:
+    """Stands for `Clearance`: two pairs, as far beyond their limits as the first two joints say."""
+
+    def shortfall_m(self, q_rad):
+        return np.asarray(q_rad)[:2].copy()
+
+    def worst(self, q_rad, granted_m):
+        return ("first", "second")[int((granted_m - q_rad[:2]).argmin())], 0.0, 0.02
+
+
+@pytest.mark.parametrize(
+    ("start", "then", "clear", "blamed"),
+    [
+        ((0.003, -0.1), (0.003, -0.1), True, ""),  # it may stay
+        ((0.003, -0.1), (0.003 + 1e-9, -0.1), True, ""),  # it does
+        ((0.003, -0.1), (0.001, -0.1), True, ""),
+        ((0.003, -0.1), (0.0031, -0.1), False, "first"),  # closer
+        ((0.003, -0.1), (-0.1, 0.001), False, "second"),  # another pair
+        ((0.003, -0.1), (0.0029, 0.001), False, "second"),
+        ((-0.1, -0.1), (0.0, 0.0), True, ""),
+        ((-0.1, -0.1), (0.0, 1e-6), False, "second"),  # far apart at first does not mean that all is allowed
+        ((-0.1, -0.1), (np.nan, 0.0), False, "first"),
+    ],
+)
+def test_what_is_too_close_may_go_apart_and_no_closer(start, then, clear, blamed):
+    def posture(values):
+        return np.concatenate([values, np.zeros(10)])
+
+    leaving = Leaving(Pairs(), posture(start).reshape(2, 6))
+    assert bool((leaving.spare_m(posture(then)[None]) >= 0.0).all()) == clear
+    if not clear:  # of a pair that stands too close and comes no closer nothing is to be said
+        assert leaving.worst(posture(then))[0] == blamed
+
+
+@pytest.mark.parametrize("tick_s", TICKS_S)
+@pytest.mark.parametrize("factor", [1.0, 0.5, 0.25])
+@pytest.mark.parametrize(
+    "limits",
+    [MotionLimits(), MotionLimits(speed_rad_s=(0.2,) * 6, tcp_speed_m_s=0.1, acceleration_rad_s2=0.5, jerk_rad_s3=5.0)],
+)
+@pytest.mark.parametrize("size", [1.0, 1e-3])
+def test_a_way_passes_the_gate_whatever_the_limits(tick_s, factor, limits, size):
+    way = [HOME, HOME + size * np.tile([0.5, -0.2, 0.2, 0.3, -0.3, 1.0], 2)]
+    rates = Rates().within(limits, factor)
+    assert rates.speed_rad_s <= Rates().speed_rad_s
+    targets = Approach(way, factor, rates).targets(tick_s)
+    ticks = round(0.04 / tick_s)
+    count = -(-len(targets) // ticks)
+    targets = np.concatenate([targets, np.repeat(targets[-1:], count * ticks - len(targets), axis=0)])
+    gate = SafetyGate(limits, tick_s, ticks, AlwaysClear())
+    gate.reset(HOME.reshape(1, 2, 6))
+    for window in targets.reshape(count, 1, ticks, 2, 6):
+        result = gate(window)
+        assert not result.verdicts
+        np.testing.assert_array_equal(result.targets_rad, window)
+
+
+def test_a_tool_is_no_faster_than_a_flange_may_be():
+    tool = ((0.0, 0.3, 0.1), (0.0, 0.0, 0.0))
+    start = np.asarray(HOME_Q_RAD, dtype=np.float64).reshape(12)
+    end = start.copy()
+    end[5] += 1.5  # turns about the flange's own axis
+    rates = Rates(tcp_speed_m_s=0.04, tcp_m=tool)
+    way = Approach([start, end], rates=rates)
+    fastest = tip_speed(way.targets(0.008)[None], 0.008, tool).max()
+    assert 0.039 < fastest <= 0.04 * (1 + 1e-6)
+    assert way.duration_s > 1.3 * Approach([start, end], rates=Rates(tcp_speed_m_s=0.04)).duration_s
+
+
+@pytest.mark.parametrize(("tick_s", "ticks"), [(0.008, 5), (0.002, 1), (0.002, 20)])
+def test_looking_at_many_windows_before_the_first_target_takes_its_time(monkeypatch, tick_s, ticks):
+    """As many as there are within half a second, at up to 500 Hz: meanwhile time goes on."""
+    written = []
+
+    class Gate(SafetyGate):
+        def __call__(self, window):
+            runner.now += 0.0005 / tick_s
+            return super().__call__(window)
+
+    class Running:
+        now = 0.0
+        cell = SimpleNamespace(expect=lambda *_, **__: None)
+
+        @property
+        def next(self):
+            return int(np.ceil(self.now)) + 2
+
+        def wait_for(self, index):
+            self.now = max(self.now, index)
+
+    def write(_, first, block):
+        written.append((first, len(block)))
+        return first >= runner.next
+
+    runner = Running()
+    monkeypatch.setattr(way_to_start, "SafetyGate", Gate)
+    targets = SimpleNamespace(write=write, rest_at=lambda q_rad: None)
+    clearance = SimpleNamespace(
+        shortfall_m=lambda q_rad: np.zeros(1),
+        alone=lambda: clearance,
+        **{name: getattr(AlwaysClear(), name) for name in ("spare_of_balls_m", "travel_m")},
+    )
+    way = WayToStart(MotionLimits(), clearance, tick_s, ticks, 1.0, targets)
+    led = Approach([HOME, HOME + np.eye(12)[5]]).targets(tick_s)
+    way.go(runner, HOME.reshape(2, 6), led)
+    assert sum(count for _, count in written) >= len(led)
+    firsts = [first for first, _ in written]
+    assert firsts == list(np.cumsum([firsts[0], *(count for _, count in written[:-1])]))

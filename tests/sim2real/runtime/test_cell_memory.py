@@ -1,0 +1,163 @@
+"""Memory that all processes of a cell share."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import astuple
+
+import pytest
+
+from dual_ur10.errors import LinkError, SettingsError
+from dual_ur10.sim2real.control.time_scaling import Pace
+from dual_ur10.sim2real.runtime.arm_memory import ArmMemory
+from dual_ur10.sim2real.runtime.cell_memory import CellMemory
+
+
+@pytest.fixture
+def pair():
+    mine = CellMemory()
+    theirs = CellMemory(mine.name)
+    yield mine, theirs
+    theirs.close()
+    mine.close()
+
+
+def test_at_first_nothing_is_so(pair):
+    for memory in pair:
+        assert memory.pace == Pace()
+        assert (memory.begin_s, memory.watched_s, memory.fresh) == (0.0, 0.0, 0.0)
+        assert (memory.ready, memory.ending, memory.live, memory.fault) == (False, False, False, "")
+
+
+def test_whoever_joins_changes_no_pace(pair):
+    mine, _ = pair
+    mine.set_pace(Pace(1.0, 2.0, 0.5, 0.25, 0.01))
+    third = CellMemory(mine.name)
+    assert mine.pace == third.pace == Pace(1.0, 2.0, 0.5, 0.25, 0.01)
+    third.close()
+
+
+def test_everything_is_told_to_all(pair):
+    mine, theirs = pair
+    for says, hears in (pair, pair[::-1]):
+        says.begin(12.5)
+        says.expect(40.5, live=True)
+        says.watched(13.5)
+        assert (hears.begin_s, hears.fresh, hears.live, hears.watched_s) == (12.5, 40.5, True, 13.5)
+        says.expect(0.0, live=False)
+        # Who has just seen that the policy owed targets must not read another number of them.
+        assert (hears.fresh, hears.live) == (40.5, False)
+        says.begin(0.0)
+    assert not theirs.ready
+    mine.enter_ready()
+    assert theirs.ready
+    assert not theirs.ending
+    mine.end()
+    assert theirs.ending
+
+
+def test_paces_follow_each_other(pair):
+    mine, theirs = pair
+    pace = Pace()
+    for number in range(50):
+        pace = pace.towards((number % 7) / 8, 100.0 * number, 0.008)
+        mine.set_pace(pace)
+        assert astuple(theirs.pace) == astuple(pace)
+
+
+def test_a_pace_is_there_before_it_is_the_newest(pair):
+    mine, theirs = pair
+    numbers, told = mine._ints, []
+
+    class Watched:
+        """Looks, as another process may, after every write."""
+
+        def __getitem__(self, key):
+            return numbers[key]
+
+        def __setitem__(self, key, value):
+            numbers[key] = value
+            told.append(theirs.pace)
+
+    mine._ints = Watched()
+    mine.set_pace(Pace(1.0, 2.0, 0.5, 0.25, 0.01))
+    assert told == [Pace(1.0, 2.0, 0.5, 0.25, 0.01)]
+
+
+def test_a_pace_is_read_whole_while_it_is_written(pair):
+    mine, _ = pair
+    code = (
+        "import sys\nfrom dual_ur10.sim2real.runtime.cell_memory import CellMemory\n"
+        "memory = CellMemory(sys.argv[1])\n"
+        "paces = [memory.pace for _ in range(20_000)]\n"
+        "print(len(set(paces)), sum(pace.index != 2 * pace.period for pace in paces))\n"
+    )
+    mine.set_pace(Pace(0.0, 0.0))
+    with subprocess.Popen([sys.executable, "-c", code, mine.name], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        for number in range(30_000_000):
+            mine.set_pace(Pace(number, 2.0 * number))
+            if number % 1000 == 0 and process.poll() is not None:
+                break
+        seen, wrong = map(int, process.stdout.read().split())
+    assert seen > 1
+    assert wrong == 0
+
+
+def test_a_pace_that_is_written_again_while_it_is_read_is_read_again(pair, monkeypatch):
+    mine, theirs = pair
+    mine.set_pace(Pace(1.0, 1.0))
+    paces, sequence = theirs._paces, theirs._ints
+
+    class Slow:
+        """The writer goes round all rows while this one is copied."""
+
+        times = 0
+
+        def __getitem__(self, row):
+            values = paces[row].copy()
+            if Slow.times:
+                Slow.times -= 1
+                values[:] = -1.0  # torn
+                for number in range(4):
+                    mine.set_pace(Pace(10.0 + number, 2.0))
+            return values
+
+    monkeypatch.setattr(theirs, "_paces", Slow())
+    Slow.times = 3
+    assert theirs.pace == Pace(13.0, 2.0)
+    Slow.times = 10_000
+    with pytest.raises(LinkError, match="faster than it can be read"):
+        theirs.pace  # noqa: B018
+    assert sequence[0] > 16
+
+
+def test_the_first_fault_stays(pair):
+    mine, theirs = pair
+    theirs.enter_fault("right: größer als erlaubt" + "x" * 5000)
+    mine.enter_fault("another")
+    assert mine.fault == theirs.fault
+    assert mine.fault.startswith("right: größer als erlaubt")
+    assert len(mine.fault) < 2048
+
+
+def test_memory_that_is_closed_is_gone():
+    memory = CellMemory()
+    name = memory.name
+    memory.begin(3.0)
+    memory.close()
+    memory.close()
+    assert memory.begin_s == 0.0
+    with pytest.raises(FileNotFoundError):
+        CellMemory(name)
+    arm = ArmMemory()
+    with pytest.raises(SettingsError, match="is another's"):
+        CellMemory(arm.name)
+    arm.close()
+
+
+def test_a_reason_that_cannot_be_written_is_a_reason(pair):
+    mine, theirs = pair
+    mine.enter_fault("policy: cannot open weights\udc80.npz")
+    assert theirs.fault == "policy: cannot open weights?.npz"

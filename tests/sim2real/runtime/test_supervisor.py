@@ -1,0 +1,111 @@
+"""What the supervisor does by itself: how fast time passes, and what it keeps of a stop."""
+
+from __future__ import annotations
+
+import os
+import time
+import types
+
+import pytest
+
+from dual_ur10.assets.settings import SceneSettings
+from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.control.time_scaling import Pace
+from dual_ur10.sim2real.runtime import second_stop
+from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
+from dual_ur10.sim2real.runtime.cell_memory import CellMemory
+from dual_ur10.sim2real.runtime.latch import Latch
+from dual_ur10.sim2real.runtime.safety_monitor import WatchSettings
+from dual_ur10.sim2real.runtime.second_stop import STOPPED_S, SecondStop
+from dual_ur10.sim2real.runtime.supervisor import Supervisor
+from tests.sim2real.links.test_arm_status import status_of
+
+TEXT = 'kind = "emulated"\n[left]\nhost = "127.0.0.2"\n[right]\nhost = "127.0.0.3"\n'
+
+
+@pytest.fixture
+def parts(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    path = tmp_path / "lab.toml"
+    path.write_text(TEXT)
+    arms, cell = [ArmMemory(), ArmMemory()], CellMemory()
+    yield load_cell_file(path), arms, cell
+    for each in (*arms, cell):
+        each.close()
+
+
+def supervisor(parts, tick_s=0.008):
+    file, arms, cell = parts
+    return Supervisor(file, WatchSettings(SceneSettings().mounts, tick_s), arms, cell, os.getpid())
+
+
+@pytest.mark.parametrize("tick_s", [0.008, 0.002])
+@pytest.mark.parametrize("late_s", [0.0, 0.05])
+def test_a_new_pace_holds_from_a_time_on_that_is_still_to_come(parts, monkeypatch, tick_s, late_s):
+    cell, made = parts[2], supervisor(parts, tick_s)
+    cell.set_pace(Pace(0.0, 0.0, 1.0, 1.0))
+    cell.begin(time.monotonic() - 2.0)
+    for arm in (0, 1):
+        made._watch.note(arm, status_of(target_speed_fraction=0.5, speed_scaling=1.0))
+    set_pace = cell.set_pace
+
+    def slowly(pace):
+        ahead.append(pace.period * tick_s - (time.monotonic() - cell.begin_s))
+        time.sleep(late_s)
+        set_pace(pace)
+
+    ahead = []
+    monkeypatch.setattr(cell, "set_pace", slowly)
+    said = made._keep_pace()
+    assert len(ahead) == 1
+    if late_s:
+        assert "stood still while it changed the pace" in said
+    else:
+        assert said is None or "stood still" in said  # this machine may do so, too
+        assert cell.pace.goal == 0.5
+        assert made._keep_pace() is None
+
+
+class Dashboard:
+    """Takes what it is asked."""
+
+    asked = 0
+
+    def __init__(self, *_, **__):
+        pass
+
+    def stop(self):
+        Dashboard.asked += 1
+
+
+def test_a_program_that_has_not_ended_though_its_process_says_so_is_a_fault(parts, monkeypatch):
+    """It was paused behind the last target of the ramp, say: nothing else would tell."""
+    monkeypatch.setattr(second_stop, "DashboardLink", Dashboard)
+    monkeypatch.setattr(second_stop, "STOPPED_S", 0.05)
+    file, arms, cell = parts
+    made = supervisor(parts)
+    made._second = SecondStop(arms, ["127.0.0.2", "127.0.0.3"])
+    cell.begin(time.monotonic())
+    for arm, memory in enumerate(arms):
+        memory.enter(Phase.STOPPED, "a stop was asked for")
+        made._watch.note(arm, status_of(runtime_state=1 if arm == 0 else 4))
+    made._end()
+    assert Dashboard.asked == 1
+    assert "right: its program had not ended after 0.05 s" in Latch(file).read().text
+    assert STOPPED_S > 0.65  # the longest ramp
+
+
+@pytest.mark.parametrize("begun", [False, True])
+@pytest.mark.parametrize("ready", [False, True])
+def test_a_start_that_failed_is_no_stop(parts, begun, ready):
+    file, _, cell = parts
+    made = supervisor(parts)
+    made._second = types.SimpleNamespace(
+        begin=lambda: None, look=lambda ended: 0.0, waits=False, close=lambda: None, unended=[]
+    )
+    made._made = ready
+    if begun:
+        cell.begin(time.monotonic())
+    made._stop("right: takes no control script")
+    assert (Latch(file).read() is not None) == (begun or ready)
+    assert cell.fault == "right: takes no control script"

@@ -1,0 +1,159 @@
+"""Whether an arm goes where it is led."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from dual_ur10.kinematics.ur10 import JOINTS
+from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
+from dual_ur10.sim2real.runtime.tracking import DEVIATION_RAD, Deviation, Following, Tracking
+from tests.sim2real.links.test_arm_status import status_of
+
+HOME = np.array([0.1, -1.2, 1.5, -1.8, -1.5, 0.3])
+
+
+def state(target, actual=None):
+    return status_of(target_q=tuple(target), actual_q=tuple(target if actual is None else actual))
+
+
+def off(joint, by, q=HOME):
+    result = np.array(q)
+    result[joint] += by
+    return result
+
+
+# The arm, and where its controller wants it.
+
+
+@pytest.mark.parametrize("joint", range(6))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_an_arm_that_is_not_where_it_is_led_is_stopped_at_the_third_state(joint, sign):
+    tracking, bad = Tracking(), state(HOME, off(joint, sign * (DEVIATION_RAD + 1e-3)))
+    assert tracking(bad) is None
+    assert tracking(bad) is None
+    reason = tracking(bad)
+    assert reason == f"{JOINTS[joint]} is 0.101 rad from where its controller wants it, allowed are 0.100"
+    assert tracking(bad) == reason
+
+
+def test_one_bad_state_alone_is_let_pass():
+    tracking = Tracking()
+    good, bad = state(HOME), state(HOME, off(2, 0.5))
+    for _ in range(20):
+        assert tracking(bad) is None
+        assert tracking(bad) is None
+        assert tracking(good) is None
+
+
+def test_what_is_allowed_is_let_pass():
+    tracking = Tracking()
+    for _ in range(20):
+        assert tracking(state(HOME, off(4, DEVIATION_RAD - 1e-6))) is None
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_target_that_is_no_number_stops(bad):
+    for values in ([*HOME[:5], bad], [bad] * 6):
+        tracking, following = Tracking(), Following(ServojProfile())
+        following.sent(HOME, np.zeros(6))
+        status = state(values, HOME)
+        for judge in (tracking, following):
+            found = [judge(status) for _ in range(3)]
+            assert found[:2] == [None, None]
+            assert found[2] is not None
+            assert (JOINTS[5] if len(set(map(str, values))) > 1 else JOINTS[0]) in found[2]
+
+
+def test_the_worst_joint_is_named():
+    deviation = Deviation("{joint} {found} {allowed}")
+    apart = np.array([0.0, 0.3, 0.1, 0.5, 0.0, 0.0])
+    found = [deviation(apart, np.array([0.1, 0.1, 0.1, 0.4, 0.1, 0.1])) for _ in range(3)]
+    assert found == [None, None, f"{JOINTS[1]} 0.300 0.100"]
+
+
+# The controller, and what it is sent.
+
+
+def follow(following, profile, targets, *, taken=True, delay=0):
+    """Send targets to a controller with the servoj law, and judge its states."""
+    transition = ServojLaw(profile.lookahead_s, profile.gain).transition(profile.tick_s)
+    now, last = np.stack([targets[0], np.zeros(6)]), targets[0]
+    for number, target in enumerate(targets):
+        following.sent(target, np.abs(target - last) / profile.tick_s)
+        last = target
+        if taken:
+            held = np.stack([targets[max(number - delay, 0)], np.zeros(6)])
+            now = held + transition @ (now - held)
+        reason = following(state(now[0]))
+        if reason is not None:
+            return number, reason
+    return None
+
+
+PROFILES = [ServojProfile(), ServojProfile("e-series"), ServojProfile(lookahead_s=0.2, gain=300.0)]
+
+
+def wave(profile, speed, seconds=1.7):
+    time = np.arange(0.0, seconds, profile.tick_s)[:, None]
+    return HOME + speed / 4.0 * (1.0 - np.cos(4.0 * time)) * np.array([1, -1, 1, 1, -1, 0.5])
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("speed", [0.0, 0.1, 0.5, 2.0])
+def test_a_controller_that_follows_is_let_go_on(profile, speed):
+    for delay in (0, 4):
+        assert follow(Following(profile), profile, wave(profile, speed), delay=delay) is None
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_a_stop_from_full_speed_is_let_pass(profile):
+    """The arm comes in behind targets that rest already."""
+    moving = HOME + 0.5 * profile.tick_s * np.arange(200)[:, None]
+    assert follow(Following(profile), profile, np.concatenate([moving, np.repeat(moving[-1:], 200, 0)])) is None
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("speed", [0.1, 0.5])
+def test_a_controller_that_takes_nothing_is_noticed(profile, speed):
+    found = follow(Following(profile), profile, wave(profile, speed), taken=False)
+    assert found is not None
+    number, reason = found
+    assert "the controller does not follow" in reason
+    # Before it is further behind than it may be, and than twice of what it is then.
+    behind = np.abs(wave(profile, speed)[number] - HOME).max()
+    assert behind < 2 * speed * (profile.lookahead_s + 10 * profile.tick_s) + 0.05
+
+
+def test_one_that_stands_somewhere_else_is_noticed_though_nothing_moves():
+    following = Following(ServojProfile())
+    assert [following(state(off(3, 1.0))) for _ in range(5)] == [None] * 5  # nothing was sent yet
+    following.sent(HOME, np.zeros(6))
+    found = [following(state(off(3, 0.03))) for _ in range(3)]
+    assert found[:2] == [None, None]
+    assert (
+        found[2]
+        == f"{JOINTS[3]} is led 0.030 rad from what was sent, allowed are 0.020: the controller does not follow"
+    )
+    fine = Following(ServojProfile())
+    fine.sent(HOME, np.zeros(6))
+    assert [fine(state(off(3, 0.019))) for _ in range(5)] == [None] * 5
+
+
+def test_speed_of_long_ago_allows_nothing():
+    following = Following(ServojProfile())
+    following.sent(HOME, np.full(6, 2.0))
+    assert [following(state(off(3, 0.1))) for _ in range(5)] == [None] * 5  # it is coming in
+    for _ in range(400):
+        following.sent(HOME, np.zeros(6))
+    assert [following(state(off(3, 0.03))) for _ in range(3)][2] is not None
+
+
+def test_an_arm_that_is_not_where_it_is_led_is_noticed_by_this_too():
+    following = Following(ServojProfile())
+    following.sent(HOME, np.zeros(6))
+    found = [following(state(HOME, off(1, 0.2))) for _ in range(3)]
+    assert found[2] is not None
+    assert "where its controller wants it" in found[2]

@@ -1,0 +1,125 @@
+"""The twin shows of measured arms what the simulated cell shows of its own."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from dual_ur10 import ENV_IDS
+from dual_ur10.envs.api.names import task_name
+from dual_ur10.envs.core.core import load_task
+from dual_ur10.envs.sim.mujoco_cell import MujocoCell
+from dual_ur10.envs.tasks.task import Timing, task_settings
+from dual_ur10.sim2real.config.cell import CellConfig
+from dual_ur10.sim2real.control.adapter import Command
+from dual_ur10.sim2real.runtime.twin import Twin
+
+TASKS = [task_name(each) for each in ENV_IDS]
+TICKS = 5
+
+
+def simulated(name, **cell):
+    """A task's cell, and how an episode of it begins."""
+    task_type = load_task(name)
+    settings = task_settings(task_type, {})
+    need = task_type.furnishing(settings)
+    if need.equipment.welded:
+        need = dataclasses.replace(need, equipment=dataclasses.replace(need.equipment, welded=False))
+    config = CellConfig(**cell).furnished(need.equipment, need.timestep_s, need.gains)
+    task = task_type(settings, config, Timing(0.04, 0.04), 1)
+    return MujocoCell(config, TICKS), task.start(np.array([0]), [np.random.default_rng(5)])
+
+
+def moving(cell, start, periods=6):
+    """States on a wave of all joints, while the grippers close."""
+    state = cell.reset(start)
+    yield state
+    direction = np.random.default_rng(1).uniform(-1, 1, (2, 6))
+    for period in range(periods):
+        time = (period * TICKS + np.arange(1, TICKS + 1)) * 0.008
+        targets = start.q_rad[:, None] + 0.1 * (1 - np.cos(3 * time))[:, None, None] * direction
+        gripper = None if start.gripper_m is None else np.full((1, TICKS, 2), [0.05, 0.03])
+        yield cell.advance(Command(targets, gripper))
+
+
+def shown(twin, state):
+    """What the twin makes of what two controllers, and a tracker, would tell of it."""
+    gripped = state.gripper_m is not None
+    thing = None if state.object_m is None else (state.object_m[0], state.object_quat[0])
+    twin.aim(None if state.target_m is None else (state.target_m[0], state.target_quat[0]))
+    more = {"gripper_m": state.gripper_m[0], "wrench": state.wrench[0]} if gripped else {}
+    return twin.follow(float(state.time_s[0]), state.q_rad[0], state.qd_rad_s[0], thing=thing, **more)
+
+
+def assert_equal(found, expected):
+    for field, value in expected._asdict().items():
+        other = getattr(found, field)
+        if value is None:
+            assert other is None, field
+            continue
+        assert other.dtype == np.asarray(value).dtype, field
+        np.testing.assert_allclose(other, value, atol=1e-13, rtol=0, err_msg=field)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_it_shows_what_the_simulated_cell_shows(name):
+    cell, start = simulated(name)
+    twin = Twin(cell.config.scene)
+    states = 0
+    for state in moving(cell, start):
+        assert_equal(shown(twin, state), state)
+        states += 1
+    assert states == 7
+    assert np.abs(state.q_rad - start.q_rad).max() > 0.01
+    cell.close()
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_what_it_has_shown_does_not_change(name):
+    cell, start = simulated(name)
+    twin = Twin(cell.config.scene)
+    states = moving(cell, start)
+    first = shown(twin, next(states))
+    kept = [None if each is None else each.copy() for each in first]
+    for state in states:
+        shown(twin, state)
+    for value, copy in zip(first, kept, strict=True):
+        assert value is copy is None or (value == copy).all()
+    cell.close()
+
+
+def test_without_a_thing_or_a_target_it_shows_none():
+    cell, start = simulated("Handover")
+    state = cell.reset(start)
+    twin = Twin(cell.config.scene)
+    shown(twin, state)
+    twin.aim(None)
+    found = twin.follow(
+        1.5, state.q_rad[0], state.qd_rad_s[0], gripper_m=state.gripper_m[0], wrench=state.wrench[0], thing=None
+    )
+    assert (found.object_m, found.object_quat, found.target_m, found.target_quat) == (None,) * 4
+    assert found.time_s.tolist() == [1.5]
+    assert found.gripper_m.shape == (1, 2)
+    assert found.wrench.shape == (1, 2, 6)
+    assert not found.failed.any()
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_what_is_drawn_stands_where_it_stands(name):
+    cell, start = simulated(name)
+    twin = Twin(cell.config.scene)
+    *_, state = moving(cell, start)
+    shown(twin, state)
+    (model, data), (model2, data2) = twin.model_and_data(), cell.model_and_data(0)
+    assert twin.model_and_data()[0] is model
+    assert [model.body(each).name for each in range(model.nbody)] == [
+        model2.body(each).name for each in range(model2.nbody)
+    ]
+    fingers = [each for each in range(model.nbody) if "finger" in model.body(each).name]
+    others = np.setdiff1d(np.arange(model.nbody), fingers)
+    np.testing.assert_allclose(data.xpos[others], data2.xpos[others], atol=1e-12)
+    np.testing.assert_allclose(data.xquat[others], data2.xquat[others], atol=1e-12)
+    np.testing.assert_allclose(data.xpos[fingers], data2.xpos[fingers], atol=1e-3)
+    cell.close()

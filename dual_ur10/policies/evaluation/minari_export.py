@@ -35,9 +35,8 @@ def to_minari(
     """Make a Minari dataset of the episodes of runs.
 
     Observations and actions are dicts with the keys "left" and "right", as of `dual_ur10.envs.api.parallel_env`.
-    Rewards are those of both together. `infos` hold `is_success`, `gated` and `time_s`; an episode's metadata say how it
-    ended
-    and where it was recorded. The environment's spec is that of the Gymnasium environment.
+    Rewards are those of both together. `infos` hold `is_success`, `gated` and `time_s`. An episode's metadata hold its
+    end and the place of its record. The environment's spec is that of the Gymnasium environment.
 
     Args:
         runs: One or several, of the same environment.

@@ -9,7 +9,7 @@ from mujoco import batch
 
 from dual_ur10.assets import scene
 from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
-from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.frames import FLOOR_Z_M, ArmMount
 from dual_ur10.kinematics.ur10 import ARMS, LINKS
 from tests.sim2real.control.reference_cell import UNEQUAL, contacts, point_to_capsule, random_q, segment
 
@@ -140,7 +140,7 @@ def test_clearance_is_the_distance_of_the_capsules(model, clearance):
             else:
                 assert twin.sensordata[i] == pytest.approx(expected, abs=1e-6)
             if pair[1] == "floor":
-                by_hand = segment(model, data, a)[:, 2].min() - model.geom_size[a, 0] - scene.FLOOR_Z_M
+                by_hand = segment(model, data, a)[:, 2].min() - model.geom_size[a, 0] - FLOOR_Z_M
             elif pair[1] != "table":
                 by_hand = point_to_capsule(model, data, b, segment(model, data, a, 200)).min() - model.geom_size[a, 0]
             else:

@@ -14,6 +14,7 @@ from dual_ur10.assets import scene
 from dual_ur10.assets.obstacles import Box, Capsule, Obstacle, Plane, geom_name
 from dual_ur10.assets.scene import CLEARANCE_CUTOFF_M, HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.errors import CollisionAtStartError, SettingsError
+from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import ARMS, LINKS
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
@@ -168,7 +169,7 @@ def test_what_touches_an_obstacle_is_measured_and_is_a_contact() -> None:
 )
 def test_things_come_to_rest_on_obstacles(obstacle: Obstacle | None) -> None:
     obstacles = () if obstacle is None else (obstacle,)
-    far = scene.ArmMount((-2.0, 1.0, 0.5)), scene.ArmMount((-2.0, -1.0, 0.5))
+    far = ArmMount((-2.0, 1.0, 0.5)), ArmMount((-2.0, -1.0, 0.5))
     settings = SceneSettings(*far, equipment=Equipment(prop="block"), obstacles=obstacles)
     model = scene.build_model(settings, drawn=False)
     data = mujoco.MjData(model)

@@ -81,7 +81,7 @@ def resume(
 def _needs(training: Training) -> None:
     """Raise MissingExtraError before anything is made."""
     importlib.import_module(
-        f"dual_ur10.policies.training.{'imitate' if training.algorithm in ('bc', 'dagger') else 'reinforce'}"
+        f"dual_ur10.policies.training.{'imitation' if training.algorithm in ('bc', 'dagger') else 'reinforcement'}"
     )
 
 

@@ -324,7 +324,7 @@ def test_a_full_disk_leaves_what_was(most: int, saved: Path, tmp_path: Path) -> 
     before = {path.name: path.read_bytes() for path in saved.iterdir()}
     script = (
         "import resource, sys\n"
-        "from dual_ur10.policies import checkpoint\nfrom dual_ur10.errors import CheckpointError\n"
+        "from dual_ur10.policies.learned import checkpoint\nfrom dual_ur10.errors import CheckpointError\n"
         f"found, weights = checkpoint._read(checkpoint.Path({str(saved)!r}))\n"
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({most}, {most}))\n"
         "try:\n"

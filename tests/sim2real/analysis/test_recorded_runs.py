@@ -150,8 +150,8 @@ def test_on_two_controllers_power_comes_first_and_no_bar_hides_a_question(
 
     monkeypatch.setattr("dual_ur10.policies.evaluation.evaluate.evaluate", act)
     monkeypatch.setattr("dual_ur10.sim2real.analysis.replay.replay", act)
-    for module in ("cli_evaluate", "cli_runs"):
-        monkeypatch.setattr(f"dual_ur10.{module}.power_on", order.append)
+    for module in ("evaluate", "runs"):
+        monkeypatch.setattr(f"dual_ur10.cli.{module}.power_on", order.append)
     monkeypatch.setattr(Console, "is_terminal", True)
     arguments = ("SineTracking",) if command == "evaluate" else (str(before),)
     with pytest.raises(Asked):

@@ -26,8 +26,8 @@ from stable_baselines3.common.callbacks import CallbackList
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv, VecMonitor, VecNormalize
 
 import dual_ur10
-from dual_ur10.envs.api.names import env_id_of
 from dual_ur10.envs.api.sb3_bridge import JointVecEnv
+from dual_ur10.ids import env_id_of
 
 KEYWORDS = {"randomization": "mild", "action_latency_ticks": 5}
 

@@ -1,8 +1,29 @@
-"""Ids of the registered environments."""
+"""Ids of the registered environments, and the shorter names that mean the same."""
 
 from __future__ import annotations
 
 from typing import Final
 
+from dual_ur10.errors import UnknownNameError
+
 ENV_IDS: Final = ("DualUR10/SineTracking-v0", "DualUR10/SyncCarry-v0", "DualUR10/Handover-v0")
 """All registered ids. An id is a promise: any change of results gets a new version."""
+
+
+def env_id_of(name: str) -> str:
+    """Return the id of an environment: "Handover", "Handover-v0" and "DualUR10/Handover-v0" are the same.
+
+    A name without a version means the newest.
+
+    Raises:
+        UnknownNameError: There is no such environment.
+    """
+    known = {short: env_id for env_id in ENV_IDS for short in (env_id, env_id.split("/")[1], task_name(env_id))}
+    if name not in known:
+        raise UnknownNameError("environment", str(name), list(ENV_IDS))
+    return known[name]
+
+
+def task_name(name: str) -> str:
+    """Return the task's name from an id or a part of one, whether or not such a task exists."""
+    return name.split("/")[-1].rsplit("-v", 1)[0]

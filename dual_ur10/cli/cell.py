@@ -11,8 +11,9 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from dual_ur10.cli.options import console, env_id_of, errors
+from dual_ur10.cli.options import console, errors
 from dual_ur10.errors import CellFileError, SettingsError, UnknownNameError
+from dual_ur10.ids import env_id_of
 
 FINDINGS = 2
 """Exit code when something is wrong with a file."""

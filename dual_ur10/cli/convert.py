@@ -9,8 +9,9 @@ from typing import Annotated, Any, get_args
 
 import typer
 
-from dual_ur10.cli.options import EnvName, Settings, console, env_id_of, keywords_of
+from dual_ur10.cli.options import EnvName, Settings, console, keywords_of
 from dual_ur10.errors import CheckpointError, UnknownNameError
+from dual_ur10.ids import env_id_of
 
 
 def convert(

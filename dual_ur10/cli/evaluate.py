@@ -21,7 +21,6 @@ from dual_ur10.cli.options import (
     Seed,
     Settings,
     console,
-    env_id_of,
     errors,
     keywords_of,
     late_text,
@@ -31,6 +30,7 @@ from dual_ur10.cli.options import (
 )
 from dual_ur10.errors import SettingsError
 from dual_ur10.files import check_target
+from dual_ur10.ids import env_id_of
 from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
 
 if TYPE_CHECKING:

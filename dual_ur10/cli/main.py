@@ -32,7 +32,6 @@ from dual_ur10.cli.options import (
     Seed,
     Settings,
     console,
-    env_id_of,
     errors,
     keywords_of,
     late_text,
@@ -43,7 +42,7 @@ from dual_ur10.cli.runs import compare, fit, replay
 from dual_ur10.cli.status import status
 from dual_ur10.cli.train import collect, train
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
-from dual_ur10.ids import ENV_IDS
+from dual_ur10.ids import ENV_IDS, env_id_of
 from dual_ur10.policies.learned import shipped
 from dual_ur10.sim2real.processes.interrupts import INTERRUPTED, begin_program, end_interrupted
 

@@ -11,8 +11,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress, ProgressColumn
 
-from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.ids import ENV_IDS
+from dual_ur10.errors import SettingsError
 
 console = Console()
 errors = Console(stderr=True)
@@ -49,23 +48,6 @@ RUNS = Path("runs")
 """Where runs are recorded if nothing else is said."""
 
 Seed = Annotated[int, typer.Option("--seed", "-s", min=0, help="Seed of the first episode; the next ones count on.")]
-
-
-def env_id_of(name: str) -> str:
-    """The id that a short name stands for.
-
-    Raises:
-        UnknownNameError: None does.
-    """
-    known = {short: env_id for env_id in ENV_IDS for short in _short_names(env_id)}
-    if name not in known:
-        raise UnknownNameError("environment", name, list(ENV_IDS))
-    return known[name]
-
-
-def _short_names(env_id: str) -> tuple[str, str, str]:
-    task = env_id.split("/")[-1]
-    return env_id, task, task.rsplit("-v", 1)[0]
 
 
 def keywords_of(

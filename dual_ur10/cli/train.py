@@ -11,8 +11,9 @@ import typer
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from dual_ur10.cli.options import EnvName, PolicyName, Settings, console, env_id_of, keywords_of, randomize
+from dual_ur10.cli.options import EnvName, PolicyName, Settings, console, keywords_of, randomize
 from dual_ur10.errors import SettingsError
+from dual_ur10.ids import env_id_of
 from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
 
 if TYPE_CHECKING:

@@ -7,13 +7,12 @@ import importlib
 import os
 from typing import Any
 
-from dual_ur10.envs.api.names import env_id_of
 from dual_ur10.envs.core.core import load_task
 from dual_ur10.envs.core.options import split_keywords
 from dual_ur10.envs.core.randomization import resolve_randomization
 from dual_ur10.envs.tasks.task import Timing, task_settings
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.ids import ENV_IDS
+from dual_ur10.ids import ENV_IDS, env_id_of, task_name
 from dual_ur10.policies.learned import shipped
 from dual_ur10.policies.policy import Policy
 from dual_ur10.sim2real.config.cell import resolve_cell
@@ -67,7 +66,7 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
             f"policy {str(name)!r} needs an environment: name one of {', '.join(ENV_IDS)}; only the path of a "
             "checkpoint does without"
         )
-    task = load_task(env_id_of(env_id).split("/")[1].rsplit("-v", 1)[0])
+    task = load_task(task_name(env_id_of(env_id)))
     options, own = split_keywords(keywords)
     config = resolve_cell(options.cell)
     period_s = config.servoj.ticks_per_action(options.policy_rate_hz) * config.servoj.tick_s

@@ -16,8 +16,8 @@ from dm_env import (  # type: ignore[import-untyped]  # has no types
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from dual_ur10.envs.api.names import env_id_of, task_name
 from dual_ur10.errors import ResetNeededError
+from dual_ur10.ids import env_id_of, task_name
 
 
 class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has no types

@@ -13,9 +13,9 @@ from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]  # ha
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper  # type: ignore[import-untyped]  # as above
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper  # type: ignore[import-untyped]  # as above
 
-from dual_ur10.envs.api.names import env_id_of, task_name
 from dual_ur10.envs.api.two_agents import Share, agent_spaces, check_count, check_options
 from dual_ur10.errors import ActionError, ResetNeededError
+from dual_ur10.ids import env_id_of, task_name
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.types import Array
 

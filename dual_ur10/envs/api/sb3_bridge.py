@@ -9,12 +9,12 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.envs.api.names import env_id_of, task_name
 from dual_ur10.envs.api.two_agents import Share, agent_spaces, check_count, check_options
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.envs.core.cells import check_for_controllers
 from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.errors import ActionError, MissingExtraError, SettingsError
+from dual_ur10.ids import env_id_of, task_name
 from dual_ur10.sim2real.config.cell import resolve_cell
 from dual_ur10.types import Array
 

@@ -15,8 +15,8 @@ from typing import Any, Final
 import gymnasium as gym
 import numpy as np
 
-from dual_ur10.envs.api.names import env_id_of
 from dual_ur10.errors import PolicyError, SettingsError
+from dual_ur10.ids import env_id_of
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.policy import Policy
 from dual_ur10.sim2real.config.cell import LATENCY_S, CellConfig

@@ -107,8 +107,8 @@ def to_minari(
 def _core(header: Header) -> Core:
     """A simulation of the same task, which knows what each agent observes."""
     import dual_ur10
-    from dual_ur10.envs.api.names import task_name
     from dual_ur10.envs.core.core import Core
+    from dual_ur10.ids import task_name
 
     if header.env_id not in dual_ur10.ENV_IDS:
         raise RecordingError(f"it was recorded in {header.env_id!r:.80}: allowed are {', '.join(dual_ur10.ENV_IDS)}")

@@ -314,7 +314,7 @@ def _layers(content: bytes, manifest: Manifest, where: str) -> list[list[Layer]]
 
 
 def _check_id(path: Path, manifest: Manifest, env: str | None) -> None:
-    from dual_ur10.envs.api.names import env_id_of
+    from dual_ur10.ids import env_id_of
 
     made = manifest.target.env_id
     if env is not None and env_id_of(env) != made:

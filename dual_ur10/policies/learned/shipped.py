@@ -10,8 +10,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Final
 
-from dual_ur10.envs.api.names import env_id_of, task_name
 from dual_ur10.errors import UnknownNameError
+from dual_ur10.ids import env_id_of, task_name
 
 NAMES: Final = ("learned", "learned-two-agents")
 """Names of shipped policies: one network for both arms; networks that each see what one arm observes."""

@@ -10,13 +10,12 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from dual_ur10.envs.api.names import env_id_of, task_name
 from dual_ur10.envs.core.core import load_task
 from dual_ur10.envs.core.options import EnvOptions, split_keywords
 from dual_ur10.envs.core.randomization import Randomization, resolve_randomization
 from dual_ur10.envs.tasks.task import Task, Timing, task_settings
 from dual_ur10.errors import CheckpointError
-from dual_ur10.ids import ENV_IDS
+from dual_ur10.ids import ENV_IDS, env_id_of, task_name
 from dual_ur10.policies.learned import schema
 from dual_ur10.sim2real.config.cell import CellConfig, resolve_cell
 from dual_ur10.sim2real.control.adapter import ActionMode, ServojAdapter

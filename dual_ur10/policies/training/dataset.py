@@ -7,9 +7,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.envs.api.names import env_id_of, task_name
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.errors import DatasetError, DualUR10Error, MissingExtraError
+from dual_ur10.ids import env_id_of, task_name
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.evaluation.evaluate import EpisodeAware, actor_of
 from dual_ur10.policies.evaluation.minari_export import to_minari

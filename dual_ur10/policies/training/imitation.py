@@ -13,9 +13,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.envs.api.names import task_name
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.errors import SettingsError, TrainingError
+from dual_ur10.ids import task_name
 from dual_ur10.policies.learned.manifest import Manifest
 from dual_ur10.policies.learned.policy import LearnedPolicy
 from dual_ur10.policies.learned.signature import Described, described

@@ -9,9 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.envs.api.names import task_name
 from dual_ur10.envs.api.sb3_bridge import CellsVecEnv, JointVecEnv, TwoAgentVecEnv
 from dual_ur10.errors import MissingExtraError, TrainingError
+from dual_ur10.ids import task_name
 from dual_ur10.policies.learned.from_sb3 import converted
 from dual_ur10.policies.learned.manifest import Manifest
 from dual_ur10.policies.learned.signature import described

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal, get_args
 
-from dual_ur10.envs.api.names import env_id_of, task_name
 from dual_ur10.envs.core.options import split_keywords
 from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.ids import env_id_of, task_name
 from dual_ur10.policies.learned.manifest import AgentsKind
 from dual_ur10.policies.learned.network import Activation
 from dual_ur10.policies.learned.signature import described

@@ -18,9 +18,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.envs.api.names import env_id_of, task_name
 from dual_ur10.envs.rendering.viewer import Viewer
 from dual_ur10.errors import AddressError, DualUR10Error, SettingsError
+from dual_ur10.ids import env_id_of, task_name
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.servoj import ServojProfile

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from dual_ur10 import ENV_IDS
-from dual_ur10.envs.api.names import task_name
 from dual_ur10.envs.core.core import load_task
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.envs.tasks.task import Timing, task_settings
+from dual_ur10.ids import task_name
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.runtime.twin import Twin

@@ -91,8 +91,6 @@ FLOORS = (
 _CLIMBING = {
     ("sim2real.analysis.page", "cli.demo_report.film"),
     ("sim2real.analysis.report", "cli.demo_report.report_sine"),
-    ("sim2real.protocol.primary_messages", "sim2real.emulator.profile"),
-    ("sim2real.protocol.primary_packet", "sim2real.emulator.profile"),
 }
 
 

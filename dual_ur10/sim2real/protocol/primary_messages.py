@@ -10,10 +10,9 @@ from __future__ import annotations
 import re
 import struct
 from enum import IntEnum
-from typing import Final
+from typing import Final, Protocol
 
 from dual_ur10.errors import ScriptError, SettingsError
-from dual_ur10.sim2real.emulator.profile import ControllerProfile
 
 ROBOT_MESSAGE: Final = 20
 """Type of these packets."""
@@ -25,8 +24,37 @@ SOURCE_PROGRAM: Final = -3
 _TEXT, _POPUP, _VERSION, _SAFETY_MODE, _ERROR_CODE, _KEY, _RUNTIME_EXCEPTION = 0, 2, 3, 5, 6, 7, 10
 
 
+class ControllerIdentity(Protocol):
+    """Facts of a controller that its packets report: software, robot and safety settings."""
+
+    @property
+    def family(self) -> str:
+        """Controller family: "cb3" or "e-series"."""
+        ...
+
+    @property
+    def version(self) -> tuple[int, int, int, int]:
+        """Major, minor, bugfix and build of the software."""
+        ...
+
+    @property
+    def released(self) -> str:
+        """Release date of the software."""
+        ...
+
+    @property
+    def robot_type(self) -> int:
+        """UR's number of the robot: 2 is the UR10."""
+        ...
+
+    @property
+    def safety_checksum(self) -> int:
+        """Checksum of the safety settings, 32 bits."""
+        ...
+
+
 class ReportLevel(IntEnum):
-    """How grave an error code is."""
+    """Severity of an error code."""
 
     DEBUG = 0
     INFO = 1
@@ -35,12 +63,12 @@ class ReportLevel(IntEnum):
     FAULT = 4
 
 
-def version_message(profile: ControllerProfile) -> bytes:
-    """What a controller says first: its version."""
+def version_message(identity: ControllerIdentity) -> bytes:
+    """Return the first message of every connection: the controller's version."""
     name = b"URControl"
-    major, minor, bugfix, build = profile.version
+    major, minor, bugfix, build = identity.version
     body = struct.pack(f">B{len(name)}sBBii", len(name), name, major, minor, bugfix, build)
-    return _message(0.0, SOURCE_CONTROLLER, _VERSION, body + _bytes(profile.released))
+    return _message(0.0, SOURCE_CONTROLLER, _VERSION, body + _bytes(identity.released))
 
 
 def text_message(timestamp_s: float, text: str) -> bytes:

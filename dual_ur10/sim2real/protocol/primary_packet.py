@@ -13,9 +13,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from dual_ur10.kinematics.ur10 import HARD_ACCELERATION_RAD_S2, JOINT_RANGE_RAD, JOINT_SPEED_RAD_S, DHParameters
-from dual_ur10.sim2real.emulator.profile import ControllerProfile
 from dual_ur10.sim2real.protocol.modes import RobotMode, RuntimeState, SafetyBits
-from dual_ur10.sim2real.protocol.primary_messages import version_message
+from dual_ur10.sim2real.protocol.primary_messages import ControllerIdentity, version_message
 
 ROBOT_STATE: Final = 16
 """Type of the packet."""
@@ -37,16 +36,16 @@ class PrimaryPacket:
     """Packs the state of one controller.
 
     Args:
-        profile: The controller.
+        identity: Version, robot type and safety settings of the controller.
         kinematics: The arm's kinematics as calibrated.
     """
 
-    def __init__(self, profile: ControllerProfile, kinematics: DHParameters) -> None:
-        self._e_series = profile.family == "e-series"
-        self._safety_checksum = struct.pack(">I", profile.safety_checksum)
-        self._version = version_message(profile)
+    def __init__(self, identity: ControllerIdentity, kinematics: DHParameters) -> None:
+        self._e_series = identity.family == "e-series"
+        self._safety_checksum = struct.pack(">I", identity.safety_checksum)
+        self._version = version_message(identity)
         self._kinematics = _package(5, _kinematics(kinematics))
-        self._configuration = _package(6, _configuration(profile, kinematics))
+        self._configuration = _package(6, _configuration(identity, kinematics))
         # Assumption: a CB3 has no data of the tool's connector.
         packers: tuple[Callable[[Values], bytes], ...] = (
             self._robot_mode,
@@ -227,10 +226,10 @@ def _kinematics(kinematics: DHParameters) -> bytes:
     )
 
 
-def _configuration(profile: ControllerProfile, kinematics: DHParameters) -> bytes:
+def _configuration(identity: ControllerIdentity, kinematics: DHParameters) -> bytes:
     limits = [(-limit, limit) for limit in JOINT_RANGE_RAD.tolist()]
     motion = [(speed, HARD_ACCELERATION_RAD_S2) for speed in JOINT_SPEED_RAD_S.tolist()]
-    masterboard, box, sub_type = (6, 4, 3) if profile.family == "e-series" else (5, 2, 0)
+    masterboard, box, sub_type = (6, 4, 3) if identity.family == "e-series" else (5, 2, 0)
     return struct.pack(
         ">53d4I",
         *(value for pair in limits + motion for value in pair),
@@ -242,7 +241,7 @@ def _configuration(profile: ControllerProfile, kinematics: DHParameters) -> byte
         *kinematics.theta_rad,
         masterboard,
         box,
-        profile.robot_type,
+        identity.robot_type,
         sub_type,
     )
 

@@ -1,4 +1,4 @@
-"""Array types shared by all rooms, read-only constants, and the check of numbers in settings.
+"""Array types shared by all rooms, read-only constants, the check of numbers in settings, and a base for `close()`.
 
 Shapes stand in docstrings: NumPy's types do not hold them.
 """
@@ -6,7 +6,9 @@ Shapes stand in docstrings: NumPy's types do not hold them.
 from __future__ import annotations
 
 import math
-from typing import Any, TypeAlias
+from abc import ABC, abstractmethod
+from types import TracebackType
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,3 +42,19 @@ def numbers(name: str, values: Any, length: int) -> tuple[Any, ...]:
     if len(found) != length or not all(map(math.isfinite, found)):
         raise SettingsError(f"{name} must be {length} finite number{'s' * (length > 1)}, found {values!r}")
     return found
+
+
+class Closing(ABC):
+    """Context manager that closes itself at the end of its `with` block."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release all resources. May be called twice."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -10,12 +10,12 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Final
 
 from dual_ur10 import errors
 from dual_ur10.errors import ClosedError, DualUR10Error, EmulatorError
 from dual_ur10.sim2real.peripherals.object_placer import EmulatorKnobs
+from dual_ur10.types import Closing
 
 MODULE: Final = "dual_ur10.sim2real.emulator.main"
 """The program of an emulated cell."""
@@ -24,7 +24,7 @@ _START_S: Final = 30.0
 _END_S: Final = 5.0
 
 
-class EmulatedCell:
+class EmulatedCell(Closing):
     """Two emulated controllers and their simulated arms, as long as the `with` block lasts.
 
     They run in a process of their own, because constructors of `ur_rtde` hold Python's global lock while they wait for
@@ -161,11 +161,3 @@ class EmulatedCell:
             self.process.kill()
             self.process.wait()
         self._log.close()
-
-    def __enter__(self) -> EmulatedCell:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

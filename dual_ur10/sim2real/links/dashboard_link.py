@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import re
 import time
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 from dual_ur10.errors import OperationRefusedError, ProtocolError, SettingsError
 from dual_ur10.sim2real.links.link_socket import LinkSocket, checked_timeout
 from dual_ur10.sim2real.protocol.text_lines import LineReader
+from dual_ur10.types import Closing
 
 PORT: Final = 29999
 
@@ -25,7 +25,7 @@ _UNKNOWN: Final = "could not understand"
 _REMOTE_SINCE: Final = (5, 6)  # UR's article "Dashboard Server e-Series"; a CB3 has no such mode
 
 
-class DashboardLink:
+class DashboardLink(Closing):
     """One connection. Any failure ends it, so that a late answer is never taken for that of another question.
 
     Args:
@@ -194,11 +194,3 @@ class DashboardLink:
     def close(self) -> None:
         """End the connection. May be called twice."""
         self._socket.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

@@ -7,10 +7,10 @@ import ipaddress
 import math
 import socket
 import time
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 from dual_ur10.errors import ClosedError, LinkError, SettingsError
+from dual_ur10.types import Closing
 
 _RECEIVE_BYTES: Final = 65_536
 
@@ -41,7 +41,7 @@ def checked_timeout(timeout_s: float) -> float:
     return timeout_s
 
 
-class LinkSocket:
+class LinkSocket(Closing):
     """A connected socket. Any failure is a [LinkError][dual_ur10.errors.LinkError] that names arm, host and remedy.
 
     Args:
@@ -177,14 +177,6 @@ class LinkSocket:
             self._open.shutdown(socket.SHUT_WR)
             while True:
                 self.receive(deadline_s)
-        self.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
         self.close()
 
 

@@ -12,8 +12,7 @@ import re
 import struct
 import time
 from collections.abc import Sequence
-from types import TracebackType
-from typing import Final, NoReturn, Self
+from typing import Final, NoReturn
 
 from dual_ur10.errors import LinkError, ProtocolError, SettingsError
 from dual_ur10.sim2real.control.servoj import TICK_S
@@ -21,6 +20,7 @@ from dual_ur10.sim2real.links.link_socket import LinkSocket, checked_timeout
 from dual_ur10.sim2real.links.rtde_stream import TIMESTAMP, RtdeStream, Sample
 from dual_ur10.sim2real.protocol.rtde_codec import Frames, Kind, frame, split_names
 from dual_ur10.sim2real.protocol.rtde_types import TYPES, DataType
+from dual_ur10.types import Closing
 
 PORT: Final = 30004
 
@@ -132,7 +132,7 @@ class RtdeClient:
         return answer[0], types
 
 
-class RtdeLink:
+class RtdeLink(Closing):
     """Reads the variables of one controller.
 
     Args:
@@ -263,14 +263,6 @@ class RtdeLink:
     def close(self) -> None:
         """End the connection. May be called twice."""
         self._socket.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _checked(names: Sequence[str], frequency_hz: float | None) -> list[str]:

@@ -8,8 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from types import TracebackType
-from typing import Final, Self, TypeVar
+from typing import Final, TypeVar
 
 from dual_ur10.assets.gripper import OPENING_M
 from dual_ur10.errors import ActionError, ClosedError, DualUR10Error, LinkError, OperationRefusedError
@@ -18,6 +17,7 @@ from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.config.cell_file_entries import ArmEntry, DigitalGripper, RobotiqSocket
 from dual_ur10.sim2real.peripherals.digital_gripper import DigitalGripperLink
 from dual_ur10.sim2real.peripherals.gripper_link import GripperLink, RobotiqLink
+from dual_ur10.types import Closing
 
 log = logging.getLogger(__name__)
 
@@ -218,7 +218,7 @@ class GripperThread:
         self._link.close()
 
 
-class Grippers:
+class Grippers(Closing):
     """The grippers of both arms, as a cell file names them. Nothing is sent to them when this is made.
 
     Args:
@@ -321,14 +321,6 @@ class Grippers:
         for each in self.each:
             if each is not None:
                 each.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def link_to(arm: ArmEntry, force_n: float, name: str = "") -> GripperLink | None:

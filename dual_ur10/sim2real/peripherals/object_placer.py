@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from dual_ur10.errors import EmulatorError, LinkError
 from dual_ur10.sim2real.links.link_socket import LinkSocket, checked_timeout
+from dual_ur10.types import Closing
 
 ANSWER_S: Final = 10.0
 """How long an answer is waited for, unless said otherwise."""
@@ -17,7 +17,7 @@ ANSWER_S: Final = 10.0
 _LONGEST: Final = 4 << 20  # of an answer, bytes
 
 
-class EmulatorKnobs:
+class EmulatorKnobs(Closing):
     """One connection, made with the first request. After a failure the next request makes another.
 
     Args:
@@ -85,11 +85,3 @@ class EmulatorKnobs:
         if self._socket is not None:
             self._socket.close()
         self._socket, self._rest = None, b""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

@@ -6,8 +6,7 @@ import logging
 import math
 import threading
 import time
-from types import TracebackType
-from typing import Final, NamedTuple, Protocol, Self
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from dual_ur10.sim2real.config import cell_file_entries as entries
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.config.cell_file_entries import Three
 from dual_ur10.sim2real.peripherals.object_placer import EmulatorKnobs
-from dual_ur10.types import Array
+from dual_ur10.types import Array, Closing
 
 log = logging.getLogger(__name__)
 
@@ -113,7 +112,7 @@ class GivenTracker:
         """There is nothing to release."""
 
 
-class EmulatedTracker:
+class EmulatedTracker(Closing):
     """The camera of an emulated cell, asked by a thread. Its first pose is there once it is made.
 
     Args:
@@ -194,14 +193,6 @@ class EmulatedTracker:
         self._ended.set()
         self._thread.join()
         self._knobs.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def tracker_of(cell_file: CellFile, prop: str) -> ObjectTracker | None:

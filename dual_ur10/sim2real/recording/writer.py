@@ -11,8 +11,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from dual_ur10.sim2real.recording import mcap_records as mcap
 from dual_ur10.sim2real.recording.encoding import METADATA_NAME, NUMBERS, Encoder, Messages
 from dual_ur10.sim2real.recording.run import Event, Header
 from dual_ur10.sim2real.recording.schemas import STATE_COLUMNS, Columns
-from dual_ur10.types import Array
+from dual_ur10.types import Array, Closing
 
 RUN_FILE: Final = "run.mcap"
 LOG_FILE: Final = "run.log"
@@ -100,7 +99,7 @@ def new_folder(root: Path, header: Header, *, least_free_bytes: int = LEAST_FREE
     raise RecordingError(f"cannot make a folder for the run in {root}: {name} and {_MOST_FOLDERS - 1} others exist")
 
 
-class RunWriter:
+class RunWriter(Closing):
     """Writes a record. What it is given is in the file, as far as the system is concerned, after the next `flush`.
 
     The file ends with an index after `close`; without it, as after a kill, everything can be read all the same.
@@ -266,14 +265,6 @@ class RunWriter:
             raise RecordingError(self._failure) from error
         self._crc = zlib.crc32(data, self._crc)
         self.size += len(data)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _index(number: int, parts: list[Messages], starts: list[int]) -> bytes:

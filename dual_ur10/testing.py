@@ -49,7 +49,7 @@ class CellForTests(EmulatedCell):
 
     Args:
         folder: Where its cell file and its log are written.
-        **options: See `dual_ur10.sim2real.emulator.main.EmulatorOptions`; without `cell`.
+        **options: See `dual_ur10.sim2real.emulator.emulator.EmulatorOptions`; without `cell`.
 
     Attributes:
         path: The cell file, as text: `gym.make(..., cell=cell.path)`.

@@ -31,7 +31,7 @@ def emulate(
     view: Annotated[bool, typer.Option("--view", help="Show the cell in a browser on this machine.")] = False,
 ) -> None:
     """Run two emulated UR controllers on this machine, with simulated arms behind them, until Ctrl-C."""
-    from dual_ur10.sim2real.emulator.main import Emulator, EmulatorOptions
+    from dual_ur10.sim2real.emulator.emulator import Emulator, EmulatorOptions
 
     logging.basicConfig(level=logging.WARNING, format="%(asctime)s %(name)s: %(message)s")
     options = EmulatorOptions(
@@ -51,7 +51,7 @@ def emulate(
         hosts = [server.host for server in emulator.servers]
         console.print(f"left  [bold cyan]{hosts[0]}[/]\nright [bold cyan]{hosts[1]}[/]", highlight=False)
         port = emulator.description()["emulator"]["port"]
-        console.print(f"knobs {hosts[0]}:{port}" + (f"\ncell file {cell}" if cell else ""), highlight=False)
+        console.print(f"fault injection {hosts[0]}:{port}" + (f"\ncell file {cell}" if cell else ""), highlight=False)
         if emulator.url:
             console.print(f"the viewer is at [bold cyan]{emulator.url}[/] for browsers on this machine", soft_wrap=True)
         console.print("emulated UR10 controllers, not real ones. Ctrl-C ends them", style="dim")

@@ -174,7 +174,7 @@ class EmulatedTracker:
 
 @dataclass(frozen=True, kw_only=True)
 class EmulatorEntry:
-    """The process that emulates the cell: port of its knobs at the left host, task whose scene it simulates, pid."""
+    """The process that emulates the cell: fault-injection port at the left host, task whose scene it simulates, pid."""
 
     port: int
     task: str | None = None

@@ -340,7 +340,7 @@ CELL: Final = Table(
             "emulator",
             "The process that emulates the cell; it writes this table.",
             (
-                Key("port", "of its knobs", "integer", 1, 65535, required="always", example=40000),
+                Key("port", "of its fault injection", "integer", 1, 65535, required="always", example=40000),
                 Key(
                     "task",
                     "whose scene it simulates",

@@ -18,7 +18,7 @@ from dual_ur10.sim2real.emulator.builtins import builtins_of
 from dual_ur10.sim2real.emulator.inputs_outputs import InputsOutputs
 from dual_ur10.sim2real.emulator.motion import Motion
 from dual_ur10.sim2real.emulator.profile import ControllerProfile
-from dual_ur10.sim2real.emulator.program import ProgramRunner
+from dual_ur10.sim2real.emulator.program_runner import ProgramRunner
 from dual_ur10.sim2real.emulator.received import Received
 from dual_ur10.sim2real.emulator.registers import Registers
 from dual_ur10.sim2real.emulator.rtde_variables import zero_values

@@ -14,10 +14,10 @@ from typing import IO, Any, Final
 
 from dual_ur10 import errors
 from dual_ur10.errors import ClosedError, DualUR10Error, EmulatorError
-from dual_ur10.sim2real.peripherals.object_placer import EmulatorKnobs
+from dual_ur10.sim2real.peripherals.object_placer import FaultInjectionClient
 from dual_ur10.types import Closing
 
-MODULE: Final = "dual_ur10.sim2real.emulator.main"
+MODULE: Final = "dual_ur10.sim2real.emulator.emulator"
 """The program of an emulated cell."""
 
 _START_S: Final = 30.0
@@ -32,11 +32,11 @@ class EmulatedCell(Closing):
 
     Args:
         log: Where the cell writes its log; None: it is kept until the cell is closed.
-        options: See `dual_ur10.sim2real.emulator.main.EmulatorOptions`.
+        options: See `dual_ur10.sim2real.emulator.emulator.EmulatorOptions`.
 
     Attributes:
         left, right: Addresses of the controllers.
-        port: Of the knobs, at the left controller's address.
+        port: Fault-injection port, at the left controller's address.
         description: What the cell file says.
 
     Raises:
@@ -61,13 +61,13 @@ class EmulatedCell(Closing):
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             start_new_session=True,
         )
-        self._knobs: EmulatorKnobs | None = None
+        self._injection: FaultInjectionClient | None = None
         try:
             self.description = self._started()
             self.left: str = self.description["left"]["host"]
             self.right: str = self.description["right"]["host"]
             self.port: int = self.description["emulator"]["port"]
-            self._knobs = EmulatorKnobs(self.left, self.port)
+            self._injection = FaultInjectionClient(self.left, self.port)
         except BaseException:
             self.close()
             raise
@@ -95,7 +95,7 @@ class EmulatedCell(Closing):
         return self._log.read()[-characters:].strip()
 
     def ask(self, do: str, **values: Any) -> Any:
-        """Turn one of the cell's knobs, such as `ask("stop", arm="left", mode=3)`.
+        """Send one fault-injection request, such as `ask("stop", arm="left", mode=3)`.
 
         Returns:
             The value of the answer.
@@ -104,9 +104,9 @@ class EmulatedCell(Closing):
             ClosedError: The cell was closed.
             EmulatorError: The request was refused, or there was no answer.
         """
-        if self._knobs is None or self.process.stdin is None or self.process.stdin.closed:
+        if self._injection is None or self.process.stdin is None or self.process.stdin.closed:
             raise ClosedError("this emulated cell was closed: start another")
-        return self._knobs.ask(do, **values)
+        return self._injection.ask(do, **values)
 
     def setpoints(self, arm: str, since: int = 0) -> list[Any]:
         """All servoj targets that a controller has executed from number `since` on, as far as it keeps them.
@@ -150,8 +150,8 @@ class EmulatedCell(Closing):
 
     def close(self) -> None:
         """End the process. May be called twice."""
-        if self._knobs is not None:
-            self._knobs.close()
+        if self._injection is not None:
+            self._injection.close()
         for pipe in (self.process.stdin, self.process.stdout):
             if pipe is not None:
                 pipe.close()

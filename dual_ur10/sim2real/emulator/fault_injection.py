@@ -42,8 +42,8 @@ _PRESSES: Final = (
 )
 
 
-class Cell(Protocol):
-    """What the knobs turn."""
+class CellUnderTest(Protocol):
+    """Emulated cell that requests act on."""
 
     ended: bool
     """Whether the cell is to end."""
@@ -68,7 +68,7 @@ class Cell(Protocol):
         ...
 
 
-class Knobs:
+class FaultInjection:
     """Answers requests.
 
     Args:
@@ -76,7 +76,7 @@ class Knobs:
         seed: Of the camera's noise.
     """
 
-    def __init__(self, cell: Cell, seed: int = 0) -> None:
+    def __init__(self, cell: CellUnderTest, seed: int = 0) -> None:
         self._cell = cell
         self._random = random.Random(seed)
         self._seen: dict[str, deque[tuple[float, list[float], list[float]]]] = {}

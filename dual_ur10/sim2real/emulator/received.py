@@ -44,7 +44,7 @@ class Received:
         upload_tick: When the last one came; None: there was none.
         watchdog: What the last watchdog was set to: tick, Hz, action; None: there was none.
         ended_tick: Control period in which a program ended last; None: none has.
-        stop_tick: Control period in which the last stop that was asked for by a knob took effect; None: there was none.
+        stop_tick: Control period in which the last stop that was injected took effect, or None.
     """
 
     def __init__(self, registers: Registers) -> None:

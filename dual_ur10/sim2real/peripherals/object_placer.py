@@ -1,4 +1,4 @@
-"""A client of an emulated cell's knobs: one JSON object a line, answered by one."""
+"""Client of the fault-injection port of an emulated cell: one JSON object per line, answered by one line."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ ANSWER_S: Final = 10.0
 _LONGEST: Final = 4 << 20  # of an answer, bytes
 
 
-class EmulatorKnobs(Closing):
+class FaultInjectionClient(Closing):
     """One connection, made with the first request. After a failure the next request makes another.
 
     Args:
         host: Of the left controller.
-        port: Of the knobs.
+        port: Fault-injection port.
         timeout_s: For each request.
 
     Raises:
@@ -35,7 +35,7 @@ class EmulatorKnobs(Closing):
         self._rest = b""
 
     def ask(self, do: str, **values: Any) -> Any:
-        """Turn one knob, such as `ask("stop", arm="left", mode=3)`.
+        """Send one request, such as `ask("stop", arm="left", mode=3)`.
 
         Returns:
             The value of the answer.
@@ -46,7 +46,7 @@ class EmulatorKnobs(Closing):
         deadline_s = time.monotonic() + self.timeout_s
         try:
             if self._socket is None:
-                self._socket = LinkSocket("", "knobs", self.host, self.port, deadline_s)
+                self._socket = LinkSocket("", "fault injection", self.host, self.port, deadline_s)
             self._socket.send(json.dumps({"do": do, **values}).encode() + b"\n", deadline_s)
             answer = json.loads(self._line(self._socket, deadline_s))
         except (LinkError, ValueError) as error:

@@ -16,7 +16,7 @@ from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config import cell_file_entries as entries
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.config.cell_file_entries import Three
-from dual_ur10.sim2real.peripherals.object_placer import EmulatorKnobs
+from dual_ur10.sim2real.peripherals.object_placer import FaultInjectionClient
 from dual_ur10.types import Array, Closing
 
 log = logging.getLogger(__name__)
@@ -116,7 +116,7 @@ class EmulatedTracker(Closing):
     """The camera of an emulated cell, asked by a thread. Its first pose is there once it is made.
 
     Args:
-        knobs: Of the cell; they are this object's from now on.
+        emulator: Client of the cell. This object closes it.
         body: What is looked for.
         entry: Its noise and delay.
         rate_hz: How often it is asked.
@@ -126,16 +126,16 @@ class EmulatedTracker(Closing):
     """
 
     def __init__(
-        self, knobs: EmulatorKnobs, body: str, entry: entries.EmulatedTracker, rate_hz: float = RATE_HZ
+        self, emulator: FaultInjectionClient, body: str, entry: entries.EmulatedTracker, rate_hz: float = RATE_HZ
     ) -> None:
-        self._knobs, self._body, self._entry, self._period_s = knobs, body, entry, 1.0 / rate_hz
-        self.where = f"emulated camera at {knobs.host}:{knobs.port}, looking for {body!r}"
+        self._emulator, self._body, self._entry, self._period_s = emulator, body, entry, 1.0 / rate_hz
+        self.where = f"emulated camera at {emulator.host}:{emulator.port}, looking for {body!r}"
         self._lost = ""
         self._ended = threading.Event()
         try:
             self._pose = self._look()
         except BaseException:
-            knobs.close()
+            emulator.close()
             raise
         self._thread = threading.Thread(target=self._run, name="object tracker", daemon=True)
         self._thread.start()
@@ -161,7 +161,7 @@ class EmulatedTracker(Closing):
         seen_s = time.monotonic() - self._entry.delay_s
         noise = {name: getattr(self._entry, name) for name in ("noise_m", "noise_rad", "delay_s")}
         try:
-            answer = self._knobs.ask("pose", body=self._body, **noise)
+            answer = self._emulator.ask("pose", body=self._body, **noise)
             position_m, quat = (np.array(answer[name], dtype=np.float64) for name in ("position_m", "quat"))
         except (DualUR10Error, TypeError, KeyError, ValueError) as error:
             raise LinkError(
@@ -192,7 +192,7 @@ class EmulatedTracker(Closing):
         """End the thread and its connection. May be called twice."""
         self._ended.set()
         self._thread.join()
-        self._knobs.close()
+        self._emulator.close()
 
 
 def tracker_of(cell_file: CellFile, prop: str) -> ObjectTracker | None:
@@ -222,5 +222,5 @@ def tracker_of(cell_file: CellFile, prop: str) -> ObjectTracker | None:
             f"{cell_file.source}: this task handles a {prop}, and nothing says where it is: add a table [tracker] of "
             'kind "attached" or "given"' + (", or a table [emulator]" if cell_file.kind == "emulated" else "")
         )
-    knobs = EmulatorKnobs(cell_file.left.host, cell_file.emulator.port, _ANSWER_S)
-    return EmulatedTracker(knobs, prop, entry or entries.EmulatedTracker())
+    emulator = FaultInjectionClient(cell_file.left.host, cell_file.emulator.port, _ANSWER_S)
+    return EmulatedTracker(emulator, prop, entry or entries.EmulatedTracker())

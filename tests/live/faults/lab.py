@@ -104,7 +104,7 @@ class Lab:
         return self._tick
 
     def do(self, do, **values):
-        """Turn a knob of the cell by which something goes wrong."""
+        """Inject a fault into the cell."""
         self.note()
         self.cell.ask(do, **values)
         if do == "stop":

@@ -128,9 +128,9 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("knob", "values", "text"), WRONG)
-def test_anything_else_that_is_wrong_with_one_arm_keeps_both_off(cell, file, sent, knob, values, text):
-    cell.ask(knob, arm="right", **values)
+@pytest.mark.parametrize(("do", "values", "text"), WRONG)
+def test_anything_else_that_is_wrong_with_one_arm_keeps_both_off(cell, file, sent, do, values, text):
+    cell.ask(do, arm="right", **values)
     with pytest.raises(OperationRefusedError, match=f"no arm was given power: .*{text}"):
         power_on(file, never)
     assert sent == []

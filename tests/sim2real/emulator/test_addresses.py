@@ -8,7 +8,7 @@ from dual_ur10.errors import AddressError
 from dual_ur10.sim2real.emulator import addresses
 from dual_ur10.sim2real.emulator.addresses import checked_address, free_address, is_free
 from dual_ur10.sim2real.emulator.arm_server import PORTS
-from dual_ur10.sim2real.emulator.main import Emulator, EmulatorOptions
+from dual_ur10.sim2real.emulator.emulator import Emulator, EmulatorOptions
 from tests.sim2real.emulator.ticking import Cell
 
 ELSEWHERE = ["0.0.0.0", "192.168.0.1", "10.0.0.2", "8.8.8.8", "localhost", "::1", "", "127.0.0", "127.1", "2130706433",

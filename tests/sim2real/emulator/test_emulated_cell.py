@@ -116,7 +116,7 @@ def test_a_cell_that_stands_still_is_named_and_goes_on(tmp_path):
     with EmulatedCell(log=tmp_path / "log") as cell:
         cell.ask("info")
         os.kill(cell.process.pid, signal.SIGSTOP)
-        cell._knobs.timeout_s = 0.4
+        cell._injection.timeout_s = 0.4
         with pytest.raises(EmulatorError, match="no answer to 'state'"):
             cell.ask("state", arm="left", names=["robot_mode"])
         os.kill(cell.process.pid, signal.SIGCONT)

@@ -1,4 +1,4 @@
-"""The knobs: each does what it says, and nothing that is sent to them disturbs the cell."""
+"""Fault injection: each request has its effect, and no input disturbs the cell."""
 
 import json
 import re
@@ -84,11 +84,11 @@ def packets(stream):
 
 
 def test_the_documentation_lists_what_there_is():
-    text = DOCS.read_text().split("## Knobs")[1].split("## What is assumed")[0]
+    text = DOCS.read_text().split("## Fault injection")[1].split("## What is assumed")[0]
     listed = [row.split() for row in re.findall(r"^\| `([^`]+)` \|", text, re.MULTILINE)]
     cell = Cell()
     try:
-        there = cell.emulator._knobs._requests
+        there = cell.emulator._injection._requests
         assert sorted(each[0] for each in listed) == sorted(there) == REQUESTS
         for name, *arguments in listed:
             code = there[name].__code__
@@ -653,11 +653,11 @@ def test_bad_requests_are_refused_and_disturb_nothing(fuzzed, asked):
 @settings(max_examples=scaled(3000), deadline=None)
 @given(JSON.map(json.dumps) | st.text() | st.binary(max_size=60).map(lambda raw: raw.decode("utf-8", "replace")))
 def test_lines_that_are_no_requests_are_refused(fuzzed, line):
-    answer = json.loads(fuzzed.emulator._knobs.answer(line))
+    answer = json.loads(fuzzed.emulator._injection.answer(line))
     assert not answer["ok"]
     assert answer["error"]
 
 
 def test_deeply_nested_lines_are_refused(fuzzed):
     for line in ("[" * 100_000, '{"do":' * 20_000, '{"do": "info", "do": ' + "[" * 5000):
-        assert not json.loads(fuzzed.emulator._knobs.answer(line))["ok"]
+        assert not json.loads(fuzzed.emulator._injection.answer(line))["ok"]

@@ -13,7 +13,7 @@ import numpy as np
 from dual_ur10.kinematics.ur10 import JOINT_SPEED_RAD_S, NOMINAL_DH
 from dual_ur10.sim2real.emulator.controller import Controller
 from dual_ur10.sim2real.emulator.dashboard import Dashboard
-from dual_ur10.sim2real.emulator.main import Emulator, EmulatorOptions
+from dual_ur10.sim2real.emulator.emulator import Emulator, EmulatorOptions
 from dual_ur10.sim2real.emulator.pendant import Pendant
 from dual_ur10.sim2real.emulator.profile import profile_of
 from dual_ur10.sim2real.emulator.realtime_packet import RealtimePacket
@@ -202,7 +202,7 @@ class Cell:
             self.emulator.tick()
 
     def line(self, text: str) -> dict[str, Any]:
-        answer = json.loads(self.emulator._knobs.answer(text))
+        answer = json.loads(self.emulator._injection.answer(text))
         assert set(answer) == ({"ok", "value"} if answer["ok"] else {"ok", "error"})
         return answer
 

@@ -1,4 +1,4 @@
-"""Where the object is: held, given, or seen by the emulated camera, whose loss is named; and the knobs' client."""
+"""Where the object is: held, given, or seen by the emulated camera, whose loss is named; and the injection' client."""
 
 import dataclasses
 import json
@@ -15,7 +15,7 @@ from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, rota
 from dual_ur10.sim2real.config import cell_file_entries as entries
 from dual_ur10.sim2real.config.cell_file import load_cell_file
 from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
-from dual_ur10.sim2real.peripherals.object_placer import EmulatorKnobs
+from dual_ur10.sim2real.peripherals.object_placer import FaultInjectionClient
 from dual_ur10.sim2real.peripherals.object_tracker import STALE_S, EmulatedTracker, Flanges, tracker_of
 from tests.sim2real.links.fake_servers import serving
 
@@ -104,9 +104,9 @@ def test_a_file_that_does_not_say_where_the_object_is(file):
 
 
 def test_the_camera_sees_where_the_object_was_put(cell, file):
-    with EmulatorKnobs(cell.left, cell.port) as knobs, tracker_of(file, "block") as tracker:
+    with FaultInjectionClient(cell.left, cell.port) as injection, tracker_of(file, "block") as tracker:
         for x_m in (0.3, -0.1):
-            knobs.place(np.array([x_m, -0.2, 0.8]), TURN)
+            injection.place(np.array([x_m, -0.2, 0.8]), TURN)
             placed_s = time.monotonic()
             found = until(lambda x_m=x_m: near(tracker.pose(time.monotonic(), FLANGES), x_m))
             assert abs(found.quat @ TURN) == pytest.approx(1.0, abs=1e-3)
@@ -193,19 +193,19 @@ def test_what_is_no_pose(value):
         connection.sendall(json.dumps({"ok": True, "value": value}).encode() + b"\n")
 
     with serving(talk) as port, pytest.raises(LinkError, match=r"emulated camera.*expected"):
-        EmulatedTracker(EmulatorKnobs(HERE, port), "block", entries.EmulatedTracker())
+        EmulatedTracker(FaultInjectionClient(HERE, port), "block", entries.EmulatedTracker())
 
 
-# The knobs' client.
+# The injection' client.
 
 
-def test_knobs_that_refuse(cell):
-    with EmulatorKnobs(cell.left, cell.port) as knobs:
+def test_the_client_reports_refusals(cell):
+    with FaultInjectionClient(cell.left, cell.port) as injection:
         with pytest.raises(EmulatorError, match="allowed are"):
-            knobs.place((99.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-        assert knobs.ask("state", arm="left", names=["robot_mode"]) == {"robot_mode": 7}  # the connection goes on
-    assert knobs.ask("info")["ticks"] > 0  # another connection
-    knobs.close()
+            injection.place((99.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+        assert injection.ask("state", arm="left", names=["robot_mode"]) == {"robot_mode": 7}  # the connection goes on
+    assert injection.ask("info")["ticks"] > 0  # another connection
+    injection.close()
 
 
 @pytest.mark.parametrize("answer", [b"nonsense\n", b"[1]\n", b'{"ok": false, "error": "no"}\n', b""])
@@ -214,8 +214,8 @@ def test_answers_that_are_none(answer):
         connection.recv(1000)
         connection.sendall(answer)
 
-    with serving(talk) as port, pytest.raises(EmulatorError), EmulatorKnobs(HERE, port) as knobs:
-        knobs.ask("info")
+    with serving(talk) as port, pytest.raises(EmulatorError), FaultInjectionClient(HERE, port) as injection:
+        injection.ask("info")
 
 
 def test_an_answer_without_end():
@@ -225,7 +225,7 @@ def test_an_answer_without_end():
             connection.sendall(b"x" * 65536)
 
     with serving(talk) as port, pytest.raises(EmulatorError, match="more than 4194304 bytes"):
-        EmulatorKnobs(HERE, port).ask("info")
+        FaultInjectionClient(HERE, port).ask("info")
 
 
 def test_a_late_answer_is_not_taken_for_the_next():
@@ -234,8 +234,8 @@ def test_a_late_answer_is_not_taken_for_the_next():
         connection.recv(1000)  # until the client gave up
 
     with serving(talk) as port:
-        knobs = EmulatorKnobs(HERE, port, 0.2)
+        injection = FaultInjectionClient(HERE, port, 0.2)
         with pytest.raises(EmulatorError, match="no answer to 'info'"):
-            knobs.ask("info")
+            injection.ask("info")
     with pytest.raises(EmulatorError, match="no connection"):
-        knobs.ask("info")
+        injection.ask("info")

@@ -10,7 +10,7 @@ import random as _random
 from collections.abc import Callable
 from typing import Any, Final
 
-from dual_ur10.sim2real.emulator.script import poses
+from dual_ur10.sim2real.emulator.script import pose_arithmetic as poses
 from dual_ur10.sim2real.emulator.script.machine import machine_functions
 from dual_ur10.sim2real.emulator.script.values import INT_MAX, TEXT_MAX, integer, kind, number, text
 

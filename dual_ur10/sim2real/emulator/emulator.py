@@ -28,7 +28,7 @@ from dual_ur10.sim2real.emulator.addresses import checked_address, free_address
 from dual_ur10.sim2real.emulator.arm_server import ArmServer, LinePeer
 from dual_ur10.sim2real.emulator.cell_file_writer import write_cell_file
 from dual_ur10.sim2real.emulator.controller import Controller
-from dual_ur10.sim2real.emulator.fault_injection import Knobs
+from dual_ur10.sim2real.emulator.fault_injection import FaultInjection
 from dual_ur10.sim2real.emulator.mujoco_world import EmulatedWorld, PlantOptions
 from dual_ur10.sim2real.emulator.profile import profile_of
 from dual_ur10.sim2real.emulator.robotiq import RobotiqGripper
@@ -121,7 +121,7 @@ class Emulator:
         self._told = False
         self.servers: list[ArmServer] = []
         self._hub = Hub(options.seed)
-        self._knobs = Knobs(self, options.seed)
+        self._injection = FaultInjection(self, options.seed)
         self._viewer: Viewer | None = None
         self._drawn_s = 0.0
         mounts = (self.world.config.left, self.world.config.right)
@@ -142,7 +142,7 @@ class Emulator:
                 )
                 gripper = RobotiqGripper() if self.world.gripper_kg else None
                 self.servers.append(ArmServer(self._hub, controller, hosts[arm], gripper, self._off))
-            self._port = self._hub.add("knobs", (hosts[0], 0), lambda: LinePeer(self._knobs.answer))
+            self._port = self._hub.add("fault injection", (hosts[0], 0), lambda: LinePeer(self._injection.answer))
             if options.view:
                 self._viewer = Viewer(web=True)
                 self._viewer.show(*self.world.draw())
@@ -218,7 +218,7 @@ class Emulator:
             for server in self.servers:
                 server.controller.safety.stop(SafetyMode.FAULT, "the simulation diverged")
         self.ticks += 1
-        self._knobs.after_tick(self.ticks * self.tick_s)
+        self._injection.after_tick(self.ticks * self.tick_s)
         if self._viewer is not None and self.ticks * self.tick_s - self._drawn_s >= _FRAME_S:
             self._drawn_s = self.ticks * self.tick_s
             self._viewer.show(*self.world.draw())

@@ -27,7 +27,7 @@ def command(left, right, n=1, **more):
 
 def test_a_command_comes_late_and_then_the_fingers_move_at_their_speed():
     made = cell()
-    opening = np.array([made.advance(command(0.0, OPENING_M)).gripper_m[0].copy() for _ in range(30)])
+    opening = np.array([made.advance(command(0.0, OPENING_M)).state.gripper_m[0].copy() for _ in range(30)])
     time = 0.04 * np.arange(1, 31)
     assert np.abs(opening[:, 1] - OPENING_M).max() < 1e-5
     assert np.abs(opening[time <= LATENCY_S - 0.008, 0] - OPENING_M).max() < 1e-5
@@ -69,8 +69,8 @@ def test_a_payload_that_is_told_of_is_carried():
     """The controllers hold up what they were told of: without it, the arms go up."""
     made, told = cell(), cell()
     for _ in range(40):
-        plain = made.advance(command(OPENING_M, OPENING_M))
-        lifted = told.advance(command(OPENING_M, OPENING_M, payload_kg=np.array([[2.0, 0.0]])))
+        plain = made.advance(command(OPENING_M, OPENING_M)).state
+        lifted = told.advance(command(OPENING_M, OPENING_M, payload_kg=np.array([[2.0, 0.0]]))).state
     up = lifted.flange_m[0, :, 2] - plain.flange_m[0, :, 2]
     # 20 N on a stiff arm whose shoulder alone gives way by lever² / stiffness.
     assert 2e-4 < up[0] < 3e-3

@@ -18,7 +18,7 @@ from dual_ur10.envs.core.randomization import on_top, resolve_randomization
 from dual_ur10.envs.core.sensing import Sensing
 from dual_ur10.envs.tasks.task import Task, Timing, task_settings
 from dual_ur10.errors import ActionError, CellFaulted, ClosedError, DualUR10Error, ResetNeededError, UnknownNameError
-from dual_ur10.sim2real.config.cell import Cell, CellState, resolve_cell
+from dual_ur10.sim2real.config.cell import Cell, CellState, CellStep, resolve_cell
 from dual_ur10.sim2real.control.adapter import Command, ServojAdapter
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
@@ -124,6 +124,9 @@ class Core:
 
     Raises:
         SettingsError: Or one of its kinds: a value is not legal. Nothing is left behind.
+
+    Attributes:
+        late_actions: Number of actions that missed their deadline, so that both arms stopped.
     """
 
     def __init__(
@@ -176,6 +179,7 @@ class Core:
         rows = np.arange(n)
         clearance.check_start(self.task.start(rows, [np.random.default_rng(0) for _ in rows]).q_rad, rows)
         self._state: CellState | None = None
+        self.late_actions = 0
         self._sensing = Sensing(config, self._randomization, period_s, n)
         self._plant = config.perturbation.expanded(n)
         self._observation: Array = np.zeros((n, len(self.task.observation_bound)))
@@ -234,11 +238,12 @@ class Core:
         self.pipeline.reset(start.q_rad, rows, start.gripper_m)
         plant = on_top({name: value[rows] for name, value in self._plant.items()}, drawn)
         try:
-            state = cell.reset(start, rows, seeds=seeds, perturbation=plant)
+            begun = cell.reset(start, rows, seeds=seeds, perturbation=plant)
         except DualUR10Error as error:
             self.note("fault" if isinstance(error, CellFaulted) else "not begun", str(error))
             raise
-        self._go_on_from_rest(cell, start.gripper_m)
+        self._continue_from_stop(begun, start.gripper_m)
+        state = begun.state
         self._sensing.reset(state, rows, seeds, drawn)
         sensed = state if self._sensing.is_exact else self._sensing.begun(state)
         observation = self.task.observe(sensed, self.task.measure(sensed), self.pipeline.adapter.commanded_q_rad)
@@ -279,11 +284,13 @@ class Core:
             cell.stop(f"the policy's action was refused: {error}")
             raise
         try:
-            state = true = self._advance(cell, command._replace(payload_kg=self.task.payload_kg()))
+            period = self._advance(cell, command._replace(payload_kg=self.task.payload_kg()))
         except CellFaulted:
             self._state = before  # it stays so, and says so again
             raise
-        self._go_on_from_rest(cell, None if command.gripper_m is None else command.gripper_m[:, -1])
+        self._continue_from_stop(period, None if command.gripper_m is None else command.gripper_m[:, -1])
+        state = true = period.state
+        self.late_actions += period.late
         measured = self.task.measure(state)
         outcome = self.task.evaluate(state, measured)
         terms = np.add.reduce(outcome.terms, axis=1) / 2
@@ -310,13 +317,13 @@ class Core:
         step = Step(observation.copy(), reward, terminated, outcome.over, info, verdicts, state.failed, agents)
         self._state = true
         if self._hook is not None:
-            self._hook.step(action, command, step, true, PHYSICS_ERROR if state.failed[0] else "")
+            self._hook.step(action, command, step, period, PHYSICS_ERROR if state.failed[0] else "")
         return step
 
-    def _go_on_from_rest(self, cell: Cell, gripper_m: Array | None) -> None:
-        """Where the arms rest and not where the pipeline has led them, it goes on from there."""
-        if cell.rested_q_rad is not None:
-            self.pipeline.reset(cell.rested_q_rad, gripper_m=gripper_m)
+    def _continue_from_stop(self, period: CellStep, gripper_m: Array | None) -> None:
+        """Restart the pipeline from where the arms stand, if they did not follow it."""
+        if period.stopped_q_rad is not None:
+            self.pipeline.reset(period.stopped_q_rad, gripper_m=gripper_m)
 
     def finish(self) -> None:
         """The episode is over for a reason that the task does not know: arms that do not stand come to rest."""
@@ -334,8 +341,8 @@ class Core:
         """MuJoCo's model and data of one cell, to be drawn."""
         return self._open().model_and_data(row)
 
-    def _advance(self, cell: Cell, command: Command) -> CellState:
-        """A control period of the cell. That arms were stopped is recorded."""
+    def _advance(self, cell: Cell, command: Command) -> CellStep:
+        """Advance the cell by a control period, and record a fault."""
         recorder = self.recorder
         if recorder is not None and recorder.failure and self.options.record_failure == "stop":
             cell.stop(f"the run is not recorded any more: {recorder.failure}")
@@ -362,11 +369,6 @@ class Core:
         """Write an event into the record of this run, if there is one."""
         if self.recorder is not None:
             self.recorder.event(kind, text)
-
-    @property
-    def late_actions(self) -> int:
-        """How many actions came too late so far, so that both arms came to rest."""
-        return 0 if self.cell is None else self.cell.late_periods
 
     @property
     def clipped_actions(self) -> int:

@@ -10,10 +10,9 @@ import numpy as np
 from dual_ur10.envs.sim.physics import Physics
 from dual_ur10.envs.sim.servo_reference import ServojReference, SlowedTargets, TargetDelay
 from dual_ur10.errors import ClosedError, SettingsError
-from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
+from dual_ur10.sim2real.config.cell import CellConfig, CellStep, Start, TickTrace
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.command_queue import CommandQueue
-from dual_ur10.sim2real.recording.rows import Trace
 from dual_ur10.types import Array, Rows
 
 
@@ -44,9 +43,6 @@ class MujocoCell:
         varied: Collection[str] = (),
     ) -> None:
         self.config, self.ticks, self.n = config, ticks, n
-        self.rested_q_rad: Array | None = None
-        self.first_target: int | None = None
-        self.late_periods = 0
         self.threads = threads
         self.steps = ticks * config.substeps
         self._queue = CommandQueue(n, latency_ticks)
@@ -61,7 +57,6 @@ class MujocoCell:
         self._delayed = late
         self._uneven = "lookahead_scale" in varied or len(np.unique(self._values["lookahead_scale"])) > 1
         self._physics: Physics | None = Physics(config, n, threads)
-        self._trace: Trace | None = None
         self._perturb(np.arange(n))
 
     def _perturb(self, rows: Rows) -> None:
@@ -83,7 +78,7 @@ class MujocoCell:
         *,
         seeds: Sequence[int] | None = None,
         perturbation: Mapping[str, Array] | None = None,
-    ) -> CellState:
+    ) -> CellStep:
         """Put the arms, and what they handle, to rest where an episode begins.
 
         Args:
@@ -106,10 +101,9 @@ class MujocoCell:
             self._slowed.reset(q, rows)
         self._reference.reset(q, rows)
         self._elapsed[rows] = 0
-        self._trace = None
-        return physics.state(self._elapsed * self._tick_s, moved=False)
+        return CellStep(physics.state(self._elapsed * self._tick_s, moved=False))
 
-    def advance(self, command: Command) -> CellState:
+    def advance(self, command: Command) -> CellStep:
         """Command [now + L, now + L + period), and return the state at the end of [now, now + period).
 
         A row whose physics diverged stays where it was last well, marked as failed, until it is reset.
@@ -126,13 +120,12 @@ class MujocoCell:
             targets = self._delay(targets)
         motion = self._reference(targets)
         physics.advance(motion, command.gripper_m, command.payload_kg)
-        if physics.tracing:
-            self._trace = self._traced(command.targets_rad, *motion[:2])
+        trace = self._traced(command.targets_rad, *motion[:2]) if physics.tracing else None
         self._elapsed += self.ticks * ~physics.failed
-        return physics.state(self._elapsed * self._tick_s, moved=True)
+        return CellStep(physics.state(self._elapsed * self._tick_s, moved=True), trace=trace)
 
     def record(self) -> None:
-        """From now on, let `trace` tell of every control period what a record of a run holds.
+        """Return a trace with every step from now on.
 
         Raises:
             SettingsError: There are several cells.
@@ -141,23 +134,18 @@ class MujocoCell:
             raise SettingsError(f"{self.n} cells are stepped together: only one alone can be recorded")
         self._open.tracing = True
 
-    @property
-    def trace(self) -> Trace | None:
-        """What happened in the last call of `advance`; None: it is not kept, or there was none since the reset."""
-        return self._trace
-
     def integration_state(self) -> bytes:
         """All that MuJoCo needs to go on from here with the first cell."""
         return self._open.integration_state(0)
 
-    def _traced(self, targets: Array, before: Array, speed: Array) -> Trace:
+    def _traced(self, targets: Array, before: Array, speed: Array) -> TickTrace:
         """Of a single cell, from the targets that went out and what the law made of them."""
         substeps = self.config.substeps
         end = before[:, -1:] + speed[:, -1:] * (self.config.servoj.tick_s / substeps)
         after = np.concatenate([before, end], axis=1)[0, substeps::substeps]
         trace = self._open.trace
         q, qd = (each[0, substeps - 1 :: substeps].copy() for each in trace) if trace else (np.zeros(0), np.zeros(0))
-        return Trace(targets[0].copy(), after.reshape(-1, 2, 6), q, qd)
+        return TickTrace(targets[0].copy(), after.reshape(-1, 2, 6), q, qd)
 
     def finish(self) -> None:
         """Nothing moves that is not stepped."""

@@ -157,7 +157,7 @@ def check_policy(
         try:
             there = _Episode(policy, env)
             there.run(seed, most)
-            late = env.unwrapped.core.cell.late_periods  # type: ignore[attr-defined]  # Gymnasium knows only Env
+            late = env.unwrapped.core.late_actions  # type: ignore[attr-defined]  # Gymnasium knows only Env
         finally:
             env.close()
         if late:

@@ -104,19 +104,50 @@ class Start(NamedTuple):
     drawn: Mapping[str, Array] = MappingProxyType({})
 
 
+class TickTrace(NamedTuple):
+    """Targets and joint states of one simulated cell at the end of every tick of a step.
+
+    Attributes:
+        sent_rad: (ticks, 2, 6) targets as sent.
+        reference_rad: (ticks, 2, 6) output of the servoj law.
+        q_rad: (ticks, 2, 6) joint positions.
+        qd_rad_s: (ticks, 2, 6) joint speeds.
+    """
+
+    sent_rad: Array
+    reference_rad: Array
+    q_rad: Array
+    qd_rad_s: Array
+
+
+class CellStep(NamedTuple):
+    """State of n cells after a reset or a step, and how the step was executed.
+
+    Attributes:
+        state: State at the end of the step.
+        stopped_q_rad: (n, 2, 6) joint positions at which the arms stand instead of those commanded; the next command
+            must continue from here. None: the arms follow the commands.
+        late: True if the command missed its deadline, so that both arms stopped and none of its targets was sent.
+        first_target: Number of the command's first target among those sent, or where it would have been; None: the
+            recorder counts the targets itself.
+        trace: Every tick of the step; None: not kept.
+    """
+
+    state: CellState
+    stopped_q_rad: Array | None = None
+    late: bool = False
+    first_target: int | None = None
+    trace: TickTrace | None = None
+
+
 class Cell(Protocol):
     """Two arms behind one interface: simulated, emulated or real.
 
     Attributes:
         n: Number of cells.
-        rested_q_rad: (n, 2, 6) where the arms have come to rest in the last period instead of doing what was commanded,
-            because that came too late; None: they have not.
-        late_periods: How often they have, since the cell was made.
     """
 
     n: int
-    rested_q_rad: Array | None
-    late_periods: int
 
     def reset(
         self,
@@ -125,10 +156,10 @@ class Cell(Protocol):
         *,
         seeds: Sequence[int] | None = None,
         perturbation: Mapping[str, Array] | None = None,
-    ) -> CellState:
-        """Bring all cells, or `rows` of them, to where an episode begins."""
+    ) -> CellStep:
+        """Bring all cells, or `rows` of them, to the start of an episode."""
 
-    def advance(self, command: Command) -> CellState:
+    def advance(self, command: Command) -> CellStep:
         """Send the targets of one control period, and return the state at its end."""
 
     def finish(self) -> None:

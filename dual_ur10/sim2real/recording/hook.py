@@ -8,35 +8,23 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from dual_ur10.sim2real.config.cell import CellState
+from dual_ur10.sim2real.config.cell import CellState, CellStep
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.recording.describe import plain
-from dual_ur10.sim2real.recording.rows import BeginRow, RunRecorder, StepRow, Trace
+from dual_ur10.sim2real.recording.rows import BeginRow, RunRecorder, StepRow
 from dual_ur10.sim2real.recording.run import LATE, NOT_TOLD
 from dual_ur10.types import Array
 
 
 @runtime_checkable
 class RecordedCell(Protocol):
-    """A cell that tells what only it knows. Of controllers, states and targets are recorded where they come from.
-
-    Attributes:
-        first_target: Number of the first target that the last action was for; None: the recorder counts them itself.
-        late_periods: How many actions came too late.
-    """
-
-    first_target: int | None
-    late_periods: int
-
-    @property
-    def trace(self) -> Trace | None:
-        """What happened in the last period, control period by control period."""
+    """A cell that can keep a trace of its steps, and save the state of its simulation."""
 
     def record(self) -> None:
-        """From now on, keep the trace."""
+        """Keep the trace from now on."""
 
-    def integration_state(self) -> bytes:
-        """All that a simulation needs to go on from here."""
+    def integration_state(self) -> bytes | None:
+        """Return the full state of the simulation; None for real arms."""
 
 
 class RecordHook:
@@ -57,12 +45,11 @@ class RecordHook:
             self._cell.record()
         self._rng = ""
         self._seed: int | None = None
-        self._step = self._late = 0
+        self._step = 0
 
     def resetting(self, rngs: Sequence[np.random.Generator], seed: int | None) -> None:
         """A reset begins: what it will draw follows from the generator as it is now."""
         self._seed, self._step = seed, 0
-        self._late = 0 if self._cell is None else self._cell.late_periods
         self._rng = json.dumps(plain(rngs[0].bit_generator.state))
 
     def reset(
@@ -89,16 +76,17 @@ class RecordHook:
         if drawn:
             self.recorder.event("drawn", json.dumps(plain(dict(drawn))))
 
-    def step(self, action: object, command: Command, step: Any, state: CellState, ended_by: str = "") -> None:
+    def step(self, action: object, command: Command, step: Any, period: CellStep, ended_by: str = "") -> None:
         """A step is done.
 
         Args:
             action: As it was given; it was found legal.
             command: What the gate let out.
             step: A `dual_ur10.envs.core.core.Step`.
-            state: Of the cell at its end.
+            period: The cell's, with its true state at the end.
             ended_by: Why the episode ended, where no verdict says so.
         """
+        state = period.state
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
         verdict = step.verdicts.get(0)
         row = StepRow(
@@ -115,22 +103,20 @@ class RecordHook:
             q_rad=state.q_rad[0],
             flange_m=state.flange_m[0],
             observation=step.observation[0],
-            first_target=self._first_target(),
+            first_target=self._first_target(period),
         )
         self._step += 1
-        self.recorder.step(row, None if self._cell is None else self._cell.trace)
+        self.recorder.step(row, period.trace)
 
-    def _first_target(self) -> int:
-        """Number of the step's first target, or what stands for it. That the action came too late is an event."""
-        cell = self._cell
-        if cell is None or cell.first_target is None:
+    def _first_target(self, period: CellStep) -> int:
+        """Return the number of the step's first target, or its stand-in; record a missed deadline as an event."""
+        if period.first_target is None:
             return NOT_TOLD
-        late, self._late = cell.late_periods > self._late, cell.late_periods
-        if not late:
-            return cell.first_target
+        if not period.late:
+            return period.first_target
         self.recorder.event(
             "late",
-            f"the action of step {self._step} came too late for target {cell.first_target}: both arms came to rest, "
-            "and go on from there",
+            f"the action of step {self._step} missed the deadline of target {period.first_target}: both arms stopped, "
+            "and continue from there",
         )
         return LATE

@@ -9,16 +9,19 @@ import select
 import struct
 import time
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from dual_ur10.errors import RecordingError
 from dual_ur10.sim2real.processes.child_process import Child
 from dual_ur10.sim2real.processes.interrupts import held_back
 from dual_ur10.sim2real.recording.recorder_process import BLACK_BOX, CLOSE, DONE, FAILED, FRAME, READY, WROTE, serve
-from dual_ur10.sim2real.recording.rows import BeginRow, StepRow, Trace
+from dual_ur10.sim2real.recording.rows import BeginRow, StepRow
 from dual_ur10.sim2real.recording.run import Event, Header
 from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, EVENT, EVENT_TOPIC, STEP_TOPIC, TOPICS
 from dual_ur10.sim2real.recording.writer import LEAST_FREE_BYTES
+
+if TYPE_CHECKING:
+    from dual_ur10.sim2real.config.cell import TickTrace
 
 _LOG: Final = logging.getLogger(__name__)
 
@@ -97,7 +100,7 @@ class RecorderProcess:
         begin_s = self.now_s if row.begin_s is None else row.begin_s
         self._single(EPISODE_TOPIC, self.now_s, row.encode(self._episode, begin_s))
 
-    def step(self, row: StepRow, trace: Trace | None = None) -> None:
+    def step(self, row: StepRow, trace: TickTrace | None = None) -> None:
         """A step is done. What a trace would say, the arms tell themselves."""
         self._single(STEP_TOPIC, self.now_s, row.encode(self._episode, self._step))
         self._step += 1

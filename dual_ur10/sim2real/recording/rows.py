@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,23 +12,10 @@ from dual_ur10.sim2real.recording.run import NOT_TOLD
 from dual_ur10.sim2real.recording.schemas import BEGIN, STEP
 from dual_ur10.types import Array
 
+if TYPE_CHECKING:
+    from dual_ur10.sim2real.config.cell import TickTrace
+
 _NOTHING: Array = np.zeros(0)
-
-
-class Trace(NamedTuple):
-    """What happened within a step of one simulated cell, at the end of every control period.
-
-    Attributes:
-        sent_rad: (ticks, 2, 6) targets as they went out.
-        reference_rad: (ticks, 2, 6) what the servoj law made of them.
-        q_rad: (ticks, 2, 6).
-        qd_rad_s: (ticks, 2, 6).
-    """
-
-    sent_rad: Array
-    reference_rad: Array
-    q_rad: Array
-    qd_rad_s: Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,7 +116,7 @@ class RunRecorder(Protocol):
     def begin_episode(self, row: BeginRow) -> None:
         """An episode begins."""
 
-    def step(self, row: StepRow, trace: Trace | None = None) -> None:
+    def step(self, row: StepRow, trace: TickTrace | None = None) -> None:
         """A step is done; `trace` is what only a simulation knows of it."""
 
     def event(self, kind: str, text: str, arm: str = "", time_s: float | None = None) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -14,10 +14,13 @@ from dual_ur10.kinematics.rotations import quat_to_rotvec
 from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
 from dual_ur10.sim2real.processes.interrupts import held_back
 from dual_ur10.sim2real.recording.log import RunLog
-from dual_ur10.sim2real.recording.rows import BeginRow, StepRow, Trace
+from dual_ur10.sim2real.recording.rows import BeginRow, StepRow
 from dual_ur10.sim2real.recording.run import Event, Header
 from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, SIMULATED_COLUMNS, STEP_TOPIC
 from dual_ur10.sim2real.recording.writer import LEAST_FREE_BYTES, RunWriter
+
+if TYPE_CHECKING:
+    from dual_ur10.sim2real.config.cell import TickTrace
 
 _ROW: Final = sum(size for _, size in SIMULATED_COLUMNS)
 
@@ -69,7 +72,7 @@ class SimulationRecord:
         self.writer.flush()
 
     @held_back()
-    def step(self, row: StepRow, trace: Trace | None = None) -> None:
+    def step(self, row: StepRow, trace: TickTrace | None = None) -> None:
         """A step is done. Of a step whose physics diverged, what is finite is kept.
 
         Raises:
@@ -87,7 +90,7 @@ class SimulationRecord:
         self._step += 1
         self.writer.flush()
 
-    def _trace(self, trace: Trace) -> None:
+    def _trace(self, trace: TickTrace) -> None:
         ticks = len(trace.sent_rad)
         numbers = self._ticks + np.arange(ticks)
         sent_s, end_s = self._begin_s + numbers * self._tick_s, self._begin_s + (numbers + 1) * self._tick_s

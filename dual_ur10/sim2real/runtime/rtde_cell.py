@@ -22,7 +22,7 @@ from dual_ur10.errors import ClosedError, LinkError, SettingsError, StartError
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, rotate
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm, confirmation
-from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
+from dual_ur10.sim2real.config.cell import CellConfig, CellState, CellStep, Start
 from dual_ur10.sim2real.control.adapter import GRIPPER_OPENING_M, Command
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.command_queue import MAX_LATENCY_TICKS
@@ -99,9 +99,7 @@ class RtdeCell:
         if config.equipment.welded:
             raise SettingsError("arms that are welded to what they hold exist in simulation only: use a friction grasp")
         self.config, self.file, self.ticks, self.latency_ticks = config, config.file, ticks, int(latency_ticks)
-        self.rested_q_rad: Array | None = None
-        self.late_periods = 0
-        self.first_target: int | None = None
+        self._warned_late = False
         self._tick_s = config.servoj.tick_s
         self._targets = BrakedTargets(limits, self._tick_s, max(AHEAD_TICKS, ticks))
         self._way = WayToStart(limits, clearance, self._tick_s, ticks, self.file.speed_factor, self._targets)
@@ -146,7 +144,7 @@ class RtdeCell:
         *,
         seeds: Sequence[int] | None = None,
         perturbation: Mapping[str, Array] | None = None,
-    ) -> CellState:
+    ) -> CellStep:
         """Bring both arms to rest, and then slowly to where an episode begins, if a person agrees.
 
         Args:
@@ -188,13 +186,12 @@ class RtdeCell:
         target = None if start.target_pose is None else np.asarray(start.target_pose).reshape(7)
         self._twin.aim(None if target is None else (target[:3], target[3:]))
         self._origin, self._elapsed = None, 0
-        self.rested_q_rad = None if self._only is None else goal[None]
         # What stands now would be gone through in the middle of the episode, for longer than an action may take.
         # It is not collected here: no thread runs meanwhile, and a gripper or a camera would seem to be lost.
         gc.freeze()
-        return self._state(statuses)
+        return CellStep(self._state(statuses), None if self._only is None else goal[None])
 
-    def advance(self, command: Command) -> CellState:
+    def advance(self, command: Command) -> CellStep:
         """Command [now + L, now + L + period), and return the state at the end of [now, now + period), in real time.
 
         Raises:
@@ -206,18 +203,16 @@ class RtdeCell:
         if self._origin is None:
             self._origin = runner.next
         first = self._origin + self._elapsed + self.latency_ticks
-        self.first_target = first
         self._elapsed += self.ticks
-        self.rested_q_rad = None
         if not self._targets.write(runner, first, command.targets_rad[0]):
-            return self._rest(runner)
+            return self._stopped(runner, first)
         runner.cell.expect(first + self.ticks, live=True)
         try:
             if self._grippers is not None and command.gripper_m is not None:
                 self._grip(runner, first, command.gripper_m[0, 0])
             end = self._origin + self._elapsed
             runner.wait_for(end)
-            return self._state(runner.statuses_after(end))
+            return CellStep(self._state(runner.statuses_after(end)), first_target=first)
         except (LinkError, ClosedError) as error:
             runner.stop(str(error))
             raise
@@ -231,12 +226,12 @@ class RtdeCell:
                 openings[1 - self._only] = None
             self._grippers.command(openings, at_s)
 
-    def _rest(self, runner: Runner) -> CellState:
-        """The action came too late: both arms have begun to brake, and are let come to rest."""
-        self.late_periods += 1
-        if self.late_periods == 1:  # more of them would hide what else is said
+    def _stopped(self, runner: Runner, first: int) -> CellStep:
+        """Wait until both arms have stopped, after an action missed the deadline of target `first`."""
+        if not self._warned_late:  # further warnings would hide other messages
+            self._warned_late = True
             log.warning(
-                "an action came too late: both arms come to rest, and go on from there. Further ones are counted, and "
+                "an action missed its deadline: both arms stop, and continue from there. Further ones are counted, and "
                 "in the record"
             )
         runner.cell.expect(runner.end, live=True)
@@ -244,10 +239,9 @@ class RtdeCell:
         rest = runner.last()
         self._targets.rest_at(rest)
         self._origin = runner.next - self._elapsed
-        self.rested_q_rad = rest[None]
         runner.cell.expect(self._origin + self._elapsed + self.latency_ticks, live=True)
         try:
-            return self._state(runner.statuses())
+            return CellStep(self._state(runner.statuses()), rest[None], late=True, first_target=first)
         except LinkError as error:
             runner.stop(str(error))
             raise
@@ -283,15 +277,11 @@ class RtdeCell:
         left, right = self._open.arms
         return left.name, right.name
 
-    # What a record asks of a simulated cell: here, the arms' memories tell it.
-
-    trace = None
-
     def record(self) -> None:
-        """Nothing more is kept than always is."""
+        """Do nothing: the arms' memories hold the record."""
 
     def integration_state(self) -> bytes | None:
-        """There is none."""
+        """Return None: arms have no simulation state."""
         return None
 
     @property

@@ -33,7 +33,7 @@ def run(perturbation=None, periods=50, n=1, **keywords):
     config = CellConfig(perturbation=perturbation or Perturbation(), **keywords)
     cell = MujocoCell(config, TICKS, n=n)
     cell.reset(Start(home(n)))
-    trace = [cell.advance(Command(wave(k, n))).q_rad.copy() for k in range(periods)]
+    trace = [cell.advance(Command(wave(k, n))).state.q_rad.copy() for k in range(periods)]
     return np.array(trace), cell
 
 
@@ -79,9 +79,9 @@ def test_where_time_is_slowed_down_the_law_is_as_much_quicker(slow, latency_s):
             state = transition @ (state - [target, 0.0]) + [target, 0.0]
             end.append(state[0])
         assert np.abs(trace[5:, 0, arm, joint] - np.array(end)[fine - 1 :: fine][5:]).max() < 6e-5
-    state = cell.reset(Start(home()))
+    state = cell.reset(Start(home())).state
     for _ in range(3):  # nothing of before is left
-        state = cell.advance(Command(np.tile(HOME_Q_RAD, (1, TICKS, 1, 1))))
+        state = cell.advance(Command(np.tile(HOME_Q_RAD, (1, TICKS, 1, 1)))).state
     assert np.abs(state.q_rad - home()).max() < 1e-9
 
 
@@ -96,7 +96,7 @@ def test_a_wrong_lookahead_and_a_latency_are_those_of_the_law():
 
 def test_the_state_is_of_this_instant():
     _, cell = run(periods=20)
-    state = cell.advance(Command(wave(20)))
+    state = cell.advance(Command(wave(20))).state
     position, _ = flange_pose(state.q_rad)
     assert np.abs(state.qd_rad_s).max() > 0.05
     assert np.abs(state.flange_base_m - position).max() < 1e-9
@@ -107,7 +107,7 @@ def droop(**perturbation):
     cell = MujocoCell(CellConfig(perturbation=Perturbation(**perturbation)), TICKS)
     cell.reset(Start(home()))
     for _ in range(40):
-        state = cell.advance(Command(np.repeat(home()[:, None], TICKS, axis=1)))
+        state = cell.advance(Command(np.repeat(home()[:, None], TICKS, axis=1))).state
     return state.q_rad[0] - HOME_Q_RAD
 
 
@@ -179,7 +179,7 @@ def test_perturbing_back_to_nominal_restores_it():
         )
     )
     cell.reset(Start(home()), perturbation=Perturbation().expanded(1))
-    trace = np.array([cell.advance(Command(wave(k))).q_rad.copy() for k in range(50)])
+    trace = np.array([cell.advance(Command(wave(k))).state.q_rad.copy() for k in range(50)])
     assert np.abs(trace - nominal).max() < 1e-12
 
 
@@ -196,7 +196,7 @@ def test_jitter_and_loss_repeat_with_the_seed_and_only_hold_back():
     def once(seed):
         cell = MujocoCell(CellConfig(perturbation=wild), TICKS)
         cell.reset(Start(home()), seeds=[seed])
-        return np.array([cell.advance(Command(wave(k))).q_rad.copy() for k in range(30)])
+        return np.array([cell.advance(Command(wave(k))).state.q_rad.copy() for k in range(30)])
 
     first, again, other = once(1), once(1), once(2)
     assert np.array_equal(first, again)
@@ -267,7 +267,7 @@ def test_feed_forward_is_inverse_dynamics_of_the_nominal_arm():
 def test_bases_where_they_were_put():
     config = CellConfig(left=ArmMount((-0.6, 0.7, 0.1), 0.4))
     cell = MujocoCell(config, TICKS)
-    state = cell.reset(Start(home()))
+    state = cell.reset(Start(home())).state
     position, _ = flange_pose(HOME_Q_RAD[0])
     turn = np.array([[np.cos(0.4), -np.sin(0.4), 0], [np.sin(0.4), np.cos(0.4), 0], [0, 0, 1]]) @ np.diag([-1, -1, 1])
     assert np.allclose(state.flange_m[0, 0], turn @ position + (-0.6, 0.7, 0.1), atol=1e-9)

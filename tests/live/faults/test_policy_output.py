@@ -114,11 +114,11 @@ def test_7_the_same_action_for_ever_ends_at_rest_short_of_everything(lab):
 @pytest.mark.parametrize(("row", "late_s"), [(8, 0.08), (9, 0.3)])
 def test_8_9_an_action_that_comes_late_finds_both_arms_at_rest_and_goes_on(lab, row, late_s, tmp_path):
     lab.begin(record=str(tmp_path))
-    cell = lab.env.unwrapped.core.cell
-    before = cell.late_periods
+    core = lab.env.unwrapped.core
+    before = core.late_actions
     time.sleep(late_s)
     lab.env.step(lab.policy())
-    assert cell.late_periods > before
+    assert core.late_actions > before
     for _ in range(10):
         lab.env.step(lab.policy())
     assert lab.latch.read() is None

@@ -73,7 +73,7 @@ def test_a_policy_that_knows_only_observations_acts_on_both_kinds_of_cells(lab):
                 found.append(info["flange_error_m"])
         errors.append(np.array(found))
         if cell is None:
-            late = env.unwrapped.core.cell.late_periods
+            late = env.unwrapped.core.late_actions
             assert not late, "this machine is too busy: actions came too late, and both arms rested"
         else:
             env.close()

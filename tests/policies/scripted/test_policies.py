@@ -73,14 +73,13 @@ def test_learning_is_what_reaches_it():
 
 
 class LateOnce(MujocoCell):
-    """Where an action comes too late: along the gate's brake both arms come to rest, as on two controllers."""
+    """Both arms stop along the gate's brake at one action, as two controllers do when it misses its deadline."""
 
     late, limits = 100, SineTracking.limits
     actions = 0
 
     def advance(self, command):
         self.actions += 1
-        self.rested_q_rad = None
         if self.actions != self.late:
             return super().advance(command)
         elapsed = self._elapsed + self.ticks  # while they come to rest, the task's time stands still
@@ -88,11 +87,11 @@ class LateOnce(MujocoCell):
         rows = Envelope(self.limits, self.config.servoj.tick_s, 1).whole_brake()
         brake = (past[-1] + rows @ (past - past[-1])).reshape(1, -1, 2, 6)
         brake = np.concatenate([brake, np.repeat(brake[:, -1:], 40 + -(len(rows) + 40) % self.ticks, axis=1)], axis=1)
-        self.rested_q_rad = brake[:, -1]
         for first in range(0, brake.shape[1], self.ticks):
-            state = super().advance(command._replace(targets_rad=brake[:, first : first + self.ticks]))
+            period = super().advance(command._replace(targets_rad=brake[:, first : first + self.ticks]))
         self._elapsed = elapsed
-        return state._replace(time_s=elapsed * self._tick_s)
+        state = period.state._replace(time_s=elapsed * self._tick_s)
+        return period._replace(state=state, stopped_q_rad=brake[:, -1])
 
 
 @pytest.mark.parametrize("late", [100, 104, 108, 112, 116, 140])

@@ -12,7 +12,6 @@ import numpy as np
 import dual_ur10  # noqa: F401  # registers the environments
 from dual_ur10 import policies
 from dual_ur10.sim2real.recording.describe import describe
-from dual_ur10.sim2real.recording.hook import RecordHook
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.recording.run import Run
 from dual_ur10.sim2real.recording.simulation import SimulationRecord
@@ -35,31 +34,7 @@ def record(folder: Path, env_id: str, seeds: Sequence[int | None], steps: int, *
     )
     folder.mkdir()
     writer = SimulationRecord(folder, header)
-    hook, pipeline, commands = RecordHook(writer, core.cell), core.pipeline, []
-
-    class Listening:
-        def __call__(self, action: object) -> Any:
-            commands.append(pipeline(action))
-            return commands[-1]
-
-        def __getattr__(self, name: str) -> Any:
-            return getattr(pipeline, name)
-
-    core.pipeline = Listening()
-    advance, begin = core.step, core.reset
-
-    def step(action: object) -> Any:
-        result = advance(action)
-        hook.step(action, commands[-1][0], result, core._state)
-        return result
-
-    def reset(rngs: Any, **more: Any) -> Any:
-        hook.resetting(rngs, seed)
-        observation, info = begin(rngs, **more)
-        hook.reset(observation, core._state, info.get("randomization", {}))
-        return observation, info
-
-    core.step, core.reset = step, reset
+    core.record(writer)
     try:
         for seed in seeds:
             observation, _ = env.reset(seed=seed)

@@ -99,7 +99,7 @@ def received_by_controllers(folder, keywords, actions):
                     index = np.concatenate([each.sent()[0].index for each in arms])
                     shifted |= bool((np.abs(index - np.rint(index)) > 1e-9).any())
             core = env.unwrapped.core
-            assert core.cell.late_periods == 0, "an action came late: this machine is too busy"
+            assert core.late_actions == 0, "an action came late: this machine is too busy"
             # The last targets are still to come.
             core.cell.runner.wait_for(core.cell.runner.now + LATENCY)
             collect()

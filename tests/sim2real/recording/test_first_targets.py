@@ -10,6 +10,7 @@ import pytest
 
 import dual_ur10  # noqa: F401 - registers the ids
 from dual_ur10.errors import RecordingError
+from dual_ur10.sim2real.config.cell import CellStep
 from dual_ur10.sim2real.recording import rows, schemas
 from dual_ur10.sim2real.recording.hook import RecordHook
 from dual_ur10.sim2real.recording.reader import read_run
@@ -85,34 +86,14 @@ def test_in_simulation_they_are_counted(tmp_path, latency):
             assert (sent["target_rad"][at] == episode.targets_rad[:-1, 0, arm]).all()
 
 
-class Controllers:
-    """A cell of which the third action comes too late."""
-
-    trace = None
-
-    def __init__(self):
-        self.first_target, self.late_periods = None, 4
-
-    def record(self):
-        """Nothing is to be done."""
-
-    def integration_state(self):
-        """There is none."""
-
-    def advance(self, first, *, late):
-        self.first_target = first
-        self.late_periods += late
-
-
-def test_an_action_that_came_too_late_is_an_event_and_has_no_target():
+def test_an_action_that_missed_its_deadline_is_an_event_and_has_no_target():
     told, events = [], []
     recorder = SimpleNamespace(
         begin_episode=lambda row: None,
         event=lambda kind, text, *_: events.append((kind, text)),
         step=lambda row, trace: told.append(row.first_target),
     )
-    cell = Controllers()
-    hook = RecordHook(recorder, cell)
+    hook = RecordHook(recorder, cell=object())
     state = SimpleNamespace(q_rad=np.zeros((1, 2, 6)), flange_m=np.zeros((1, 2, 3)), time_s=np.zeros(1))
     command = SimpleNamespace(targets_rad=np.zeros((1, 5, 2, 6)), gripper_m=None)
     step = SimpleNamespace(
@@ -124,9 +105,9 @@ def test_an_action_that_came_too_late_is_an_event_and_has_no_target():
         events.clear()
         told.clear()
         for number in range(4):
-            cell.advance(begin + 5 * number, late=number == 2)
-            hook.step(np.zeros(12), command, step, state)
+            period = CellStep(state, late=number == 2, first_target=begin + 5 * number)
+            hook.step(np.zeros(12), command, step, period)
         assert told == [begin, begin + 5, LATE, begin + 15]
         ((kind, text),) = events
         assert kind == "late"
-        assert f"the action of step 2 came too late for target {begin + 10}:" in text
+        assert f"the action of step 2 missed the deadline of target {begin + 10}:" in text

@@ -100,7 +100,7 @@ def test_one_policy_hands_over_on_both_cells_and_the_run_is_recorded(lab, tmp_pa
     simulated.close()
     env = lab.make(record=str(tmp_path), **keywords)
     found = rollout(env, policy, seed=1)
-    late = env.unwrapped.core.cell.late_periods
+    late = env.unwrapped.core.late_actions
     lab.close_env()
     assert found.success or late, found.ended_by
     run = read_run(next(tmp_path.iterdir()))

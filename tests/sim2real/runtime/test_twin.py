@@ -34,14 +34,14 @@ def simulated(name, **cell):
 
 def moving(cell, start, periods=6):
     """States on a wave of all joints, while the grippers close."""
-    state = cell.reset(start)
+    state = cell.reset(start).state
     yield state
     direction = np.random.default_rng(1).uniform(-1, 1, (2, 6))
     for period in range(periods):
         time = (period * TICKS + np.arange(1, TICKS + 1)) * 0.008
         targets = start.q_rad[:, None] + 0.1 * (1 - np.cos(3 * time))[:, None, None] * direction
         gripper = None if start.gripper_m is None else np.full((1, TICKS, 2), [0.05, 0.03])
-        yield cell.advance(Command(targets, gripper))
+        yield cell.advance(Command(targets, gripper)).state
 
 
 def shown(twin, state):
@@ -92,7 +92,7 @@ def test_what_it_has_shown_does_not_change(name):
 
 def test_without_a_thing_or_a_target_it_shows_none():
     cell, start = simulated("Handover")
-    state = cell.reset(start)
+    state = cell.reset(start).state
     twin = Twin(cell.config.scene)
     shown(twin, state)
     twin.aim(None)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
 
 from dual_ur10.errors import OperationRefusedError, ScriptError, ScriptRuntimeError
 from dual_ur10.sim2real.emulator.motion import Motion
 from dual_ur10.sim2real.emulator.profile import ControllerProfile
 from dual_ur10.sim2real.emulator.safety import Demand
-from dual_ur10.sim2real.emulator.script import Machine, Program, read
+from dual_ur10.sim2real.emulator.script import Builtins, Machine, Program, read
 from dual_ur10.sim2real.protocol.modes import RuntimeState
 
 log = logging.getLogger(__name__)
@@ -44,7 +43,7 @@ class ProgramRunner:
         self,
         profile: ControllerProfile,
         motion: Motion,
-        builtins: Mapping[str, Callable[..., Any]],
+        builtins: Builtins,
         failed: Callable[[ScriptError], None],
     ) -> None:
         self.profile, self.motion, self.builtins, self._failed = profile, motion, builtins, failed

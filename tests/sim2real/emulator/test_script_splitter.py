@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dual_ur10.errors import ProtocolError
-from dual_ur10.sim2real.emulator.script import Splitter, split_programs
+from dual_ur10.sim2real.emulator.script import Splitter
 from dual_ur10.sim2real.emulator.script.splitter import PROGRAM_MAX
 
 FIRST = """def a():
@@ -39,11 +39,13 @@ def feed(splitter: Splitter, piece: bytes, count: int) -> None:
 
 
 def test_a_whole_buffer() -> None:
-    assert split_programs(STREAM.encode()) == (PROGRAMS, b"")
+    splitter = Splitter()
+    assert (splitter.feed(STREAM.encode()), splitter.rest) == (PROGRAMS, b"")
 
 
 def test_what_is_not_complete_is_left() -> None:
-    assert split_programs(b"a()\ndef f():\n b()\nen") == (["a()\n"], b"def f():\n b()\nen")
+    splitter = Splitter()
+    assert (splitter.feed(b"a()\ndef f():\n b()\nen"), splitter.rest) == (["a()\n"], b"def f():\n b()\nen")
 
 
 @given(st.lists(st.integers(0, len(STREAM.encode()))))
@@ -56,7 +58,7 @@ def test_any_pieces_give_the_same_programs(cuts: list[int]) -> None:
 
 
 def test_bytes_that_are_no_text_do_no_harm() -> None:
-    assert split_programs(b"a() # \xff\n")[0] == ["a() # \ufffd\n"]
+    assert Splitter().feed(b"a() # \xff\n") == ["a() # \ufffd\n"]
 
 
 @pytest.mark.parametrize("piece", [b"x" * 1000, b"def f():\n" + b" y()\n" * 100])

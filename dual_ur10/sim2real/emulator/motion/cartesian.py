@@ -9,10 +9,9 @@ import numpy as np
 
 from dual_ur10.errors import UnreachableError
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
-from dual_ur10.sim2real.emulator.motion.courses import Course
 from dual_ur10.sim2real.emulator.motion.paths import Path
 from dual_ur10.sim2real.emulator.motion.tool_kinematics import ArmKinematics, Frame, Tool
-from dual_ur10.sim2real.emulator.motion.trapezoid import TIME_EPSILON_S, Trapezoid
+from dual_ur10.sim2real.emulator.motion.trajectories import TIME_EPSILON_S, Trajectory, Trapezoid
 from dual_ur10.types import Array
 
 ACCELERATION_LIMIT: Final = 40.0
@@ -23,7 +22,7 @@ SPEED_LIMIT: Final = 5.0
 """Greatest speed of the TCP, in m/s and rad/s; joints are the nearer limit."""
 
 
-class PoseCourse(Course):
+class PoseTrajectory(Trajectory):
     """A motion whose poses are known.
 
     Args:
@@ -43,7 +42,7 @@ class PoseCourse(Course):
         """Poses (n) of the TCP at times (n,)."""
 
     def positions(self, step: float, counts: Array) -> Array:
-        """Joint positions (n, 6); see `Course`."""
+        """Joint positions (n, 6); see `Trajectory`."""
         q, ok = self.arm.joints(self.poses(self.t + step * counts), self.near, self.tool)
         if not ok:
             raise UnreachableError("the arm does not reach the next pose on its path")
@@ -56,7 +55,7 @@ class PoseCourse(Course):
         self.near = self._reached
 
 
-class PoseMove(PoseCourse):
+class PoseMove(PoseTrajectory):
     """From rest to rest along a path.
 
     Translation in m and rotation in rad have the same `speed` and `acceleration` as numbers, and the one that takes
@@ -100,7 +99,7 @@ class PoseMove(PoseCourse):
         return self.path.at(np.array([self.profile.share(t) for t in times.tolist()]))
 
 
-class PoseBlend(PoseCourse):
+class PoseBlend(PoseTrajectory):
     """A move that starts before the one before it has ended: displacements add up, rotations follow each other.
 
     Args:
@@ -132,7 +131,7 @@ class PoseBlend(PoseCourse):
         return self.main.finished and self.ending.finished
 
 
-class PoseBrake(PoseCourse):
+class PoseBrake(PoseTrajectory):
     """From a speed of the TCP to rest, on a straight line.
 
     Args:
@@ -155,7 +154,7 @@ class PoseBrake(PoseCourse):
         return _moved(self._start, np.multiply.outer(t, self._twist))
 
 
-class SpeedPose(PoseCourse):
+class SpeedPose(PoseTrajectory):
     """To a given speed of the TCP at an acceleration, and on with it.
 
     Args:

@@ -19,27 +19,26 @@ from dual_ur10.sim2real.emulator.motion.cartesian import (
     PoseMove,
     SpeedPose,
 )
-from dual_ur10.sim2real.emulator.motion.compliant import Compliant
-from dual_ur10.sim2real.emulator.motion.courses import (
+from dual_ur10.sim2real.emulator.motion.paths import Line, Path, through
+from dual_ur10.sim2real.emulator.motion.reference import JOINT_LIMIT, SINGULARITY, SUDDEN_CHANGE, ZEROS, Handle
+from dual_ur10.sim2real.emulator.motion.servo import Servo
+from dual_ur10.sim2real.emulator.motion.tool_kinematics import Frame, pose_of
+from dual_ur10.sim2real.emulator.motion.tool_motion import ToolMotion
+from dual_ur10.sim2real.emulator.motion.trajectories import (
     ACCELERATION_LIMIT_RAD_S2,
-    Course,
     JointBrake,
     JointMove,
     SpeedJoints,
     Superposed,
+    Trajectory,
 )
-from dual_ur10.sim2real.emulator.motion.outcome import JOINT_LIMIT, SINGULARITY, SUDDEN_CHANGE, Handle
-from dual_ur10.sim2real.emulator.motion.paths import Line, Path, through
-from dual_ur10.sim2real.emulator.motion.reference import ZEROS
-from dual_ur10.sim2real.emulator.motion.servo import Servo
-from dual_ur10.sim2real.emulator.motion.tool_kinematics import Frame, pose_of
 from dual_ur10.types import Array
 
 _LIMIT: Final = JOINT_RANGE_RAD + 1e-9
 _MOST_TICKS: Final = 2**31
 
 
-class Motion(Compliant):
+class Motion(ToolMotion):
     """The reference motion of one arm, and the commands of URScript that shape it.
 
     A command takes effect in the next `plan` and replaces what moved the arm before, from the position and speed that
@@ -152,12 +151,12 @@ class Motion(Compliant):
         if end is None:
             return self._refuse()
         move = PoseMove(self.arm, self.tool, near, path, end, a, v, t, r)
-        course: Course = move
+        trajectory: Trajectory = move
         if isinstance(ending, PoseMove) and blended:
-            course = PoseBlend(move, ending)
+            trajectory = PoseBlend(move, ending)
         elif ending is not None:
-            course = Superposed(move, ending, near)
-        return self._begin(course, end, ending)
+            trajectory = Superposed(move, ending, near)
+        return self._begin(trajectory, end, ending)
 
     def _posture(self, target: Frame, near: Array) -> Array | None:
         """Posture at a pose; None, and a fault, if it is out of reach."""
@@ -170,17 +169,17 @@ class Motion(Compliant):
         )
         return None
 
-    def _ending(self, acceleration: float) -> Course | None:
+    def _ending(self, acceleration: float) -> Trajectory | None:
         """The motion that the next move is added to, so that speeds have no jump; None from rest."""
         self._end_freedrive_for_command()
-        course = self._course
-        if isinstance(course, JointMove | PoseMove) and course.blend_m > 0.0 and self._handle.done:
-            if isinstance(course, PoseMove):
+        trajectory = self._trajectory
+        if isinstance(trajectory, JointMove | PoseMove) and trajectory.blend_m > 0.0 and self._handle.done:
+            if isinstance(trajectory, PoseMove):
                 # The posture that its path leads to, which need not be the one nearest to where it started.
-                end = course.path.end
-                q, ok = self.arm.joints(Frame(end.position[None], end.rotation[None]), course.near, course.tool)
-                course.end = q[0] if ok else course.end
-            return course
+                end = trajectory.path.end
+                q, ok = self.arm.joints(Frame(end.position[None], end.rotation[None]), trajectory.near, trajectory.tool)
+                trajectory.end = q[0] if ok else trajectory.end
+            return trajectory
         if float(np.abs(self._rate).max()) < 1e-9:
             return None
         # Each joint slows down at least as fast as the next move makes it faster: the sum keeps the speed limits.
@@ -188,12 +187,12 @@ class Motion(Compliant):
         brake = JointBrake(self.q, self._rate, np.abs(self._rate) / slowing)
         return brake if self._may_go_to(brake.end) else None
 
-    def _begin(self, course: Course, waypoint: Array, ending: Course | None) -> Handle:
+    def _begin(self, trajectory: Trajectory, waypoint: Array, ending: Trajectory | None) -> Handle:
         self._handle.abort()
-        self._handle, self._course, self.waypoint = Handle(), course, waypoint
+        self._handle, self._trajectory, self.waypoint = Handle(), trajectory, waypoint
         self._starved = 0
         if ending is None or isinstance(ending, JointBrake):
-            # The course starts from where the arm is; what blends goes on beside what it had given way.
+            # The trajectory starts from where the arm is; what blends goes on beside what it had given way.
             self._offset = ZEROS
         return self._handle
 
@@ -234,7 +233,7 @@ class Motion(Compliant):
         if not self._may_go_to(target):
             return self._refuse()
         self._end_freedrive_for_command()
-        servo = self._course if isinstance(self._course, Servo) else Servo(self.q, self._rate)
+        servo = self._trajectory if isinstance(self._trajectory, Servo) else Servo(self.q, self._rate)
         reach = self.assumptions.servoj_jump_factor * JOINT_SPEED_RAD_S * (lookahead + max(t, self.tick_s))
         away = np.abs(target - servo.q)
         if (away > reach).any():
@@ -246,7 +245,7 @@ class Motion(Compliant):
             )
             return self._refuse()
         servo.aim(target, lookahead * self.lookahead_scale, gain, max(1, ticks))
-        return self._begin(servo, target, servo if servo is self._course else None)
+        return self._begin(servo, target, servo if servo is self._trajectory else None)
 
     def speed_joints(self, qd: Iterable[Any], a: float, t: float = 0.0) -> Handle:
         """`speedj`: accelerate to joint speeds and go on with them.
@@ -292,12 +291,12 @@ class Motion(Compliant):
             return self._refuse()
         self._end_freedrive_for_command()
         twist = twist / max(1.0, float(np.abs(twist).max()) / SPEED_LIMIT)
-        course = self._course
-        goes_on = isinstance(course, SpeedPose) and course.tool is self.tool and not self._offset.any()
-        if not (goes_on and isinstance(course, SpeedPose)):
-            course = SpeedPose(self.arm, self.tool, self.q, self._twist())
-        course.aim(twist, a, a_rot, ticks)
-        return self._begin(course, self.q, None)
+        trajectory = self._trajectory
+        goes_on = isinstance(trajectory, SpeedPose) and trajectory.tool is self.tool and not self._offset.any()
+        if not (goes_on and isinstance(trajectory, SpeedPose)):
+            trajectory = SpeedPose(self.arm, self.tool, self.q, self._twist())
+        trajectory.aim(twist, a, a_rot, ticks)
+        return self._begin(trajectory, self.q, None)
 
     # Stops.
 
@@ -342,7 +341,7 @@ class Motion(Compliant):
         """
         self._rate = self._rate * scaling
         self._yield = self._yield * scaling
-        if self._course is None and self._compliance is None and not self._yield.any():
+        if self._trajectory is None and self._compliance is None and not self._yield.any():
             return
         if self.fault is None:
             self._handle.abort()
@@ -356,7 +355,7 @@ class Motion(Compliant):
     def hold(self) -> None:
         """The brakes hold the arm: it stands where it is, from now on."""
         self._handle.abort()
-        self._course = self._compliance = self._still = None
+        self._trajectory = self._compliance = self._still = None
         self._rate = self._offset = self._yield = self.qd = self.qdd = ZEROS
         self.waypoint = self.q
 

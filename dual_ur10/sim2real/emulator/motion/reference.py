@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -11,19 +12,18 @@ from dual_ur10.errors import MotionError, UnreachableError
 from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, JOINT_SPEED_RAD_S, NOMINAL_DH, DHParameters
 from dual_ur10.sim2real.emulator.motion.cartesian import PoseBlend
 from dual_ur10.sim2real.emulator.motion.compliance import SPEED_CAP, TIME_CONSTANT_S, Compliance
-from dual_ur10.sim2real.emulator.motion.courses import Course, JointBrake, Superposed
-from dual_ur10.sim2real.emulator.motion.outcome import (
-    INVALID_SETPOINT,
-    JOINT_LIMIT,
-    SINGULARITY,
-    SUDDEN_STOP,
-    Handle,
-    MotionFault,
-)
 from dual_ur10.sim2real.emulator.motion.servo import Servo
 from dual_ur10.sim2real.emulator.motion.tool_kinematics import ArmKinematics, Tool
+from dual_ur10.sim2real.emulator.motion.trajectories import JointBrake, Superposed, Trajectory
 from dual_ur10.sim2real.emulator.profile import Assumptions
 from dual_ur10.types import Array, constant
+
+# Codes and meanings: the error codes of UR's service manual.
+JOINT_LIMIT: Final = "C150A0"  # position close to joint limits
+SINGULARITY: Final = "C154A0"  # position in singularity
+SUDDEN_CHANGE: Final = "C204A1"  # path sanity check: sudden change in target position
+SUDDEN_STOP: Final = "C204A3"  # path sanity check: sudden stop
+INVALID_SETPOINT: Final = "C204A5"  # path sanity check: the program resulted in an invalid setpoint
 
 _NO_TIME: Final = 1e-6  # scaling below which the arm stands
 _MOVING_RAD_S: Final = 1e-6
@@ -36,6 +36,39 @@ _YIELD_RAD_S2: Final = 8.0  # acceleration of the joints when the TCP gives way
 _YIELD_SPEED: Final = constant(0.4 * JOINT_SPEED_RAD_S)
 _LIMIT: Final = constant(JOINT_RANGE_RAD + 1e-9)
 ZEROS: Final = constant(np.zeros(6))
+
+
+@dataclass(frozen=True)
+class MotionFault:
+    """Why a UR controller would stop protectively.
+
+    Attributes:
+        code: UR's error code.
+        text: What was found, what is allowed.
+    """
+
+    code: str
+    text: str
+
+
+class Handle:
+    """What a program waits for.
+
+    Attributes:
+        done: Whether the function that moves the arm returns now: the motion has ended, its blend has begun, or its
+            time is over.
+        aborted: Whether the motion was cut short by a fault, a stop or another motion. Then it is done, too.
+    """
+
+    __slots__ = ("aborted", "done")
+
+    def __init__(self) -> None:
+        self.done = self.aborted = False
+
+    def abort(self) -> None:
+        """The motion ends before it was done."""
+        if not self.done:
+            self.done = self.aborted = True
 
 
 class Reference:
@@ -80,14 +113,14 @@ class Reference:
         self.fault: MotionFault | None = None
         self._dt = tick_s / substeps
         self._counts = np.arange(1.0, substeps + 1)
-        self._course: Course | None = None
+        self._trajectory: Trajectory | None = None
         self._handle = Handle()
         self._refused = Handle()
         self._rate: Array = ZEROS  # speed in trajectory time
         self._scaling = 0.0
         self._starved = 0
         self._still: Array | None = None  # what `plan` answers at rest
-        # What the TCP gave way, on top of the course.
+        # What the TCP gave way, on top of the trajectory.
         self._compliance: Compliance | None = None
         self._offset: Array = ZEROS
         self._yield: Array = ZEROS
@@ -95,10 +128,10 @@ class Reference:
     @property
     def moving(self) -> bool:
         """Whether the reference moves, or would if its time passed."""
-        course = self._course
-        if course is not None and not course.streamed:
+        trajectory = self._trajectory
+        if trajectory is not None and not trajectory.streamed:
             return True
-        if course is None and not self._yield.any():
+        if trajectory is None and not self._yield.any():
             return False
         return float(np.abs(self._rate + self._yield).max()) > _MOVING_RAD_S
 
@@ -129,7 +162,7 @@ class Reference:
         self._await_commands(scaling)
         self._scaling = scaling
         self._refused.abort()
-        if scaling < _NO_TIME or (self._course is None and self._compliance is None and not self._yield.any()):
+        if scaling < _NO_TIME or (self._trajectory is None and self._compliance is None and not self._yield.any()):
             return self._stand()
         self._still = None
         step = scaling * self._dt
@@ -150,10 +183,10 @@ class Reference:
         return plan
 
     def _stand(self) -> Array:
-        course, handle = self._course, self._handle
-        if course is not None:
-            course.ticks_left -= 1
-        handle.done = handle.done or course is None or (course.streamed and course.returns)
+        trajectory, handle = self._trajectory, self._handle
+        if trajectory is not None:
+            trajectory.ticks_left -= 1
+        handle.done = handle.done or trajectory is None or (trajectory.streamed and trajectory.returns)
         if self._still is None:
             plan = np.zeros((self.substeps, 3, 6))
             plan[:, 0] = self.q
@@ -171,8 +204,8 @@ class Reference:
 
         While the motion is being slowed down, as for a pause, or stands, none is expected.
         """
-        course = self._course
-        if course is None or not course.streamed or not self._handle.done:
+        trajectory = self._trajectory
+        if trajectory is None or not trajectory.streamed or not self._handle.done:
             self._starved = 0
             return
         if scaling < _NO_TIME or scaling < self._scaling:
@@ -180,9 +213,9 @@ class Reference:
         self._starved += 1
         if self._starved <= self.assumptions.starved_ticks:
             return
-        if not isinstance(course, Servo):
+        if not isinstance(trajectory, Servo):
             time = float(np.abs(self._rate).max()) / self.assumptions.program_stop_rad_s2
-            self._course = JointBrake.together(self.q - self._offset, self._rate, time)
+            self._trajectory = JointBrake.together(self.q - self._offset, self._rate, time)
         elif float(np.abs(self._rate).max()) > _STILL_RAD_S:
             self._fail(
                 SUDDEN_STOP,
@@ -190,42 +223,42 @@ class Reference:
                 f"{self.assumptions.starved_ticks}. Call it in every period, and stop with stopj",
             )
 
-    # The course.
+    # The trajectory.
 
     def _advance(self, step: float) -> Array:
-        """Positions (substeps, 6) of the course, which has advanced."""
-        course = self._course
-        if course is None:
+        """Positions (substeps, 6) of the trajectory, which has advanced."""
+        trajectory = self._trajectory
+        if trajectory is None:
             self._rate = ZEROS
             return np.broadcast_to(self.q - self._offset, (self.substeps, 6))
         before = self.q - self._offset
         try:
-            q, share, speed = self._slowed(course, before, step)
-            self._check(course, q, speed)
+            q, share, speed = self._slowed(trajectory, before, step)
+            self._check(trajectory, q, speed)
         except UnreachableError as error:
             self._fail(SINGULARITY, f"position in singularity or out of reach: {error}")
         except _InvalidError as error:
             self._fail(error.code, str(error))
         else:
-            return self._commit(course, q, share * step, speed * share)
+            return self._commit(trajectory, q, share * step, speed * share)
         return self._advance(step)  # of the brake
 
-    def _slowed(self, course: Course, before: Array, step: float) -> tuple[Array, float, Array]:
+    def _slowed(self, trajectory: Trajectory, before: Array, step: float) -> tuple[Array, float, Array]:
         """Positions, the share of its time that passes so that joints keep their limits, and the last speed then."""
         share = 1.0
         for _ in range(_TRIES):
-            q = course.positions(share * step, self._counts)
+            q = trajectory.positions(share * step, self._counts)
             moves = np.empty_like(q)
             moves[0] = q[0] - before
             np.subtract(q[1:], q[:-1], out=moves[1:])
             used = float((np.abs(moves) / JOINT_SPEED_RAD_S).max()) / step
-            if used <= 1.0 + 1e-6 or not course.governed:
+            if used <= 1.0 + 1e-6 or not trajectory.governed:
                 break
             share *= 0.9999 / used
             if share < _SLOWEST:
                 break
-        if share < _SLOWEST or (used > _OVERSPEED and not isinstance(course, JointBrake)):
-            if course.governed:
+        if share < _SLOWEST or (used > _OVERSPEED and not isinstance(trajectory, JointBrake)):
+            if trajectory.governed:
                 raise UnreachableError("its joints would have to move faster than they can")
             raise _InvalidError(
                 INVALID_SETPOINT,
@@ -233,11 +266,11 @@ class Reference:
             )
         return q, share, moves[-1] / (share * step)
 
-    def _check(self, course: Course, q: Array, rate: Array) -> None:
+    def _check(self, trajectory: Trajectory, q: Array, rate: Array) -> None:
         """Stop at the joint limits. What plans its way to the end was checked when it was commanded."""
-        if not course.streamed:
+        if not trajectory.streamed:
             return
-        stop = q[-1] if isinstance(course, Servo) else q[-1] + 0.5 * self._stopping_s(rate) * rate
+        stop = q[-1] if isinstance(trajectory, Servo) else q[-1] + 0.5 * self._stopping_s(rate) * rate
         if (np.abs(stop) > _LIMIT).any() and ((np.abs(stop) > _LIMIT) & (stop * rate > 0.0)).any():
             joint = int((np.abs(stop) - JOINT_RANGE_RAD).argmax())
             raise _InvalidError(
@@ -246,28 +279,28 @@ class Reference:
                 f"±{JOINT_RANGE_RAD[joint]:.4f}",
             )
 
-    def _commit(self, course: Course, q: Array, time: float, speed: Array) -> Array:
-        """Take the positions over, after `time` of the course; `speed` is the last one in trajectory time."""
-        course.commit(time * self.substeps)
-        course.ticks_left -= 1
-        rate = course.rate()
+    def _commit(self, trajectory: Trajectory, q: Array, time: float, speed: Array) -> Array:
+        """Take the positions over, after `time` of the trajectory; `speed` is the last one in trajectory time."""
+        trajectory.commit(time * self.substeps)
+        trajectory.ticks_left -= 1
+        rate = trajectory.rate()
         share = time / (self._scaling * self._dt)
         self._rate = speed if rate is None else rate * share
-        if isinstance(course, Superposed | PoseBlend) and course.ending.finished:
-            course = self._course = course.main
+        if isinstance(trajectory, Superposed | PoseBlend) and trajectory.ending.finished:
+            trajectory = self._trajectory = trajectory.main
         handle = self._handle
         if not handle.done:
-            handle.done = course.returns or self._in_blend_zone(course, q[-1])
-        if course.finished:
-            self._course, self._rate = None, ZEROS
+            handle.done = trajectory.returns or self._in_blend_zone(trajectory, q[-1])
+        if trajectory.finished:
+            self._trajectory, self._rate = None, ZEROS
         return q
 
-    def _in_blend_zone(self, course: Course, q: Array) -> bool:
-        blend: float = getattr(course, "blend_m", 0.0)
+    def _in_blend_zone(self, trajectory: Trajectory, q: Array) -> bool:
+        blend: float = getattr(trajectory, "blend_m", 0.0)
         if blend <= 0.0:
             return False
-        profile, end = course.profile, course.end  # type: ignore[attr-defined]
-        if not profile.decelerates(course.t):
+        profile, end = trajectory.profile, trajectory.end  # type: ignore[attr-defined]
+        if not profile.decelerates(trajectory.t):
             return False
         away = self.arm.tcp(q, self.tool).position - self.arm.tcp(end, self.tool).position
         return float(away @ away) <= blend * blend
@@ -287,9 +320,9 @@ class Reference:
         rate = self._rate + self._yield
         self._follow(JointBrake.together(self.q, rate, float(np.abs(rate).max()) / acceleration))
 
-    def _follow(self, course: Course) -> None:
-        """Go on with a course that starts from where the arm is and how it moves."""
-        self._course, self._compliance = course, None
+    def _follow(self, trajectory: Trajectory) -> None:
+        """Go on with a trajectory that starts from where the arm is and how it moves."""
+        self._trajectory, self._compliance = trajectory, None
         self._offset = self._yield = ZEROS
         self._starved = 0
 
@@ -303,7 +336,7 @@ class Reference:
     # What gives way.
 
     def _give_way(self, step: float, wrench: Sequence[float] | Array | None) -> Array:
-        """What is added to the course, (substeps, 6), when the TCP gives way to a wrench."""
+        """What is added to the trajectory, (substeps, 6), when the TCP gives way to a wrench."""
         time = step * self.substeps
         target = ZEROS
         if self._compliance is not None:

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.sim2real.control.servoj import ServojLaw
-from dual_ur10.sim2real.emulator.motion.courses import Course
+from dual_ur10.sim2real.emulator.motion.trajectories import Trajectory
 from dual_ur10.types import Array
 
 _MOST_KEPT: Final = 256  # discretisations; a ramp of the speed needs one per tick
@@ -32,7 +32,7 @@ def _discretised(lookahead_s: float, gain: float, step: float, steps: int) -> tu
     return found
 
 
-class Servo(Course):
+class Servo(Trajectory):
     """The motion of the law, with the latest target held.
 
     Args:
@@ -66,7 +66,7 @@ class Servo(Course):
         self._state = np.array([q, rate])
 
     def positions(self, step: float, counts: Array) -> Array:
-        """Joint positions (n, 6); see `Course`."""
+        """Joint positions (n, 6); see `Trajectory`."""
         rows, self._end = _discretised(*self._law, step, len(counts))
         offset = self._state.copy()
         offset[0] -= self.target

@@ -3,10 +3,11 @@
 from dual_ur10.sim2real.emulator.script.compiled import Program, parse, read
 from dual_ur10.sim2real.emulator.script.library import library
 from dual_ur10.sim2real.emulator.script.machine import Machine, Thread
-from dual_ur10.sim2real.emulator.script.splitter import Splitter, split_programs
-from dual_ur10.sim2real.emulator.script.values import Pose, text
+from dual_ur10.sim2real.emulator.script.splitter import Splitter
+from dual_ur10.sim2real.emulator.script.values import Builtins, Pose, text
 
 __all__ = [
+    "Builtins",
     "Machine",
     "Pose",
     "Program",
@@ -15,6 +16,5 @@ __all__ = [
     "library",
     "parse",
     "read",
-    "split_programs",
     "text",
 ]

@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
-from typing import Any
 
-from lark import Token
-
-from dual_ur10.errors import ScriptSyntaxError
 from dual_ur10.sim2real.emulator.script.scopes import Function, Names
-from dual_ur10.sim2real.emulator.script.syntax import Call, If, Kill, Statement, While
-
-Builtins = Mapping[str, Callable[..., Any]]
+from dual_ur10.sim2real.emulator.script.syntax import Call, If, Kill, Statement, While, syntax_error
+from dual_ur10.sim2real.emulator.script.values import Builtins
 
 
 class Calls:
@@ -58,9 +52,9 @@ class Calls:
         """Check the call of a builtin, and say whether it blocks."""
         name = str(call.at)
         if name not in self._builtins:
-            raise _error(call.at, "there is no such function")
+            raise syntax_error(call.at, "there is no such function")
         if call.runs:
-            raise _error(call.at, "only a thread can be run")
+            raise syntax_error(call.at, "only a thread can be run")
         if name not in self.used:
             function = self._builtins[name]
             self.used[name] = inspect.isgeneratorfunction(function)
@@ -68,7 +62,7 @@ class Calls:
         try:
             self._signatures[name].bind(*call.arguments, **{str(key): None for key, _ in call.keywords})
         except TypeError as error:
-            raise _error(call.at, str(error)) from None
+            raise syntax_error(call.at, str(error)) from None
         return self.used[name]
 
 
@@ -90,20 +84,20 @@ def _joins(body: list[Statement]) -> bool:
 def _fit(call: Call, function: Function) -> None:
     is_thread = function.define.kind == "thread"
     if call.runs != is_thread:
-        raise _error(call.at, "a thread is started with run" if is_thread else "only a thread can be run")
+        raise syntax_error(call.at, "a thread is started with run" if is_thread else "only a thread can be run")
     parameters = [str(name) for name, _ in function.define.parameters]
     if len(call.arguments) > len(parameters):
-        raise _error(call.at, f"it takes {len(parameters)} arguments, found {len(call.arguments)}")
+        raise syntax_error(call.at, f"it takes {len(parameters)} arguments, found {len(call.arguments)}")
     given = set(parameters[: len(call.arguments)])
     for word, _ in call.keywords:
         if word not in function.parameters:
-            raise _error(word, f"{call.at} has no such argument: use one of {', '.join(parameters) or '(none)'}")
+            raise syntax_error(word, f"{call.at} has no such argument: use one of {', '.join(parameters) or '(none)'}")
         if word in given:
-            raise _error(word, f"the argument is given twice to {call.at}")
+            raise syntax_error(word, f"the argument is given twice to {call.at}")
         given.add(str(word))
     for name, default in function.define.parameters:
         if default is None and name not in given:
-            raise _error(call.at, f"its argument {name} is missing")
+            raise syntax_error(call.at, f"its argument {name} is missing")
 
 
 def _mark_recursive(names: Names, callers: dict[int, list[Function]], callees: dict[int, list[Function]]) -> None:
@@ -119,7 +113,3 @@ def _mark_recursive(names: Names, callers: dict[int, list[Function]], callees: d
             open_calls[id(caller)] -= 1
             if not open_calls[id(caller)]:
                 done.append(caller)
-
-
-def _error(word: Token, reason: str) -> ScriptSyntaxError:
-    return ScriptSyntaxError(word.line or 1, str(word), reason)

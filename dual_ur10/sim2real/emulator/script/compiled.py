@@ -14,11 +14,12 @@ from typing import Final
 from lark import Token
 
 from dual_ur10.errors import ScriptError, ScriptSyntaxError, SettingsError
-from dual_ur10.sim2real.emulator.script.calls import Builtins, Calls
+from dual_ur10.sim2real.emulator.script.calls import Calls
 from dual_ur10.sim2real.emulator.script.compiler import generate
 from dual_ur10.sim2real.emulator.script.parser import parse_text
 from dual_ur10.sim2real.emulator.script.scopes import Names
-from dual_ur10.sim2real.emulator.script.syntax import Define
+from dual_ur10.sim2real.emulator.script.syntax import Define, syntax_error
+from dual_ur10.sim2real.emulator.script.values import Builtins
 
 UNNAMED: Final = "unnamed"
 """The name of a program that is not within a `def`."""
@@ -92,10 +93,10 @@ def _read(text: str, builtins: Builtins) -> Program:
     if isinstance(first, Define) and first.kind != "thread":
         if len(statements) > 1:
             after = statements[1].at
-            raise ScriptSyntaxError(after.line or 1, str(after), f"the program {first.at} ended before it")
+            raise syntax_error(after, f"the program {first.at} ended before it")
         for word, default in first.parameters:
             if default is None:
-                raise ScriptSyntaxError(word.line or 1, str(word), "a program has no arguments")
+                raise syntax_error(word, "a program has no arguments")
         main, name = first, str(first.at)
         main = Define(first.at, first.kind, [], first.body)
     else:

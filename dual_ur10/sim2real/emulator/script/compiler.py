@@ -19,8 +19,7 @@ from typing import Any, Final
 
 from lark import Token
 
-from dual_ur10.errors import ScriptSyntaxError
-from dual_ur10.sim2real.emulator.script.calls import Builtins, Calls
+from dual_ur10.sim2real.emulator.script.calls import Calls
 from dual_ur10.sim2real.emulator.script.operations import OPERATIONS
 from dual_ur10.sim2real.emulator.script.scopes import Function, Names
 from dual_ur10.sim2real.emulator.script.syntax import (
@@ -41,7 +40,9 @@ from dual_ur10.sim2real.emulator.script.syntax import (
     Text,
     Unary,
     While,
+    syntax_error,
 )
+from dual_ur10.sim2real.emulator.script.values import Builtins
 
 FILE: Final = "<URScript>"
 """The name of the code's file, by which its frames are known."""
@@ -69,11 +70,11 @@ def generate(program: Define, names: Names, calls: Calls, builtins: Builtins) ->
     Raises:
         ScriptSyntaxError: The program uses a variable that nothing assigns, or a statement where it cannot stand.
     """
-    main = _Body(names, calls, builtins, names.functions[id(program)]).function(MAIN, [], [])
+    main = _FunctionCompiler(names, calls, builtins, names.functions[id(program)]).function(MAIN, [], [])
     return compile(ast.Module(body=[main], type_ignores=[]), FILE, "exec")
 
 
-class _Body:
+class _FunctionCompiler:
     """Code of one function."""
 
     def __init__(self, names: Names, calls: Calls, builtins: Builtins, function: Function) -> None:
@@ -143,7 +144,7 @@ class _Body:
         # digital_out[n] = value: how outputs were set before there were functions for it.
         builtin = f"set_{node.at}"
         if node.at != "digital_out" or builtin not in self._builtins or len(node.items) != 1:
-            raise _error(node.at, "nothing assigns this variable")
+            raise syntax_error(node.at, "nothing assigns this variable")
         self._calls.used.setdefault(builtin, False)
         where = _where(node.at)
         return ast.Call(ast.Name("b_" + builtin, _LOAD, **where), [self._expression(node.items[0]), value], [], **where)
@@ -167,7 +168,7 @@ class _Body:
         if node.at == "pass":
             return [ast.Pass(**where)]
         if not self._loops:
-            raise _error(node.at, "it stands in no loop")
+            raise syntax_error(node.at, "it stands in no loop")
         return [ast.Break(**where) if node.at == "break" else ast.Continue(**where)]
 
     def _return(self, node: Return) -> list[ast.stmt]:
@@ -180,14 +181,14 @@ class _Body:
         return [ast.Expr(ast.YieldFrom(call, **where) if node.at == "join" else call, **where)]
 
     def _define(self, node: Define) -> list[ast.stmt]:
-        body = _Body(self._names, self._calls, self._builtins, self._names.functions[id(node)])
+        body = _FunctionCompiler(self._names, self._calls, self._builtins, self._names.functions[id(node)])
         parameters = [_mangled(str(name), "own") for name, _ in node.parameters]
         defaults: list[ast.expr] = []
         for name, default in node.parameters:
             if default is not None:
                 defaults.append(self._expression(default))
             elif defaults:
-                raise _error(name, "parameters without a default stand before those with one")
+                raise syntax_error(name, "parameters without a default stand before those with one")
         return [body.function(f"f_{node.at}", parameters, defaults)]
 
     def _do_call(self, node: Call) -> list[ast.stmt]:
@@ -219,7 +220,7 @@ class _Body:
     def _variable(self, word: Token) -> ast.expr:
         place = self._place(str(word))
         if place is None:
-            raise _error(word, "nothing assigns this variable")
+            raise syntax_error(word, "nothing assigns this variable")
         return ast.Name(_mangled(str(word), place), _LOAD, **_where(word))
 
     def _place(self, name: str) -> str | None:
@@ -269,25 +270,25 @@ class _Body:
         return _operation(where, operator, [left, right])
 
 
-_STATEMENTS: Final[dict[type, Callable[[_Body, Any], list[ast.stmt]]]] = {
-    Assign: _Body._assign,
-    Call: _Body._do_call,
-    Define: _Body._define,
-    If: _Body._if,
-    Kill: _Body._kill,
-    Return: _Body._return,
-    Simple: _Body._simple,
-    While: _Body._while,
+_STATEMENTS: Final[dict[type, Callable[[_FunctionCompiler, Any], list[ast.stmt]]]] = {
+    Assign: _FunctionCompiler._assign,
+    Call: _FunctionCompiler._do_call,
+    Define: _FunctionCompiler._define,
+    If: _FunctionCompiler._if,
+    Kill: _FunctionCompiler._kill,
+    Return: _FunctionCompiler._return,
+    Simple: _FunctionCompiler._simple,
+    While: _FunctionCompiler._while,
 }
-_EXPRESSIONS: Final[dict[type, Callable[[_Body, Any], ast.expr]]] = {
-    Binary: _Body._binary,
-    Call: _Body._call,
-    Index: _Body._index,
-    ListOf: _Body._list,
-    Name: _Body._name,
-    Number: _Body._constant,
-    Text: _Body._constant,
-    Unary: _Body._unary,
+_EXPRESSIONS: Final[dict[type, Callable[[_FunctionCompiler, Any], ast.expr]]] = {
+    Binary: _FunctionCompiler._binary,
+    Call: _FunctionCompiler._call,
+    Index: _FunctionCompiler._index,
+    ListOf: _FunctionCompiler._list,
+    Name: _FunctionCompiler._name,
+    Number: _FunctionCompiler._constant,
+    Text: _FunctionCompiler._constant,
+    Unary: _FunctionCompiler._unary,
 }
 
 
@@ -315,7 +316,3 @@ def _size(body: list[Statement]) -> int:
         if isinstance(node, If):
             count += max([_size(block) for _, _, block in node.branches] + [_size(node.otherwise)])
     return count
-
-
-def _error(word: Token, reason: str) -> ScriptSyntaxError:
-    return ScriptSyntaxError(word.line or 1, str(word), reason)

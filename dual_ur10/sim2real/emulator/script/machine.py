@@ -9,11 +9,10 @@ from itertools import islice
 from typing import Any, Final, NoReturn
 
 from dual_ur10.errors import DualUR10Error, ScriptRuntimeError, SettingsError
-from dual_ur10.sim2real.emulator.script.calls import Builtins
 from dual_ur10.sim2real.emulator.script.compiled import Program
 from dual_ur10.sim2real.emulator.script.compiler import FILE, MAIN, NAMES
 from dual_ur10.sim2real.emulator.script.operations import OPERATIONS
-from dual_ur10.sim2real.emulator.script.values import kind
+from dual_ur10.sim2real.emulator.script.values import Builtins, kind
 
 log = logging.getLogger(__name__)
 

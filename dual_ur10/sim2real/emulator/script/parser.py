@@ -28,6 +28,7 @@ from dual_ur10.sim2real.emulator.script.syntax import (
     Text,
     Unary,
     While,
+    syntax_error,
 )
 from dual_ur10.sim2real.emulator.script.values import INT_MAX, POSE_LENGTH
 
@@ -58,11 +59,11 @@ class _Tree(Transformer[Token, Any]):
         if word.isdigit():
             # The length first: Python refuses to read numbers of thousands of digits.
             if len(word.lstrip("0")) > 10 or int(word) > INT_MAX:
-                raise _error(word, f"an integer has at most 32 bits: {-INT_MAX - 1} to {INT_MAX}")
+                raise syntax_error(word, f"an integer has at most 32 bits: {-INT_MAX - 1} to {INT_MAX}")
             return Number(word, int(word))
         value = float(word)
         if value == float("inf"):
-            raise _error(word, "this number is too large for a float")
+            raise syntax_error(word, "this number is too large for a float")
         return Number(word, value)
 
     def text(self, items: list[Any]) -> Text:
@@ -121,7 +122,7 @@ class _Tree(Transformer[Token, Any]):
     def assign(self, items: list[Any]) -> Assign:
         qualifier, (name, *subscripts), value = items
         if len(subscripts) > 1 or (subscripts and qualifier):
-            raise _error(name, "only a variable or one element of it (a[i] or a[i, j]) can be assigned")
+            raise syntax_error(name, "only a variable or one element of it (a[i] or a[i, j]) can be assigned")
         for subscript in subscripts:
             _check_subscript(name, subscript)
         return Assign(name, str(qualifier or ""), subscripts[0] if subscripts else [], value)
@@ -178,7 +179,7 @@ class _Ranking:
         if self._next > _PREFIXES and all(
             isinstance(each, Token) for each in self._items[self._next - _PREFIXES : self._next]
         ):
-            raise _error(item, "too many operators before one operand")
+            raise syntax_error(item, "too many operators before one operand")
         if item == "not":
             return Unary(item, self.parse(_NOT_RANK))
         operand = self.parse(_NEGATIVE_RANK)
@@ -193,22 +194,18 @@ def _call(name: Token, items: list[Any]) -> Call:
     for item in items:
         if isinstance(item, tuple):
             if any(item[0] == other for other, _ in keywords):
-                raise _error(item[0], f"the argument is given twice to {name}")
+                raise syntax_error(item[0], f"the argument is given twice to {name}")
             keywords.append(item)
         elif item is not None:
             if keywords:
-                raise _error(name, "arguments without a name stand before those with one")
+                raise syntax_error(name, "arguments without a name stand before those with one")
             arguments.append(item)
     return Call(name, arguments, keywords)
 
 
 def _check_subscript(word: Token, items: list[Expression]) -> None:
     if len(items) > 2:
-        raise _error(word, f"an element has 1 or 2 indices, a pose p[..] has 6 numbers: found {len(items)}")
-
-
-def _error(word: Token, reason: str) -> ScriptSyntaxError:
-    return ScriptSyntaxError(word.line or 1, str(word), reason)
+        raise syntax_error(word, f"an element has 1 or 2 indices, a pose p[..] has 6 numbers: found {len(items)}")
 
 
 _LARK: Final = Lark(

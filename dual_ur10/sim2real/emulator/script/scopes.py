@@ -12,8 +12,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Final
 
-from lark import Token
-
 from dual_ur10.errors import ScriptSyntaxError
 from dual_ur10.sim2real.emulator.script.syntax import (
     Assign,
@@ -32,6 +30,7 @@ from dual_ur10.sim2real.emulator.script.syntax import (
     Text,
     Unary,
     While,
+    syntax_error,
 )
 
 DEPTH_MAX: Final = 60
@@ -124,13 +123,13 @@ class Names:
         self.functions[id(node)] = function
         if parent is not None:
             if node.kind == "sec":
-                raise _error(node.at, "a secondary program cannot be defined within another")
+                raise syntax_error(node.at, "a secondary program cannot be defined within another")
             if node.at in parent.functions:
-                raise _error(node.at, "it is defined twice")
+                raise syntax_error(node.at, "it is defined twice")
             parent.functions[str(node.at)] = function
         for name, default in node.parameters:
             if name in function.parameters:
-                raise _error(name, "two parameters have this name")
+                raise syntax_error(name, "two parameters have this name")
             function.parameters.add(str(name))
             if default is not None and parent is not None:
                 self._expressions((default,), parent, depth + 1)
@@ -139,7 +138,7 @@ class Names:
     def _block(self, body: list[Statement], function: Function, depth: int, loops: int) -> None:
         for statement in body:
             if depth > DEPTH_MAX:
-                raise _error(statement.at, f"blocks are nested more than {DEPTH_MAX} deep")
+                raise syntax_error(statement.at, f"blocks are nested more than {DEPTH_MAX} deep")
             self._statement(statement, function, depth, loops)
 
     def _statement(self, node: Statement, function: Function, depth: int, loops: int) -> None:
@@ -152,14 +151,14 @@ class Names:
                 self._expressions((node,), function, depth)
             case If():
                 if len(node.branches) > BRANCHES_MAX:
-                    raise _error(node.at, f"it has more than {BRANCHES_MAX} branches")
+                    raise syntax_error(node.at, f"it has more than {BRANCHES_MAX} branches")
                 for _, condition, body in node.branches:
                     self._expressions((condition,), function, depth)
                     self._block(body, function, depth + 1, loops)
                 self._block(node.otherwise, function, depth + 1, loops)
             case While():
                 if loops >= LOOPS_MAX:
-                    raise _error(node.at, f"loops are nested more than {LOOPS_MAX} deep")
+                    raise syntax_error(node.at, f"loops are nested more than {LOOPS_MAX} deep")
                 self._expressions((node.condition,), function, depth)
                 self._block(node.body, function, depth + 1, loops + 1)
             case Return() | Kill():
@@ -183,7 +182,7 @@ class Names:
             if isinstance(node, (Number, Text, Name)):
                 continue
             if depth > DEPTH_MAX:
-                raise _error(node.at, f"expressions are nested more than {DEPTH_MAX} deep")
+                raise syntax_error(node.at, f"expressions are nested more than {DEPTH_MAX} deep")
             inner: Iterable[Expression]
             match node:
                 case Call():
@@ -198,7 +197,3 @@ class Names:
                 case Binary():
                     inner = (node.left, node.right)
             self._expressions(inner, function, depth + 1)
-
-
-def _error(word: Token, reason: str) -> ScriptSyntaxError:
-    return ScriptSyntaxError(word.line or 1, str(word), reason)

@@ -73,13 +73,3 @@ class Splitter:
         if self._open <= 0:
             programs.append("".join(self._lines))
             self._lines, self._held, self._open = [], 0, 0
-
-
-def split_programs(buffer: bytes) -> tuple[list[str], bytes]:
-    """The programs in a buffer, and what is left of it. For a stream keep a `Splitter`, which reads each byte once.
-
-    Raises:
-        ProtocolError: More than `PROGRAM_MAX` bytes are left.
-    """
-    splitter = Splitter()
-    return splitter.feed(buffer), splitter.rest

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 from lark import Token
 
+from dual_ur10.errors import ScriptSyntaxError
+
 
 @dataclass(slots=True)
 class Number:
@@ -143,3 +145,8 @@ class Define:
 
 
 Statement = Assign | If | While | Simple | Return | Kill | Define | Call
+
+
+def syntax_error(word: Token, reason: str) -> ScriptSyntaxError:
+    """Return the error that a word of a program causes, with its line."""
+    return ScriptSyntaxError(word.line or 1, str(word), reason)

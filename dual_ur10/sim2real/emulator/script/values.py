@@ -6,8 +6,11 @@ makes a new list. So a builtin must not change a list that it was given, nor one
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Final
+from collections.abc import Callable, Iterable
+from typing import Any, Final
+
+Builtins = dict[str, Callable[..., Any]]
+"""Functions that programs may call, by name. A generator function blocks its thread until it ends."""
 
 INT_MAX: Final = 2**31 - 1
 """Integers have 32 bits."""

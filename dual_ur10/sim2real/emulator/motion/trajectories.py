@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from typing import Final
 
 import numpy as np
 
 from dual_ur10.kinematics.ur10 import JOINT_SPEED_RAD_S
-from dual_ur10.sim2real.emulator.motion.trapezoid import TIME_EPSILON_S, Trapezoid
 from dual_ur10.types import Array
 
 ACCELERATION_LIMIT_RAD_S2: Final = 40.0
@@ -16,8 +16,86 @@ ACCELERATION_LIMIT_RAD_S2: Final = 40.0
 
 _TINY: Final = 1e-300
 
+TIME_EPSILON_S: Final = 1e-9
+"""Times nearer than this are the same: what is left by adding up ticks."""
 
-class Course(ABC):
+_NO_WAY: Final = 1e-12
+"""Distances below this are none."""
+
+_SLOWEST_RATE: Final = 1e-100
+
+_RAMP_SHARE: Final = 1 / 3
+"""Share of each ramp in a move whose time is given; UR publishes no figure."""
+
+
+class Trapezoid:
+    """Accelerate, go on, decelerate at the same rate.
+
+    Args:
+        distance: How far, of whatever leads the move; zero takes no time.
+        speed: Greatest speed.
+        acceleration: Of both ramps.
+
+    Attributes:
+        duration: s.
+        ramp: Time of each ramp, s.
+    """
+
+    def __init__(self, distance: float, speed: float, acceleration: float) -> None:
+        self.duration = self.ramp = 0.0
+        self._speed = self._acceleration = 0.0  # of the share, 1/s and 1/s²
+        if distance > _NO_WAY:
+            speed, acceleration = max(speed, _SLOWEST_RATE), max(acceleration, _SLOWEST_RATE)
+            # Too short a way to reach the speed makes it a triangle.
+            peak = min(speed, math.sqrt(acceleration * distance))
+            self.ramp = peak / acceleration
+            self.duration = distance / peak + self.ramp
+            self._speed, self._acceleration = peak / distance, acceleration / distance
+
+    @classmethod
+    def timed(cls, distance: float, time: float, speed: float, acceleration: float) -> Trapezoid:
+        """The profile of a move that takes `time`, or longer where `speed` and `acceleration` do not allow that."""
+        if distance <= _NO_WAY:
+            still = cls(0.0, speed, acceleration)
+            still.duration = time
+            return still
+        peak = distance / (time * (1 - _RAMP_SHARE))
+        ramp = time * _RAMP_SHARE
+        if peak > speed:
+            peak, ramp = speed, max(time - distance / speed, speed / acceleration)
+        if peak > acceleration * ramp:
+            # Ramps as long as it takes: the lower speed that solves distance = peak (time - peak / acceleration).
+            root = time * time - 4 * distance / acceleration
+            peak = min(speed, acceleration * (time - math.sqrt(root)) / 2) if root > 0.0 else speed
+            ramp = peak / acceleration
+        return cls(distance, peak, peak / ramp)
+
+    def share(self, t: float) -> float:
+        """Share of the way that is behind after `t`, 0 to 1."""
+        left = self.duration - t
+        if left <= TIME_EPSILON_S:
+            return 1.0
+        if t <= 0.0:
+            return 0.0
+        if t < self.ramp:
+            return 0.5 * self._acceleration * t * t
+        if left < self.ramp:
+            return 1.0 - 0.5 * self._acceleration * left * left
+        return self._speed * (t - 0.5 * self.ramp)
+
+    def slope(self, t: float) -> float:
+        """Share of the way per second at `t`."""
+        left = self.duration - t
+        if left <= TIME_EPSILON_S or t <= 0.0:
+            return 0.0
+        return min(self._speed, self._acceleration * min(t, left))
+
+    def decelerates(self, t: float) -> bool:
+        """Whether the move slows down at `t` to stop."""
+        return self.duration - t <= self.ramp + TIME_EPSILON_S
+
+
+class Trajectory(ABC):
     """A motion.
 
     Attributes:
@@ -36,10 +114,10 @@ class Course(ABC):
 
     @abstractmethod
     def positions(self, step: float, counts: Array) -> Array:
-        """Joint positions (n, 6) at `step * counts` from now; without any effect on the course.
+        """Joint positions (n, 6) at `step * counts` from now; without any effect on the trajectory.
 
         Raises:
-            UnreachableError: The course leaves the workspace.
+            UnreachableError: The trajectory leaves the workspace.
         """
 
     def commit(self, time: float) -> None:
@@ -61,7 +139,7 @@ class Course(ABC):
         return self.finished
 
 
-class JointMove(Course):
+class JointMove(Trajectory):
     """From rest to rest, all joints in the same time.
 
     Args:
@@ -90,7 +168,7 @@ class JointMove(Course):
         self.duration = self.profile.duration
 
     def positions(self, step: float, counts: Array) -> Array:
-        """Joint positions (n, 6); see `Course`."""
+        """Joint positions (n, 6); see `Trajectory`."""
         share = self.profile.share
         shares = [share(self.t + step * count) for count in range(1, len(counts) + 1)]
         q = self._start + np.multiply.outer(shares, self._way)
@@ -103,7 +181,7 @@ class JointMove(Course):
         return self._way * self.profile.slope(self.t)
 
 
-class JointBrake(Course):
+class JointBrake(Trajectory):
     """From a speed to rest.
 
     Args:
@@ -123,7 +201,7 @@ class JointBrake(Course):
         return cls(start, rate, np.full(6, time))
 
     def positions(self, step: float, counts: Array) -> Array:
-        """Joint positions (n, 6); see `Course`."""
+        """Joint positions (n, 6); see `Trajectory`."""
         t = np.minimum((self.t + step * counts)[:, None], self._times)
         q: Array = self._start + self._rate * (t - t * t / (2 * self._times))
         if self.t + step * counts[-1] >= self.duration - TIME_EPSILON_S:
@@ -136,7 +214,7 @@ class JointBrake(Course):
         return left
 
 
-class SpeedJoints(Course):
+class SpeedJoints(Trajectory):
     """To given joint speeds at an acceleration, and on with them.
 
     Args:
@@ -158,7 +236,7 @@ class SpeedJoints(Course):
         self._timed, self.ticks_left = ticks > 0, ticks
 
     def positions(self, step: float, counts: Array) -> Array:
-        """Joint positions (n, 6); see `Course`."""
+        """Joint positions (n, 6); see `Trajectory`."""
         t = self.t + step * counts[:, None]
         ramp = np.minimum(t, self._reached_s)
         q: Array = self._start + self._rate * ramp + (0.5 * ramp * ramp) * self._acceleration
@@ -176,7 +254,7 @@ class SpeedJoints(Course):
         return self.ticks_left <= 0 if self._timed else self.t >= self._reached_s - TIME_EPSILON_S
 
 
-class Superposed(Course):
+class Superposed(Trajectory):
     """A move that starts before the motion before it has ended: the sum of both displacements.
 
     Args:
@@ -187,11 +265,11 @@ class Superposed(Course):
 
     governed = True
 
-    def __init__(self, main: Course, ending: Course, end: Array) -> None:
+    def __init__(self, main: Trajectory, ending: Trajectory, end: Array) -> None:
         self.main, self.ending, self._end = main, ending, end
 
     def positions(self, step: float, counts: Array) -> Array:
-        """Joint positions (n, 6); see `Course`."""
+        """Joint positions (n, 6); see `Trajectory`."""
         q: Array = self.main.positions(step, counts) + (self.ending.positions(step, counts) - self._end)
         return q
 

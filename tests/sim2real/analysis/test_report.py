@@ -43,10 +43,8 @@ def test_the_report_holds_everything_and_fetches_nothing(tmp_path: Path) -> None
     assert "<h1>Two runs of DualUR10/SineTracking-v0</h1>" in text
     for words in ("emulated controllers, no arms", "left, 4.00 ms lag off", "No real arm is in this comparison"):
         assert words in text
-    for claim in ("real, dual-arm synchronous grasp", "± 0.8", "1.200 ± 0.001", "± 30 mm/s"):
-        assert claim in text
     assert text.count("data:image/svg+xml;base64,") == 5
-    assert not re.search(r"(src|href)='(?!data:)", text)
+    assert not re.search(r"(src|href)=.(?!data:)", text)
     assert not re.search(r"<(script|link|iframe)", text)
     assert "nan" not in re.sub(r"base64,[A-Za-z0-9+/=]*", "", text)
 

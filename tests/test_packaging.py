@@ -121,6 +121,17 @@ def test_imports_run_downwards():
     assert climbing == _CLIMBING
 
 
+@pytest.mark.parametrize(
+    "room",
+    ["control", "config", "protocol", "links", "processes", "peripherals", "commissioning", "runtime", "recording"],
+)
+def test_rooms_that_move_real_arms_import_nothing_of_the_emulator(room):
+    paths = list((ROOT / "dual_ur10" / "sim2real" / room).rglob("*.py"))
+    assert paths
+    found = {(path.name, name) for path in paths for name in _imports(path) if "sim2real.emulator" in name}
+    assert not found
+
+
 def test_the_readmes_code_runs():
     import re
 

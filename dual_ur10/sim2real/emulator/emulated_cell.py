@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 from dual_ur10 import errors
-from dual_ur10.errors import ClosedError, DualUR10Error, EmulatorError
-from dual_ur10.sim2real.peripherals.object_placer import FaultInjectionClient
+from dual_ur10.errors import ClosedError, DualUR10Error, EmulatorError, LinkError, OperationRefusedError
+from dual_ur10.sim2real.links.json_link import JsonLink
 from dual_ur10.types import Closing
 
 MODULE: Final = "dual_ur10.sim2real.emulator.emulator"
@@ -61,13 +61,13 @@ class EmulatedCell(Closing):
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             start_new_session=True,
         )
-        self._injection: FaultInjectionClient | None = None
+        self._injection: JsonLink | None = None
         try:
             self.description = self._started()
             self.left: str = self.description["left"]["host"]
             self.right: str = self.description["right"]["host"]
             self.port: int = self.description["emulator"]["port"]
-            self._injection = FaultInjectionClient(self.left, self.port)
+            self._injection = JsonLink("fault injection", self.left, self.port)
         except BaseException:
             self.close()
             raise
@@ -106,7 +106,10 @@ class EmulatedCell(Closing):
         """
         if self._injection is None or self.process.stdin is None or self.process.stdin.closed:
             raise ClosedError("this emulated cell was closed: start another")
-        return self._injection.ask(do, **values)
+        try:
+            return self._injection.ask(do, **values)
+        except (LinkError, OperationRefusedError) as error:
+            raise EmulatorError(str(error)) from error
 
     def setpoints(self, arm: str, since: int = 0) -> list[Any]:
         """All servoj targets that a controller has executed from number `since` on, as far as it keeps them.

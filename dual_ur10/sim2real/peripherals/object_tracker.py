@@ -1,4 +1,4 @@
-"""Where the object is that a task handles, in a cell of controllers: what says so is named in the cell file."""
+"""Trackers of the object that a task handles, as the cell file names them."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import logging
 import math
 import threading
 import time
-from typing import Final, NamedTuple, Protocol
+from typing import Annotated, Final, NamedTuple, Protocol
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dual_ur10.errors import CellFileError, DualUR10Error, LinkError
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, rotate
@@ -16,19 +17,19 @@ from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config import cell_file_entries as entries
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.config.cell_file_entries import Three
-from dual_ur10.sim2real.peripherals.object_placer import FaultInjectionClient
+from dual_ur10.sim2real.links.json_link import JsonLink
 from dual_ur10.types import Array, Closing
 
 log = logging.getLogger(__name__)
 
 STALE_S: Final = 0.5
-"""Poses older than this are an error."""
+"""Largest age of a pose."""
 
 RATE_HZ: Final = 60.0
-"""How often the emulated camera is asked."""
+"""Rate at which a camera is asked."""
 
 _ANSWER_S: Final = 2.0
-_UNIT: Final = 1e-3  # by how much a quaternion's length may differ from 1
+_UNIT: Final = 1e-3  # tolerance of a unit quaternion's length
 
 
 class Flanges(NamedTuple):
@@ -39,12 +40,12 @@ class Flanges(NamedTuple):
 
 
 class ObjectPose(NamedTuple):
-    """Where the object is.
+    """Pose of the object, and when it was measured.
 
     Attributes:
         position_m: (3,) of its centre, in the cell frame.
         quat: (4,) its orientation, (w, x, y, z).
-        measured_s: When it was there, on the clock of `time.monotonic`.
+        measured_s: Time of the measurement, on the clock of `time.monotonic`.
     """
 
     position_m: Array
@@ -53,17 +54,17 @@ class ObjectPose(NamedTuple):
 
 
 class ObjectTracker(Protocol):
-    """Something that knows where the object is."""
+    """Source of the object's pose."""
 
     def pose(self, now_s: float, flanges: Flanges) -> ObjectPose:
-        """Where the object is, as far as is known. It does not wait.
+        """Return the newest pose. It does not wait.
 
         Args:
             now_s: Time of `time.monotonic`.
-            flanges: Where both flanges are now.
+            flanges: Poses of both flanges now.
 
         Raises:
-            LinkError: What is known is older than `STALE_S`, or the tracker was lost.
+            LinkError: The newest pose is older than `STALE_S`, or the tracker was lost.
         """
         ...
 
@@ -72,8 +73,8 @@ class ObjectTracker(Protocol):
         ...
 
 
-class AttachedTracker:
-    """The object is held by an arm.
+class FlangeTracker:
+    """Tracker of an object that an arm holds: it follows the flange.
 
     Args:
         arm: "left" or "right".
@@ -85,7 +86,7 @@ class AttachedTracker:
         self._arm, self._position_m, self._quat = ARMS.index(arm), np.array(position_m), quat
 
     def pose(self, now_s: float, flanges: Flanges) -> ObjectPose:
-        """See `ObjectTracker`: it is as new as the flanges' poses are."""
+        """See `ObjectTracker`. The pose is as new as those of the flanges."""
         position_m, quat = flanges.position_m[self._arm], flanges.quat[self._arm]
         return ObjectPose(position_m + rotate(quat, self._position_m), quat_multiply(quat, self._quat), now_s)
 
@@ -93,8 +94,8 @@ class AttachedTracker:
         """There is nothing to release."""
 
 
-class GivenTracker:
-    """The object stands where the cell file says.
+class FixedTracker:
+    """Tracker of an object that stays at the pose in the cell file.
 
     Args:
         position_m: (3,) in the cell frame.
@@ -112,30 +113,37 @@ class GivenTracker:
         """There is nothing to release."""
 
 
-class EmulatedTracker(Closing):
-    """The camera of an emulated cell, asked by a thread. Its first pose is there once it is made.
+class _Seen(BaseModel):
+    """Answer of the camera: position, and orientation (w, x, y, z), in the cell frame."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+
+    position_m: Annotated[list[float], Field(min_length=3, max_length=3)]
+    quat: Annotated[list[float], Field(min_length=4, max_length=4)]
+
+
+class CameraTracker(Closing):
+    """Camera that a thread asks for the object's pose. The first pose is there once this object is made.
 
     Args:
-        emulator: Client of the cell. This object closes it.
-        body: What is looked for.
-        entry: Its noise and delay.
-        rate_hz: How often it is asked.
+        link: Connection to the camera; the tracker closes it.
+        body: Name of the object.
+        entry: Noise and delay of the camera.
+        rate_hz: Rate of requests.
 
     Raises:
-        LinkError: There is no cell, or no such body in it.
+        LinkError: The camera does not answer, or knows no such body.
     """
 
-    def __init__(
-        self, emulator: FaultInjectionClient, body: str, entry: entries.EmulatedTracker, rate_hz: float = RATE_HZ
-    ) -> None:
-        self._emulator, self._body, self._entry, self._period_s = emulator, body, entry, 1.0 / rate_hz
-        self.where = f"emulated camera at {emulator.host}:{emulator.port}, looking for {body!r}"
+    def __init__(self, link: JsonLink, body: str, entry: entries.EmulatedTracker, rate_hz: float = RATE_HZ) -> None:
+        self._link, self._body, self._entry, self._period_s = link, body, entry, 1.0 / rate_hz
+        self.where = f"{link.where}, looking for {body!r}"
         self._lost = ""
         self._ended = threading.Event()
         try:
-            self._pose = self._look()
+            self._pose = self._request()
         except BaseException:
-            emulator.close()
+            link.close()
             raise
         self._thread = threading.Thread(target=self._run, name="object tracker", daemon=True)
         self._thread.start()
@@ -152,37 +160,33 @@ class EmulatedTracker(Closing):
             )
         return self._pose
 
-    def _look(self) -> ObjectPose:
-        """Ask once.
-
-        Raises:
-            LinkError: There is no answer, or it is no pose.
-        """
+    def _request(self) -> ObjectPose:
         seen_s = time.monotonic() - self._entry.delay_s
         noise = {name: getattr(self._entry, name) for name in ("noise_m", "noise_rad", "delay_s")}
         try:
-            answer = self._emulator.ask("pose", body=self._body, **noise)
-            position_m, quat = (np.array(answer[name], dtype=np.float64) for name in ("position_m", "quat"))
-        except (DualUR10Error, TypeError, KeyError, ValueError) as error:
+            answer = self._link.ask("pose", body=self._body, **noise)
+        except DualUR10Error as error:
             raise LinkError(
                 f"{self.where}: {error}; expected is a pose: check that the cell runs, with the scene of this task"
             ) from error
-        values = (*position_m.flat, *quat.flat)
-        fits = position_m.shape == (3,) and quat.shape == (4,)
-        if not (fits and all(map(math.isfinite, values)) and abs(math.hypot(*quat.tolist()) - 1.0) < _UNIT):
+        try:
+            seen = _Seen.model_validate(answer)
+        except ValidationError:
+            seen = None
+        if seen is None or abs(math.hypot(*seen.quat) - 1.0) >= _UNIT:
             raise LinkError(
                 f"{self.where}: found {answer!r}; expected are three coordinates and a unit quaternion: start the "
                 "emulated cell again"
             )
-        return ObjectPose(position_m, quat, seen_s)
+        return ObjectPose(np.array(seen.position_m), np.array(seen.quat), seen_s)
 
     def _run(self) -> None:
         due_s = time.monotonic()
         while not self._ended.wait(max(0.0, due_s - time.monotonic())):
             due_s = max(due_s + self._period_s, time.monotonic())
             try:
-                self._pose = self._look()
-            except Exception as error:  # whatever it is, the program must hear of it
+                self._pose = self._request()
+            except Exception as error:  # of any kind: the program must learn of it
                 if not self._ended.is_set():
                     self._lost = str(error) if isinstance(error, LinkError) else f"{self.where}: {error!r}"
                     log.error("%s", self._lost)
@@ -192,35 +196,32 @@ class EmulatedTracker(Closing):
         """End the thread and its connection. May be called twice."""
         self._ended.set()
         self._thread.join()
-        self._emulator.close()
+        self._link.close()
 
 
 def tracker_of(cell_file: CellFile, prop: str) -> ObjectTracker | None:
-    """What the cell file says of where the object is.
+    """Return the tracker that a cell file names, or None if there is nothing to track.
 
     Args:
-        cell_file: Of the cell. That of an emulated cell need not name a tracker: it has an exact camera.
-        prop: What the task handles, such as "bar"; "" if nothing.
-
-    Returns:
-        The tracker, or None if there is nothing to track.
+        cell_file: Cell file. That of an emulated cell need not name a tracker: it has an exact camera.
+        prop: Object that the task handles, such as "bar"; "" if none.
 
     Raises:
-        CellFileError: The task handles something, and the file does not say where it is.
-        SettingsError: What it says cannot be.
-        LinkError: The emulated camera does not answer.
+        CellFileError: The task handles an object, and the file does not say where it is.
+        SettingsError: An entry of the file is not legal.
+        LinkError: The camera does not answer.
     """
     if not prop:
         return None
     entry = cell_file.tracker
     if isinstance(entry, entries.AttachedTracker):
-        return AttachedTracker(entry.arm, entry.position_m, quat_from_rotvec(entry.rotation_rad))
+        return FlangeTracker(entry.arm, entry.position_m, quat_from_rotvec(entry.rotation_rad))
     if isinstance(entry, entries.GivenTracker):
-        return GivenTracker(entry.position_m, quat_from_rotvec(entry.rotation_rad))
+        return FixedTracker(entry.position_m, quat_from_rotvec(entry.rotation_rad))
     if cell_file.emulator is None:
         raise CellFileError(
             f"{cell_file.source}: this task handles a {prop}, and nothing says where it is: add a table [tracker] of "
             'kind "attached" or "given"' + (", or a table [emulator]" if cell_file.kind == "emulated" else "")
         )
-    emulator = FaultInjectionClient(cell_file.left.host, cell_file.emulator.port, _ANSWER_S)
-    return EmulatedTracker(emulator, prop, entry or entries.EmulatedTracker())
+    link = JsonLink("emulated camera", cell_file.left.host, cell_file.emulator.port, _ANSWER_S)
+    return CameraTracker(link, prop, entry or entries.EmulatedTracker())

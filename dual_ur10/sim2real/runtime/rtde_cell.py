@@ -29,7 +29,7 @@ from dual_ur10.sim2real.control.command_queue import MAX_LATENCY_TICKS
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.links.arm_status import ArmStatus
 from dual_ur10.sim2real.peripherals.grippers import Grippers
-from dual_ur10.sim2real.peripherals.object_placer import FaultInjectionClient
+from dual_ur10.sim2real.peripherals.object_placer import ObjectPlacer, placer_of
 from dual_ur10.sim2real.peripherals.object_tracker import Flanges, ObjectTracker, tracker_of
 from dual_ur10.sim2real.runtime.approach import Approach, Rates, plan
 from dual_ur10.sim2real.runtime.braked_targets import BrakedTargets
@@ -111,7 +111,7 @@ class RtdeCell:
         self._heat = [Heat(name) for name in ARMS]
         self._grippers: Grippers | None = None
         self._tracker: ObjectTracker | None = None
-        self._emulator: FaultInjectionClient | None = None
+        self._placer: ObjectPlacer | None = None
         gc.collect()  # while no thread yet waits for an answer: of a large program it takes half a second
         self._runner: Runner | None = Runner(self.file, config, coupled=coupled)
         self._end = weakref.finalize(self, self._runner.close)
@@ -132,8 +132,7 @@ class RtdeCell:
             runner = self._open
             self._grippers = Grippers(file, force_n=equipment.grip_force_n, may=lambda: runner.moves_on)
         self._tracker = tracker_of(file, equipment.prop or "")
-        if file.emulator is not None:
-            self._emulator = FaultInjectionClient(file.left.host, file.emulator.port)
+        self._placer = placer_of(file)
 
     # An episode.
 
@@ -179,9 +178,9 @@ class RtdeCell:
             runner.begin(now)
         self._way.go(runner, now, approach.targets(self._tick_s))
         statuses = self._way.arrived(runner, goal)
-        if self._emulator is not None and start.object_pose is not None:
+        if self._placer is not None and start.object_pose is not None:
             pose = np.asarray(start.object_pose).reshape(7)
-            self._emulator.place(pose[:3].tolist(), pose[3:].tolist())
+            self._placer.place(pose[:3].tolist(), pose[3:].tolist())
             time.sleep(2.0 * _LOOK_S)
         target = None if start.target_pose is None else np.asarray(start.target_pose).reshape(7)
         self._twin.aim(None if target is None else (target[:3], target[3:]))
@@ -267,7 +266,7 @@ class RtdeCell:
             self._end.detach()
             self._runner = None
             gc.unfreeze()
-        for each in (self._grippers, self._tracker, self._emulator):
+        for each in (self._grippers, self._tracker, self._placer):
             if each is not None:
                 each.close()
 

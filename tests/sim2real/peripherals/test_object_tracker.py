@@ -1,4 +1,4 @@
-"""Where the object is: held, given, or seen by the emulated camera, whose loss is named; and the injection' client."""
+"""Trackers of the object: on a flange, at a fixed pose, seen by a camera whose loss is named; and its placer."""
 
 import dataclasses
 import json
@@ -15,8 +15,9 @@ from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, rota
 from dual_ur10.sim2real.config import cell_file_entries as entries
 from dual_ur10.sim2real.config.cell_file import load_cell_file
 from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
-from dual_ur10.sim2real.peripherals.object_placer import FaultInjectionClient
-from dual_ur10.sim2real.peripherals.object_tracker import STALE_S, EmulatedTracker, Flanges, tracker_of
+from dual_ur10.sim2real.links.json_link import JsonLink
+from dual_ur10.sim2real.peripherals.object_placer import placer_of
+from dual_ur10.sim2real.peripherals.object_tracker import STALE_S, CameraTracker, Flanges, tracker_of
 from tests.sim2real.links.fake_servers import serving
 
 HERE = "127.0.0.1"
@@ -24,7 +25,7 @@ FLANGES = Flanges(
     np.array([[0.1, 0.2, 0.3], [-0.4, 0.5, 0.6]]), quat_from_rotvec([[0.1, 0.2, 0.3], [0.0, 0.0, math.pi / 2]])
 )
 AWAY = np.array([0.3, -0.2, 0.8])
-TURN = np.array([math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)])
+QUARTER = np.array([math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)])
 
 
 @pytest.fixture(scope="module")
@@ -64,29 +65,29 @@ def tracked(file, entry, prop="block"):
     return tracker_of(dataclasses.replace(file, tracker=entry), prop)
 
 
-# What needs no camera.
+# Trackers without a camera.
 
 
 @pytest.mark.parametrize("arm", [0, 1])
-def test_an_object_that_is_held_goes_with_the_flange(file, arm):
+def test_an_object_on_a_flange_moves_with_it(file, arm):
     entry = entries.AttachedTracker(
         arm=("left", "right")[arm], position_m=(0.0, 0.1, 0.2), rotation_rad=(0.0, 0.0, math.pi / 2)
     )
     found = tracked(file, entry).pose(7.0, FLANGES)
     position, quat = FLANGES.position_m[arm], FLANGES.quat[arm]
     assert found.position_m == pytest.approx(position + rotate(quat, [0.0, 0.1, 0.2]))
-    assert found.quat == pytest.approx(quat_multiply(quat, TURN))
+    assert found.quat == pytest.approx(quat_multiply(quat, QUARTER))
     assert found.measured_s == 7.0
 
 
-def test_an_object_that_stands_somewhere(file):
+def test_an_object_at_a_fixed_pose(file):
     entry = entries.GivenTracker(position_m=(0.1, 0.2, 0.3), rotation_rad=(0.0, 0.0, math.pi / 2))
     tracker = tracked(file, entry)
     found = tracker.pose(7.0, FLANGES)
     assert found.position_m.tolist() == [0.1, 0.2, 0.3]
-    assert found.quat == pytest.approx(TURN)
+    assert found.quat == pytest.approx(QUARTER)
     assert found.measured_s == 7.0
-    found.position_m[:] = 0.0  # who changes what was given changes nothing here
+    found.position_m[:] = 0.0  # a copy
     assert tracker.pose(8.0, FLANGES).position_m.tolist() == [0.1, 0.2, 0.3]
     tracker.close()
 
@@ -95,7 +96,7 @@ def test_nothing_to_track(file):
     assert tracker_of(file, "") is None
 
 
-def test_a_file_that_does_not_say_where_the_object_is(file):
+def test_a_file_without_a_tracker(file):
     with pytest.raises(CellFileError, match=r"handles a block.*\[tracker\].*\[emulator\]"):
         tracker_of(dataclasses.replace(file, emulator=None), "block")
 
@@ -103,13 +104,13 @@ def test_a_file_that_does_not_say_where_the_object_is(file):
 # The emulated camera.
 
 
-def test_the_camera_sees_where_the_object_was_put(cell, file):
-    with FaultInjectionClient(cell.left, cell.port) as injection, tracker_of(file, "block") as tracker:
+def test_the_camera_sees_where_the_object_was_placed(file):
+    with placer_of(file) as placer, tracker_of(file, "block") as tracker:
         for x_m in (0.3, -0.1):
-            injection.place(np.array([x_m, -0.2, 0.8]), TURN)
+            placer.place(np.array([x_m, -0.2, 0.8]), QUARTER)
             placed_s = time.monotonic()
             found = until(lambda x_m=x_m: near(tracker.pose(time.monotonic(), FLANGES), x_m))
-            assert abs(found.quat @ TURN) == pytest.approx(1.0, abs=1e-3)
+            assert abs(found.quat @ QUARTER) == pytest.approx(1.0, abs=1e-3)
             assert found.measured_s > placed_s - 0.1
         first = tracker.pose(time.monotonic(), FLANGES)
         until(lambda: tracker.pose(time.monotonic(), FLANGES).measured_s > first.measured_s + 0.1)
@@ -162,7 +163,7 @@ def test_a_cell_that_ends_is_named_at_once(tmp_path):
         assert failure(tracker) == text
 
 
-def test_a_cell_that_stands_still_makes_poses_old(tmp_path):
+def test_a_cell_that_stalls_makes_poses_old(tmp_path):
     path = tmp_path / "cell.toml"
     with EmulatedCell(task="Handover", cell=str(path)) as cell, tracker_of(load_cell_file(path), "block") as tracker:
         os.kill(cell.process.pid, signal.SIGSTOP)
@@ -182,60 +183,36 @@ def test_a_cell_that_stands_still_makes_poses_old(tmp_path):
         {"position_m": [0.0, 0.0, math.nan], "quat": [1.0, 0.0, 0.0, 0.0]},
         {"position_m": [0.0, 0.0, 0.0], "quat": [1.0, 1.0, 0.0, 0.0]},
         {"position_m": [0.0, 0.0, 0.0], "quat": "up"},
+        {"position_m": [0.0, 0.0, 0.0], "quat": ["1", 0.0, 0.0, 0.0]},
         {"position_m": [0.0, 0.0, 0.0]},
         [1.0],
         None,
     ],
 )
-def test_what_is_no_pose(value):
+def test_answers_that_are_no_pose(value):
     def talk(connection):
         connection.recv(1000)
         connection.sendall(json.dumps({"ok": True, "value": value}).encode() + b"\n")
 
     with serving(talk) as port, pytest.raises(LinkError, match=r"emulated camera.*expected"):
-        EmulatedTracker(FaultInjectionClient(HERE, port), "block", entries.EmulatedTracker())
+        CameraTracker(JsonLink("emulated camera", HERE, port), "block", entries.EmulatedTracker())
 
 
-# The injection' client.
+# The placer.
 
 
-def test_the_client_reports_refusals(cell):
-    with FaultInjectionClient(cell.left, cell.port) as injection:
-        with pytest.raises(EmulatorError, match="allowed are"):
-            injection.place((99.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-        assert injection.ask("state", arm="left", names=["robot_mode"]) == {"robot_mode": 7}  # the connection goes on
-    assert injection.ask("info")["ticks"] > 0  # another connection
-    injection.close()
+def test_an_object_that_cannot_be_placed(file):
+    with placer_of(file) as placer:
+        with pytest.raises(EmulatorError, match=r"not placed: .*allowed are"):
+            placer.place((99.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+        placer.place((0.3, 0.0, 0.8), (1.0, 0.0, 0.0, 0.0))  # the connection goes on
 
 
-@pytest.mark.parametrize("answer", [b"nonsense\n", b"[1]\n", b'{"ok": false, "error": "no"}\n', b""])
-def test_answers_that_are_none(answer):
-    def talk(connection):
-        connection.recv(1000)
-        connection.sendall(answer)
-
-    with serving(talk) as port, pytest.raises(EmulatorError), FaultInjectionClient(HERE, port) as injection:
-        injection.ask("info")
+def test_a_placer_that_does_not_answer(file):
+    gone = dataclasses.replace(file, emulator=dataclasses.replace(file.emulator, port=1))
+    with placer_of(gone) as placer, pytest.raises(EmulatorError, match=r"object placer at .*:1: no connection"):
+        placer.place((0.3, 0.0, 0.8), (1.0, 0.0, 0.0, 0.0))
 
 
-def test_an_answer_without_end():
-    def talk(connection):
-        connection.recv(1000)
-        while True:
-            connection.sendall(b"x" * 65536)
-
-    with serving(talk) as port, pytest.raises(EmulatorError, match="more than 4194304 bytes"):
-        FaultInjectionClient(HERE, port).ask("info")
-
-
-def test_a_late_answer_is_not_taken_for_the_next():
-    def talk(connection):
-        connection.recv(1000)
-        connection.recv(1000)  # until the client gave up
-
-    with serving(talk) as port:
-        injection = FaultInjectionClient(HERE, port, 0.2)
-        with pytest.raises(EmulatorError, match="no answer to 'info'"):
-            injection.ask("info")
-    with pytest.raises(EmulatorError, match="no connection"):
-        injection.ask("info")
+def test_a_cell_whose_objects_a_person_places(file):
+    assert placer_of(dataclasses.replace(file, emulator=None)) is None

@@ -28,7 +28,7 @@ from dual_ur10 import CellConfig, policies
 from dual_ur10.cli.demo_report.runs_carry import CARRY_ID, CarryFigures, CarryRun, measure_carry
 from dual_ur10.envs.core.options import DEFAULT_RATE_HZ
 from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
-from dual_ur10.policies.evaluation.evaluate import evaluate
+from dual_ur10.policies import evaluate
 
 SEEDS = 3
 EPISODES = 300

@@ -26,7 +26,7 @@ from dual_ur10 import policies
 from dual_ur10.cli.demo_report.runs_handover import HANDOVER_ID, HANDOVER_RUNS, HandoverRun
 from dual_ur10.envs.core.options import DEFAULT_RATE_HZ
 from dual_ur10.envs.tasks.handover.task import Handover
-from dual_ur10.policies.evaluation.evaluate import evaluate
+from dual_ur10.policies import evaluate
 
 EPISODES = 300
 

@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 
 import dual_ur10
-from dual_ur10.policies.evaluation.evaluate import evaluate
+from dual_ur10.policies import evaluate
 from dual_ur10.policies.evaluation.results import Evaluation
-from dual_ur10.policies.learned import shipped
 from dual_ur10.policies.learned.checkpoint import read_manifest
+from dual_ur10.policies.registry import shipped_folder, shipped_names
 
 
 def main() -> None:
@@ -39,8 +39,8 @@ def main() -> None:
         task = env_id.split("/")[1]
         if args.tasks and task.rsplit("-v", 1)[0] not in args.tasks.split(","):
             continue
-        for name in shipped.names_of(env_id):
-            folder = shipped.folder_of(name, env_id)
+        for name in shipped_names(env_id):
+            folder = shipped_folder(name, env_id)
             target = read_manifest(folder).target
             for preset in args.randomization.split(","):
                 own = {key: value for key, value in target.kwargs.items() if key != "randomization"}

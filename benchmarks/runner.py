@@ -27,8 +27,7 @@ import numpy as np
 from dual_ur10 import policies
 from dual_ur10.assets.scene import HOME_Q_RAD
 from dual_ur10.errors import CellFaulted, LinkError, StartError
-from dual_ur10.policies.evaluation.evaluate import evaluate
-from dual_ur10.policies.evaluation.rollout import rollout
+from dual_ur10.policies import evaluate, rollout
 from dual_ur10.sim2real.analysis.timing import timing
 from dual_ur10.sim2real.config.cell_file import load_cell_file
 from dual_ur10.sim2real.control.servoj import TICK_S

@@ -2,7 +2,7 @@
 
 import sys
 
-from dual_ur10.policies.evaluation.evaluate import evaluate
+from dual_ur10.policies import evaluate
 
 policy = sys.argv[1] if len(sys.argv) > 1 else "learned"  # or the folder of a checkpoint
 episodes = int(sys.argv[2]) if len(sys.argv) > 2 else 300

@@ -43,7 +43,8 @@ from dual_ur10.cli.status import status
 from dual_ur10.cli.train import collect, train
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 from dual_ur10.ids import ENV_IDS, env_id_of
-from dual_ur10.policies.learned import shipped
+from dual_ur10.policies.baselines import BASELINES, RandomPolicy, ZeroPolicy
+from dual_ur10.policies.registry import provenance, shipped_names
 from dual_ur10.sim2real.processes.interrupts import INTERRUPTED, begin_program, end_interrupted
 
 USAGE_ERROR = 2
@@ -98,7 +99,7 @@ def list_environments() -> None:
         try:
             core = env.unwrapped.core  # type: ignore[attr-defined]  # Gymnasium knows only Env
             sizes = [" × ".join(map(str, space.shape or ())) for space in (env.action_space, env.observation_space)]
-            names = ", ".join(("scripted", *shipped.names_of(env_id), *_SIMPLE))
+            names = ", ".join(("scripted", *shipped_names(env_id), *BASELINES))
             table.add_row(f"[cyan]{env_id}[/]", f"{1 / core.timing.period_s:g} Hz", *sizes, names)
         finally:
             env.close()
@@ -129,7 +130,7 @@ def rollout(
     if power:
         power_on(cell)
     if not no_record:
-        record_in(keywords, record, _about(policy, env))
+        record_in(keywords, record, provenance(policy, env_id_of(env)))
     made, actor = _make(env, policy, keywords, seed)
     table = Table(header_style="bold")
     for header in ("episode", "seed", "steps", "return", "success", "RMS error\n[dim]mm[/]", "largest\n[dim]mm[/]"):
@@ -225,44 +226,6 @@ app.command()(fit)
 app.add_typer(cell_commands, name="cell")
 
 
-class _Random:
-    """Uniform random actions."""
-
-    def __init__(self, space: Any, seed: int) -> None:
-        self._space, self._seed = space, seed
-        self.reset()
-
-    def reset(self) -> None:
-        self._space.seed(self._seed)
-        self._seed += 1
-
-    def __call__(self, observation: Any) -> Any:
-        return self._space.sample()
-
-
-class _Zero:
-    """Always zero."""
-
-    def __init__(self, space: Any, seed: int) -> None:
-        self._action = np.zeros(space.shape, space.dtype)
-
-    def reset(self) -> None:
-        """There is nothing to forget."""
-
-    def __call__(self, observation: Any) -> Any:
-        return self._action
-
-
-_SIMPLE: dict[str, Any] = {"random": _Random, "zero": _Zero}
-
-
-def _about(policy: str, env: str) -> dict[str, Any]:
-    """What a record says of a policy."""
-    from dual_ur10.policies.evaluation.origin import about
-
-    return about(policy, env_id_of(env))
-
-
 def _make(env: str, policy: str, keywords: dict[str, Any], seed: int) -> tuple[Any, Any]:
     """Environment and policy.
 
@@ -270,7 +233,7 @@ def _make(env: str, policy: str, keywords: dict[str, Any], seed: int) -> tuple[A
         DualUR10Error: A name or a value is not legal.
     """
     env_id = env_id_of(env)
-    names = (*policies.NAMES, *_SIMPLE)
+    names = (*policies.NAMES, *BASELINES)
     if policy not in names and not policies.is_path(policy):
         raise UnknownNameError("policy", policy, names)
     try:
@@ -280,8 +243,10 @@ def _make(env: str, policy: str, keywords: dict[str, Any], seed: int) -> tuple[A
         reason = str(error).split(" was raised from the environment creator")[0]
         raise SettingsError(f"a value of --set has the wrong type: {reason}") from error
     try:
-        if policy in _SIMPLE:
-            return made, _SIMPLE[policy](made.action_space, seed)
+        if policy == "random":
+            return made, RandomPolicy(made.action_space, seed=seed)
+        if policy == "zero":
+            return made, ZeroPolicy(made.action_space)
         return made, policies.load(policy, env_id, **keywords)
     except DualUR10Error:
         made.close()

@@ -1,33 +1,48 @@
-"""What a policy is."""
+"""Interfaces of policies."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
-from dual_ur10.types import Array
+from dual_ur10.types import Array, Rows
 
 
 @runtime_checkable
 class Policy(Protocol):
-    """Turns observations into actions. It sees arrays of the observation space and nothing else.
+    """Function from observations to actions.
 
-    It cannot know which kind of cell it moves. A policy may keep what it has seen since `reset`; the scripted one
-    notices by itself when a row of a batch begins another episode.
+    It receives arrays of the observation space and nothing else: it cannot know which kind of cell it moves. It may
+    keep what it has observed since `reset`. The scripted policies detect by themselves when a row of a batch begins
+    another episode.
     """
 
     def reset(self) -> None:
         """Forget everything: an episode begins."""
 
     def __call__(self, observation: Array) -> Array:
-        """The action for an observation, or one for each row of a batch of observations."""
+        """Return the action for an observation, or one for each row of a batch of observations."""
+
+
+@runtime_checkable
+class EpisodeAware(Protocol):
+    """A policy that is notified when single rows of a batch begin episodes, so that no row waits for the others."""
+
+    def begin(self, rows: Rows, seeds: Sequence[int]) -> None:
+        """Begin episodes in some rows: the next observations in them are the first ones.
+
+        Args:
+            rows: (k,) indices of the rows.
+            seeds: (k,) seeds of their episodes.
+        """
 
 
 @runtime_checkable
 class Teaching(Protocol):
-    """A policy that acts otherwise when others are to learn from it."""
+    """A policy that acts differently as the expert of imitation learning."""
 
     def teach(self) -> None:
-        """Say from now on what an observation asks for, whoever has led the arms there, and learn nothing meanwhile.
+        """Answer every observation for itself from now on, whoever led the arms there, and adapt to nothing meanwhile.
 
-        In a way that one who is less exact, and knows only what an observation tells, can follow.
+        The answers are such that a learner can follow them that is less exact and knows the observation alone.
         """

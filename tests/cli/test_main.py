@@ -15,7 +15,7 @@ import pytest
 from dual_ur10 import ENV_IDS, __version__
 from dual_ur10.cli import options as cli_options
 from dual_ur10.errors import SettingsError
-from dual_ur10.policies.learned import shipped
+from dual_ur10.policies.registry import shipped_names
 from tests.cli.command import run
 
 WAIT_S = 60.0
@@ -36,7 +36,7 @@ def test_list_names_every_environment_with_its_sizes() -> None:
         sizes = {"SineTracking": ["12", "68"], "SyncCarry": ["14", "124"], "Handover": ["14", "112"]}
         for task, (action, observation) in sizes.items():
             if task in env_id:
-                learned = [f"{name}," for name in shipped.names_of(row.split()[0])]
+                learned = [f"{name}," for name in shipped_names(row.split()[0])]
                 assert row.split()[1:] == ["25", "Hz", action, observation, "scripted,", *learned, "random,", "zero"]
 
 

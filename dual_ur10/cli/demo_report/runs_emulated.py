@@ -24,8 +24,8 @@ from dual_ur10.cli.demo_report.runs import SINE_ID
 from dual_ur10.cli.demo_report.runs_carry import CARRY_ID
 from dual_ur10.cli.demo_report.runs_handover import HANDOVER_ID
 from dual_ur10.errors import DualUR10Error, MissingExtraError
-from dual_ur10.policies.evaluation.origin import about
 from dual_ur10.policies.evaluation.rollout import Info, Record, Trace, rollout
+from dual_ur10.policies.registry import provenance
 from dual_ur10.sim2real.analysis.compare import Comparison, compare
 from dual_ur10.sim2real.analysis.replay import RecordedPolicy, source_of
 from dual_ur10.sim2real.config.cell_file import load_cell_file
@@ -197,7 +197,7 @@ def _episode(
 ) -> Side:
     """Run one, by the scripted policy or with the actions of a recording, and record it."""
     before = set(folder.glob("*/"))
-    told = about("scripted", run.env_id) if played is None else source_of(played, 0)
+    told = provenance("scripted", run.env_id) if played is None else source_of(played, 0)
     keywords = {"record": str(folder), "record_about": told, **run.keywords, **cell}
     env: Any = gym.make(run.env_id, disable_env_checker=True, **keywords)
     try:

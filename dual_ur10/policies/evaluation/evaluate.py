@@ -6,26 +6,23 @@ each other, nor on threads. Row and order of an episode are no part of its resul
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from dual_ur10 import __version__, policies
+from dual_ur10 import __version__
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 from dual_ur10.ids import ENV_IDS
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.policies.evaluation.origin import about
+from dual_ur10.policies.baselines import BASELINES, RandomPolicy, ZeroPolicy
 from dual_ur10.policies.evaluation.results import Episode, Evaluation
-from dual_ur10.policies.policy import Policy
-from dual_ur10.types import Array, Mask, Rows
-
-NAMES = (*policies.NAMES, "random", "zero")
-"""Policies that can be evaluated by their names."""
+from dual_ur10.policies.policy import EpisodeAware, Policy
+from dual_ur10.policies.registry import NAMES, is_path, load, provenance
+from dual_ur10.types import Array, Mask
 
 UNITS = ("_m", "_rad", "_n", "_s")
 """How the names of those values of `info` end of which an episode keeps the largest and the last."""
@@ -34,19 +31,6 @@ _LONGEST_S = 600.0  # simulated time after which an episode counts as endless, i
 _OWN = ("id", "task", "num_envs", "vectorization_mode", "autoreset_mode", "vector_kwargs", "wrappers")
 _RECORD = ("record", "record_failure", "record_about")  # what is recorded of an evaluation changes nothing in it
 _PACKAGES = ("mujoco", "gymnasium", "numpy")
-
-
-@runtime_checkable
-class EpisodeAware(Protocol):
-    """A policy that can be told when single rows begin episodes: then no row has to wait for the others."""
-
-    def begin(self, rows: Rows, seeds: Sequence[int]) -> None:
-        """Rows of the batch begin episodes: the next observations in them are the first ones.
-
-        Args:
-            rows: (k,) numbers of the rows.
-            seeds: (k,) seeds of their episodes.
-        """
 
 
 def evaluate(
@@ -69,7 +53,8 @@ def evaluate(
 
     Args:
         env_id: Id of the environment.
-        policy: What acts, batch first; or one of `NAMES`, or the folder of a checkpoint, made for this environment.
+        policy: A policy that takes batches; or a name, one of `dual_ur10.policies.NAMES`, "random" or "zero"; or the
+            folder of a checkpoint, made for this environment.
         episodes: Number of episodes, 1 or more.
         seed: Seed of the first episode, 0 or more.
         num_envs: Number of episodes that run beside each other.
@@ -90,11 +75,11 @@ def evaluate(
     if max_steps is not None:
         _check_whole("max_steps", max_steps, 1)
     keywords = dict(env_kwargs or {})
-    if isinstance(policy, str) and policy not in NAMES and not policies.is_path(policy):
-        raise UnknownNameError("policy", policy, NAMES)
+    if isinstance(policy, str) and policy not in (*NAMES, *BASELINES) and not is_path(policy):
+        raise UnknownNameError("policy", policy, (*NAMES, *BASELINES))
     given = keywords
     if keywords.get("record") is not None and env_id in gym.registry:
-        given = {"record_about": about(policy, env_id), **keywords}
+        given = {"record_about": provenance(policy, env_id), **keywords}
     keywords = {name: value for name, value in keywords.items() if name not in _RECORD}
     env = _make(env_id, min(num_envs, episodes), given)
     try:
@@ -295,7 +280,7 @@ def actor_of(policy: Policy | str, env_id: str, keywords: Mapping[str, Any], env
     """What acts in a vector environment.
 
     Args:
-        policy: It, or one of `NAMES`, or the folder of a checkpoint.
+        policy: It, or a name ("random", "zero", or one of `dual_ur10.policies.NAMES`), or the folder of a checkpoint.
         env_id: Id of the environment.
         keywords: Of it.
         env: The vector environment.
@@ -307,38 +292,7 @@ def actor_of(policy: Policy | str, env_id: str, keywords: Mapping[str, Any], env
     if not isinstance(policy, str):
         return policy
     if policy == "random":
-        return _Random(env.single_action_space, env.num_envs)
+        return RandomPolicy(env.single_action_space, env.num_envs)
     if policy == "zero":
-        return _Zero(env.action_space)
-    return policies.load(policy, env_id, **keywords)
-
-
-class _Random:
-    """Uniform random actions, which depend on the seed of a row's episode alone."""
-
-    def __init__(self, space: Any, n: int) -> None:
-        self._spaces = [copy.deepcopy(space) for _ in range(n)]
-
-    def reset(self) -> None:
-        """There is nothing to forget: every episode has its own seed."""
-
-    def begin(self, rows: Rows, seeds: Sequence[int]) -> None:
-        for row, seed in zip(rows.tolist(), seeds, strict=True):
-            # Not the seed itself, with which the environment draws the episode.
-            self._spaces[row].seed(int(np.random.SeedSequence((seed, 1)).generate_state(1)[0]))
-
-    def __call__(self, observation: Any) -> Any:
-        return np.stack([space.sample() for space in self._spaces])
-
-
-class _Zero:
-    """Always zero."""
-
-    def __init__(self, space: Any) -> None:
-        self._action = np.zeros(space.shape, space.dtype)
-
-    def reset(self) -> None:
-        """There is nothing to forget."""
-
-    def __call__(self, observation: Any) -> Any:
-        return self._action
+        return ZeroPolicy(env.action_space)
+    return load(policy, env_id, **keywords)

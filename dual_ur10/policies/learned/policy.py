@@ -58,7 +58,7 @@ class LearnedPolicy:
         """There is nothing to forget."""
 
     def begin(self, rows: Any, seeds: Sequence[int]) -> None:
-        """Begin episodes in these rows of the batch; see `dual_ur10.policies.evaluation.evaluate.EpisodeAware`."""
+        """Begin episodes in these rows of the batch; see `dual_ur10.policies.policy.EpisodeAware`."""
 
     def __call__(self, observation: Array) -> Actions:
         """Action of float32 for an observation, or one for each row of a batch of observations.

@@ -11,9 +11,10 @@ from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.errors import DatasetError, DualUR10Error, MissingExtraError
 from dual_ur10.ids import env_id_of, task_name
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.policies.evaluation.evaluate import EpisodeAware, actor_of
+from dual_ur10.policies.evaluation.evaluate import actor_of
 from dual_ur10.policies.evaluation.minari_export import to_minari
 from dual_ur10.policies.learned.signature import Described, described
+from dual_ur10.policies.policy import EpisodeAware
 from dual_ur10.policies.training.settings import check_simulated
 from dual_ur10.sim2real.recording.describe import describe
 from dual_ur10.sim2real.recording.run import ArmLog, Episode, Run
@@ -44,7 +45,7 @@ def collect(
     Args:
         env_id: Of the environment, or its short name.
         dataset_id: As Minari wants it, such as "ur10/carry/scripted-v0"; it must not exist.
-        policy: One of `dual_ur10.policies.evaluation.evaluate.NAMES`, or the folder of a checkpoint.
+        policy: A name as for `dual_ur10.policies.evaluate`, or the folder of a checkpoint.
         episodes: How many.
         seed: Of the first one; the others count on.
         envs: Cells that are stepped together.

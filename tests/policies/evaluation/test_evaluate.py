@@ -28,10 +28,11 @@ from dual_ur10 import CellConfig, Perturbation, errors, files, policies
 from dual_ur10.cli import evaluate as cli_evaluate
 from dual_ur10.cli import main as cli
 from dual_ur10.policies.evaluation import evaluate as module
-from dual_ur10.policies.evaluation.evaluate import EpisodeAware, evaluate
+from dual_ur10.policies.evaluation.evaluate import evaluate
 from dual_ur10.policies.evaluation.results import Episode, Evaluation
 from dual_ur10.policies.evaluation.rollout import rollout
 from dual_ur10.policies.evaluation.statistics import wilson_interval
+from dual_ur10.policies.policy import EpisodeAware
 from tests.soak import scaled
 
 SINE = "DualUR10/SineTracking-v0"
@@ -723,7 +724,7 @@ def test_ctrl_c_prints_what_was_found(monkeypatch: pytest.MonkeyPatch, tmp_path:
 
         return Interrupted()
 
-    monkeypatch.setattr(policies, "load", interrupted)
+    monkeypatch.setattr(module, "load", interrupted)
     code, text = run("SineTracking", "-n", "50", "--envs", "2", "--set", "duration_s=0.4", "--json", str(path))
     assert code == 130
     assert "4 of 4, 100.0 %" in text

@@ -12,22 +12,23 @@ import dual_ur10
 from dual_ur10 import policies
 from dual_ur10.errors import CheckpointError, UnknownNameError
 from dual_ur10.policies.evaluation.evaluate import evaluate
-from dual_ur10.policies.learned import checkpoint, shipped
+from dual_ur10.policies.learned import checkpoint
+from dual_ur10.policies.registry import shipped_folder, shipped_names
 from tests.soak import SOAK
 
-ALL = [(name, env_id) for env_id in dual_ur10.ENV_IDS for name in shipped.names_of(env_id)]
+ALL = [(name, env_id) for env_id in dual_ur10.ENV_IDS for name in shipped_names(env_id)]
 KEYWORDS = {"action_latency_ticks": 5}
 
 
 def test_there_are_some_for_one_agent_and_for_two():
-    kinds = {checkpoint.read_manifest(shipped.folder_of(*each)).agents for each in ALL}
+    kinds = {checkpoint.read_manifest(shipped_folder(*each)).agents for each in ALL}
     assert "joint" in kinds
     assert kinds & {"shared", "independent"}
 
 
 @pytest.mark.parametrize(("name", "env_id"), ALL)
 def test_its_card_says_what_its_manifest_says(name, env_id):
-    folder = shipped.folder_of(name, env_id)
+    folder = shipped_folder(name, env_id)
     manifest, card = checkpoint.read_manifest(folder), (folder / "card.md").read_text()
     assert manifest.target.env_id == env_id
     assert manifest.target.rate.latency_ticks > 0
@@ -56,7 +57,7 @@ def test_it_is_loaded_by_name_and_acts(name, env_id):
 @pytest.mark.parametrize(("name", "env_id"), ALL)
 def test_it_succeeds(name, env_id):
     episodes = 300 if SOAK else 4 if "SyncCarry" in env_id else 8  # its physics is the slowest
-    keywords = checkpoint.read_manifest(shipped.folder_of(name, env_id)).target.kwargs  # what it was trained for
+    keywords = checkpoint.read_manifest(shipped_folder(name, env_id)).target.kwargs  # what it was trained for
     found = evaluate(env_id, name, episodes=episodes, num_envs=64, env_kwargs=dict(keywords))
     assert found.successes >= (0.9 if SOAK else 0.75) * episodes
 
@@ -64,7 +65,7 @@ def test_it_succeeds(name, env_id):
 def test_names_that_are_none_are_refused():
     with pytest.raises(UnknownNameError, match="learned"):
         policies.load("learnt", dual_ur10.ENV_IDS[0])
-    without = [env_id for env_id in dual_ur10.ENV_IDS if "learned-two-agents" not in shipped.names_of(env_id)]
+    without = [env_id for env_id in dual_ur10.ENV_IDS if "learned-two-agents" not in shipped_names(env_id)]
     for env_id in without:
         with pytest.raises(UnknownNameError, match="unknown learned policy for"):
             policies.load("learned-two-agents", env_id, **KEYWORDS)

@@ -17,8 +17,7 @@ from dual_ur10.cli import options as cli_options
 from dual_ur10.envs.core.core import Core
 from dual_ur10.errors import CellFaulted, RecordingError, SettingsError, StartError
 from dual_ur10.policies.evaluation.evaluate import evaluate
-from dual_ur10.policies.evaluation.origin import about
-from dual_ur10.policies.learned.shipped import folder_of
+from dual_ur10.policies.registry import provenance, shipped_folder
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.recording.run import Run
 from dual_ur10.sim2real.recording.writer import new_folder
@@ -54,7 +53,7 @@ def test_a_rollout_says_policy_and_seed() -> None:
 def test_a_checkpoint_is_told_by_the_hash_of_its_manifest() -> None:
     more = ("--set", "action_latency_ticks=5", *SHORT)
     assert run("rollout", "SineTracking", "-p", "learned", "-n", "1", *more)[0] == 0
-    folder = folder_of("learned", SINE)
+    folder = shipped_folder("learned", SINE)
     manifest = (folder / "manifest.json").read_bytes()
     made = only_run()
     assert made.header.policy == "learned"
@@ -63,8 +62,8 @@ def test_a_checkpoint_is_told_by_the_hash_of_its_manifest() -> None:
         json.loads(manifest)["weights_sha256"]
         == hashlib.sha256((folder / "policy.safetensors").read_bytes()).hexdigest()
     )
-    assert about(str(folder), SINE) == {"policy": str(folder), "policy_sha256": made.header.policy_sha256}
-    assert about("zero", SINE) == {"policy": "zero"}
+    assert provenance(str(folder), SINE) == {"policy": str(folder), "policy_sha256": made.header.policy_sha256}
+    assert provenance("zero", SINE) == {"policy": "zero"}
 
 
 def test_a_replay_says_what_it_replays() -> None:

@@ -1,0 +1,139 @@
+"""Policies by name or by the path of a checkpoint.
+
+Learned policies come with the package in `learned/learned_policies`, a folder each:
+
+    policy.safetensors, manifest.json   the checkpoint; see `dual_ur10.policies.learned.checkpoint`
+    card.md, curve.png                  command, seed, time and evaluations; the learning curve
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import os
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Final
+
+from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.ids import ENV_IDS, env_id_of, task_name
+from dual_ur10.policies.policy import Policy
+
+_SCRIPTED: Final = {
+    "SineTracking": "sine_tracking:SineTrackingPolicy",
+    "SyncCarry": "sync_carry:SyncCarryPolicy",
+    "Handover": "handover:HandoverPolicy",
+}
+
+_SHIPPED: Final = {
+    "learned": {"SineTracking": "sine_tracking", "SyncCarry": "sync_carry", "Handover": "handover"},
+    "learned-two-agents": {"SineTracking": "sine_tracking_two_agents"},
+}
+"""Folders by name and task. "learned": one network for both arms; "learned-two-agents": each arm sees its own part."""
+
+NAMES: Final = ("scripted", *_SHIPPED)
+"""Names that `load` accepts. Not every task has a policy of every name."""
+
+
+def is_path(name: object) -> bool:
+    """Return True if `load` takes this for the path of a checkpoint and not for a name."""
+    if not isinstance(name, str):
+        return isinstance(name, os.PathLike)
+    return name not in NAMES and "\0" not in name and (os.sep in name or os.path.lexists(name))
+
+
+def shipped_folder(name: str, env_id: str) -> Path:
+    """Return the folder of a learned policy that comes with the package.
+
+    Raises:
+        UnknownNameError: No learned policy has this name for this environment.
+    """
+    task = task_name(env_id_of(env_id))
+    folder = _SHIPPED.get(name, {}).get(task)
+    if folder is None:
+        raise UnknownNameError(f"learned policy for {task}", name, shipped_names(env_id))
+    return Path(str(files("dual_ur10.policies.learned") / "learned_policies" / folder))
+
+
+def shipped_names(env_id: str) -> list[str]:
+    """Return the names of the learned policies that come with the package for an environment."""
+    task = task_name(env_id_of(env_id))
+    return [name for name, folders in _SHIPPED.items() if task in folders]
+
+
+def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: Any) -> Policy:
+    """Load a policy for an environment that is made with these keywords.
+
+    A scripted policy receives the rate and latency of actions, the mounts and speed limits of the arms, and the
+    task's settings, but not the kind of cell that it moves. A checkpoint is checked against the environment.
+
+    Args:
+        name: One of `NAMES`, or the path of a checkpoint's folder. A path that does not exist needs a "/" in it.
+        env_id: Id of the environment. None: that of the checkpoint; a name needs an id.
+        **keywords: As for `gym.make`. A policy ignores those that concern neither task nor cell. With neither
+            `env_id` nor keywords, a checkpoint's own keywords count.
+
+    Raises:
+        UnknownNameError: No such policy, or no such environment.
+        SettingsError: A name without an environment.
+        CheckpointError: The checkpoint cannot be read, or was made for another environment.
+    """
+    if name in _SHIPPED and env_id is not None:
+        name = shipped_folder(str(name), env_id)
+    if is_path(name):
+        from dual_ur10.policies.learned import checkpoint
+
+        return checkpoint.load(name, env_id, **keywords)
+    if name not in NAMES:
+        raise UnknownNameError("policy", str(name), [*NAMES, "the path of a checkpoint"])
+    if env_id is None:
+        raise SettingsError(
+            f"policy {str(name)!r} needs an environment: name one of {', '.join(ENV_IDS)}; only the path of a "
+            "checkpoint does without"
+        )
+    return _scripted(env_id, keywords)
+
+
+def _scripted(env_id: str, keywords: dict[str, Any]) -> Policy:
+    from dual_ur10.envs.core.core import load_task
+    from dual_ur10.envs.core.options import split_keywords
+    from dual_ur10.envs.core.randomization import resolve_randomization
+    from dual_ur10.envs.tasks.task import Timing, task_settings
+    from dual_ur10.sim2real.config.cell import resolve_cell
+
+    task = load_task(task_name(env_id_of(env_id)))
+    options, own = split_keywords(keywords)
+    config = resolve_cell(options.cell)
+    period_s = config.servoj.ticks_per_action(options.policy_rate_hz) * config.servoj.tick_s
+    timing = Timing(period_s, period_s + options.latency_ticks(config) * config.servoj.tick_s)
+    own = {key: own[key] for key in own if key in {each.name for each in dataclasses.fields(task.settings_type)}}
+    settings = resolve_randomization(options.randomization).spread(task_settings(task, own), own)
+    module, attribute = _SCRIPTED[task.name].split(":")
+    factory = getattr(importlib.import_module(f"dual_ur10.policies.scripted.{module}"), attribute)
+    mounts, limits = (config.left, config.right), config.capped(task.limits)
+    policy: Policy = factory(timing, options.action_mode, mounts=mounts, limits=limits, settings=settings)
+    return policy
+
+
+def provenance(policy: Policy | str, env_id: str) -> dict[str, Any]:
+    """Return a policy's name and hash for the keyword `record_about` of an environment.
+
+    The hash is that of a checkpoint's manifest, which holds the hash of its weights. A scripted policy has none: its
+    name and the version of this package, which every record holds, identify it.
+
+    Args:
+        policy: A policy, a name, or the folder of a checkpoint.
+        env_id: Id of the environment.
+
+    Raises:
+        UnknownNameError: No learned policy for this environment.
+        CheckpointError: The checkpoint cannot be read, or has changed since it was saved.
+    """
+    if not isinstance(policy, str):
+        return {"policy": type(policy).__name__}
+    folder = str(shipped_folder(policy, env_id)) if policy in _SHIPPED else policy
+    if not is_path(folder):
+        return {"policy": policy}
+    from dual_ur10.policies.learned.checkpoint import sha256_of
+
+    return {"policy": policy, "policy_sha256": sha256_of(folder)}

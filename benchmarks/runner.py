@@ -35,8 +35,8 @@ from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.runtime.arm_memory import Phase
 from dual_ur10.sim2real.runtime.latch import Latch
-from dual_ur10.sim2real.runtime.ramp import STOP_RAD_S2
 from dual_ur10.sim2real.runtime.runner import Runner
+from dual_ur10.sim2real.runtime.stop_ramp import STOP_RAD_S2
 
 ARMS = ("left", "right")
 LATENCY_TICKS = 10

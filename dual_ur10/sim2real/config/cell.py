@@ -19,9 +19,8 @@ from dual_ur10.assets.obstacles import Obstacle
 from dual_ur10.assets.scene import CLEARANCE_CUTOFF_M, Equipment, SceneSettings
 from dual_ur10.errors import RateError, SettingsError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.sim2real.control import base_uncertainty
 from dual_ur10.sim2real.control.adapter import Command
-from dual_ur10.sim2real.control.clearance import MINIMUM_M
+from dual_ur10.sim2real.control.clearance import MINIMUM_M, checked_base_uncertainty
 from dual_ur10.sim2real.control.limits import MotionLimits, Three, checked_tcp
 from dual_ur10.sim2real.control.servoj import MEASURED_LOOKAHEAD_S, ServojProfile
 from dual_ur10.types import Array, Rows
@@ -372,7 +371,7 @@ class CellConfig:
             raise SettingsError(f"speed_factor of the cell is {self.speed_factor!r}: it must be above 0 and at most 1")
         if (self.kind == "mujoco") is not (self.file is None):
             raise SettingsError(f"a cell of kind {self.kind!r} is made of a cell file: pass its path as `cell`")
-        base_uncertainty.checked(self.uncertainty)
+        checked_base_uncertainty(self.uncertainty)
         object.__setattr__(self, "tcp_m", checked_tcp(self.tcp_m))
         noise = self.wrench_noise
         if not (isinstance(noise, tuple | list) and len(noise) == 2):

@@ -23,7 +23,7 @@ from dual_ur10.sim2real.control.limiter import Limiter
 from dual_ur10.sim2real.control.limits import HISTORY, Envelope, MotionLimits
 from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
 from dual_ur10.sim2real.control.singularity import share_of_step
-from dual_ur10.sim2real.control.time_scaling import between
+from dual_ur10.sim2real.control.time_scaling import interpolate
 from dual_ur10.types import Array, Rows
 
 ActionMode = Literal["joint_delta", "joint_position", "tcp_delta"]
@@ -232,7 +232,7 @@ class ServojAdapter:
         for row, time in zip(seen, times, strict=True):
             below = int(time)
             before, start, stop, following = rows[below - 1 : below + 3]
-            row[:] = between(before, start, stop, following, time - below)
+            row[:] = interpolate(before, start, stop, following, time - below)
         return seen
 
     @property

@@ -16,7 +16,7 @@ import numpy as np
 from dual_ur10.errors import ActionError
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.control.limits import HISTORY, POINTS, Envelope, MotionLimits
-from dual_ur10.sim2real.control.swept_clearance import Between, Distances
+from dual_ur10.sim2real.control.swept_clearance import Distances, SweptClearance
 from dual_ur10.types import Array, Mask, Rows
 
 _TOLERANCE = 1.0 + 1e-9  # rounding of a third difference of positions
@@ -88,7 +88,7 @@ class SafetyGate:
         self._past: Array = np.zeros((n, HISTORY, 12))
         self._sent = np.zeros(n, dtype=np.int64)
         self._verdicts: dict[int, Verdict] = {}
-        self._between = Between(clearance, self.envelope.whole_brake(), ticks)
+        self._between = SweptClearance(clearance, self.envelope.whole_brake(), ticks)
         self._postures: dict[int, Array] = {}  # by row: where on its way something is too close
 
     @property

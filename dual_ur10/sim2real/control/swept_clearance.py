@@ -9,7 +9,7 @@ import numpy as np
 from dual_ur10.sim2real.control.limits import HISTORY
 from dual_ur10.types import Array, Mask, Rows
 
-BETWEEN_M: Final = 0.005
+SWEEP_TOLERANCE_M: Final = 0.005
 """By how much a pair may be closer than allowed between two postures that were looked at."""
 
 
@@ -36,7 +36,7 @@ class Distances(Protocol):
         """The pair with least to spare at a posture, (12,), its distance and the smallest legal one."""
 
 
-class Between:
+class SweptClearance:
     """Looks at the way from the last target by the new ones to the end of the brake, as closely as it must.
 
     A pair that is so far apart that no such way can bring it too near needs no second look, which is the rule. What is
@@ -92,7 +92,7 @@ class Between:
         self._spare = np.where(near[:, None], there, spare)
         self._away = np.where(near[:, None], 0.0, braking)
         least = np.minimum(begin + there - distances.travel_m(coming), there + spare - distances.travel_m(braking))
-        proven = np.logical_and.reduce(least >= -2.0 * BETWEEN_M, axis=1)
+        proven = np.logical_and.reduce(least >= -2.0 * SWEEP_TOLERANCE_M, axis=1)
         found = {}
         for row in np.flatnonzero(near & ~clear).tolist():
             found[row] = end[row].copy()
@@ -131,7 +131,7 @@ class Between:
                 continue
             # At every posture between the two a pair has at least half of this.
             least = spare_first + spare_last - one.travel_m(gone[[last]] - gone[[first]])[0]
-            if (least >= -2.0 * BETWEEN_M).all():
+            if (least >= -2.0 * SWEEP_TOLERANCE_M).all():
                 continue
             half = (first + last) // 2
             spare = one.spare_m(way[[half]])[0]

@@ -1,7 +1,7 @@
-"""How fast the time of both arms' targets passes: one function of the control period, the same for both.
+"""Time scaling of both arms' targets: one function of the control period, the same for both arms.
 
-At pace 1 target k belongs to control period k, bit for bit. Where a speed slider or the cell slows the arms down, both
-go the same way in the same order, slower.
+At a scaling of 1, target k belongs to control period k, bit for bit. Where a speed slider or the cell slows the arms
+down, both follow the same path in the same order, more slowly.
 """
 
 from __future__ import annotations
@@ -12,35 +12,35 @@ from typing import Final
 from dual_ur10.types import Array
 
 SLOWING_PER_S: Final = 4.0
-"""How fast the pace goes down: as fast as the emulated controllers slow down what they do, or targets run away from
-arms. A joint at 0.5 rad/s is slowed down with 2 rad/s², half of what a stop does, beside what its path asks for."""
+"""Rate at which the scaling falls: as fast as the emulated controllers slow down, or targets run away from the arms. A
+joint at 0.5 rad/s then decelerates by 2 rad/s², half of what a stop uses, on top of what its path asks for."""
 
 SLOPE_PER_S: Final = 1.0
-"""How fast it goes up again: 0.5 rad/s² then. There is no hurry."""
+"""Rate at which the scaling rises again: 0.5 rad/s² for the same joint. There is no hurry."""
 
 STEP: Final = 1 / 16
-"""Paces that are told apart. What the slider says is taken down to the next one below it."""
+"""Resolution of the scaling. A slider's value is rounded down to the next step."""
 
 FULL: Final = 0.999
-"""A slider from which on it counts as at 100 %: controllers tell fractions."""
+"""Slider value from which on it counts as 100 %: controllers report fractions."""
 
 _SLOWEST: Final = 1e-3
-_ROUNDING: Final = 1e-6  # of a target's number: what is reached by less is reached
+_ROUNDING: Final = 1e-6  # of a target's number: a target this close is reached
 
 
 @dataclass(frozen=True)
-class Pace:
-    """Which target belongs to a control period, from one period on.
+class TimeScaling:
+    """Map from control periods to target numbers, valid from one period on.
 
     Attributes:
-        period: First control period this holds for.
-        index: The target that belongs to it.
-        rate: Targets per control period there.
-        goal: Targets per control period in the end.
-        slope: By how much the rate changes per control period until then, above 0.
-        bend: By how much the rate changed per control period before, below 0 where it fell. Who asks for a period
-            before the first one, once this pace is known, is told what was told before.
-        plateau: The rate before that change.
+        period: First control period of this map.
+        index: Target number at `period`.
+        rate: Targets per control period at `period`.
+        goal: Final targets per control period.
+        slope: Change of the rate per control period until then, above 0.
+        bend: Change of the rate per control period before `period`; negative where it fell. A reader that asks for an
+            earlier period after this map was published gets the same answer as before.
+        plateau: Rate before that change.
     """
 
     period: float = 0.0
@@ -52,7 +52,7 @@ class Pace:
     plateau: float = 1.0
 
     def at(self, period: float) -> float:
-        """Number of the target that belongs to a control period, which may be a fraction of one."""
+        """Return the target number, possibly fractional, that belongs to a control period."""
         passed = period - self.period
         if passed < 0.0 and self.bend != 0.0:
             changing = max(passed, (self.plateau - self.rate) / self.bend)
@@ -67,7 +67,7 @@ class Pace:
         return self.index + change + self.goal * (passed - changing)
 
     def rate_at(self, period: float) -> float:
-        """Targets per control period, at one."""
+        """Return the targets per control period at a control period."""
         passed = period - self.period
         if passed < 0.0:
             rate = self.rate + self.bend * passed
@@ -78,12 +78,12 @@ class Pace:
         return max(self.rate - change, self.goal)
 
     def period_of(self, index: float) -> float:
-        """When a target's turn comes; infinite where time stands still before it. What `at` inverts."""
+        """Return the control period of a target, the inverse of `at`; infinite if time stops before it."""
         ahead = index - self.index
         if ahead <= 0.0 and self.bend != 0.0:
             change = (self.plateau - self.rate) / self.bend
             slowest = min(self.plateau, self.rate)
-            return self._turn(index, self.period + change + ahead / max(slowest, _SLOWEST), self.period)
+            return self._bisect(index, self.period + change + ahead / max(slowest, _SLOWEST), self.period)
         if self.rate == self.goal:
             return self.period + ahead / self.rate if self.rate > 0.0 else (self.period if ahead <= 0 else float("inf"))
         if ahead <= 0.0:
@@ -92,30 +92,34 @@ class Pace:
         end = self.at(high)
         if index > end + _ROUNDING:
             return high + (index - end) / self.goal if self.goal > 0.0 else float("inf")
-        return self._turn(index, self.period, high)
+        return self._bisect(index, self.period, high)
 
-    def _turn(self, index: float, low: float, high: float) -> float:
+    def _bisect(self, index: float, low: float, high: float) -> float:
         for _ in range(60):
             middle = (low + high) / 2
             low, high = (middle, high) if self.at(middle) < index else (low, middle)
         return high
 
-    def towards(self, goal: float, period: float, tick_s: float, full: float = 1.0) -> Pace:
-        """The pace that goes on from this one in a control period, towards another rate.
+    def towards(self, goal: float, period: float, tick_s: float, full: float = 1.0) -> TimeScaling:
+        """Return the map that continues this one from a control period towards another rate.
 
-        `full` is the rate at a slider of 100 %: what the arms do is that much slower, and so is every change.
+        Args:
+            goal: Final targets per control period.
+            period: Control period at which the change begins.
+            tick_s: Control period, s.
+            full: Rate at a slider of 100 %: slower arms change their rate proportionally more slowly.
         """
         rate = self.rate_at(period)
         slope = (SLOWING_PER_S if goal < rate else SLOPE_PER_S) * full * tick_s
-        if period <= self.period:  # what was before stays what was before
-            return Pace(self.period, self.index, self.rate, goal, slope, self.bend, self.plateau)
+        if period <= self.period:  # the past does not change
+            return TimeScaling(self.period, self.index, self.rate, goal, slope, self.bend, self.plateau)
         changes = rate != self.goal
         bend = (self.slope if self.goal > rate else -self.slope) if changes else 0.0
-        return Pace(period, self.at(period), rate, goal, slope, bend, self.rate)
+        return TimeScaling(period, self.at(period), rate, goal, slope, bend, self.rate)
 
 
-def taken_down(fraction: float) -> float:
-    """A slider's fraction as a pace: 1 for all of it, else down to a whole number of steps; 0 for what is no number."""
+def scaling_from_slider(fraction: float) -> float:
+    """Return the scaling of a slider's fraction: 1 when full, else rounded down to a step; 0 for NaN."""
     if fraction >= FULL:
         return 1.0
     if not fraction > 0.0:
@@ -123,8 +127,8 @@ def taken_down(fraction: float) -> float:
     return int(fraction / STEP + 1e-9) * STEP
 
 
-def between(before: Array, start: Array, stop: Array, after: Array, share: float) -> Array:
-    """Between two targets, on the cubic whose slopes at them are those between their neighbours."""
+def interpolate(before: Array, start: Array, stop: Array, after: Array, share: float) -> Array:
+    """Interpolate between two targets on the cubic whose slopes are those between their neighbours."""
     leaving, arriving = (stop - before) / 2, (after - start) / 2
     way = start - stop
     cubic = share * (share * (2 * way + leaving + arriving) - 3 * way - 2 * leaving - arriving)

@@ -1,4 +1,4 @@
-"""When the control periods of a controller begin, by this machine's clock."""
+"""A controller's clock as seen from this machine: estimated period starts, and compensation of the drift."""
 
 from __future__ import annotations
 
@@ -126,3 +126,42 @@ class ControllerClock:
         if self._first_s is None:
             raise LinkError("nothing is known of the controller's clock before its first packet: wait for it")
         return self._first_s + self._offset_s
+
+
+APART_S: Final = 0.002
+"""Clock error below which targets are not shifted. Estimates of a controller's clock scatter by less."""
+
+_BACK_S: Final = 0.0005  # clock error at which a shift that has begun ends
+_PER_PERIOD: Final = 1e-3  # largest shift per period, in periods: no speed changes by a larger fraction
+
+
+class DriftCompensation:
+    """Shift of an arm's targets, in control periods, that keeps them on this machine's time.
+
+    The clocks of two controllers drift apart by some milliseconds in a minute. While the error is below `APART_S`,
+    nothing is shifted and the arm receives its targets bit for bit.
+
+    Args:
+        tick_s: Control period.
+        offset_s: This machine's clock minus the controller's at the beginning.
+    """
+
+    def __init__(self, tick_s: float, offset_s: float) -> None:
+        self._tick_s, self._offset_s = tick_s, offset_s
+        self._shift = 0.0
+        self._shifting = False
+
+    def __call__(self, offset_s: float, periods: int = 1) -> float:
+        """Return the shift in control periods.
+
+        Args:
+            offset_s: This machine's clock minus the controller's, now.
+            periods: Control periods since the last call.
+        """
+        off = (offset_s - self._offset_s) / self._tick_s - self._shift
+        limit = (_BACK_S if self._shifting else APART_S) / self._tick_s
+        self._shifting = abs(off) > limit
+        if self._shifting:
+            most = _PER_PERIOD * periods
+            self._shift += min(max(off, -most), most)
+        return self._shift

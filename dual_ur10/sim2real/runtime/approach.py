@@ -71,7 +71,7 @@ class Rates:
         )
 
 
-class Leaving:
+class RetreatClearance:
     """Distances for the gate on the way from where arms may stand too close: they may go apart, and no closer.
 
     Args:
@@ -97,7 +97,7 @@ class Leaving:
         """As `Clearance.travel_m`."""
         return self._clearance.travel_m(way_rad)
 
-    def alone(self) -> Leaving:
+    def alone(self) -> RetreatClearance:
         """Itself: there is one posture at a time."""
         return self
 

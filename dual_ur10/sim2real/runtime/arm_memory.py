@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.control.time_scaling import between
+from dual_ur10.sim2real.control.time_scaling import interpolate
 from dual_ur10.sim2real.links.arm_status import ROW_SIZE, ArmStatus
 from dual_ur10.sim2real.processes.shared_memory import Layout, SharedBlock
 from dual_ur10.types import Array
@@ -230,7 +230,7 @@ class ArmMemory:
             return target
         numbers = np.clip(np.arange(below - 1, below + 3), 0, last)
         before, start, stop, after = self._targets[numbers % RING]
-        return between(before, start, stop, after, share)
+        return interpolate(before, start, stop, after, share)
 
     def sent(self, since: int = 0) -> tuple[Sent, int]:
         """What was sent from number `since` on, as far as it is kept, and the number that comes next."""

@@ -14,12 +14,11 @@ from dual_ur10.errors import ClosedError, LinkError
 from dual_ur10.kinematics.ur10 import ARMS, HARD_ACCELERATION_RAD_S2, HARD_SPEED_RAD_S, JOINT_RANGE_RAD
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
-from dual_ur10.sim2real.links.controller_clock import ControllerClock
+from dual_ur10.sim2real.links.controller_clock import ControllerClock, DriftCompensation
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
-from dual_ur10.sim2real.runtime.drift import Drift
-from dual_ur10.sim2real.runtime.ramp import Ramp
+from dual_ur10.sim2real.runtime.stop_ramp import StopRamp
 from dual_ur10.sim2real.runtime.tracking import Following
 from dual_ur10.types import Array
 
@@ -46,7 +45,7 @@ MOST_LATE_S: Final = 0.1
 _KICK_S: Final = 0.02
 _LOOKED_AT: Final = 5  # targets of the other arm, of which the last ones may slow it down already
 _ALONE_S: Final = 0.024  # without a target, behind which an arm is at the last one, or all but: no ramp begins there
-_TURN: Final = 3.0  # times the hard acceleration: path, pace and what lies between two targets together
+_TURN: Final = 3.0  # times the hard acceleration: path, scaling and what lies between two targets together
 _STOP_RAD_S2: Final = 10.0  # of servoStop, at rest already
 
 
@@ -78,7 +77,7 @@ _REST_RAD_S: Final = 0.01
 _REST_S: Final = 0.5  # for which states are told behind a stop, until the arm rests
 
 
-def first_reason(texts: Sequence[str]) -> str:
+def root_cause(texts: Sequence[str]) -> str:
     """Of what arms that stopped say, at least one text: what says why, and not that others wanted it."""
     return next((each for each in texts if _ASKED not in each and _OTHER not in each), texts[0])
 
@@ -207,7 +206,7 @@ class ArmSender:
         """Send in control period `first` + k the target that belongs to period k + `ahead`."""
         self.memory.enter(Phase.STREAMING)
         self._first = first
-        drift = Drift(self.servoj.tick_s, self.clock.offset_s)
+        drift = DriftCompensation(self.servoj.tick_s, self.clock.offset_s)
         period = 0
         while True:
             self._listen(self.clock.moment(first + period, SHARE))
@@ -223,7 +222,7 @@ class ArmSender:
                     )
                 self.memory.note_skipped(passed)
                 period += passed
-            index = self.cell.pace.at(period + ahead + drift(self.clock.offset_s, 1 + passed))
+            index = self.cell.time_scaling.at(period + ahead + drift(self.clock.offset_s, 1 + passed))
             target = self.memory.target(index)
             self._send(target, first + period, index)
             self.memory.note_sent(period, index, self._sent_s, late, target)
@@ -325,7 +324,7 @@ class ArmSender:
                 raise StopError(f"the {other_name} arm does not begin: this machine is too busy")
         if self._parent is not None and os.getppid() != self._parent:
             raise StopError("the program that gives targets has ended")
-        if self._watched and self._sent and now - self.cell.watched_s > STALE_S:
+        if self._watched and self._sent and now - self.cell.supervisor_beat_s > STALE_S:
             raise StopError("the supervisor does nothing any more")
 
     def _stop(self, reason: str, *, on_path: bool) -> None:
@@ -342,7 +341,7 @@ class ArmSender:
             self.memory.enter(Phase.FAULTED, f"{self.name}: {reason}")
             return
         try:
-            taken = self._rest_somehow(on_path=on_path)
+            taken = self._stop_by_any_path(on_path=on_path)
             self.control.servoStop(_STOP_RAD_S2)
             self.control.stopScript()
         except (LinkError, RuntimeError) as error:
@@ -350,9 +349,9 @@ class ArmSender:
             return
         more = self._alone if taken else f"; {_WHILE}: its control script took no targets any more"
         self.memory.enter(Phase.STOPPED, f"{self.name}: {reason}{more}")
-        self._watch_rest()
+        self._record_until_rest()
 
-    def _rest_somehow(self, *, on_path: bool) -> bool:
+    def _stop_by_any_path(self, *, on_path: bool) -> bool:
         """Come to rest on the way of the targets, or where that cannot be gone, straight on, or else at once.
 
         Returns:
@@ -360,7 +359,7 @@ class ArmSender:
         """
         for way in (True, False) if on_path else (False,):
             try:
-                return self._come_to_rest(on_path=way)
+                return self._ramp_down(on_path=way)
             except TargetError:
                 continue
         return True
@@ -381,7 +380,7 @@ class ArmSender:
                 return False
         return True
 
-    def _watch_rest(self) -> None:
+    def _record_until_rest(self) -> None:
         """Let the record see the arm come to rest."""
         end = time.monotonic() + _REST_S
         while time.monotonic() < end and self._hear(time.monotonic() + 2 * self.servoj.tick_s):
@@ -389,7 +388,7 @@ class ArmSender:
             if status is not None and max(map(abs, status.qd_rad_s)) < _REST_RAD_S:
                 return
 
-    def _come_to_rest(self, *, on_path: bool) -> bool:
+    def _ramp_down(self, *, on_path: bool) -> bool:
         """Send targets that slow down.
 
         Returns:
@@ -410,7 +409,7 @@ class ArmSender:
         # Both arms slow down alike, as the faster one must.
         speed = max([np.abs(rate).max() / tick_s, *(_speed(other, tick_s) for other in self.others)])
         on_path = on_path and advance > 0.0
-        ramp = Ramp(np.array([[-speed * tick_s], [0.0]]), tick_s)
+        ramp = StopRamp(np.array([[-speed * tick_s], [0.0]]), tick_s)
         gone = 0.0
         while not ramp.at_rest:
             number, due = self.clock.next_period(time.monotonic(), SHARE)

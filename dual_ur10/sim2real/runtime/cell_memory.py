@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import LinkError
-from dual_ur10.sim2real.control.time_scaling import Pace
+from dual_ur10.sim2real.control.time_scaling import TimeScaling
 from dual_ur10.sim2real.processes.shared_memory import Layout, SharedBlock
 
 _TEXT: Final = 2048
-_PACES: Final = 4  # kept, so that one is whole while the next is written
+_SCALINGS: Final = 4  # kept, so that one is whole while the next is written
 _TRIES: Final = 1000
 _SEQUENCE, _FAULT, _LIVE, _CLOSING, _READY, _REDUCED = range(6)
-_WATCH_S, _FRESH, _BEGIN_S = range(3)
+_SUPERVISOR_S, _FRESH, _BEGIN_S = range(3)
 _LAYOUT: Final[Layout] = {
     "ints": (np.int64, (8,)),
     "floats": (np.float64, (8,)),
-    "paces": (np.float64, (_PACES, 7)),
+    "scalings": (np.float64, (_SCALINGS, 7)),
     "text": (np.uint8, (_TEXT,)),
 }
 
@@ -40,16 +40,16 @@ class CellMemory:
         self.name = self._block.name
         self._view()
         if name is None:
-            self.set_pace(Pace())
+            self.set_time_scaling(TimeScaling())
 
     def _view(self) -> None:
         self._ints: NDArray[np.int64] = self._block["ints"]
         self._floats: NDArray[np.float64] = self._block["floats"]
-        self._paces: NDArray[np.float64] = self._block["paces"]
+        self._scalings: NDArray[np.float64] = self._block["scalings"]
 
     # Written by the program.
 
-    def let_reduced(self) -> None:
+    def permit_reduced_mode(self) -> None:
         """Arms may go on in reduced mode."""
         self._ints[_REDUCED] = 1
 
@@ -73,15 +73,15 @@ class CellMemory:
         """The supervisor sees both arms."""
         self._ints[_READY] = 1
 
-    def set_pace(self, pace: Pace) -> None:
+    def set_time_scaling(self, scaling: TimeScaling) -> None:
         """From a control period on that is still to come, time passes like this."""
         following = int(self._ints[_SEQUENCE]) + 1
-        self._paces[following % _PACES] = astuple(pace)
+        self._scalings[following % _SCALINGS] = astuple(scaling)
         self._ints[_SEQUENCE] = following
 
-    def watched(self, now_s: float) -> None:
+    def note_supervisor(self, now_s: float) -> None:
         """The supervisor lives."""
-        self._floats[_WATCH_S] = now_s
+        self._floats[_SUPERVISOR_S] = now_s
 
     # Written by whoever is first.
 
@@ -94,7 +94,7 @@ class CellMemory:
     # Read by all.
 
     @property
-    def pace(self) -> Pace:
+    def time_scaling(self) -> TimeScaling:
         """How time passes.
 
         Raises:
@@ -102,10 +102,10 @@ class CellMemory:
         """
         for _ in range(_TRIES):
             before = int(self._ints[_SEQUENCE])
-            values = self._paces[before % _PACES].tolist()
+            values = self._scalings[before % _SCALINGS].tolist()
             # A reader may stand still for long: the row is whole as long as nobody has begun to write it again.
-            if int(self._ints[_SEQUENCE]) - before < _PACES - 1:
-                return Pace(*values)
+            if int(self._ints[_SEQUENCE]) - before < _SCALINGS - 1:
+                return TimeScaling(*values)
         raise LinkError("how fast time passes is written faster than it can be read: look at what writes it")
 
     @property
@@ -114,9 +114,9 @@ class CellMemory:
         return float(self._floats[_BEGIN_S])
 
     @property
-    def watched_s(self) -> float:
+    def supervisor_beat_s(self) -> float:
         """When the supervisor last showed that it lives; 0: not yet."""
-        return float(self._floats[_WATCH_S])
+        return float(self._floats[_SUPERVISOR_S])
 
     @property
     def ready(self) -> bool:

@@ -14,9 +14,9 @@ from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.links.arm_status import ArmStatus
-from dual_ur10.sim2real.runtime.approach import Leaving
-from dual_ur10.sim2real.runtime.braked_targets import BrakedTargets
+from dual_ur10.sim2real.runtime.approach import RetreatClearance
 from dual_ur10.sim2real.runtime.runner import Runner, margin_ticks
+from dual_ur10.sim2real.runtime.target_writer import TargetWriter
 from dual_ur10.types import Array
 
 START_RAD: Final = 1e-4
@@ -33,7 +33,7 @@ _SETTLE_S: Final = 3.0
 _LOOK_S: Final = 0.01
 
 
-class WayToStart:
+class PathToStart:
     """Leads both arms along targets that were planned.
 
     Args:
@@ -52,7 +52,7 @@ class WayToStart:
         tick_s: float,
         ticks: int,
         speed_factor: float,
-        targets: BrakedTargets,
+        targets: TargetWriter,
     ) -> None:
         self._limits, self._clearance, self._tick_s, self._ticks = limits, clearance, tick_s, ticks
         self._targets = targets
@@ -77,7 +77,7 @@ class WayToStart:
 
     def _lead(self, runner: Runner, start_rad: Array, targets_rad: Array) -> None:
         ticks = self._ticks
-        gate = SafetyGate(self._limits, self._tick_s, ticks, Leaving(self._clearance, start_rad))
+        gate = SafetyGate(self._limits, self._tick_s, ticks, RetreatClearance(self._clearance, start_rad))
         gate.reset(start_rad[None])
         self._targets.rest_at(start_rad)
         windows = math.ceil(len(targets_rad) / ticks)

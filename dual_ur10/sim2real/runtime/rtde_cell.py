@@ -1,8 +1,8 @@
-"""The cell of two controllers: the arms move by processes of their own, in real time, and a twin shows where they are.
+"""Cell of two controllers: child processes stream to the arms in real time, and a mirror model shows their state.
 
-The same commands come in as to the simulated cell. They lie in shared memory before their control periods begin, each
-with the brake behind it that the safety gate has already checked: where nothing comes in time, both arms brake along
-it together.
+It takes the same commands as the simulated cell. They are written to shared memory before their control periods begin,
+each followed by the brake that the safety gate has already checked: if nothing comes in time, both arms brake along it
+together.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from dual_ur10.sim2real.peripherals.grippers import Grippers
 from dual_ur10.sim2real.peripherals.object_placer import ObjectPlacer, placer_of
 from dual_ur10.sim2real.peripherals.object_tracker import Flanges, ObjectTracker, tracker_of
 from dual_ur10.sim2real.runtime.approach import Approach, Rates, plan
-from dual_ur10.sim2real.runtime.braked_targets import BrakedTargets
-from dual_ur10.sim2real.runtime.path_to_start import AHEAD_TICKS, WayToStart
+from dual_ur10.sim2real.runtime.mirror_model import MirrorModel
+from dual_ur10.sim2real.runtime.path_to_start import AHEAD_TICKS, PathToStart
 from dual_ur10.sim2real.runtime.runner import Runner, margin_ticks
+from dual_ur10.sim2real.runtime.target_writer import TargetWriter
 from dual_ur10.sim2real.runtime.tracking import Heat
-from dual_ur10.sim2real.runtime.twin import Twin
 from dual_ur10.types import Array, Rows
 
 log = logging.getLogger(__name__)
@@ -101,11 +101,11 @@ class RtdeCell:
         self.config, self.file, self.ticks, self.latency_ticks = config, config.file, ticks, int(latency_ticks)
         self._warned_late = False
         self._tick_s = config.servoj.tick_s
-        self._targets = BrakedTargets(limits, self._tick_s, max(AHEAD_TICKS, ticks))
-        self._way = WayToStart(limits, clearance, self._tick_s, ticks, self.file.speed_factor, self._targets)
+        self._targets = TargetWriter(limits, self._tick_s, max(AHEAD_TICKS, ticks))
+        self._way = PathToStart(limits, clearance, self._tick_s, ticks, self.file.speed_factor, self._targets)
         self._limits, self._clearance, self._confirm = limits, clearance, confirm
         self._only = None if only is None else ARMS.index(only)
-        self._twin = Twin(config.scene)
+        self._mirror = MirrorModel(config.scene)
         self._origin: int | None = None  # number of the target that belongs to tick 0 of the episode
         self._elapsed = 0
         self._heat = [Heat(name) for name in ARMS]
@@ -183,7 +183,7 @@ class RtdeCell:
             self._placer.place(pose[:3].tolist(), pose[3:].tolist())
             time.sleep(2.0 * _LOOK_S)
         target = None if start.target_pose is None else np.asarray(start.target_pose).reshape(7)
-        self._twin.aim(None if target is None else (target[:3], target[3:]))
+        self._mirror.aim(None if target is None else (target[:3], target[3:]))
         self._origin, self._elapsed = None, 0
         # What stands now would be gone through in the middle of the episode, for longer than an action may take.
         # It is not collected here: no thread runs meanwhile, and a gripper or a camera would seem to be lost.
@@ -256,8 +256,8 @@ class RtdeCell:
             self._runner.stop(reason)
 
     def model_and_data(self, row: int) -> tuple[Any, Any]:
-        """MuJoCo's model and data of the twin, to be drawn."""
-        return self._twin.model_and_data()
+        """MuJoCo's model and data of the mirror, to be drawn."""
+        return self._mirror.model_and_data()
 
     def close(self) -> None:
         """Bring both arms to rest, and end all connections. What is held stays held. May be called twice."""
@@ -377,12 +377,12 @@ class RtdeCell:
             opening = np.array([GRIPPER_OPENING_M if each is None else each for each in self._grippers.opening_m])
             wrench = np.array([_wrench_at_flange(each) for each in statuses])
         time_s = self._elapsed * self._tick_s
-        state = self._twin.follow(time_s, q, qd / slow, gripper_m=opening, wrench=wrench)
+        state = self._mirror.follow(time_s, q, qd / slow, gripper_m=opening, wrench=wrench)
         if self._tracker is None or state.flange_quat is None:
             return state
         seen = self._tracker.pose(time.monotonic(), Flanges(state.flange_m[0], state.flange_quat[0]))
         thing = (np.asarray(seen.position_m), np.asarray(seen.quat))
-        return self._twin.follow(time_s, q, qd / slow, gripper_m=opening, wrench=wrench, thing=thing)
+        return self._mirror.follow(time_s, q, qd / slow, gripper_m=opening, wrench=wrench, thing=thing)
 
 
 def _check_as_said(config: CellConfig) -> None:

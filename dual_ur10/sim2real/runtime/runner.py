@@ -17,15 +17,15 @@ from dual_ur10.sim2real.commissioning.doctor_findings import expected_of
 from dual_ur10.sim2real.commissioning.doctor_state import REST_RAD_S
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.control.time_scaling import Pace
+from dual_ur10.sim2real.control.time_scaling import TimeScaling
 from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.processes.interrupts import held_back
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_process import ArmConnection, ArmProcess
-from dual_ur10.sim2real.runtime.arm_sender import STALE_S, first_reason, was_asked_for
+from dual_ur10.sim2real.runtime.arm_sender import STALE_S, root_cause, was_asked_for
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.latch import CellLock, Latch
-from dual_ur10.sim2real.runtime.safety_monitor import WatchSettings
+from dual_ur10.sim2real.runtime.safety_monitor import MonitorSettings
 from dual_ur10.sim2real.runtime.supervisor import SupervisorProcess
 from dual_ur10.types import Array
 
@@ -87,9 +87,9 @@ class Runner:
             check(file)
             self.cell = CellMemory()
             if file.allow_reduced_mode:
-                self.cell.let_reduced()
+                self.cell.permit_reduced_mode()
             self.arms = [ArmMemory(), ArmMemory()]
-            settings = WatchSettings((config.left, config.right), self.tick_s, coupled)
+            settings = MonitorSettings((config.left, config.right), self.tick_s, coupled)
             with held_back():  # no process without its being known here
                 for arm, (name, entry) in enumerate(zip(ARMS, file.arms, strict=True)):
                     connection = ArmConnection(name, entry.host, entry.servoj, file.rt_priority)
@@ -121,7 +121,7 @@ class Runner:
     @property
     def now(self) -> float:
         """Number of the target whose time it is; the arms are at it or at the one before."""
-        return self.cell.pace.at((time.monotonic() - self.cell.begin_s) / self.tick_s)
+        return self.cell.time_scaling.at((time.monotonic() - self.cell.begin_s) / self.tick_s)
 
     @property
     def next(self) -> int:
@@ -135,7 +135,7 @@ class Runner:
 
     def time_of(self, index: float) -> float:
         """When a target's turn comes, by the monotonic clock, as far as is known now."""
-        return self.cell.begin_s + self.cell.pace.period_of(index) * self.tick_s
+        return self.cell.begin_s + self.cell.time_scaling.period_of(index) * self.tick_s
 
     def wait_for(self, index: float) -> None:
         """Wait until a target's time has come.
@@ -171,7 +171,7 @@ class Runner:
         self._lock.note_moving()
         self._put(0, np.asarray(q_rad)[None])
         factor = self.file.speed_factor
-        self.cell.set_pace(Pace(0.0, 0.0, factor, factor))
+        self.cell.set_time_scaling(TimeScaling(0.0, 0.0, factor, factor))
         self.cell.begin(time.monotonic() + _BEGIN_S)
         self.wait_for(self.margin_ticks)
 
@@ -245,7 +245,7 @@ class Runner:
         """
         if self._closed or self.cell.ending or os.getpid() != self._pid:
             raise ClosedError("this cell was closed, or belongs to another process: make a new one")
-        if self.begun and not self._fault and time.monotonic() - self.cell.watched_s > _WATCHED_S:
+        if self.begun and not self._fault and time.monotonic() - self.cell.supervisor_beat_s > _WATCHED_S:
             self.cell.enter_fault("the supervisor does nothing any more")
         if not self._fault and (self.cell.fault or any(memory.phase >= Phase.STOPPING for memory in self.arms)):
             self._fail()
@@ -280,14 +280,14 @@ class Runner:
                 texts.append(f"{name}: its process did not stop by itself, and was ended")
             elif memory.phase == Phase.FAULTED or not was_asked_for(memory.text):
                 texts.append(memory.text)
-        return first_reason(texts) if texts else ""
+        return root_cause(texts) if texts else ""
 
     def _fail(self) -> None:
         for memory in self.arms:
             memory.stop()
         self._wait_for_end(_STOP_S)
         texts = [memory.text for memory in self.arms if memory.phase >= Phase.STOPPING]
-        self._fault = self.cell.fault or first_reason(texts or ["an arm's process has ended"])
+        self._fault = self.cell.fault or root_cause(texts or ["an arm's process has ended"])
         self._note()
 
     def _note(self) -> None:

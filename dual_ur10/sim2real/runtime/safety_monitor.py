@@ -15,7 +15,7 @@ from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.protocol.modes import RuntimeState, SafetyMode
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
-from dual_ur10.sim2real.runtime.arm_sender import STALE_S, WAITING_S, first_reason
+from dual_ur10.sim2real.runtime.arm_sender import STALE_S, WAITING_S, root_cause
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.tracking import Tracking
 from dual_ur10.types import Array
@@ -30,7 +30,7 @@ APART_RAD: Final = np.deg2rad(3.0)
 BEHIND_S: Final = 0.1
 """By how much both arms may follow later than they were sent, together."""
 
-REDUCED_PACE: Final = 0.5
+REDUCED_SCALING: Final = 0.5
 """How fast the time of the targets passes where a controller is in reduced mode and may be. It is assumed that UR's
 controllers keep the reduced limits by a stop, and slow no stream of targets down for them."""
 
@@ -42,7 +42,7 @@ _NEAR: Final = 0.5  # of what is allowed: near enough to look no further
 
 
 @dataclass(frozen=True)
-class WatchSettings:
+class MonitorSettings:
     """What is watched.
 
     Attributes:
@@ -56,7 +56,7 @@ class WatchSettings:
     coupled: bool = False
 
 
-class Watch:
+class SafetyMonitor:
     """Says why both arms must stop, if they must.
 
     Args:
@@ -65,7 +65,7 @@ class Watch:
         cell: Memory of all.
     """
 
-    def __init__(self, settings: WatchSettings, arms: Sequence[ArmMemory], cell: CellMemory) -> None:
+    def __init__(self, settings: MonitorSettings, arms: Sequence[ArmMemory], cell: CellMemory) -> None:
         self._settings, self._arms, self._cell = settings, arms, cell
         self._tracking = [Tracking() for _ in arms]
         self._latest: list[ArmStatus | None] = [None for _ in arms]
@@ -118,11 +118,11 @@ class Watch:
             elif begun and phase < Phase.STREAMING:
                 texts.append(f"{name}: it does not begin: this machine is too busy")
         if texts:
-            return first_reason(texts)
+            return root_cause(texts)
         cell = self._cell
         if cell.live and cell.begin_s:
-            pace, tick_s = cell.pace, self._settings.tick_s
-            late_s = ((now_s - cell.begin_s) / tick_s - pace.period_of(cell.fresh)) * tick_s
+            scaling, tick_s = cell.time_scaling, self._settings.tick_s
+            late_s = ((now_s - cell.begin_s) / tick_s - scaling.period_of(cell.fresh)) * tick_s
             if late_s > POLICY_S:
                 return f"the policy gave no action for {1e3 * late_s:.0f} ms more than it has: both arms rest"
         return None
@@ -181,7 +181,7 @@ def _share(apart: tuple[float, float]) -> float:
 
 def _speed(status: ArmStatus) -> float:
     """How fast an arm may go, as a fraction. Emulated controllers tell all of it as their speed scaling."""
-    reduced = REDUCED_PACE if status.safety_mode == SafetyMode.REDUCED else 1.0
+    reduced = REDUCED_SCALING if status.safety_mode == SafetyMode.REDUCED else 1.0
     return min(status.slider * reduced, status.speed_scaling)
 
 

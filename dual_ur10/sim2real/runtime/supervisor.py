@@ -20,21 +20,21 @@ from typing import Final
 from dual_ur10.errors import LinkError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.control.time_scaling import taken_down
+from dual_ur10.sim2real.control.time_scaling import scaling_from_slider
 from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
 from dual_ur10.sim2real.processes.child_process import Child
 from dual_ur10.sim2real.processes.priority import hasten
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
-from dual_ur10.sim2real.runtime.arm_sender import STALE_S, first_reason
+from dual_ur10.sim2real.runtime.arm_sender import STALE_S, root_cause
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.latch import Latch
-from dual_ur10.sim2real.runtime.safety_monitor import Watch, WatchSettings
-from dual_ur10.sim2real.runtime.second_stop import SecondStop
+from dual_ur10.sim2real.runtime.safety_monitor import MonitorSettings, SafetyMonitor
+from dual_ur10.sim2real.runtime.stop_enforcer import StopEnforcer
 
 log = logging.getLogger(__name__)
 
-_AHEAD_S: Final = 0.024  # from which on a new pace holds
+_AHEAD_S: Final = 0.024  # from which on a new scaling holds
 
 
 class Supervisor:
@@ -49,10 +49,10 @@ class Supervisor:
     """
 
     def __init__(
-        self, file: CellFile, settings: WatchSettings, arms: Sequence[ArmMemory], cell: CellMemory, parent: int
+        self, file: CellFile, settings: MonitorSettings, arms: Sequence[ArmMemory], cell: CellMemory, parent: int
     ) -> None:
         self._file, self._settings, self._arms, self._cell, self._parent = file, settings, arms, cell, parent
-        self._watch = Watch(settings, arms, cell)
+        self._monitor = SafetyMonitor(settings, arms, cell)
         self._links: list[RtdeLink] = []
         self._made = False
 
@@ -60,20 +60,20 @@ class Supervisor:
         """Watch until the program ends or both arms have been stopped."""
         for name, arm in zip(ARMS, self._file.arms, strict=True):
             self._links.append(RtdeLink(arm.host, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES, name=name))
-        self._second = SecondStop(self._arms, [arm.host for arm in self._file.arms])
+        self._second = StopEnforcer(self._arms, [arm.host for arm in self._file.arms])
         self._cell.enter_ready()
         reason = None
         while reason is None:
             now = time.monotonic()
-            self._cell.watched(now)
+            self._cell.note_supervisor(now)
             if self._cell.ending:
                 return self._end()
             self._made = self._made or all(each.phase in (Phase.READY, Phase.STREAMING) for each in self._arms)
             if os.getppid() != self._parent:
-                if not self._watch.moving:
+                if not self._monitor.moving:
                     return None  # nothing has moved
                 reason = "the program that gives targets has ended"
-            reason = reason or self._cell.fault or self._look(now) or self._watch.processes(now)
+            reason = reason or self._cell.fault or self._look(now) or self._monitor.processes(now)
             if reason and self._cell.ending:
                 return self._end()
         return self._stop(reason)
@@ -91,7 +91,7 @@ class Supervisor:
                 continue
             try:
                 for sample in link.poll():
-                    reason = self._watch.state(arm, ArmStatus.from_sample(sample))
+                    reason = self._monitor.state(arm, ArmStatus.from_sample(sample))
                     if reason is not None:
                         return reason
             except LinkError as error:
@@ -99,23 +99,23 @@ class Supervisor:
             age = link.age_s(time.monotonic())
             if age > STALE_S:
                 return f"{ARMS[arm]}: the controller's time has stood still for {1e3 * age:.0f} ms"
-        return self._watch.together() or self._keep_pace()
+        return self._monitor.together() or self._follow_speed_sliders()
 
-    def _keep_pace(self) -> str | None:
+    def _follow_speed_sliders(self) -> str | None:
         """Slow both arms down alike, as the slower one's speed slider says. Returns why that was not possible."""
         cell = self._cell
         if not cell.begin_s or time.monotonic() < cell.begin_s:
             return None
-        goal = taken_down(self._watch.slowest) * self._file.speed_factor
-        pace = cell.pace
-        if goal == pace.goal:
+        goal = scaling_from_slider(self._monitor.slowest) * self._file.speed_factor
+        scaling = cell.time_scaling
+        if goal == scaling.goal:
             return None
         tick_s = self._settings.tick_s
         at_s = time.monotonic() - cell.begin_s + _AHEAD_S
-        period = max(float(int(at_s / tick_s)), pace.period)
-        cell.set_pace(pace.towards(goal, period, tick_s, self._file.speed_factor))
+        period = max(float(int(at_s / tick_s)), scaling.period)
+        cell.set_time_scaling(scaling.towards(goal, period, tick_s, self._file.speed_factor))
         if (time.monotonic() - cell.begin_s) / tick_s > period:  # an arm may have been sent what now is another time's
-            return "the supervisor stood still while it changed the pace of both arms: this machine is too busy"
+            return "the supervisor stood still while it changed the scaling of both arms: this machine is too busy"
         log.warning("both arms go on at %.0f %% of their speed", 100 * goal)
         return None
 
@@ -127,7 +127,7 @@ class Supervisor:
         self._see_it_done()
         failed = [memory.text for memory in self._arms if memory.phase == Phase.FAULTED] + self._second.unended
         if failed:
-            Latch(self._file).set(self._cell.fault or first_reason(failed))
+            Latch(self._file).set(self._cell.fault or root_cause(failed))
         self._second.close()
 
     def _stop(self, reason: str) -> None:
@@ -148,13 +148,13 @@ class Supervisor:
 
     def _see_it_done(self, within_s: float = math.inf) -> None:
         """Wait for both programs to end, and end what does not."""
-        while self._second.look(self._watch.ended) <= within_s and self._second.waits:
-            self._cell.watched(time.monotonic())
+        while self._second.look(self._monitor.ended) <= within_s and self._second.waits:
+            self._cell.note_supervisor(time.monotonic())
             time.sleep(self._settings.tick_s / 4)
             for arm, link in enumerate(self._links):
                 with contextlib.suppress(LinkError):  # what is not told counts as running
                     for sample in link.poll():
-                        self._watch.note(arm, ArmStatus.from_sample(sample))
+                        self._monitor.note(arm, ArmStatus.from_sample(sample))
 
 
 class SupervisorProcess:
@@ -167,7 +167,7 @@ class SupervisorProcess:
         cell: Memory of all.
     """
 
-    def __init__(self, file: CellFile, settings: WatchSettings, arms: Sequence[ArmMemory], cell: CellMemory) -> None:
+    def __init__(self, file: CellFile, settings: MonitorSettings, arms: Sequence[ArmMemory], cell: CellMemory) -> None:
         self._cell = cell
         names = (cell.name, *(memory.name for memory in arms))
         self.process = Child(main, file, settings, names, os.getpid(), name="supervisor")
@@ -194,7 +194,7 @@ class SupervisorProcess:
         self.process.kill()
 
 
-def main(file: CellFile, settings: WatchSettings, names: tuple[str, ...], parent: int) -> None:
+def main(file: CellFile, settings: MonitorSettings, names: tuple[str, ...], parent: int) -> None:
     """Run in the process of the supervisor."""
     cell, arms = CellMemory(names[0]), [ArmMemory(name) for name in names[1:]]
     try:

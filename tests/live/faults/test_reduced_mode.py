@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dual_ur10.errors import StartError
-from dual_ur10.sim2real.runtime.safety_monitor import REDUCED_PACE
+from dual_ur10.sim2real.runtime.safety_monitor import REDUCED_SCALING
 
 
 @pytest.mark.parametrize("arm", ["left", "right"])
@@ -26,7 +26,7 @@ def test_35_reduced_mode_slows_both_alike_where_it_is_allowed(lab, arm):
     sent = [memory.sent(begin)[0] for memory, begin in zip(memories, first, strict=True)]
     rates = [np.diff(each.index) / np.diff(each.period) for each in sent]
     for rate, begin, end in zip(rates, first, slow, strict=True):
-        assert float(np.median(rate[end - begin - 20 : end - begin - 1])) == pytest.approx(REDUCED_PACE, abs=1e-3)
+        assert float(np.median(rate[end - begin - 20 : end - begin - 1])) == pytest.approx(REDUCED_SCALING, abs=1e-3)
         assert float(rate[-1]) == pytest.approx(1.0, abs=1e-2)
     left, right = (np.interp(np.arange(20, 120), each.period - sent[0].period[0], each.index) for each in sent)
     assert np.abs(left - right).max() < 0.35

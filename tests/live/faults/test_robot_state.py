@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dual_ur10.errors import EmulatorError, StartError
-from dual_ur10.sim2real.runtime.arm_sender import first_reason
+from dual_ur10.sim2real.runtime.arm_sender import root_cause
 from tests import soak
 from tests.live.faults.lab import ARMS
 
@@ -36,8 +36,8 @@ def test_29_the_reason_is_that_of_the_arm_that_stopped_first():
     why = "right: safety mode 3 (PROTECTIVE_STOP)"
     others = ["left: a stop was asked for", f"left: the other arm stops: {why}"]
     for each in others:
-        assert first_reason([each, why]) == first_reason([why, each]) == why
-    assert first_reason(others) in others
+        assert root_cause([each, why]) == root_cause([why, each]) == why
+    assert root_cause(others) in others
 
 
 @pytest.mark.skipif(not soak.SOAK, reason="waits until it could be: in a soak")

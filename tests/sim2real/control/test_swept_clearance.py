@@ -14,8 +14,8 @@ from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import HISTORY
 from dual_ur10.sim2real.control.servoj import ServojProfile
-from dual_ur10.sim2real.control.swept_clearance import BETWEEN_M, Between
-from dual_ur10.sim2real.runtime.approach import Leaving, plan
+from dual_ur10.sim2real.control.swept_clearance import SWEEP_TOLERANCE_M, SweptClearance
+from dual_ur10.sim2real.runtime.approach import RetreatClearance, plan
 from tests.sim2real.control.motion_checks import HARD, AlwaysClear
 from tests.sim2real.control.reference_cell import UNEQUAL, random_q
 
@@ -79,7 +79,7 @@ def test_a_thin_thing_between_two_looks_is_seen(phase):
     post = Post(HOME[0] + 0.9 + phase)
     sent, verdicts = driven(post, TURN, 60)
     assert np.abs(np.diff(sent[0, :, 0])).max() > 0.01  # 8 cm a period: it would be by
-    assert sent[0, :, 0].max() <= post.at_rad - WIDE_M + BETWEEN_M
+    assert sent[0, :, 0].max() <= post.at_rad - WIDE_M + SWEEP_TOLERANCE_M
     assert verdicts[0].kind == "distance"
     assert verdicts[0].found < WIDE_M == verdicts[0].allowed
     assert verdicts[0].subject == "left/forearm_link and post"
@@ -181,7 +181,7 @@ def test_arms_at_full_speed_keep_away_from_thin_rods(ticks, steady):
     sent, verdicts = driven(Clearance(settings, n=n), by, max(500 // ticks, 24), n=n, ticks=ticks)
     measured = Clearance(settings, n=sent.shape[1])
     nearest = min(measured.distances_m(row).min() for row in sent)
-    assert nearest >= MINIMUM_M - BETWEEN_M
+    assert nearest >= MINIMUM_M - SWEEP_TOLERANCE_M
     assert len(verdicts) > 0.9 * n
 
 
@@ -195,7 +195,7 @@ def test_a_joint_that_goes_forth_and_back_within_a_window_is_seen(ticks):
     gate = SafetyGate(HARD, 0.008, ticks, Post(HOME[0] + WIDE_M + 2e-3))
     gate.reset(HOME_Q_RAD[None])
     found = gate(targets.reshape(1, ticks, 2, 6))
-    assert way.max() > BETWEEN_M + 3e-3
+    assert way.max() > SWEEP_TOLERANCE_M + 3e-3
     assert found.verdicts[0].kind == "distance"
 
 
@@ -264,12 +264,12 @@ def test_what_is_known_of_a_row_does_not_depend_on_its_neighbours():
     answers = []
     for rows in ([mine], [busy, mine]):
         distances = Scripted(len(rows))
-        between = Between(distances, np.zeros((1, HISTORY)), 2)
+        swept = SweptClearance(distances, np.zeros((1, HISTORY)), 2)
         for call in range(2):
             last, end, rest = (np.array([row[call][k] for row in rows]) for k in range(3))
             window = np.stack([last] * HISTORY + [(last + end) / 2, end], axis=1)
             going = np.ones(len(rows), dtype=bool)
-            found = between(window, rest, rest, distances.spare_m(rest), going)
+            found = swept(window, rest, rest, distances.spare_m(rest), going)
         answers.append(len(rows) - 1 in found)
     assert answers[0] == answers[1]
 
@@ -293,6 +293,6 @@ def test_arms_that_stand_too_close_are_led_away_whatever_rounds():
             goal[joint] += 0.3
             targets = plan(start.reshape(2, 6), goal.reshape(2, 6), clearance).targets(0.008)
             targets = targets[: len(targets) // 5 * 5].reshape(-1, 1, 5, 2, 6)
-            gate = SafetyGate(HARD, 0.008, 5, Leaving(clearance, start.reshape(2, 6)))
+            gate = SafetyGate(HARD, 0.008, 5, RetreatClearance(clearance, start.reshape(2, 6)))
             gate.reset(start.reshape(1, 2, 6))
             assert not any(gate(window).verdicts for window in targets)

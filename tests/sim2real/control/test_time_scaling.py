@@ -10,7 +10,14 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from dual_ur10.sim2real.control.time_scaling import FULL, SLOPE_PER_S, SLOWING_PER_S, STEP, Pace, taken_down
+from dual_ur10.sim2real.control.time_scaling import (
+    FULL,
+    SLOPE_PER_S,
+    SLOWING_PER_S,
+    STEP,
+    TimeScaling,
+    scaling_from_slider,
+)
 
 TICKS_S = (0.008, 0.002)
 RATES = st.one_of(st.sampled_from([0.0, STEP, 0.25, 0.5, 1.0]), st.floats(0.0, 1.0))
@@ -18,89 +25,90 @@ PERIODS = st.floats(-50.0, 3000.0)
 
 
 @st.composite
-def paces(draw):
+def scalings(draw):
     slope = SLOPE_PER_S * draw(st.sampled_from(TICKS_S))
     bend = draw(st.sampled_from([0.0, slope, -slope]))
     rate, plateau = draw(RATES), draw(RATES)
     if bend * (rate - plateau) < 0.0:  # it fell from above, or rose from below
         rate, plateau = plateau, rate
-    return Pace(draw(st.floats(0, 1e5)), draw(st.floats(0, 1e5)), rate, draw(RATES), slope, bend, plateau)
+    return TimeScaling(draw(st.floats(0, 1e5)), draw(st.floats(0, 1e5)), rate, draw(RATES), slope, bend, plateau)
 
 
 @given(st.integers(0, 2**40))
 def test_at_pace_1_each_target_has_its_period_bit_for_bit(period):
-    assert Pace().at(float(period)) == period
-    assert Pace().period_of(float(period)) == period
-    assert Pace().rate_at(float(period)) == 1.0
+    assert TimeScaling().at(float(period)) == period
+    assert TimeScaling().period_of(float(period)) == period
+    assert TimeScaling().rate_at(float(period)) == 1.0
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.25, STEP])
 def test_at_a_steady_pace_every_so_many_periods_have_a_target_of_their_own(factor):
-    pace = Pace(0.0, 0.0, factor, factor)
+    scaling = TimeScaling(0.0, 0.0, factor, factor)
     for number in range(2000):
-        assert pace.at(number / factor) == number
+        assert scaling.at(number / factor) == number
 
 
-@given(paces(), PERIODS, st.floats(0.0, 1.0))
-def test_time_goes_on_and_never_faster_than_it_may(pace, period, more):
-    begin = pace.period + period
-    ahead = pace.at(begin + more) - pace.at(begin)
+@given(scalings(), PERIODS, st.floats(0.0, 1.0))
+def test_time_goes_on_and_never_faster_than_it_may(scaling, period, more):
+    begin = scaling.period + period
+    ahead = scaling.at(begin + more) - scaling.at(begin)
     passed = (begin + more) - begin
     assert -1e-9 <= ahead <= passed + 1e-9
     if period >= 0.0:
-        assert min(pace.rate, pace.goal) * passed - 1e-9 <= ahead <= max(pace.rate, pace.goal) * passed + 1e-9
+        slow, fast = sorted((scaling.rate, scaling.goal))
+        assert slow * passed - 1e-9 <= ahead <= fast * passed + 1e-9
 
 
-@given(paces(), st.floats(0.0, 3000.0), st.floats(0.01, 5.0))
-def test_the_rate_is_the_slope_of_the_way_and_changes_slowly(pace, period, width):
-    begin = pace.period + period
-    first, second = pace.rate_at(begin), pace.rate_at(begin + width)
-    assert min(pace.rate, pace.goal) <= first <= max(pace.rate, pace.goal)
-    assert abs(second - first) <= pace.slope * width * (1 + 1e-6) + 1e-12
-    slope = (pace.at(begin + width) - pace.at(begin)) / width
+@given(scalings(), st.floats(0.0, 3000.0), st.floats(0.01, 5.0))
+def test_the_rate_is_the_slope_of_the_way_and_changes_slowly(scaling, period, width):
+    begin = scaling.period + period
+    first, second = scaling.rate_at(begin), scaling.rate_at(begin + width)
+    assert min(scaling.rate, scaling.goal) <= first <= max(scaling.rate, scaling.goal)
+    assert abs(second - first) <= scaling.slope * width * (1 + 1e-6) + 1e-12
+    slope = (scaling.at(begin + width) - scaling.at(begin)) / width
     assert min(first, second) - 1e-6 <= slope <= max(first, second) + 1e-6
     # It arrives, and stays there.
-    end = pace.period + abs(pace.goal - pace.rate) / pace.slope
-    assert pace.rate_at(end + 1.0) == pace.goal
-    assert pace.at(end + 11.0) - pace.at(end + 1.0) == pytest.approx(10.0 * pace.goal, abs=1e-8)
+    end = scaling.period + abs(scaling.goal - scaling.rate) / scaling.slope
+    assert scaling.rate_at(end + 1.0) == scaling.goal
+    assert scaling.at(end + 11.0) - scaling.at(end + 1.0) == pytest.approx(10.0 * scaling.goal, abs=1e-8)
 
 
-@given(paces(), PERIODS)
-def test_when_a_targets_turn_comes_is_the_inverse(pace, period):
-    begin = pace.period + period
-    index = pace.at(begin)
-    found = pace.period_of(index)
-    if pace.rate_at(begin) > 1e-3:
+@given(scalings(), PERIODS)
+def test_when_a_targets_turn_comes_is_the_inverse(scaling, period):
+    begin = scaling.period + period
+    index = scaling.at(begin)
+    found = scaling.period_of(index)
+    if scaling.rate_at(begin) > 1e-3:
         assert found == pytest.approx(begin, abs=1e-5)
     else:  # many periods share it, nearly
-        assert pace.at(found) == pytest.approx(index, abs=1e-6)
+        assert scaling.at(found) == pytest.approx(index, abs=1e-6)
 
 
-@example(Pace(65478.0, 0.0, 0.47050340054328077, 0.0, 0.008), 1.0)
-@example(Pace(4041.0, 0.0, 0.4463786048942159, 0.0, 0.008), 1.0)
-@given(paces(), st.floats(1e-3, 1e4))
-def test_a_target_that_never_comes_never_comes(pace, ahead):
-    pace = replace(pace, goal=0.0)
-    end = pace.at(pace.period + pace.rate / pace.slope)
-    assert pace.period_of(end + ahead) == math.inf
-    assert pace.period_of(end) < math.inf
-    assert pace.period_of(pace.at(pace.period + 56.0)) < math.inf
+@example(TimeScaling(65478.0, 0.0, 0.47050340054328077, 0.0, 0.008), 1.0)
+@example(TimeScaling(4041.0, 0.0, 0.4463786048942159, 0.0, 0.008), 1.0)
+@given(scalings(), st.floats(1e-3, 1e4))
+def test_a_target_that_never_comes_never_comes(scaling, ahead):
+    scaling = replace(scaling, goal=0.0)
+    end = scaling.at(scaling.period + scaling.rate / scaling.slope)
+    assert scaling.period_of(end + ahead) == math.inf
+    assert scaling.period_of(end) < math.inf
+    assert scaling.period_of(scaling.at(scaling.period + 56.0)) < math.inf
 
 
 def test_the_last_target_before_a_standstill_has_its_period():
-    pace = Pace(0.0, 0.0, 1.0, 0.0, 0.25)
-    assert pace.at(4.0) == pace.at(9.0) == 2.0
-    assert pace.period_of(2.0) == pytest.approx(4.0, abs=1e-6)
-    assert pace.period_of(2.5) == math.inf
-    assert Pace(3.0, 7.0, 0.0, 0.0).period_of(7.0) == 3.0
+    scaling = TimeScaling(0.0, 0.0, 1.0, 0.0, 0.25)
+    assert scaling.at(4.0) == scaling.at(9.0) == 2.0
+    assert scaling.period_of(2.0) == pytest.approx(4.0, abs=1e-6)
+    assert scaling.period_of(2.5) == math.inf
+    assert TimeScaling(3.0, 7.0, 0.0, 0.0).period_of(7.0) == 3.0
 
 
-@given(paces(), st.floats(0.0, 3000.0), RATES, st.sampled_from(TICKS_S))
-def test_another_pace_goes_on_where_the_last_one_was(pace, period, goal, tick_s):
-    begin = pace.period + period
-    after = pace.towards(goal, begin, tick_s)
-    assert after.at(begin) == pace.at(begin)
-    assert after.rate_at(begin) == pace.rate_at(begin)
+@given(scalings(), st.floats(0.0, 3000.0), RATES, st.sampled_from(TICKS_S))
+def test_another_pace_goes_on_where_the_last_one_was(scaling, period, goal, tick_s):
+    begin = scaling.period + period
+    after = scaling.towards(goal, begin, tick_s)
+    assert after.at(begin) == scaling.at(begin)
+    assert after.rate_at(begin) == scaling.rate_at(begin)
     assert after.goal == goal
     slope = (SLOWING_PER_S if goal < after.rate else SLOPE_PER_S) * tick_s
     assert after.slope == slope
@@ -110,13 +118,13 @@ def test_another_pace_goes_on_where_the_last_one_was(pace, period, goal, tick_s)
 
 
 def test_a_slider_that_goes_up_and_down_leaves_the_targets_on_one_way():
-    pace, tick_s, index = Pace(), 0.008, []
+    scaling, tick_s, index = TimeScaling(), 0.008, []
     for period in range(3000):
         if period % 60 == 0:
             goal = (period // 60 * 7 % 17) / 16
-            pace = pace.towards(goal, period + 3.0, tick_s) if goal != pace.goal else pace
+            scaling = scaling.towards(goal, period + 3.0, tick_s) if goal != scaling.goal else scaling
         # Both arms may ask at any time: three periods pass until it holds.
-        index.append(pace.at(float(period)))
+        index.append(scaling.at(float(period)))
     steps = [after - before for before, after in itertools.pairwise(index)]
     assert min(steps) >= -1e-3
     assert max(steps) <= 1.001
@@ -124,23 +132,23 @@ def test_a_slider_that_goes_up_and_down_leaves_the_targets_on_one_way():
 
 @given(RATES, RATES, RATES, st.floats(5.0, 200.0), st.sampled_from(TICKS_S), st.floats(0.0, 3.0))
 def test_who_knows_of_another_pace_already_asks_for_the_same(rate, goal, other, after, tick_s, back):
-    """Of two arms, one may read the next pace a period before the other one."""
-    pace = Pace(7.0, 3.0, rate, rate).towards(goal, 100.0, tick_s)
+    """Of two arms, one may read the next scaling a period before the other one."""
+    scaling = TimeScaling(7.0, 3.0, rate, rate).towards(goal, 100.0, tick_s)
     begin = 100.0 + after
-    next_one = pace.towards(other, begin, tick_s)
+    next_one = scaling.towards(other, begin, tick_s)
     # At the end of a change there is a bend in three periods.
     bend = (
         0.0
-        if (abs(goal - rate) / pace.slope > after or abs(goal - rate) / pace.slope < after - 3.0)
-        else 4.5 * pace.slope
+        if (abs(goal - rate) / scaling.slope > after or abs(goal - rate) / scaling.slope < after - 3.0)
+        else 4.5 * scaling.slope
     )
-    assert next_one.at(begin - back) == pytest.approx(pace.at(begin - back), abs=1e-7 + bend)
-    assert next_one.rate_at(begin - back) == pytest.approx(pace.rate_at(begin - back), abs=1e-7 + bend)
+    assert next_one.at(begin - back) == pytest.approx(scaling.at(begin - back), abs=1e-7 + bend)
+    assert next_one.rate_at(begin - back) == pytest.approx(scaling.rate_at(begin - back), abs=1e-7 + bend)
 
 
 def test_how_late_a_policy_is_does_not_depend_on_whether_time_begins_to_go_on():
     tick_s = 0.008
-    slowing = Pace().towards(0.0, 0.0, tick_s)
+    slowing = TimeScaling().towards(0.0, 0.0, tick_s)
     going_on = slowing.towards(1.0, 30.0, tick_s)
     assert going_on.period_of(slowing.at(27.5)) == pytest.approx(27.5, abs=1e-4)
     assert going_on.period_of(0.0) == pytest.approx(0.0, abs=1e-3)
@@ -148,25 +156,25 @@ def test_how_late_a_policy_is_does_not_depend_on_whether_time_begins_to_go_on():
 
 
 def test_sliders_are_taken_down_to_a_step():
-    assert taken_down(1.0) == taken_down(1.5) == 1.0
-    assert taken_down(FULL) == taken_down(0.9995) == 1.0
-    assert taken_down(0.99) == taken_down(math.nextafter(FULL, 0.0)) == 1.0 - STEP
-    assert taken_down(0.5) == 0.5
-    assert taken_down(0.3) == 0.25
-    assert taken_down(STEP) == STEP
-    assert taken_down(STEP * 0.99) == taken_down(0.0) == taken_down(-1.0) == 0.0
+    assert scaling_from_slider(1.0) == scaling_from_slider(1.5) == 1.0
+    assert scaling_from_slider(FULL) == scaling_from_slider(0.9995) == 1.0
+    assert scaling_from_slider(0.99) == scaling_from_slider(math.nextafter(FULL, 0.0)) == 1.0 - STEP
+    assert scaling_from_slider(0.5) == 0.5
+    assert scaling_from_slider(0.3) == 0.25
+    assert scaling_from_slider(STEP) == STEP
+    assert scaling_from_slider(STEP * 0.99) == scaling_from_slider(0.0) == scaling_from_slider(-1.0) == 0.0
     for number in range(17):
-        assert taken_down(number / 16) == number / 16
+        assert scaling_from_slider(number / 16) == number / 16
 
 
 @pytest.mark.parametrize("slider", [math.nan, -math.inf])
 def test_a_slider_that_is_no_number_is_not_full_speed(slider):
-    assert taken_down(slider) == 0.0
+    assert scaling_from_slider(slider) == 0.0
 
 
 @given(st.floats(0.0, 1.0))
 def test_taken_down_is_never_faster(fraction):
-    found = taken_down(fraction)
+    found = scaling_from_slider(fraction)
     assert fraction - STEP < found <= (fraction + 1e-9 if fraction < FULL else 1.0)
     assert (found / STEP).is_integer()
 
@@ -175,8 +183,8 @@ def test_taken_down_is_never_faster(fraction):
 def test_what_is_slow_already_is_not_slowed_down_faster(full):
     """An arm at a quarter of its speed takes as long from all of it to half of it as one at full speed."""
     tick_s = 0.008
-    down = Pace(0.0, 0.0, full, full).towards(full / 2, 10.0, tick_s, full)
-    up = Pace(0.0, 0.0, full / 2, full / 2).towards(full, 10.0, tick_s, full)
+    down = TimeScaling(0.0, 0.0, full, full).towards(full / 2, 10.0, tick_s, full)
+    up = TimeScaling(0.0, 0.0, full / 2, full / 2).towards(full, 10.0, tick_s, full)
     assert down.period_of(down.index) == 10.0
     assert (full - down.rate_at(11.0)) / tick_s == pytest.approx(SLOWING_PER_S * full)
     assert (up.rate_at(11.0) - full / 2) / tick_s == pytest.approx(SLOPE_PER_S * full)

@@ -16,19 +16,19 @@ from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.sim2real.control.time_scaling import Pace
+from dual_ur10.sim2real.control.time_scaling import TimeScaling
 from dual_ur10.sim2real.runtime import path_to_start as way_to_start
 from dual_ur10.sim2real.runtime.approach import (
     ACCELERATION_RAD_S2,
     SPEED_RAD_S,
     TCP_SPEED_M_S,
     Approach,
-    Leaving,
     Rates,
+    RetreatClearance,
     plan,
 )
 from dual_ur10.sim2real.runtime.arm_memory import RING, ArmMemory
-from dual_ur10.sim2real.runtime.path_to_start import WayToStart
+from dual_ur10.sim2real.runtime.path_to_start import PathToStart
 from tests.sim2real.control.motion_checks import AlwaysClear, tip_speed
 
 HOME = HOME_Q_RAD.reshape(12)
@@ -46,11 +46,11 @@ def in_real_time(targets, start, tick_s, speed_factor):
     """(t, 2, 6) what both arms are sent, control period by control period."""
     memories, sent = [ArmMemory(), ArmMemory()], []
     every = np.concatenate([start.reshape(1, 2, 6), targets])
-    pace = Pace(0.0, 0.0, speed_factor, speed_factor)
+    scaling = TimeScaling(0.0, 0.0, speed_factor, speed_factor)
     for arm, memory in enumerate(memories):
         written, rows = 0, []
         period = 0
-        while (index := pace.at(float(period))) <= len(every) + 2:
+        while (index := scaling.at(float(period))) <= len(every) + 2:
             if written < len(every) and written - index < RING // 4:  # as far ahead as there is room
                 block = every[written : written + RING // 4, arm]
                 memory.put(written, block)
@@ -303,7 +303,7 @@ def test_what_is_too_close_may_go_apart_and_no_closer(start, then, clear, blamed
     def posture(values):
         return np.concatenate([values, np.zeros(10)])
 
-    leaving = Leaving(Pairs(), posture(start).reshape(2, 6))
+    leaving = RetreatClearance(Pairs(), posture(start).reshape(2, 6))
     assert bool((leaving.spare_m(posture(then)[None]) >= 0.0).all()) == clear
     if not clear:  # of a pair that stands too close and comes no closer nothing is to be said
         assert leaving.worst(posture(then))[0] == blamed
@@ -377,7 +377,7 @@ def test_looking_at_many_windows_before_the_first_target_takes_its_time(monkeypa
         alone=lambda: clearance,
         **{name: getattr(AlwaysClear(), name) for name in ("spare_of_balls_m", "travel_m")},
     )
-    way = WayToStart(MotionLimits(), clearance, tick_s, ticks, 1.0, targets)
+    way = PathToStart(MotionLimits(), clearance, tick_s, ticks, 1.0, targets)
     led = Approach([HOME, HOME + np.eye(12)[5]]).targets(tick_s)
     way.go(runner, HOME.reshape(2, 6), led)
     assert sum(count for _, count in written) >= len(led)

@@ -13,7 +13,7 @@ from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_process import ArmConnection, ArmProcess, _round_trip_s
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
-from dual_ur10.sim2real.runtime.ramp import STOP_RAD_S2, STOP_RAD_S3
+from dual_ur10.sim2real.runtime.stop_ramp import STOP_RAD_S2, STOP_RAD_S3
 
 ARMS = ("left", "right")
 SERVOJ = ServojProfile("cb3", 0.03, 2000.0)
@@ -287,7 +287,7 @@ def test_a_slower_pace_holds_for_both(pair):
     pair.begin()
     pair.move(30)
     period = float(pair.memories[0].sent_count + 5)
-    pair.shared.set_pace(pair.shared.pace.towards(0.25, period, TICK_S))
+    pair.shared.set_time_scaling(pair.shared.time_scaling.towards(0.25, period, TICK_S))
     pair.move(200)
     rates = [np.diff(numbers_of(pair, arm)) for arm in range(2)]
     for rate in rates:

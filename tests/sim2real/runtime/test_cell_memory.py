@@ -9,7 +9,7 @@ from dataclasses import astuple
 import pytest
 
 from dual_ur10.errors import LinkError, SettingsError
-from dual_ur10.sim2real.control.time_scaling import Pace
+from dual_ur10.sim2real.control.time_scaling import TimeScaling
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 
@@ -25,16 +25,16 @@ def pair():
 
 def test_at_first_nothing_is_so(pair):
     for memory in pair:
-        assert memory.pace == Pace()
-        assert (memory.begin_s, memory.watched_s, memory.fresh) == (0.0, 0.0, 0.0)
+        assert memory.time_scaling == TimeScaling()
+        assert (memory.begin_s, memory.supervisor_beat_s, memory.fresh) == (0.0, 0.0, 0.0)
         assert (memory.ready, memory.ending, memory.live, memory.fault) == (False, False, False, "")
 
 
 def test_whoever_joins_changes_no_pace(pair):
     mine, _ = pair
-    mine.set_pace(Pace(1.0, 2.0, 0.5, 0.25, 0.01))
+    mine.set_time_scaling(TimeScaling(1.0, 2.0, 0.5, 0.25, 0.01))
     third = CellMemory(mine.name)
-    assert mine.pace == third.pace == Pace(1.0, 2.0, 0.5, 0.25, 0.01)
+    assert mine.time_scaling == third.time_scaling == TimeScaling(1.0, 2.0, 0.5, 0.25, 0.01)
     third.close()
 
 
@@ -43,8 +43,8 @@ def test_everything_is_told_to_all(pair):
     for says, hears in (pair, pair[::-1]):
         says.begin(12.5)
         says.expect(40.5, live=True)
-        says.watched(13.5)
-        assert (hears.begin_s, hears.fresh, hears.live, hears.watched_s) == (12.5, 40.5, True, 13.5)
+        says.note_supervisor(13.5)
+        assert (hears.begin_s, hears.fresh, hears.live, hears.supervisor_beat_s) == (12.5, 40.5, True, 13.5)
         says.expect(0.0, live=False)
         # Who has just seen that the policy owed targets must not read another number of them.
         assert (hears.fresh, hears.live) == (40.5, False)
@@ -59,11 +59,11 @@ def test_everything_is_told_to_all(pair):
 
 def test_paces_follow_each_other(pair):
     mine, theirs = pair
-    pace = Pace()
+    scaling = TimeScaling()
     for number in range(50):
-        pace = pace.towards((number % 7) / 8, 100.0 * number, 0.008)
-        mine.set_pace(pace)
-        assert astuple(theirs.pace) == astuple(pace)
+        scaling = scaling.towards((number % 7) / 8, 100.0 * number, 0.008)
+        mine.set_time_scaling(scaling)
+        assert astuple(theirs.time_scaling) == astuple(scaling)
 
 
 def test_a_pace_is_there_before_it_is_the_newest(pair):
@@ -78,11 +78,11 @@ def test_a_pace_is_there_before_it_is_the_newest(pair):
 
         def __setitem__(self, key, value):
             numbers[key] = value
-            told.append(theirs.pace)
+            told.append(theirs.time_scaling)
 
     mine._ints = Watched()
-    mine.set_pace(Pace(1.0, 2.0, 0.5, 0.25, 0.01))
-    assert told == [Pace(1.0, 2.0, 0.5, 0.25, 0.01)]
+    mine.set_time_scaling(TimeScaling(1.0, 2.0, 0.5, 0.25, 0.01))
+    assert told == [TimeScaling(1.0, 2.0, 0.5, 0.25, 0.01)]
 
 
 def test_a_pace_is_read_whole_while_it_is_written(pair):
@@ -90,14 +90,14 @@ def test_a_pace_is_read_whole_while_it_is_written(pair):
     code = (
         "import sys\nfrom dual_ur10.sim2real.runtime.cell_memory import CellMemory\n"
         "memory = CellMemory(sys.argv[1])\n"
-        "paces = [memory.pace for _ in range(20_000)]\n"
-        "print(len(set(paces)), sum(pace.index != 2 * pace.period for pace in paces))\n"
+        "scalings = [memory.time_scaling for _ in range(20_000)]\n"
+        "print(len(set(scalings)), sum(scaling.index != 2 * scaling.period for scaling in scalings))\n"
     )
-    mine.set_pace(Pace(0.0, 0.0))
+    mine.set_time_scaling(TimeScaling(0.0, 0.0))
     with subprocess.Popen([sys.executable, "-c", code, mine.name], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         for number in range(30_000_000):
-            mine.set_pace(Pace(number, 2.0 * number))
+            mine.set_time_scaling(TimeScaling(number, 2.0 * number))
             if number % 1000 == 0 and process.poll() is not None:
                 break
         seen, wrong = map(int, process.stdout.read().split())
@@ -107,8 +107,8 @@ def test_a_pace_is_read_whole_while_it_is_written(pair):
 
 def test_a_pace_that_is_written_again_while_it_is_read_is_read_again(pair, monkeypatch):
     mine, theirs = pair
-    mine.set_pace(Pace(1.0, 1.0))
-    paces, sequence = theirs._paces, theirs._ints
+    mine.set_time_scaling(TimeScaling(1.0, 1.0))
+    scalings, sequence = theirs._scalings, theirs._ints
 
     class Slow:
         """The writer goes round all rows while this one is copied."""
@@ -116,20 +116,20 @@ def test_a_pace_that_is_written_again_while_it_is_read_is_read_again(pair, monke
         times = 0
 
         def __getitem__(self, row):
-            values = paces[row].copy()
+            values = scalings[row].copy()
             if Slow.times:
                 Slow.times -= 1
                 values[:] = -1.0  # torn
                 for number in range(4):
-                    mine.set_pace(Pace(10.0 + number, 2.0))
+                    mine.set_time_scaling(TimeScaling(10.0 + number, 2.0))
             return values
 
-    monkeypatch.setattr(theirs, "_paces", Slow())
+    monkeypatch.setattr(theirs, "_scalings", Slow())
     Slow.times = 3
-    assert theirs.pace == Pace(13.0, 2.0)
+    assert theirs.time_scaling == TimeScaling(13.0, 2.0)
     Slow.times = 10_000
     with pytest.raises(LinkError, match="faster than it can be read"):
-        theirs.pace  # noqa: B018
+        theirs.time_scaling  # noqa: B018
     assert sequence[0] > 16
 
 

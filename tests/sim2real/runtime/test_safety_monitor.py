@@ -13,11 +13,18 @@ from dual_ur10.kinematics.forward import flange_pose, flange_pose_quat
 from dual_ur10.kinematics.frames import ArmMount, Frames
 from dual_ur10.kinematics.inverse import try_nearest
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix, rotate
-from dual_ur10.sim2real.control.time_scaling import Pace
+from dual_ur10.sim2real.control.time_scaling import TimeScaling
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, WAITING_S
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
-from dual_ur10.sim2real.runtime.safety_monitor import APART_M, APART_RAD, POLICY_S, REDUCED_PACE, Watch, WatchSettings
+from dual_ur10.sim2real.runtime.safety_monitor import (
+    APART_M,
+    APART_RAD,
+    POLICY_S,
+    REDUCED_SCALING,
+    MonitorSettings,
+    SafetyMonitor,
+)
 from tests.sim2real.links.test_arm_status import status_of
 
 TICK_S = 0.008
@@ -37,7 +44,7 @@ def watch(parts, *, coupled=False, mounts=MOUNTS, phase=Phase.STREAMING):
     arms, cell = parts
     for memory in arms:
         memory.enter(phase)
-    return Watch(WatchSettings(mounts, TICK_S, coupled), arms, cell)
+    return SafetyMonitor(MonitorSettings(mounts, TICK_S, coupled), arms, cell)
 
 
 def at(q, wanted=None, **values):
@@ -106,15 +113,15 @@ def test_the_slower_slider_counts(parts):
 
 @pytest.mark.parametrize("arm", [0, 1])
 def test_reduced_mode_alone_is_let_go_on_and_slows_where_that_is_allowed(parts, arm):
-    parts[1].let_reduced()
+    parts[1].permit_reduced_mode()
     judge = watch(parts)
     full = {"target_speed_fraction": 1.0}
     reduced = {**full, "safety_mode": 2, "safety_status_bits": 2}
     assert [mode for mode in range(256) if judge.state(arm, status_of(safety_mode=mode)) is None] == [1, 2]
     assert judge.state(arm, status_of(**reduced)) is None
-    assert judge.slowest == REDUCED_PACE  # by itself, for a controller does not slow down what it is sent
+    assert judge.slowest == REDUCED_SCALING  # by itself, for a controller does not slow down what it is sent
     assert judge.state(arm, status_of(**{**reduced, "target_speed_fraction": 0.5})) is None
-    assert judge.slowest == REDUCED_PACE / 2
+    assert judge.slowest == REDUCED_SCALING / 2
     assert judge.state(arm, status_of(**full)) is None
     assert judge.slowest == 1.0
     assert judge.state(arm, status_of(**{**reduced, "safety_status_bits": 2 | 4})) is not None
@@ -307,7 +314,7 @@ def test_states_that_waited_are_judged_with_those_of_the_same_time(parts):
 
 def test_an_e_series_may_be_apart_for_as_long_as_a_cb3(parts):
     arms, cell = parts
-    judge = Watch(WatchSettings(MOUNTS, 0.002, coupled=True), arms, cell)
+    judge = SafetyMonitor(MonitorSettings(MOUNTS, 0.002, coupled=True), arms, cell)
     bad = at(moved(1, (0.0, 0.02, 0.0)), HOME_Q_RAD[1])
     said = []
     for _ in range(14):
@@ -381,11 +388,11 @@ def test_a_program_has_ended_when_its_controller_says_so(parts, told, ended):
 # What the policy owes.
 
 
-def owing(parts, pace, fresh, *, live=True, begin_s=100.0):
+def owing(parts, scaling, fresh, *, live=True, begin_s=100.0):
     judge = watch(parts)
     cell = parts[1]
     cell.begin(begin_s)
-    cell.set_pace(pace)
+    cell.set_time_scaling(scaling)
     cell.expect(fresh, live=live)
 
     def late(now):
@@ -399,7 +406,7 @@ def owing(parts, pace, fresh, *, live=True, begin_s=100.0):
 @pytest.mark.parametrize("rate", [1.0, 0.5, 0.25, 1 / 16])
 def test_a_policy_may_be_so_late_in_real_time_at_any_pace(parts, rate):
     fresh = 50.0
-    late = owing(parts, Pace(0.0, 0.0, rate, rate), fresh)
+    late = owing(parts, TimeScaling(0.0, 0.0, rate, rate), fresh)
     due_s = 100.0 + fresh / rate * TICK_S
     for before in (-1.0, 0.0, 0.4, 0.999 * POLICY_S):
         assert late(due_s + before) is None, before
@@ -411,21 +418,21 @@ def test_a_policy_may_be_so_late_in_real_time_at_any_pace(parts, rate):
 
 
 def test_what_changes_the_pace_changes_what_is_late(parts):
-    pace = Pace().towards(0.25, 1000.0, TICK_S)
-    fresh = pace.at(1100.0)
-    late = owing(parts, pace, fresh)
+    scaling = TimeScaling().towards(0.25, 1000.0, TICK_S)
+    fresh = scaling.at(1100.0)
+    late = owing(parts, scaling, fresh)
     due_s = 100.0 + 1100.0 * TICK_S
     assert late(due_s + 0.999 * POLICY_S) is None
     assert late(due_s + 1.001 * POLICY_S) is not None
 
 
 def test_while_time_stands_still_nothing_is_late(parts):
-    late = owing(parts, Pace(0.0, 0.0, 1.0, 0.0, TICK_S), 1000.0)
+    late = owing(parts, TimeScaling(0.0, 0.0, 1.0, 0.0, TICK_S), 1000.0)
     assert late(1e6) is None
-    late = owing(parts, Pace(0.0, 0.0, 0.0, 0.0), 3.0)
+    late = owing(parts, TimeScaling(0.0, 0.0, 0.0, 0.0), 3.0)
     assert late(1e6) is None
 
 
 @pytest.mark.parametrize(("live", "begin_s"), [(False, 100.0), (True, 0.0)])
 def test_a_policy_that_owes_nothing_is_never_late(parts, live, begin_s):
-    assert owing(parts, Pace(), 5.0, live=live, begin_s=begin_s)(1e6) is None
+    assert owing(parts, TimeScaling(), 5.0, live=live, begin_s=begin_s)(1e6) is None

@@ -10,13 +10,13 @@ import pytest
 
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.sim2real.config.cell_file import load_cell_file
-from dual_ur10.sim2real.control.time_scaling import Pace
-from dual_ur10.sim2real.runtime import second_stop
+from dual_ur10.sim2real.control.time_scaling import TimeScaling
+from dual_ur10.sim2real.runtime import stop_enforcer
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.latch import Latch
-from dual_ur10.sim2real.runtime.safety_monitor import WatchSettings
-from dual_ur10.sim2real.runtime.second_stop import STOPPED_S, SecondStop
+from dual_ur10.sim2real.runtime.safety_monitor import MonitorSettings
+from dual_ur10.sim2real.runtime.stop_enforcer import STOPPED_S, StopEnforcer
 from dual_ur10.sim2real.runtime.supervisor import Supervisor
 from tests.sim2real.links.test_arm_status import status_of
 
@@ -36,34 +36,34 @@ def parts(tmp_path, monkeypatch):
 
 def supervisor(parts, tick_s=0.008):
     file, arms, cell = parts
-    return Supervisor(file, WatchSettings(SceneSettings().mounts, tick_s), arms, cell, os.getpid())
+    return Supervisor(file, MonitorSettings(SceneSettings().mounts, tick_s), arms, cell, os.getpid())
 
 
 @pytest.mark.parametrize("tick_s", [0.008, 0.002])
 @pytest.mark.parametrize("late_s", [0.0, 0.05])
 def test_a_new_pace_holds_from_a_time_on_that_is_still_to_come(parts, monkeypatch, tick_s, late_s):
     cell, made = parts[2], supervisor(parts, tick_s)
-    cell.set_pace(Pace(0.0, 0.0, 1.0, 1.0))
+    cell.set_time_scaling(TimeScaling(0.0, 0.0, 1.0, 1.0))
     cell.begin(time.monotonic() - 2.0)
     for arm in (0, 1):
         made._watch.note(arm, status_of(target_speed_fraction=0.5, speed_scaling=1.0))
-    set_pace = cell.set_pace
+    set_time_scaling = cell.set_time_scaling
 
-    def slowly(pace):
-        ahead.append(pace.period * tick_s - (time.monotonic() - cell.begin_s))
+    def slowly(scaling):
+        ahead.append(scaling.period * tick_s - (time.monotonic() - cell.begin_s))
         time.sleep(late_s)
-        set_pace(pace)
+        set_time_scaling(scaling)
 
     ahead = []
-    monkeypatch.setattr(cell, "set_pace", slowly)
-    said = made._keep_pace()
+    monkeypatch.setattr(cell, "set_time_scaling", slowly)
+    said = made._follow_speed_sliders()
     assert len(ahead) == 1
     if late_s:
-        assert "stood still while it changed the pace" in said
+        assert "stood still while it changed the scaling" in said
     else:
         assert said is None or "stood still" in said  # this machine may do so, too
-        assert cell.pace.goal == 0.5
-        assert made._keep_pace() is None
+        assert cell.time_scaling.goal == 0.5
+        assert made._follow_speed_sliders() is None
 
 
 class Dashboard:
@@ -80,11 +80,11 @@ class Dashboard:
 
 def test_a_program_that_has_not_ended_though_its_process_says_so_is_a_fault(parts, monkeypatch):
     """It was paused behind the last target of the ramp, say: nothing else would tell."""
-    monkeypatch.setattr(second_stop, "DashboardLink", Dashboard)
-    monkeypatch.setattr(second_stop, "STOPPED_S", 0.05)
+    monkeypatch.setattr(stop_enforcer, "DashboardLink", Dashboard)
+    monkeypatch.setattr(stop_enforcer, "STOPPED_S", 0.05)
     file, arms, cell = parts
     made = supervisor(parts)
-    made._second = SecondStop(arms, ["127.0.0.2", "127.0.0.3"])
+    made._second = StopEnforcer(arms, ["127.0.0.2", "127.0.0.3"])
     cell.begin(time.monotonic())
     for arm, memory in enumerate(arms):
         memory.enter(Phase.STOPPED, "a stop was asked for")

@@ -25,7 +25,7 @@ STOPPED_S: Final = 1.0
 _CONNECT_S: Final = 2.0
 
 
-class SecondStop:
+class StopEnforcer:
     """Sees that both arms stop.
 
     Args:

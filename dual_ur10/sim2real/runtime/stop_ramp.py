@@ -1,4 +1,4 @@
-"""The targets that bring one arm to rest, from whatever was sent to it last."""
+"""Stop ramp: targets that bring one arm to rest from its last two targets."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ STOP_RAD_S3: Final = 200.0
 Robots' own client library."""
 
 
-class Ramp:
-    """Targets from a motion to rest, along the direction of that motion, joints together.
+class StopRamp:
+    """Jerk-limited ramp to rest along the current direction of motion, all joints together.
 
     Args:
-        last_rad: (2, 6) the last two targets that were sent.
+        last_rad: (2, 6) last two targets sent.
         tick_s: Time between two targets.
     """
 
@@ -33,14 +33,14 @@ class Ramp:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the last target was that of an arm at rest."""
+        """True once the last returned target is at rest."""
         return self._speed <= 0.0
 
     def __call__(self) -> Array:
-        """The next target, (6,)."""
+        """Return the next target, (6,)."""
         if not self.at_rest:
             step = STOP_RAD_S3 * self._tick_s
-            # Towards the end the deceleration fades, so that the arm comes to rest without a jerk.
+            # Towards the end the deceleration fades, so that the arm stops smoothly.
             fading = (2.0 * STOP_RAD_S3 * self._speed) ** 0.5
             self._deceleration = min(self._deceleration + step, STOP_RAD_S2, max(fading, step))
             before = self._speed

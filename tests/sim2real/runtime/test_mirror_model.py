@@ -1,4 +1,4 @@
-"""The twin shows of measured arms what the simulated cell shows of its own."""
+"""The mirror shows of measured arms what the simulated cell shows of its own."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dual_ur10.envs.tasks.task import Timing, task_settings
 from dual_ur10.ids import task_name
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.adapter import Command
-from dual_ur10.sim2real.runtime.twin import Twin
+from dual_ur10.sim2real.runtime.mirror_model import MirrorModel
 
 TASKS = [task_name(each) for each in ENV_IDS]
 TICKS = 5
@@ -44,13 +44,13 @@ def moving(cell, start, periods=6):
         yield cell.advance(Command(targets, gripper)).state
 
 
-def shown(twin, state):
-    """What the twin makes of what two controllers, and a tracker, would tell of it."""
+def shown(mirror, state):
+    """What the mirror makes of what two controllers, and a tracker, would tell of it."""
     gripped = state.gripper_m is not None
     thing = None if state.object_m is None else (state.object_m[0], state.object_quat[0])
-    twin.aim(None if state.target_m is None else (state.target_m[0], state.target_quat[0]))
+    mirror.aim(None if state.target_m is None else (state.target_m[0], state.target_quat[0]))
     more = {"gripper_m": state.gripper_m[0], "wrench": state.wrench[0]} if gripped else {}
-    return twin.follow(float(state.time_s[0]), state.q_rad[0], state.qd_rad_s[0], thing=thing, **more)
+    return mirror.follow(float(state.time_s[0]), state.q_rad[0], state.qd_rad_s[0], thing=thing, **more)
 
 
 def assert_equal(found, expected):
@@ -66,10 +66,10 @@ def assert_equal(found, expected):
 @pytest.mark.parametrize("name", TASKS)
 def test_it_shows_what_the_simulated_cell_shows(name):
     cell, start = simulated(name)
-    twin = Twin(cell.config.scene)
+    mirror = MirrorModel(cell.config.scene)
     states = 0
     for state in moving(cell, start):
-        assert_equal(shown(twin, state), state)
+        assert_equal(shown(mirror, state), state)
         states += 1
     assert states == 7
     assert np.abs(state.q_rad - start.q_rad).max() > 0.01
@@ -79,12 +79,12 @@ def test_it_shows_what_the_simulated_cell_shows(name):
 @pytest.mark.parametrize("name", TASKS)
 def test_what_it_has_shown_does_not_change(name):
     cell, start = simulated(name)
-    twin = Twin(cell.config.scene)
+    mirror = MirrorModel(cell.config.scene)
     states = moving(cell, start)
-    first = shown(twin, next(states))
+    first = shown(mirror, next(states))
     kept = [None if each is None else each.copy() for each in first]
     for state in states:
-        shown(twin, state)
+        shown(mirror, state)
     for value, copy in zip(first, kept, strict=True):
         assert value is copy is None or (value == copy).all()
     cell.close()
@@ -93,10 +93,10 @@ def test_what_it_has_shown_does_not_change(name):
 def test_without_a_thing_or_a_target_it_shows_none():
     cell, start = simulated("Handover")
     state = cell.reset(start).state
-    twin = Twin(cell.config.scene)
-    shown(twin, state)
-    twin.aim(None)
-    found = twin.follow(
+    mirror = MirrorModel(cell.config.scene)
+    shown(mirror, state)
+    mirror.aim(None)
+    found = mirror.follow(
         1.5, state.q_rad[0], state.qd_rad_s[0], gripper_m=state.gripper_m[0], wrench=state.wrench[0], thing=None
     )
     assert (found.object_m, found.object_quat, found.target_m, found.target_quat) == (None,) * 4
@@ -109,11 +109,11 @@ def test_without_a_thing_or_a_target_it_shows_none():
 @pytest.mark.parametrize("name", TASKS)
 def test_what_is_drawn_stands_where_it_stands(name):
     cell, start = simulated(name)
-    twin = Twin(cell.config.scene)
+    mirror = MirrorModel(cell.config.scene)
     *_, state = moving(cell, start)
-    shown(twin, state)
-    (model, data), (model2, data2) = twin.model_and_data(), cell.model_and_data(0)
-    assert twin.model_and_data()[0] is model
+    shown(mirror, state)
+    (model, data), (model2, data2) = mirror.model_and_data(), cell.model_and_data(0)
+    assert mirror.model_and_data()[0] is model
     assert [model.body(each).name for each in range(model.nbody)] == [
         model2.body(each).name for each in range(model2.nbody)
     ]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dual_ur10.sim2real.runtime.drift import APART_S, Drift
+from dual_ur10.sim2real.links.controller_clock import APART_S, DriftCompensation
 
 TICK_S = 0.008
 BACK_S = 0.0005
@@ -16,14 +16,14 @@ MOST = 1e-3
 
 @given(st.floats(-1e6, 1e6), st.lists(st.floats(-0.999, 0.999), max_size=60))
 def test_within_two_milliseconds_nothing_is_ever_shifted(offset_s, parts):
-    drift = Drift(TICK_S, offset_s)
+    drift = DriftCompensation(TICK_S, offset_s)
     assert [drift(offset_s + part * APART_S) for part in parts] == [0.0] * len(parts)
 
 
 @pytest.mark.parametrize("tick_s", [0.008, 0.002])
 @pytest.mark.parametrize("off_s", [-0.05, -0.0021, 0.0021, 0.004, 0.05])
 def test_a_step_is_made_good_slowly_and_then_nothing_moves_any_more(tick_s, off_s):
-    drift, shifts = Drift(tick_s, 10.0), [0.0]
+    drift, shifts = DriftCompensation(tick_s, 10.0), [0.0]
     for _ in range(round(abs(off_s) / tick_s / MOST) + 100):
         shifts.append(drift(10.0 + off_s))
     steps = np.diff(shifts)
@@ -38,7 +38,7 @@ def test_a_step_is_made_good_slowly_and_then_nothing_moves_any_more(tick_s, off_
 
 
 def test_a_bound_holds_per_period_however_many_have_passed():
-    drift = Drift(TICK_S, 0.0)
+    drift = DriftCompensation(TICK_S, 0.0)
     assert drift(0.1, 7) == pytest.approx(7 * MOST)
     assert drift(0.1) == pytest.approx(8 * MOST)
     assert drift(-0.1, 3) == pytest.approx(5 * MOST)
@@ -47,7 +47,7 @@ def test_a_bound_holds_per_period_however_many_have_passed():
 
 @given(st.lists(st.tuples(st.floats(-1.0, 1.0), st.integers(1, 12)), max_size=60))
 def test_no_period_is_shifted_by_more(calls):
-    drift, before = Drift(TICK_S, 0.3), 0.0
+    drift, before = DriftCompensation(TICK_S, 0.3), 0.0
     for offset_s, periods in calls:
         shift = drift(0.3 + offset_s, periods)
         assert abs(shift - before) <= MOST * periods * (1 + 1e-9)
@@ -58,7 +58,7 @@ def test_no_period_is_shifted_by_more(calls):
 @pytest.mark.parametrize("tick_s", [0.008, 0.002])
 def test_an_hour_on_a_clock_of_its_own(ppm, tick_s):
     """Of a controller whose time goes differently: its targets stay those of this machine's time."""
-    drift, rng = Drift(tick_s, 5.0), np.random.default_rng(0)
+    drift, rng = DriftCompensation(tick_s, 5.0), np.random.default_rng(0)
     noise = rng.uniform(-0.0003, 0.0003, 1024)
     every = 20  # of the periods of an hour, for the sake of time: what it may do in them is given to it
     worst, shifted = 0.0, 0.0

@@ -1,4 +1,4 @@
-"""Targets as they lie in shared memory: each window has the brake behind it, as nobody knows whether more will come."""
+"""Writer of targets into shared memory, each window followed by the brake that ends it if nothing else comes."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from dual_ur10.sim2real.runtime.runner import Runner
 from dual_ur10.types import Array
 
 
-class BrakedTargets:
-    """Writes the targets of both arms, with the brake behind them that a safety gate has checked.
+class TargetWriter:
+    """Writes the targets of both arms, followed by the brake that the safety gate has checked.
 
     Args:
-        limits: Those of the gate: its brake follows from them.
+        limits: Limits of the gate, from which its brake follows.
         tick_s: Control period.
-        most_ticks: How many targets are written at once, or ahead, at most.
+        most_ticks: Largest number of targets written at once or ahead.
 
     Raises:
-        SettingsError: Under these limits the arms need longer to come to rest than is kept ready.
+        SettingsError: Under these limits the brake is longer than the memory holds.
     """
 
     def __init__(self, limits: MotionLimits, tick_s: float, most_ticks: int) -> None:
@@ -31,14 +31,14 @@ class BrakedTargets:
                 f"the limits of this cell need a brake of {count * tick_s:.1f} s, {most * tick_s:.1f} s is "
                 "the most that is kept ready: allow more acceleration or jerk, or less speed"
             )
-        self._past: Array = np.zeros((HISTORY, 2, 6))  # the last targets but those of the brake
+        self._past: Array = np.zeros((HISTORY, 2, 6))  # last targets, without those of the brake
 
     def rest_at(self, q_rad: Array) -> None:
-        """Both arms rest at (2, 6)."""
+        """Continue from both arms at rest at (2, 6)."""
         self._past = np.tile(q_rad, (HISTORY, 1, 1))
 
     def write(self, runner: Runner, first: int, targets_rad: Array) -> bool:
-        """Write targets, (k, 2, 6), of number `first` on, if there still is time. Returns whether there was."""
+        """Write targets, (k, 2, 6), from number `first` on; return False if it is too late for that."""
         last = np.concatenate([self._past, targets_rad])[-HISTORY:]
         past = last.reshape(HISTORY, 12)
         brake = past[-1] + self._brake @ (past - past[-1])

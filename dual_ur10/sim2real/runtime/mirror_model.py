@@ -1,4 +1,4 @@
-"""A MuJoCo twin of arms that something else moves: it goes where they were measured, and shows what follows from it."""
+"""Mirror model: a MuJoCo model set to the measured state of real or emulated arms."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from dual_ur10.types import Array
 Pose = tuple[Array, Array]
 
 
-class Twin:
-    """One cell that is measured.
+class MirrorModel:
+    """Derives the state of a cell from measurements, without simulating it.
 
     Args:
-        scene: Both arms, with their grippers and what they handle.
+        scene: Both arms with their grippers and objects.
     """
 
     def __init__(self, scene: SceneSettings) -> None:
@@ -37,7 +37,7 @@ class Twin:
         self._target: Pose | None = None
 
     def aim(self, target: Pose | None) -> None:
-        """Where the target of the task is: position (3,) and orientation (4,)."""
+        """Set the pose of the task's target: position (3,) and orientation (4,); None: there is none."""
         self._target = target
 
     def follow(
@@ -50,14 +50,14 @@ class Twin:
         wrench: Array | None = None,
         thing: Pose | None = None,
     ) -> CellState:
-        """Go where the arms are.
+        """Set the model to a measurement and return the resulting state.
 
         Args:
-            time_s: Since the episode began.
-            q_rad: (2, 6) measured.
-            qd_rad_s: (2, 6) measured.
-            gripper_m: (2,) measured openings; None: there are no grippers.
-            wrench: (2, 6) measured force and torque at the flanges in their `base` frames; None likewise.
+            time_s: Time since the episode began.
+            q_rad: (2, 6) measured joint positions.
+            qd_rad_s: (2, 6) measured joint speeds.
+            gripper_m: (2,) measured gripper widths; None: there are no grippers.
+            wrench: (2, 6) measured force and torque at the flanges in their `base` frames; None: there are no grippers.
             thing: Measured pose of the object; None: there is none.
         """
         data, joints = self._data, self._joints
@@ -95,7 +95,7 @@ class Twin:
         )
 
     def model_and_data(self) -> tuple[Any, Any]:
-        """MuJoCo's model and data of the cell, to be drawn: the same objects at every call, brought up to date."""
+        """Return the MuJoCo model and data for rendering: the same objects at every call, updated."""
         if self._drawn is None:
             model = build_model(self._scene)
             self._drawn = model, self._mujoco.MjData(model)

@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dual_ur10.sim2real.runtime.ramp import STOP_RAD_S2, STOP_RAD_S3, Ramp
+from dual_ur10.sim2real.runtime.stop_ramp import STOP_RAD_S2, STOP_RAD_S3, StopRamp
 
 speeds = st.lists(st.floats(-2.5, 2.5), min_size=6, max_size=6)
 
 
 def targets_of(speed, tick_s):
     start = np.array([np.zeros(6), np.asarray(speed) * tick_s])
-    ramp, targets = Ramp(start, tick_s), [*start]
+    ramp, targets = StopRamp(start, tick_s), [*start]
     for _ in range(round(3.0 / tick_s)):
         targets.append(ramp())
         if ramp.at_rest:
@@ -43,6 +43,6 @@ def test_half_a_radian_per_second_takes_no_longer_than_promised(tick_s):
 
 
 def test_an_arm_that_stands_stays():
-    ramp = Ramp(np.ones((2, 6)), 0.008)
+    ramp = StopRamp(np.ones((2, 6)), 0.008)
     assert ramp.at_rest
     assert np.array_equal(ramp(), np.ones(6))

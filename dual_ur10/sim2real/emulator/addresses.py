@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import random
+import socket
 from collections.abc import Collection
 from typing import Final
 
 from dual_ur10.errors import AddressError
-from dual_ur10.sim2real.emulator.arm_server import PORTS
-from dual_ur10.sim2real.emulator.sockets import check_loopback, listening
+
+PORTS: Final = {
+    "dashboard": 29999,
+    "primary": 30001,
+    "secondary": 30002,
+    "realtime": 30003,
+    "rtde": 30004,
+    "gripper": 63352,
+}
+"""UR's ports, and that of Robotiq's gripper server."""
 
 _ATTEMPTS: Final = 200
 _FIRST_NETWORK: Final = 64  # 127.64.0.0 and above: away from what other programs use
@@ -68,3 +78,48 @@ def checked_address(host: str) -> str:
     for port in PORTS.values():
         listening((host, port)).close()
     return host
+
+
+def listening(address: tuple[str, int]) -> socket.socket:
+    """A socket that listens.
+
+    Raises:
+        AddressError: The address is taken, does not exist on this machine, or is not of the loopback interface.
+    """
+    check_loopback(address[0])
+    sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.setblocking(False)
+        sock.bind(address)
+        sock.listen(64)
+    except OSError as error:
+        sock.close()
+        raise _named(address, error) from error
+    return sock
+
+
+def check_loopback(host: str) -> None:
+    """Check that an address can only be reached from this machine.
+
+    Raises:
+        AddressError: It is not written as an address of 127.0.0.0/8.
+    """
+    packed = b""
+    with contextlib.suppress(OSError, ValueError, TypeError):
+        packed = socket.inet_pton(socket.AF_INET, host)
+    if packed[:1] != b"\x7f":
+        raise AddressError(
+            f"{host!r} is no loopback address: an emulated controller listens on 127.0.0.0/8 only, such as 127.0.0.1"
+        )
+
+
+def _named(address: tuple[str, int], error: OSError) -> AddressError:
+    where = f"{address[0]}:{address[1]}"
+    if error.errno == errno.EADDRINUSE:
+        return AddressError(f"{where} is taken by another program: stop it, or choose another address of 127.0.0.0/8")
+    if error.errno == errno.EADDRNOTAVAIL:
+        return AddressError(
+            f"{where} does not exist on this machine: on macOS, add it with `sudo ifconfig lo0 alias {address[0]} up`"
+        )
+    return AddressError(f"{where} cannot be listened on: {error}")

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from dual_ur10.errors import ProtocolError, ScriptError, SettingsError
 from dual_ur10.kinematics.ur10 import DHParameters
+from dual_ur10.sim2real.emulator.addresses import PORTS
 from dual_ur10.sim2real.emulator.controller import Controller
 from dual_ur10.sim2real.emulator.dashboard import GREETING, Dashboard
 from dual_ur10.sim2real.emulator.pendant import Pendant
@@ -25,18 +26,6 @@ from dual_ur10.sim2real.protocol.primary_packet import RATE_HZ, PrimaryPacket
 from dual_ur10.sim2real.protocol.text_lines import LineReader
 
 log = logging.getLogger(__name__)
-
-DASHBOARD, PRIMARY, SECONDARY, REALTIME, RTDE, GRIPPER = 29999, 30001, 30002, 30003, 30004, 63352
-"""UR's ports, and that of Robotiq's gripper server."""
-
-PORTS: Final = {
-    "dashboard": DASHBOARD,
-    "primary": PRIMARY,
-    "secondary": SECONDARY,
-    "realtime": REALTIME,
-    "rtde": RTDE,
-    "gripper": GRIPPER,
-}
 
 _MOST_SCRIPTS: Final = 64  # programs that wait to be started
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dual_ur10.sim2real.emulator.builtins_io import io_builtins
 from dual_ur10.sim2real.emulator.builtins_motion import motion_builtins
 from dual_ur10.sim2real.emulator.builtins_robot import robot_builtins
-from dual_ur10.sim2real.emulator.script import library
-
-if TYPE_CHECKING:
-    from dual_ur10.sim2real.emulator.controller import Builtins, Controller
-
+from dual_ur10.sim2real.emulator.controller import Controller
+from dual_ur10.sim2real.emulator.script import Builtins, library
 
 _ELEMENTS_PER_STEP = 8
 

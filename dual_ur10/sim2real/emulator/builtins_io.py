@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dual_ur10.errors import MotionError
+from dual_ur10.sim2real.emulator.controller import Controller
 from dual_ur10.sim2real.emulator.inputs_outputs import CONFIGURABLE, STANDARD, TOOL
-from dual_ur10.sim2real.emulator.script import text
+from dual_ur10.sim2real.emulator.registers import Watchdog
+from dual_ur10.sim2real.emulator.script import Builtins, text
 from dual_ur10.sim2real.emulator.script.values import number
-
-if TYPE_CHECKING:
-    from dual_ur10.sim2real.emulator.controller import Builtins, Controller, Watchdog
 
 _INT_BITS = 32
 _WATCHDOG_ACTIONS = ("ignore", "pause", "stop")
@@ -132,8 +131,6 @@ def io_builtins(controller: Controller) -> Builtins:
 
 
 def _watchdog(controller: Controller, name: str, frequency: float, action: str) -> Watchdog | None:
-    from dual_ur10.sim2real.emulator.controller import Watchdog
-
     if not isinstance(name, str):
         raise MotionError(f"a watchdog is set on the name of a register, found {name!r}")
     if not math.isfinite(frequency):

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from dual_ur10.errors import MotionError
+from dual_ur10.sim2real.emulator.controller import Controller
 from dual_ur10.sim2real.emulator.motion import Handle
-from dual_ur10.sim2real.emulator.script import Pose
+from dual_ur10.sim2real.emulator.script import Builtins, Pose
 from dual_ur10.sim2real.emulator.script.values import number
-
-if TYPE_CHECKING:
-    from dual_ur10.sim2real.emulator.controller import Builtins, Controller
 
 Blocking = Generator[None, None, None]
 
@@ -23,7 +21,7 @@ SOLUTION_STEPS: Final = 50
 # ruff: noqa: A002
 
 
-class Control:
+class MotionOwner:
     """Which of a program's threads moves the arm: one at a time, as on a real controller."""
 
     def __init__(self, controller: Controller) -> None:
@@ -101,23 +99,23 @@ def pose_of(controller: Controller, target: Sequence[float]) -> list[float]:
 
 def motion_builtins(controller: Controller) -> Builtins:
     """The functions, by name."""
-    motion, control, tick_s = controller.motion, Control(controller), controller.profile.tick_s
+    motion, owner, tick_s = controller.motion, MotionOwner(controller), controller.profile.tick_s
 
     def movej(q: Any, a: float = 1.4, v: float = 1.05, t: float = 0, r: float = 0) -> Blocking:
         joints = joints_of(controller, q)
-        yield from control.follow(lambda: motion.move_joints(joints, a, v, t, r))
+        yield from owner.follow(lambda: motion.move_joints(joints, a, v, t, r))
 
     def movel(pose: Any, a: float = 1.2, v: float = 0.25, t: float = 0, r: float = 0) -> Blocking:
         target = pose_of(controller, pose)
-        yield from control.follow(lambda: motion.move_linear(target, a, v, t, r))
+        yield from owner.follow(lambda: motion.move_linear(target, a, v, t, r))
 
     def movep(pose: Any, a: float = 1.2, v: float = 0.25, r: float = 0) -> Blocking:
         target = pose_of(controller, pose)
-        yield from control.follow(lambda: motion.move_process(target, a, v, r))
+        yield from owner.follow(lambda: motion.move_process(target, a, v, r))
 
     def movec(pose_via: Any, pose_to: Any, a: float = 1.2, v: float = 0.25, r: float = 0, mode: int = 0) -> Blocking:
         via, to = pose_of(controller, pose_via), pose_of(controller, pose_to)
-        yield from control.follow(lambda: motion.move_circular(via, to, a, v, r))
+        yield from owner.follow(lambda: motion.move_circular(via, to, a, v, r))
 
     def servoj(
         q: Any, a: float = 0, v: float = 0, t: float = tick_s, lookahead_time: float = 0.1, gain: float = 300
@@ -130,26 +128,26 @@ def motion_builtins(controller: Controller) -> Builtins:
                 controller.note_setpoint(joints, t, lookahead_time, gain)
             return handle
 
-        yield from control.follow(start)
+        yield from owner.follow(start)
 
     def servoc(pose: Any, a: float = 1.2, v: float = 0.25, r: float = 0) -> Blocking:
         target = pose_of(controller, pose)
-        yield from control.follow(lambda: motion.servo_circular(target, a, v, r))
+        yield from owner.follow(lambda: motion.servo_circular(target, a, v, r))
 
     def speedj(qd: Any, a: float = 1.4, t: float = 0) -> Blocking:
-        yield from control.follow(lambda: motion.speed_joints(qd, a, t))
+        yield from owner.follow(lambda: motion.speed_joints(qd, a, t))
 
     def speedl(xd: Any, a: float = 1.2, t: float = 0, aRot: float = 0) -> Blocking:  # noqa: N803  # UR's name
-        yield from control.follow(lambda: motion.speed_linear(xd, a, t, aRot or a))
+        yield from owner.follow(lambda: motion.speed_linear(xd, a, t, aRot or a))
 
     def stopj(a: float) -> Blocking:
-        yield from control.follow(lambda: motion.stop_joints(a))
+        yield from owner.follow(lambda: motion.stop_joints(a))
 
     def stopl(a: float, aRot: float = 0) -> Blocking:  # noqa: N803  # UR's name
-        yield from control.follow(lambda: motion.stop_linear(a, aRot or a))
+        yield from owner.follow(lambda: motion.stop_linear(a, aRot or a))
 
     def force_mode(task_frame: Any, selection_vector: Any, wrench: Any, type: int, limits: Any) -> None:
-        control.check()
+        owner.check()
         motion.force_mode(task_frame, selection_vector, wrench, type, limits)
 
     def end_force_mode() -> None:
@@ -162,14 +160,14 @@ def motion_builtins(controller: Controller) -> Builtins:
         motion.force_mode_settings(gain_scaling=scaling)
 
     def teach_mode() -> None:
-        control.check()
+        owner.check()
         motion.freedrive([1] * 6, [0.0] * 6)
 
     def end_teach_mode() -> None:
         motion.end_freedrive()
 
     def freedrive_mode(freeAxes: Any = (1, 1, 1, 1, 1, 1), feature: Any = (0.0,) * 6) -> None:  # noqa: N803
-        control.check()
+        owner.check()
         motion.freedrive(freeAxes, feature)
 
     def end_freedrive_mode() -> None:

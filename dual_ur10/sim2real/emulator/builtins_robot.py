@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from dual_ur10.errors import MotionError
 from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD
 from dual_ur10.sim2real.emulator.builtins_motion import SOLUTION_STEPS, joints_of
-from dual_ur10.sim2real.emulator.script import Pose
+from dual_ur10.sim2real.emulator.controller import Controller
+from dual_ur10.sim2real.emulator.script import Builtins, Pose
 from dual_ur10.sim2real.emulator.script.values import number
-
-if TYPE_CHECKING:
-    from dual_ur10.sim2real.emulator.controller import Builtins, Controller
 
 # Names and defaults of the parameters are those of UR's script manual; they are what programs write.
 # ruff: noqa: N803

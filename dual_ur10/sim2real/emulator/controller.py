@@ -14,17 +14,15 @@ from dual_ur10.errors import OperationRefusedError, ScriptError
 from dual_ur10.kinematics.forward import elbow_and_flange_position, flange_pose
 from dual_ur10.kinematics.rotations import cross
 from dual_ur10.kinematics.ur10 import DHParameters
-from dual_ur10.sim2real.emulator.builtins import builtins_of
 from dual_ur10.sim2real.emulator.inputs_outputs import InputsOutputs
 from dual_ur10.sim2real.emulator.motion import Motion
 from dual_ur10.sim2real.emulator.profile import ControllerProfile
 from dual_ur10.sim2real.emulator.program_runner import ProgramRunner
 from dual_ur10.sim2real.emulator.received import Received
-from dual_ur10.sim2real.emulator.registers import Registers
+from dual_ur10.sim2real.emulator.registers import Registers, Watchdog
 from dual_ur10.sim2real.emulator.rtde_variables import zero_values
 from dual_ur10.sim2real.emulator.safety import Demand, Safety
-from dual_ur10.sim2real.emulator.script import Machine, Program
-from dual_ur10.sim2real.emulator.world import ArmReading
+from dual_ur10.sim2real.emulator.script import Builtins, Program
 from dual_ur10.sim2real.protocol import primary_messages as messages
 from dual_ur10.sim2real.protocol.modes import JointMode, RobotBits, RobotMode, RuntimeState, SafetyMode
 from dual_ur10.types import Array
@@ -43,6 +41,25 @@ _MESSAGES: Final = 256
 STEADY_RAD: Final = 0.01
 STEADY_RAD_S: Final = 0.001
 REDUCED_SPEED: Final = 0.5  # of the speed in reduced mode; a real controller's depends on its safety configuration
+
+
+class ArmReading(NamedTuple):
+    """What the controller of one arm measures.
+
+    Attributes:
+        q_rad: (6,) joint positions.
+        qd_rad_s: (6,) joint speeds.
+        torque_nm: (6,) torques of the joints' motors.
+        wrench: (6,) force and torque on the flange, N and N·m, along the axes of the arm's `base`, without the
+            gripper's own weight; zero where nothing measures it.
+        gripper_m: Opening of the gripper; None if there is none.
+    """
+
+    q_rad: Array
+    qd_rad_s: Array
+    torque_nm: Array
+    wrench: Array
+    gripper_m: float | None
 
 
 class Setpoint(NamedTuple):
@@ -64,39 +81,6 @@ class Payload:
     inertia_kg_m2: tuple[float, ...] = (0.0,) * 6
 
 
-@dataclass
-class Watchdog:
-    """A program's demand that a client keeps writing a register.
-
-    Attributes:
-        name: The register's, as RTDE names it.
-        period_s: Longest time between two writes.
-        action: "pause" or "stop".
-        writes: How often it had been written when it was looked at last.
-        machine: The program.
-        value: Gives what is in the register.
-        since_s: Time since it was last fed.
-    """
-
-    name: str
-    period_s: float
-    action: str
-    writes: int
-    machine: Machine | None
-    value: Callable[[], Any]
-    since_s: float = 0.0
-    last: Any = None
-
-    def is_fed(self, registers: Registers, counts_unchanged: bool) -> bool:
-        """Whether the register was written since this was asked last."""
-        writes, value = registers.writes.get(self.name, 0), self.value()
-        fed = writes != self.writes and (counts_unchanged or value != self.last)
-        self.writes, self.last = writes, value
-        if fed:
-            self.since_s = 0.0
-        return fed
-
-
 class Controller:
     """One UR controller, without its sockets.
 
@@ -106,6 +90,7 @@ class Controller:
         q_rad: (6,) where the arm stands.
         substeps: Physics steps of one control period.
         dh: The kinematics that it believes in.
+        builtins: Makes the functions that its programs may call, as `builtins_of` does.
         lookahead_scale: True lookahead over the one that programs ask for.
         gripper_kg: Mass that its installation declares as payload.
         powered: Whether the arm is powered from the start.
@@ -120,6 +105,7 @@ class Controller:
         substeps: int,
         *,
         dh: DHParameters,
+        builtins: Callable[[Controller], Builtins],
         lookahead_scale: float = 1.0,
         gripper_kg: float = 0.0,
         powered: bool = True,
@@ -156,7 +142,7 @@ class Controller:
         self._ran = False
         self._raw_wrench: Array = np.zeros(6)
         self._wrench_zero: Array = np.zeros(6)
-        self.program = ProgramRunner(profile, self.motion, builtins_of(self), self._script_failed)
+        self.program = ProgramRunner(profile, self.motion, builtins(self), self._script_failed)
         self.reading = ArmReading(np.array(q_rad, dtype=float), np.zeros(6), np.zeros(6), np.zeros(6), None)
         self._elbow: Array = elbow_and_flange_position(self.reading.q_rad)[0]
         self._constant_values()
@@ -171,7 +157,7 @@ class Controller:
         """Let one control period begin: measure, run the program, and say how the arm is to move.
 
         Returns:
-            (substeps, 3, 6): the motion, as `World.advance` takes it.
+            (substeps, 3, 6): the motion, as `EmulatedWorld.advance` takes it.
         """
         self.ticks += 1
         self.reading = reading
@@ -411,6 +397,3 @@ class Controller:
 
 def _joint_mode(mode: RobotMode) -> JointMode:
     return JointMode.POWER_OFF if mode < RobotMode.POWER_ON else JointMode.IDLE
-
-
-Builtins = dict[str, Callable[..., Any]]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from dual_ur10.errors import OperationRefusedError, UnknownNameError
-from dual_ur10.sim2real.emulator.dashboard_robot import USER_ROLES, DashboardRobot
+from dual_ur10.sim2real.emulator.pendant import Pendant
 from dual_ur10.sim2real.emulator.profile import ControllerProfile
 from dual_ur10.sim2real.protocol.modes import RobotMode, RuntimeState, SafetyMode
 
@@ -25,6 +25,9 @@ LOCAL_MODE: Final = (
     "29999"
 )
 """The answer of an e-Series controller in local mode, as users of UR's drivers have quoted it."""
+
+USER_ROLES: Final = ("programmer", "operator", "none", "locked", "restricted")
+"""User roles of a CB3 (UR's article "Dashboard Server CB-Series")."""
 
 _LONGEST_NAME: Final = 4  # words
 
@@ -81,7 +84,7 @@ class Dashboard:
 
     greeting = GREETING
 
-    def __init__(self, profile: ControllerProfile, robot: DashboardRobot) -> None:
+    def __init__(self, profile: ControllerProfile, robot: Pendant) -> None:
         self.closed = False
         self._profile, self._robot = profile, robot
         self._connected_locally = self._is_local()

@@ -12,21 +12,25 @@ import select
 import sys
 import threading
 import time
+import tomllib
 from collections import deque
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from dual_ur10.envs.rendering.viewer import Viewer
 from dual_ur10.errors import AddressError, DualUR10Error, SettingsError
+from dual_ur10.files import write_text
 from dual_ur10.ids import env_id_of, task_name
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig
+from dual_ur10.sim2real.config.cell_file_text import toml_text
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.emulator.addresses import checked_address, free_address
 from dual_ur10.sim2real.emulator.arm_server import ArmServer, LinePeer
-from dual_ur10.sim2real.emulator.cell_file_writer import write_cell_file
+from dual_ur10.sim2real.emulator.builtins import builtins_of
 from dual_ur10.sim2real.emulator.controller import Controller
 from dual_ur10.sim2real.emulator.fault_injection import FaultInjection
 from dual_ur10.sim2real.emulator.mujoco_world import EmulatedWorld, PlantOptions
@@ -135,6 +139,7 @@ class Emulator:
                     self.world.start_q_rad[arm],
                     self.world.substeps,
                     dh=mounts[arm].dh,
+                    builtins=builtins_of,
                     lookahead_scale=float(self.world.lookahead_scale[arm]),
                     gripper_kg=self.world.gripper_kg,
                     powered=options.powered,
@@ -277,6 +282,30 @@ def _addresses(options: EmulatorOptions) -> tuple[str, str]:
         if hosts[arm] is None:
             hosts[arm] = free_address([each for each in hosts if each is not None])
     return str(hosts[0]), str(hosts[1])
+
+
+def write_cell_file(path: str | Path, description: Mapping[str, Any]) -> None:
+    """Write a description as TOML.
+
+    Args:
+        path: Where to. A file of an emulated cell is replaced; any other is left alone.
+        description: Tables by name, with plain values, or plain values.
+
+    Raises:
+        SettingsError: There is another file.
+        DualUR10Error: The place cannot be written to.
+    """
+    path = Path(path)
+    if path.exists():
+        try:
+            kind = tomllib.loads(path.read_text()).get("kind")
+        except (OSError, ValueError, RecursionError):
+            kind = None
+        if kind != "emulated":
+            raise SettingsError(
+                f"{path} exists and is no file of an emulated cell: it was left as it is. Name another with --cell"
+            )
+    write_text(path, toml_text(description))
 
 
 def main() -> None:

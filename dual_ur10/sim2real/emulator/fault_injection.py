@@ -22,8 +22,8 @@ from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply
 from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.emulator.arm_server import ArmServer, RtdePeer
+from dual_ur10.sim2real.emulator.mujoco_world import EmulatedWorld
 from dual_ur10.sim2real.emulator.sockets import LinkFaults
-from dual_ur10.sim2real.emulator.world import World
 
 _MOST_DELAY_S: Final = 2.0
 _MOST_LATE_S: Final = 60.0  # of packets and programs: they are kept meanwhile
@@ -54,7 +54,7 @@ class CellUnderTest(Protocol):
         ...
 
     @property
-    def world(self) -> World:
+    def world(self) -> EmulatedWorld:
         """What is around them."""
         ...
 

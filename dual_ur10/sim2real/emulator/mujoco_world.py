@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -16,7 +16,7 @@ from dual_ur10.envs.tasks.task import Timing, task_settings
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.config.cell import CellConfig, CellState
-from dual_ur10.sim2real.emulator.world import ArmReading
+from dual_ur10.sim2real.emulator.controller import ArmReading
 from dual_ur10.types import Array
 
 PLANTS: Final = ("nominal", "mild", "wide")
@@ -26,7 +26,7 @@ _POLICY_HZ: Final = 25.0  # only to ask a task how its episodes begin
 _MOST_DH_ERROR_M: Final = 0.02
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class PlantOptions:
     """What the simulated plant is.
 
@@ -119,7 +119,13 @@ class EmulatedWorld:
         )
 
     def advance(self, plans: Sequence[Array], openings_m: Sequence[float | None], payloads_kg: Sequence[float]) -> None:
-        """Move on by one control period; see `World`."""
+        """Move on by one control period.
+
+        Args:
+            plans: Per arm (substeps, 3, 6): position before, speed after and acceleration in every physics step.
+            openings_m: Per arm the commanded opening of its gripper.
+            payloads_kg: Per arm what its controller takes to be in its gripper.
+        """
         both = np.concatenate([line(plan) for line, plan in zip(self._lines, plans, strict=True)], axis=2)[None]
         grippers = payload = None
         if self.gripper_kg:
@@ -180,8 +186,6 @@ class _Line:
 
 def _with_dh_errors(config: CellConfig, most_m: float, rng: np.random.Generator) -> CellConfig:
     """The cell with kinematics that differ from what is believed of them."""
-    import dataclasses
-
     if not most_m:
         return config
     mounts = {}

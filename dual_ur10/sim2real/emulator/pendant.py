@@ -16,7 +16,9 @@ _MOST_PROGRAMS = 64
 
 
 class Pendant:
-    """The operations of a controller, as `dual_ur10.sim2real.emulator.dashboard_robot.DashboardRobot` lists them.
+    """Operations of one controller for its operator.
+
+    Methods raise [OperationRefusedError][dual_ur10.errors.OperationRefusedError] where a controller would refuse.
 
     Args:
         controller: The controller.

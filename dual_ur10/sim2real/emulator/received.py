@@ -20,7 +20,7 @@ speedL, servoJ, servoL, servoC, teach mode, a protective stop, jogging, paths, c
 set, end a motion, or only show that somebody is there (0)."""
 
 
-class Motion(NamedTuple):
+class MotionPackage(NamedTuple):
     """One package with such a command.
 
     Attributes:
@@ -49,7 +49,7 @@ class Received:
 
     def __init__(self, registers: Registers) -> None:
         self._registers = registers
-        self.motion: deque[Motion] = deque(maxlen=_MOST)
+        self.motion: deque[MotionPackage] = deque(maxlen=_MOST)
         self.motion_count = 0
         self.uploads = 0
         self.upload_tick: int | None = None
@@ -70,7 +70,7 @@ class Received:
                 if command in MOTION_COMMANDS:
                     self.motion_count += 1
                     numbers = self._registers.input_double[first : first + 6]
-                    self.motion.append(Motion(tick, command, tuple(numbers)))
+                    self.motion.append(MotionPackage(tick, command, tuple(numbers)))
 
     def upload(self, tick: int) -> None:
         """A program has come."""

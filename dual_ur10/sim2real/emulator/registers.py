@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -66,3 +67,36 @@ class Registers:
     def _list(self, direction: str, kind: str) -> list[Any]:
         found: list[Any] = getattr(self, f"{direction}_{kind}")
         return found
+
+
+@dataclass
+class Watchdog:
+    """A program's demand that a client keeps writing a register.
+
+    Attributes:
+        name: The register's, as RTDE names it.
+        period_s: Longest time between two writes.
+        action: "pause" or "stop".
+        writes: How often it had been written when it was looked at last.
+        machine: The program.
+        value: Gives what is in the register.
+        since_s: Time since it was last fed.
+    """
+
+    name: str
+    period_s: float
+    action: str
+    writes: int
+    machine: object
+    value: Callable[[], Any]
+    since_s: float = 0.0
+    last: Any = None
+
+    def is_fed(self, registers: Registers, counts_unchanged: bool) -> bool:
+        """Whether the register was written since this was asked last."""
+        writes, value = registers.writes.get(self.name, 0), self.value()
+        fed = writes != self.writes and (counts_unchanged or value != self.last)
+        self.writes, self.last = writes, value
+        if fed:
+            self.since_s = 0.0
+        return fed

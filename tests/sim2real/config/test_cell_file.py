@@ -44,8 +44,7 @@ from dual_ur10.sim2real.config.cell_file_schema import ARM_KEYS, ARM_TABLES, CEL
 from dual_ur10.sim2real.config.cell_file_text import EXAMPLES, toml_text, write_new
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.servoj import ServojProfile
-from dual_ur10.sim2real.emulator.cell_file_writer import write_cell_file
-from dual_ur10.sim2real.emulator.emulator import Emulator, EmulatorOptions
+from dual_ur10.sim2real.emulator.emulator import Emulator, EmulatorOptions, write_cell_file
 from tests.soak import scaled
 
 ROOT = Path(__file__).parents[3]

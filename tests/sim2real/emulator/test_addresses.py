@@ -6,8 +6,7 @@ import pytest
 
 from dual_ur10.errors import AddressError
 from dual_ur10.sim2real.emulator import addresses
-from dual_ur10.sim2real.emulator.addresses import checked_address, free_address, is_free
-from dual_ur10.sim2real.emulator.arm_server import PORTS
+from dual_ur10.sim2real.emulator.addresses import PORTS, checked_address, free_address, is_free
 from dual_ur10.sim2real.emulator.emulator import Emulator, EmulatorOptions
 from tests.sim2real.emulator.ticking import Cell
 

@@ -1,4 +1,5 @@
 import dataclasses
+from collections.abc import Callable
 
 import pytest
 from hypothesis import given, settings
@@ -6,7 +7,7 @@ from hypothesis import strategies as st
 
 from dual_ur10.errors import OperationRefusedError, UnknownNameError
 from dual_ur10.sim2real.emulator.dashboard import GREETING, LOCAL_MODE, Dashboard
-from dual_ur10.sim2real.emulator.dashboard_robot import DashboardRobot
+from dual_ur10.sim2real.emulator.pendant import Pendant
 from dual_ur10.sim2real.emulator.profile import PROFILES, ControllerProfile
 from dual_ur10.sim2real.protocol.modes import RobotMode, RuntimeState, SafetyMode
 from tests.soak import scaled
@@ -44,32 +45,9 @@ class Robot:
             raise OperationRefusedError(f"not now:\n{text}")
         self.told.append(text)
 
-    def power_on(self) -> None:
-        self._note("power_on")
-
-    def power_off(self) -> None:
-        self._note("power_off")
-
-    def release_brakes(self) -> None:
-        self._note("release_brakes")
-
-    def unlock_protective_stop(self) -> None:
-        self._note("unlock_protective_stop")
-
-    def close_safety_popup(self) -> None:
-        self._note("close_safety_popup")
-
-    def restart_safety(self) -> None:
-        self._note("restart_safety")
-
-    def play(self) -> None:
-        self._note("play")
-
-    def pause(self) -> None:
-        self._note("pause")
-
-    def stop(self) -> None:
-        self._note("stop")
+    def __getattr__(self, name: str) -> Callable[[], None]:
+        assert callable(getattr(Pendant, name))
+        return lambda: self._note(name)
 
     def load(self, name: str) -> None:
         if name == "none.urp":
@@ -85,21 +63,12 @@ class Robot:
     def popup(self, text: str) -> None:
         self._note(f"popup {text}")
 
-    def close_popup(self) -> None:
-        self._note("close_popup")
-
     def add_to_log(self, text: str) -> None:
         self._note(f"add_to_log {text}")
-
-    def shutdown(self) -> None:
-        self._note("shutdown")
 
     def set_operational_mode(self, mode: str) -> None:
         self._note(f"set_operational_mode {mode}")
         self.operational_mode = mode
-
-    def clear_operational_mode(self) -> None:
-        self._note("clear_operational_mode")
 
     def set_user_role(self, role: str) -> None:
         self._note(f"set_user_role {role}")
@@ -108,8 +77,7 @@ class Robot:
 
 def connect(profile: ControllerProfile = E_SERIES) -> tuple[Dashboard, Robot]:
     robot = Robot()
-    as_protocol: DashboardRobot = robot
-    return Dashboard(profile, as_protocol), robot
+    return Dashboard(profile, robot), robot
 
 
 def older(profile: ControllerProfile, minor: int) -> ControllerProfile:

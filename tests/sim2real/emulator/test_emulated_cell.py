@@ -18,8 +18,8 @@ from dual_ur10.cli import main as cli
 from dual_ur10.errors import AddressError, ClosedError, DualUR10Error, EmulatorError, SettingsError
 from dual_ur10.sim2real.emulator import emulated_cell
 from dual_ur10.sim2real.emulator.addresses import free_address, is_free
-from dual_ur10.sim2real.emulator.cell_file_writer import write_cell_file
 from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
+from dual_ur10.sim2real.emulator.emulator import write_cell_file
 from tests.sim2real.emulator.ticking import Cell
 
 ROOT = Path(__file__).parents[3]

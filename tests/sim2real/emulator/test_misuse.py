@@ -8,8 +8,8 @@ import pytest
 
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.ur10 import NOMINAL_DH
+from dual_ur10.sim2real.emulator.controller import ArmReading
 from dual_ur10.sim2real.emulator.realtime_packet import RealtimePacket
-from dual_ur10.sim2real.emulator.world import ArmReading
 from dual_ur10.sim2real.protocol.modes import RuntimeState, SafetyMode
 from dual_ur10.sim2real.protocol.primary_packet import PrimaryPacket
 from tests.sim2real.emulator.ticking import HOME, Bench, program

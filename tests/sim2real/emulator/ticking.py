@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.kinematics.ur10 import JOINT_SPEED_RAD_S, NOMINAL_DH
-from dual_ur10.sim2real.emulator.controller import Controller
+from dual_ur10.sim2real.emulator.builtins import builtins_of
+from dual_ur10.sim2real.emulator.controller import ArmReading, Controller
 from dual_ur10.sim2real.emulator.dashboard import Dashboard
 from dual_ur10.sim2real.emulator.emulator import Emulator, EmulatorOptions
 from dual_ur10.sim2real.emulator.pendant import Pendant
 from dual_ur10.sim2real.emulator.profile import profile_of
 from dual_ur10.sim2real.emulator.realtime_packet import RealtimePacket
 from dual_ur10.sim2real.emulator.safety import Demand
-from dual_ur10.sim2real.emulator.world import ArmReading
 from dual_ur10.sim2real.protocol.modes import RobotBits, RobotMode, RuntimeState, SafetyBits, SafetyMode
 from dual_ur10.sim2real.protocol.primary_packet import PrimaryPacket
 
@@ -47,7 +47,9 @@ class Bench:
         profile = profile_of(family)
         assumed = dataclasses.replace(profile.assumptions, **assumptions)
         self.profile = dataclasses.replace(profile, assumptions=assumed)
-        self.controller = Controller("left", self.profile, np.array(HOME), SUBSTEPS, dh=NOMINAL_DH, powered=powered)
+        self.controller = Controller(
+            "left", self.profile, np.array(HOME), SUBSTEPS, dh=NOMINAL_DH, builtins=builtins_of, powered=powered
+        )
         self.off = 0
         self.pendant = Pendant(self.controller, self._off)
         self.wrench = np.zeros(6)

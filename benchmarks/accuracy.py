@@ -29,7 +29,7 @@ import handover
 import numpy as np
 
 from dual_ur10 import kinematics
-from dual_ur10.assets.scene import HOME_Q_RAD
+from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.cli.demo_report.runs import ASYMMETRIC_CELL, PERTURBED_CELL, Run, measure, speed_share
 from dual_ur10.envs.tasks.sine_tracking.path import SineSettings
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking

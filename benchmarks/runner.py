@@ -25,7 +25,7 @@ import gymnasium as gym
 import numpy as np
 
 from dual_ur10 import policies
-from dual_ur10.assets.scene import HOME_Q_RAD
+from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import CellFaulted, LinkError, StartError
 from dual_ur10.policies import evaluate, rollout
 from dual_ur10.sim2real.analysis.timing import timing

@@ -1,19 +1,27 @@
-"""What all models of a cell share: options, floor, table and both arms, and the way from tree to text."""
+"""Parts shared by all models of a cell: options, floor, table, both arms, obstacles; conversion to MJCF."""
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from dual_ur10.assets.arm import arm_tree, composer, quat_z
 from dual_ur10.assets.gripper import FINGER_JOINTS, add_gripper
+from dual_ur10.assets.obstacles import Box, Obstacle, Plane, geom_name
 from dual_ur10.assets.settings import TABLE_THICKNESS_M, SceneSettings
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.kinematics.frames import FLOOR_Z_M
+from dual_ur10.kinematics.rotations import quat_from_rotvec
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 
 if TYPE_CHECKING:
     import mujoco  # type: ignore[import-untyped, unused-ignore]  # has no types of its own
+
+_POINT_M: Final = 1e-6  # MuJoCo has no capsule of no length
+_COLOUR: Final = "0.78 0.42 0.30 1"
+_COLOUR_OF_WALLS: Final = "0.78 0.42 0.30 0.35"  # what is behind one can still be seen
+_DRAWN_M: Final = 3.0  # half the side of the piece of a wall that is drawn
 
 
 def cell_tree(settings: SceneSettings, *, rigid: bool = False) -> Any:
@@ -64,6 +72,54 @@ def child_of(parent: ET.Element, tag: str) -> ET.Element:
     """The child of that tag, made if there is none."""
     found = parent.find(tag)
     return ET.SubElement(parent, tag) if found is None else found
+
+
+def add_obstacles(document: ET.Element, obstacles: tuple[Obstacle, ...]) -> None:
+    """Add obstacles to the world of a model, after its other geoms.
+
+    Args:
+        document: MJCF of the cell.
+        obstacles: Obstacles to add.
+    """
+    for each in obstacles:
+        colour = _COLOUR_OF_WALLS if isinstance(each, Plane) else _COLOUR
+        ET.SubElement(
+            child_of(document, "worldbody"), "geom", {"name": geom_name(each), "rgba": colour, **_geom_of(each)}
+        )
+
+
+def _geom_of(obstacle: Obstacle) -> dict[str, str]:
+    if isinstance(obstacle, Box):
+        return {
+            "type": "box",
+            "pos": xml_numbers(*obstacle.position_m),
+            "quat": xml_numbers(*quat_from_rotvec(obstacle.rotation_rad)),
+            "size": xml_numbers(*(size / 2 for size in obstacle.size_m)),
+        }
+    if isinstance(obstacle, Plane):
+        return {
+            "type": "plane",
+            "pos": xml_numbers(*obstacle.point_m),
+            "zaxis": xml_numbers(*obstacle.normal),
+            "size": xml_numbers(_DRAWN_M, _DRAWN_M, 0.1),
+        }
+    length = math.dist(obstacle.from_m, obstacle.to_m)
+    if length < _POINT_M:
+        return {
+            "type": "sphere",
+            "pos": xml_numbers(*obstacle.from_m),
+            "size": xml_numbers(obstacle.radius_m + length),
+        }
+    return {
+        "type": "capsule",
+        "fromto": xml_numbers(*obstacle.from_m, *obstacle.to_m),
+        "size": xml_numbers(obstacle.radius_m),
+    }
+
+
+def xml_numbers(*values: float) -> str:
+    """Return numbers as the value of an XML attribute, exactly."""
+    return " ".join(repr(float(value)) for value in values)
 
 
 def text_of(document: ET.Element) -> str:

@@ -1,11 +1,9 @@
 """The cell: two UR10s as ``left/`` and ``right/``, a table between them, floor, lights and cameras.
 
-[compose][dual_ur10.assets.scene.compose] writes the MJCF of a cell and
-[compose_clearance][dual_ur10.assets.scene.compose_clearance] that of its contact-free twin, which only measures the
-distances between collision capsules. Both are cached per settings; the models built from them are fresh each time, so
-that a caller may change one. Importing this module loads neither mujoco nor dm_control.
-
-This is the module to import from; the modules beside it hold the parts.
+[compose][dual_ur10.assets.scene.compose] writes the MJCF of a cell, cached per settings;
+[build_model][dual_ur10.assets.scene.build_model] compiles a fresh model, which the caller may change. Distances are
+measured with [collision_model][dual_ur10.assets.collision_model]. Importing this module loads neither mujoco nor
+dm_control.
 
 Cell frame: origin on the table top midway between the arms' workspaces, x forward (away from the bases), y left, z up.
 """
@@ -17,93 +15,23 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from dual_ur10.assets.arm import strip
-from dual_ur10.assets.cell_tree import actuator_names, cell_tree, child_of, compiled, document_of, joint_names, text_of
-from dual_ur10.assets.clearance_model import (
-    CLEARANCE_CUTOFF_M,
-    CLEARANCE_PAIRS,
-    build_clearance_model,
-    clearance_pairs,
-    compose_clearance,
+from dual_ur10.assets.cell_tree import (
+    actuator_names,
+    add_obstacles,
+    cell_tree,
+    child_of,
+    compiled,
+    document_of,
+    joint_names,
+    text_of,
 )
-from dual_ur10.assets.gripper import FORCE_N, MASS_KG, OPENING_M, SPEED_M_S, TCP_M
-from dual_ur10.assets.gripper_looks import draw_grippers
-from dual_ur10.assets.meshes import use_meshes
-from dual_ur10.assets.obstacle_geoms import add_obstacles
-from dual_ur10.assets.obstacles import Box, Capsule, Obstacle, Plane
-from dual_ur10.assets.prop_looks import draw_prop
-from dual_ur10.assets.props import (
-    BAR_LENGTH_M,
-    BAR_MASS_KG,
-    BAR_WIDTH_M,
-    BLOCK_GRIP_QUAT,
-    BLOCK_MASS_KG,
-    BLOCK_SIZE_M,
-    GRIP_DISTANCE_M,
-    GRIP_QUAT,
-    add_prop,
-    prop_size_m,
-    prop_width_m,
-    weld_bar,
-)
-from dual_ur10.assets.settings import (
-    BASE_RADIUS_M,
-    GAINS,
-    GRIP_FORCE_N,
-    HOME_Q_RAD,
-    MIN_BASE_DISTANCE_M,
-    PROPS,
-    TABLE_THICKNESS_M,
-    Equipment,
-    SceneSettings,
-)
-from dual_ur10.assets.surroundings import CAMERAS, add_surroundings, cameras
+from dual_ur10.assets.props import add_prop, weld_bar
+from dual_ur10.assets.settings import SceneSettings
+from dual_ur10.assets.visuals import add_surroundings, draw_grippers, draw_prop, use_meshes
 from dual_ur10.kinematics.ur10 import ARMS
 
 if TYPE_CHECKING:
     import mujoco  # type: ignore[import-untyped, unused-ignore]  # has no types of its own
-
-__all__ = [
-    "BAR_LENGTH_M",
-    "BAR_MASS_KG",
-    "BAR_WIDTH_M",
-    "BASE_RADIUS_M",
-    "BLOCK_GRIP_QUAT",
-    "BLOCK_MASS_KG",
-    "BLOCK_SIZE_M",
-    "CAMERAS",
-    "CLEARANCE_CUTOFF_M",
-    "CLEARANCE_PAIRS",
-    "FORCE_N",
-    "GAINS",
-    "GRIP_DISTANCE_M",
-    "GRIP_FORCE_N",
-    "GRIP_QUAT",
-    "HOME_Q_RAD",
-    "MASS_KG",
-    "MIN_BASE_DISTANCE_M",
-    "OPENING_M",
-    "PROPS",
-    "SPEED_M_S",
-    "TABLE_THICKNESS_M",
-    "TCP_M",
-    "Box",
-    "Capsule",
-    "Equipment",
-    "Obstacle",
-    "Plane",
-    "SceneSettings",
-    "actuator_names",
-    "build_clearance_model",
-    "build_model",
-    "cameras",
-    "clearance_pairs",
-    "compose",
-    "compose_clearance",
-    "joint_names",
-    "prop_size_m",
-    "prop_width_m",
-    "sensor_slices",
-]
 
 
 @lru_cache(maxsize=32)

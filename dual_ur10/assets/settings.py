@@ -1,7 +1,4 @@
-"""What stands in the cell and where: settings and constants of the scene.
-
-Import them from [scene][dual_ur10.assets.scene].
-"""
+"""Settings and constants of the scene: mounts, table, equipment and obstacles."""
 
 from __future__ import annotations
 
@@ -46,14 +43,14 @@ class Equipment:
 
     Attributes:
         grippers: a parallel-jaw gripper on each flange.
-        prop: one of [PROPS][dual_ur10.assets.scene.PROPS] on the table, or None.
+        prop: one of [PROPS][dual_ur10.assets.settings.PROPS] on the table, or None.
         welded: both grippers are welded to the bar, instead of holding it by friction.
         grip_force_n: force with which each finger presses.
 
     Raises:
         UnknownNameError: `prop` is no name of a prop.
         SettingsError: A switch is not True or False, there is nothing to weld, or `grip_force_n` is not within
-            [GRIP_FORCE_N][dual_ur10.assets.scene.GRIP_FORCE_N].
+            [GRIP_FORCE_N][dual_ur10.assets.settings.GRIP_FORCE_N].
     """
 
     grippers: bool = False
@@ -88,7 +85,7 @@ class SceneSettings:
         left: mount of the left arm.
         right: mount of the right arm.
         timestep_s: physics timestep.
-        gains: one of [GAINS][dual_ur10.assets.scene.GAINS].
+        gains: one of [GAINS][dual_ur10.assets.settings.GAINS].
         meshes: draw the meshes of the optional package `example-robot-data` in place of primitives. Looks only.
         table_center_m: (2,) x, y of the table's centre; its top is at z = 0.
         table_size_m: (2,) length along x and width along y.

@@ -6,8 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from dual_ur10.assets import cell_tree, scene
-from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
+from dual_ur10.assets import cell_tree
+from dual_ur10.assets.scene import build_model, sensor_slices
+from dual_ur10.assets.settings import GAINS, HOME_Q_RAD, SceneSettings
+from dual_ur10.assets.visuals import CAMERAS
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import (
@@ -38,7 +40,7 @@ from tests.sim2real.control.reference_cell import (
 
 @pytest.fixture(scope="module")
 def model():
-    return scene.build_model(SceneSettings())
+    return build_model(SceneSettings())
 
 
 @pytest.mark.parametrize(
@@ -47,9 +49,9 @@ def model():
     ids=["nominal", "calibrated", "shifted"],
 )
 def test_flange_is_where_dh_says(settings):
-    model = scene.build_model(settings)
+    model = build_model(settings)
     data = mujoco.MjData(model)
-    slices = scene.sensor_slices(model)
+    slices = sensor_slices(model)
     for q in random_q(np.random.default_rng(0), 1000):
         data.qpos[:] = q.ravel()
         mujoco.mj_forward(model, data)
@@ -74,7 +76,7 @@ def test_a_shifted_calibration_leaves_the_links_in_place():
     q = HOME_Q_RAD.ravel()
     places = []
     for dh in (NOMINAL_DH, SHIFTED):
-        model = scene.build_model(SceneSettings(left=ArmMount((-0.75, 0.6, 0.0), 0.0, dh)))
+        model = build_model(SceneSettings(left=ArmMount((-0.75, 0.6, 0.0), 0.0, dh)))
         data = mujoco.MjData(model)
         data.qpos[:] = q
         mujoco.mj_forward(model, data)
@@ -85,7 +87,7 @@ def test_a_shifted_calibration_leaves_the_links_in_place():
 def test_sensor_order(model):
     kinds = ("flange_base_pos", "flange_base_quat", "flange_pos")
     assert [model.sensor(i).name for i in range(model.nsensor)] == [f"{arm}/{kind}" for kind in kinds for arm in ARMS]
-    assert list(scene.sensor_slices(model).values())[-1] == slice(17, 20)
+    assert list(sensor_slices(model).values())[-1] == slice(17, 20)
 
 
 def test_order_of_joints_and_actuators(model):
@@ -99,7 +101,7 @@ def test_order_of_joints_and_actuators(model):
 def test_a_foreign_order_is_refused(monkeypatch):
     monkeypatch.setattr(cell_tree, "JOINTS", JOINTS[::-1])
     with pytest.raises(DualUR10Error, match="expected"):
-        scene.build_model(SceneSettings())
+        build_model(SceneSettings())
 
 
 def test_masses_and_limits(model):
@@ -125,10 +127,10 @@ def test_torque_saturates_at_the_limit(model):
     assert data.qfrc_actuator.tolist() == [*JOINT_TORQUE_NM, *JOINT_TORQUE_NM]
 
 
-@pytest.mark.parametrize("name", list(scene.GAINS))
+@pytest.mark.parametrize("name", list(GAINS))
 def test_gains(name):
-    model = scene.build_model(SceneSettings(gains=name))
-    kp, kv = scene.GAINS[name]
+    model = build_model(SceneSettings(gains=name))
+    kp, kv = GAINS[name]
     assert model.actuator_gainprm[:, 0].tolist() == [*kp, *kp]
     assert model.actuator_biasprm[:, 1].tolist() == [-k for k in (*kp, *kp)]
     assert model.actuator_biasprm[:, 2].tolist() == [-k for k in (*kv, *kv)]
@@ -171,7 +173,7 @@ def test_options(model):
     assert model.opt.impratio == 1.0
     assert model.opt.disableflags == mujoco.mjtDisableBit.mjDSBL_AUTORESET
     assert (model.vis.global_.offwidth, model.vis.global_.offheight) == (1920, 1080)
-    assert [model.camera(i).name for i in range(model.ncam)] == list(scene.CAMERAS)
+    assert [model.camera(i).name for i in range(model.ncam)] == list(CAMERAS)
 
 
 def test_a_diverged_simulation_does_not_start_again(model):
@@ -183,7 +185,7 @@ def test_a_diverged_simulation_does_not_start_again(model):
 
 def arm_alone(arm, settings, q, v):
     """Mass matrix and gravity torque of one arm in the cell, armature taken off."""
-    model = scene.build_model(settings)
+    model = build_model(settings)
     model.dof_armature[:] = 0
     model.body_gravcomp[:] = 0
     data = mujoco.MjData(model)
@@ -220,7 +222,7 @@ def test_dynamics_against_pinocchio():
 
 @pytest.mark.parametrize("dh", [NOMINAL_DH, CALIBRATED, SHIFTED], ids=["nominal", "calibrated", "shifted"])
 def test_inertials_stand_in_the_distal_frames(dh):
-    model = scene.build_model(SceneSettings(left=ArmMount((-0.75, 0.6, 0.0), 0.0, dh)))
+    model = build_model(SceneSettings(left=ArmMount((-0.75, 0.6, 0.0), 0.0, dh)))
     data = mujoco.MjData(model)
     q = np.random.default_rng(5).uniform(-3, 3, 6)
     data.qpos[:6] = q

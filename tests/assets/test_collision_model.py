@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from mujoco import batch
 
-from dual_ur10.assets import scene
-from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
+from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M, build_collision_model, clearance_pairs
+from dual_ur10.assets.scene import build_model
+from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.kinematics.frames import FLOOR_Z_M, ArmMount
 from dual_ur10.kinematics.ur10 import ARMS, LINKS
 from tests.sim2real.control.reference_cell import UNEQUAL, contacts, point_to_capsule, random_q, segment
@@ -18,12 +19,12 @@ CROSSING = (-0.9, 0.9)
 
 @pytest.fixture(scope="module")
 def model():
-    return scene.build_model(SceneSettings())
+    return build_model(SceneSettings())
 
 
 @pytest.fixture(scope="module")
 def clearance():
-    return scene.build_clearance_model(SceneSettings())
+    return build_collision_model(SceneSettings())
 
 
 def test_one_collision_capsule_per_link(model):
@@ -84,8 +85,8 @@ def test_neighbours_never_touch(model):
 @pytest.mark.parametrize("apart_m", [1.2, 0.3])
 def test_every_possible_contact_is_measured(apart_m):
     settings = SceneSettings(left=ArmMount((-0.75, apart_m / 2, 0.0)), right=ArmMount((-0.75, -apart_m / 2, -0.5)))
-    model = scene.build_model(settings)
-    measured = {tuple(sorted(pair)) for pair in scene.clearance_pairs(SceneSettings())}
+    model = build_model(settings)
+    measured = {tuple(sorted(pair)) for pair in clearance_pairs(SceneSettings())}
     seen = set()
     for q in random_q(np.random.default_rng(2), 1500):
         seen |= contacts(model, q)
@@ -111,7 +112,7 @@ def test_arm_meets_table_and_floor(model, arm):
 
 
 def test_clearance_is_the_distance_of_the_capsules(model, clearance):
-    pairs = scene.clearance_pairs(SceneSettings())
+    pairs = clearance_pairs(SceneSettings())
     assert clearance.nsensor == clearance.nsensordata == len(pairs) == len(set(pairs))
     assert (clearance.ngeom, clearance.nu) == (23, 0)  # capsules, the wrists' spheres, table and its hull, floor
     data, twin = mujoco.MjData(model), mujoco.MjData(clearance)
@@ -125,7 +126,7 @@ def test_clearance_is_the_distance_of_the_capsules(model, clearance):
         assert twin.ncon == 0
         for i, pair in enumerate(pairs):
             a, b = (model.geom(name).id for name in pair)
-            expected = mujoco.mj_geomDistance(model, data, a, b, scene.CLEARANCE_CUTOFF_M, np.zeros(6))
+            expected = mujoco.mj_geomDistance(model, data, a, b, CLEARANCE_CUTOFF_M, np.zeros(6))
             if pair[1] == "table" and "wrist" in pair[0]:
                 # The sphere around a capsule is never further away, and nearer by half the capsule's length at most.
                 assert twin.sensordata[i] < expected + 1e-6
@@ -134,7 +135,7 @@ def test_clearance_is_the_distance_of_the_capsules(model, clearance):
                 line = np.abs(segment(model, data, a, 2001) - data.geom_xpos[b]) - model.geom_size[b]
                 by_hand = np.linalg.norm(np.maximum(line, 0.0), axis=1).min() - model.geom_size[a, 0]
                 if by_hand > 0.0:
-                    assert twin.sensordata[i] == pytest.approx(min(by_hand, scene.CLEARANCE_CUTOFF_M), abs=1e-6)
+                    assert twin.sensordata[i] == pytest.approx(min(by_hand, CLEARANCE_CUTOFF_M), abs=1e-6)
                 else:
                     assert twin.sensordata[i] < 1e-6
             else:
@@ -145,10 +146,10 @@ def test_clearance_is_the_distance_of_the_capsules(model, clearance):
                 by_hand = point_to_capsule(model, data, b, segment(model, data, a, 200)).min() - model.geom_size[a, 0]
             else:
                 continue
-            by_hand = min(by_hand, scene.CLEARANCE_CUTOFF_M)
+            by_hand = min(by_hand, CLEARANCE_CUTOFF_M)
             if by_hand > 0.0:
                 assert twin.sensordata[i] == pytest.approx(by_hand, abs=2e-3)
-            close[i] += expected < scene.CLEARANCE_CUTOFF_M
+            close[i] += expected < CLEARANCE_CUTOFF_M
     assert (close > 0).sum() > len(pairs) / 2  # the comparison was not one of cut-off with cut-off
 
 
@@ -156,8 +157,8 @@ def test_clearance_is_the_distance_of_the_capsules(model, clearance):
 def test_a_link_that_is_stuck_through_the_table_is_not_clear_of_it(x_m):
     # Against a box, MuJoCo's own distance is up to the cutoff for some of them.
     settings = SceneSettings(left=ArmMount((x_m, 0.6, 0.0)), right=ArmMount((x_m, -0.6, 0.0)))
-    twin = scene.build_clearance_model(settings)
-    data, table, pairs = mujoco.MjData(twin), twin.geom("table").id, scene.clearance_pairs(settings)
+    twin = build_collision_model(settings)
+    data, table, pairs = mujoco.MjData(twin), twin.geom("table").id, clearance_pairs(settings)
     long = [(i, pair[0]) for i, pair in enumerate(pairs) if pair[1] == "table" and "arm" in pair[0]]
     stuck = misread = 0
     for q in random_q(np.random.default_rng(5), 600):
@@ -187,7 +188,7 @@ def test_clearance_in_a_batch(clearance):
 
 def test_spheres_stand_in_at_the_table_only(clearance):
     # They hold the capsules, so that the table is never nearer than measured; all other pairs are the capsules' own.
-    for i, (moving, other) in enumerate(scene.clearance_pairs(SceneSettings())):
+    for i, (moving, other) in enumerate(clearance_pairs(SceneSettings())):
         measured = clearance.sensor(i).objid[0]
         if other != "table" or "wrist" not in moving:
             assert clearance.geom(measured).name == moving
@@ -204,7 +205,7 @@ def test_spheres_stand_in_at_the_table_only(clearance):
 @pytest.mark.parametrize("settings", [SceneSettings(), UNEQUAL], ids=["nominal", "calibrated"])
 def test_the_twin_has_the_inertia_of_the_cell(settings):
     # The controller's model of the arms is made of it.
-    model, clearance = scene.build_model(settings), scene.build_clearance_model(settings)
+    model, clearance = build_model(settings), build_collision_model(settings)
     data, twin = mujoco.MjData(model), mujoco.MjData(clearance)
     model.opt.gravity[:] = 0.0
     rng = np.random.default_rng(4)

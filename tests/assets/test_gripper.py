@@ -6,9 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from dual_ur10.assets import scene
-from dual_ur10.assets.gripper import FINGERTIP_M, MASS_KG, OPENING_M, SPEED_M_S, TCP_M
-from dual_ur10.assets.scene import FORCE_N, HOME_Q_RAD, Equipment, SceneSettings
+from dual_ur10.assets.cell_tree import actuator_names, joint_names
+from dual_ur10.assets.gripper import FINGERTIP_M, FORCE_N, MASS_KG, OPENING_M, SPEED_M_S, TCP_M
+from dual_ur10.assets.scene import build_model, sensor_slices
+from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
+from dual_ur10.assets.visuals import CAMERAS, cameras
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from tests.sim2real.control.reference_cell import UNEQUAL, angle, random_q, site_pose
 
@@ -19,7 +21,7 @@ GRAVITY = 9.81
 
 def at(settings, q=HOME_Q_RAD, opening=OPENING):
     """Model and data at rest at the joint positions `q`, (2, 6)."""
-    model = scene.build_model(settings, drawn=False)
+    model = build_model(settings, drawn=False)
     data = mujoco.MjData(model)
     data.qpos[:16] = np.pad(q, ((0, 0), (0, 2)), constant_values=opening / 2).ravel()
     data.ctrl[:] = np.pad(q, ((0, 0), (0, 1)), constant_values=opening).ravel()
@@ -37,14 +39,14 @@ def with_timestep(timestep_s, force_n=60.0):
 
 def test_order_of_joints_actuators_and_sensors():
     for settings, props in ((GRIPPERS, ()), (SceneSettings(equipment=Equipment(True, "block")), ("block",))):
-        model = scene.build_model(settings)
+        model = build_model(settings)
         joints = [f"{arm}/{joint}" for arm in ARMS for joint in (*JOINTS, "finger_1_joint", "finger_2_joint")]
         assert [model.joint(i).name for i in range(model.njnt)] == [*joints, *props]
-        assert scene.joint_names(settings) == (*joints, *props)
+        assert joint_names(settings) == (*joints, *props)
         assert model.jnt_qposadr[:16].tolist() == list(range(16))
         actuators = [f"{arm}/{actuator}" for arm in ARMS for actuator in (*JOINTS, "gripper")]
-        assert [model.actuator(i).name for i in range(model.nu)] == actuators == list(scene.actuator_names(settings))
-        slices = scene.sensor_slices(model)
+        assert [model.actuator(i).name for i in range(model.nu)] == actuators == list(actuator_names(settings))
+        slices = sensor_slices(model)
         new = [f"{arm}/wrench_{kind}" for kind in ("force", "torque") for arm in ARMS]
         assert list(slices)[6:] == new
         assert [slices[name] for name in new] == [slice(20 + 3 * i, 23 + 3 * i) for i in range(4)]
@@ -137,7 +139,7 @@ def test_a_gripper_does_not_touch_itself():
 
 def test_pads_hold_by_the_settings_that_were_found_to_hold():
     for timestep_s, time_constant in ((0.0005, 0.002), (0.001, 0.002), (0.002, 0.004)):
-        model = scene.build_model(with_timestep(timestep_s))
+        model = build_model(with_timestep(timestep_s))
         for arm in ARMS:
             for i in (1, 2):
                 pad = model.geom(f"{arm}/pad_{i}").id
@@ -151,7 +153,7 @@ def test_the_wrench_at_rest_is_what_carries_the_gripper():
     q[1, 4] += 1.0
     model, data = at(GRIPPERS, q)
     run(model, data, 0.2)
-    slices = scene.sensor_slices(model)
+    slices = sensor_slices(model)
     for arm in ARMS:
         turn = data.site(f"{arm}/wrench").xmat.reshape(3, 3)
         force, torque = (data.sensordata[slices[f"{arm}/wrench_{kind}"]] for kind in ("force", "torque"))
@@ -168,7 +170,7 @@ def test_the_wrench_at_rest_is_what_carries_the_gripper():
 
 def test_a_push_is_felt_with_its_sign():
     model, data = at(GRIPPERS)
-    force = scene.sensor_slices(model)["left/wrench_force"]
+    force = sensor_slices(model)["left/wrench_force"]
     run(model, data, 0.3)
     before = data.sensordata[force].copy()
     push = np.array([5.0, -3.0, 8.0])
@@ -180,16 +182,16 @@ def test_a_push_is_felt_with_its_sign():
 
 
 def test_a_gripper_weighs_what_the_data_sheet_says():
-    model = scene.build_model(GRIPPERS)
+    model = build_model(GRIPPERS)
     for arm in ARMS:
         assert model.body_subtreemass[model.body(f"{arm}/gripper").id] == pytest.approx(MASS_KG)
     assert MASS_KG == 0.925
 
 
 def test_wrist_cameras_see_the_fingertips():
-    model = scene.build_model(GRIPPERS)
-    assert tuple(model.camera(i).name for i in range(model.ncam)) == scene.cameras(GRIPPERS)
-    assert scene.cameras(SceneSettings()) == scene.CAMERAS
+    model = build_model(GRIPPERS)
+    assert tuple(model.camera(i).name for i in range(model.ncam)) == cameras(GRIPPERS)
+    assert cameras(SceneSettings()) == CAMERAS
     data = mujoco.MjData(model)
     for opening in (0.0, OPENING_M):
         data.qpos[:16] = np.pad(HOME_Q_RAD, ((0, 0), (0, 2)), constant_values=opening / 2).ravel()

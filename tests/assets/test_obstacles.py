@@ -10,9 +10,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dual_ur10.assets import scene
+from dual_ur10.assets.collision_model import (
+    CLEARANCE_CUTOFF_M,
+    CLEARANCE_PAIRS,
+    build_collision_model,
+    clearance_pairs,
+    compose_collision_model,
+)
 from dual_ur10.assets.obstacles import Box, Capsule, Obstacle, Plane, geom_name
-from dual_ur10.assets.scene import CLEARANCE_CUTOFF_M, HOME_Q_RAD, Equipment, SceneSettings
+from dual_ur10.assets.props import BLOCK_SIZE_M
+from dual_ur10.assets.scene import build_model, compose
+from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.errors import CollisionAtStartError, SettingsError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import ARMS, LINKS
@@ -65,7 +73,7 @@ def nearest(obstacle: Obstacle, ends: np.ndarray) -> np.ndarray:
 
 def test_distances_are_those_of_the_shapes() -> None:
     settings = dataclasses.replace(UNEQUAL, equipment=GRIPPERS, obstacles=ALL)
-    model = scene.build_clearance_model(settings)
+    model = build_collision_model(settings)
     data = mujoco.MjData(model)
     clearance = Clearance(settings)
     names = [f"{arm}/{part}" for arm in ARMS for part in (*LINKS, "palm")]
@@ -125,30 +133,30 @@ def test_rods_through_the_fingers_are_not_clear_of_them() -> None:
 def test_every_part_that_moves_is_measured_against_every_obstacle() -> None:
     for equipment, parts in ((Equipment(), LINKS), (GRIPPERS, (*LINKS, "palm", "fingers"))):
         plain = SceneSettings(equipment=equipment)
-        pairs = scene.clearance_pairs(dataclasses.replace(plain, obstacles=ALL))
-        before = scene.clearance_pairs(plain)
+        pairs = clearance_pairs(dataclasses.replace(plain, obstacles=ALL))
+        before = clearance_pairs(plain)
         assert pairs[: len(before)] == before
         expected = {(f"{arm}/{part}", f"obstacle/{each.name}") for arm in ARMS for part in parts for each in ALL}
         assert len(pairs[len(before) :]) == len(expected)
         assert set(pairs[len(before) :]) == expected
-    twin = scene.build_clearance_model(SceneSettings(obstacles=ALL))
+    twin = build_collision_model(SceneSettings(obstacles=ALL))
     assert [twin.sensor(i).name for i in range(twin.nsensor)] == [
-        ":".join(pair) for pair in scene.clearance_pairs(SceneSettings(obstacles=ALL))
+        ":".join(pair) for pair in clearance_pairs(SceneSettings(obstacles=ALL))
     ]
 
 
 def test_scenes_without_obstacles_know_nothing_of_them() -> None:
     assert SceneSettings(obstacles=()) == SceneSettings()
-    assert scene.clearance_pairs(SceneSettings(obstacles=[])) is scene.CLEARANCE_PAIRS
-    for text in (scene.compose(SceneSettings()), scene.compose_clearance(SceneSettings())):
+    assert clearance_pairs(SceneSettings(obstacles=[])) is CLEARANCE_PAIRS
+    for text in (compose(SceneSettings()), compose_collision_model(SceneSettings())):
         assert "obstacle" not in text
 
 
 def test_what_touches_an_obstacle_is_measured_and_is_a_contact() -> None:
     settings = SceneSettings(obstacles=ALL)
-    measured = {tuple(sorted(pair)) for pair in scene.clearance_pairs(settings)}
+    measured = {tuple(sorted(pair)) for pair in clearance_pairs(settings)}
     for drawn in (True, False):
-        model = scene.build_model(settings, drawn=drawn)
+        model = build_model(settings, drawn=drawn)
         seen = set()
         for q in random_q(np.random.default_rng(2), 150):
             seen |= contacts(model, q)
@@ -171,14 +179,14 @@ def test_things_come_to_rest_on_obstacles(obstacle: Obstacle | None) -> None:
     obstacles = () if obstacle is None else (obstacle,)
     far = ArmMount((-2.0, 1.0, 0.5)), ArmMount((-2.0, -1.0, 0.5))
     settings = SceneSettings(*far, equipment=Equipment(prop="block"), obstacles=obstacles)
-    model = scene.build_model(settings, drawn=False)
+    model = build_model(settings, drawn=False)
     data = mujoco.MjData(model)
     data.qpos[:12] = data.ctrl[:12] = HOME_Q_RAD.ravel()
     data.qpos[12:15] = (0.0, 0.0, 0.3)
     for _ in range(400):
         mujoco.mj_step(model, data)
     top = 0.0 if obstacle is None else 0.2
-    assert data.body("block").xpos[2] == pytest.approx(top + scene.BLOCK_SIZE_M[2] / 2, abs=0.002)
+    assert data.body("block").xpos[2] == pytest.approx(top + BLOCK_SIZE_M[2] / 2, abs=0.002)
 
 
 def test_an_arm_is_stopped_by_a_wall() -> None:
@@ -187,7 +195,7 @@ def test_an_arm_is_stopped_by_a_wall() -> None:
     forward[:, 1] += 0.3
     found = []
     for obstacles in ((), (wall,)):
-        model = scene.build_model(SceneSettings(gains="compliant", obstacles=obstacles), drawn=False)
+        model = build_model(SceneSettings(gains="compliant", obstacles=obstacles), drawn=False)
         data = mujoco.MjData(model)
         data.qpos[:] = HOME_Q_RAD.ravel()
         for step in range(750):
@@ -274,8 +282,8 @@ def test_equal_obstacles_are_equal_scenes() -> None:
     assert one == two
     assert hash(one) == hash(two)
     first, second = (SceneSettings(obstacles=each) for each in ([one, POST], (two, POST)))
-    assert scene.compose(first) is scene.compose(second)
-    assert scene.compose_clearance(first) is scene.compose_clearance(second)
+    assert compose(first) is compose(second)
+    assert compose_collision_model(first) is compose_collision_model(second)
     assert pickle.loads(pickle.dumps(first)) == first
     assert type(Capsule(name="c", from_m=(0, 0, 0), to_m=(0, 0, 1), radius_m=1).radius_m) is float
 

@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 
 from dual_ur10 import kinematics
-from dual_ur10.assets import props, scene
-from dual_ur10.assets.scene import BAR_MASS_KG, HOME_Q_RAD, TCP_M, Equipment, SceneSettings
+from dual_ur10.assets import props
+from dual_ur10.assets.gripper import MASS_KG, TCP_M
+from dual_ur10.assets.props import BAR_MASS_KG, BAR_WIDTH_M, BLOCK_MASS_KG, GRIP_DISTANCE_M, prop_size_m, prop_width_m
+from dual_ur10.assets.scene import build_model, sensor_slices
+from dual_ur10.assets.settings import HOME_Q_RAD, PROPS, Equipment, SceneSettings
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.kinematics.ur10 import ARMS
@@ -30,7 +33,7 @@ class Rig:
 
     def __init__(self, settings):
         self.settings = settings
-        self.model = scene.build_model(settings, drawn=False)
+        self.model = build_model(settings, drawn=False)
         self.data = mujoco.MjData(self.model)
 
     def place(self, paths, opening):
@@ -83,7 +86,7 @@ def test_a_gripper_lifts_the_block_and_holds_it(force_n):
     assert rig.data.body("block").xpos[2] - height == pytest.approx(0.1, abs=0.002)
     assert slip_m(start, end) < 1e-4
     assert angle(start[:3, :3], end[:3, :3]) < 2e-4
-    assert rig.data.qpos[6] + rig.data.qpos[7] == pytest.approx(scene.prop_width_m("block"), abs=2e-4)
+    assert rig.data.qpos[6] + rig.data.qpos[7] == pytest.approx(prop_width_m("block"), abs=2e-4)
 
 
 def test_two_grippers_lift_the_bar_and_hold_it():
@@ -104,12 +107,12 @@ def test_two_grippers_lift_the_bar_and_hold_it():
     for arm, start in zip(ARMS, starts, strict=True):
         assert slip_m(start, rig.in_hand(arm, f"{arm}_grip")) < 2e-4
     # Both wrists together carry the bar, which quivers by some thousandths: by how much depends on the processor.
-    slices = scene.sensor_slices(rig.model)
+    slices = sensor_slices(rig.model)
     carried = sum(
         (rig.data.site(f"{arm}/wrench").xmat.reshape(3, 3) @ rig.data.sensordata[slices[f"{arm}/wrench_force"]])[2]
         for arm in ARMS
     )
-    assert carried == pytest.approx((BAR_MASS_KG + 2 * scene.MASS_KG) * 9.81, rel=5e-3)
+    assert carried == pytest.approx((BAR_MASS_KG + 2 * MASS_KG) * 9.81, rel=5e-3)
 
 
 @pytest.fixture(params=[0.001, 0.002])
@@ -151,15 +154,15 @@ def test_welded_grippers_carry_the_bar(welded):
     assert not names
 
 
-@pytest.mark.parametrize(("prop", "grippers"), list(itertools.product(scene.PROPS, (False, True))))
+@pytest.mark.parametrize(("prop", "grippers"), list(itertools.product(PROPS, (False, True))))
 def test_a_prop_lies_still_where_it_begins(prop, grippers):
-    model = scene.build_model(SceneSettings(equipment=Equipment(grippers, prop)))
+    model = build_model(SceneSettings(equipment=Equipment(grippers, prop)))
     data = mujoco.MjData(model)
     first = 16 if grippers else 12
     arms = np.pad(HOME_Q_RAD, ((0, 0), (0, 2 * grippers)))
     data.qpos[:first] = arms.ravel()
     data.ctrl[:] = np.pad(HOME_Q_RAD, ((0, 0), (0, int(grippers)))).ravel()
-    size = np.array(scene.prop_size_m(prop))
+    size = np.array(prop_size_m(prop))
     assert data.qpos[first:].tolist() == [0, 0, size[2] / 2, 1, 0, 0, 0]
     assert np.array_equal(model.geom(prop).size, size / 2)
     mujoco.mj_step(model, data, 500)
@@ -168,12 +171,12 @@ def test_a_prop_lies_still_where_it_begins(prop, grippers):
 
 
 def test_the_masses_of_the_props():
-    for prop, mass in (("bar", scene.BAR_MASS_KG), ("block", scene.BLOCK_MASS_KG)):
+    for prop, mass in (("bar", BAR_MASS_KG), ("block", BLOCK_MASS_KG)):
         for drawn in (False, True):
-            model = scene.build_model(SceneSettings(equipment=Equipment(prop=prop)), drawn=drawn)
+            model = build_model(SceneSettings(equipment=Equipment(prop=prop)), drawn=drawn)
             body = model.body(prop)
             assert body.mass[0] == mass
-            x, y, z = scene.prop_size_m(prop)
+            x, y, z = prop_size_m(prop)
             moments = mass / 12 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
             turn = np.zeros(9)
             mujoco.mju_quat2Mat(turn, body.iquat)
@@ -182,20 +185,20 @@ def test_the_masses_of_the_props():
 
 
 def test_grips_of_the_bar():
-    model = scene.build_model(SceneSettings(equipment=Equipment(prop="bar")))
+    model = build_model(SceneSettings(equipment=Equipment(prop="bar")))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     for arm, y in (("left", 0.5), ("right", -0.5)):
         pose = site_pose(data, f"{arm}_grip")
-        assert pose[:3, 3] == pytest.approx([0, y, scene.BAR_WIDTH_M / 2])
+        assert pose[:3, 3] == pytest.approx([0, y, BAR_WIDTH_M / 2])
         # The tool points down and its fingers open across the bar.
         assert pose[:3, :3] == pytest.approx(np.array([[0, -1, 0], [-1, 0, 0], [0, 0, -1]]), abs=1e-12)
-    assert scene.GRIP_DISTANCE_M == 1.0
+    assert GRIP_DISTANCE_M == 1.0
 
 
 def test_from_home_only_a_wrist_turns_to_the_grips():
     down = quat_to_matrix(np.array(props.BLOCK_GRIP_QUAT))
-    data = mujoco.MjData(model := scene.build_model(SceneSettings()))
+    data = mujoco.MjData(model := build_model(SceneSettings()))
     data.qpos[:] = HOME_Q_RAD.ravel()
     mujoco.mj_forward(model, data)
     for arm in ARMS:
@@ -208,18 +211,18 @@ def test_from_home_only_a_wrist_turns_to_the_grips():
 
 def test_the_target_is_only_looked_at():
     for drawn in (False, True):
-        model = scene.build_model(SceneSettings(equipment=Equipment(prop="block")), drawn=drawn)
+        model = build_model(SceneSettings(equipment=Equipment(prop="block")), drawn=drawn)
         target = model.body("target")
         assert (model.nmocap, target.mocapid[0]) == (1, 0)
         geoms = np.flatnonzero(model.geom_bodyid == target.id)
         assert len(geoms) > 0 if drawn else len(geoms) == 0
         assert not model.geom_contype[geoms].any()
         assert not model.geom_conaffinity[geoms].any()
-    assert scene.build_model(SceneSettings(equipment=Equipment(prop="bar"))).nmocap == 0
+    assert build_model(SceneSettings(equipment=Equipment(prop="bar"))).nmocap == 0
 
 
 def test_unknown_props_have_no_size():
-    assert scene.prop_width_m("bar") == scene.prop_width_m("block") == 0.04
-    for function in (scene.prop_width_m, scene.prop_size_m):
+    assert prop_width_m("bar") == prop_width_m("block") == 0.04
+    for function in (prop_width_m, prop_size_m):
         with pytest.raises(UnknownNameError, match="prop"):
             function("ball")

@@ -10,26 +10,28 @@ import mujoco
 import numpy as np
 import pytest
 
-from dual_ur10.assets import scene
-from dual_ur10.assets.scene import HOME_Q_RAD, Box, Capsule, Equipment, Plane, SceneSettings
+from dual_ur10.assets.collision_model import compose_collision_model
+from dual_ur10.assets.obstacles import Box, Capsule, Plane
+from dual_ur10.assets.scene import build_model, compose, sensor_slices
+from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.errors import MissingExtraError, SettingsError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
 from tests.sim2real.control.reference_cell import UNEQUAL, contacts, random_q
 
 
 def test_texts_are_cached_and_models_are_not():
-    assert scene.compose(SceneSettings()) is scene.compose(SceneSettings())
-    assert scene.compose_clearance(SceneSettings()) is scene.compose_clearance(SceneSettings())
-    assert scene.compose(SceneSettings()) != scene.compose(SceneSettings(timestep_s=0.001))
-    model = scene.build_model(SceneSettings())
+    assert compose(SceneSettings()) is compose(SceneSettings())
+    assert compose_collision_model(SceneSettings()) is compose_collision_model(SceneSettings())
+    assert compose(SceneSettings()) != compose(SceneSettings(timestep_s=0.001))
+    model = build_model(SceneSettings())
     model.body_mass[:] = 0
-    assert scene.build_model(SceneSettings()).body_mass.sum() > 50
+    assert build_model(SceneSettings()).body_mass.sum() > 50
 
 
 def test_lists_will_do_as_positions():
     settings = SceneSettings(left=ArmMount([-0.75, 0.6, 0]))
     assert settings == SceneSettings()
-    assert scene.compose(settings) is scene.compose(SceneSettings())
+    assert compose(settings) is compose(SceneSettings())
 
 
 def test_import_is_light_and_quiet():
@@ -80,25 +82,25 @@ def test_bad_settings(make, error, match):
 
 
 def test_a_base_may_stand_on_the_table():
-    model = scene.build_model(SceneSettings(left=ArmMount((-0.3, 0.6, 0.0))))
+    model = build_model(SceneSettings(left=ArmMount((-0.3, 0.6, 0.0))))
     assert not contacts(model, HOME_Q_RAD)
 
 
 def test_meshes_are_looks_only():
     settings = SceneSettings(meshes=True)
     try:
-        model = scene.build_model(settings)
+        model = build_model(settings)
     except MissingExtraError as error:
         assert "example-robot-data" in str(error)  # noqa: PT017 - either outcome is a pass
         return
     assert model.nmesh == 7
-    plain = scene.build_model(SceneSettings())
+    plain = build_model(SceneSettings())
     assert np.array_equal(model.body_mass, plain.body_mass)
     assert (model.geom_contype > 0).sum() == (plain.geom_contype > 0).sum()
 
 
 def test_text_names_no_file():
-    assert not list(ET.fromstring(scene.compose(SceneSettings())).iterfind(".//*[@file]"))
+    assert not list(ET.fromstring(compose(SceneSettings())).iterfind(".//*[@file]"))
 
 
 def equipped(**keywords):
@@ -107,13 +109,13 @@ def equipped(**keywords):
 
 def test_equal_equipment_hashes_alike():
     assert equipped(prop="bar", grip_force_n=60) == equipped(prop="bar", grip_force_n=np.float64(60.0))
-    assert scene.compose(equipped(grip_force_n=60)) is scene.compose(equipped(grip_force_n=np.float32(60.0)))
+    assert compose(equipped(grip_force_n=60)) is compose(equipped(grip_force_n=np.float32(60.0)))
     assert hash(Equipment(grip_force_n=np.array(60))) == hash(Equipment())
     assert SceneSettings() == SceneSettings(equipment=Equipment())
 
 
 def test_without_equipment_there_is_nothing_of_it():
-    for text in (scene.compose(SceneSettings()), scene.compose_clearance(SceneSettings())):
+    for text in (compose(SceneSettings()), compose_collision_model(SceneSettings())):
         for word in ("gripper", "finger", "wrench", "tendon", "equality", "impratio", "freejoint", "mocap"):
             assert word not in text
 
@@ -139,7 +141,7 @@ CELLS = {
 
 @pytest.fixture(scope="module", params=CELLS.values(), ids=list(CELLS))
 def drawn_and_undrawn(request):
-    return scene.build_model(request.param), scene.build_model(request.param, drawn=False)
+    return build_model(request.param), build_model(request.param, drawn=False)
 
 
 def test_an_undrawn_model_has_nothing_to_look_at(drawn_and_undrawn):
@@ -157,7 +159,7 @@ def test_an_undrawn_model_has_the_same_state(drawn_and_undrawn):
     assert mujoco.mj_stateSize(drawn, full) == mujoco.mj_stateSize(undrawn, full)
     for size in ("nq", "nv", "na", "nu", "nbody", "nsensordata", "nmocap", "neq", "ntendon"):
         assert getattr(drawn, size) == getattr(undrawn, size)
-    assert scene.sensor_slices(drawn) == scene.sensor_slices(undrawn)
+    assert sensor_slices(drawn) == sensor_slices(undrawn)
 
 
 def touching(model, data):

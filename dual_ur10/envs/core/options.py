@@ -40,7 +40,7 @@ class EnvOptions:
         randomization: What differs from episode to episode: a name of
             `dual_ur10.envs.core.randomization.PRESETS`, a mapping of single values, or a `Randomization`.
         observation: "state" gives an array; "pixels" a dict of images by camera; "both" a dict of both.
-        cameras: Cameras of an observation with pixels: names of `dual_ur10.assets.scene.cameras`.
+        cameras: Cameras of an observation with pixels: names of `dual_ur10.assets.visuals.cameras`.
         pixels_rate_hz: Images per second of an observation with pixels, the policy's rate divided by a whole number;
             None: a new one with every observation.
         camera: Camera of `render`, of the same names.

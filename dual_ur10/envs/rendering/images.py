@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.assets.scene import CAMERAS
+from dual_ur10.assets.visuals import CAMERAS
 from dual_ur10.envs.rendering.viewer import Viewer, has_display
 from dual_ur10.errors import RenderError, SettingsError, UnknownNameError
 

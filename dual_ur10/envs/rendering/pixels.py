@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from dual_ur10.assets.scene import cameras
+from dual_ur10.assets.visuals import cameras
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.rendering.images import Renderer
 from dual_ur10.errors import RateError, UnknownNameError

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.assets.scene import GAINS, SceneSettings, build_clearance_model
+from dual_ur10.assets.collision_model import build_collision_model
+from dual_ur10.assets.settings import GAINS, SceneSettings
 from dual_ur10.envs.sim.payload import write_masses
 from dual_ur10.kinematics.rotations import cross
 from dual_ur10.kinematics.ur10 import ARMS
@@ -36,7 +37,7 @@ class FeedForward:
         import mujoco
         from mujoco.batch import Batch
 
-        model = build_clearance_model(settings)
+        model = build_collision_model(settings)
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         self._batch: Any = Batch(model, n, threads)
         self._stage = int(mujoco.mjtStage.mjSTAGE_VEL)

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dual_ur10.assets.scene import SceneSettings, sensor_slices
+from dual_ur10.assets.scene import sensor_slices
+from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.sim.feedforward import GRAVITY_M_S2
 from dual_ur10.envs.sim.grippers import GripperServos
 from dual_ur10.kinematics.rotations import quat_to_matrix

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dual_ur10.assets.scene import SceneSettings
+from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.sim.payload import write_masses
 from dual_ur10.kinematics.rotations import quat_from_rotvec
 from dual_ur10.kinematics.ur10 import ARMS

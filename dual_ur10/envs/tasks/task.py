@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from dual_ur10.assets.scene import Equipment
+from dual_ur10.assets.settings import Equipment
 from dual_ur10.envs.core.options import OPTION_NAMES
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
@@ -60,7 +60,7 @@ class Furnishing:
         timestep_s: Physics step, if the cell does not say otherwise.
         gains: Joint servos, if the cell does not say otherwise.
         closer: Smallest legal distance in m of pairs of bodies that may come closer than the cell's own smallest
-            distance, by their names in `dual_ur10.assets.scene.clearance_pairs`.
+            distance, by their names in `dual_ur10.assets.collision_model.clearance_pairs`.
     """
 
     equipment: Equipment = dataclasses.field(default_factory=Equipment)

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.assets.props import BLOCK_SIZE_M
-from dual_ur10.assets.scene import SceneSettings
+from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.tasks.handover.settings import HandoverSettings
 from dual_ur10.envs.tasks.handover.stages import WIDTH_M
 from dual_ur10.envs.tasks.holding import TCP_LEVER

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dual_ur10.assets.props import BLOCK_SIZE_M
-from dual_ur10.assets.scene import HOME_Q_RAD
+from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.envs.tasks.handover.settings import APPROACH_M, GRIPS, MEETING_M, laid_quat, presented_quat
 from dual_ur10.envs.tasks.holding import flanges_of
 from dual_ur10.envs.tasks.poses import Poses, after, seen_from

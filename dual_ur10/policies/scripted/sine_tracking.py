@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.assets.scene import SceneSettings
+from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.tasks.sine_tracking.path import SineSettings
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.envs.tasks.task import Timing

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.assets.props import BAR_WIDTH_M
-from dual_ur10.assets.scene import SceneSettings
+from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.tasks.holding import flanges_of
 from dual_ur10.envs.tasks.poses import Poses, after, seen_from
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings

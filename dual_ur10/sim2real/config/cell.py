@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M
 from dual_ur10.assets.obstacles import Obstacle
-from dual_ur10.assets.scene import CLEARANCE_CUTOFF_M, Equipment, SceneSettings
+from dual_ur10.assets.settings import Equipment, SceneSettings
 from dual_ur10.errors import RateError, SettingsError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.sim2real.control.adapter import Command
@@ -286,7 +287,7 @@ class CellConfig:
         left, right: Where each arm stands, and its kinematics.
         servoj: Controller family and servoj settings of both arms.
         timestep_s: Physics step; it must divide the controller's tick. None: what the task needs.
-        gains: Joint servos, a name of `dual_ur10.assets.scene.GAINS`. None: what the task needs.
+        gains: Joint servos, a name of `dual_ur10.assets.settings.GAINS`. None: what the task needs.
         minimum_clearance_m: Smallest distance between two bodies that the safety gate lets the arms come to.
         perturbation: How the simulated plant differs from what is believed of it.
         meshes: Draw real meshes, if the package example-robot-data is installed.

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M, build_collision_model, clearance_pairs
 from dual_ur10.assets.obstacles import geom_name
 from dual_ur10.assets.reach import levers_m, reach_m
-from dual_ur10.assets.scene import CLEARANCE_CUTOFF_M, SceneSettings, build_clearance_model, clearance_pairs
+from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.errors import CollisionAtStartError, SettingsError, UnknownNameError
 from dual_ur10.types import Array
 
@@ -75,7 +76,7 @@ class Clearance:
         self.minimum_m = minimum_m
         self._known = np.array([closer.get(pair, minimum_m) for pair in self.pairs])
         exempt = [pair in closer for pair in self.pairs]
-        model = build_clearance_model(settings)
+        model = build_collision_model(settings)
         self._uncertainty = BaseUncertainty(uncertainty, settings, model, exempt)
         self._levers = (levers_m(model) * (1.0 + self._uncertainty.per_m[:, None])).T.copy()
         self._allowed = self._known + self._uncertainty.most_m
@@ -96,7 +97,7 @@ class Clearance:
         from mujoco.batch import Batch
 
         settings, n, threads = self._arguments
-        self._batch: Any = Batch(build_clearance_model(settings), n, threads)
+        self._batch: Any = Batch(build_collision_model(settings), n, threads)
         self._stage = int(mujoco.mjtStage.mjSTAGE_POS)
         self._qpos: Array = self._batch.bind("qpos")
         self._distance: Array = self._batch.bind("sensordata")

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from dual_ur10.assets.scene import SceneSettings, build_model, sensor_slices
+from dual_ur10.assets.scene import build_model, sensor_slices
+from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellState
 from dual_ur10.types import Array

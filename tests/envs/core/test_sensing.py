@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from dual_ur10 import ArmMount, CellConfig
-from dual_ur10.assets.scene import Equipment
+from dual_ur10.assets.settings import Equipment
 from dual_ur10.envs.core.randomization import Randomization
 from dual_ur10.envs.core.sensing import Sensing
 from dual_ur10.kinematics.frames import Frames

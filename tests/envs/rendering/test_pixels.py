@@ -12,7 +12,7 @@ from gymnasium.wrappers import TransformObservation
 
 import dual_ur10  # noqa: F401 - registers the ids
 from dual_ur10 import errors
-from dual_ur10.assets.scene import CAMERAS, cameras
+from dual_ur10.assets.visuals import CAMERAS, cameras
 from dual_ur10.envs.api.dual_arm_env import DualArmEnv
 from dual_ur10.envs.core.core import TASKS, load_task
 from dual_ur10.envs.rendering.images import Renderer

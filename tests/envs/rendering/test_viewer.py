@@ -16,7 +16,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import dual_ur10  # noqa: F401 - registers the ids
-from dual_ur10.assets.scene import SceneSettings, build_model
+from dual_ur10.assets.scene import build_model
+from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.rendering import viewer as module
 from dual_ur10.envs.rendering import web_viewer
 from dual_ur10.envs.rendering.viewer import Viewer

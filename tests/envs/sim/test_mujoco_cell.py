@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from dual_ur10.assets.scene import HOME_Q_RAD
+from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.envs.sim.servo_reference import ServojReference, TargetDelay
 from dual_ur10.errors import ClosedError, SettingsError

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import dual_ur10  # noqa: F401 - registers the ids
-from dual_ur10.assets.scene import HOME_Q_RAD
+from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.envs.tasks.sine_tracking.path import TOOL_DOWN_QUAT
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics import nearest

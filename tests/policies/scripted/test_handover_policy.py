@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from dual_ur10 import errors
-from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
+from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.tasks.handover.settings import GRIPS, lying
 from dual_ur10.envs.tasks.poses import Poses, after

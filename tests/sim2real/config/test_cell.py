@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dual_ur10.assets.collision_model import clearance_pairs
 from dual_ur10.assets.obstacles import Box
-from dual_ur10.assets.scene import HOME_Q_RAD, clearance_pairs
+from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import CellFileError, RateError, SettingsError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.sim2real.config.cell import LATENCY_S, TYPICAL_PERTURBATION, CellConfig, Perturbation, resolve_cell

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from dual_ur10.assets.scene import SceneSettings
+from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, NOMINAL_DH, DHParameters
 

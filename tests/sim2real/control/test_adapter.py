@@ -8,7 +8,7 @@ import pickle
 import numpy as np
 import pytest
 
-from dual_ur10.assets.scene import HOME_Q_RAD
+from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD

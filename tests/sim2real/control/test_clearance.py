@@ -8,14 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from dual_ur10.assets.scene import (
-    CLEARANCE_CUTOFF_M,
-    HOME_Q_RAD,
-    Equipment,
-    SceneSettings,
-    build_clearance_model,
-    clearance_pairs,
-)
+from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M, build_collision_model, clearance_pairs
+from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.errors import CollisionAtStartError, SettingsError, UnknownNameError
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 
@@ -31,7 +25,7 @@ def clearance() -> Clearance:
 
 
 def test_distances_are_never_longer_than_they_are(clearance: Clearance) -> None:
-    model = build_clearance_model(SceneSettings())
+    model = build_collision_model(SceneSettings())
     data, points = mujoco.MjData(model), np.zeros(6)
     rng = np.random.default_rng(0)
     postures = np.stack([HOME, ON_TABLE, CROSSED, rng.uniform(-3, 3, 12)])

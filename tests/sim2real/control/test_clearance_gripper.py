@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from dual_ur10.assets import scene
+from dual_ur10.assets.cell_tree import joint_names
+from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M, CLEARANCE_PAIRS, build_collision_model, clearance_pairs
 from dual_ur10.assets.gripper import FINGERTIP_M, OPENING_M
-from dual_ur10.assets.scene import CLEARANCE_PAIRS, HOME_Q_RAD, Equipment, SceneSettings
+from dual_ur10.assets.scene import build_model
+from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.kinematics.frames import ArmMount
 from tests.sim2real.control.reference_cell import UNEQUAL, contacts, random_q, segment
 
@@ -20,7 +22,7 @@ FACING = HOME_Q_RAD + np.array([[-0.7], [0.7]]) * np.eye(6)[0]  # the grippers a
 
 @pytest.fixture(scope="module")
 def twin():
-    return scene.build_clearance_model(GRIPPERS)
+    return build_collision_model(GRIPPERS)
 
 
 def with_fingers(q, opening):
@@ -28,13 +30,13 @@ def with_fingers(q, opening):
 
 
 def test_pairs(twin):
-    pairs = scene.clearance_pairs(GRIPPERS)
-    assert scene.clearance_pairs(SceneSettings()) is CLEARANCE_PAIRS
-    assert scene.clearance_pairs(SceneSettings(equipment=Equipment(prop="bar"))) is CLEARANCE_PAIRS
+    pairs = clearance_pairs(GRIPPERS)
+    assert clearance_pairs(SceneSettings()) is CLEARANCE_PAIRS
+    assert clearance_pairs(SceneSettings(equipment=Equipment(prop="bar"))) is CLEARANCE_PAIRS
     assert pairs[: len(CLEARANCE_PAIRS)] == CLEARANCE_PAIRS
     assert len({frozenset(pair) for pair in pairs}) == len(pairs) == twin.nsensordata
     assert [twin.sensor(i).name for i in range(twin.nsensor)] == [":".join(pair) for pair in pairs]
-    assert [twin.joint(i).name for i in range(twin.njnt)] == list(scene.joint_names(SceneSettings()))
+    assert [twin.joint(i).name for i in range(twin.njnt)] == list(joint_names(SceneSettings()))
     assert (twin.nu, twin.neq, twin.ntendon) == (0, 0, 0)
 
 
@@ -45,8 +47,8 @@ def test_every_possible_contact_is_measured(apart_m):
         right=ArmMount((-0.75, -apart_m / 2, -0.5)),
         equipment=Equipment(grippers=True),
     )
-    model = scene.build_model(settings, drawn=False)
-    measured = {frozenset(pair) for pair in scene.clearance_pairs(settings)}
+    model = build_model(settings, drawn=False)
+    measured = {frozenset(pair) for pair in clearance_pairs(settings)}
     seen = set()
     data = mujoco.MjData(model)
     for q in random_q(np.random.default_rng(2), 2000):
@@ -71,8 +73,8 @@ def reach(name):
 
 
 def test_what_touches_in_the_cell_overlaps_in_the_twin(twin):
-    model = scene.build_model(GRIPPERS, drawn=False)
-    pairs = {frozenset(pair): i for i, pair in enumerate(scene.clearance_pairs(GRIPPERS))}
+    model = build_model(GRIPPERS, drawn=False)
+    pairs = {frozenset(pair): i for i, pair in enumerate(clearance_pairs(GRIPPERS))}
     data, distances = mujoco.MjData(model), mujoco.MjData(twin)
     rng = np.random.default_rng(3)
     compared = 0
@@ -91,7 +93,7 @@ def test_what_touches_in_the_cell_overlaps_in_the_twin(twin):
 
 
 def test_the_box_of_the_fingers_holds_them_at_any_opening(twin):
-    model = scene.build_model(GRIPPERS)
+    model = build_model(GRIPPERS)
     data, distances = mujoco.MjData(model), mujoco.MjData(twin)
     distances.qpos[:] = HOME_Q_RAD.ravel()
     mujoco.mj_kinematics(twin, distances)
@@ -117,7 +119,7 @@ def test_the_box_of_the_fingers_holds_them_at_any_opening(twin):
 
 
 def test_the_capsule_of_the_palm_hugs_the_drawn_palm():
-    model = scene.build_model(GRIPPERS)
+    model = build_model(GRIPPERS)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     line = segment(model, data, model.geom("left/palm").id, 501)
@@ -177,7 +179,7 @@ def test_distances_from_boxes_are_exact(twin):
     rng = np.random.default_rng(4)
     boxed = [
         (i, pair)
-        for i, pair in enumerate(scene.clearance_pairs(GRIPPERS))
+        for i, pair in enumerate(clearance_pairs(GRIPPERS))
         if pair[1] in ("table", "left/palm", "right/palm", "left/fingers", "right/fingers")
         and pair[0].endswith(("palm", "fingers"))
         and not all(name.endswith("palm") for name in pair)
@@ -193,7 +195,7 @@ def test_distances_from_boxes_are_exact(twin):
             # The palm is measured against a mesh of the same shape as the box.
             other = twin.geom(f"{pair[1]}:hull").id if pair[0].endswith("palm") and pair[1] == "table" else b
             assert {a, other} == {twin.sensor_objid[i], twin.sensor_refid[i]}
-            if data.sensordata[i] >= scene.CLEARANCE_CUTOFF_M:
+            if data.sensordata[i] >= CLEARANCE_CUTOFF_M:
                 continue
             boxes = [g for g in (a, b) if twin.geom_type[g] == BOX]
             others = [g for g in (a, b) if twin.geom_type[g] != BOX]
@@ -215,14 +217,14 @@ def test_home_is_clear_with_grippers(twin):
     data.qpos[:] = HOME_Q_RAD.ravel()
     mujoco.mj_forward(twin, data)
     assert data.sensordata.min() > 0.04
-    assert not contacts(scene.build_model(GRIPPERS), with_fingers(HOME_Q_RAD, 0.0)[:12])
+    assert not contacts(build_model(GRIPPERS), with_fingers(HOME_Q_RAD, 0.0)[:12])
 
 
 @pytest.mark.parametrize("settings", [SceneSettings(), UNEQUAL], ids=["nominal", "calibrated"])
 def test_the_twin_has_the_inertia_of_the_cell(settings):
     # The controller's model of the arms is made of it. Fingers half open, for they are so in the twin.
     settings = dataclasses.replace(settings, equipment=Equipment(grippers=True))
-    model, twin = scene.build_model(settings), scene.build_clearance_model(settings)
+    model, twin = build_model(settings), build_collision_model(settings)
     data, rigid = mujoco.MjData(model), mujoco.MjData(twin)
     model.opt.gravity[:] = 0.0
     arms = np.r_[0:6, 8:14]

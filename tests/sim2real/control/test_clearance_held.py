@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from dual_ur10 import policies
-from dual_ur10.assets import held, scene
+from dual_ur10.assets.collision_model import PAYLOAD_PAIRS, build_collision_model, clearance_pairs
 from dual_ur10.assets.obstacles import Capsule
 from dual_ur10.assets.props import prop_size_m
-from dual_ur10.assets.scene import HOME_Q_RAD, Equipment, SceneSettings
+from dual_ur10.assets.scene import build_model
+from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.envs.tasks.handover.settings import GRIPS
 from dual_ur10.envs.tasks.poses import Poses
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
@@ -29,12 +30,12 @@ GRIPS_OF += [("block", grips) for grips in GRIPS]
 
 @pytest.mark.parametrize("prop", PROPS)
 def test_pairs(prop):
-    pairs = scene.clearance_pairs(PROPS[prop])
-    twin = scene.build_clearance_model(PROPS[prop])
-    bare = scene.clearance_pairs(EMPTY)
-    assert pairs == bare + held.PAIRS
+    pairs = clearance_pairs(PROPS[prop])
+    twin = build_collision_model(PROPS[prop])
+    bare = clearance_pairs(EMPTY)
+    assert pairs == bare + PAYLOAD_PAIRS
     assert [twin.sensor(i).name for i in range(twin.nsensor)] == [":".join(pair) for pair in pairs]
-    near = scene.clearance_pairs(dataclasses.replace(PROPS[prop], obstacles=(ROD,)))
+    near = clearance_pairs(dataclasses.replace(PROPS[prop], obstacles=(ROD,)))
     assert near[: len(pairs)] == pairs
     assert {f"{arm}/held" for arm in ARMS} <= {first for first, _ in near[len(pairs) :]}
 
@@ -43,8 +44,8 @@ def test_pairs(prop):
 @pytest.mark.parametrize("arm", [0, 1])
 def test_it_is_where_the_prop_is_when_it_is_gripped(prop: str, grips: Poses, arm: int):
     """Inside it, to its ends, or of the bar to its middle, and with all corners near."""
-    model = scene.build_model(PROPS[prop])
-    twin = scene.build_clearance_model(PROPS[prop])
+    model = build_model(PROPS[prop])
+    twin = build_collision_model(PROPS[prop])
     data, cell = mujoco.MjData(twin), mujoco.MjData(model)
     data.qpos[:] = HOME_Q_RAD.ravel()
     cell.qpos[: model.nq - 7] = np.pad(HOME_Q_RAD, ((0, 0), (0, 2))).ravel()
@@ -70,9 +71,9 @@ def test_it_is_where_the_prop_is_when_it_is_gripped(prop: str, grips: Poses, arm
 @pytest.mark.parametrize("prop", PROPS)
 def test_what_it_can_meet_is_measured(prop):
     """But for the other hand's fingers, which take it, and what the other hand holds, which is the same."""
-    twin = scene.build_clearance_model(PROPS[prop])
+    twin = build_collision_model(PROPS[prop])
     data = mujoco.MjData(twin)
-    measured = set(held.PAIRS)
+    measured = set(PAYLOAD_PAIRS)
     fromto = np.zeros(6)
     parts = ("base_link", *LINKS, "palm")
     seen = set()

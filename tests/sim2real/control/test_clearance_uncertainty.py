@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M, build_collision_model
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
 from dual_ur10.assets.reach import reach_m
-from dual_ur10.assets.scene import CLEARANCE_CUTOFF_M, HOME_Q_RAD, Equipment, SceneSettings, build_clearance_model
+from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.errors import CollisionAtStartError, SettingsError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import ARMS
@@ -64,12 +65,12 @@ def unit(rng: np.random.Generator) -> np.ndarray:
 
 def test_no_base_within_the_uncertainty_brings_anything_closer_than_allowed() -> None:
     rng = np.random.default_rng(1)
-    believed = build_clearance_model(FURNISHED)
+    believed = build_collision_model(FURNISHED)
     data = mujoco.MjData(believed)
     clearance = Clearance(FURNISHED, uncertainty=UNCERTAIN)
     used, compared = np.zeros(len(clearance.pairs)), 0
     for _ in range(scaled(800)):
-        truth = moved(build_clearance_model(FURNISHED), FURNISHED, rng, UNCERTAIN)
+        truth = moved(build_collision_model(FURNISHED), FURNISHED, rng, UNCERTAIN)
         true = mujoco.MjData(truth)
         for q in (*random_q(rng, 20), *(HOME_Q_RAD + rng.uniform(-0.7, 0.7, (20, 2, 6)))):
             data.qpos[:] = true.qpos[:] = q.ravel()
@@ -101,7 +102,7 @@ def test_which_base_counts_for_which_pair() -> None:
 
 @pytest.mark.parametrize("settings", [SceneSettings(equipment=GRIPPERS), FURNISHED], ids=["nominal", "calibrated"])
 def test_nothing_gets_further_from_its_base_than_its_reach(settings: SceneSettings) -> None:
-    model = build_clearance_model(settings)
+    model = build_collision_model(settings)
     data = mujoco.MjData(model)
     bound = {geom: reach_m(model, settings, geom) for geom in range(model.ngeom)}
     fixed = [model.geom(geom).name for geom, (arm, _) in bound.items() if arm == -1]
@@ -132,7 +133,7 @@ def test_a_calibration_that_shifts_frames_by_metres_changes_no_reach() -> None:
     )
     found = []
     for settings in (nominal, shifted):
-        model = build_clearance_model(settings)
+        model = build_collision_model(settings)
         found.append(reach_m(model, settings, model.geom("left/wrist_3_link").id))
     assert found[1] == pytest.approx(found[0], abs=0.01)
     assert found[0][0] == 0

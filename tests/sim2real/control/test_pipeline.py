@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
+from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.errors import ActionError
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import Clearance

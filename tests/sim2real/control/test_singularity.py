@@ -6,7 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from dual_ur10.assets.scene import HOME_Q_RAD
+from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.kinematics.forward import pose_and_jacobian
 from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.control.adapter import TCP_STEP_M_S, TCP_TURN_RAD_S, ServojAdapter

@@ -7,8 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
-from dual_ur10.assets.scene import CLEARANCE_CUTOFF_M, HOME_Q_RAD, Equipment, SceneSettings
+from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
+from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.errors import StartError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD

@@ -7,7 +7,7 @@ import types
 import numpy as np
 import pytest
 
-from dual_ur10.assets.scene import HOME_Q_RAD
+from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.runtime import arm_sender
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from dual_ur10.assets.scene import HOME_Q_RAD
-from dual_ur10.assets.settings import SceneSettings
+from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.kinematics.forward import flange_pose, flange_pose_quat
 from dual_ur10.kinematics.frames import ArmMount, Frames
 from dual_ur10.kinematics.inverse import try_nearest

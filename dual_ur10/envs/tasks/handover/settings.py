@@ -11,7 +11,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from dual_ur10.assets.props import BLOCK_GRIP_M, BLOCK_GRIP_QUAT, BLOCK_SIZE_M
-from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
+from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.envs.tasks.holding import flanges_of
 from dual_ur10.envs.tasks.poses import Poses, after, yawed
 from dual_ur10.envs.tasks.task import check_numbers

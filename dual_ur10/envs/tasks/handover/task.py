@@ -10,7 +10,7 @@ import numpy as np
 
 from dual_ur10.assets.gripper import OPENING_M, TCP_M
 from dual_ur10.assets.props import BLOCK_SIZE_M
-from dual_ur10.assets.scene import HOME_Q_RAD, Equipment
+from dual_ur10.assets.settings import HOME_Q_RAD, Equipment
 from dual_ur10.envs.tasks.handover.settings import GRIPS, MEETING_M, HandoverSettings, check_reach, lying
 from dual_ur10.envs.tasks.handover.stages import STAGES, STILL_M_S, WIDTH_M, Facts, Hand, advance, passed, terms
 from dual_ur10.envs.tasks.holding import PICKING, between, given, holds, tools

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
+from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.envs.tasks.task import check_numbers
 from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError
 from dual_ur10.kinematics import try_nearest

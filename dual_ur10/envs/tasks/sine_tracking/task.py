@@ -8,7 +8,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from dual_ur10.assets.scene import HOME_Q_RAD
+from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.envs.tasks.sine_tracking.path import CENTER_RANGE_M, TOOL_DOWN_QUAT, SineSettings, check_path
 from dual_ur10.envs.tasks.task import Outcome, Task, Timing, gaussian
 from dual_ur10.kinematics import nearest

@@ -10,7 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from dual_ur10.assets.props import BAR_WIDTH_M, GRIP_DISTANCE_M, GRIP_QUAT
-from dual_ur10.assets.scene import HOME_Q_RAD, SceneSettings
+from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.envs.tasks.holding import flanges_of
 from dual_ur10.envs.tasks.poses import Poses, after, yawed
 from dual_ur10.envs.tasks.sync_carry.path import MOVES, CarryPath

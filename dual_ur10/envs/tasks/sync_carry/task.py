@@ -10,7 +10,7 @@ import numpy as np
 
 from dual_ur10.assets.gripper import OPENING_M
 from dual_ur10.assets.props import BAR_MASS_KG, BAR_WIDTH_M
-from dual_ur10.assets.scene import HOME_Q_RAD, Equipment
+from dual_ur10.assets.settings import HOME_Q_RAD, Equipment
 from dual_ur10.envs.tasks.holding import PICKING, flanges_of, given, holds, tools
 from dual_ur10.envs.tasks.poses import Poses, after, angle, length, seen_from
 from dual_ur10.envs.tasks.sync_carry.path import CarryPath

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import replace
@@ -11,10 +12,19 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from dual_ur10.assets.arm import strip
-from dual_ur10.assets.cell_tree import cell_tree, child_of, compiled, document_of, joint_names, text_of
-from dual_ur10.assets.held import HELD, PAIRS, add_held
-from dual_ur10.assets.obstacle_geoms import add_hulls, add_obstacles, hull_name
+from dual_ur10.assets.cell_tree import (
+    add_obstacles,
+    cell_tree,
+    child_of,
+    compiled,
+    document_of,
+    joint_names,
+    text_of,
+    xml_numbers,
+)
+from dual_ur10.assets.gripper import TCP_M
 from dual_ur10.assets.obstacles import geom_name
+from dual_ur10.assets.props import BAR_LENGTH_M, BAR_WIDTH_M, BLOCK_GRIP_M, BLOCK_SIZE_M, GRIP_DISTANCE_M
 from dual_ur10.assets.settings import Equipment, SceneSettings
 from dual_ur10.kinematics.ur10 import ARMS, LINKS
 
@@ -23,6 +33,24 @@ if TYPE_CHECKING:
 
 CLEARANCE_CUTOFF_M: Final = 0.2
 """Distances beyond this read as this."""
+
+HELD: Final = "held"
+"""Name of the geom of each arm: a capsule in the prop, of its width. Its edges stand out by 8 mm."""
+
+# What it can meet: the other arm but for its fingers, which take it, and those parts of its own that can get there.
+_PAYLOAD_MEETS_OTHER: Final = ("base_link", *LINKS, "palm")
+_PAYLOAD_MEETS_OWN: Final = ("base_link", "shoulder_link", "upper_arm_link", "forearm_link")
+
+PAYLOAD_PAIRS: Final = tuple(
+    pair
+    for arm, other in (ARMS, ARMS[::-1])
+    for pair in (
+        *((f"{arm}/{HELD}", f"{other}/{part}") for part in _PAYLOAD_MEETS_OTHER),
+        *((f"{arm}/{HELD}", f"{arm}/{part}") for part in _PAYLOAD_MEETS_OWN),
+        (f"{arm}/{HELD}", "floor"),
+    )
+)
+"""Pairs of the twin that what is held adds."""
 
 # Which parts of one arm can meet. Joints 2, 3 and 4 are parallel, so wrists 1 and 2 always pass base and shoulder
 # sideways; ur10.xml filters their contacts.
@@ -96,12 +124,12 @@ def clearance_pairs(settings: SceneSettings) -> tuple[tuple[str, str], ...]:
         settings: the cell.
     """
     pairs = _WITH_GRIPPERS if settings.equipment.grippers else CLEARANCE_PAIRS
-    pairs = pairs + PAIRS if _held(settings) else pairs
+    pairs = pairs + PAYLOAD_PAIRS if _held(settings) else pairs
     return pairs + _obstacle_pairs(settings) if settings.obstacles else pairs
 
 
 @lru_cache(maxsize=32)
-def compose_clearance(settings: SceneSettings) -> str:
+def compose_collision_model(settings: SceneSettings) -> str:
     """MJCF text of the cell's twin that measures distances.
 
     It has the arms' joints in the cell's order and no visuals, contacts, actuators or gravity, so that one `forward` up
@@ -125,7 +153,7 @@ def compose_clearance(settings: SceneSettings) -> str:
         strip(frame)
         _add_balls(frame)
         if (prop := _held(settings)) is not None:
-            add_held(root.find("body", f"{arm}/gripper"), arm, prop)
+            add_payload_geometry(root.find("body", f"{arm}/gripper"), arm, prop)
     for unused in (
         *root.find_all("actuator"),
         *root.find_all("contact"),
@@ -148,7 +176,7 @@ def compose_clearance(settings: SceneSettings) -> str:
     return text_of(document)
 
 
-def build_clearance_model(settings: SceneSettings) -> mujoco.MjModel:
+def build_collision_model(settings: SceneSettings) -> mujoco.MjModel:
     """A fresh model of the cell's contact-free twin, for distances only.
 
     Args:
@@ -158,7 +186,52 @@ def build_clearance_model(settings: SceneSettings) -> mujoco.MjModel:
         The compiled model; its `sensordata` has one distance per pair of `clearance_pairs(settings)`.
     """
     bare = replace(settings, equipment=Equipment())
-    return compiled(compose_clearance(settings), joint_names(bare), ())
+    return compiled(compose_collision_model(settings), joint_names(bare), ())
+
+
+def hull_name(box: str) -> str:
+    """Name of a box's hull in a collision model. No obstacle can have this name."""
+    return f"{box}:hull"
+
+
+def add_hulls(document: ET.Element) -> None:
+    """Give every box of the world a second geom of the same shape, a mesh.
+
+    MuJoCo's distance of a capsule from a box is wrong where the capsule's line pierces it: a link that is stuck through
+    a plate may read as clear of it. That from a mesh, which is found in another way, is right everywhere.
+
+    Args:
+        document: MJCF of a collision model.
+    """
+    world, asset = child_of(document, "worldbody"), child_of(document, "asset")
+    for box in [geom for geom in world.findall("geom") if geom.get("type") == "box"]:
+        name = hull_name(box.attrib["name"])
+        corners = itertools.product(*((-float(half), float(half)) for half in box.attrib["size"].split()))
+        ET.SubElement(asset, "mesh", name=name, vertex=xml_numbers(*itertools.chain(*corners)))
+        pose = {key: value for key, value in box.attrib.items() if key in ("pos", "quat")}
+        ET.SubElement(world, "geom", {"name": name, "type": "mesh", "mesh": name, **pose})
+
+
+def add_payload_geometry(gripper: Any, arm: str, prop: str) -> None:
+    """Put what a hand holds into its gripper's body, without a mass: the body's is given.
+
+    Args:
+        gripper: Body of a gripper in dm_control's tree.
+        arm: "left" or "right".
+        prop: Name of the prop.
+    """
+    first, last = _along_m(prop)
+    side = 1.0 if arm == ARMS[0] else -1.0
+    width = BAR_WIDTH_M if prop == "bar" else BLOCK_SIZE_M[1]
+    fromto = (side * (first + width / 2), 0, TCP_M, side * (last - width / 2), 0, TCP_M)
+    gripper.add("geom", name=HELD, type="capsule", fromto=fromto, size=(width / 2,))
+
+
+def _along_m(prop: str) -> tuple[float, float]:
+    """From where to where it reaches along the left tool's x; along the right tool's it is the other way round."""
+    if prop == "bar":
+        return -(BAR_LENGTH_M - GRIP_DISTANCE_M) / 2, GRIP_DISTANCE_M / 2
+    return -(BLOCK_SIZE_M[0] / 2 + BLOCK_GRIP_M), BLOCK_SIZE_M[0] / 2 - BLOCK_GRIP_M
 
 
 def _ball(name: str) -> str:

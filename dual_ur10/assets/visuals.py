@@ -1,0 +1,381 @@
+"""Visual-only parts of the cell: surroundings, cameras, grippers, props and the optional meshes of the arms.
+
+Nothing here has mass or contacts: a model composed with `drawn=False` leaves all of it out.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import math
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from dual_ur10.assets.cell_tree import child_of
+from dual_ur10.assets.gripper import FINGERTIP_M, PAD_LENGTH_M, PAD_THICK_M, PAD_WIDTH_M, PALM_LENGTH_M, TCP_M
+from dual_ur10.assets.props import BAR_LENGTH_M, BAR_WIDTH_M, BLOCK_SIZE_M, GRIP_DISTANCE_M
+from dual_ur10.assets.settings import TABLE_THICKNESS_M, SceneSettings
+from dual_ur10.errors import DualUR10Error, MissingExtraError
+from dual_ur10.kinematics.frames import FLOOR_Z_M
+from dual_ur10.kinematics.ur10 import ARMS
+
+_Point = tuple[float, float, float]
+
+_CAMERAS: Final[dict[str, tuple[_Point, _Point]]] = {
+    "front": ((1.8, 0.0, 1.0), (-0.4, 0.0, 0.3)),
+    "side": ((-0.1, -2.6, 0.9), (-0.25, 0.0, 0.3)),
+    "overhead": ((-0.25, 0.0, 3.2), (-0.2, 0.0, 0.0)),
+    "perspective": ((1.4, -1.7, 1.35), (-0.35, 0.0, 0.25)),
+}  # where each stands, and what it looks at
+
+CAMERAS: Final = tuple(_CAMERAS)
+"""Names of the fixed cameras; each shows both arms."""
+
+
+def cameras(settings: SceneSettings) -> tuple[str, ...]:
+    """Names of all cameras of a drawn scene: the fixed ones and, with grippers, `left/wrist` and `right/wrist`."""
+    return (*CAMERAS, *(f"{arm}/wrist" for arm in ARMS)) if settings.equipment.grippers else CAMERAS
+
+
+def add_surroundings(root: Any, settings: SceneSettings) -> None:
+    """Everything that is only looked at: materials, sky, lights, cameras, table legs, pedestals."""
+    root.statistic.center = (-0.2, 0.0, 0.25)
+    root.statistic.extent = 1.6
+    getattr(root.visual, "global").offwidth = 1920
+    getattr(root.visual, "global").offheight = 1080
+    root.visual.headlight.ambient = (0.35, 0.35, 0.35)
+    root.visual.headlight.diffuse = (0.25, 0.25, 0.25)
+    root.visual.headlight.specular = (0.1, 0.1, 0.1)
+    root.visual.quality.shadowsize = 4096
+    root.visual.map.znear = 0.02
+    _add_materials(root)
+    for position, strength, shadow in (((0.6, 0.9, 3.5), 0.5, "true"), ((-1.0, -2.5, 3.0), 0.3, "false")):
+        root.worldbody.add(
+            "light",
+            pos=position,
+            dir=(-0.2 - position[0], -position[1], 0.2 - position[2]),
+            cutoff=60,
+            exponent=1,
+            diffuse=(strength,) * 3,
+            specular=(0.2,) * 3,
+            castshadow=shadow,
+        )
+    for name, (position, target) in _CAMERAS.items():
+        root.worldbody.add("camera", name=name, pos=position, xyaxes=_camera_axes(position, target), fovy=45)
+    _add_furniture(root, settings)
+
+
+def _camera_axes(position: _Point, target: _Point) -> list[float]:
+    """Axes x and y of a camera that looks from one point to another, the cell's z (or x, from above) upwards."""
+    backward = np.subtract(position, target)
+    backward /= np.linalg.norm(backward)
+    up = np.array([0.0, 0.0, 1.0]) if abs(backward[2]) < 0.95 else np.array([1.0, 0.0, 0.0])
+    x = np.cross(up, backward)
+    x /= np.linalg.norm(x)
+    return [*x.tolist(), *np.cross(backward, x).tolist()]
+
+
+def _add_materials(root: Any) -> None:
+    asset = root.asset
+    asset.add(
+        "texture",
+        name="sky",
+        type="skybox",
+        builtin="gradient",
+        rgb1=(0.75, 0.82, 0.9),
+        rgb2=(0.35, 0.42, 0.5),
+        width=256,
+        height=256,
+    )
+    asset.add(
+        "texture",
+        name="floor",
+        type="2d",
+        builtin="checker",
+        rgb1=(0.42, 0.44, 0.46),
+        rgb2=(0.38, 0.40, 0.42),
+        width=256,
+        height=256,
+    )
+    asset.add("material", name="floor", texture="floor", texrepeat=(1, 1), texuniform="true")
+    asset.add("material", name="table_top", rgba=(0.62, 0.55, 0.45, 1), specular=0.1, shininess=0.2)
+    asset.add("material", name="frame", rgba=(0.25, 0.27, 0.29, 1), specular=0.3, shininess=0.4)
+    root.find("geom", "floor").material = "floor"
+    root.find("geom", "table").material = "table_top"
+
+
+def _add_furniture(root: Any, settings: SceneSettings) -> None:
+    style = {"material": "frame", "contype": 0, "conaffinity": 0, "group": 2}
+    (x, y), (length, width) = settings.table_center_m, settings.table_size_m
+    height = -TABLE_THICKNESS_M - FLOOR_Z_M
+    for sx in (-1, 1):
+        for sy in (-1, 1):
+            root.worldbody.add(
+                "geom",
+                type="box",
+                pos=(x + sx * (length / 2 - 0.06), y + sy * (width / 2 - 0.06), FLOOR_Z_M + height / 2),
+                size=(0.04, 0.04, height / 2),
+                **style,
+            )
+    for mount in settings.mounts:
+        px, py, pz = mount.position_m
+        on_table = abs(px - x) < length / 2 and abs(py - y) < width / 2 and pz >= 0.0
+        bottom = 0.0 if on_table else FLOOR_Z_M
+        if pz - bottom < 0.05:
+            continue  # the base stands on the table or on the floor itself
+        for top, low, radius in ((pz, pz - 0.02, 0.13), (pz - 0.02, bottom, 0.09), (bottom + 0.02, bottom, 0.2)):
+            root.worldbody.add(
+                "geom",
+                type="cylinder",
+                pos=(px, py, (top + low) / 2),
+                size=(radius, (top - low) / 2),
+                **style,
+            )
+
+
+_GRIPPER_MATERIALS: Final = {
+    "shell": ((0.21, 0.22, 0.24, 1), 0.5, 0.5),
+    "link": ((0.46, 0.48, 0.51, 1), 0.6, 0.6),
+    "tip": ((0.32, 0.33, 0.36, 1), 0.4, 0.5),
+    "steel": ((0.70, 0.72, 0.75, 1), 0.8, 0.8),
+    "light": ((0.25, 0.65, 0.95, 1), 0.2, 0.2),
+    "groove": ((0.20, 0.20, 0.22, 1), 0.1, 0.1),
+    "glass": ((0.05, 0.07, 0.14, 1), 0.9, 0.9),
+}  # colour, specular, shininess
+
+_LENS: Final = (-0.0445, 0.0, 0.078)
+_LENS_AIM: Final = (0.0, 0.0, 0.20)
+
+
+def draw_grippers(root: Any) -> None:
+    """Draw both grippers of a cell's tree, and put a camera `wrist` on each."""
+    for arm in ARMS:
+        palm = root.find("body", f"{arm}/gripper")
+        for name, (rgba, specular, shininess) in _GRIPPER_MATERIALS.items():
+            material = palm.root.asset.add("material", name=name, rgba=rgba, specular=specular, shininess=shininess)
+            if name == "light":
+                material.emission = 0.5
+        _draw_palm(palm)
+        _draw_camera(palm)
+        for i, sign in ((1, 1), (2, -1)):
+            _draw_finger(root.find("body", f"{arm}/finger_{i}"), sign)
+
+
+class _Pen:
+    """Draws parts of one body, y mirrored where `sign` is -1."""
+
+    def __init__(self, body: Any, sign: int = 1) -> None:
+        self._body, self._sign = body, sign
+        self._class = body.root.find("default", "visual")
+
+    def box(self, low: tuple[float, ...], high: tuple[float, ...], material: str) -> None:
+        """Box between two corners."""
+        middle, half = np.add(low, high) / 2, np.subtract(high, low) / 2
+        self._add("box", pos=middle * (1, self._sign, 1), size=half, material=material)
+
+    def rod(self, a: tuple[float, ...], b: tuple[float, ...], radius: float, material: str, kind: str) -> None:
+        """Cylinder or capsule between two points."""
+        ends = np.array([a, b]) * (1, self._sign, 1)
+        self._add(kind, fromto=ends.ravel(), size=(radius,), material=material)
+
+    def disc(self, y: float, low: float, high: float, radius: float, material: str, x: float = 0.0) -> None:
+        """Cylinder along z."""
+        self.rod((x, y, low), (x, y, high), radius, material, "cylinder")
+
+    def oval(self, low: float, high: float, half_y: float, radius: float, material: str) -> None:
+        """Plate with round ends at y = ±half_y."""
+        self.box((-radius, -half_y, low), (radius, half_y, high), material)
+        for y in (-half_y, half_y):
+            self.disc(y, low, high, radius, material)
+
+    def _add(self, kind: str, **attributes: Any) -> None:
+        self._body.add("geom", dclass=self._class, type=kind, **attributes)
+
+
+def _draw_palm(palm: Any) -> None:
+    pen = _Pen(palm)
+    pen.disc(0, 0.0, 0.0125, 0.0375, "steel")  # coupling
+    pen.disc(0, 0.0125, 0.014, 0.0350, "rubber")
+    pen.disc(0, 0.014, 0.044, 0.0365, "shell")
+    pen.disc(0, 0.026, 0.029, 0.0369, "light")
+    for step in range(1, 9):  # from round to wide
+        z = 0.038 + 0.001 * step
+        pen.oval(z, z + 0.001, 0.034 * step / 9, 0.0365 - 0.0075 * step / 9, "shell")
+    pen.oval(0.047, 0.079, 0.034, 0.0290, "shell")
+    pen.oval(0.0535, 0.0545, 0.034, 0.0293, "groove")
+    pen.oval(0.079, 0.0815, 0.034, 0.0275, "groove")
+    pen.oval(0.0815, 0.0845, 0.034, 0.0285, "housing")
+    pen.box((-0.0155, -0.0590, 0.0845), (0.0155, 0.0590, 0.0848), "rubber")
+    for x in (-0.0095, 0.0095):
+        pen.rod((x, -0.0585, 0.0862), (x, 0.0585, 0.0862), 0.0028, "steel", "cylinder")  # rails
+        for y in (-0.0605, 0.0605):
+            pen.box((x - 0.004, y - 0.0022, 0.0845), (x + 0.004, y + 0.0022, 0.0895), "housing")
+    pen.box((0.0280, -0.020, 0.060), (0.0294, 0.020, 0.074), "housing")  # name plate
+
+
+def _draw_camera(palm: Any) -> None:
+    pen = _Pen(palm)
+    x, _, z = _LENS
+    pen.box((x - 0.0075, -0.017, z - 0.020), (x + 0.0075, 0.017, z - 0.001), "shell")
+    pen.box((x + 0.0075, -0.012, z - 0.016), (-0.028, 0.012, z - 0.005), "housing")
+    pen.disc(0, z - 0.001, z + 0.001, 0.0058, "steel", x)
+    pen.disc(0, z + 0.001, z + 0.0013, 0.0045, "glass", x)
+    forward = np.subtract(_LENS_AIM, _LENS)
+    forward /= np.linalg.norm(forward)
+    # Up in the picture is the flange's -x: away from the base where the arm is at home.
+    palm.add(
+        "camera",
+        name="wrist",
+        pos=(x, 0, z + 0.002),
+        xyaxes=(0, -1, 0, -forward[2], 0, forward[0]),
+        fovy=72,
+    )
+
+
+def _draw_finger(finger: Any, sign: int) -> None:
+    pen = _Pen(finger, sign)
+    pen.box((-0.0130, 0.003, PALM_LENGTH_M), (0.0130, 0.020, 0.0965), "housing")  # carriage
+    pen.box((-0.0055, 0.009, 0.0965), (0.0055, 0.0165, 0.132), "shell")
+    for side in (-1, 1):
+        x, edge = side * 0.0078, side * 0.0137
+        pen.rod((x, 0.0140, 0.0985), (x, 0.0120, 0.1300), 0.0054, "link", "capsule")
+        for y, z in ((0.0140, 0.0985), (0.0120, 0.1300)):
+            pen.rod((x, y, z), (edge, y, z), 0.0038, "shell", "cylinder")  # pins
+            pen.rod((x, y, z), (edge + side * 0.0002, y, z), 0.0019, "steel", "cylinder")
+    low = TCP_M - PAD_LENGTH_M / 2
+    pen.box((-0.0110, PAD_THICK_M, low - 0.004), (0.0110, 0.0145, FINGERTIP_M - 0.003), "tip")
+    pen.box((-0.0110, PAD_THICK_M, FINGERTIP_M - 0.003), (0.0110, 0.0115, FINGERTIP_M), "tip")
+    half = PAD_WIDTH_M / 2
+    pen.box((-half, 0.0, low), (half, PAD_THICK_M - 0.0015, FINGERTIP_M), "rubber")
+    pen.box((-half, PAD_THICK_M - 0.0015, low), (half, PAD_THICK_M, FINGERTIP_M), "steel")
+    for k in range(1, 6):
+        z = low + k * PAD_LENGTH_M / 6
+        pen.box((-half - 0.0002, -0.0001, z - 0.0005), (half + 0.0002, 0.0012, z + 0.0005), "groove")
+
+
+_PROP_MATERIALS: Final = {
+    "metal": ((0.70, 0.72, 0.75, 1), 0.7, 0.7),
+    "dark": ((0.16, 0.17, 0.19, 1), 0.3, 0.3),
+    "grip_zone": ((0.93, 0.58, 0.16, 1), 0.2, 0.3),
+    "front_half": ((0.93, 0.58, 0.16, 1), 0.3, 0.4),
+    "back_half": ((0.14, 0.47, 0.60, 1), 0.3, 0.4),
+    "front_target": ((0.84, 0.60, 0.30, 1), 0.0, 0.0),
+    "back_target": ((0.34, 0.52, 0.57, 1), 0.0, 0.0),
+    "outline": ((0.96, 0.96, 0.94, 1), 0.0, 0.0),
+}  # colour, specular, shininess
+
+_SKIN_M: Final = 0.0003  # what is painted on stands this far out
+
+
+def draw_prop(root: Any, prop: str) -> None:
+    """Draw the prop in a cell's tree."""
+    for name, (rgba, specular, shininess) in _PROP_MATERIALS.items():
+        root.asset.add("material", name=name, rgba=rgba, specular=specular, shininess=shininess)
+    if prop == "bar":
+        _draw_bar(root.find("body", "bar"))
+    else:
+        _draw_block(root.find("body", "block"))
+        _draw_target(root.find("body", "target"))
+
+
+def _add_box(body: Any, low: tuple[float, ...], high: tuple[float, ...], material: str) -> None:
+    body.add(
+        "geom",
+        type="box",
+        pos=np.add(low, high) / 2,
+        size=np.subtract(high, low) / 2,
+        material=material,
+        group=2,
+        contype=0,
+        conaffinity=0,
+    )
+
+
+def _draw_bar(bar: Any) -> None:
+    half, end = BAR_WIDTH_M / 2, BAR_LENGTH_M / 2
+    _add_box(bar, (-half, -end + 0.008, -half), (half, end - 0.008, half), "metal")
+    for side in (-1, 1):
+        y = side * (end - 0.004)
+        _add_box(bar, (-half, y - 0.004, -half), (half, y + 0.004, half), "dark")
+        y, skin = side * GRIP_DISTANCE_M / 2, half + _SKIN_M
+        _add_box(bar, (-skin, y - 0.03, -skin), (skin, y + 0.03, skin), "grip_zone")
+        for edge in (-0.031, 0.031):
+            _add_box(bar, (-skin, y + edge - 0.002, -skin), (skin, y + edge + 0.002, skin), "dark")
+    # The slots of a profile, between the grips.
+    _add_box(bar, (-half - _SKIN_M, -0.44, -0.004), (half + _SKIN_M, 0.44, 0.004), "dark")
+    _add_box(bar, (-0.004, -0.44, -half - _SKIN_M), (0.004, 0.44, half + _SKIN_M), "dark")
+
+
+def _draw_block(block: Any) -> None:
+    x, y, z = np.array(BLOCK_SIZE_M) / 2
+    _add_box(block, (0.002, -y, -z), (x, y, z), "front_half")
+    _add_box(block, (-x, -y, -z), (-0.002, y, z), "back_half")
+    _add_box(block, (-0.002, -y + 0.0008, -z + 0.0008), (0.002, y - 0.0008, z - 0.0008), "dark")
+    for end in (-1, 1):
+        a, b = sorted((end * (x - 0.012), end * (x - 0.009)))
+        _add_box(block, (a, -y - _SKIN_M, -z - _SKIN_M), (b, y + _SKIN_M, z + _SKIN_M), "outline")
+
+
+def _draw_target(target: Any) -> None:
+    """A plate on the table below the wanted pose, its halves coloured like the block's."""
+    x, y, z = np.array(BLOCK_SIZE_M) / 2
+    low, high = -z, -z + 0.0015
+    _add_box(target, (0, -y, low), (x, y, high), "front_target")
+    _add_box(target, (-x, -y, low), (0, y, high), "back_target")
+    edge = 0.004
+    for side in (-1, 1):
+        a, b = sorted((side * y, side * (y + edge)))
+        _add_box(target, (-x - edge, a, low), (x + edge, b, high + 0.0004), "outline")
+        a, b = sorted((side * x, side * (x + edge)))
+        _add_box(target, (a, -y, low), (b, y, high + 0.0004), "outline")
+
+
+# Frames of the mesh files in the body frames of ur10.xml: position in m, quaternion w, x, y, z.
+_HALF = math.sqrt(0.5)
+_MESHES: Final = {
+    "base_link": ("base", "0 0 0", "1 0 0 0"),
+    "shoulder_link": ("shoulder", "0 0 0.1273", "0 0 0 1"),
+    "upper_arm_link": ("upperarm", "0 0 0.220941", "0.5 0.5 -0.5 -0.5"),
+    "forearm_link": ("forearm", "0 0 0.049041", "0.5 0.5 -0.5 -0.5"),
+    "wrist_1_link": ("wrist1", "0 0 0.049041", f"{_HALF} {_HALF} 0 0"),
+    "wrist_2_link": ("wrist2", "0 0 0", "1 0 0 0"),
+    "wrist_3_link": ("wrist3", "0 0 0", f"{_HALF} {_HALF} 0 0"),
+}
+
+
+def _mesh_folder() -> Path:
+    where = "cmeel.prefix/share/example-robot-data/robots/ur_description/meshes/ur10/collision"
+    try:
+        folder = Path(str(importlib.metadata.distribution("example-robot-data").locate_file(where)))
+    except importlib.metadata.PackageNotFoundError:
+        folder = Path()
+    if not (folder / "base.stl").is_file():
+        raise MissingExtraError("example-robot-data", "meshes", "drawing the UR10's meshes (meshes=True)")
+    return folder
+
+
+def use_meshes(document: ET.Element) -> None:
+    """Draw meshes in place of the primitives of both arms."""
+    folder = _mesh_folder()
+    asset = child_of(document, "asset")
+    for mesh, _, _ in _MESHES.values():
+        ET.SubElement(asset, "mesh", name=mesh, file=str(folder / f"{mesh}.stl"))
+    for arm in ARMS:
+        for link, (mesh, position, quat) in _MESHES.items():
+            body = document.find(f".//body[@name='{arm}/{link}']")
+            if body is None:
+                raise DualUR10Error(f"ur10.xml has no body {link!r}")
+            for geom in body.findall(f"geom[@class='{arm}/visual']"):
+                body.remove(geom)
+            ET.SubElement(
+                body,
+                "geom",
+                {"class": f"{arm}/visual"},
+                type="mesh",
+                mesh=mesh,
+                pos=position,
+                quat=quat,
+                material=f"{arm}/tube",
+            )

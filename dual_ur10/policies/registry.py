@@ -99,7 +99,7 @@ def _scripted(env_id: str, keywords: dict[str, Any]) -> Policy:
     from dual_ur10.envs.core.options import split_keywords
     from dual_ur10.envs.core.randomization import resolve_randomization
     from dual_ur10.envs.tasks.task import Timing, task_settings
-    from dual_ur10.sim2real.config.cell import resolve_cell
+    from dual_ur10.sim2real.config.cell_file import resolve_cell
 
     task = load_task(task_name(env_id_of(env_id)))
     options, own = split_keywords(keywords)

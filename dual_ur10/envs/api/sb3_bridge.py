@@ -15,7 +15,7 @@ from dual_ur10.envs.core.cells import check_for_controllers
 from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.errors import ActionError, MissingExtraError, SettingsError
 from dual_ur10.ids import env_id_of, task_name
-from dual_ur10.sim2real.config.cell import resolve_cell
+from dual_ur10.sim2real.config.cell_file import resolve_cell
 from dual_ur10.types import Array
 
 try:

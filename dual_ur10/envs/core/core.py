@@ -18,7 +18,8 @@ from dual_ur10.envs.core.randomization import on_top, resolve_randomization
 from dual_ur10.envs.core.sensing import Sensing
 from dual_ur10.envs.tasks.task import Task, Timing, task_settings
 from dual_ur10.errors import ActionError, CellFaulted, ClosedError, DualUR10Error, ResetNeededError, UnknownNameError
-from dual_ur10.sim2real.config.cell import Cell, CellState, CellStep, resolve_cell
+from dual_ur10.sim2real.config.cell import Cell, CellState, CellStep
+from dual_ur10.sim2real.config.cell_file import resolve_cell
 from dual_ur10.sim2real.control.adapter import Command, ServojAdapter
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate, Verdict

@@ -17,7 +17,8 @@ from dual_ur10.envs.tasks.task import Task, Timing, task_settings
 from dual_ur10.errors import CheckpointError
 from dual_ur10.ids import ENV_IDS, env_id_of, task_name
 from dual_ur10.policies.learned import schema
-from dual_ur10.sim2real.config.cell import CellConfig, resolve_cell
+from dual_ur10.sim2real.config.cell import CellConfig
+from dual_ur10.sim2real.config.cell_file import resolve_cell
 from dual_ur10.sim2real.control.adapter import ActionMode, ServojAdapter
 from dual_ur10.sim2real.control.servoj import Family, ServojProfile
 from dual_ur10.sim2real.recording.describe import plain

@@ -15,7 +15,7 @@ from dual_ur10.policies.learned.manifest import AgentsKind
 from dual_ur10.policies.learned.network import Activation
 from dual_ur10.policies.learned.signature import described
 from dual_ur10.policies.training import seeds
-from dual_ur10.sim2real.config.cell import resolve_cell
+from dual_ur10.sim2real.config.cell_file import resolve_cell
 
 Algorithm = Literal["ppo", "sac", "bc", "dagger"]
 

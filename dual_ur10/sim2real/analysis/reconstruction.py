@@ -17,8 +17,8 @@ from dual_ur10.ids import ENV_IDS
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.analysis.tracks import mounts_of
-from dual_ur10.sim2real.config.cell import CellConfig, Perturbation, resolve_cell
-from dual_ur10.sim2real.config.cell_file import examine_text
+from dual_ur10.sim2real.config.cell import CellConfig, Perturbation
+from dual_ur10.sim2real.config.cell_file import examine_text, resolve_cell
 from dual_ur10.sim2real.control.servoj import TICK_S, ServojProfile
 from dual_ur10.sim2real.recording.run import Episode, Header, Run
 

@@ -6,7 +6,6 @@ A cell knows nothing of tasks. The simulated cell is `dual_ur10.envs.sim.mujoco_
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
@@ -464,24 +463,3 @@ def _number(name: str, value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         raise SettingsError(f"{name} of the cell is {value!r}: it must be a number")
     return float(value)
-
-
-def resolve_cell(cell: object) -> CellConfig:
-    """The configuration that the keyword `cell` stands for.
-
-    Args:
-        cell: "mujoco", a `CellConfig`, or the path of a cell file.
-
-    Raises:
-        UnknownNameError: None of them.
-        CellFileError: The cell file cannot be read, or says something that is not legal.
-    """
-    if isinstance(cell, CellConfig):
-        return cell
-    if isinstance(cell, str) and cell == "mujoco":
-        return CellConfig()
-    if isinstance(cell, os.PathLike) or (isinstance(cell, str) and ("/" in cell or cell.endswith(".toml"))):
-        from dual_ur10.sim2real.config.cell_file import load_cell_file  # which builds upon this module
-
-        return load_cell_file(os.fspath(cell)).config()
-    raise UnknownNameError("cell", str(cell), ("mujoco", "a path such as lab.toml", "a dual_ur10.CellConfig"))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -15,7 +16,7 @@ from typing import Any, Final, NamedTuple, cast
 
 from dual_ur10.assets.obstacles import Obstacle
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.errors import CellFileError, SettingsError
+from dual_ur10.errors import CellFileError, SettingsError, UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig, Perturbation
 from dual_ur10.sim2real.config.cell_file_entries import (
@@ -335,6 +336,25 @@ def load_cell_file(path: str | Path) -> CellFile:
     if cell is None:
         raise _error(str(path), findings)
     return cell
+
+
+def resolve_cell(cell: object) -> CellConfig:
+    """Return the configuration that the keyword `cell` of an environment stands for.
+
+    Args:
+        cell: "mujoco", a `CellConfig`, or the path of a cell file.
+
+    Raises:
+        UnknownNameError: None of them.
+        CellFileError: The cell file cannot be read or is not legal.
+    """
+    if isinstance(cell, CellConfig):
+        return cell
+    if isinstance(cell, str) and cell == "mujoco":
+        return CellConfig()
+    if isinstance(cell, os.PathLike) or (isinstance(cell, str) and ("/" in cell or cell.endswith(".toml"))):
+        return load_cell_file(os.fspath(cell)).config()
+    raise UnknownNameError("cell", str(cell), ("mujoco", "a path such as lab.toml", "a dual_ur10.CellConfig"))
 
 
 def _text_of(path: str | Path) -> str:

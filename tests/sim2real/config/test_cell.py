@@ -16,7 +16,8 @@ from dual_ur10.assets.obstacles import Box
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import CellFileError, RateError, SettingsError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.sim2real.config.cell import LATENCY_S, TYPICAL_PERTURBATION, CellConfig, Perturbation, resolve_cell
+from dual_ur10.sim2real.config.cell import LATENCY_S, TYPICAL_PERTURBATION, CellConfig, Perturbation
+from dual_ur10.sim2real.config.cell_file import resolve_cell
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.servoj import ServojProfile

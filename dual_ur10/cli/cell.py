@@ -100,7 +100,7 @@ def clear(
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for emulated cells alone.")] = False,
 ) -> None:
     """Say that somebody has looked at arms that were stopped, so that they may be started again."""
-    from dual_ur10.sim2real.commissioning.operator_prompts import at_terminal
+    from dual_ur10.sim2real.commissioning.operator_prompts import ask_at_terminal
     from dual_ur10.sim2real.config.cell_file import load_cell_file
     from dual_ur10.sim2real.runtime.latch import Latch
 
@@ -115,7 +115,7 @@ def clear(
     )
     if yes and cell.kind == "real":
         raise SettingsError("--yes is for emulated cells: somebody must look at real arms and say so at a terminal")
-    if not yes and not at_terminal("Have both arms been looked at, and has the cause been put right?"):
+    if not yes and not ask_at_terminal("Have both arms been looked at, and has the cause been put right?"):
         raise SettingsError("the fault was left as it is")
     latch.clear()
     console.print("cleared: the next start looks at both controllers again", highlight=False)

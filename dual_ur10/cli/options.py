@@ -128,11 +128,11 @@ def power_on(cell: Path | None) -> None:
     if cell is None:
         raise SettingsError("--power-on is of two controllers: name their cell file with --cell")
     from dual_ur10.sim2real.commissioning import power
-    from dual_ur10.sim2real.commissioning.operator_prompts import confirmation
+    from dual_ur10.sim2real.commissioning.operator_prompts import prompt_for
     from dual_ur10.sim2real.config.cell_file import load_cell_file
 
     file = load_cell_file(cell)
-    power.power_on(file, confirmation(file))
+    power.power_on(file, prompt_for(file))
 
 
 def _value(text: str) -> Any:

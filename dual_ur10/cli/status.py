@@ -31,10 +31,10 @@ def status(
     seconds: Annotated[float | None, typer.Option("--seconds", min=0.1, help="Stop after so long.")] = None,
 ) -> None:
     """Show both arms live: modes, power, currents, temperatures, joints, inputs and outputs. It only reads."""
-    from dual_ur10.sim2real.commissioning.status_view import ArmView
+    from dual_ur10.sim2real.commissioning.status_view import StatusView
 
     cell = load_cell_file(file)
-    arms = [ArmView(name, arm) for name, arm in zip(ARMS, cell.arms, strict=True)]
+    arms = [StatusView(name, arm) for name, arm in zip(ARMS, cell.arms, strict=True)]
     try:
         end_s = time.monotonic() + _FIRST_S
         for arm in arms:
@@ -63,7 +63,7 @@ def picture(arms: Sequence[Any]) -> RenderableType:
     """What is shown of both arms.
 
     Args:
-        arms: The left and the right `ArmView`.
+        arms: The left and the right `StatusView`.
     """
     table = Table(header_style="bold")
     table.add_column("")

@@ -35,7 +35,7 @@ from dual_ur10.sim2real.links.network_route import is_loopback, route_to
 from dual_ur10.sim2real.links.primary_link import PrimaryFacts, read_primary
 from dual_ur10.sim2real.links.rtde_link import RtdeClient, RtdeLink
 from dual_ur10.sim2real.links.rtde_stream import Sample
-from dual_ur10.sim2real.protocol.rtde_codec import Kind
+from dual_ur10.sim2real.protocol.rtde import Kind
 
 __all__ = ["ExpectedArm", "Finding", "any_fails", "check_arm", "check_cell"]
 

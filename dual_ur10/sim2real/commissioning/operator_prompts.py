@@ -1,4 +1,4 @@
-"""Asks a person at the terminal before arms do something. No setting and no variable answers instead."""
+"""Questions to the operator at the terminal before arms do something. No setting and no variable answers instead."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from dual_ur10.sim2real.config.cell_file import CellFile
 Confirm = Callable[[str], bool]
 
 
-def confirmation(cell: CellFile, confirm: Confirm | None = None) -> Confirm:
-    """Who is asked: `confirm`, if there is one; else nobody for an emulated cell, and somebody at the terminal."""
+def prompt_for(cell: CellFile, confirm: Confirm | None = None) -> Confirm:
+    """Return `confirm` if there is one; else the terminal's prompt, or none for an emulated cell."""
     if confirm is not None:
         return confirm
-    return _nobody if cell.kind == "emulated" else at_terminal
+    return (lambda question: True) if cell.kind == "emulated" else ask_at_terminal
 
 
-def at_terminal(question: str) -> bool:
-    """Whether somebody types yes.
+def ask_at_terminal(question: str) -> bool:
+    """Return True if the operator types yes.
 
     Raises:
         StartError: There is no terminal.
@@ -29,12 +29,8 @@ def at_terminal(question: str) -> bool:
         raise StartError(
             f"somebody must confirm this, and there is no terminal; run it in one, or pass confirm=. {question}"
         )
-    termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)  # what was typed before is no answer
+    termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)  # text typed before the question is no answer
     try:
         return input(f"{question}\nType yes to go on: ").strip().lower() == "yes"
     except EOFError:
         return False
-
-
-def _nobody(question: str) -> bool:
-    return True

@@ -28,7 +28,7 @@ _SLOW_S: Final = 0.5  # between questions to the dashboard
 _GRIPPER_S: Final = 0.1
 
 
-class ArmView:
+class StatusView:
     """What is known of an arm. Attributes are replaced by threads, each as a whole.
 
     Args:

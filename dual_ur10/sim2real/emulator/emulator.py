@@ -37,7 +37,7 @@ from dual_ur10.sim2real.emulator.mujoco_world import EmulatedWorld, PlantOptions
 from dual_ur10.sim2real.emulator.profile import profile_of
 from dual_ur10.sim2real.emulator.robotiq import RobotiqGripper
 from dual_ur10.sim2real.emulator.sockets import Hub
-from dual_ur10.sim2real.processes.priority import hasten
+from dual_ur10.sim2real.processes.child_process import hasten
 from dual_ur10.sim2real.protocol.modes import RobotMode, SafetyMode
 
 log = logging.getLogger(__name__)

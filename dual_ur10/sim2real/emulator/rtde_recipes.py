@@ -9,8 +9,7 @@ from operator import itemgetter
 from typing import Any, NamedTuple
 
 from dual_ur10.sim2real.emulator.registers import Registers
-from dual_ur10.sim2real.protocol.rtde_codec import HEADER, Kind
-from dual_ur10.sim2real.protocol.rtde_types import DataType, Value
+from dual_ur10.sim2real.protocol.rtde import HEADER, DataType, Kind, Value
 
 Reader = Callable[[Any], Iterable[Any]]
 

@@ -21,8 +21,7 @@ from dual_ur10.sim2real.emulator.profile import ControllerProfile
 from dual_ur10.sim2real.emulator.registers import Registers
 from dual_ur10.sim2real.emulator.rtde_recipes import OUTPUT_RECIPE, InputRecipe, OutputRecipe
 from dual_ur10.sim2real.emulator.rtde_variables import input_types, output_types, zero_values
-from dual_ur10.sim2real.protocol.rtde_codec import Frames, Kind, TextKind, frame, split_names, text_payload
-from dual_ur10.sim2real.protocol.rtde_types import DataType, Value
+from dual_ur10.sim2real.protocol.rtde import DataType, Frames, Kind, TextKind, Value, frame, split_names, text_payload
 
 log = logging.getLogger(__name__)
 

@@ -13,7 +13,7 @@ from typing import Final
 
 from dual_ur10.sim2real.emulator.profile import ControllerProfile
 from dual_ur10.sim2real.emulator.registers import Registers
-from dual_ur10.sim2real.protocol.rtde_types import TYPES, DataType, Value
+from dual_ur10.sim2real.protocol.rtde import TYPES, DataType, Value
 
 Version = tuple[int, ...]
 

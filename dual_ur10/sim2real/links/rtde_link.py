@@ -18,8 +18,7 @@ from dual_ur10.errors import LinkError, ProtocolError, SettingsError
 from dual_ur10.sim2real.control.servoj import TICK_S
 from dual_ur10.sim2real.links.link_socket import LinkSocket, checked_timeout
 from dual_ur10.sim2real.links.rtde_stream import TIMESTAMP, RtdeStream, Sample
-from dual_ur10.sim2real.protocol.rtde_codec import Frames, Kind, frame, split_names
-from dual_ur10.sim2real.protocol.rtde_types import TYPES, DataType
+from dual_ur10.sim2real.protocol.rtde import TYPES, DataType, Frames, Kind, frame, split_names
 from dual_ur10.types import Closing
 
 PORT: Final = 30004

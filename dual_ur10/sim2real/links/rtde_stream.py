@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from dual_ur10.errors import ProtocolError
-from dual_ur10.sim2real.protocol.rtde_codec import HEADER, Frames, Kind
-from dual_ur10.sim2real.protocol.rtde_types import DataType, Value
+from dual_ur10.sim2real.protocol.rtde import HEADER, DataType, Frames, Kind, Value
 
 log = logging.getLogger(__name__)
 

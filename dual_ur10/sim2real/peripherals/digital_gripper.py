@@ -16,7 +16,7 @@ from dual_ur10.sim2real.config.cell_file_entries import DigitalGripper
 from dual_ur10.sim2real.links.link_socket import checked_timeout
 from dual_ur10.sim2real.links.rtde_link import PORT, RtdeClient, RtdeLink
 from dual_ur10.sim2real.peripherals.gripper_link import GripperReading
-from dual_ur10.sim2real.protocol.rtde_codec import Kind, frame
+from dual_ur10.sim2real.protocol.rtde import Kind, frame
 
 OUTPUTS: Final = "actual_digital_output_bits"
 

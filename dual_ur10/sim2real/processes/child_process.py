@@ -1,8 +1,8 @@
-"""Starts functions of this package in processes of their own.
+"""Child processes that run a function of this package, and their scheduling priority.
 
-Unlike those of `multiprocessing`, they do not import the program that starts them: that works from a script without a
-guard, from a notebook and from a terminal alike. They are in sessions of their own, so that Ctrl-C is for the program
-alone.
+Unlike those of `multiprocessing`, they do not import the main module of the program that starts them. So they work from
+a script without a guard, from a notebook and from a terminal. They are in sessions of their own, so that Ctrl-C reaches
+the program alone.
 """
 
 from __future__ import annotations
@@ -19,30 +19,54 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
-from dual_ur10.sim2real.processes.interrupts import CHILD, held_back
+from dual_ur10.errors import SettingsError
+from dual_ur10.sim2real.processes.interrupts import CHILD, interrupts_deferred
 
 log = logging.getLogger(__name__)
 
 LOST: Final = 255
-"""Code of a process whose end somebody else has taken note of."""
+"""Exit code of a process whose end somebody else has collected."""
 
 KILLED_S: Final = 5.0
-"""How long a process that is killed is waited for: one that waits for a device may take its time."""
+"""Longest wait for the end of a killed process: one that waits for a device may take its time."""
 
-_LOOK_S: Final = 0.002
+NICE: Final = -15
+"""Niceness of a process with deadlines. The system may deny it to users; then the process keeps its own."""
+
+_POLL_S: Final = 0.002
+
+
+def hasten(rt_priority: int = 0) -> None:
+    """Give this process priority over others.
+
+    Args:
+        rt_priority: Real-time priority; 0: only a better niceness, where the system allows it.
+
+    Raises:
+        SettingsError: A real-time priority is wanted, and the system refuses it.
+    """
+    if not rt_priority:
+        with contextlib.suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, 0, NICE)
+        return
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(rt_priority))
+    except OSError as error:
+        reason = f"rt_priority {rt_priority} was refused by the system ({error})"
+        raise SettingsError(f"{reason}: allow it (rtprio in limits.conf), or set it to 0") from error
 
 
 class Child:
-    """A process that runs one function, and ends with it.
+    """Process that runs one function, and ends with it.
 
-    It can be asked for its end at any time and however often that is interrupted: `Popen.poll` and `Popen.wait` cannot,
-    for an interrupt leaves their lock taken, and whoever asks next waits for ever.
+    Its end can be queried at any time, however often a query is interrupted. `Popen.poll` and `Popen.wait` cannot: an
+    interrupt leaves their lock taken, and the next query waits forever.
 
     Args:
-        function: Of this package.
-        arguments: For it; they are pickled.
-        files: Numbers of open files that it gets under the same numbers.
-        name: What a list of processes shows behind its command.
+        function: Function of this package.
+        arguments: Its arguments; they are pickled.
+        files: Numbers of open files that the process inherits under the same numbers.
+        name: Text that a list of processes shows after the command.
     """
 
     def __init__(
@@ -52,7 +76,7 @@ class Child:
         self._code: int | None = None
         process = None
         try:
-            with held_back():  # an interrupt comes before there is a process, or once it is known here
+            with interrupts_deferred():  # an interrupt comes before there is a process, or once it is known here
                 self._process = process = subprocess.Popen(
                     [sys.executable, "-P", "-m", CHILD, *filter(None, [name])],
                     stdin=subprocess.PIPE,
@@ -61,7 +85,7 @@ class Child:
                     pass_fds=tuple(files),
                 )
             if process.stdin is not None:
-                with contextlib.suppress(OSError):  # it has ended already, which `is_alive` tells
+                with contextlib.suppress(OSError):  # it has ended already, which `is_alive` reports
                     process.stdin.write(work)
                     process.stdin.close()
         except BaseException:
@@ -71,17 +95,17 @@ class Child:
 
     @property
     def pid(self) -> int:
-        """Of the process."""
+        """Number of the process."""
         return self._process.pid
 
     @property
     def is_alive(self) -> bool:
-        """Whether it runs."""
+        """True while it runs."""
         return self.code is None
 
     @property
     def code(self) -> int | None:
-        """Its exit code; below 0 the signal that ended it; None: it runs."""
+        """Exit code; negative: the signal that ended it; None: it runs."""
         if self._code is None:
             try:
                 found = os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)
@@ -91,24 +115,24 @@ class Child:
                 if found is None:
                     return None
                 self._code = found.si_status if found.si_code == os.CLD_EXITED else -found.si_status
-        if self._process.returncode is None:  # known first, then taken from the system: in this order, nothing is lost
+        if self._process.returncode is None:  # stored first, then collected from the system, so that nothing is lost
             with contextlib.suppress(ChildProcessError):
                 os.waitpid(self.pid, os.WNOHANG)
             self._process.returncode = self._code
         return self._code
 
     def wait(self, within_s: float) -> bool:
-        """Wait for its end. Returns whether it has come."""
+        """Wait for its end. Return True if it has ended."""
         end = time.monotonic() + within_s
         while self.is_alive:
             left = end - time.monotonic()
             if left <= 0.0:
                 return False
-            time.sleep(min(left, _LOOK_S))
+            time.sleep(min(left, _POLL_S))
         return True
 
     def kill(self, within_s: float = KILLED_S) -> None:
-        """End it at once, and wait for that, but not for ever."""
+        """End it at once, and wait for that for a bounded time."""
         if self.is_alive:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self.pid, signal.SIGKILL)
@@ -117,13 +141,13 @@ class Child:
 
 
 def main() -> None:
-    """Run in the new process: what to do comes by its input."""
-    told = sys.stdin.buffer.read()
-    if not told:
-        return  # the program has ended before it could say
-    module, name, parent, arguments = pickle.loads(told)
+    """Run the function that the parent process sends by standard input."""
+    work = sys.stdin.buffer.read()
+    if not work:
+        return  # the parent has ended before it could send it
+    module, name, parent, arguments = pickle.loads(work)
     if os.getppid() != parent:
-        return  # the program has ended meanwhile
+        return  # the parent has ended meanwhile
     getattr(importlib.import_module(module), name)(*arguments)
 
 

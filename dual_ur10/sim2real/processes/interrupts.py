@@ -14,47 +14,47 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 INTERRUPTED: Final = 130
-"""Exit code after Ctrl-C, as shells have it."""
+"""Exit code after Ctrl-C, as in shells."""
 
 CHILD: Final = "dual_ur10.sim2real.processes.child_process"
-"""Module that the processes of a cell begin with."""
+"""Main module of the child processes of a cell."""
 
 
 def end_interrupted(*_: Any) -> None:
-    """Say one line and end. What is being done comes to its end first, as by any other exception.
+    """Print one line and end. Running code unwinds as after any other exception.
 
     Raises:
         SystemExit: With code `INTERRUPTED`.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # what still has to be ended takes a bounded time
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the clean-up that is left takes a bounded time
     sys.stderr.write("interrupted\n")
     raise SystemExit(INTERRUPTED)
 
 
 def begin_program() -> None:
-    """Everything is loaded: from here on Ctrl-C is a `KeyboardInterrupt` again, by which commands end in order."""
+    """Make Ctrl-C a `KeyboardInterrupt` again, once everything is loaded: commands handle it."""
     if signal.getsignal(signal.SIGINT) is end_interrupted:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def is_child() -> bool:
-    """Whether this is a process of a cell, of an arm for instance, and no program of a user."""
+    """Return True in a child process of a cell, such as that of an arm."""
     return CHILD in sys.orig_argv
 
 
 def _is_program() -> bool:
-    """Whether what is loaded is the command line: `-m` is its first argument for as long as modules are looked for."""
+    """Return True if the command line is being loaded: `-m` is its first argument while Python looks for modules."""
     begun = sys.argv[0] if sys.argv else ""
     return (begun == "-m" and "dual_ur10" in sys.orig_argv) or os.path.basename(begun) == "dual-ur10"
 
 
 @contextlib.contextmanager
-def held_back() -> Iterator[None]:
-    """Within, no SIGINT is heard; it comes right behind. For what takes a bounded time.
+def interrupts_deferred() -> Iterator[None]:
+    """Defer SIGINT to the end of the `with` block, which must take a bounded time.
 
     Only the main thread is interrupted, so elsewhere this does nothing.
     """
-    # None: handled by other than Python, and cannot be put back.
+    # None: the handler is not Python's, and cannot be restored.
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is None:
         yield
         return

@@ -20,19 +20,19 @@ class SharedBlock:
 
     Args:
         layout: Type and shape of each array, by name.
-        name: Of memory that exists; None: it is made, and belongs to this object.
+        name: Name of memory that exists; None: new memory, which belongs to this object.
 
     Attributes:
-        name: By which a process of the same user finds it, as long as the one that made it lives.
+        name: Name under which a process of the same user finds it, as long as its maker lives.
 
     Raises:
-        SettingsError: The memory of that name is not that of these arrays.
+        SettingsError: The memory of that name does not have the size of these arrays.
     """
 
     def __init__(self, layout: Layout, name: str | None = None) -> None:
         self._layout = layout
         size = sum(_size(*each) for each in layout.values())
-        # It has no name that could be left behind: when the last process lets go of it, it is gone.
+        # It has no file name that could be left behind: it vanishes with the last process that has it open.
         self._file: int | None = (
             os.memfd_create("dual_ur10") if name is None else os.open(name, os.O_RDWR | os.O_CLOEXEC)
         )
@@ -53,20 +53,20 @@ class SharedBlock:
         return self._arrays[key]
 
     def set_text(self, key: str, text: str) -> None:
-        """Write a text, as far as it fits, into an array of bytes."""
+        """Write a text into an array of bytes, cut off where it does not fit."""
         array = self._arrays[key]
-        # A reason that cannot be written must not keep a stop back.
+        # No text may raise: the reason of a stop must not delay the stop.
         line = text.encode("utf-8", "replace")[: len(array) - 1]
         array[: len(line)] = np.frombuffer(line, np.uint8)
         array[len(line)] = 0
 
     def text(self, key: str) -> str:
-        """The text in an array of bytes."""
+        """Return the text in an array of bytes."""
         line: bytes = self._arrays[key].tobytes()
         return line[: line.index(0)].decode("utf-8", "replace") if 0 in line else ""
 
     def close(self) -> None:
-        """Let go of the memory, and keep zeros in its place. May be called twice."""
+        """Release the memory, and keep zeros in its place. May be called twice."""
         file, self._file = self._file, None
         if file is None:
             return
@@ -76,5 +76,5 @@ class SharedBlock:
 
 
 def _size(kind: type[np.generic], shape: tuple[int, ...]) -> int:
-    """Bytes of an array, in whole words."""
+    """Bytes of an array, rounded up to words of 8."""
     return -(-np.dtype(kind).itemsize * int(np.prod(shape)) // 8) * 8

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from dual_ur10.errors import RecordingError
 from dual_ur10.sim2real.processes.child_process import Child
-from dual_ur10.sim2real.processes.interrupts import held_back
+from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
 from dual_ur10.sim2real.recording.recorder_process import BLACK_BOX, CLOSE, DONE, FAILED, FRAME, READY, WROTE, serve
 from dual_ur10.sim2real.recording.rows import BeginRow, StepRow
 from dual_ur10.sim2real.recording.run import Event, Header
@@ -142,7 +142,7 @@ class RecorderProcess:
     def _single(self, topic: str, time_s: float, data: bytes) -> None:
         self._tell(TOPICS.index(topic), time_s, data)
 
-    @held_back()
+    @interrupts_deferred()
     def _tell(self, kind: int, time_s: float, data: bytes) -> None:
         # Not to be interrupted: what was written to the pipe, and not taken out of what waits, would be written twice.
         if self._connection.closed:

@@ -12,7 +12,7 @@ from dual_ur10.errors import RecordingError, ResetNeededError
 from dual_ur10.kinematics import flange_pose_quat
 from dual_ur10.kinematics.rotations import quat_to_rotvec
 from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
-from dual_ur10.sim2real.processes.interrupts import held_back
+from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
 from dual_ur10.sim2real.recording.log import RunLog
 from dual_ur10.sim2real.recording.rows import BeginRow, StepRow
 from dual_ur10.sim2real.recording.run import Event, Header
@@ -59,7 +59,7 @@ class SimulationRecord:
         """Where the run's clock stands."""
         return self._begin_s + self._ticks * self._tick_s
 
-    @held_back()
+    @interrupts_deferred()
     def begin_episode(self, row: BeginRow) -> None:
         """An episode begins where the one before ended.
 
@@ -71,7 +71,7 @@ class SimulationRecord:
         self.writer.single(EPISODE_TOPIC, self._begin_s, row.encode(self._episode, self._begin_s))
         self.writer.flush()
 
-    @held_back()
+    @interrupts_deferred()
     def step(self, row: StepRow, trace: TickTrace | None = None) -> None:
         """A step is done. Of a step whose physics diverged, what is finite is kept.
 
@@ -113,7 +113,7 @@ class SimulationRecord:
             sent[:, 2], sent[:, 4:] = sent_s, trace.sent_rad[:, arm]
             self.writer.sent(arm, sent)
 
-    @held_back()
+    @interrupts_deferred()
     def event(self, kind: str, text: str, arm: str = "", time_s: float | None = None) -> None:
         """Something happened.
 
@@ -125,7 +125,7 @@ class SimulationRecord:
         self.writer.flush()
         self._log(event)
 
-    @held_back()
+    @interrupts_deferred()
     def close(self) -> None:
         """The run is over. May be called twice.
 

@@ -20,8 +20,7 @@ from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES
 from dual_ur10.sim2real.links.rtde_link import PORT, RtdeClient, RtdeLink
-from dual_ur10.sim2real.processes.child_process import Child
-from dual_ur10.sim2real.processes.priority import hasten
+from dual_ur10.sim2real.processes.child_process import Child, hasten
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import ArmSender
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory

@@ -21,7 +21,7 @@ import numpy as np
 from dual_ur10.errors import ClosedError, LinkError, SettingsError, StartError
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, rotate
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.commissioning.operator_prompts import Confirm, confirmation
+from dual_ur10.sim2real.commissioning.operator_prompts import Confirm, prompt_for
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, CellStep, Start
 from dual_ur10.sim2real.control.adapter import GRIPPER_OPENING_M, Command
 from dual_ur10.sim2real.control.clearance import Clearance
@@ -321,7 +321,7 @@ class RtdeCell:
         Raises:
             StartError: Nobody did.
         """
-        confirm = confirmation(self.file, self._confirm)
+        confirm = prompt_for(self.file, self._confirm)
         if confirm(question) is not True:
             raise StartError("that the arms may move to where the task begins was not confirmed: they have not moved")
 

@@ -19,7 +19,7 @@ from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.control.time_scaling import TimeScaling
 from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
-from dual_ur10.sim2real.processes.interrupts import held_back
+from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_process import ArmConnection, ArmProcess
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, root_cause, was_asked_for
@@ -90,7 +90,7 @@ class Runner:
                 self.cell.permit_reduced_mode()
             self.arms = [ArmMemory(), ArmMemory()]
             settings = MonitorSettings((config.left, config.right), self.tick_s, coupled)
-            with held_back():  # no process without its being known here
+            with interrupts_deferred():  # no process without its being known here
                 for arm, (name, entry) in enumerate(zip(ARMS, file.arms, strict=True)):
                     connection = ArmConnection(name, entry.host, entry.servoj, file.rt_priority)
                     others = (self.arms[1 - arm],)
@@ -191,7 +191,7 @@ class Runner:
         return True
 
     def _put(self, first: int, targets_rad: Array) -> None:
-        with held_back():  # never one arm without the other
+        with interrupts_deferred():  # never one arm without the other
             for arm, memory in enumerate(self.arms):
                 memory.put(first, targets_rad[:, arm])
 
@@ -321,7 +321,7 @@ class Runner:
                 self._ask_to_end()
                 self._wait_for_end(_END_S)
         finally:  # a second Ctrl-C shortens the waits, and leaves nothing running; one more has to wait for that
-            with held_back():
+            with interrupts_deferred():
                 if self.arms:
                     self._ask_to_end()
                 for process in self.processes:

@@ -23,8 +23,7 @@ from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.control.time_scaling import scaling_from_slider
 from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
-from dual_ur10.sim2real.processes.child_process import Child
-from dual_ur10.sim2real.processes.priority import hasten
+from dual_ur10.sim2real.processes.child_process import Child, hasten
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, root_cause
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory

@@ -6,7 +6,7 @@ import pytest
 
 from dual_ur10.errors import CellFileError, LinkError, StartError
 from dual_ur10.sim2real.links.rtde_link import RtdeClient
-from dual_ur10.sim2real.protocol.rtde_codec import Kind
+from dual_ur10.sim2real.protocol.rtde import Kind
 from dual_ur10.sim2real.runtime import runner
 from tests import soak
 from tests.live.faults.lab import ARMS

@@ -29,7 +29,7 @@ from dual_ur10.sim2real.links.primary_link import PrimaryFacts
 from dual_ur10.sim2real.links.rtde_link import RtdeClient
 from dual_ur10.sim2real.links.rtde_stream import Sample
 from dual_ur10.sim2real.protocol.primary_packet import kinematics_checksums
-from dual_ur10.sim2real.protocol.rtde_codec import Kind
+from dual_ur10.sim2real.protocol.rtde import Kind
 from tests.sim2real.links.test_arm_status import status_of
 
 TIMED = ("RTDE rate", "RTDE jitter", "round trip")

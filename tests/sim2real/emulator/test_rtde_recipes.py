@@ -10,7 +10,7 @@ from dual_ur10.sim2real.emulator.profile import profile_of
 from dual_ur10.sim2real.emulator.registers import Registers
 from dual_ur10.sim2real.emulator.rtde_recipes import InputRecipe, OutputRecipe
 from dual_ur10.sim2real.emulator.rtde_variables import input_types, output_types, zero_values
-from dual_ur10.sim2real.protocol.rtde_types import TYPES
+from dual_ur10.sim2real.protocol.rtde import TYPES
 
 PROFILE = profile_of("e-series")
 OUTPUTS = output_types(PROFILE)

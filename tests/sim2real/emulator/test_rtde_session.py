@@ -9,7 +9,7 @@ from dual_ur10.sim2real.emulator.profile import profile_of
 from dual_ur10.sim2real.emulator.registers import Registers
 from dual_ur10.sim2real.emulator.rtde_session import RtdePort
 from dual_ur10.sim2real.emulator.rtde_variables import zero_values
-from dual_ur10.sim2real.protocol.rtde_codec import TextKind
+from dual_ur10.sim2real.protocol.rtde import TextKind
 from tests.sim2real.emulator.rtde_bytes import RECEIVED, SERVOJ, VERSION_2, Controller, data, inputs, message, outputs
 
 START = b"\x00\x03S"

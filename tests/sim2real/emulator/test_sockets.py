@@ -9,7 +9,7 @@ import pytest
 from dual_ur10.errors import AddressError, ProtocolError
 from dual_ur10.sim2real.emulator.addresses import check_loopback, listening
 from dual_ur10.sim2real.emulator.sockets import MOST_CONNECTIONS, Hub, LinkFaults
-from dual_ur10.sim2real.protocol.rtde_codec import Frames, Kind
+from dual_ur10.sim2real.protocol.rtde import Frames, Kind
 from tests.sim2real.emulator import rtde_bytes
 
 HOST = "127.0.0.1"

@@ -16,7 +16,7 @@ from dual_ur10.errors import ClosedError, LinkError, ProtocolError, SettingsErro
 from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
 from dual_ur10.sim2real.links.rtde_stream import RtdeStream
-from dual_ur10.sim2real.protocol.rtde_types import TYPES
+from dual_ur10.sim2real.protocol.rtde import TYPES
 from tests.sim2real.links.fake_servers import (
     ANSWERS,
     DEADLINE_S,

@@ -26,7 +26,7 @@ from dual_ur10.sim2real.peripherals.gripper_link import (
     opening_of,
 )
 from dual_ur10.sim2real.peripherals.grippers import Grippers, GripperThread, link_to
-from dual_ur10.sim2real.protocol.rtde_codec import Kind
+from dual_ur10.sim2real.protocol.rtde import Kind
 from tests.sim2real.links.fake_servers import exactly, serving, until_closed
 
 HERE = "127.0.0.1"

@@ -1,4 +1,4 @@
-"""Row 53 of the table of faults in `docs/safety.md`: nothing that is done depends on the time of day."""
+"""Row 53 of the table of faults in `docs/safety.md`: no behaviour depends on the time of day."""
 
 import ast
 import inspect
@@ -7,15 +7,15 @@ from pathlib import Path
 
 import dual_ur10
 
-LABELS = {"recording/describe.py": {"now"}, "sim2real/latch.py": {"gmtime", "strftime"}}
-"""Who asks for it, and writes it where people read it."""
+LABELS = {"sim2real/recording/describe.py": {"now"}, "sim2real/runtime/latch.py": {"gmtime", "strftime"}}
+"""Modules that write the time of day into texts for people, and the functions they call."""
 
 TIME_OF_DAY = {"time", "time_ns", "now", "utcnow", "today", "gmtime", "localtime", "ctime", "asctime", "strftime"}
 OWNERS = {"time", "datetime", "date", "dt"}
 
 
-def asked(source):
-    """Functions of `time` and `datetime` that tell the time of day, as far as they are called by these names."""
+def time_functions(source):
+    """Return the functions of `time` and `datetime` that a source calls by name for the time of day."""
     found = set()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.ImportFrom) and node.module in OWNERS:
@@ -29,17 +29,17 @@ def asked(source):
 
 def test_the_time_of_day_is_a_label_only():
     root = Path(dual_ur10.__file__).parent
-    found = {str(path.relative_to(root)): asked(path.read_text()) for path in sorted(root.rglob("*.py"))}
+    found = {str(path.relative_to(root)): time_functions(path.read_text()) for path in sorted(root.rglob("*.py"))}
     assert len(found) > 100
     assert {name: names for name, names in found.items() if names} == LABELS
 
 
-def test_who_asks_is_found():
+def test_calls_are_found():
     def code():
         import time
         from datetime import datetime
 
         return time.time(), time.monotonic(), datetime.now()
 
-    assert asked(textwrap.dedent(inspect.getsource(code))) == {"time", "now"}
-    assert asked("from time import time_ns, monotonic") == {"time_ns"}
+    assert time_functions(textwrap.dedent(inspect.getsource(code))) == {"time", "now"}
+    assert time_functions("from time import time_ns, monotonic") == {"time_ns"}

@@ -9,13 +9,13 @@ import threading
 
 import pytest
 
-from dual_ur10.sim2real.processes.interrupts import held_back
+from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
 
 
 def test_an_interrupt_comes_right_behind():
     done = []
     with pytest.raises(KeyboardInterrupt):  # noqa: PT012  # what comes when is what is tested
-        with held_back():
+        with interrupts_deferred():
             signal.raise_signal(signal.SIGINT)
             signal.raise_signal(signal.SIGINT)
             done.append("whole")
@@ -27,15 +27,15 @@ def test_an_interrupt_comes_right_behind():
 
 def test_one_inside_another_holds_back_until_the_end_of_the_outer_one():
     done = []
-    with pytest.raises(KeyboardInterrupt), held_back():  # noqa: PT012
-        with held_back():
+    with pytest.raises(KeyboardInterrupt), interrupts_deferred():  # noqa: PT012
+        with interrupts_deferred():
             signal.raise_signal(signal.SIGINT)
         done.append("whole")
     assert done == ["whole"]
 
 
 def test_an_error_goes_through_and_interrupts_are_heard_again():
-    with pytest.raises(ValueError, match="inside"), held_back():
+    with pytest.raises(ValueError, match="inside"), interrupts_deferred():
         raise ValueError("inside")
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
@@ -44,7 +44,7 @@ def test_in_another_thread_it_does_nothing():
     found = []
 
     def work():
-        with held_back():
+        with interrupts_deferred():
             found.append(signal.getsignal(signal.SIGINT))
 
     thread = threading.Thread(target=work)
@@ -55,9 +55,10 @@ def test_in_another_thread_it_does_nothing():
 
 def test_where_an_interrupt_ends_the_program_it_still_does():
     program = (
-        "import signal\nfrom dual_ur10.sim2real.processes.interrupts import held_back\n"
+        "import signal\nfrom dual_ur10.sim2real.processes.interrupts import interrupts_deferred\n"
         "signal.signal(signal.SIGINT, signal.SIG_DFL)\n"
-        "with held_back():\n    signal.raise_signal(signal.SIGINT)\n    print('whole', flush=True)\nprint('behind')\n"
+        "with interrupts_deferred():\n    signal.raise_signal(signal.SIGINT)\n    print('whole', flush=True)\n"
+        "print('behind')\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stdout) == (-signal.SIGINT, "whole\n")

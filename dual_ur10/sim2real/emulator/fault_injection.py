@@ -1,6 +1,6 @@
-"""What can be done to an emulated cell from outside: faults, the camera, and a look at what it received.
+"""Fault injection of an emulated cell: faults, operator actions, the camera, and records of what it received.
 
-One JSON object a line, `{"do": "stop", "arm": "left", "mode": 3}`, answered by one: `{"ok": true, "value": ...}` or
+One JSON object per line, `{"do": "stop", "arm": "left", "mode": 3}`, answered by one: `{"ok": true, "value": ...}` or
 `{"ok": false, "error": "..."}`. `docs/emulated_cell.md` lists all requests.
 """
 
@@ -12,24 +12,34 @@ import itertools
 import json
 import math
 import random
+import reprlib
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, Protocol
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, Final, Protocol, get_type_hints
 
 import numpy as np
+from annotated_types import Ge, Le
+from pydantic import BaseModel, ConfigDict, Field, InstanceOf, ValidationError, create_model
 
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply
 from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.emulator.arm_server import ArmServer, RtdePeer
 from dual_ur10.sim2real.emulator.mujoco_world import EmulatedWorld
-from dual_ur10.sim2real.emulator.sockets import LinkFaults
+from dual_ur10.sim2real.emulator.sockets import MOST_LATE_S, LinkFaults
 
 _MOST_DELAY_S: Final = 2.0
-_MOST_LATE_S: Final = 60.0  # of packets and programs: they are kept meanwhile
-_MOST_MODE: Final = 255  # of the safety mode: what the primary interface can tell
 _FARTHEST_M: Final = 10.0
-_MOST_SETPOINTS: Final = 1000  # in one answer, which is not to keep a control period waiting
+_MOST_SETPOINTS: Final = 1000  # per answer, which must not delay a control period
+
+_Delay = Annotated[float, Field(ge=0.0, le=_MOST_DELAY_S)]
+_NoiseM = Annotated[float, Field(ge=0.0, le=1.0)]
+_NoiseRad = Annotated[float, Field(ge=0.0, le=3.0)]
+_Late = Annotated[float, Field(ge=0.0, le=MOST_LATE_S)]
+_Mode = Annotated[int, Field(ge=0, le=255)]  # as far as the primary interface can encode it
+_Since = Annotated[int, Field(le=2**53)]
+_Version = Annotated[list[int], Field(min_length=4, max_length=4)]
+_Text = InstanceOf[str]  # any text, also such as is no valid Unicode
 _PRESSES: Final = (
     "play",
     "resume",
@@ -46,16 +56,16 @@ class CellUnderTest(Protocol):
     """Emulated cell that requests act on."""
 
     ended: bool
-    """Whether the cell is to end."""
+    """Set to end the cell."""
 
     @property
     def servers(self) -> Sequence[ArmServer]:
-        """The controllers of the left and the right arm."""
+        """Controllers of the left and the right arm."""
         ...
 
     @property
     def world(self) -> EmulatedWorld:
-        """What is around them."""
+        """Simulation of both arms."""
         ...
 
     @property
@@ -64,16 +74,19 @@ class CellUnderTest(Protocol):
         ...
 
     def info(self) -> dict[str, Any]:
-        """How the cell does."""
+        """Return timing and condition of the cell."""
         ...
 
 
 class FaultInjection:
-    """Answers requests.
+    """Server of the fault-injection port: one method `do_<name>` per request.
+
+    A request is validated strictly against the parameters of its method: an unknown key, a missing one, a value of
+    another type and a number out of bounds are refused.
 
     Args:
-        cell: What they are about.
-        seed: Of the camera's noise.
+        cell: The cell that requests act on.
+        seed: Seed of the camera noise.
     """
 
     def __init__(self, cell: CellUnderTest, seed: int = 0) -> None:
@@ -83,9 +96,10 @@ class FaultInjection:
         self._requests: dict[str, Callable[..., Any]] = {
             name.removeprefix("do_"): method for name, method in inspect.getmembers(self) if name.startswith("do_")
         }
+        self._models = {name: _model(name, method) for name, method in self._requests.items()}
 
     def answer(self, line: str) -> str:
-        """The answer to one line. Nothing that is sent raises."""
+        """Answer one line. No input raises."""
         try:
             value = self._do(line)
         except (DualUR10Error, ValueError, TypeError, OverflowError, RecursionError) as error:
@@ -99,46 +113,44 @@ class FaultInjection:
         name = request.pop("do")
         if name not in self._requests:
             raise UnknownNameError("request", name, tuple(self._requests))
-        return self._requests[name](**request)
+        try:
+            values = self._models[name].model_validate(request)
+        except ValidationError as error:
+            raise _refusal(name, self._models[name], error) from error
+        given = values.model_fields_set
+        return self._requests[name](**{key: value for key, value in values if key in given})
 
     def _arm(self, arm: str) -> ArmServer:
         if arm not in ARMS:
-            raise UnknownNameError("arm", str(arm), ARMS)
+            raise UnknownNameError("arm", arm, ARMS)
         return self._cell.servers[ARMS.index(arm)]
 
     def after_tick(self, time_s: float) -> None:
-        """Remember what may be asked for late."""
+        """Record the poses that may be requested with a delay."""
         for body, seen in self._seen.items():
             position, quat = self._cell.world.pose(body)
             seen.append((time_s, position.tolist(), quat.tolist()))
             while seen[0][0] < time_s - _MOST_DELAY_S:
                 seen.popleft()
 
-    # A look at the cell.
+    # Queries.
 
     def do_info(self) -> dict[str, Any]:
-        """How the cell does: time, lateness of its control periods, processor time."""
+        """Return time, lateness of the control periods, and processor time."""
         return self._cell.info()
 
-    def do_state(self, arm: str, names: Sequence[str] | None = None) -> dict[str, Any]:
-        """What the controller tells its clients, by RTDE's names."""
+    def do_state(self, arm: str, names: list[str] | None = None) -> dict[str, Any]:
+        """Return the values that the controller reports to its clients, by RTDE name."""
         values = self._arm(arm).controller.values
         for name in names or ():
             if name not in values:
-                raise UnknownNameError("variable", str(name), tuple(values))
+                raise UnknownNameError("variable", name, tuple(values))
         return {name: values[name] for name in (values if names is None else names)}
 
     def do_pose(
-        self, body: str, noise_m: float = 0.0, noise_rad: float = 0.0, delay_s: float = 0.0
+        self, body: str, noise_m: _NoiseM = 0.0, noise_rad: _NoiseRad = 0.0, delay_s: _Delay = 0.0
     ) -> dict[str, list[float]]:
-        """Position and orientation (w, x, y, z) of a body in the cell frame, as a camera sees it."""
-        for name, value, most in (
-            ("noise_m", noise_m, 1.0),
-            ("noise_rad", noise_rad, 3.0),
-            ("delay_s", delay_s, _MOST_DELAY_S),
-        ):
-            if not 0.0 <= value <= most:
-                raise SettingsError(f"{name} is {value!r}: allowed are 0 to {most:g}")
+        """Return position and orientation (w, x, y, z) of a body in the cell frame, as a camera measures them."""
         position, quat = (each.tolist() for each in self._cell.world.pose(body))
         if delay_s:
             now = self._cell.time_s
@@ -149,19 +161,19 @@ class FaultInjection:
         if noise_m:
             position = [each + self._random.gauss(0.0, noise_m) for each in position]
         if noise_rad:
-            turn = quat_from_rotvec([self._random.gauss(0.0, noise_rad) for _ in range(3)])
-            quat = quat_multiply(turn, quat).tolist()
+            rotation = quat_from_rotvec([self._random.gauss(0.0, noise_rad) for _ in range(3)])
+            quat = quat_multiply(rotation, quat).tolist()
         return {"position_m": position, "quat": quat}
 
-    def do_setpoints(self, arm: str, since: int = 0) -> dict[str, Any]:
-        """Executed servoj targets from number `since`, at most 1000: tick, target, t, lookahead, gain."""
+    def do_setpoints(self, arm: str, since: _Since = 0) -> dict[str, Any]:
+        """Return executed servoj targets from number `since`, at most 1000: tick, target, t, lookahead, gain."""
         controller = self._arm(arm).controller
         return _page("setpoints", controller.setpoints, controller.setpoints_count, since)
 
-    def do_received(self, arm: str, since: int = 0) -> dict[str, Any]:
-        """What the controller was sent that moves its arm: see `Received`.
+    def do_received(self, arm: str, since: _Since = 0) -> dict[str, Any]:
+        """Return counts and packages of received motion commands; see `Received`.
 
-        Of the packages with motion commands, those from number `since`, at most 1000: tick, command, six numbers.
+        Packages are those from number `since`, at most 1000: tick, command, six numbers.
         """
         received = self._arm(arm).controller.received
         return {
@@ -171,7 +183,7 @@ class FaultInjection:
         }
 
     def do_clients(self, arm: str) -> dict[str, list[dict[str, Any]]]:
-        """Connections of every port, and what their RTDE sessions counted."""
+        """Return the connections of every port, with the counters of their RTDE sessions."""
         found = {}
         for name, port in self._arm(arm).ports.items():
             found[name] = [
@@ -180,86 +192,85 @@ class FaultInjection:
             ]
         return found
 
-    # What people, wires and things do.
+    # Operator, wiring and objects.
 
-    def do_stop(self, arm: str, mode: int, reason: str = "") -> None:
-        """A condition comes to hold: any number of RTDE's `safety_mode` but 1 and 2."""
-        if not 0 <= mode <= _MOST_MODE:
-            raise SettingsError(f"a safety mode is {mode!r}: allowed are 0 to {_MOST_MODE}")
+    def do_stop(self, arm: str, mode: _Mode, reason: _Text = "") -> None:
+        """Raise a stop condition: any number of RTDE's `safety_mode` except 1 and 2."""
         controller = self._arm(arm).controller
-        controller.safety.stop(int(mode), str(reason))
+        controller.safety.stop(mode, reason)
         controller.received.stop_tick = controller.ticks + 1
 
     def do_release(self, arm: str, mode: int) -> None:
-        """It ends: a button is turned, a gate closed."""
-        self._arm(arm).controller.safety.release(int(mode))
+        """Clear a stop condition: a button is released, a gate closed."""
+        self._arm(arm).controller.safety.release(mode)
 
     def do_reduce(self, arm: str, on: bool = True) -> None:
-        """Reduced mode."""
-        self._arm(arm).controller.safety.reduce(bool(on))
+        """Switch reduced mode."""
+        self._arm(arm).controller.safety.reduce(on)
 
     def do_press(self, arm: str, button: str) -> None:
-        """An operator does something at the teach pendant."""
+        """Perform an operator action at the teach pendant."""
         if button not in _PRESSES:
-            raise UnknownNameError("button", str(button), _PRESSES)
+            raise UnknownNameError("button", button, _PRESSES)
         getattr(self._arm(arm).pendant, button)()
 
     def do_slider(self, arm: str, fraction: float) -> None:
-        """The speed slider is moved."""
-        self._arm(arm).controller.io.set_slider(float(fraction))
+        """Move the speed slider."""
+        self._arm(arm).controller.io.set_slider(fraction)
 
     def do_remote(self, arm: str, on: bool) -> None:
-        """Remote control is switched on or off (e-Series)."""
-        self._arm(arm).controller.remote_control = bool(on)
+        """Switch remote control (e-Series)."""
+        self._arm(arm).controller.remote_control = on
 
     def do_input(self, arm: str, bit: int, on: bool) -> None:
-        """A digital input: 0 to 7 standard, 8 to 15 configurable, 16 and 17 the tool's."""
-        self._arm(arm).controller.io.set_input(int(bit), bool(on))
+        """Set a digital input: 0 to 7 standard, 8 to 15 configurable, 16 and 17 of the tool."""
+        self._arm(arm).controller.io.set_input(bit, on)
 
-    def do_program(self, arm: str, name: str, text: str) -> None:
-        """Put a program on the controller, for the dashboard's `load`."""
-        self._arm(arm).pendant.keep(str(name), str(text))
+    def do_program(self, arm: str, name: _Text, text: _Text) -> None:
+        """Store a program on the controller, for the dashboard's `load`."""
+        self._arm(arm).pendant.keep(name, text)
 
-    def do_place(self, position_m: Sequence[float], quat: Sequence[float]) -> None:
-        """Put the object that the task handles somewhere, at rest."""
-        pose = [float(each) for each in (*position_m, *quat)]
-        if len(pose) != 7 or not all(map(math.isfinite, pose)) or abs(math.hypot(*pose[3:]) - 1.0) > 1e-3:
+    def do_place(self, position_m: list[float], quat: list[float]) -> None:
+        """Place the object of the task, at rest."""
+        pose = [*position_m, *quat]
+        if len(pose) != 7 or abs(math.hypot(*pose[3:]) - 1.0) > 1e-3:
             raise SettingsError("an object is put at three coordinates with a unit quaternion (w, x, y, z)")
         if max(map(abs, pose[:3])) > _FARTHEST_M:
             raise SettingsError(f"an object cannot be put at {pose[:3]}: allowed are ±{_FARTHEST_M:g} m")
-        self._cell.world.place(np.array(pose))
+        self._cell.world.place(np.array(pose, dtype=np.float64))
 
     # Faults.
 
     def do_link(self, arm: str, port: str, **faults: Any) -> None:
-        """What goes wrong with a port's connections: see `LinkFaults`. What is not named stays."""
+        """Inject link faults into a port; see `LinkFaults`. Faults that are not named stay as they are."""
         for which in self._ports(arm, port):
-            _apply(which.faults, faults)
+            for name, value in faults.items():
+                setattr(which.faults, name, value)
             for connection in list(which.connections):
                 connection.flush()
 
     def do_heal(self, arm: str, port: str = "all") -> None:
-        """Nothing goes wrong with a port any more."""
+        """Remove all faults of a port."""
         self.do_link(arm, port, **dataclasses.asdict(LinkFaults()))
         for which in self._ports(arm, port):
             which.listen()
 
     def do_drop(self, arm: str, port: str, reset: bool = False, writers: bool = False) -> None:
-        """All connections of a port end, or those alone that write inputs, with a reset if asked for."""
+        """Close the connections of a port, or only those that write inputs; optionally with a TCP reset."""
         for which in self._ports(arm, port):
             which.disconnect(
-                "a fault was asked for",
-                reset=bool(reset),
+                "a fault was injected",
+                reset=reset,
                 whose=lambda peer: not writers or (isinstance(peer, RtdePeer) and peer.session.writes),
             )
 
     def do_refuse(self, arm: str, port: str) -> None:
-        """A port takes no new clients."""
+        """Refuse new clients of a port."""
         for which in self._ports(arm, port):
             which.refuse()
 
     def do_override(self, arm: str, **values: Any) -> None:
-        """Clients are told these values, whatever is true; null ends it."""
+        """Report these values to clients instead of the true ones; null ends it."""
         server = self._arm(arm)
         controller = server.controller
         for name, value in values.items():
@@ -268,31 +279,29 @@ class FaultInjection:
             now = controller.values[name]
             if value is not None and np.shape(value) != np.shape(now):
                 raise SettingsError(f"{name} is {now!r}: {value!r} does not have its shape")
-        told = {name: tuple(each) if isinstance(each, list) else each for name, each in values.items()}
-        server.check({name: value for name, value in told.items() if value is not None})
-        for name, value in told.items():
+        reported = {name: tuple(each) if isinstance(each, list) else each for name, each in values.items()}
+        server.check({name: value for name, value in reported.items() if value is not None})
+        for name, value in reported.items():
             controller.override(name, value)
 
     def do_watchdog(self, arm: str, on: bool) -> None:
-        """Whether watchdogs of programs end or pause them, as they do on a controller."""
-        self._arm(arm).controller.watchdog_acts = bool(on)
+        """Enable or disable the watchdogs of programs."""
+        self._arm(arm).controller.watchdog_acts = on
 
-    def do_script_delay(self, arm: str, seconds: float) -> None:
-        """Programs start late."""
-        if not 0.0 <= seconds <= _MOST_LATE_S:
-            raise SettingsError(f"script_delay is {seconds!r}: allowed are 0 to {_MOST_LATE_S:g} s")
-        self._arm(arm).script_delay_s = float(seconds)
+    def do_script_delay(self, arm: str, seconds: _Late) -> None:
+        """Delay the start of programs."""
+        self._arm(arm).script_delay_s = seconds
 
     def do_pretend(
         self,
         arm: str,
-        version: Sequence[int] | None = None,
-        model: str | None = None,
-        serial_number: str | None = None,
+        version: _Version | None = None,
+        model: _Text | None = None,
+        serial_number: _Text | None = None,
         robot_type: int | None = None,
         safety_checksum: int | None = None,
     ) -> None:
-        """New clients are told of another version, model or serial number, or of other safety settings."""
+        """Report another version, model, serial number or safety checksum to new clients."""
         given: dict[str, Any] = {
             "model": model,
             "serial_number": serial_number,
@@ -300,32 +309,25 @@ class FaultInjection:
             "safety_checksum": safety_checksum,
         }
         values = {name: value for name, value in given.items() if value is not None}
-        for name, value in values.items():
-            kind = str if name in ("model", "serial_number") else int
-            if not isinstance(value, kind):
-                raise SettingsError(f"{name} is {value!r}: it must be {'a number' if kind is int else 'text'}")
         if version is not None:
-            if len(version) != 4:
-                raise SettingsError(f"a version has four numbers, found {version!r}")
-            numbers = tuple(int(each) for each in version)
-            for each, most in zip(numbers, (255, 255, 2**31 - 1, 2**31 - 1), strict=True):
+            for each, most in zip(version, (255, 255, 2**31 - 1, 2**31 - 1), strict=True):
                 if not 0 <= each <= most:
                     raise SettingsError(
                         f"a version's numbers are 0 to 255, twice, and 0 to 2147483647, found {version!r}"
                     )
-            values["version"] = numbers
+            values["version"] = tuple(version)
         server = self._arm(arm)
         server.pretend(dataclasses.replace(server.shown, **values), server.kinematics)
 
     def do_calibration(self, arm: str, error_m: float) -> None:
-        """Clients are told of a calibration that is off by this much."""
+        """Report a calibration that is off by this much."""
         server = self._arm(arm)
         dh = server.controller.dh
         off = DHParameters(tuple(each + error_m * bool(each) for each in dh.a_m), dh.d_m, dh.alpha_rad, dh.theta_rad)
         server.pretend(server.shown, off)
 
     def do_shutdown(self) -> None:
-        """The emulated cell ends."""
+        """End the emulated cell."""
         self._cell.ended = True
 
     def _ports(self, arm: str, port: str) -> list[Any]:
@@ -333,32 +335,47 @@ class FaultInjection:
         if port == "all":
             return list(ports.values())
         if port not in ports:
-            raise UnknownNameError("port", str(port), (*ports, "all"))
+            raise UnknownNameError("port", port, (*ports, "all"))
         return [ports[port]]
 
 
 def _page(name: str, kept: deque[Any], count: int, since: int) -> dict[str, Any]:
-    """Some of what is kept of all that was counted, from number `since` on."""
+    """Return the kept items from number `since` on, with the number of the first and the count of all."""
     first = count - len(kept)
-    begin = max(0, int(since) - first)
+    begin = max(0, since - first)
     chosen = [list(each) for each in itertools.islice(kept, begin, begin + _MOST_SETPOINTS)]
     return {"first": first + begin, "count": count, name: chosen}
 
 
-def _apply(faults: LinkFaults, values: Mapping[str, Any]) -> None:
-    known = {each.name: each.type for each in dataclasses.fields(LinkFaults)}
-    checked = {}
-    for name, value in values.items():
-        if name not in known:
-            raise UnknownNameError("fault", name, tuple(known))
-        kind = type(getattr(faults, name))
-        checked[name] = kind(value)
-        if checked[name] < 0 or not math.isfinite(checked[name]):
-            raise SettingsError(f"fault {name} is {value!r}: it must not be negative")
-        if name in ("delay_s", "jitter_s") and checked[name] > _MOST_LATE_S:
-            raise SettingsError(f"fault {name} is {value!r}: allowed are 0 to {_MOST_LATE_S:g} s")
-    for name, value in checked.items():
-        setattr(faults, name, value)
+def _model(name: str, method: Callable[..., Any]) -> type[BaseModel]:
+    """Return the strict model of a request, made of the parameters of its method."""
+    fields: dict[str, Any] = {}
+    extra: Any = "forbid"
+    for each in inspect.signature(method, eval_str=True).parameters.values():
+        if each.kind is not inspect.Parameter.VAR_KEYWORD:
+            fields[each.name] = (each.annotation, ... if each.default is each.empty else each.default)
+        elif name == "link":
+            fields |= {fault: (kind, None) for fault, kind in get_type_hints(LinkFaults, include_extras=True).items()}
+        else:
+            extra = "allow"
+    return create_model(name, __config__=ConfigDict(strict=True, extra=extra, allow_inf_nan=False), **fields)
+
+
+def _refusal(name: str, model: type[BaseModel], error: ValidationError) -> DualUR10Error:
+    """Return the error that names what was found and what is allowed."""
+    texts = []
+    for each in error.errors(include_url=False, include_context=False):
+        key = str(each["loc"][0]) if each["loc"] else name
+        bounds = {type(bound): bound for bound in model.model_fields[key].metadata} if key in model.model_fields else {}
+        if each["type"] == "extra_forbidden":
+            return UnknownNameError(f"argument of {name}", key, tuple(model.model_fields))
+        if each["type"] == "missing":
+            texts.append(f"{key} is missing")
+        elif {Ge, Le} <= bounds.keys():
+            texts.append(f"{key} is {reprlib.repr(each['input'])}: allowed are {bounds[Ge].ge:g} to {bounds[Le].le:g}")
+        else:
+            texts.append(f"{key} is {reprlib.repr(each['input'])}: {each['msg'].replace('Input should', 'it must')}")
+    return SettingsError(f"request {name!r}: {'; '.join(texts)}")
 
 
 def _counts(peer: RtdePeer) -> dict[str, int]:

@@ -13,7 +13,9 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Final, Protocol
+from typing import Annotated, Final, Protocol
+
+from pydantic import Field
 
 from dual_ur10.errors import ProtocolError
 from dual_ur10.sim2real.emulator.addresses import listening
@@ -22,6 +24,9 @@ log = logging.getLogger(__name__)
 
 MOST_CONNECTIONS: Final = 32
 """Clients of one port at the same time; more are closed at once. UR publishes no figure."""
+
+MOST_LATE_S: Final = 60.0
+"""Longest injected delay of packets and programs, which are kept meanwhile."""
 
 _RECEIVE_BYTES: Final = 8192  # at a time, so that clients that send much cannot keep the others waiting
 _MOST_WAITING_BYTES: Final = 262_144  # that a client has not read: then packets are dropped, or it is closed
@@ -49,32 +54,36 @@ class Peer(Protocol):
         """The connection has ended."""
 
 
+_Seconds = Annotated[float, Field(ge=0.0, le=MOST_LATE_S)]
+_Count = Annotated[int, Field(ge=0)]
+
+
 @dataclass
 class LinkFaults:
-    """What goes wrong with the connections of one port. All off at first.
+    """Faults of the connections of one port. All are off at first.
 
     Attributes:
         mute: Nothing is sent.
         frozen: Nothing is read.
-        half_open: New connections are accepted, and neither read nor answered.
-        delay_s: By how much everything is late, in both directions.
-        jitter_s: By how much more, at most, at random; nothing overtakes.
-        lose: So many packets of the data stream that come next are lost.
-        corrupt: In so many packets that come next one byte is changed.
-        short, long: So many RTDE packages of the data stream that come next lack their last byte, or have one more.
-        foreign: So many of them have the number of another recipe.
+        half_open: New connections are accepted, but neither read nor answered.
+        delay_s: Delay of all traffic, in both directions.
+        jitter_s: Largest additional random delay. Order is kept.
+        lose: Number of the next packets of the data stream to lose.
+        corrupt: Number of the next packets to change one byte in.
+        short, long: Number of the next RTDE packages of the data stream to shorten or lengthen by one byte.
+        foreign: Number of them to give the number of another recipe.
     """
 
     mute: bool = False
     frozen: bool = False
     half_open: bool = False
-    delay_s: float = 0.0
-    jitter_s: float = 0.0
-    lose: int = 0
-    corrupt: int = 0
-    short: int = 0
-    long: int = 0
-    foreign: int = 0
+    delay_s: _Seconds = 0.0
+    jitter_s: _Seconds = 0.0
+    lose: _Count = 0
+    corrupt: _Count = 0
+    short: _Count = 0
+    long: _Count = 0
+    foreign: _Count = 0
 
     def damage(self, package: bytes) -> bytes:
         """An RTDE package of the data stream, as it arrives."""

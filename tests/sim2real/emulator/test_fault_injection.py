@@ -123,6 +123,22 @@ def test_state(cell):
     assert "'left', 'right'" in cell.refused("state", arm="middle")
 
 
+@pytest.mark.parametrize(
+    ("do", "values", "text"),
+    [
+        ("stop", {"arm": "left", "mode": 300}, "request 'stop': mode is 300: allowed are 0 to 255"),
+        ("stop", {"arm": "left"}, "request 'stop': mode is missing"),
+        ("stop", {"arm": "left", "modus": 3}, "'modus'.*'mode'"),
+        ("reduce", {"arm": "left", "on": 1}, "on is 1: it must be a valid boolean"),
+        ("link", {"arm": "left", "port": "all", "lose": -1}, "lose is -1: it must be greater than or equal to 0"),
+        ("link", {"arm": "left", "port": "all", "delay_s": 61}, "delay_s is 61: allowed are 0 to 60"),
+        ("pretend", {"arm": "left", "version": [1, 2, "3", 4]}, "version is '3': it must be a valid integer"),
+    ],
+)
+def test_refusals_name_what_was_found_and_what_is_allowed(cell, do, values, text):
+    assert re.search(text, cell.refused(do, **values))
+
+
 def test_pose_has_noise_and_is_late(carry):
     def place(x):
         carry.get("place", position_m=[x, 0.0, 1.0], quat=[1.0, 0.0, 0.0, 0.0])

@@ -17,6 +17,7 @@ from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.frames import to_base
 from dual_ur10.kinematics.rotations import quat_to_matrix
+from dual_ur10.policies.evaluation.cross_correlation import cross_correlation, peak_delay
 from dual_ur10.policies.evaluation.rollout import Record
 from dual_ur10.types import Array
 
@@ -158,36 +159,16 @@ def skew_s(record: Record) -> float:
 
 
 def correlation(late: Array, early: Array) -> tuple[NDArray[np.intp], Array]:
-    """Normalised cross-correlation of two signals, (k,) each, at delays of whole periods from -5 to 5."""
-    lags = np.arange(-_MOST_PERIODS, _MOST_PERIODS + 1)
-    # Each signal is moved against the other in turn: the ends of the windows then count alike on both sides, so that
-    # equal signals have their peak at zero, exactly.
-    return lags, (_moved(late, early) + _moved(early, late)[::-1]) / 2
-
-
-def _moved(moved: Array, still: Array) -> Array:
-    core = still[_MOST_PERIODS:-_MOST_PERIODS]
-    windows = np.lib.stride_tricks.sliding_window_view(moved, len(core))
-    core, windows = core - core.mean(), windows - windows.mean(axis=1, keepdims=True)
-    scale = np.linalg.norm(core) * np.linalg.norm(windows, axis=1)
-    result: Array = np.divide(windows @ core, scale, out=np.full(len(windows), np.nan), where=scale > 0)
-    return result
+    """Return the delays from -5 to 5 periods and the cross-correlation of two signals, (k,) each, at these delays."""
+    return np.arange(-_MOST_PERIODS, _MOST_PERIODS + 1), cross_correlation(late, early, _MOST_PERIODS)
 
 
 def delay_s(late: Array, early: Array, period_s: float) -> float:
-    """Time by which `late` is behind `early`: the peak of their cross-correlation, by a parabola between periods.
-
-    Returns:
-        NaN if a signal is constant or too short.
-    """
+    """Return the delay of `late` behind `early`, by cross-correlation; NaN if a signal is constant or too short."""
     if len(late) <= 2 * _MOST_PERIODS + 2:
         return float("nan")
-    lags, values = correlation(late, early)
-    if np.isnan(values).any():
-        return float("nan")
-    peak = int(np.clip(values.argmax(), 1, len(lags) - 2))
-    before, top, after = values[peak - 1 : peak + 2]
-    return float((lags[peak] + 0.5 * (before - after) / (before - 2 * top + after)) * period_s)
+    _, values = correlation(late, early)
+    return float("nan") if np.isnan(values).any() else peak_delay(values) * period_s
 
 
 def _reference(record: Record) -> Array:

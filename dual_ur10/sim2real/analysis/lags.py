@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from dual_ur10.policies.evaluation.cross_correlation import cross_correlation, peak_delay
 from dual_ur10.sim2real.analysis.series import Value, none
 from dual_ur10.types import Array
 
@@ -40,26 +41,10 @@ def lag(late: Array, early: Array, step_s: float) -> Value:
         if moved < STILL_RAD:
             return none(f"the arm stood still: no joint moved by more than {moved:.1g} rad")
     most = min(round(MOST_S / step_s), count // 4)
-    # Each signal is moved against the other in turn: the ends then count alike on both sides.
-    values = (_moved(late, early, most) + _moved(early, late, most)[::-1]) / 2
+    values = cross_correlation(late, early, most, constant=0.0)
     peak = int(values.argmax())
     if values[peak] < LEAST_CORRELATION:
         return none(f"the motions are not alike: their correlation is {values[peak]:.2f} at most")
     if peak in (0, 2 * most):
         return none(f"the correlation has no peak within {most * step_s:.2g} s")
-    before, top, after = values[peak - 1 : peak + 2]
-    bend = before - 2 * top + after
-    return Value(float((peak - most + (0.5 * (before - after) / bend if bend < 0 else 0.0)) * step_s))
-
-
-def _moved(moved: Array, still: Array, most: int) -> Array:
-    """(2 most + 1,) correlation of the middle of one signal with the other, moved by -most to most samples."""
-    core = still[most : len(still) - most]
-    core = core - core.mean(axis=0)
-    result = np.zeros(2 * most + 1)
-    for k in range(2 * most + 1):
-        window = moved[k : k + len(core)]
-        window = window - window.mean(axis=0)
-        scale = float(np.linalg.norm(core) * np.linalg.norm(window))
-        result[k] = float((core * window).sum()) / scale if scale > 0 else 0.0
-    return result
+    return Value(peak_delay(values) * step_s)

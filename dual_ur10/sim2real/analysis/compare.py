@@ -11,14 +11,12 @@ import numpy as np
 from dual_ur10.errors import RecordingError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.analysis.clock_offset import uneven_s
-from dual_ur10.sim2real.analysis.lags import lag
 from dual_ur10.sim2real.analysis.parity import Parity, parity
 from dual_ur10.sim2real.analysis.reconstruction import replayed_keywords
-from dual_ur10.sim2real.analysis.series import NO_SPREAD, Spread, Value, at, lengths, none, rising, spread
+from dual_ur10.sim2real.analysis.series import NO_SPREAD, Spread, Value, at, lag, lengths, none, rising, spread
 from dual_ur10.sim2real.analysis.tick_map import rests
 from dual_ur10.sim2real.analysis.timing import Timing, timing
-from dual_ur10.sim2real.analysis.tracks import Track, flange_of, mounts_of, tracks
+from dual_ur10.sim2real.analysis.tracks import Track, flange_of, mounts_of, tracks, uneven_s
 from dual_ur10.sim2real.recording.run import Header, Run
 from dual_ur10.types import Array
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.errors import RecordingError
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.analysis.lags import STILL_RAD
-from dual_ur10.sim2real.analysis.series import rising
+from dual_ur10.sim2real.analysis.series import STILL_RAD, rising
 from dual_ur10.sim2real.analysis.tracks import Track, tracks
 from dual_ur10.sim2real.control.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S
 from dual_ur10.sim2real.recording.run import Run

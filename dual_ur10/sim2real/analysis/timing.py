@@ -9,12 +9,12 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import RecordingError
-from dual_ur10.sim2real.analysis.lags import lag
 from dual_ur10.sim2real.analysis.series import (
     NO_SPREAD,
     Spread,
     Value,
     at,
+    lag,
     lengths,
     none,
     rising,

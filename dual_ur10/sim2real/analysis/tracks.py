@@ -18,15 +18,17 @@ from dual_ur10.kinematics import BASE_TO_BASE_LINK, flange_pose
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
 from dual_ur10.kinematics.ur10 import ARMS, DHParameters
-from dual_ur10.sim2real.analysis.clock_offset import times_of
 from dual_ur10.sim2real.analysis.series import rising
 from dual_ur10.sim2real.analysis.tick_map import Numbering, around, numbering
-from dual_ur10.sim2real.recording.run import Header, Run
+from dual_ur10.sim2real.recording.run import ArmLog, Header, Run
 from dual_ur10.types import Array
 
 _MOST_APART: Final = 100.0  # ticks from state to state, on average
 _MOST_PAUSED_S: Final = 600.0
 _STRAIGHT_TICKS: Final = 2.0  # by which targets may be off a straight line and it is one
+_WINDOW_S: Final = 1.0  # the quickest packet of so long shows how the clocks stand to each other
+_LEAST: Final = 25  # samples, of which one is hardly ever all late
+_LOST_TICKS: Final = 2.0  # within a window: no quartz is off by that
 
 
 @dataclass(frozen=True)
@@ -179,4 +181,49 @@ def _task_times(time_s: Array, due_s: Array, task_s: Array) -> Array:
     due_s, task_s = due_s[ordered], task_s[ordered]
     result: Array = np.interp(time_s, due_s, task_s)
     result += np.minimum(time_s - due_s[0], 0.0) + np.maximum(time_s - due_s[-1], 0.0)
+    return result
+
+
+def times_of(log: ArmLog) -> Array:
+    """(j,) when states were, on the run's clock: by the controller's own clock, which no network delays.
+
+    Where that clock stands still for a while, as an emulated controller's does on a machine that stands still, states
+    before and behind are each taken by what the clock says there.
+    """
+    offset_s = _offset(log)
+    return log.state["arrival_s"] if offset_s is None else log.state["timestamp_s"] + offset_s
+
+
+def uneven_s(log: ArmLog, tick_s: float) -> float:
+    """By how much a controller's clock and that of the run went apart, where no two quartzes do so; else 0."""
+    offset_s = _offset(log)
+    if offset_s is None:
+        return 0.0
+    stamps_s = log.state["timestamp_s"]
+    later = np.minimum(np.searchsorted(stamps_s, stamps_s + _WINDOW_S), len(stamps_s) - 1)
+    apart = bool((np.abs(offset_s[later] - offset_s) > _LOST_TICKS * tick_s).any())
+    return float(np.ptp(offset_s)) if apart else 0.0
+
+
+def _offset(log: ArmLog) -> Array | None:
+    """(j,) what is to be added to the controller's time; None: it tells none that could be used."""
+    arrival_s = log.state["arrival_s"]
+    stamps_s = log.state.get("timestamp_s")
+    if stamps_s is None or len(arrival_s) < 2 or not np.isfinite(stamps_s).all() or (np.diff(stamps_s) <= 0).any():
+        return None
+    away_s = arrival_s - stamps_s
+    count = max(_LEAST, round(_WINDOW_S / float(np.median(np.diff(stamps_s)))))
+    # A packet that was delayed is above the quickest of both sides; a clock that jumped is so on one side alone.
+    result: Array = np.maximum(_least_of_next(away_s, count), _least_of_next(away_s[::-1], count)[::-1])
+    return result
+
+
+def _least_of_next(values: Array, count: int) -> Array:
+    """(k,) the least of each value and the `count` - 1 that follow it; near the end, of the last `_LEAST`."""
+    least, width = np.concatenate([values, np.full(count, np.inf)]), 1
+    while width < count:  # twice as many with each round
+        step = min(width, count - width)
+        least, width = np.minimum(least[:-step], least[step:]), width + step
+    result: Array = least[: len(values)].copy()
+    result[-_LEAST:] = values[-_LEAST:].min()
     return result

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from dual_ur10.errors import RecordingError
 from dual_ur10.sim2real.analysis.compare import compare
-from dual_ur10.sim2real.analysis.lags import lag
 from dual_ur10.sim2real.analysis.parity import parity
-from dual_ur10.sim2real.analysis.series import at, smoothed, spread
+from dual_ur10.sim2real.analysis.series import at, lag, smoothed, spread
 from dual_ur10.sim2real.analysis.timing import LATE_S, ripple_of, timing
 from dual_ur10.sim2real.analysis.tracks import flange_of, mounts_of, track, tracks
 from tests.sim2real.analysis.made import DH, header, rested, run, with_arm

@@ -30,7 +30,8 @@ import numpy as np
 
 from dual_ur10 import kinematics
 from dual_ur10.assets.settings import HOME_Q_RAD
-from dual_ur10.cli.demo_report.runs import ASYMMETRIC_CELL, PERTURBED_CELL, Run, measure, speed_share
+from dual_ur10.cli.demo_report.case import Case, speed_ratio
+from dual_ur10.cli.demo_report.sine import ASYMMETRIC_CELL, PERTURBED_CELL, TASK, sine_case
 from dual_ur10.envs.tasks.sine_tracking.path import SineSettings
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.kinematics.frames import to_base
@@ -48,9 +49,15 @@ RATE_HZ = 125.0
 ALONG_THE_LINE = ("distance_max_mm", "vector_max_mm")
 
 
-def over_axes(run: Run) -> dict[str, float]:
-    """The figures of a run, worst over the axes; distance and vector from the run along y. See the module."""
-    figures = {axis: asdict(measure(replace(run, axis=axis), DURATION_S).accuracy) for axis in AXES}
+def accuracy_of(case: Case, after_s: float = 0.0) -> dict[str, float]:
+    """Return the accuracy of a case."""
+    (result,) = TASK.measure(case)
+    return asdict(accuracy(result.record, after_s=after_s))
+
+
+def over_axes(case: Case) -> dict[str, float]:
+    """Return the figures of a case, worst over the axes; distance and vector along y alone. See the module."""
+    figures = {axis: accuracy_of(case.given(axis=axis)) for axis in AXES}
     worst = {name: max(figures[axis][name] for axis in AXES) for name in figures["y"]}
     return {**worst, **{name: figures["y"][name] for name in ALONG_THE_LINE}}
 
@@ -99,29 +106,26 @@ def cycle(calls: int) -> dict[str, float]:
 
 
 def runs(full: bool) -> dict[str, dict[str, float]]:
-    """Figures of all rows."""
-    nominal, perturbed = Run("nominal", "nominal"), Run("perturbed", "perturbed", PERTURBED_CELL)
-    single = Run("single", "single", arms="left")
-    rows = {
-        "nominal": over_axes(nominal),
-        "perturbed": over_axes(perturbed),
-        "single_arm": asdict(measure(single, DURATION_S).accuracy),
-    }
+    """Return the figures of all rows."""
+    nominal, perturbed = sine_case("nominal", "nominal"), sine_case("perturbed", "perturbed", PERTURBED_CELL)
+    single = sine_case("single", "single", arms="left")
+    rows = {"nominal": over_axes(nominal), "perturbed": over_axes(perturbed), "single_arm": accuracy_of(single)}
     if full:
-        rows["single_arm_perturbed"] = asdict(measure(replace(single, cell=PERTURBED_CELL), DURATION_S).accuracy)
-        rows["perturbed_settled"] = asdict(accuracy(measure(perturbed, DURATION_S).record, after_s=10.0))
+        rows["single_arm_perturbed"] = accuracy_of(single.given(cell=PERTURBED_CELL))
+        rows["perturbed_settled"] = accuracy_of(perturbed, after_s=10.0)
         rows["perturbed_not_learning"] = over_axes(replace(perturbed, learn=False))
         for ticks in (5, 10):
-            rows[f"perturbed_latency_{ticks}_ticks"] = over_axes(replace(perturbed, latency_ticks=ticks))
-        rows["lag_not_compensated"] = over_axes(replace(nominal, learn=False, compensate_lag=False))
+            rows[f"perturbed_latency_{ticks}_ticks"] = over_axes(perturbed.given(action_latency_ticks=ticks))
+        rows["lag_not_compensated"] = over_axes(replace(nominal, learn=False).given(compensate_lag=False))
     return rows
 
 
-def sine_speed_share() -> float:
-    """Largest joint speed as a share of the task's limit, over plants and axes."""
+def sine_speed_ratio() -> float:
+    """Return the largest joint speed over the task's limit, over plants and axes."""
     cells, limits = (ASYMMETRIC_CELL, PERTURBED_CELL), SineTracking.limits
-    records = [measure(Run("", "", cell, axis=axis), DURATION_S).record for cell in cells for axis in AXES]
-    return max(speed_share(record.q_rad, record.period_s, limits) for record in records)
+    cases = [sine_case("", "", cell, axis=axis) for cell in cells for axis in AXES]
+    records = [TASK.measure(case)[0].record for case in cases]
+    return max(speed_ratio(record.q_rad, record.period_s, limits) for record in records)
 
 
 def main() -> None:
@@ -137,7 +141,7 @@ def main() -> None:
     before = os.getloadavg()
     rows = runs(arguments.full)
     timing = cycle(arguments.calls)
-    sine_share = sine_speed_share()
+    sine_ratio = sine_speed_ratio()
 
     print("sine, 0.1 m, 0.5 Hz, 30 s, 25 Hz, asymmetric bases; x, y, z, worst (distance, vector: along y); L = 0")
     columns = ("flange max", "RMS mm", "angle °", "distance mm", "vector mm", "ripple mm/s")
@@ -150,7 +154,7 @@ def main() -> None:
         f"{timing['max_us']:.0f} us (inverse kinematics {timing['inverse_kinematics_p50_us']:.0f} us, adapter and gate "
         f"{timing['adapter_and_gate_p50_us']:.0f} us); {timing['calls']} calls"
     )
-    print(f"joint speed at most {100 * sine_share:.0f} % of the task's limit, over plants and axes", flush=True)
+    print(f"joint speed at most {100 * sine_ratio:.0f} % of the task's limit, over plants and axes", flush=True)
     carried = carry.run(arguments.seeds, arguments.episodes)
     handed = handover.run(arguments.episodes)
     after = os.getloadavg()
@@ -158,7 +162,7 @@ def main() -> None:
     if arguments.json:
         figures = {
             "sine": rows,
-            "sine_speed_share": sine_share,
+            "sine_speed_share": sine_ratio,
             "cycle": timing,
             "carry": carried,
             "handover": handed,

@@ -25,7 +25,8 @@ import numpy as np
 from speeds import SpeedWatch
 
 from dual_ur10 import CellConfig, policies
-from dual_ur10.cli.demo_report.runs_carry import CARRY_ID, CarryFigures, CarryRun, measure_carry
+from dual_ur10.cli.demo_report.carry import CARRY_ID, TASK
+from dual_ur10.cli.demo_report.case import Case
 from dual_ur10.envs.core.options import DEFAULT_RATE_HZ
 from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.policies import evaluate
@@ -47,21 +48,15 @@ RUNS: dict[str, dict[str, Any]] = {
 
 
 def worst(keywords: dict[str, Any], seeds: int) -> dict[str, float]:
-    """The figures of a run, the worst of some seeds, and the share of episodes that succeeded."""
-    found: list[CarryFigures] = []
-    successes, longest_s = 0, 0.0
-    for seed in range(seeds):
-        result = measure_carry(CarryRun("", "", {"payload": "known", **keywords}, seed))
-        found.append(result.figures)
-        successes += result.success
-        longest_s = max(longest_s, float(result.time_s[-1]))
-    figures = {name: max(getattr(each, name) for each in found) for name in KEPT}
+    """Return the figures of a case, the worst of some seeds, and the number of successful episodes."""
+    found = TASK.measure(Case("", "", CARRY_ID, {"payload": "known", **keywords}), range(seeds))
+    figures = {name: max(each.figures[name] for each in found) for name in KEPT}
     return {
         **{name: value for name, value in figures.items() if np.isfinite(value)},
-        "least_load_share": min(each.least_load_share for each in found),
-        "speed_share": max(each.speed_share for each in found),
-        "episode_s": longest_s,
-        "successes": successes,
+        "least_load_share": min(each.figures["least_load_share"] for each in found),
+        "speed_share": max(each.speed_ratio for each in found),
+        "episode_s": max(float(each.record.time_s[-1]) for each in found),
+        "successes": sum(each.record.success for each in found),
         "episodes": seeds,
     }
 

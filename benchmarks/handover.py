@@ -23,7 +23,8 @@ from typing import Any
 from speeds import SpeedWatch
 
 from dual_ur10 import policies
-from dual_ur10.cli.demo_report.runs_handover import HANDOVER_ID, HANDOVER_RUNS, HandoverRun
+from dual_ur10.cli.demo_report.case import Case
+from dual_ur10.cli.demo_report.handover import CASES, HANDOVER_ID
 from dual_ur10.envs.core.options import DEFAULT_RATE_HZ
 from dual_ur10.envs.tasks.handover.task import Handover
 from dual_ur10.policies import evaluate
@@ -31,12 +32,12 @@ from dual_ur10.policies import evaluate
 EPISODES = 300
 
 
-def measure(run: HandoverRun, episodes: int) -> dict[str, Any]:
-    """Successes of a run, and figures of those that succeeded."""
+def measure(case: Case, episodes: int) -> dict[str, Any]:
+    """Return successes of a case, and figures of the successful episodes."""
     policy = SpeedWatch(
-        policies.load("scripted", HANDOVER_ID, **run.keywords), 1 / DEFAULT_RATE_HZ, Handover.limits.speed_rad_s
+        policies.load("scripted", HANDOVER_ID, **case.keywords), 1 / DEFAULT_RATE_HZ, Handover.limits.speed_rad_s
     )
-    found = evaluate(HANDOVER_ID, policy, episodes=episodes, env_kwargs=run.keywords)
+    found = evaluate(HANDOVER_ID, policy, episodes=episodes, env_kwargs=case.keywords)
     placed = [1e3 * (each.last["object_error_m"] or 0.0) for each in found.episodes if each.success]
     return {
         "successes": found.successes,
@@ -58,7 +59,7 @@ def run(episodes: int = EPISODES) -> dict[str, dict[str, Any]]:
     columns = ("success", "95 % interval", "median s", "90 % s", "placed mm", "largest mm", "speed limit %")
     print(f"{'':12}" + "".join(f"{name:>16}" for name in columns))
     rows: dict[str, dict[str, Any]] = {}
-    for each in HANDOVER_RUNS:
+    for each in CASES:
         rows[each.name] = row = measure(each, episodes)
         low, high = (100 * end for end in row["interval"])
         figures = [row[key] for key in ("median_time_s", "p90_time_s", "place_median_mm", "place_max_mm")]

@@ -18,25 +18,25 @@ pytest.importorskip("matplotlib")
 pytest.importorskip("imageio_ffmpeg")
 
 from dual_ur10.cli import main as cli
-from dual_ur10.cli.demo_report import demo, film, films, runs, runs_carry, runs_emulated, runs_handover
-from dual_ur10.cli.demo_report.report import Findings
-from dual_ur10.cli.demo_report.report_emulated import TASK_HEADERS, TIMING_HEADERS, emulated_section
+from dual_ur10.cli.demo_report import carry, case, emulated, film, handover, run, sine
+from dual_ur10.cli.demo_report.report import TASKS, Findings, emulated_values
 from dual_ur10.envs.tasks.sync_carry.path import MOVES
 from dual_ur10.errors import CellFaulted, DualUR10Error, MissingExtraError, RenderError
 from dual_ur10.policies.evaluation.rollout import Trace
-from dual_ur10.sim2real.analysis import page as report_page
+from dual_ur10.sim2real.analysis.page import number, render
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.recording.reader import read_run
 
 SIZE = (film.HEIGHT, film.WIDTH)
 VOID = {"meta", "img", "br"}
 MOST_MM = 15.0  # placing error of a success
+VIDEOS = {task.name: task.video for task in TASKS}
 
 
 def has_opengl() -> bool:
     import gymnasium as gym
 
-    env = gym.make(runs.SINE_ID, render_mode="rgb_array", width=16, height=16)
+    env = gym.make(sine.SINE_ID, render_mode="rgb_array", width=16, height=16)
     try:
         env.reset()
         env.render()
@@ -92,7 +92,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     out = tmp_path_factory.mktemp("demo") / "new" / "folder"
     # What is run in real time has tests of its own.
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(demo, "QUICK", dataclasses.replace(demo.QUICK, emulated=(runs_emulated.sine_run(1.0),)))
+        patch.setattr(run, "QUICK", dataclasses.replace(run.QUICK, emulated=(emulated.sine_run(1.0),)))
         result = CliRunner().invoke(cli.app, ["demo", "--quick", "--out", str(out)], env={"COLUMNS": "160"})
     assert result.exit_code == 0, result.output
     return out, result.output
@@ -100,10 +100,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 def test_the_terminal_shows_a_row_per_run_and_where_the_files_are(made: tuple[Path, str]) -> None:
     out, text = made
-    for run in (*runs.RUNS, *runs_carry.CARRY_RUNS):
-        assert run.title in text
-    for run in runs_handover.HANDOVER_RUNS:
-        assert all(f"{run.title}, seed {seed}" in text for seed in range(demo.QUICK.episodes))
+    for each in (*sine.CASES, *carry.CASES):
+        assert each.title in text
+    for each in handover.CASES:
+        assert all(f"{each.title}, seed {seed}" in text for seed in range(run.QUICK.episodes))
     assert str(out / "report.html") in text
     assert "No real arm was measured" in text
 
@@ -111,23 +111,18 @@ def test_the_terminal_shows_a_row_per_run_and_where_the_files_are(made: tuple[Pa
 def test_the_report_has_the_tables_of_the_sine(made: tuple[Path, str]) -> None:
     page = Page((made[0] / "report.html").read_text(encoding="utf-8"))
     accuracy = page.tables["accuracy"]
-    assert [row[0] for row in accuracy[1:]] == [run.title for run in runs.RUNS]
+    assert [row[0] for row in accuracy[1:]] == [each.title for each in sine.CASES]
     assert all(len(row) == 9 for row in accuracy)
     figures = {row[0]: row[1:] for row in accuracy[1:]}
     assert float(figures["nominal"][0]) < 0.01 < float(figures["perturbed"][0]) < 1.0
     assert float(figures["perturbed, without learning"][0]) > 1.0
     assert 33.0 < float(figures["nominal, lag not compensated"][6]) < 35.0
     assert figures["single arm, nominal"][7] == "—"
-    claims = {row[0]: row[1:] for row in page.tables["claims"]}
-    assert claims["Gazebo, single arm"][:2] == ["± 0.3", "± 0.15"]
-    assert claims["Gazebo, dual-arm carry"][:2] == ["± 0.7", "± 0.22"]
-    assert claims["sine on both arms, 0.1 m, 0.5 Hz, 30 s"][2] == "1.200 ± 0.001"
-    assert claims["here, both arms, perturbed"][0] == figures["perturbed"][0]
 
 
 def test_the_report_has_a_row_for_each_way_to_carry(made: tuple[Path, str]) -> None:
     head, *rows = Page((made[0] / "report.html").read_text(encoding="utf-8")).tables["carry"]
-    assert [row[0] for row in rows] == [run.title for run in runs_carry.CARRY_RUNS]
+    assert [row[0] for row in rows] == [each.title for each in carry.CASES]
     column = {re.sub(r"(mm|°|N|%.*)$", "", name): k for k, name in enumerate(head)}
     relative = [float(row[column["relative position"]]) for row in rows]
     # A weld is better than friction, and an exact model better than one that is not.
@@ -142,8 +137,8 @@ def test_the_report_has_a_row_for_each_way_to_carry(made: tuple[Path, str]) -> N
 
 def test_the_report_has_a_row_for_each_handover(made: tuple[Path, str]) -> None:
     head, *rows = Page((made[0] / "report.html").read_text(encoding="utf-8")).tables["handover"]
-    seeds = range(demo.QUICK.episodes)
-    assert [row[0] for row in rows] == [f"{run.title}, seed {k}" for run in runs_handover.HANDOVER_RUNS for k in seeds]
+    seeds = range(run.QUICK.episodes)
+    assert [row[0] for row in rows] == [f"{each.title}, seed {k}" for each in handover.CASES for k in seeds]
     for row in rows:
         assert len(row) == len(head)
         assert row[1] in ("left", "right")
@@ -177,11 +172,11 @@ def test_the_videos_show_motion_and_the_report_their_key_frames(made: tuple[Path
     import imageio.v2 as imageio
 
     if not has_opengl():
-        assert not any((made[0] / name).exists() for name in demo.VIDEOS.values())
+        assert not any((made[0] / name).exists() for name in VIDEOS.values())
         assert "apt-get install" in made[1]
         pytest.skip("no OpenGL: there is no video, and the command says why")
     counts = {}
-    for task, name in demo.VIDEOS.items():
+    for task, name in VIDEOS.items():
         assert str(made[0] / name) in made[1]
         with imageio.get_reader(made[0] / name) as reader:
             frames: list[Any] = list(reader.iter_data())
@@ -190,12 +185,12 @@ def test_the_videos_show_motion_and_the_report_their_key_frames(made: tuple[Path
         assert np.ptp(frames[0]) > 150  # not one colour
         scene = [frame[:500].astype(int) for frame in (frames[0], frames[len(frames) // 2])]
         assert np.abs(scene[0] - scene[1]).max() > 60  # beside its caption, too
-    assert counts["sine"] == demo.QUICK.sine_film_s * film.FPS
-    assert counts["carry"] == -(-900 // demo.QUICK.carry_every)
+    assert counts["sine"] == run.QUICK.sine_film_s * film.FPS
+    assert counts["carry"] == -(-900 // run.QUICK.carry_every)
     page = Page((made[0] / "report.html").read_text(encoding="utf-8"))
     pictures = [address for tag, address in page.sources if address.startswith("data:image/jpeg")]
     stages = 7
-    assert len(pictures) == len(set(pictures)) == len(films.carry_instants(30.0)) + 1 + stages
+    assert len(pictures) == len(set(pictures)) == len(carry.instants(30.0)) + 1 + stages
     for stage in ("Reach", "Mutual grasp", "Place", "Laid down"):
         assert stage in page.text or stage.lower() in page.text
 
@@ -204,27 +199,27 @@ def test_without_opengl_there_is_a_report_and_no_video(tmp_path: Path, monkeypat
     def fail(*_: Any, **__: Any) -> None:
         raise RenderError("no OpenGL backend was found: apt-get install libegl1")
 
-    # What is run is not the matter here: one of each will do.
-    for name in ("RUNS", "CARRY_RUNS"):
-        found = {each.name: each for each in getattr(demo, name)}
-        monkeypatch.setattr(demo, name, [each for name, each in found.items() if name != "friction"])
-    monkeypatch.setattr(demo, "QUICK", demo.Extent(sine_s=1.0, episodes=1))  # all tasks on emulated controllers
+    # One case of each kind will do.
+    tasks = [
+        dataclasses.replace(task, cases=[each for each in task.cases if each.name != "friction"]) for task in TASKS
+    ]
+    monkeypatch.setattr(run, "TASKS", tasks)
+    monkeypatch.setattr(run, "QUICK", run.Extent(sine_s=1.0, episodes=1))  # all tasks on emulated controllers
     monkeypatch.setitem(sys.modules, "rtde_control", None)
-    for name in ("film_sine", "film_carry", "film_handover"):
-        monkeypatch.setattr(films, name, fail)
+    monkeypatch.setattr(run, "shoot", fail)
     told: list[tuple[float, float]] = []
-    found = demo.run_demo(tmp_path, quick=True, progress=lambda _, done, total: told.append((done, total)))
+    found = run.run_demo(tmp_path, quick=True, progress=lambda _, done, total: told.append((done, total)))
     assert "libegl1" in found.missing
     assert not found.films
-    assert not any((tmp_path / name).exists() for name in demo.VIDEOS.values())
+    assert not any((tmp_path / name).exists() for name in VIDEOS.values())
     page = Page((tmp_path / "report.html").read_text(encoding="utf-8"))
     assert "libegl1" in page.text
-    assert [each.run.name for each in found.emulated] == ["sine", "carry", "handover"]
+    assert [each.run.task.name for each in found.failures] == ["sine", "carry", "handover"]
     assert page.text.count('ur_rtde: pip install "dual-ur10[real]"') == 1
     assert "SineTracking, SyncCarry, Handover:" in page.text
-    assert not (tmp_path / demo.RUNS_FOLDER).exists()
+    assert not (tmp_path / run.RUNS_FOLDER).exists()
     assert all(address.startswith("data:image/svg") for tag, address in page.sources if tag != "a")
-    assert [result.run.name for result in found.sine] == [run.name for run in runs.RUNS]
+    assert [result.case.name for result in found.results["sine"]] == [each.name for each in sine.CASES]
     done = [each for each, _ in told]
     assert done == sorted(done)
     assert told[-1][0] == pytest.approx(told[-1][1])
@@ -236,28 +231,28 @@ def test_the_report_has_what_ran_on_emulated_controllers_or_why_it_did_not(made:
     assert "Emulated is not real" in page.text
     if "emulated-sine" in page.tables:
         assert "Emulated, simulated" in made[1]
-        assert len(list((made[0] / demo.RUNS_FOLDER).glob("*/run.mcap"))) == 2
+        assert len(list((made[0] / run.RUNS_FOLDER).glob("*/run.mcap"))) == 2
     else:  # this machine was too busy
         assert "not on emulated controllers: SineTracking: " in made[1]
         assert "What did not run on emulated controllers" in page.text
 
 
-def undisturbed(found: runs_emulated.EmulatedResult) -> bool:
+def undisturbed(found: emulated.EmulatedPair) -> bool:
     """Whether every target was sent in its own period: no action was late, and no stall has shifted a clock."""
     indices = [arm.sent["index"][:250] for arm in read_run(found.emulated.folder).arms]  # what ends is a ramp
     return found.emulated.late_actions == 0 and all(bool((each == np.rint(each)).all()) for each in indices)
 
 
 @pytest.fixture(scope="module")
-def beside(tmp_path_factory: pytest.TempPathFactory) -> runs_emulated.EmulatedResult:
+def beside(tmp_path_factory: pytest.TempPathFactory) -> emulated.EmulatedPair:
     """A short sine, simulated and emulated. Arms on a machine that is too busy stop, and that is no fault of this."""
     result = None
     for _ in range(4):
         told: list[float] = []
-        found = runs_emulated.measure_emulated(
-            runs_emulated.sine_run(1.6), tmp_path_factory.mktemp("beside") / "runs", told.append
+        found = emulated.measure_emulated(
+            emulated.sine_run(1.6), tmp_path_factory.mktemp("beside") / "runs", told.append
         )
-        if isinstance(found, runs_emulated.EmulatedResult):
+        if isinstance(found, emulated.EmulatedPair):
             assert told == sorted(told)
             assert 0.9 < told[-1] <= 1.0
             result = found
@@ -269,7 +264,7 @@ def beside(tmp_path_factory: pytest.TempPathFactory) -> runs_emulated.EmulatedRe
     return result
 
 
-def test_a_task_is_run_alike_in_simulation_and_on_emulated_controllers(beside: runs_emulated.EmulatedResult) -> None:
+def test_a_task_is_run_alike_in_simulation_and_on_emulated_controllers(beside: emulated.EmulatedPair) -> None:
     ours, theirs = beside.comparison.headers
     assert (ours.source, theirs.source) == ("mujoco", "emulated")
     assert ours.latency_ticks == theirs.latency_ticks == 10
@@ -290,44 +285,48 @@ def test_a_task_is_run_alike_in_simulation_and_on_emulated_controllers(beside: r
     assert not list(state.glob("fault-*"))
 
 
-def test_the_section_shows_both_sides_of_a_task(beside: runs_emulated.EmulatedResult) -> None:
-    failure = runs_emulated.EmulatedFailure(runs_emulated.CARRY, "CellFaulted: <late>", "a & b")
-    page = Page(emulated_section([beside, failure]))
+def section(pairs: list[emulated.EmulatedPair], failures: list[emulated.EmulatedFailure] | None = None) -> Page:
+    values = emulated_values(Findings({}, pairs=pairs, failures=failures or []))
+    return Page(render("emulated.html", run.__package__, emulated=values))
+
+
+def test_the_section_shows_both_sides_of_a_task(beside: emulated.EmulatedPair) -> None:
+    failure = emulated.EmulatedFailure(emulated.CARRY, "CellFaulted: <late>", "a & b")
+    page = section([beside], [failure])
     head, *rows = page.tables["emulated-sine"]
     assert [row[0] for row in rows] == ["simulated", "emulated"]
-    assert len(head) == len(rows[0]) == len(rows[1]) == 1 + len(TASK_HEADERS["sine"])
+    assert len(head) == len(rows[0]) == len(rows[1]) == 1 + len(sine.TASK.emulated_columns)
     assert rows[0][1] == "yes"
     assert float(rows[0][3]) < 0.1  # an exact model
     (_, row) = page.tables["emulated-timing"]
-    assert len(row) == 1 + len(TIMING_HEADERS)
+    assert len(row) == 1 + len(emulated.TIMING_COLUMNS)
     compared = sum(each.sent.compared for each in beside.comparison.arms)
     assert row[5].endswith(f" of {compared}")
     assert row[-2] == str(beside.emulated.late_actions)
     for words in ("Emulated is not real", "depend on what else this machine does", "SyncCarry: CellFaulted: <late>"):
         assert words in page.text
     assert beside.emulated.folder.name in page.text
-    assert emulated_section([]) == ""
 
 
 def test_the_section_says_what_ended_an_episode_and_that_the_machine_was_busy(
-    beside: runs_emulated.EmulatedResult,
+    beside: emulated.EmulatedPair,
 ) -> None:
     record = dataclasses.replace(beside.emulated.record, ended_by="<the table>")
     spoiled = dataclasses.replace(beside.emulated, record=record, late_actions=3)
-    page = Page(emulated_section([dataclasses.replace(beside, emulated=spoiled)]))
+    page = section([dataclasses.replace(beside, emulated=spoiled)])
     assert "SineTracking, emulated: ended after" in page.text
     assert "because <the table>." in page.text
     assert "3 actions were too late" in page.text
     assert "SineTracking, simulated" not in page.text
     quiet = dataclasses.replace(beside.emulated, late_actions=0)
-    assert "too late, and each time" not in Page(emulated_section([dataclasses.replace(beside, emulated=quiet)])).text
+    assert "too late, and each time" not in section([dataclasses.replace(beside, emulated=quiet)]).text
 
 
 def test_a_fault_on_emulated_controllers_is_told_and_leaves_nothing_behind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    real = runs_emulated.rollout
+    real = case.rollout
 
     def faulted(env: Any, policy: Any, **keywords: Any) -> Any:
         core = env.unwrapped.core
@@ -338,9 +337,9 @@ def test_a_fault_on_emulated_controllers_is_told_and_leaves_nothing_behind(
         assert list((tmp_path / "state").rglob("fault-*"))
         raise CellFaulted("both arms were stopped: a test wants it")
 
-    monkeypatch.setattr(runs_emulated, "rollout", faulted)
-    found = runs_emulated.measure_emulated(runs_emulated.sine_run(0.4), tmp_path / "runs")
-    assert isinstance(found, runs_emulated.EmulatedFailure)
+    monkeypatch.setattr(case, "rollout", faulted)
+    found = emulated.measure_emulated(emulated.sine_run(0.4), tmp_path / "runs")
+    assert isinstance(found, emulated.EmulatedFailure)
     assert found.reason.startswith("CellFaulted: both arms were stopped")
     assert "MuJoCo" in found.log or "program" in found.log
     assert not list((tmp_path / "state").rglob("fault-*"))
@@ -348,8 +347,8 @@ def test_a_fault_on_emulated_controllers_is_told_and_leaves_nothing_behind(
 
 
 def test_what_fails_on_emulated_controllers_is_a_warning_and_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    failure = runs_emulated.EmulatedFailure(runs_emulated.HANDOVER, "CellFaulted: [late] by 106 ms")
-    monkeypatch.setattr(demo, "run_demo", lambda *_, **__: Findings([], [], [], emulated=[failure]))
+    failure = emulated.EmulatedFailure(emulated.HANDOVER, "CellFaulted: [late] by 106 ms")
+    monkeypatch.setattr(run, "run_demo", lambda *_, **__: Findings({}, failures=[failure]))
     result = CliRunner().invoke(cli.app, ["demo"], env={"COLUMNS": "160"})
     assert result.exit_code == 0, result.output
     assert "not on emulated controllers: Handover: CellFaulted: [late] by 106 ms" in result.output
@@ -362,7 +361,7 @@ def test_a_missing_extra_is_named_before_anything_runs(
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(MissingExtraError, match=rf'{package}: pip install "dual-ur10\[plot\]"'):
-        demo.run_demo(tmp_path / "out")
+        run.run_demo(tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -374,29 +373,24 @@ def test_a_folder_that_cannot_be_made_is_an_error_of_one_line(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("module", "measure"),
-    [
-        (runs, lambda: runs.measure(runs.RUNS[0], 0.4)),
-        (runs_carry, lambda: runs_carry.measure_carry(runs_carry.CARRY_RUNS[0])),
-    ],
-    ids=["sine", "carry"],
+    ("task", "keywords"), [(sine.TASK, {"duration_s": 0.4}), (carry.TASK, {})], ids=["sine", "carry"]
 )
-def test_a_run_cut_short_has_no_figures(module: Any, measure: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = module.rollout
+def test_a_run_cut_short_has_no_figures(task: case.Task, keywords: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = case.rollout
 
     def cut(*arguments: Any, **keywords: Any) -> Any:
         return dataclasses.replace(real(*arguments, **keywords), ended_by="too close")
 
-    monkeypatch.setattr(module, "rollout", cut)
+    monkeypatch.setattr(case, "rollout", cut)
     with pytest.raises(DualUR10Error, match="too close"):
-        measure()
+        task.measure(task.cases[0].given(**keywords))
 
 
 def test_a_film_cut_short_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = film.rollout
     monkeypatch.setattr(film, "rollout", lambda *a, **k: dataclasses.replace(real(*a, **k), ended_by="too close"))
     monkeypatch.setattr("dual_ur10.envs.api.dual_arm_env.DualArmEnv.render", lambda _: np.zeros((*SIZE, 3), np.uint8))
-    env, policy = runs.make(runs.RUNS[0], 0.4, render_mode="rgb_array")
+    env, policy = case.make(sine.CASES[0].given(duration_s=0.4), render_mode="rgb_array")
     with pytest.raises(DualUR10Error, match="too close"):
         film.shoot(tmp_path / "film.mp4", env, policy, film.Script("", lambda *_: ""))
     assert not list(tmp_path.iterdir())
@@ -423,20 +417,20 @@ def carried(**columns: Any) -> Trace:
 
 
 def test_figures_of_carrying_begin_with_the_path() -> None:
-    found = runs_carry.figures_of_carry(carried(), rigid=False, share=0.5)
-    assert found.relative_max_mm == pytest.approx(2.0)
-    assert found.relative_max_deg == pytest.approx(np.degrees(2e-3))
-    assert (found.squeeze_max_n, found.lateral_max_n) == (2e-3, 2e-3)
-    assert found.slip_max_mm == pytest.approx(2.0)
-    assert (found.bar_max_mm, found.bar_rms_mm) == (pytest.approx(4.0), pytest.approx(np.sqrt(12.5)))
-    assert found.least_load_share == 0.45  # on the table the load is not the arms' alone
-    assert np.isnan(runs_carry.figures_of_carry(carried(), rigid=True, share=0.5).slip_max_mm)
+    found = carry.figures_of(carried(), rigid=False)
+    assert found["relative_max_mm"] == pytest.approx(2.0)
+    assert found["relative_max_deg"] == pytest.approx(np.degrees(2e-3))
+    assert (found["squeeze_max_n"], found["lateral_max_n"]) == (2e-3, 2e-3)
+    assert found["slip_max_mm"] == pytest.approx(2.0)
+    assert (found["bar_max_mm"], found["bar_rms_mm"]) == (pytest.approx(4.0), pytest.approx(np.sqrt(12.5)))
+    assert found["least_load_share"] == 0.45  # on the table the load is not the arms' alone
+    assert np.isnan(carry.figures_of(carried(), rigid=True)["slip_max_mm"])
     with pytest.raises(DualUR10Error, match="before its path began"):
-        runs_carry.figures_of_carry(carried(clock_s=[-3.0, -2.0, -1.0]), rigid=False, share=0.5)
+        carry.figures_of(carried(clock_s=[-3.0, -2.0, -1.0]), rigid=False)
 
 
 def test_stages_have_the_time_of_the_step_that_passed_them() -> None:
-    found = runs_handover.passed_s(np.array([0, 1, 1, 3, 3]), 4, 0.04)
+    found = handover.passed_s(np.array([0, 1, 1, 3, 3]), 4, 0.04)
     assert found[:3] == pytest.approx((0.08, 0.16, 0.16))
     assert np.isnan(found[3])
 
@@ -446,12 +440,12 @@ def test_the_share_of_a_speed_limit_is_that_of_the_joint_nearest_to_it() -> None
     q = np.zeros((3, 2, 6))
     q[1:, 1, 1] = -0.02
     q[2, 0, 0] = 0.015
-    assert runs.speed_share(q, 0.04, limits) == pytest.approx(0.75)
+    assert case.speed_ratio(q, 0.04, limits) == pytest.approx(0.75)
 
 
 @pytest.mark.parametrize("duration_s", list(MOVES))
 def test_key_frames_of_carrying_are_one_for_each_kind_of_move(duration_s: float) -> None:
-    times, titles = zip(*films.carry_instants(duration_s), strict=True)
+    times, titles = zip(*carry.instants(duration_s), strict=True)
     assert list(times) == sorted(times)
     assert len(set(titles)) == len(titles) == 8
     assert titles[1] == "lifted"
@@ -460,6 +454,6 @@ def test_key_frames_of_carrying_are_one_for_each_kind_of_move(duration_s: float)
 
 def test_figures_are_shown_to_three_digits() -> None:
     shown = {0.0: "0.0000", 3e-5: "0.0000", 0.00123: "0.0012", 0.1234: "0.123", 12.34: "12.3", 1234.5: "1234"}
-    assert {value: report_page.number(value) for value in shown} == shown
-    assert report_page.number(-0.5) == "−0.500"
-    assert report_page.number(float("nan")) == "—"
+    assert {value: number(value) for value in shown} == shown
+    assert number(-0.5) == "−0.500"
+    assert number(float("nan")) == "—"

@@ -1,4 +1,4 @@
-"""Draws an episode: as a video, and as pictures of the instants that matter."""
+"""Video of an episode, and key frames of it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dual_ur10.policies.evaluation.rollout import Info, rollout
 from dual_ur10.policies.policy import Policy
 
 FPS, WIDTH, HEIGHT = 25, 960, 540
-_PICTURE, _SHOWN = (480, 270), (160, 80, 843, 464)  # size of a picture, and what of a frame is in it
+_PICTURE, _SHOWN = (480, 270), (160, 80, 843, 464)  # size of a key frame, and the part of a frame in it
 _INK, _PAPER = (38, 50, 56), (255, 255, 255)
 
 Picture = NDArray[np.uint8]
@@ -25,11 +25,11 @@ Picture = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class KeyFrame:
-    """One picture.
+    """One picture of an episode.
 
     Attributes:
-        title: What has just happened.
-        text: When, and what was measured.
+        title: Event that it shows.
+        text: Time and measured values.
         address: The picture as a `data:` URI.
     """
 
@@ -40,35 +40,33 @@ class KeyFrame:
 
 @dataclass(frozen=True)
 class Film:
-    """An episode that was drawn.
+    """Video of an episode.
 
     Attributes:
-        path: Of the video.
-        text: What it shows.
-        pace: How many times faster than in reality it runs.
-        frames: Pictures of it.
+        path: The file.
+        text: Description.
+        speedup: Speed of the video over that of the episode.
+        frames: Key frames.
     """
 
     path: Path
     text: str
-    pace: float
+    speedup: float
     frames: tuple[KeyFrame, ...] = ()
 
 
 @dataclass(frozen=True)
 class Script:
-    """What a film is to show.
+    """Contents of a film.
 
     Attributes:
-        text: What it shows, for people.
+        text: Description.
         caption: The line at the foot of a frame, from the time and `info`.
-        every: Steps from one frame to the next.
-        keys: Title and text of a picture from the time and `info`, where there should be one; called at every step.
+        keys: Title and text of a key frame from the time and `info`, or None; called at every step.
     """
 
     text: str
     caption: Callable[[float, Info], str]
-    every: int = 1
     keys: Callable[[float, Info], tuple[str, str] | None] = lambda *_: None
 
 
@@ -78,18 +76,20 @@ def shoot(
     policy: Policy,
     script: Script,
     *,
+    every: int = 1,
     seed: int = 0,
     on_step: Callable[[int], None] = lambda _: None,
 ) -> Film:
-    """Draw one episode, and write the video. The environment is closed then.
+    """Draw one episode, write the video, and close the environment.
 
     Args:
-        path: Of the video.
-        env: An environment that gives images.
-        policy: What acts.
-        script: What to show.
-        seed: Of the episode.
-        on_step: Told of the number of steps after each.
+        path: Path of the video.
+        env: An environment with `render_mode="rgb_array"`.
+        policy: The acting policy.
+        script: Contents.
+        every: Steps from one frame to the next.
+        seed: Seed of the episode.
+        on_step: Called with the number of steps after each.
 
     Raises:
         RenderError: No OpenGL backend was found; there is no file then.
@@ -107,7 +107,7 @@ def shoot(
         steps += 1
         on_step(steps)
         time_s, found = steps * period_s, script.keys(steps * period_s, info)
-        due = (steps - 1) % script.every == 0
+        due = (steps - 1) % every == 0
         if not due and found is None:
             return
         image = env.render()
@@ -134,11 +134,11 @@ def shoot(
     finally:
         env.close()
     writer.close()
-    return Film(path, script.text, script.every * period_s * FPS, tuple(pictures))
+    return Film(path, script.text, every * period_s * FPS, tuple(pictures))
 
 
 def captioned(image: Picture, text: str) -> Picture:
-    """The image with a line of text at its foot."""
+    """Return the image with a line of text at its foot."""
     from PIL import Image, ImageDraw, ImageFont
 
     picture = Image.fromarray(image)
@@ -149,7 +149,7 @@ def captioned(image: Picture, text: str) -> Picture:
 
 
 def as_address(image: Picture) -> str:
-    """The middle of the image, smaller, as a `data:` URI."""
+    """Return the middle of the image, smaller, as a `data:` URI."""
     from PIL import Image
 
     buffer = io.BytesIO()

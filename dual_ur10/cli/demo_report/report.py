@@ -2,46 +2,49 @@
 
 from __future__ import annotations
 
+import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from dual_ur10 import __version__
-from dual_ur10.cli.demo_report.report_carry import carry_section
-from dual_ur10.cli.demo_report.report_emulated import Emulated, emulated_section
-from dual_ur10.cli.demo_report.report_handover import handover_section
-from dual_ur10.cli.demo_report.report_sine import sine_section
+from dual_ur10.cli.demo_report import carry, handover, sine
+from dual_ur10.cli.demo_report.case import Result
+from dual_ur10.cli.demo_report.emulated import (
+    ON_FAILURE,
+    TIMING_COLUMNS,
+    EmulatedFailure,
+    EmulatedPair,
+    reasons,
+    remarks,
+    side_by_side,
+)
+from dual_ur10.cli.demo_report.film import Film
 from dual_ur10.errors import DualUR10Error
-from dual_ur10.sim2real.analysis.page import note, number, page, tiles
+from dual_ur10.sim2real.analysis.page import Table, render, video_source
 
-if TYPE_CHECKING:
-    from dual_ur10.cli.demo_report.film import Film
-    from dual_ur10.cli.demo_report.runs import Result
-    from dual_ur10.cli.demo_report.runs_carry import CarryResult
-    from dual_ur10.cli.demo_report.runs_handover import HandoverResult
+TASKS = (sine.TASK, carry.TASK, handover.TASK)
 
 
 @dataclass(frozen=True)
 class Findings:
-    """All that the demonstration has found.
+    """Everything that the demonstration has found.
 
     Attributes:
-        sine: Results of SineTracking, in the order of its runs.
-        carry: Results of SyncCarry, in the order of its runs.
-        handover: Episodes of Handover, run by run.
-        films: Films by the task's short name: "sine", "carry" and "handover".
-        missing: Why there are no films; "" if there are.
-        emulated: What came of each task on emulated controllers, or why nothing did; empty: none was asked for.
+        results: Results of each task by its short name, in the order of its cases.
+        films: Films by the task's short name.
+        missing: Reason for missing films; "" if there are films.
+        pairs: Runs on emulated controllers.
+        failures: Runs on emulated controllers that failed.
     """
 
-    sine: Sequence[Result]
-    carry: Sequence[CarryResult]
-    handover: Sequence[HandoverResult]
+    results: Mapping[str, Sequence[Result]]
     films: Mapping[str, Film] = field(default_factory=dict)
     missing: str = ""
-    emulated: Emulated = ()
+    pairs: Sequence[EmulatedPair] = ()
+    failures: Sequence[EmulatedFailure] = ()
 
 
 def write_report(path: Path, findings: Findings) -> None:
@@ -50,78 +53,62 @@ def write_report(path: Path, findings: Findings) -> None:
     Raises:
         DualUR10Error: The file cannot be written.
     """
-    films = findings.films
-    body = "\n".join(
-        (
-            _head(bool(findings.emulated)),
-            _tiles(findings),
-            _caveats(findings.missing),
-            sine_section(findings.sine, films.get("sine")),
-            carry_section(findings.carry, films.get("carry")),
-            handover_section(findings.handover, films.get("handover")),
-            emulated_section(findings.emulated),
-            "<footer>Written by <code>python -m dual_ur10 demo</code>.</footer>",
-        )
+    tasks = {each.name: each for each in TASKS}
+    values: dict[str, Any] = {
+        name: {**task.context(findings.results[name]), "table": task.table(name, findings.results[name])}
+        for name, task in tasks.items()
+    }
+    noisy = [each for each in findings.results["handover"] if each.case.name == tasks["handover"].cases[-1].name]
+    text = render(
+        "demo.html",
+        __package__,
+        version=__version__,
+        findings=findings,
+        carried=findings.results["carry"][-1],
+        noisy=noisy,
+        placed=sum(each.record.success for each in noisy),
+        films={name: film_values(film) for name, film in findings.films.items()},
+        emulated=emulated_values(findings),
+        **values,
     )
     try:
-        path.write_text(page(body), encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise DualUR10Error(f"cannot write {path}: {error}") from error
 
 
-def _head(emulated: bool) -> str:
-    more = "<a href='#emulated'>Emulated controllers</a>" if emulated else ""
-    return (
-        "<header><h1>Two UR10s, three tasks</h1>"
-        f"<p class='sub'>dual-ur10 {escape(__version__)} · scripted policies · 25 Hz policy, 125 Hz servoj (lookahead "
-        "0.03 s, gain 2000)</p><nav><a href='#sine'>SineTracking</a><a href='#carry'>SyncCarry</a>"
-        f"<a href='#handover'>Handover</a>{more}</nav></header>"
-    )
+def film_values(film: Film) -> dict[str, Any]:
+    """Return source, caption and key frames of a film."""
+    real_time = math.isclose(film.speedup, 1.0)
+    speed = "In real time" if real_time else f"{film.speedup:g} times faster than in reality"
+    return {"source": video_source(film.path), "caption": f"{film.text} {speed}.", "frames": film.frames}
 
 
-def _tiles(findings: Findings) -> str:
-    sine = {result.run.name: result for result in findings.sine}
-    carry = findings.carry[-1]
-    noisy = [each for each in findings.handover if each.run.name == findings.handover[-1].run.name]
-    done = sum(each.success for each in noisy)
-    return tiles(
-        (
-            (
-                f"{number(sine['perturbed'].accuracy.flange_max_mm)} mm",
-                "SineTracking: largest flange error, perturbed plant",
-                "main",
-            ),
-            (
-                f"{number(carry.figures.relative_max_mm)} mm",
-                f"SyncCarry: largest error between the flanges, {carry.run.title}",
-                "main",
-            ),
-            (f"{done} of {len(noisy)}", f"Handover: blocks placed, {noisy[0].run.title}", "main"),
-            (
-                f"{number(sine['nominal'].accuracy.flange_max_mm)} mm",
-                "SineTracking, nominal: an artefact of an exact model",
-                "faint",
-            ),
-        )
-    )
-
-
-def _caveats(missing: str) -> str:
-    points = [
-        "<b>No real arm was measured.</b> Everything here is simulation: MuJoCo, and a model of UR's unpublished "
-        "<code>servoj</code> law, on emulated controllers, too. A real UR10 repeats to ± 0.1 mm, and its absolute "
-        "accuracy is worse than that.",
-        "<b>Nominal figures are an artefact of an exact model.</b> Where the feed-forward knows the plant exactly, the "
-        "error is zero by construction. Only the perturbed rows mean something. SineTracking: masses + 5 %, Coulomb "
-        "friction of 5, 5, 3, 1, 1, 1 N·m in the joints, lookahead + 5 %, and 2 ms of latency that nobody compensates. "
-        "SyncCarry: the preset <code>mild</code> of the randomization. Handover: the measured pose of the block alone; "
-        "its plant is exact. The sizes of all of these are a choice, not data of UR's.",
-        "<b>Action latency is L = 0</b> except where a row says otherwise, and beside emulated controllers: an action "
-        "takes effect in the instant of its observation. On real arms it will not. Latency costs most in the first "
-        "seconds of SineTracking, while the policy learns, and along other axes than y.",
-        "<b>Few episodes.</b> One for each row of SineTracking and SyncCarry. Rates and worst cases over many are "
-        "measured by <code>benchmarks/accuracy.py</code>.",
-    ]
-    if missing:
-        points.append(f"<b>No video:</b> {escape(missing)}")
-    return note("What these figures are, and are not", points)
+def emulated_values(findings: Findings) -> dict[str, Any]:
+    """Return the values of the section on emulated controllers."""
+    kinds = {"simulated": "", "emulated": "ours"}
+    return {
+        "tasks": [
+            {
+                "title": pair.run.task.title,
+                "table": Table.of(
+                    f"emulated-{pair.run.task.name}",
+                    pair.run.task.emulated_columns,
+                    [(name, kinds[name], side) for name, side in pair.sides],
+                ),
+                "remarks": remarks(pair),
+                "plot": side_by_side(pair),
+            }
+            for pair in findings.pairs
+        ],
+        "timing": Table.of(
+            "emulated-timing", TIMING_COLUMNS, [(pair.run.task.title, "", pair) for pair in findings.pairs]
+        ),
+        "cores": os.cpu_count(),
+        "recordings": [
+            (pair.run.task.title, *(side.folder for _, side in pair.sides if side.folder is not None))
+            for pair in findings.pairs
+        ],
+        "reasons": reasons(findings.failures),
+        "on_failure": ON_FAILURE,
+    }

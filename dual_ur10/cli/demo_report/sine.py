@@ -1,20 +1,130 @@
-"""The figures of SineTracking in the demonstration's report, drawn with matplotlib."""
+"""SineTracking in the demonstration: cases, figures, plots and video."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 
+from dual_ur10.cli.demo_report.case import SUCCESS, Case, Result, Task, figure_column
+from dual_ur10.cli.demo_report.film import Script
+from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
+from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS
-from dual_ur10.policies.evaluation.accuracy import along_axis, correlation, errors
+from dual_ur10.policies.evaluation.accuracy import accuracy, along_axis, correlation, errors, lag_s, skew_s
+from dual_ur10.policies.evaluation.rollout import Info
 from dual_ur10.sim2real.analysis.plot_style import ARM_COLORS, capital, figure, legend_right
+from dual_ur10.sim2real.config.cell import TYPICAL_PERTURBATION, CellConfig
+from dual_ur10.types import Array
 
-if TYPE_CHECKING:
-    from dual_ur10.cli.demo_report.runs import Result
+SINE_ID = "DualUR10/SineTracking-v0"
 
-Results = Mapping[str, "Result"]
+ASYMMETRIC_CELL = CellConfig(left=ArmMount((-0.75, 0.6, 0.0)), right=ArmMount((-0.92, -0.45, 0.08)))
+"""Cell in which accuracy is measured. In a symmetric cell both arms make the same errors, and the distance between them
+is exact whatever the controller does."""
+
+PERTURBED_CELL = replace(ASYMMETRIC_CELL, perturbation=TYPICAL_PERTURBATION)
+
+LATENCY_TICKS = 5
+
+
+def sine_case(
+    name: str,
+    title: str,
+    cell: CellConfig = ASYMMETRIC_CELL,
+    *,
+    learn: bool = True,
+    duration_s: float = 30.0,
+    axis: str = "y",
+    **keywords: Any,
+) -> Case:
+    """Return a case of SineTracking; y is the line between the flanges."""
+    given = {"cell": cell, "axis": axis, "duration_s": duration_s, "randomize": False, **keywords}
+    return Case(name, title, SINE_ID, given, learn)
+
+
+CASES = (
+    sine_case("nominal", "nominal"),
+    sine_case("perturbed", "perturbed", PERTURBED_CELL),
+    sine_case("perturbed_fixed", "perturbed, without learning", PERTURBED_CELL, learn=False),
+    sine_case(
+        "perturbed_late", f"perturbed, L = {LATENCY_TICKS} ticks", PERTURBED_CELL, action_latency_ticks=LATENCY_TICKS
+    ),
+    sine_case("single", "single arm, nominal", arms="left"),
+    sine_case("single_perturbed", "single arm, perturbed", PERTURBED_CELL, arms="left"),
+    sine_case("lagging", "nominal, lag not compensated", learn=False, compensate_lag=False),
+)
+
+_ACCURACY = (
+    figure_column("flange RMS", "mm", "flange_rms_mm"),
+    figure_column("flange max", "mm", "flange_max_mm"),
+    figure_column("angle max", "°", "orientation_max_deg"),
+    figure_column("vector max", "mm", "vector_max_mm"),
+)
+_RMS, _MAX, _ANGLE, _VECTOR = _ACCURACY
+
+COLUMNS = (
+    _MAX,
+    _RMS,
+    _ANGLE,
+    figure_column("distance max", "mm", "distance_max_mm"),
+    _VECTOR,
+    figure_column("ripple max", "mm/s", "ripple_max_m_s", 1e3),
+    figure_column("lag", "ms", "lag_s", 1e3),
+    figure_column("skew", "ms", "skew_s", 1e3),
+)
+
+
+def figures(result: Result) -> dict[str, float]:
+    """Return accuracy, lag of the slower of the tracking arms, and skew between the arms (NaN if only one moves)."""
+    lags = [value for value in lag_s(result.record).tolist() if not math.isnan(value)]
+    return {
+        **asdict(accuracy(result.record)),
+        "lag_s": max(lags, default=math.nan),
+        "skew_s": skew_s(result.record),
+    }
+
+
+def context(results: Sequence[Result]) -> dict[str, Any]:
+    """Return plots and values for the template."""
+    named = {result.case.name: result for result in results}
+    limit_rad_s = max(SineTracking.limits.speed_rad_s)
+    return {
+        "named": named,
+        "duration_s": named["nominal"].record.time_s[-1],
+        "overview": overview(named),
+        "flange_error": flange_error(named),
+        "distance_and_vector": distance_and_vector(named),
+        "lag": lag(named),
+        "skew": skew(named),
+        "joint_speeds": joint_speeds(named, limit_rad_s),
+        "ripple": ripple(named),
+    }
+
+
+def script(env: Any) -> Script:
+    """Return the contents of the video, which runs in real time."""
+    name = f"SineTracking, {TASK.filmed.title} plant"
+
+    def caption(time_s: float, info: Info) -> str:
+        error_mm = 1e3 * np.asarray(info["flange_error_m"])
+        return (
+            f"{name}     t = {time_s:5.2f} s     flange error  left {error_mm[0]:.2f} mm   right {error_mm[1]:.2f} mm"
+        )
+
+    return Script(f"{name}.", caption)
+
+
+def error_mm(result: Result) -> Array:
+    """Return the flange error of the worse arm, (k,)."""
+    worse: Array = 1e3 * errors(result.record).flange_m.max(axis=1)
+    return worse
+
+
+Results = Mapping[str, Result]
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart.
 RUN_COLORS = {
@@ -35,7 +145,7 @@ def overview(results: Results) -> str:
         for name, color in RUN_COLORS.items():
             result = results[name]
             error = 1e3 * errors(result.record).flange_m.max(axis=1)
-            axis.semilogy(result.record.time_s, np.maximum(error, 1e-5), color=color, label=result.run.title)
+            axis.semilogy(result.record.time_s, np.maximum(error, 1e-5), color=color, label=result.case.title)
         axis.set(xlabel="time (s)", ylabel="flange error (mm, log scale)", ylim=(1e-5, 60))
         axis.set_title("Flange error, the worse of both arms")
         axis.margins(x=0.01)
@@ -56,7 +166,7 @@ def flange_error(results: Results) -> str:
             axis.set_ylabel(f"flange error ({unit})")
             axis.set_ylim(0, 1.2 * scale * error.max())
             axis.margins(x=0.01)
-            axis.set_title(f"{capital(result.run.title)}: at most {scale * error.max():.2g} {unit}")
+            axis.set_title(f"{capital(result.case.title)}: at most {scale * error.max():.2g} {unit}")
             axis.legend(ncols=2, loc="upper right")
         axes[-1, 0].set_xlabel("time (s)")
     return address[0]
@@ -72,7 +182,7 @@ def distance_and_vector(results: Results) -> str:
             top, bottom = axes[:, column]
             top.plot(time_s, scale * found.distance_m, color="#263238", linewidth=1)
             top.set_ylabel(f"distance − {1e3 * _distance_m(result):.0f} mm ({unit})")
-            top.set_title(capital(result.run.title))
+            top.set_title(capital(result.case.title))
             for axis, color, label in zip(range(3), AXIS_COLORS, "xyz", strict=True):
                 bottom.plot(time_s, scale * found.vector_m[:, axis], color=color, label=label, linewidth=1)
             size = scale * np.linalg.norm(found.vector_m, axis=1)
@@ -121,9 +231,9 @@ def skew(results: Results) -> str:
         left.set(xlabel="left arm moved by (ms)", ylabel="correlation with the right arm")
         left.set_title("Perturbed: cross-correlation of both arms")
         names = [name for name in RUN_COLORS if name != "lagging"]
-        skews = [1e6 * results[name].skew_s for name in names]
+        skews = [1e6 * results[name].figures["skew_s"] for name in names]
         bars = right.barh(
-            [results[name].run.title for name in names], skews, color=[RUN_COLORS[name] for name in names], height=0.55
+            [results[name].case.title for name in names], skews, color=[RUN_COLORS[name] for name in names], height=0.55
         )
         right.bar_label(bars, [f"{value:+.1f} µs" for value in skews], padding=4)
         right.axvline(0, color="#90a4ae", linewidth=1)
@@ -143,7 +253,7 @@ def ripple(results: Results) -> str:
             for arm, label in enumerate(ARMS):
                 axis.plot(result.record.time_s, scale * speed[:, arm], color=ARM_COLORS[arm], label=label, linewidth=1)
             axis.set(xlabel="time (s)", ylabel=f"speed − reference ({unit})")
-            axis.set_title(f"{capital(result.run.title)}: largest {scale * np.abs(speed).max():.2g} {unit}")
+            axis.set_title(f"{capital(result.case.title)}: largest {scale * np.abs(speed).max():.2g} {unit}")
             axis.legend(ncols=2, loc="upper right")
     return address[0]
 
@@ -161,7 +271,7 @@ def lag(results: Results) -> str:
         for name, label in (("lagging", "not compensated"), ("nominal", "compensated")):
             result = results[name]
             position, reference = along_axis(result.record)
-            text = f"{label}: lag {1e3 * result.lag_s:.2f} ms"
+            text = f"{label}: lag {1e3 * result.figures['lag_s']:.2f} ms"
             left.plot(time_s[shown], 1e3 * position[shown, 0], color=RUN_COLORS[name], label=text)
             behind = 1e3 * (position - reference)[:, 0]
             right.plot(time_s, behind, color=RUN_COLORS[name], label=label)
@@ -179,3 +289,21 @@ def lag(results: Results) -> str:
 def _distance_m(result: Result) -> float:
     reference = result.record.reference_m
     return 0.0 if reference is None else float(np.linalg.norm(reference[0, 0] - reference[0, 1]))
+
+
+TASK = Task(
+    name="sine",
+    title="SineTracking",
+    cases=CASES,
+    columns=COLUMNS,
+    emulated_columns=(SUCCESS, *_ACCURACY),
+    figures=figures,
+    context=context,
+    error_mm=error_mm,
+    error_title="flange error of the worse arm",
+    filmed=CASES[1],
+    script=script,
+    video="sine_tracking.mp4",
+    view={"shadows": True},
+    replayed=True,
+)

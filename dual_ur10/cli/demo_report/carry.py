@@ -1,0 +1,279 @@
+"""SyncCarry in the demonstration: cases, figures, plots and video."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from dual_ur10.assets.props import BAR_LENGTH_M, BAR_MASS_KG
+from dual_ur10.cli.demo_report.case import JOINT_SPEED, SUCCESS, Case, Result, Task, figure_column
+from dual_ur10.cli.demo_report.film import Script
+from dual_ur10.envs.tasks.sync_carry.path import MOVES
+from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
+from dual_ur10.errors import DualUR10Error
+from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.policies.evaluation.rollout import Info, Trace
+from dual_ur10.sim2real.analysis.plot_style import ARM_COLORS, INK, SOFT, capital, figure
+from dual_ur10.types import Array
+
+CARRY_ID = "DualUR10/SyncCarry-v0"
+
+_OFF_TABLE_M = 0.05  # above its first height: a carried bar
+
+CASES = (
+    Case("rigid", "rigid grasp, nominal", CARRY_ID, {"grasp": "rigid"}),
+    Case("friction", "friction grasp, nominal", CARRY_ID),
+    Case("mild", "friction grasp, mild randomization", CARRY_ID, {"randomization": "mild"}),
+)
+
+_POSITION, _ANGLE = (
+    figure_column("relative position", "mm", "relative_max_mm"),
+    figure_column("relative angle", "°", "relative_max_deg"),
+)
+_FORCE, _BAR_RMS = figure_column("squeeze", "N", "squeeze_max_n"), figure_column("bar RMS", "mm", "bar_rms_mm")
+
+COLUMNS = (
+    _POSITION,
+    _ANGLE,
+    _FORCE,
+    figure_column("lateral", "N", "lateral_max_n"),
+    figure_column("slip", "mm", "slip_max_mm"),
+    figure_column("bar max", "mm", "bar_max_mm"),
+    _BAR_RMS,
+    figure_column("least load", "%", "least_load_share", 100),
+    JOINT_SPEED,
+    SUCCESS,
+)
+
+
+def figures(result: Result) -> dict[str, float]:
+    """Return figures of an episode from the beginning of the path on; see `figures_of`."""
+    return figures_of(result.trace, rigid=result.case.keywords.get("grasp") == "rigid")
+
+
+def figures_of(trace: Trace, *, rigid: bool) -> dict[str, float]:
+    """Return figures of an episode from the beginning of the path on.
+
+    `relative_max_mm`, `relative_max_deg`: largest error of the right flange's pose in the left one's frame.
+    `squeeze_max_n`, `lateral_max_n`: largest internal force along the bar and across it. `slip_max_mm`: largest slip of
+    a grip in its gripper; NaN for a rigid grasp. `bar_max_mm`, `bar_rms_mm`, `bar_max_deg`: error of the bar's pose.
+    `least_load_share`: smallest ratio of the load that one arm carries while the bar is off the table.
+
+    Args:
+        trace: `info` over time.
+        rigid: Whether the bar is welded to the grippers, so that it cannot slip.
+
+    Raises:
+        DualUR10Error: The episode ended before its path began.
+    """
+    begun = trace["clock_s"] > 0.0
+    if not begun.any():
+        raise DualUR10Error("the episode ended before its path began: it has no figures")
+
+    def peak(name: str) -> float:
+        return float(np.abs(trace[name][begun]).max())
+
+    height = trace["object_m"][:, 2]
+    carried = begun & (height > height[0] + _OFF_TABLE_M)
+    return {
+        "relative_max_mm": 1e3 * peak("relative_error_m"),
+        "relative_max_deg": math.degrees(peak("relative_error_rad")),
+        "squeeze_max_n": peak("squeeze_n"),
+        "lateral_max_n": peak("lateral_n"),
+        "slip_max_mm": math.nan if rigid else 1e3 * peak("slip_m"),
+        "bar_max_mm": 1e3 * peak("object_error_m"),
+        "bar_rms_mm": 1e3 * float(np.sqrt((trace["object_error_m"][begun] ** 2).mean())),
+        "bar_max_deg": math.degrees(peak("object_error_rad")),
+        "least_load_share": float(trace["load_share"][carried].min()) if carried.any() else math.nan,
+    }
+
+
+def context(results: Sequence[Result]) -> dict[str, Any]:
+    """Return plots and values for the template."""
+    shown = results[-1]
+    error_mm = 1e3 * shown.trace["relative_error_m"][shown.trace["clock_s"] > 0.0]
+    return {
+        "bar": f"{BAR_LENGTH_M:g} m and {BAR_MASS_KG:g} kg",
+        "duration_s": CarrySettings().duration_s,
+        "first_mm": error_mm[0],
+        "last_mm": error_mm[-1],
+        "path": carry_path(shown),
+        "relative_pose": relative_pose(results),
+        "inner_forces": inner_forces(results),
+        "load_and_slip": load_and_slip(results),
+    }
+
+
+# Motions of the bar in the order of `MOVES`.
+_MOVED = ("moved forward", "moved sideways", "lifted", "tilted", "turned about its length", "turned about the vertical")
+
+
+def instants(duration_s: float) -> list[tuple[float, str]]:
+    """Return time on the path and title of each key frame: the end of the first motion of each kind."""
+    moves = MOVES[duration_s]
+    ends = [(min(end for _, end, each, _ in moves if each == number), title) for number, title in enumerate(_MOVED)]
+    return [(-math.inf, "the bar on the table"), *sorted(ends), (duration_s, "laid down")]
+
+
+def script(env: Any) -> Script:
+    """Return the contents of the video."""
+    due = instants(env.unwrapped.task.settings.duration_s)
+    name = f"SyncCarry, {TASK.filmed.title}"
+
+    def caption(time_s: float, info: Info) -> str:
+        begin = f"{name}     t = {time_s:4.1f} s     "
+        if info["clock_s"] <= 0.0:
+            return begin + "grasping"
+        return (
+            f"{begin}flanges to each other {1e3 * info['relative_error_m']:.2f} mm, "
+            f"{math.degrees(info['relative_error_rad']):.2f}°   squeeze {abs(info['squeeze_n']):.1f} N"
+        )
+
+    def keys(time_s: float, info: Info) -> tuple[str, str] | None:
+        if not due or info["clock_s"] < due[0][0] - 1e-9:
+            return None
+        title = due.pop(0)[1]
+        position = ", ".join(f"{value:.2f}" for value in info["object_m"]).replace("-", "−")
+        return title, f"t = {time_s:.1f} s, bar at {position}\u00a0m"
+
+    return Script(f"{name}.", caption, keys)
+
+
+def error_mm(result: Result) -> Array:
+    """Return the error of position between the flanges, (k,); NaN before the path begins."""
+    error: Array = 1e3 * np.abs(result.trace["relative_error_m"])
+    return np.where(result.trace["clock_s"] > 0.0, error, np.nan)
+
+
+COLORS = {"rigid": "#009E73", "friction": "#0072B2", "mild": "#D55E00"}
+_AXES = (("x", "#D55E00"), ("y", "#009E73"), ("z", "#0072B2"))
+
+
+def carry_path(result: Result) -> str:
+    """Where the bar is, and how far from its reference, over time."""
+    with figure(1, 2, 3.2, width_ratios=(1.15, 1)) as (_, axes, address):
+        left, right = axes[0]
+        position = result.trace["object_m"]
+        for k, (name, color) in enumerate(_AXES):
+            left.plot(result.record.time_s, 1e3 * position[:, k], color=color, label=name)
+        left.set(xlabel="time (s)", ylabel="middle of the bar (mm)")
+        left.set_title("The way of the bar")
+        error = 1e3 * result.trace["object_error_m"]
+        begun = result.trace["clock_s"] > 0.0
+        right.plot(result.record.time_s[begun], error[begun], color=INK)
+        right.set(xlabel="time (s)", ylabel="distance to the reference (mm)", ylim=(0, 1.25 * error[begun].max()))
+        right.set_title(f"{capital(result.case.title)}: at most {error[begun].max():.2g} mm")
+        _headroom(left)
+        left.legend(ncols=3, loc="upper right")
+        for axis in (left, right):
+            _mark_begin(axis, result)
+            axis.set_xlim(0, result.record.time_s[-1])
+    return address[0]
+
+
+def relative_pose(results: Sequence[Result]) -> str:
+    """Error of the right flange's pose in the left one's frame, in all runs, on logarithmic scales."""
+    with figure(1, 2, 3.6) as (_, axes, address):
+        for axis, name, scale, unit, title in (
+            (axes[0, 0], "relative_error_m", 1e3, "mm", "Position of one flange in the other's frame"),
+            (axes[0, 1], "relative_error_rad", np.degrees(1.0), "°", "Orientation of one flange in the other's frame"),
+        ):
+            for result in results:
+                clock = result.trace["clock_s"]
+                shown = clock > 0.0
+                error = np.maximum(scale * result.trace[name][shown], 1e-6)
+                axis.semilogy(clock[shown], error, color=COLORS[result.case.name], label=result.case.title)
+            axis.set(xlabel="time on the path (s)", ylabel=f"error ({unit}, log scale)")
+            axis.set_title(title)
+            _headroom(axis, 30.0)
+            axis.legend(ncols=2, loc="upper left", columnspacing=1.0)
+            axis.margins(x=0.01)
+    return address[0]
+
+
+def inner_forces(results: Sequence[Result]) -> str:
+    """What the arms do against each other, along the bar and across it."""
+    with figure(1, 2, 3.4) as (_, axes, address):
+        for axis, name, title in (
+            (axes[0, 0], "squeeze_n", "Along the bar: positive if they press towards each other"),
+            (axes[0, 1], "lateral_n", "Across the bar"),
+        ):
+            for result in results:
+                clock = result.trace["clock_s"]
+                shown = clock > 0.0
+                axis.plot(
+                    clock[shown],
+                    result.trace[name][shown],
+                    color=COLORS[result.case.name],
+                    label=result.case.title,
+                    linewidth=1,
+                )
+            axis.axhline(0, color=SOFT, linewidth=0.8)
+            axis.set(xlabel="time on the path (s)", ylabel="force (N)")
+            axis.set_title(title)
+            _headroom(axis)
+            axis.legend(ncols=2, loc="upper left", columnspacing=1.0)
+            axis.margins(x=0.01)
+    return address[0]
+
+
+def load_and_slip(results: Sequence[Result]) -> str:
+    """How the arms share the load of the last run, and how far the bar slips in the grippers."""
+    with figure(1, 2, 3.4) as (_, axes, address):
+        left, right = axes[0]
+        result = results[-1]
+        clock = result.trace["clock_s"]
+        shown = clock > 0.0
+        for arm, label in enumerate(ARMS):
+            share = 100 * result.trace["load_share"][shown, arm]
+            left.plot(clock[shown], share, color=ARM_COLORS[arm], label=label, linewidth=1)
+        left.axhline(50, color=SOFT, linewidth=0.8)
+        left.set(xlabel="time on the path (s)", ylabel="share of the load (%)", ylim=(0, 110))
+        left.set_title(f"{capital(result.case.title)}: who carries")
+        left.legend(ncols=2, loc="upper right")
+        for result in results:
+            if result.case.name != "rigid":
+                clock = result.trace["clock_s"]
+                shown = clock > 0.0
+                slip = 1e3 * result.trace["slip_m"][shown].max(axis=1)
+                right.plot(clock[shown], slip, color=COLORS[result.case.name], label=result.case.title)
+        right.set(xlabel="time on the path (s)", ylabel="slip in the worse gripper (mm)")
+        right.set_ylim(bottom=0)
+        right.set_title("Slip since the path began")
+        _headroom(right)
+        right.legend(loc="upper left")
+        for axis in (left, right):
+            axis.margins(x=0.01)
+    return address[0]
+
+
+def _headroom(axis: Any, factor: float = 1.3) -> None:
+    """Room for a legend above the curves."""
+    low, high = axis.get_ylim()
+    axis.set_ylim(low, high * factor if axis.get_yscale() == "log" else low + (high - low) * factor)
+
+
+def _mark_begin(axis: Any, result: Result) -> None:
+    """A line where the path begins."""
+    begin = float(result.record.time_s[np.argmax(result.trace["clock_s"] > 0.0)])
+    axis.axvline(begin, color=SOFT, linestyle="--", linewidth=1)
+
+
+TASK = Task(
+    name="carry",
+    title="SyncCarry",
+    cases=CASES,
+    columns=COLUMNS,
+    emulated_columns=(SUCCESS, _POSITION, _ANGLE, _FORCE, _BAR_RMS),
+    figures=figures,
+    context=context,
+    error_mm=error_mm,
+    error_title="error of the pose between the flanges",
+    filmed=CASES[-1],
+    script=script,
+    video="sync_carry.mp4",
+    page_only=("lateral", "bar RMS", "least load"),
+)

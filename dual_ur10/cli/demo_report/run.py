@@ -1,0 +1,182 @@
+"""Run of the demonstration: cases, videos and emulated controllers, one after the other, and the report at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from dual_ur10.cli.demo_report.case import Case, Result, Task, make
+from dual_ur10.cli.demo_report.emulated import (
+    CARRY,
+    HANDOVER,
+    PREPARING_S,
+    EmulatedFailure,
+    EmulatedPair,
+    EmulatedRun,
+    measure_emulated,
+    sine_run,
+)
+from dual_ur10.cli.demo_report.film import FPS, HEIGHT, WIDTH, Film, shoot
+from dual_ur10.cli.demo_report.report import TASKS, Findings, write_report
+from dual_ur10.errors import DualUR10Error, MissingExtraError, RenderError
+
+# In seconds on two cores without a GPU, for the estimate of the time left.
+_STEP = {"sine": 0.0006, "carry": 0.004, "handover": 0.002}
+_RIGID_STEP, _FRAME, _SHADED_FRAME, _DRAWING = 0.0015, 0.07, 0.13, 4.0
+_STEPS = {"carry": 900, "handover": 300}  # of an episode, about
+
+Progress = Callable[[str, float, float], None]
+"""Called with a description of the work, how much is done, and how much there is in all."""
+
+OnRatio = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Size of the demonstration.
+
+    Attributes:
+        sine_s: Length of the runs of SineTracking.
+        sine_film_s: Length of its video.
+        episodes: Episodes of each case of Handover.
+        carry_every, handover_every: Steps from one frame of a video to the next.
+        emulated: Runs on emulated controllers.
+    """
+
+    sine_s: float = 30.0
+    sine_film_s: float = 10.0
+    episodes: int = 6
+    carry_every: int = 4
+    handover_every: int = 2
+    emulated: tuple[EmulatedRun, ...] = (sine_run(20.0), CARRY, HANDOVER)
+
+
+QUICK = Extent(
+    sine_s=10.0,
+    sine_film_s=1.2,
+    episodes=2,
+    carry_every=30,
+    handover_every=10,
+    emulated=(sine_run(2.0), HANDOVER),
+)
+
+RUNS_FOLDER = "runs"
+"""Folder of the recordings, beside the report."""
+
+
+@dataclass(frozen=True)
+class _Job:
+    text: str
+    cost_s: float
+    do: Callable[[OnRatio], None]
+
+
+def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: None) -> Findings:
+    """Run everything, and write `report.html`, the videos and the recordings.
+
+    A failure on emulated controllers ends nothing else: the report gives its reason.
+
+    Args:
+        out: Folder to write into; made if it does not exist.
+        quick: Shorter episodes of SineTracking, fewer of Handover, videos with fewer frames, and no SyncCarry on
+            emulated controllers.
+        progress: Called as the work proceeds.
+
+    Raises:
+        MissingExtraError: matplotlib or imageio is not installed. Nothing has been run.
+        DualUR10Error: `out` cannot be written to.
+    """
+    check_extra()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DualUR10Error(f"cannot write to {out}: {error}") from error
+    extent = QUICK if quick else Extent()
+    results: dict[str, list[Result]] = {task.name: [] for task in TASKS}
+    films: dict[str, Film] = {}
+    missing: list[str] = []
+    pairs: list[EmulatedPair] = []
+    failures: list[EmulatedFailure] = []
+
+    def measuring(task: Task, case: Case) -> _Job:
+        seeds = range(extent.episodes if task.many else 1)
+        if task.name == "sine":
+            case = case.given(duration_s=extent.sine_s)
+        steps = len(seeds) * _STEPS.get(task.name, round(extent.sine_s * FPS))
+        step_s = _RIGID_STEP if case.name == "rigid" else _STEP[task.name]
+
+        def do(on_ratio: OnRatio) -> None:
+            results[task.name] += task.measure(case, seeds, lambda done: on_ratio(done / steps))
+
+        return _Job(f"{task.title}: {case.title}", steps * step_s, do)
+
+    def filming(task: Task) -> _Job:
+        case = task.filmed.given(duration_s=extent.sine_film_s) if task.name == "sine" else task.filmed
+        every = {"carry": extent.carry_every, "handover": extent.handover_every}.get(task.name, 1)
+        steps = _STEPS.get(task.name, round(extent.sine_film_s * FPS))
+        frame_s = _SHADED_FRAME if "shadows" in task.view else _FRAME
+
+        def do(on_ratio: OnRatio) -> None:
+            if missing:
+                return
+            try:
+                films[task.name] = film(task, case, out / task.video, every, lambda done: on_ratio(done / steps))
+            except RenderError as error:
+                missing.append(str(error))
+
+        return _Job(f"drawing {task.video}", steps * (_STEP[task.name] + frame_s / every), do)
+
+    def emulating(run: EmulatedRun) -> _Job:
+        def do(on_ratio: OnRatio) -> None:
+            found = measure_emulated(run, out / RUNS_FOLDER, on_ratio)
+            if isinstance(found, EmulatedFailure):
+                failures.append(found)
+            else:
+                pairs.append(found)
+
+        return _Job(f"{run.task.title} on emulated controllers", PREPARING_S + run.duration_s, do)
+
+    def findings() -> Findings:
+        return Findings(results, films, "".join(missing), pairs, failures)
+
+    jobs = [measuring(task, case) for task in TASKS for case in task.cases]
+    jobs += map(filming, TASKS)
+    # In real time: nothing else may run beside them.
+    jobs += map(emulating, extent.emulated)
+    jobs.append(_Job("writing the report", _DRAWING, lambda _: write_report(out / "report.html", findings())))
+    _do(jobs, progress)
+    return findings()
+
+
+def film(task: Task, case: Case, path: Path, every: int, on_step: Callable[[int], None] = lambda _: None) -> Film:
+    """Write the video of a task; see `shoot`."""
+    env, policy = make(case, render_mode="rgb_array", width=WIDTH, height=HEIGHT, **task.view)
+    return shoot(path, env, policy, task.script(env), every=every, on_step=on_step)
+
+
+def _do(jobs: list[_Job], progress: Progress) -> None:
+    """Do the jobs one after the other."""
+    total, done = sum(job.cost_s for job in jobs), 0.0
+
+    def ratio_of(job: _Job, before: float) -> OnRatio:
+        return lambda ratio: progress(job.text, before + min(ratio, 1.0) * job.cost_s, total)
+
+    for job in jobs:
+        progress(job.text, done, total)
+        job.do(ratio_of(job, done))
+        done += job.cost_s
+    progress("done", total, total)
+
+
+def check_extra() -> None:
+    """Check that the packages which draw are installed.
+
+    Raises:
+        MissingExtraError: One is not.
+    """
+    for package in ("matplotlib", "imageio", "imageio_ffmpeg"):
+        try:
+            __import__(package)
+        except ImportError:
+            raise MissingExtraError(package.replace("_", "-"), "plot", "the demonstration's report") from None

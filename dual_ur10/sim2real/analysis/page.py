@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from html import escape
 from pathlib import Path
 from typing import Any, Final, Generic, TypeVar
 
@@ -117,64 +116,3 @@ def _environment(package: str) -> jinja2.Environment:
     )
     environment.filters["number"] = number
     return environment
-
-
-# Parts as strings, for the pages that still put their HTML together in Python.
-
-Headers = Sequence[tuple[str, str]]
-
-
-def text(words: str) -> str:
-    """Return a caption of HTML."""
-    return f"<p class='caption'>{words}</p>"
-
-
-def lead(words: str) -> str:
-    """Return an introduction of HTML."""
-    return f"<p class='lead'>{words}</p>"
-
-
-def _part(macro: str, *values: object) -> str:
-    return str(getattr(_environment(__package__).get_template("parts.html").module, macro)(*values))
-
-
-def image(address: str, words: str) -> str:
-    """Return a picture."""
-    return _part("image", address, words)
-
-
-def tiles(entries: Iterable[tuple[str, str, str]]) -> str:
-    """Return large figures."""
-    return _part("tiles", entries)
-
-
-def note(title: str, points: Iterable[str]) -> str:
-    """Return a box of points of HTML."""
-    listed = "".join(f"<li>{point}</li>" for point in points)
-    return f"<section class='note'><h2>{escape(title)}</h2><ul>{listed}</ul></section>"
-
-
-def table(name: str, headers: Headers, rows: Iterable[tuple[str, str, Sequence[str]]]) -> str:
-    """Return a table."""
-    columns = tuple(Column[Any](title, unit, str) for title, unit in headers)
-    return _part("table", Table(name, columns, tuple(Row(title, tuple(cells), kind) for title, kind, cells in rows)))
-
-
-def video(film: Any) -> str:
-    """Return a film; nothing if there is none."""
-    if film is None:
-        return ""
-    pace = "In real time" if math.isclose(film.pace, 1.0) else f"{film.pace:g} times faster than in reality"
-    return _part("video", video_source(film.path), f"{film.text} {pace}.")
-
-
-def pictures(frames: Sequence[Any]) -> str:
-    """Return pictures side by side; nothing if there are none."""
-    return _part("pictures", frames) if frames else ""
-
-
-def page(body: str) -> str:
-    """Return the whole page of the demonstration."""
-    environment = _environment(__package__)
-    source = '{% extends "page.html" %}{% block title %}Two UR10s, three tasks: what dual-ur10 does{% endblock %}'
-    return environment.from_string(source + "{% block body %}{{ body | safe }}{% endblock %}").render(body=body)

@@ -26,8 +26,8 @@ def doctor(
     family: Annotated[str, typer.Option("--family", help="cb3 (UR10, 125 Hz) or e-series (UR10e, 500 Hz).")] = "cb3",
 ) -> None:
     """Look at two UR controllers, and say what is not as it should be. Nothing moves. Exit code 1 if anything fails."""
-    from dual_ur10.sim2real.commissioning.doctor import ExpectedArm, any_fails, check_cell
-    from dual_ur10.sim2real.commissioning.doctor_findings import expected_of
+    from dual_ur10.sim2real.commissioning.doctor import check_cell
+    from dual_ur10.sim2real.commissioning.findings import ExpectedArm, any_fails, expected_of
 
     if file is not None and left is None and right is None:
         arms = [expected_of(arm) for arm in load_cell_file(file).arms]

@@ -1,7 +1,7 @@
-"""Looks at two controllers, and says for each thing what was found, what was expected, and what to do.
+"""Doctor: check two controllers, and report for each check what was found, what is expected and what to do.
 
-It moves nothing and writes nothing: it reads, and asks for the registers that commands will need, to give them back at
-once. Every step has an end, whatever a controller does.
+It moves nothing and writes nothing. It reads, and requests the registers that commands will need, to release them at
+once. Every step has a time limit, whatever a controller does.
 """
 
 from __future__ import annotations
@@ -16,10 +16,13 @@ from typing import Final
 
 from dual_ur10.errors import LinkError
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.commissioning.doctor_findings import ExpectedArm, Finding, any_fails, failed, judged
-from dual_ur10.sim2real.commissioning.doctor_state import (
+from dual_ur10.sim2real.commissioning.findings import (
+    ExpectedArm,
+    Finding,
     calibration_findings,
     family_findings,
+    judge,
+    link_failure,
     model_findings,
     round_trip_findings,
     safety_findings,
@@ -37,8 +40,6 @@ from dual_ur10.sim2real.links.rtde_link import RtdeClient, RtdeLink
 from dual_ur10.sim2real.links.rtde_stream import Sample
 from dual_ur10.sim2real.protocol.rtde import Kind
 
-__all__ = ["ExpectedArm", "Finding", "any_fails", "check_arm", "check_cell"]
-
 PORTS: Final = {
     "dashboard": dashboard_link.PORT,
     "primary": primary_link.PORT,
@@ -50,7 +51,7 @@ REGISTERS: Final = (
     *(f"input_int_register_{number}" for number in range(8)),
     *(f"input_double_register_{number}" for number in range(18)),
 )
-"""Input registers by which `ur_rtde` tells its control script what to do."""
+"""Input registers through which `ur_rtde` commands its control script."""
 
 _IN_USE: Final = "IN_USE"
 _ROUND_TRIPS: Final = 20
@@ -58,7 +59,7 @@ _ROUND_TRIPS: Final = 20
 
 @dataclass
 class _Arm:
-    """What is known of an arm so far."""
+    """Facts about an arm, as far as they were read."""
 
     name: str
     expected: ExpectedArm
@@ -75,7 +76,7 @@ class _Arm:
 def check_cell(
     left: ExpectedArm, right: ExpectedArm, *, timeout_s: float = 1.5, observe_s: float = 0.3
 ) -> list[Finding]:
-    """Check both arms, and that they are two. See `check_arm`; it takes no longer than that.
+    """Check both arms as `check_arm` does, and that they are two. It takes no longer than one arm.
 
     Raises:
         SettingsError: A time is not legal.
@@ -84,7 +85,7 @@ def check_cell(
         both = f"both arms have {left.host}"
         remedy = "give each arm the address of its own controller"
         same = Finding("cell", "two controllers", "fail", both, "two addresses", remedy)
-        # One look is enough, and a second at the same time would be in its way.
+        # A second check of the same controller at the same time would disturb the first.
         return [same, *check_arm(ARMS[0], left, timeout_s=timeout_s, observe_s=observe_s)]
     arms = [_Arm(name, each, timeout_s, observe_s) for name, each in zip(ARMS, (left, right), strict=True)]
     with ThreadPoolExecutor(len(arms)) as threads:
@@ -97,9 +98,9 @@ def check_arm(name: str, expected: ExpectedArm, *, timeout_s: float = 1.5, obser
 
     Args:
         name: "left" or "right".
-        expected: What it should be.
-        timeout_s: For each connection with all that is asked there. It takes at most five times that.
-        observe_s: For how long its state is watched.
+        expected: Expected properties.
+        timeout_s: Time limit of each connection with all its requests. All checks take at most five times that.
+        observe_s: Time for which the state is observed.
 
     Raises:
         SettingsError: A time is not legal.
@@ -113,7 +114,7 @@ def _distinct(left: _Arm, right: _Arm) -> Iterator[Finding]:
         found = f"{hosts}; serial numbers could not be compared"
         yield Finding("cell", "two controllers", "ok", found, "two addresses and serial numbers")
         return
-    yield judged(
+    yield judge(
         "cell",
         "two controllers",
         left.serial_number != right.serial_number,
@@ -136,10 +137,10 @@ def _examine(arm: _Arm) -> list[Finding]:
         if port in closed:
             continue
         try:
-            for finding in step(arm):  # what was found before an error counts
+            for finding in step(arm):  # one by one: those before an error count
                 findings.append(finding)
         except LinkError as error:
-            findings.append(failed(arm.name, title, error))
+            findings.append(link_failure(arm.name, title, error))
     if arm.model is not None or arm.facts is not None:
         findings += model_findings(arm.name, arm.expected, arm.model, arm.facts and arm.facts.robot_type)
     return findings
@@ -153,19 +154,19 @@ def _network(arm: _Arm) -> Iterator[Finding]:
     expected = "a wired interface of its own"
     remedy = "connect the controllers to a wired network interface that nothing else uses"
     if route is None:
-        yield Finding(arm.name, "route", "warn", f"the way to {host} could not be told", expected, remedy)
+        yield Finding(arm.name, "route", "warn", f"the route to {host} could not be determined", expected, remedy)
         return
-    way = f"by {route.interface}" + (f" and the router {route.gateway}" if route.gateway else "")
+    path = f"by {route.interface}" + (f" and the router {route.gateway}" if route.gateway else "")
     if route.wireless:
-        yield Finding(arm.name, "route", "fail", f"{way}, which is Wi-Fi", expected, remedy)
+        yield Finding(arm.name, "route", "fail", f"{path}, which is Wi-Fi", expected, remedy)
     elif route.default:
-        yield Finding(arm.name, "route", "warn", f"{way}, which also leads to other networks", expected, remedy)
+        yield Finding(arm.name, "route", "warn", f"{path}, which also leads to other networks", expected, remedy)
     else:
-        yield judged(arm.name, "route", route.gateway is None, way, expected, remedy, otherwise="warn")
+        yield judge(arm.name, "route", route.gateway is None, path, expected, remedy, otherwise="warn")
 
 
 def _ports(arm: _Arm) -> tuple[list[Finding], set[str]]:
-    """Which ports do not take connections. They share one time limit: a host that is silent is silent on all."""
+    """Return findings and closed ports. The ports share one time limit: a host that is silent is silent on all."""
     findings, closed = [], set()
     deadline_s = arm.deadline_s()
     for name, port in PORTS.items():
@@ -173,7 +174,7 @@ def _ports(arm: _Arm) -> tuple[list[Finding], set[str]]:
             LinkSocket(arm.name, f"port {name}", arm.expected.host, port, deadline_s).close()
         except LinkError as error:
             closed.add(name)
-            findings.append(failed(arm.name, f"port {port}", error))
+            findings.append(link_failure(arm.name, f"port {port}", error))
     if not closed:
         numbers = ", ".join(map(str, PORTS.values()))
         findings.append(Finding(arm.name, "ports", "ok", f"{numbers} are open", "open"))
@@ -184,7 +185,7 @@ def _dashboard(arm: _Arm) -> Iterator[Finding]:
     with DashboardLink(arm.expected.host, arm.timeout_s, name=arm.name) as link:
         remote = link.remote_control()
         if remote is not None:
-            yield judged(
+            yield judge(
                 arm.name,
                 "remote control",
                 remote,
@@ -196,11 +197,11 @@ def _dashboard(arm: _Arm) -> Iterator[Finding]:
         arm.serial_number = link.serial_number()
     wanted, found = arm.expected.serial_number, arm.serial_number
     if wanted is not None:
-        yield judged(
+        yield judge(
             arm.name,
             "serial number",
             found == wanted,
-            "not told by this software" if found is None else found,
+            "not reported by this software" if found is None else found,
             wanted,
             "the arms may be swapped: correct the address or the serial number in the cell file",
             otherwise="warn" if found is None else "fail",
@@ -216,7 +217,7 @@ def _primary(arm: _Arm) -> Iterator[Finding]:
 def _rtde(arm: _Arm) -> Iterator[Finding]:
     host = arm.expected.host
     with RtdeLink(host, STATUS_VARIABLES, timeout_s=arm.timeout_s, optional=OPTIONAL_VARIABLES, name=arm.name) as link:
-        samples = _watch(link, arm)
+        samples = _observe(link, arm)
     yield from family_findings(arm.name, arm.expected, link.version)
     if samples:
         status = ArmStatus.from_sample(samples[-1])
@@ -226,11 +227,10 @@ def _rtde(arm: _Arm) -> Iterator[Finding]:
     yield from _registers(arm)
 
 
-def _watch(link: RtdeLink, arm: _Arm) -> list[Sample]:
-    """What comes in a while. If nothing does, it is waited for as long as for anything else."""
+def _observe(link: RtdeLink, arm: _Arm) -> list[Sample]:
+    """Return the samples of `observe_s` from the first on, for which it waits `timeout_s`."""
     samples: list[Sample] = []
     begin = time.monotonic()
-    # The first may be several that had been waiting: that says nothing about when they came.
     while True:
         now = time.monotonic()
         if now - begin >= (arm.observe_s if samples else arm.timeout_s):
@@ -243,7 +243,7 @@ def _watch(link: RtdeLink, arm: _Arm) -> list[Sample]:
 
 
 def _registers(arm: _Arm) -> Iterator[Finding]:
-    """Ask for the registers, and give them back at once; on the same connection, measure how soon answers come."""
+    """Request the registers and release them at once; measure round trips on the same connection."""
     deadline_s = arm.deadline_s()
     client = RtdeClient(arm.name, arm.expected.host, PORTS["rtde"], deadline_s)
     try:
@@ -259,7 +259,7 @@ def _registers(arm: _Arm) -> Iterator[Finding]:
             arm.name, "registers", "fail", f"{missing[0]} does not exist", "free", "update the controller's software"
         )
         return
-    yield judged(
+    yield judge(
         arm.name,
         "registers",
         not taken and number > 0,

@@ -12,9 +12,8 @@ import numpy as np
 
 from dual_ur10.errors import CellFaulted, ClosedError, StartError
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.commissioning.doctor import any_fails, check_cell
-from dual_ur10.sim2real.commissioning.doctor_findings import expected_of
-from dual_ur10.sim2real.commissioning.doctor_state import REST_RAD_S
+from dual_ur10.sim2real.commissioning.doctor import check_cell
+from dual_ur10.sim2real.commissioning.findings import REST_RAD_S, any_fails, expected_of
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.control.time_scaling import TimeScaling

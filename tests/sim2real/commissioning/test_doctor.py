@@ -1,4 +1,4 @@
-"""The doctor: an arm in order has nothing that fails, and each thing that is wrong is found, named and has a remedy."""
+"""The doctor passes an arm in order, and names each fault with its remedy."""
 
 import contextlib
 import dataclasses
@@ -13,8 +13,11 @@ from dual_ur10.cli import main as cli
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.ur10 import DH_A_M, NOMINAL_DH, DHParameters
 from dual_ur10.sim2real.commissioning import doctor
-from dual_ur10.sim2real.commissioning.doctor import REGISTERS, ExpectedArm, Finding, any_fails, check_arm, check_cell
-from dual_ur10.sim2real.commissioning.doctor_state import (
+from dual_ur10.sim2real.commissioning.doctor import REGISTERS, check_arm, check_cell
+from dual_ur10.sim2real.commissioning.findings import (
+    ExpectedArm,
+    Finding,
+    any_fails,
     calibration_findings,
     flange_error_m,
     round_trip_findings,
@@ -33,9 +36,9 @@ from dual_ur10.sim2real.protocol.rtde import Kind
 from tests.sim2real.links.test_arm_status import status_of
 
 TIMED = ("RTDE rate", "RTDE jitter", "round trip")
-"""Depend on what else this machine does: judged by pure functions, which have tests of their own."""
+"""Findings that depend on the load of this machine. The pure functions behind them have tests of their own."""
 
-_SILENT_S = 2.0  # until an arm is given up; the other one must answer in it, on a busy machine too
+_SILENT_S = 2.0  # time limit of a silent arm; the other one must answer in it, on a busy machine too
 
 SAFETY = PROFILES["cb3"].safety_checksum
 BARE = {
@@ -62,15 +65,15 @@ def expected(cell, arm="left", **values):
     return ExpectedArm(**{"host": getattr(cell, arm), "family": family, **BARE, **values})
 
 
-def look(cell, **values):
-    """What is found of the left arm, by name, apart from timings."""
+def findings_of(cell, **values):
+    """Findings of the left arm by name, without timings."""
     findings = check_arm("left", expected(cell, **values), observe_s=0.05)
     assert all(each.arm == "left" for each in findings)
     assert len({each.name for each in findings}) == len(findings)
     return {each.name: each for each in findings if each.name not in TIMED}
 
 
-def bad(findings):
+def faults(findings):
     return {name: each for name, each in findings.items() if each.level != "ok"}
 
 
@@ -90,15 +93,15 @@ ALL = {
 
 
 def test_a_cb3_in_order(cb3):
-    findings = look(cb3)
-    assert bad(findings) == {}
+    findings = findings_of(cb3)
+    assert faults(findings) == {}
     assert findings.keys() == ALL
     assert findings["family"].found == "cb3, software 3.15.8.106339"
 
 
 def test_an_e_series_controller_in_order(e_series):
-    findings = look(e_series, serial_number="2021500001", checksums=kinematics_checksums(NOMINAL_DH))
-    assert bad(findings) == {}
+    findings = findings_of(e_series, serial_number="2021500001", checksums=kinematics_checksums(NOMINAL_DH))
+    assert faults(findings) == {}
     assert findings.keys() == ALL | {"remote control", "serial number", "calibration checksums"}
 
 
@@ -112,7 +115,7 @@ def test_both_arms_in_order(e_series):
 def test_nothing_is_left_behind(cb3):
     before = cb3.ask("state", arm="left")
     for _ in range(3):  # the registers of the last time are free again
-        assert look(cb3)["registers"].level == "ok"
+        assert findings_of(cb3)["registers"].level == "ok"
     end = time.monotonic() + 20.0
     while any(each for each in cb3.ask("clients", arm="left").values()):
         assert time.monotonic() < end
@@ -121,15 +124,15 @@ def test_nothing_is_left_behind(cb3):
     assert {name: after[name] for name in names} == {name: before[name] for name in names}
 
 
-def test_what_is_not_expected_is_told_and_warned_of(cb3):
-    findings = bad(look(cb3, dh=None, tcp=None, payload_kg=None, safety_checksum=None))
+def test_values_without_expectation_are_reported_with_a_warning(cb3):
+    findings = faults(findings_of(cb3, dh=None, tcp=None, payload_kg=None, safety_checksum=None))
     assert findings.keys() == {"calibration", "TCP", "payload", "safety checksum"}
     assert {each.level for each in findings.values()} == {"warn"}
     assert "0.000 mm off the nominal" in findings["calibration"].found
     assert f"safety_checksum = 0x{SAFETY:08x} in the cell file" in findings["safety checksum"].remedy
 
 
-# One thing is wrong.
+# One fault.
 
 
 @pytest.mark.parametrize(
@@ -151,9 +154,9 @@ def test_what_is_not_expected_is_told_and_warned_of(cb3):
         ({"tcp_offset": [0, 0, 0, 0, 0.1, 0]}, "TCP", "0.1", "installation"),
     ],
 )
-def test_a_state_that_is_not_right(cb3, values, name, found, remedy):
+def test_a_wrong_state(cb3, values, name, found, remedy):
     with override(cb3, **values):
-        findings = bad(look(cb3))
+        findings = faults(findings_of(cb3))
     assert findings.keys() == {name}
     assert findings[name].level == "fail"
     assert found in findings[name].found
@@ -165,7 +168,7 @@ def test_a_state_that_is_not_right(cb3, values, name, found, remedy):
 def test_the_slider_itself(cb3):
     cb3.ask("slider", arm="left", fraction=0.1)
     try:
-        assert bad(look(cb3))["speed slider"].found == "10 %"
+        assert faults(findings_of(cb3))["speed slider"].found == "10 %"
     finally:
         cb3.ask("slider", arm="left", fraction=1.0)
 
@@ -173,7 +176,7 @@ def test_the_slider_itself(cb3):
 def test_local_control(e_series):
     e_series.ask("remote", arm="left", on=False)
     try:
-        findings = bad(look(e_series))
+        findings = faults(findings_of(e_series))
     finally:
         e_series.ask("remote", arm="left", on=True)
     assert findings.keys() == {"remote control"}
@@ -181,7 +184,7 @@ def test_local_control(e_series):
 
 
 @pytest.mark.parametrize(
-    ("told", "names", "found"),
+    ("reported", "names", "found"),
     [
         ({"model": "UR5", "robot_type": 1}, {"model", "robot type"}, ("UR5", "1 (UR5)")),
         ({"model": "UR10e"}, {"model"}, ("UR10e",)),
@@ -189,11 +192,11 @@ def test_local_control(e_series):
         ({"version": [5, 12, 0, 1]}, {"family", "remote control"}, ("e-series, software 5.12.0.1",)),
     ],
 )
-def test_another_robot(cb3, told, names, found):
+def test_another_robot(cb3, reported, names, found):
     cb3.ask("remote", arm="left", on=False)
-    cb3.ask("pretend", arm="left", **told)
+    cb3.ask("pretend", arm="left", **reported)
     try:
-        findings = bad(look(cb3))
+        findings = faults(findings_of(cb3))
     finally:
         cb3.ask("pretend", arm="left", version=[3, 15, 8, 106339], model="UR10", robot_type=2)
     assert findings.keys() == names
@@ -204,27 +207,30 @@ def test_another_robot(cb3, told, names, found):
 def test_an_old_controller_has_no_serial_number_and_no_model(cb3):
     cb3.ask("pretend", arm="left", version=[3, 10, 0, 1])
     try:
-        findings = look(cb3, serial_number="1")
+        findings = findings_of(cb3, serial_number="1")
         cell = check_cell(expected(cb3), expected(cb3, "right"), observe_s=0.05)[0]
     finally:
         cb3.ask("pretend", arm="left", version=[3, 15, 8, 106339])
-    assert bad(findings).keys() == {"serial number"}
-    assert (findings["serial number"].level, findings["serial number"].found) == ("warn", "not told by this software")
+    assert faults(findings).keys() == {"serial number"}
+    assert (findings["serial number"].level, findings["serial number"].found) == (
+        "warn",
+        "not reported by this software",
+    )
     assert "model" not in findings
     assert findings["robot type"].level == "ok"
     assert (cell.level, "could not be compared" in cell.found) == ("ok", True)
 
 
-def test_an_old_controller_tells_nothing_of_its_tool():
+def test_an_old_controller_does_not_report_its_tool():
     status = dataclasses.replace(status_of(), payload_kg=None, payload_cog_m=None, tcp_offset=None)
     findings = list(tool_findings("left", ExpectedArm(host="127.0.0.1", **BARE), status))
     assert [each.name for each in findings] == ["TCP", "payload"]
     assert {each.level for each in findings} == {"warn"}
-    assert {each.found for each in findings} == {"not told by this software"}
+    assert {each.found for each in findings} == {"not reported by this software"}
 
 
 def test_another_arm_of_the_same_kind(e_series):
-    findings = bad(look(e_series, serial_number="2021500002", checksums=(1, 2, 3, 4, 5, 6)))
+    findings = faults(findings_of(e_series, serial_number="2021500002", checksums=(1, 2, 3, 4, 5, 6)))
     assert findings.keys() == {"serial number", "calibration checksums"}
     assert "swapped" in findings["serial number"].remedy
 
@@ -233,11 +239,11 @@ def test_another_arm_of_the_same_kind(e_series):
 def test_another_calibration(cb3, error_m, level):
     cb3.ask("calibration", arm="left", error_m=error_m)
     try:
-        finding = look(cb3)["calibration"]
+        finding = findings_of(cb3)["calibration"]
     finally:
         cb3.ask("calibration", arm="left", error_m=0.0)
     assert finding.level == level
-    assert "nominal UR10's, which the cell file goes by" in finding.found  # it gives no other
+    assert "nominal UR10's, which the cell file uses" in finding.found  # it gives no other
     off_m = float(re.search(r"([\d.]+) mm", finding.found)[1]) / 1e3
     assert error_m <= off_m <= 2 * error_m + 1e-6
 
@@ -247,32 +253,32 @@ def test_registers_in_use(cb3):
     client = RtdeClient("", cb3.left, 30004, deadline_s)
     number, _ = client.set_up(Kind.SETUP_INPUTS, REGISTERS[3:5], b"", deadline_s)
     assert number == 1
-    findings = bad(look(cb3))
+    findings = faults(findings_of(cb3))
     client.socket.close_and_wait(deadline_s)
     assert findings.keys() == {"registers"}
     assert findings["registers"].found == "in use: input_int_register_3 and 1 more"
     assert "EtherNet/IP" in findings["registers"].remedy
-    assert bad(look(cb3)) == {}
+    assert faults(findings_of(cb3)) == {}
 
 
 # The network.
 
 
-def test_a_port_that_is_closed_is_named_and_the_rest_is_looked_at(cb3):
+def test_a_closed_port_is_named_and_the_rest_is_checked(cb3):
     cb3.ask("refuse", arm="left", port="realtime")
     cb3.ask("refuse", arm="left", port="dashboard")
     try:
-        findings = look(cb3)
+        findings = findings_of(cb3)
     finally:
         cb3.ask("heal", arm="left")
-    assert bad(findings).keys() == {"port 30003", "port 29999"}
+    assert faults(findings).keys() == {"port 30003", "port 29999"}
     assert f"{cb3.left}:30003: no connection" in findings["port 30003"].found
     assert "cable" in findings["port 30003"].remedy
     assert findings.keys() >= {"robot mode", "calibration", "registers", "robot type"}
 
 
 @pytest.mark.parametrize("fault", [{"half_open": True}, {"mute": True}])
-def test_a_controller_that_is_silent_is_given_up(cb3, fault):
+def test_a_silent_controller_runs_into_the_time_limit(cb3, fault):
     cb3.ask("link", arm="left", port="all", **fault)
     try:
         findings = check_cell(expected(cb3), expected(cb3, "right"), timeout_s=_SILENT_S, observe_s=0.05)
@@ -285,12 +291,12 @@ def test_a_controller_that_is_silent_is_given_up(cb3, fault):
     assert all("no answer in time" in each.found for each in findings if each.name == "RTDE")
 
 
-def test_data_that_do_not_come(cb3):
+def test_a_controller_whose_time_does_not_advance(cb3):
     with override(cb3, timestamp=1e6):
         findings = check_arm("left", expected(cb3), observe_s=0.05)
     (rate,) = [each for each in findings if each.name == "RTDE rate"]
     assert rate.level == "fail"
-    assert "does not go on" in rate.found
+    assert "does not advance" in rate.found
 
 
 def test_a_slow_network_is_found(cb3):
@@ -364,7 +370,7 @@ def test_the_most_exact_route_is_taken(routes, monkeypatch):
     assert route_to("192.168.1.11", **air) == Route("wlan0", None, False, True)
 
 
-def test_a_route_that_cannot_be_told_is_none(routes, tmp_path, monkeypatch):
+def test_a_route_that_cannot_be_determined_is_none(routes, tmp_path, monkeypatch):
     assert route_to("192.168.1.11", **routes(OFFICE)) is None
     assert route_to("192.168.1.11", tmp_path / "none") is None
     (tmp_path / "bad").write_text(HEADER + "eth0\nx y z w a b c d\n../.. 0 0 1 0 0 0 0\neth0 FFFFFFFFFF 0 1 0 0 0 0\n")
@@ -385,10 +391,10 @@ def test_a_route_that_cannot_be_told_is_none(routes, tmp_path, monkeypatch):
         (Route("eth0", None, True, False), "warn", "other networks"),
         (Route("eth1", "10.0.0.1", False, False), "warn", "router 10.0.0.1"),
         (Route("wlan0", None, False, True), "fail", "Wi-Fi"),
-        (None, "warn", "could not be told"),
+        (None, "warn", "could not be determined"),
     ],
 )
-def test_a_route_is_judged(monkeypatch, route, level, text):
+def test_findings_of_routes(monkeypatch, route, level, text):
     monkeypatch.setattr(doctor, "route_to", lambda host: route)
     arm = doctor._Arm("left", ExpectedArm(host="192.168.1.11"), 1.0, 1.0)
     (finding,) = doctor._network(arm)
@@ -416,24 +422,24 @@ def samples(times, late=()):
         (np.arange(20) * 0.016, {}, "fail", "ok"),
     ],
 )
-def test_a_stream_is_judged(times, late, rate, jitter):
+def test_findings_of_streams(times, late, rate, jitter):
     found = {each.name: each.level for each in stream_findings("left", samples(times, late.items()), 125.0)}
     assert found == {"RTDE rate": rate, "RTDE jitter": jitter}
 
 
 @pytest.mark.parametrize("times", [[], [1.0], [1.0, 1.0, 1.0]])
-def test_a_stream_that_stands_still_fails(times):
+def test_a_stalled_stream_fails(times):
     (finding,) = stream_findings("left", samples(times), 125.0)
     assert (finding.name, finding.level) == ("RTDE rate", "fail")
 
 
 @pytest.mark.parametrize(("times", "level"), [([0.001] * 9, "ok"), ([0.001] * 9 + [0.02], "warn"), ([0.005], "fail")])
-def test_round_trips_are_judged(times, level):
+def test_findings_of_round_trips(times, level):
     (finding,) = round_trip_findings("left", times)
     assert finding.level == level
 
 
-def test_a_rotation_by_half_a_turn_has_two_vectors():
+def test_a_rotation_by_pi_has_two_vectors():
     status = status_of(tcp_offset=(0.0, 0.0, 0.1, np.pi, 0.0, 0.0))
     (tcp, _) = tool_findings("left", ExpectedArm(host="127.0.0.1", tcp=(0.0, 0.0, 0.1, -np.pi, 0.0, 0.0)), status)
     assert tcp.level == "ok"
@@ -449,7 +455,7 @@ def test_a_rotation_by_half_a_turn_has_two_vectors():
         (1.0, (0.0, 0.0, 0.056), "fail"),
     ],
 )
-def test_a_payload_is_compared(mass, cog, level):
+def test_findings_of_payloads(mass, cog, level):
     status = status_of(payload=mass, payload_cog=cog)
     wanted = ExpectedArm(host="127.0.0.1", payload_kg=1.0, payload_cog_m=(0.0, 0.0, 0.05))
     assert [each.level for each in tool_findings("left", wanted, status)][1] == level
@@ -458,7 +464,7 @@ def test_a_payload_is_compared(mass, cog, level):
 def test_other_safety_settings_fail(cb3):
     cb3.ask("pretend", arm="left", safety_checksum=0xBEEF)
     try:
-        finding = look(cb3)["safety checksum"]
+        finding = findings_of(cb3)["safety checksum"]
     finally:
         cb3.ask("pretend", arm="left", safety_checksum=SAFETY)
     assert (finding.level, finding.found, finding.expected) == ("fail", "0x0000beef", f"0x{SAFETY:08x}")
@@ -466,10 +472,10 @@ def test_other_safety_settings_fail(cb3):
 
 
 @pytest.mark.parametrize("wanted", [None, SAFETY])
-def test_a_controller_that_tells_no_safety_checksum_is_warned_of(wanted):
+def test_a_missing_safety_checksum_is_a_warning(wanted):
     facts = PrimaryFacts((3, 15, 8, 1), 2, (0,) * 6, *[(0.0,) * 6] * 4)
     (finding,) = safety_findings("left", ExpectedArm(host="127.0.0.1", safety_checksum=wanted), facts)
-    assert (finding.level, finding.found) == ("warn", "not told by this software")
+    assert (finding.level, finding.found) == ("warn", "not reported by this software")
     assert "pendant" in finding.remedy
 
 
@@ -497,12 +503,12 @@ def test_parameters_of_another_robot_fail():
         ({"checksums": ()}, SettingsError),
     ],
 )
-def test_what_cannot_be_expected_is_refused(values, kind):
+def test_expectations_that_are_not_legal(values, kind):
     with pytest.raises(kind):
         ExpectedArm(**{"host": "127.0.0.1", **values})
 
 
-def test_what_fails():
+def test_only_failures_forbid_a_run():
     ok, warn, fail = (Finding("left", "x", level, "y") for level in ("ok", "warn", "fail"))
     assert not any_fails([ok, warn])
     assert any_fails([ok, fail, warn])
@@ -525,8 +531,8 @@ def test_the_command_prints_and_fails_if_something_does(cb3):
     assert "Traceback" not in text
 
 
-def test_the_command_is_content_with_warnings(cb3, monkeypatch):
-    monkeypatch.setattr("dual_ur10.sim2real.commissioning.doctor_state.MOST_ROUND_TRIP_S", 10.0)
+def test_warnings_do_not_fail_the_command(cb3, monkeypatch):
+    monkeypatch.setattr("dual_ur10.sim2real.commissioning.findings.MOST_ROUND_TRIP_S", 10.0)
     monkeypatch.setattr(doctor, "stream_findings", lambda *_: [])
     code, text = run("--left", cb3.left, "--right", cb3.right)
     assert code == 0, text
@@ -540,15 +546,15 @@ def test_the_command_is_content_with_warnings(cb3, monkeypatch):
         (("--left", "127.0.0.1", "--right", "127.0.0.2", "--family", "cb2"), "e-series"),
     ],
 )
-def test_what_cannot_be_is_one_line_and_exit_code_2(arguments, word):
+def test_arguments_that_are_not_legal_are_one_line_and_exit_code_2(arguments, word):
     code, text = run(*arguments)
     assert code == 2
     assert word in text
     assert len(text.strip().splitlines()) == 1
 
 
-def test_a_cell_file_says_what_is_expected(tmp_path, monkeypatch):
-    monkeypatch.setattr("dual_ur10.sim2real.commissioning.doctor_state.MOST_ROUND_TRIP_S", 10.0)
+def test_a_cell_file_states_what_is_expected(tmp_path, monkeypatch):
+    monkeypatch.setattr("dual_ur10.sim2real.commissioning.findings.MOST_ROUND_TRIP_S", 10.0)
     monkeypatch.setattr(doctor, "stream_findings", lambda *_: [])
     file = tmp_path / "cell.toml"
     with EmulatedCell(plant="nominal", cell=str(file)) as cell:

@@ -1,34 +1,39 @@
-"""What a controller's state says about whether an arm is ready: pure functions from what was read to findings."""
+"""Findings of the doctor: pure functions that compare what was read of an arm with what is expected of it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 
-from dual_ur10.errors import SettingsError
+from dual_ur10.errors import LinkError, SettingsError, UnknownNameError
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, quat_to_rotvec
 from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
-from dual_ur10.sim2real.commissioning.doctor_findings import ExpectedArm, Finding, judged
+from dual_ur10.sim2real.config.cell_file_entries import ArmEntry
+from dual_ur10.sim2real.control.servoj import Family
 from dual_ur10.sim2real.control.time_scaling import FULL
 from dual_ur10.sim2real.links.arm_status import ArmStatus, name_of, stop_reason
+from dual_ur10.sim2real.links.link_socket import checked_host
 from dual_ur10.sim2real.links.primary_link import PrimaryFacts
 from dual_ur10.sim2real.links.rtde_stream import Sample
 from dual_ur10.sim2real.protocol.modes import RobotMode, RuntimeState, SafetyMode
 
+Level = Literal["ok", "warn", "fail"]
 Version = tuple[int, int, int, int]
 
-# At the start, nothing moves; the sensors' noise is below this.
 REST_RAD_S = 0.01
+"""Joint speed below which an arm is at rest: the noise of its sensors is smaller."""
 
-# A wrong calibration is one that shows: the arms are to work together within a millimetre. A tenth is what a
-# calibration that was read again, or typed in with few digits, may be off.
+# The arms work together within a millimetre, so an error of that size is a wrong calibration. A tenth of it is what
+# reading a calibration again, or typing it in with few digits, may change.
 WRONG_CALIBRATION_M, OTHER_CALIBRATION_M = 1e-3, 1e-4
 
 _TCP_M, _TCP_RAD = 1e-4, 1e-3
 _PAYLOAD_KG, _COG_M = 0.05, 5e-3
-_MOST_JITTER_S = 0.1  # then the state counts as stale, and both arms are stopped
+_MOST_JITTER_S = 0.1  # a state that old counts as stale, and stops both arms
 
 MOST_ROUND_TRIP_S = 0.004
 """Half a control period of a CB3."""
@@ -37,7 +42,7 @@ _UR10 = 2  # robot type of the primary interface: UR's client library
 _TYPES = {1: "UR5", 2: "UR10", 3: "UR3", 4: "UR16", 5: "UR18", 6: "UR8L", 7: "UR20", 8: "UR30", 9: "UR15"}
 _MODELS = {"cb3": ("UR10",), "e-series": ("UR10", "UR10e")}
 
-_POSTURES_RAD = (
+_CONFIGURATIONS_RAD = (
     (0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0),
     (0.0, -np.pi / 2, np.pi / 2, -np.pi / 2, -np.pi / 2, 0.0),
     (1.0, -1.0, 1.5, -2.0, -1.5, 0.5),
@@ -45,14 +50,117 @@ _POSTURES_RAD = (
     (2.5, -0.2, 0.3, 0.4, 0.8, 2.0),
 )
 
-_GIVE = "say it in the cell file, so that it is compared"
+_GIVE = "add it to the cell file, so that it is compared"
 _TO_PENDANT = "correct it in the installation on the pendant, or in the cell file, whichever is wrong"
 
 
+@dataclass(frozen=True)
+class Finding:
+    """Result of one check.
+
+    Attributes:
+        arm: "left", "right", or "cell" for both.
+        name: Name of the check.
+        level: "ok"; "warn" for the operator to decide; "fail" if no run may start.
+        found: Value that was found.
+        expected: Value that was expected.
+        remedy: Action that puts it right; empty if it is in order.
+    """
+
+    arm: str
+    name: str
+    level: Level
+    found: str
+    expected: str = ""
+    remedy: str = ""
+
+    @property
+    def message(self) -> str:
+        """Finding in one line."""
+        expected = f", expected: {self.expected}" if self.expected else ""
+        return f"{self.arm}, {self.name}: {self.found}{expected}" + (f"; {self.remedy}" if self.remedy else "")
+
+
+def judge(
+    arm: str, name: str, good: bool, found: str, expected: str, remedy: str, *, otherwise: Level = "fail"
+) -> Finding:
+    """Return a finding: "ok" if `good`, else of the level `otherwise` and with the remedy."""
+    return Finding(arm, name, "ok", found, expected) if good else Finding(arm, name, otherwise, found, expected, remedy)
+
+
+def link_failure(arm: str, name: str, error: LinkError) -> Finding:
+    """Return the finding of a link that failed. Messages of links end with their remedy."""
+    found, _, remedy = str(error).rpartition("; ")
+    return Finding(arm, name, "fail", found or remedy, "an answer", remedy)
+
+
+def any_fails(findings: Iterable[Finding]) -> bool:
+    """Return True if a finding forbids a run."""
+    return any(each.level == "fail" for each in findings)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExpectedArm:
+    """Expected properties of an arm. None: the value found is reported, and compared with nothing.
+
+    Attributes:
+        host: IPv4 address of its controller.
+        family: "cb3" or "e-series".
+        dh: Calibrated kinematics.
+        checksums: (6,) checksums of the calibration.
+        safety_checksum: Checksum of the safety settings.
+        tcp: (6,) tool centre point from the flange: x, y, z in m, rotation vector in rad.
+        payload_kg: Mass at the flange.
+        payload_cog_m: (3,) its centre of mass from the flange.
+        serial_number: Serial number of the robot, as its dashboard reports it.
+
+    Raises:
+        SettingsError: The address or a length is not legal.
+        UnknownNameError: There is no such family.
+    """
+
+    host: str
+    family: Family = "cb3"
+    dh: DHParameters | None = None
+    checksums: tuple[int, ...] | None = None
+    safety_checksum: int | None = None
+    tcp: tuple[float, ...] | None = None
+    payload_kg: float | None = None
+    payload_cog_m: tuple[float, ...] | None = None
+    serial_number: str | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "host", checked_host(self.host))
+        if self.family not in get_args(Family):
+            raise UnknownNameError("controller family", str(self.family), get_args(Family))
+        for name, value, count in (
+            ("checksums", self.checksums, 6),
+            ("tcp", self.tcp, 6),
+            ("payload_cog_m", self.payload_cog_m, 3),
+        ):
+            if value is not None and len(value) != count:
+                raise SettingsError(f"expected {name} is {value!r}: it has {count} numbers")
+
+
+def expected_of(arm: ArmEntry) -> ExpectedArm:
+    """Return the expectations that a cell file states."""
+    return ExpectedArm(
+        host=arm.host,
+        family=arm.family,
+        dh=arm.mount.dh,
+        checksums=arm.checksum,
+        safety_checksum=arm.safety_checksum,
+        tcp=arm.tcp,
+        payload_kg=arm.payload_kg,
+        payload_cog_m=arm.payload_cog_m,
+        serial_number=arm.serial_number,
+    )
+
+
 def family_findings(arm: str, expected: ExpectedArm, version: Version) -> Iterator[Finding]:
-    """Whether the software is that of the family."""
+    """Check that the software is that of the family."""
     found = "cb3" if version[0] <= 3 else "e-series"
-    yield judged(
+    yield judge(
         arm,
         "family",
         found == expected.family,
@@ -63,26 +171,26 @@ def family_findings(arm: str, expected: ExpectedArm, version: Version) -> Iterat
 
 
 def model_findings(arm: str, expected: ExpectedArm, model: str | None, robot_type: int | None) -> Iterator[Finding]:
-    """Whether it is a UR10.
+    """Check that it is a UR10.
 
     Args:
-        arm: Its name.
-        expected: What it should be.
-        model: As the dashboard says it; None where it does not.
-        robot_type: As the primary interface says it; None where it was not read.
+        arm: Name of the arm.
+        expected: Expected properties.
+        model: Model that the dashboard reports, or None.
+        robot_type: Robot type that the primary interface reports, or None.
     """
     remedy = "this program moves UR10s only: correct the address"
     models = _MODELS[expected.family]
     if model is not None:
-        yield judged(arm, "model", model in models, model, " or ".join(models), remedy)
+        yield judge(arm, "model", model in models, model, " or ".join(models), remedy)
     if robot_type is not None:
         name = _TYPES.get(robot_type, "unknown")
-        yield judged(arm, "robot type", robot_type == _UR10, f"{robot_type} ({name})", f"{_UR10} (UR10)", remedy)
+        yield judge(arm, "robot type", robot_type == _UR10, f"{robot_type} ({name})", f"{_UR10} (UR10)", remedy)
 
 
 def state_findings(arm: str, status: ArmStatus) -> Iterator[Finding]:
-    """Whether the arm is ready to be moved by a program, and is not moved yet."""
-    yield judged(
+    """Check that a program could move the arm, and that none does yet."""
+    yield judge(
         arm,
         "robot mode",
         status.robot_mode == RobotMode.RUNNING,
@@ -90,7 +198,7 @@ def state_findings(arm: str, status: ArmStatus) -> Iterator[Finding]:
         "7 (RUNNING)",
         "power the arm on and release its brakes at the pendant",
     )
-    yield judged(
+    yield judge(
         arm,
         "safety mode",
         status.safety_mode == SafetyMode.NORMAL,
@@ -104,7 +212,7 @@ def state_findings(arm: str, status: ArmStatus) -> Iterator[Finding]:
         yield Finding(
             arm, "status bits", "fail", reason, "none of a stop", "find the cause, and clear it at the pendant"
         )
-    yield judged(
+    yield judge(
         arm,
         "program",
         status.runtime_state == RuntimeState.STOPPED,
@@ -112,7 +220,7 @@ def state_findings(arm: str, status: ArmStatus) -> Iterator[Finding]:
         "1 (STOPPED)",
         "stop the program at the pendant, and end other programs that use this arm",
     )
-    yield judged(
+    yield judge(
         arm,
         "speed slider",
         status.slider >= FULL,
@@ -121,43 +229,43 @@ def state_findings(arm: str, status: ArmStatus) -> Iterator[Finding]:
         "move the slider on the pendant to 100 %; speed_factor in the cell file makes both arms slower together",
     )
     fastest = max(map(abs, status.qd_rad_s))
-    yield judged(
+    yield judge(
         arm,
         "at rest",
         fastest < REST_RAD_S,
         f"{fastest:.4f} rad/s",
         f"less than {REST_RAD_S:g} rad/s",
-        "wait until it stands; see what moves it",
+        "wait until it stops; check what moves it",
     )
 
 
 def tool_findings(arm: str, expected: ExpectedArm, status: ArmStatus) -> Iterator[Finding]:
-    """Whether the controller believes in the same tool and payload."""
+    """Check that the controller is set to the same tool and payload."""
     found = status.tcp_offset
-    text = "not told by this software" if found is None else _row(found, "m, rad")
+    text = "not reported by this software" if found is None else _row(found, "m, rad")
     if expected.tcp is None or found is None:
-        yield Finding(arm, "TCP", "warn", text, "", _GIVE if found is not None else "look at the pendant")
+        yield Finding(arm, "TCP", "warn", text, "", _GIVE if found is not None else "check it at the pendant")
     else:
         off_m = float(np.linalg.norm(np.subtract(found[:3], expected.tcp[:3])))
         off_rad = _angle(found[3:], expected.tcp[3:])
-        yield judged(
+        yield judge(
             arm, "TCP", off_m <= _TCP_M and off_rad <= _TCP_RAD, text, _row(expected.tcp, "m, rad"), _TO_PENDANT
         )
     mass, cog = status.payload_kg, status.payload_cog_m
-    text = "not told by this software" if mass is None or cog is None else f"{mass:.3f} kg at {_row(cog, 'm')}"
+    text = "not reported by this software" if mass is None or cog is None else f"{mass:.3f} kg at {_row(cog, 'm')}"
     if expected.payload_kg is None or mass is None or cog is None:
-        yield Finding(arm, "payload", "warn", text, "", _GIVE if mass is not None else "look at the pendant")
+        yield Finding(arm, "payload", "warn", text, "", _GIVE if mass is not None else "check it at the pendant")
         return
     wanted = expected.payload_cog_m
     # Without mass, there is no centre of it.
     near = wanted is None or mass <= _PAYLOAD_KG or float(np.linalg.norm(np.subtract(cog, wanted))) <= _COG_M
     good = abs(mass - expected.payload_kg) <= _PAYLOAD_KG and near
     at = "" if wanted is None else f" at {_row(wanted, 'm')}"
-    yield judged(arm, "payload", good, text, f"{expected.payload_kg:.3f} kg{at}", _TO_PENDANT)
+    yield judge(arm, "payload", good, text, f"{expected.payload_kg:.3f} kg{at}", _TO_PENDANT)
 
 
 def calibration_findings(arm: str, expected: ExpectedArm, facts: PrimaryFacts) -> Iterator[Finding]:
-    """Whether the arm's kinematics are those that targets are computed with."""
+    """Check that the arm has the kinematics with which targets are computed."""
     remedy = "read the calibration of this arm into the cell file, or correct the address"
     try:
         dh = facts.dh()
@@ -169,8 +277,8 @@ def calibration_findings(arm: str, expected: ExpectedArm, facts: PrimaryFacts) -
     if expected.dh is None:
         yield Finding(arm, "calibration", "warn", f"{text} the nominal UR10's", "", _GIVE)
     else:
-        of = "the nominal UR10's, which the cell file goes by" if expected.dh.is_nominal else "that of the cell file"
-        yield judged(
+        of = "the nominal UR10's, which the cell file uses" if expected.dh.is_nominal else "that of the cell file"
+        yield judge(
             arm,
             "calibration",
             error_m <= OTHER_CALIBRATION_M,
@@ -180,7 +288,7 @@ def calibration_findings(arm: str, expected: ExpectedArm, facts: PrimaryFacts) -
             otherwise="fail" if error_m > WRONG_CALIBRATION_M else "warn",
         )
     if expected.checksums is not None:
-        yield judged(
+        yield judge(
             arm,
             "calibration checksums",
             facts.checksums == tuple(expected.checksums),
@@ -191,50 +299,50 @@ def calibration_findings(arm: str, expected: ExpectedArm, facts: PrimaryFacts) -
 
 
 def safety_findings(arm: str, expected: ExpectedArm, facts: PrimaryFacts) -> Iterator[Finding]:
-    """Whether the safety settings are those with which the risk was assessed."""
+    """Check that the safety settings are those of the risk assessment."""
     found, wanted = facts.safety_checksum, expected.safety_checksum
-    text = "not told by this software" if found is None else f"0x{found:08x}"
-    look = "compare the checksum that the pendant shows with the one in your risk assessment"
-    changed = "they were changed: look at them on the pendant, assess the risk anew, then correct the cell file"
+    text = "not reported by this software" if found is None else f"0x{found:08x}"
+    compare = "compare the checksum that the pendant shows with the one in your risk assessment"
+    changed = "they were changed: check them at the pendant, assess the risk again, then correct the cell file"
     if wanted is None:
-        remedy = look if found is None else f"{look}, then write safety_checksum = {text} in the cell file"
+        remedy = compare if found is None else f"{compare}, then write safety_checksum = {text} in the cell file"
         yield Finding(arm, "safety checksum", "warn", text, "", remedy)
         return
-    yield judged(
+    yield judge(
         arm,
         "safety checksum",
         found == wanted,
         text,
         f"0x{wanted:08x}",
-        look if found is None else changed,
+        compare if found is None else changed,
         otherwise="warn" if found is None else "fail",
     )
 
 
 def flange_error_m(found: DHParameters, expected: DHParameters) -> float:
-    """Largest distance of the flange, over some postures, between two calibrations of an arm, m."""
-    one, other = (flange_pose(_POSTURES_RAD, dh)[0] for dh in (found, expected))
+    """Return the largest distance of the flange between two calibrations, over some configurations, m."""
+    one, other = (flange_pose(_CONFIGURATIONS_RAD, dh)[0] for dh in (found, expected))
     return float(np.linalg.norm(one - other, axis=-1).max())
 
 
 def stream_findings(arm: str, samples: Sequence[Sample], rate_hz: float) -> Iterator[Finding]:
-    """Whether the controller's state comes as often and as evenly as it should.
+    """Check that the controller's state comes at its rate and evenly.
 
     Args:
-        arm: Its name.
-        samples: In a row.
-        rate_hz: How often they should come.
+        arm: Name of the arm.
+        samples: Consecutive samples.
+        rate_hz: Expected rate.
     """
-    remedy = "use a wired network of its own, and see what else burdens the controller and this computer"
+    remedy = "use a wired network of its own, and check what else loads the controller and this computer"
     if len(samples) < 2 or samples[-1].timestamp_s <= samples[0].timestamp_s:
         yield Finding(
-            arm, "RTDE rate", "fail", f"{len(samples)} samples, whose time does not go on", f"{rate_hz:g} Hz", remedy
+            arm, "RTDE rate", "fail", f"{len(samples)} samples, whose time does not advance", f"{rate_hz:g} Hz", remedy
         )
         return
     times = np.array([each.timestamp_s for each in samples])
     delays = np.array([each.arrival_s for each in samples]) - times
     found_hz = (len(samples) - 1) / (times[-1] - times[0])
-    yield judged(
+    yield judge(
         arm,
         "RTDE rate",
         found_hz >= 0.99 * rate_hz,
@@ -245,7 +353,7 @@ def stream_findings(arm: str, samples: Sequence[Sample], rate_hz: float) -> Iter
     )
     jitter_s = float(delays.max() - delays.min())
     most_s = 1.0 / rate_hz
-    yield judged(
+    yield judge(
         arm,
         "RTDE jitter",
         jitter_s <= most_s,
@@ -257,14 +365,14 @@ def stream_findings(arm: str, samples: Sequence[Sample], rate_hz: float) -> Iter
 
 
 def round_trip_findings(arm: str, round_trips_s: Sequence[float]) -> Iterator[Finding]:
-    """Whether answers come soon enough for a target to arrive in its control period.
+    """Check that answers come soon enough for a target to arrive in its control period.
 
     Args:
-        arm: Its name.
-        round_trips_s: Measured, at least one.
+        arm: Name of the arm.
+        round_trips_s: Measured times, at least one.
     """
     median, worst = float(np.median(round_trips_s)), max(round_trips_s)
-    yield judged(
+    yield judge(
         arm,
         "round trip",
         worst <= MOST_ROUND_TRIP_S,
@@ -277,8 +385,8 @@ def round_trip_findings(arm: str, round_trips_s: Sequence[float]) -> Iterator[Fi
 
 def _angle(first: Sequence[float], second: Sequence[float]) -> float:
     """Angle between two orientations, given as rotation vectors, rad."""
-    turn = quat_multiply(quat_conjugate(quat_from_rotvec(first)), quat_from_rotvec(second))
-    return float(np.linalg.norm(quat_to_rotvec(turn)))
+    rotation = quat_multiply(quat_conjugate(quat_from_rotvec(first)), quat_from_rotvec(second))
+    return float(np.linalg.norm(quat_to_rotvec(rotation)))
 
 
 def _row(values: Sequence[float], unit: str) -> str:

@@ -1,0 +1,80 @@
+"""Pages that MkDocs generates from the code: command line, cell file, errors, and the list of decisions."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from pathlib import Path
+from typing import Any
+
+from mkdocs.structure.files import File, Files
+
+
+def command_line() -> str:
+    """Return the reference of all commands and options, as the command line declares them."""
+    import typer
+    from typer.cli import get_docs_for_click
+
+    from dual_ur10.cli.main import app
+
+    command = typer.main.get_command(app)
+    context = typer.Context(command, info_name="dual-ur10")
+    text = get_docs_for_click(obj=command, ctx=context, name="dual-ur10", title="Command line")
+    return re.sub(r"\[/?(?:bold|cyan|dim|red|yellow|green)[^\]]*\]|\[/\]", "", text)
+
+
+def cell_file() -> str:
+    """Return the reference of all keys of a cell file."""
+    from dual_ur10.sim2real.config.cell_file import reference_page
+
+    return reference_page()
+
+
+def errors() -> str:
+    """Return the tree of exceptions with the condition of each."""
+    from dual_ur10 import errors as module
+
+    lines = [
+        "# Errors",
+        "",
+        "Every error of the package is a `DualUR10Error`. Its message holds what was found, what is allowed and what to do.",
+        "",
+    ]
+
+    def branch(kind: type, depth: int) -> None:
+        summary = inspect.getdoc(kind) or ""
+        bases = [each.__name__ for each in kind.__bases__ if each.__module__ == "builtins" and each is not Exception]
+        also = f" (also a `{'`, `'.join(bases)}`)" if bases else ""
+        lines.append(f"{'    ' * depth}- **`{kind.__name__}`**{also}: " + " ".join(summary.split("\n\n")[0].split()))
+        for each in kind.__subclasses__():
+            if each.__module__ == module.__name__:
+                branch(each, depth + 1)
+
+    branch(module.DualUR10Error, 0)
+    return "\n".join(lines) + "\n"
+
+
+def decisions(folder: Path) -> str:
+    """Return the list of decision records with their titles."""
+    rows = []
+    for path in sorted(folder.glob("*.md")):
+        if path.name != "index.md":
+            rows.append(f"- [{path.read_text().splitlines()[0].removeprefix('# ')}]({path.name})")
+    return (
+        "# Decisions\n\nShort records of choices that cost something to find: context, decision, evidence.\n\n"
+        + "\n".join(rows)
+        + "\n"
+    )
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Add the generated pages."""
+    pages = {
+        "reference/cli.md": command_line(),
+        "reference/cell-file.md": cell_file(),
+        "reference/errors.md": errors(),
+        "decisions/index.md": decisions(Path(config["docs_dir"]) / "decisions"),
+    }
+    for name, text in pages.items():
+        files.append(File.generated(config, name, content=text))
+    return files

@@ -1,6 +1,6 @@
 """Cell files: what a cell of two controllers is, in TOML, checked before anything is connected to.
 
-`docs/cell_file.md` lists every key.
+`docs/reference/cell-file.md` lists every key.
 """
 
 from __future__ import annotations
@@ -224,7 +224,7 @@ class CellFile:
             speeds = " and ".join(f"{first:g} {unit}" for first, unit in _FIRST.values())
             notes.append(
                 f"commissioned is false: no arm exceeds {speeds}, whatever its limits are, until the checklist of "
-                "docs/real_robot.md is signed and it is true"
+                "docs/how-to/two-arms.md is signed and it is true"
             )
         if self.speed_factor > FIRST_SPEED_FACTOR:
             notes.append(f"speed_factor is {self.speed_factor:g}: first runs are made at {FIRST_SPEED_FACTOR:g}")

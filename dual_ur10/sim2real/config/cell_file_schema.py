@@ -1,7 +1,7 @@
 """What may stand in a cell file: every table and key, what it means, and what is allowed.
 
 This is the one list of them: the reader checks against it, the template takes its comments from it, and
-`docs/cell_file.md` shows it.
+`docs/reference/cell-file.md` shows it.
 """
 
 from __future__ import annotations

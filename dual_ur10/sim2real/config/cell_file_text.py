@@ -16,7 +16,7 @@ from dual_ur10.sim2real.config.cell_file_schema import rows
 Comment = Callable[[str], str | None]
 
 EXAMPLES: Final = """\
-# More that a cell file may say: take the "# " away from what you need. All keys are in docs/cell_file.md.
+# More that a cell file may say: take the "# " away from what you need. All keys are in docs/reference/cell-file.md.
 #
 # [left.calibration]  # as on the controller; without it, the nominal UR10
 # a_m = [0.0, -0.612, -0.5723, 0.0, 0.0, 0.0]

@@ -1,7 +1,7 @@
 """Fault injection of an emulated cell: faults, operator actions, the camera, and records of what it received.
 
 One JSON object per line, `{"do": "stop", "arm": "left", "mode": 3}`, answered by one: `{"ok": true, "value": ...}` or
-`{"ok": false, "error": "..."}`. `docs/emulated_cell.md` lists all requests.
+`{"ok": false, "error": "..."}`. `docs/reference/emulator.md` lists all requests.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ class Assumptions:
     """Behaviour of a controller that no public document settles.
 
     Each is a switch, so that what depends on it can be tried both ways, and set right once a real controller or URSim
-    has been asked. `docs/emulated_cell.md` lists them with the test that would settle each.
+    has been asked. `docs/reference/emulator.md` lists them with the test that would settle each.
 
     Attributes:
         unlock_wait_s: For how long after a protective stop the dashboard refuses to unlock it.

@@ -1,4 +1,4 @@
-"""Where arms must not go: rows 48 to 52 of the table of faults in `docs/safety.md`."""
+"""Where arms must not go: rows 48 to 52 of the table of faults in `docs/explanation/safety.md`."""
 
 import time
 

@@ -1,4 +1,4 @@
-"""What goes wrong with this machine and its processes: rows 54 to 57 and 59 of the table in `docs/safety.md`."""
+"""What goes wrong with this machine and its processes: rows 54 to 57 and 59 of the table in `docs/explanation/safety.md`."""
 
 import contextlib
 import math

@@ -1,4 +1,4 @@
-"""What goes wrong between this machine and the controllers: rows 17 to 27 of the table in `docs/safety.md`."""
+"""What goes wrong between this machine and the controllers: rows 17 to 27 of the table in `docs/explanation/safety.md`."""
 
 import time
 

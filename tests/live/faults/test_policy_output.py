@@ -1,4 +1,4 @@
-"""What a policy does wrong: rows 1 to 16 of the table of faults in `docs/safety.md`."""
+"""What a policy does wrong: rows 1 to 16 of the table of faults in `docs/explanation/safety.md`."""
 
 import time
 

@@ -1,4 +1,4 @@
-"""Records that cannot be written, and such as must not be played: rows 59 and 60 of the table in `docs/safety.md`."""
+"""Records that cannot be written, and such as must not be played: rows 59 and 60 of the table in `docs/explanation/safety.md`."""
 
 import dataclasses
 import resource

@@ -1,4 +1,4 @@
-"""Reduced mode where the cell file allows it: row 35 of the table in `docs/safety.md`."""
+"""Reduced mode where the cell file allows it: row 35 of the table in `docs/explanation/safety.md`."""
 
 import numpy as np
 import pytest

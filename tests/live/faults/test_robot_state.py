@@ -1,4 +1,4 @@
-"""What goes wrong at a robot while it moves: rows 29 to 43 of the table of faults in `docs/safety.md`."""
+"""What goes wrong at a robot while it moves: rows 29 to 43 of the table of faults in `docs/explanation/safety.md`."""
 
 import contextlib
 import logging

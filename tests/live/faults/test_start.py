@@ -1,4 +1,4 @@
-"""Arms that are not as they should be when somebody wants to begin: rows 26 to 47 and 58 of `docs/safety.md`."""
+"""Arms that are not as they should be when somebody wants to begin: rows 26 to 47 and 58 of `docs/explanation/safety.md`."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""How soon one arm is stopped after the other, for every code that it may tell: row 29 in `docs/safety.md`."""
+"""How soon one arm is stopped after the other, for every code that it may tell: row 29 in `docs/explanation/safety.md`."""
 
 import itertools
 import random

@@ -8,7 +8,7 @@ import numpy as np
 from dual_ur10.kinematics.ur10 import HARD_SPEED_RAD_S
 
 SERVOJ = 11  # ur_rtde's number of the command
-STOP_RAD_S2, STOP_RAD_S3 = 4.0, 200.0  # of a stop, by docs/safety.md
+STOP_RAD_S2, STOP_RAD_S3 = 4.0, 200.0  # of a stop, by docs/explanation/safety.md
 RAMP_TICKS = 3  # more than v/a + a/j
 SPARE_TICKS = 2  # for what is on its way
 _OVER = 5  # packages over which a speed is taken: a busy machine delivers two in one control period
@@ -16,7 +16,7 @@ _EARLY_S = 0.004  # by which a package may come early or late; less than a contr
 _ARRIVED_S = 0.5  # until what was noted as sent has come, however busy the machine is
 _ON_THE_WAY = 4  # packages that a controller whose program ends does not take
 _NEAR = 25  # packages that are compared with each other
-_BETWEEN = 1.05  # of a limit; docs/safety.md
+_BETWEEN = 1.05  # of a limit; docs/explanation/safety.md
 _IN_STEP = 0.6  # of the packages come in the control period that they are for
 
 

@@ -37,7 +37,7 @@ def errors() -> str:
     lines = [
         "# Errors",
         "",
-        "Every error of the package is a `DualUR10Error`. Its message holds what was found, what is allowed and what to do.",
+        "Every error is a `DualUR10Error`. Its message says what was found, what is allowed and what to do.",
         "",
     ]
 

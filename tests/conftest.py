@@ -1,7 +1,7 @@
 """Same conditions wherever the tests run."""
 
+import inspect
 import os
-from pathlib import Path
 
 import pytest
 
@@ -10,19 +10,8 @@ from tests.busy_machine import BusyMachine
 # Workers of pytest-xdist get the width of the terminal; rich takes it when a console is made, at import.
 os.environ.pop("COLUMNS", None)
 
-_EMULATED = ("conformance", "live", "cli/test_cell.py", "cli/test_demo.py", "test_testing.py")
-_REAL_TIME = (
-    "live",
-    "cli/test_cell.py",
-    "cli/test_demo.py",
-    "sim2real/analysis/test_parity.py",
-    "sim2real/emulator/test_grasp.py",
-    "sim2real/emulator/test_official_examples.py",
-    "sim2real/emulator/test_ur_rtde.py",
-    "sim2real/runtime/test_arm_process.py",
-    "sim2real/runtime/test_rtde_cell.py",
-    "test_testing.py",
-)
+_STARTERS = {"EmulatedCell", "CellForTests", "Lab", "emulated_cell", "measure_emulated"}
+"""Names of what starts emulated controllers."""
 
 
 def pytest_addoption(parser):
@@ -38,14 +27,33 @@ def pytest_configure(config):
         raise pytest.UsageError("--host needs --family, either cb3 or e-series")
 
 
+def _names(function, seen):
+    """Return the names that a function of the tests uses, and those of the functions of its module that it calls."""
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    if code is None or code in seen:
+        return set()
+    seen.add(code)
+    codes = [code, *(each for each in code.co_consts if inspect.iscode(each))]
+    names = {name for each in codes for name in (*each.co_names, *each.co_freevars)}
+    here = inspect.unwrap(function).__globals__
+    called = [here[name] for name in names if inspect.isfunction(here.get(name))]
+    return names.union(*(_names(each, seen) for each in called if each.__module__ == function.__module__))
+
+
+def starts_controllers(item):
+    """Check whether a test, one of its fixtures or a helper in their modules starts emulated controllers."""
+    fixtures = [each.func for found in item._fixtureinfo.name2fixturedefs.values() for each in found]
+    used = set(item.fixturenames).union(*(_names(each, set()) for each in (item.function, *fixtures)))
+    return not used.isdisjoint(_STARTERS)
+
+
 def pytest_itemcollected(item):
-    """Mark tests of emulated controllers, and those of them that stream to arms: `make test` runs them apart."""
-    path = item.path.relative_to(Path(__file__).parent).as_posix()
-    if path.startswith(_EMULATED) or any(name in vars(item.module) for name in ("EmulatedCell", "Lab")):
+    """Mark tests of emulated controllers, and those of them that stream targets: `make test` runs them apart."""
+    if isinstance(item, pytest.Function) and starts_controllers(item):
         item.add_marker(pytest.mark.emulated)
         item.add_marker(BusyMachine.mark())
-    if path.startswith(_REAL_TIME):
-        item.add_marker(pytest.mark.real_time)
+        if item.get_closest_marker("streams"):
+            item.add_marker(pytest.mark.real_time)
 
 
 @pytest.fixture(scope="session", autouse=True)

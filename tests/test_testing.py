@@ -13,9 +13,11 @@ from dual_ur10.errors import CellFaulted, PolicyError, SettingsError, UnknownNam
 from dual_ur10.sim2real.runtime.latch import state_folder
 from dual_ur10.testing import CellForTests, check_policy
 
+pytestmark = pytest.mark.streams
+
 SINE = "DualUR10/SineTracking-v0"
 SHORT = {"duration_s": 0.8}
-DOCUMENT = Path(__file__).parents[1] / "docs" / "ci.md"
+DOCUMENT = Path(__file__).parents[1] / "docs" / "how-to" / "policy-in-ci.md"
 
 
 class Good:
@@ -255,6 +257,8 @@ def test_options(emulated_cell):
 """
 
 
+@pytest.mark.emulated
+@pytest.mark.real_time
 def test_the_documents_example_in_another_project(tmp_path, monkeypatch):
     conftest, tests = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)
     (tmp_path / "conftest.py").write_text(conftest)

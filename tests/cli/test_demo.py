@@ -27,6 +27,8 @@ from dual_ur10.sim2real.analysis.page import number, render
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.recording.reader import read_run
 
+pytestmark = pytest.mark.streams
+
 SIZE = (film.HEIGHT, film.WIDTH)
 VOID = {"meta", "img", "br"}
 MOST_MM = 15.0  # placing error of a success

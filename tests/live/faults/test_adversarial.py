@@ -7,6 +7,8 @@ import pytest
 
 from tests import soak
 
+pytestmark = pytest.mark.streams
+
 TICKS, PARTS = (5_000, 10) if soak.SOAK else (500, 1)
 """Of both arms together, and how often for each kind of policy: 200,000 in a soak. A machine that stands still for some
 control periods stops the arms, so that no part may take long; and a twentieth would take 40 s and more."""

@@ -10,6 +10,8 @@ from dual_ur10.sim2real.runtime.safety_monitor import _seen
 from tests import soak
 from tests.live.faults.lab import ARMS, Lab
 
+pytestmark = pytest.mark.streams
+
 ROD = """
 [[obstacle]]
 name = "rod"

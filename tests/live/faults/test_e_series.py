@@ -5,6 +5,8 @@ import pytest
 from dual_ur10.errors import StartError
 from tests.live.faults.lab import ARMS, Lab
 
+pytestmark = pytest.mark.streams
+
 
 @pytest.fixture
 def lab(tmp_path):

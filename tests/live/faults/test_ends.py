@@ -14,6 +14,8 @@ from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.runtime.arm_memory import Phase
 from dual_ur10.sim2real.runtime.arm_sender import ArmSender
 
+pytestmark = pytest.mark.streams
+
 
 @pytest.mark.parametrize("arm", [0, 1])
 @pytest.mark.parametrize("wait_s", [0.15, 1.0])

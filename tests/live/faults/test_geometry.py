@@ -10,6 +10,8 @@ from dual_ur10.sim2real.control.singularity import HALT_CONDITION, SLOW_CONDITIO
 from tests import soak
 from tests.live.faults.lab import ARMS
 
+pytestmark = pytest.mark.streams
+
 WALL = """
 [[obstacle]]
 name = "wall"

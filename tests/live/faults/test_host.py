@@ -1,4 +1,4 @@
-"""What goes wrong with this machine and its processes: rows 54 to 57 and 59 of the table in `docs/explanation/safety.md`."""
+"""Faults of this machine and its processes: rows 54 to 57 and 59 of the fault table in docs/explanation/safety.md."""
 
 import contextlib
 import math
@@ -15,6 +15,8 @@ from dual_ur10.sim2real.recording.reader import read_run
 from tests import soak
 from tests.live.faults.lab import assert_gone, descendants
 from tests.live.faults.wire import demand
+
+pytestmark = pytest.mark.streams
 
 TICK_S = 0.008
 LATCHED = "the program that gives targets has ended"

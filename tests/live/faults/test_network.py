@@ -1,4 +1,4 @@
-"""What goes wrong between this machine and the controllers: rows 17 to 27 of the table in `docs/explanation/safety.md`."""
+"""Faults of the network: rows 17 to 27 of the fault table in docs/explanation/safety.md."""
 
 import time
 
@@ -10,6 +10,8 @@ from dual_ur10.sim2real.protocol.rtde import Kind
 from dual_ur10.sim2real.runtime import runner
 from tests import soak
 from tests.live.faults.lab import ARMS
+
+pytestmark = pytest.mark.streams
 
 PORTS = {"dashboard": 29999, "primary": 30001, "realtime": 30003, "rtde": 30004}
 SILENT_TICKS = 17  # 0.1 s until what is silent counts as lost, and what is on its way

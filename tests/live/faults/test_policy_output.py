@@ -14,6 +14,8 @@ from dual_ur10.sim2real.recording.run import LATE
 from tests import soak
 from tests.live.faults.lab import ARMS, Swing, assert_gone, descendants
 
+pytestmark = pytest.mark.streams
+
 
 def with_number(value, arm=0, joint=2, kind=np.float32):
     action = np.zeros((2, 6), dtype=kind)

@@ -5,6 +5,9 @@ import sys
 
 import gymnasium as gym
 import numpy as np
+import pytest
+
+pytestmark = pytest.mark.streams
 
 LATENCY = 16  # ticks: two processes that take turns need more of them than one
 

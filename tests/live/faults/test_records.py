@@ -1,4 +1,4 @@
-"""Records that cannot be written, and such as must not be played: rows 59 and 60 of the table in `docs/explanation/safety.md`."""
+"""Records that cannot be written or must not be replayed: rows 59 and 60 of docs/explanation/safety.md."""
 
 import dataclasses
 import resource
@@ -12,6 +12,8 @@ from dual_ur10.errors import RecordingError
 from dual_ur10.sim2real.analysis.replay import replay
 from dual_ur10.sim2real.recording.reader import read_run
 from tests.live.faults.lab import ARMS, Swing
+
+pytestmark = pytest.mark.streams
 
 WRITTEN_TICKS = 150  # until the recorder writes, and the program hears of it
 

@@ -6,6 +6,8 @@ import pytest
 from dual_ur10.errors import StartError
 from dual_ur10.sim2real.runtime.safety_monitor import REDUCED_SCALING
 
+pytestmark = pytest.mark.streams
+
 
 @pytest.mark.parametrize("arm", ["left", "right"])
 def test_35_reduced_mode_slows_both_alike_where_it_is_allowed(lab, arm):

@@ -12,6 +12,8 @@ from dual_ur10.sim2real.runtime.arm_sender import root_cause
 from tests import soak
 from tests.live.faults.lab import ARMS
 
+pytestmark = pytest.mark.streams
+
 MODES = [3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 99, 255]
 
 

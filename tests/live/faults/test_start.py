@@ -1,4 +1,4 @@
-"""Arms that are not as they should be when somebody wants to begin: rows 26 to 47 and 58 of `docs/explanation/safety.md`."""
+"""Arms in a wrong state at the start: rows 26 to 47 and 58 of docs/explanation/safety.md."""
 
 import os
 import subprocess
@@ -12,6 +12,8 @@ from dual_ur10.errors import CellBusyError, CellFaulted, SettingsError, StartErr
 from dual_ur10.sim2real.runtime.latch import state_folder
 from tests import soak
 from tests.live.faults.lab import ARMS
+
+pytestmark = pytest.mark.streams
 
 
 def joints(lab, arm):

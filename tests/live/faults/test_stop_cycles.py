@@ -1,4 +1,4 @@
-"""How soon one arm is stopped after the other, for every code that it may tell: row 29 in `docs/explanation/safety.md`."""
+"""Control periods until the other arm stops, for every stop code: row 29 of docs/explanation/safety.md."""
 
 import itertools
 import random
@@ -8,6 +8,8 @@ import pytest
 
 from benchmarks.runner import CODES, SpoiledError, ready, stop
 from tests.soak import scaled
+
+pytestmark = pytest.mark.streams
 
 TRIALS = scaled(200)
 SPOILED = max(5, TRIALS // 5)

@@ -10,6 +10,8 @@ from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.recording.reader import read_run
 from tests import soak
 
+pytestmark = pytest.mark.streams
+
 ARMS = ("left", "right")
 TICKS = soak.scaled(10_000)
 LATENCY = 100  # so long that no machine is too slow, and nothing else changes by it

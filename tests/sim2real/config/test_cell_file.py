@@ -832,13 +832,13 @@ def row_of(path: str, key: Key) -> str:
 
 
 def test_the_documents_list_every_key() -> None:
-    text = (ROOT / "docs" / "cell_file.md").read_text()
+    text = (ROOT / "docs" / "reference" / "cell-file.md").read_text()
     found = [line for line in text.splitlines() if line.startswith("| `")]
     assert found == [row_of(path, key) for path, key in rows()]
 
 
 def test_the_documents_example_is_legal(tmp_path: Path) -> None:
-    blocks = re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / "cell_file.md").read_text(), re.DOTALL)
+    blocks = re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / "reference" / "cell-file.md").read_text(), re.DOTALL)
     assert blocks
     for block in blocks:
         assert loaded(tmp_path, block).kind == "real"

@@ -20,7 +20,7 @@ from tests.sim2real.emulator import rtde_bytes
 from tests.sim2real.emulator.ticking import Cell, program
 from tests.soak import scaled
 
-DOCS = Path(__file__).parents[3] / "docs" / "emulated_cell.md"
+DOCS = Path(__file__).parents[3] / "docs" / "reference" / "emulator.md"
 REQUESTS = sorted(
     ["info", "state", "pose", "place", "setpoints", "received", "clients", "stop", "release", "reduce", "press",
      "slider", "remote", "input", "program", "link", "heal", "drop", "refuse", "override", "watchdog", "script_delay",

@@ -13,6 +13,8 @@ from dual_ur10.kinematics.rotations import quat_multiply, quat_to_rotvec, rotate
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 
+pytestmark = pytest.mark.streams
+
 ARMS = ("left", "right")
 
 

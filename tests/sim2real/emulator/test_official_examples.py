@@ -18,7 +18,10 @@ from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 SOURCE = Path(sys.prefix) / "sdist" / "ur_rtde-1.6.5.tar.gz"
 START = [-1.54, -1.83, -2.28, -0.59, 1.60, 0.023]
 
-pytestmark = pytest.mark.skipif(not SOURCE.exists(), reason="`make install` fetches the source of ur_rtde")
+pytestmark = [
+    pytest.mark.skipif(not SOURCE.exists(), reason="`make install` fetches the source of ur_rtde"),
+    pytest.mark.streams,
+]
 
 
 @pytest.fixture(scope="module")

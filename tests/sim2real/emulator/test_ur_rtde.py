@@ -19,9 +19,12 @@ from tests.soak import scaled
 
 FAMILIES = ("cb3", "e-series")
 
-pytestmark = pytest.mark.skipif(
-    not sys.platform.startswith("linux"), reason="loopback addresses other than 127.0.0.1 exist on Linux only"
-)
+pytestmark = [
+    pytest.mark.streams,
+    pytest.mark.skipif(
+        not sys.platform.startswith("linux"), reason="loopback addresses other than 127.0.0.1 exist on Linux only"
+    ),
+]
 
 
 @pytest.fixture(scope="module", params=FAMILIES)

@@ -15,6 +15,8 @@ from dual_ur10.sim2real.runtime.arm_process import ArmConnection, ArmProcess, _r
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.stop_ramp import STOP_RAD_S2, STOP_RAD_S3
 
+pytestmark = pytest.mark.streams
+
 ARMS = ("left", "right")
 SERVOJ = ServojProfile("cb3", 0.03, 2000.0)
 TICK_S = SERVOJ.tick_s

@@ -31,6 +31,8 @@ from dual_ur10.sim2real.runtime.latch import state_folder
 from tests.live.faults.lab import Lab, Swing, assert_gone, descendants
 from tests.live.faults.wire import derivative
 
+pytestmark = pytest.mark.streams
+
 HANDOVER, SINE = "DualUR10/Handover-v0", "DualUR10/SineTracking-v0"
 
 

@@ -1,4 +1,4 @@
-"""URScript: programs of UR controllers, read, checked and run a control period at a time."""
+"""URScript interpreter: parse, check and run programs of UR controllers, one control period at a time."""
 
 from dual_ur10.sim2real.emulator.script.compiled import Program, parse, read
 from dual_ur10.sim2real.emulator.script.library import library

@@ -1,4 +1,4 @@
-"""Which functions may block, which may call themselves, and whether calls fit what they call."""
+"""Call analysis: blocking and recursive functions, and the fit of arguments to parameters."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from dual_ur10.sim2real.emulator.script.values import Builtins
 
 
 class Calls:
-    """The calls of a program, checked.
+    """Checked calls of a program.
 
     Attributes:
-        used: Whether each builtin that the program calls blocks, by name.
+        used: For each builtin that the program calls, by name, whether it blocks.
 
     Raises:
-        ScriptSyntaxError: A call names nothing that exists, or does not fit it.
+        ScriptSyntaxError: A call names an unknown function, or its arguments do not fit.
     """
 
     def __init__(self, names: Names, builtins: Builtins) -> None:
@@ -49,7 +49,7 @@ class Calls:
         _mark_recursive(names, callers, callees)
 
     def _builtin(self, call: Call) -> bool:
-        """Check the call of a builtin, and say whether it blocks."""
+        """Check the call of a builtin and return whether it blocks."""
         name = str(call.at)
         if name not in self._builtins:
             raise syntax_error(call.at, "there is no such function")
@@ -101,7 +101,7 @@ def _fit(call: Call, function: Function) -> None:
 
 
 def _mark_recursive(names: Names, callers: dict[int, list[Function]], callees: dict[int, list[Function]]) -> None:
-    # What calls nothing, or only what is taken away, is taken away; what remains is in a cycle, or leads into one.
+    # Remove functions that call nothing that is left. The rest are in a cycle, or lead into one.
     open_calls = {id(function): len(callees.get(id(function), ())) for function in names.functions.values()}
     done = [function for function in names.functions.values() if not open_calls[id(function)]]
     for function in names.functions.values():

@@ -1,4 +1,4 @@
-"""Programs, ready to run."""
+"""Programs ready to run: parsing, checking and compiling, with a cache."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from dual_ur10.sim2real.emulator.script.syntax import Define, syntax_error
 from dual_ur10.sim2real.emulator.script.values import Builtins
 
 UNNAMED: Final = "unnamed"
-"""The name of a program that is not within a `def`."""
+"""Name of a program without an enclosing `def`."""
 
 _CACHE_MAX: Final = 16
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A program that was read and checked.
+    """Parsed, checked and compiled program.
 
     Attributes:
-        name: Of the function that the program is, or "unnamed".
+        name: Name of the program's function, or "unnamed".
         is_secondary: Whether it is a secondary program (`sec`), which runs beside the main one.
-        lines: Its text.
+        lines: Source lines.
         code: Python code that runs it.
-        used: The builtins that it calls, each with its parameters and whether it blocks.
+        used: Builtins that it calls, by name: whether each blocks, and its parameters.
     """
 
     name: str
@@ -46,33 +46,34 @@ class Program:
     used: Mapping[str, tuple[bool, str]]
 
     def check(self, builtins: Builtins) -> None:
-        """Check that these builtins are like those that the program was read for.
+        """Check that builtins match those that the program was parsed for.
 
         Raises:
-            SettingsError: One is missing or other than it was.
+            SettingsError: One is missing, or has another kind or other parameters.
         """
         for name, interface in self.used.items():
             if name not in builtins or _interface(builtins, name) != interface:
-                raise SettingsError(f"builtin {name!r} is not as it was when the program was read: {interface}")
+                raise SettingsError(
+                    f"builtin {name!r} differs from the one that the program was parsed for: {interface}"
+                )
 
 
-# A client sends the same text at each of its connections.
+# Clients send the same text with every connection.
 _CACHE: Final[OrderedDict[str, Program]] = OrderedDict()
-_CACHE_LOCK: Final = Lock()  # programs may be read by several threads
+_CACHE_LOCK: Final = Lock()  # several threads may parse programs
 
 
 def parse(text: str, builtins: Builtins) -> Program:
-    r"""Read a program.
+    r"""Parse a program.
 
     Args:
         text: A program of its own (`def name(): .. end` or `sec name(): .. end`), or statements. Lines end with \n or
             \r\n.
-        builtins: The functions that it may call, by name; generator functions block. They are not called here, and
-            the program runs with any others of the same names, parameters and kinds.
+        builtins: Functions that it may call, by name. Generator functions block. None is called here: the program can
+            run with any others of the same names, parameters and kinds.
 
     Raises:
-        ScriptSyntaxError: The text does not follow the grammar, or uses a name that does not exist or in a way in
-            which it cannot be used.
+        ScriptSyntaxError: The text does not follow the grammar, or uses a name that is unknown or does not fit.
     """
     known = _CACHE.get(text)
     if known is not None:
@@ -118,7 +119,7 @@ def _interface(builtins: Builtins, name: str) -> tuple[bool, str]:
 
 
 def read(text: str, builtins: Builtins) -> Program | ScriptError:
-    """Read a program, or find what is wrong with it; in another thread than it runs in, if that is wished."""
+    """Parse a program, and return it or its error. Any thread may call this."""
     try:
         return parse(text, builtins)
     except ScriptError as error:

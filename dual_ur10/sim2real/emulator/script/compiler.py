@@ -1,13 +1,13 @@
-"""From the tree of a program to Python code that runs it.
+"""Compiler from the syntax tree of a program to Python code.
 
-Each function becomes a Python function of the same structure: one that may block is a generator, all others are plain.
-No name of the program is a name in Python: variables begin with `v_` or, if they are global, `g_`, functions with
-`f_`, builtins with `b_`, and what belongs to the machine with `n_`. Nothing else can be named, and no attribute can be
-written, so a program reaches what it was given and nothing of Python. Every node carries the line and column of the
-word that it stands for: so Python's own tables say where a running program fails.
+Each function becomes a Python function of the same structure: a generator if it may block, else a plain function.
+Names of the program never become Python names: variables begin with `v_` or, if global, with `g_`, functions with
+`f_`, builtins with `b_`, and functions of the machine with `n_`. Nothing else can be named and no attribute can be
+written, so a program reaches its builtins and nothing of Python. Every node carries line and column of its word, so
+Python's own tables locate the failure of a running program.
 
-`n_steps` counts down what a thread may still do in this control period: loops take the number of statements in them,
-functions one for each call.
+`n_steps` counts down the statements that a thread may still run in this control period: a loop takes the number of
+its statements per iteration, a function one per call.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ from dual_ur10.sim2real.emulator.script.syntax import (
 from dual_ur10.sim2real.emulator.script.values import Builtins
 
 FILE: Final = "<URScript>"
-"""The name of the code's file, by which its frames are known."""
+"""File name of the code, by which its frames are recognised."""
 
 MAIN: Final = "f_"
-"""The program's function; no function of a program is called so."""
+"""Name of the program's main function. No function of a program has this name."""
 
-# Names of the operations in the code; an operator is no identifier.
+# Identifiers of the operations in the code.
 NAMES: Final = {word: f"n_op{index}" for index, word in enumerate(OPERATIONS)}
 
 _EQUALITY: Final = {"==": ast.Eq, "!=": ast.NotEq}
@@ -65,17 +65,17 @@ _STORE: Final = ast.Store()
 
 
 def generate(program: Define, names: Names, calls: Calls, builtins: Builtins) -> CodeType:
-    """The code of a program: a module that defines its main function, `MAIN`.
+    """Return the code of a program: a module that defines its main function, `MAIN`.
 
     Raises:
-        ScriptSyntaxError: The program uses a variable that nothing assigns, or a statement where it cannot stand.
+        ScriptSyntaxError: A variable is never assigned, or a statement stands where it must not.
     """
     main = _FunctionCompiler(names, calls, builtins, names.functions[id(program)]).function(MAIN, [], [])
     return compile(ast.Module(body=[main], type_ignores=[]), FILE, "exec")
 
 
 class _FunctionCompiler:
-    """Code of one function."""
+    """Compiler of one function."""
 
     def __init__(self, names: Names, calls: Calls, builtins: Builtins, function: Function) -> None:
         self._names, self._calls, self._builtins, self._function = names, calls, builtins, function
@@ -84,12 +84,12 @@ class _FunctionCompiler:
         self._loops = 0
 
     def function(self, name: str, parameters: list[str], defaults: list[ast.expr]) -> ast.FunctionDef:
-        """The definition of the function in Python."""
+        """Return the definition of the function in Python."""
         function, where = self._function, _where(self._function.define.at)
         body = self._block(function.define.body)
         start = self._step(function.define.at, 1)
         if function.define.kind == "thread" or function.parent is None:
-            # It is a generator whatever is in it.
+            # Force a generator, whatever the body is.
             never = ast.Expr(ast.Yield(None, **where), **where)
             start.append(ast.If(ast.Constant(False, **where), [never], [], **where))
         if function.recursive:
@@ -130,7 +130,7 @@ class _FunctionCompiler:
             if place is None:
                 return [ast.Expr(self._output(node, value), **where)]
             operation = "put" if len(node.items) == 1 else "put_cell"
-            # The value first: what it calls may change the list.
+            # The value first: its calls may change the list.
             arguments = [value, self._variable(node.at), *map(self._expression, node.items)]
             value = _operation(where, operation, arguments)
         elif node.qualifier == "local":
@@ -141,7 +141,7 @@ class _FunctionCompiler:
         return [ast.Assign([target], value, **where)]
 
     def _output(self, node: Assign, value: ast.expr) -> ast.expr:
-        # digital_out[n] = value: how outputs were set before there were functions for it.
+        # digital_out[n] = value: the syntax of old programs.
         builtin = f"set_{node.at}"
         if node.at != "digital_out" or builtin not in self._builtins or len(node.items) != 1:
             raise syntax_error(node.at, "nothing assigns this variable")
@@ -310,7 +310,7 @@ def _mangled(name: str, place: str) -> str:
 
 
 def _size(body: list[Statement]) -> int:
-    """Statements of a block, without those of loops in it, which count for themselves."""
+    """Count the statements of a block, without those of nested loops, which count for themselves."""
     count = len(body)
     for node in body:
         if isinstance(node, If):

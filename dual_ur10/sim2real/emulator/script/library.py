@@ -1,6 +1,6 @@
 """Functions of URScript that need no robot.
 
-Their parameters have the names of UR's script manual, by which programs may give them.
+Parameter names are those of UR's script manual, since programs may pass arguments by name.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _BITS: Final = 32
 
 
 def library(tick_s: float) -> dict[str, Callable[..., Any]]:
-    """All functions that need no robot, by name; `sleep` counts control periods of `tick_s`."""
+    """Return all functions that need no robot, by name; `sleep` counts control periods of `tick_s`."""
     return {**_FUNCTIONS, **machine_functions(tick_s)}
 
 
@@ -73,12 +73,12 @@ def log(b: float, f: float) -> float:
 
 
 def ceil(f: float) -> int:
-    """Up to an integer."""
+    """Round up to an integer."""
     return _integer(math.ceil(number(f)))
 
 
 def floor(f: float) -> int:
-    """Down to an integer."""
+    """Round down to an integer."""
     return _integer(math.floor(number(f)))
 
 
@@ -93,31 +93,31 @@ def r2d(r: float) -> float:
 
 
 def random() -> float:
-    """A number from 0 to 1."""
+    """Return a number from 0 to 1."""
     return _random.random()
 
 
 def norm(a: float | list[float]) -> float:
-    """Absolute value of a number, length of a vector; of a pose, of all six numbers."""
+    """Absolute value of a number, length of a vector, or norm of all six numbers of a pose."""
     if isinstance(a, list):
         return math.hypot(*map(number, a))
     return abs(number(a))
 
 
 def length(v: list[Any] | str) -> int:
-    """Elements of a list, or characters of a string."""
+    """Number of elements of a list, or of characters of a string."""
     if isinstance(v, (list, str)):
         return len(v)
     raise TypeError(f"expected a list or a string, found {kind(v)}")
 
 
 def get_list_length(v: list[Any]) -> int:
-    """Elements of a list."""
+    """Number of elements of a list."""
     return len(_list(v))
 
 
 def binary_list_to_integer(l: list[bool]) -> int:  # noqa: E741
-    """The integer of up to 32 bits, of which the first is the lowest."""
+    """Return the integer of up to 32 bits, lowest bit first."""
     bits = [bool(number(bit)) for bit in _list(l)]
     if len(bits) > _BITS:
         raise ValueError(f"expected at most {_BITS} bits, found {len(bits)}")
@@ -126,58 +126,58 @@ def binary_list_to_integer(l: list[bool]) -> int:  # noqa: E741
 
 
 def integer_to_binary_list(x: int) -> list[bool]:
-    """32 bits of an integer, the lowest first."""
+    """32 bits of an integer, lowest bit first."""
     value = integer(x)
     return [bool(value >> bit & 1) for bit in range(_BITS)]
 
 
 def str_at(src: str, index: int) -> str:
-    """A character of a string."""
+    """Return one character of a string."""
     if not 0 <= integer(index) < len(_text(src)):
         raise IndexError(f"the index {index} is outside of 0 to {len(src) - 1}")
     return src[index]
 
 
 def str_cat(op1: str, op2: str) -> str:
-    """Two strings, one after the other."""
+    """Concatenate two strings."""
     return _limited(_text(op1) + _text(op2))
 
 
 def str_empty(str: str) -> bool:  # noqa: A002
-    """Whether a string has no characters."""
+    """Return True if a string has no characters."""
     return not _text(str)
 
 
 def str_find(src: str, target: str, start_from: int = 0) -> int:
-    """Where `target` is found in `src` from an index on, or -1."""
+    """Find `target` in `src` from an index on; -1 if it is not there."""
     if integer(start_from) < 0:
         raise IndexError(f"start_from is at least 0, found {start_from}")
     return _text(src).find(_text(target), start_from)
 
 
 def str_len(str: str) -> int:  # noqa: A002
-    """How many characters a string has."""
+    """Number of characters of a string."""
     return len(_text(str))
 
 
 def str_sub(src: str, index: int, len: int = -1) -> str:  # noqa: A002
-    """`len` characters of a string from an index on, or all."""
+    """Substring of `len` characters from an index on, or of all that follow."""
     if integer(index) < 0:
         raise IndexError(f"the index is at least 0, found {index}")
     return _text(src)[index:] if integer(len) < 0 else _text(src)[index : index + len]
 
 
 def to_num(str: str) -> float | int:  # noqa: A002
-    """The number that a string says."""
+    """Parse a number."""
     word = _text(str).strip()
-    # The length first: Python reads long integers slowly, or not at all.
+    # Check the length first: Python parses long integers slowly, or refuses them.
     if len(word) <= 11 and word.lstrip("+-").isdecimal():
         return _integer(int(word))
     return float(word)
 
 
 def to_str(val: Any) -> str:
-    """A value as a string."""
+    """Format a value."""
     return _limited(text(val))
 
 

@@ -1,4 +1,4 @@
-"""Runs a program, one control period at a time."""
+"""Virtual machine that runs a program, one control period at a time."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ log = logging.getLogger(__name__)
 Steps = Generator[None, None, Any]
 
 THREADS_MAX: Final = 50
-"""Most threads of a program, and most that may be started in one control period."""
+"""Most threads of a program, and most threads started in one control period."""
 
 CALLS_MAX: Final = 100
-"""How deep functions that call themselves may be within each other."""
+"""Greatest depth of recursive calls."""
 
-# What a program can do wrong. Anything else that comes out of a builtin is a mistake in it.
+# Errors that a program can cause. Any other exception of a builtin is a bug in that builtin.
 _FAULTS: Final = (DualUR10Error, TypeError, ValueError, ArithmeticError, LookupError, NameError, RecursionError)
 
 
 class _HaltError(Exception):
-    """The program says `halt`."""
+    """Raised by the statement `halt`."""
 
 
 class _KillError(Exception):
-    """A thread kills itself."""
+    """Raised when a thread kills itself."""
 
 
 class Thread:
-    """A thread of a running program. Its identity is the object's.
+    """Thread of a running program, compared by identity.
 
     Attributes:
-        name: Of its text.
-        handle: What `run` gives; 0 is the program itself.
+        name: Name in the program's text.
+        handle: Number that `run` returns; 0 is the program itself.
         alive: Whether it has not ended.
-        critical: How many critical sections it is in.
-        depth: How deep it is in functions that call themselves.
+        critical: Depth of nested critical sections.
+        depth: Depth of nested recursive calls.
     """
 
     __slots__ = ("alive", "critical", "depth", "handle", "name", "steps")
@@ -55,24 +55,25 @@ class Thread:
 
 
 class Machine:
-    """A running program.
+    """Running program.
 
-    Each control period every thread runs once, in the order in which they were started, until it blocks or ends. While
-    one has blocked within `enter_critical` .. `exit_critical`, no other runs. The program ends with its main function,
-    and all of its threads with it.
+    In each control period every thread runs once, in order of their start, until it blocks or ends. While one has
+    blocked within `enter_critical` .. `exit_critical`, no other thread runs. The program ends with its main function,
+    together with all of its threads.
 
     Args:
-        program: What to run.
-        builtins: The functions that it calls; a generator function blocks its thread, at each `yield` for the rest of
-            the control period. At its end, or where it is killed (GeneratorExit), its thread goes on or ends.
+        program: Program to run.
+        builtins: Functions that it calls. A generator function blocks its thread, at each `yield` for the rest of the
+            control period. When the generator ends, the thread goes on; when the thread is killed, the generator
+            receives GeneratorExit.
         steps_per_tick: Statements that all threads together may run in one control period.
 
     Raises:
-        SettingsError: The builtins are not those that the program was read for, or a number is not positive.
+        SettingsError: The builtins do not match those that the program was parsed for, or a number is not positive.
 
     Attributes:
-        program: What runs.
-        thread: The thread that runs now, or is being killed; None between control periods.
+        program: The program.
+        thread: Thread that runs now, or is being killed; None between control periods.
         finished: Whether the program has ended.
     """
 
@@ -105,17 +106,17 @@ class Machine:
         self._threads.append(Thread(program.name, 0, self._names[MAIN]()))
 
     def tick(self) -> None:
-        """Run one control period. Nothing happens once the program has finished.
+        """Run one control period. A finished program does nothing.
 
         Raises:
-            ScriptRuntimeError: The program did something wrong. It has finished.
+            ScriptRuntimeError: The program failed, and has finished.
         """
         self._names["n_steps"] = self._steps_per_tick
         holder = self._holder
         if holder is not None and not self.finished:
             self._resume(holder)
         ended = False
-        # Threads that are started meanwhile are appended, and run as well.
+        # Threads that start meanwhile are appended, and run too.
         for thread in self._threads:
             if self._holder is not None or self.finished:
                 break
@@ -126,10 +127,10 @@ class Machine:
             self._threads = [thread for thread in self._threads if thread.alive]
 
     def spend(self, steps: int) -> None:
-        """Count a function that takes its time as so many statements of this control period.
+        """Charge a costly function with so many statements of this control period.
 
         Raises:
-            RecursionError: That is more than a control period has.
+            RecursionError: The control period has fewer left.
         """
         self._names["n_steps"] -= steps
         if self._names["n_steps"] < 0:
@@ -156,7 +157,7 @@ class Machine:
             raise
         except Exception as error:
             if not isinstance(error, _FAULTS):
-                log.exception("a function that the program called has a mistake")
+                log.exception("a builtin of the program failed")
             self.finished = True
             raise self._located(error) or ScriptRuntimeError(1, thread.name, str(error)) from error
         finally:
@@ -165,7 +166,7 @@ class Machine:
                 self.kill()
 
     def _end(self, thread: Thread) -> None:
-        """End a thread, unless it is the one that runs: that one ends when it comes back."""
+        """End a thread. The thread that runs ends when it returns."""
         running = self.thread
         if thread is running:
             return
@@ -180,8 +181,8 @@ class Machine:
             self.thread = running
 
     def _run(self, function: Callable[..., Steps], /, *arguments: Any, **keywords: Any) -> int:
-        # Those that have ended in this control period count as well: so not even threads that start each other and
-        # end at once can go on for ever.
+        # Threads that ended in this control period count too, so that threads that start each other and end at once
+        # cannot go on forever.
         if len(self._threads) >= THREADS_MAX:
             raise RecursionError(f"a program has at most {THREADS_MAX} threads, also of those started in one period")
         self._handles += 1
@@ -189,7 +190,7 @@ class Machine:
         return self._handles
 
     def _find(self, handle: object) -> Thread | None:
-        """The live thread of a handle. 0, and the handle of a thread that has ended, have none."""
+        """Return the live thread of a handle; None for 0 and for a thread that has ended."""
         if not isinstance(handle, int) or not 0 <= handle <= self._handles:
             raise ValueError(f"a thread's handle is what run gives, or 0: found {kind(handle)} ({handle})")
         for thread in self._threads:
@@ -241,7 +242,7 @@ class Machine:
             self.thread.depth -= 1
 
     def _located(self, error: BaseException) -> ScriptRuntimeError | None:
-        """The error with the line and word of the program, or None if the program was not running."""
+        """Return the error with line and word of the program, or None if the program was not running."""
         found = None
         trace = error.__traceback__
         while trace is not None:
@@ -266,7 +267,7 @@ def _halt() -> NoReturn:
 
 
 def machine_functions(tick_s: float) -> dict[str, Callable[..., Any]]:
-    """`sync` and `sleep`, for control periods of `tick_s`."""
+    """Return `sync` and `sleep`, for control periods of `tick_s`."""
 
     def sync() -> Steps:
         yield
@@ -274,7 +275,7 @@ def machine_functions(tick_s: float) -> dict[str, Callable[..., Any]]:
     def sleep(t: float) -> Steps:
         if not 0 <= t <= 1e9:
             raise ValueError(f"sleep takes 0 to 1e9 s, found {t}")
-        # A millionth of a period of tolerance: 0.1 s is 50 periods of 2 ms.
+        # With a tolerance of a millionth of a period, 0.1 s is 50 periods of 2 ms.
         for _ in range(math.ceil(t / tick_s - 1e-6)):
             yield
 

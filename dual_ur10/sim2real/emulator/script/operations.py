@@ -1,7 +1,7 @@
-"""The operators of URScript on its values.
+"""Operators of URScript.
 
-Each refuses what Python would do and URScript does not: joining lists with `+`, indices from the end, integers of more
-than 32 bits. The machine says the line and the word of what these functions raise.
+Each refuses what Python allows and URScript does not: joining lists with `+`, indices from the end, integers of more
+than 32 bits. The machine adds line and word to the errors that these functions raise.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ def multiply(left: Any, right: Any) -> Any:
 
 
 def divide(left: Any, right: Any) -> float:
-    """Left / right: always a float."""
+    """Left / right, always a float."""
     return number(left) / number(right)
 
 
 def modulo(left: Any, right: Any) -> Any:
-    """Left % right, of the sign of right."""
+    """Left % right, with the sign of right."""
     return number(left) % number(right)
 
 
@@ -72,7 +72,7 @@ def greater_equal(left: Any, right: Any) -> bool:
 
 
 def truth(value: Any) -> bool:
-    """The value as a condition: True, False or a number, of which 0 is False."""
+    """Convert a value to a condition: True, False, or a number, of which 0 is False."""
     if value.__class__ is bool:
         return value
     if isinstance(value, (int, float)):
@@ -81,7 +81,7 @@ def truth(value: Any) -> bool:
 
 
 def make_list(*items: Any) -> list[Any]:
-    """[items], which may be the rows of a matrix."""
+    """[items]; the items may be the rows of a matrix."""
     for item in items:
         if item.__class__ not in _SCALARS:
             return _matrix(list(items))
@@ -109,7 +109,7 @@ def get_cell(base: Any, row: Any, column: Any) -> Any:
 
 
 def put(value: Any, base: Any, index: Any) -> Any:
-    """A copy of base in which element `index` is the value."""
+    """Return a copy of base in which element `index` is the value."""
     _check(base, index)
     if base.__class__ is Pose:
         changed = base.copy()
@@ -121,7 +121,7 @@ def put(value: Any, base: Any, index: Any) -> Any:
 
 
 def put_cell(value: Any, base: Any, row: Any, column: Any) -> Any:
-    """A copy of base in which element (row, column) is the value."""
+    """Return a copy of base in which element (row, column) is the value."""
     return put(put(value, get(base, row), column), base, row)
 
 
@@ -172,4 +172,4 @@ OPERATIONS: Final[dict[str, Callable[..., Any] | type]] = {
     "put": put,
     "put_cell": put_cell,
 }
-"""By operator, or by the name that the compiler uses."""
+"""Operations by operator, or by the name that the compiler uses."""

@@ -1,4 +1,4 @@
-"""From the text of a URScript program to its tree."""
+"""Parser from the text of a URScript program to its syntax tree."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from dual_ur10.sim2real.emulator.script.syntax import (
 )
 from dual_ur10.sim2real.emulator.script.values import INT_MAX, POSE_LENGTH
 
-# How tightly an operator binds; `not` stands between xor/and and the comparisons.
+# Precedence of the operators. `not` stands between xor/and and the comparisons.
 _RANKS: Final = {
     **dict.fromkeys(("or",), 1),
     **dict.fromkeys(("xor",), 2),
@@ -44,20 +44,20 @@ _RANKS: Final = {
 _NOT_RANK: Final = 4
 _NEGATIVE_RANK: Final = 8
 
-# Labels of program nodes, which PolyScope writes into the scripts that it saves.
+# Labels of program nodes that PolyScope writes into saved scripts.
 _LABEL: Final = re.compile(r"^[ \t]*\$[^\n]*", re.MULTILINE)
 
-# How many operators may stand before one operand.
+# Most operators before one operand.
 _PREFIXES: Final = 50
 
 
 class _Tree(Transformer[Token, Any]):
-    """Makes nodes while the parser runs: no other tree is built."""
+    """Transformer that makes nodes while the parser runs, so that no other tree is built."""
 
     def number(self, items: list[Any]) -> Number:
         word: Token = items[0]
         if word.isdigit():
-            # The length first: Python refuses to read numbers of thousands of digits.
+            # Check the length first: Python refuses to parse numbers of thousands of digits.
             if len(word.lstrip("0")) > 10 or int(word) > INT_MAX:
                 raise syntax_error(word, f"an integer has at most 32 bits: {-INT_MAX - 1} to {INT_MAX}")
             return Number(word, int(word))
@@ -154,7 +154,7 @@ class _Tree(Transformer[Token, Any]):
 
 
 class _Ranking:
-    """Ranks the operators of a flat expression (precedence climbing)."""
+    """Precedence climbing over a flat expression."""
 
     def __init__(self, items: list[Any]) -> None:
         self._items, self._next = items, 0
@@ -218,7 +218,7 @@ _LARK: Final = Lark(
 
 
 def parse_text(text: str) -> list[Statement]:
-    """The statements of a program.
+    """Parse the statements of a program.
 
     Raises:
         ScriptSyntaxError: The text does not follow the grammar.

@@ -1,6 +1,6 @@
-"""Arithmetic of poses as URScript has it.
+"""Pose arithmetic of URScript.
 
-In plain floats: with numbers as few as these, one call of numpy costs more than all of the arithmetic of a product.
+Written in plain floats: for so few numbers, one numpy call costs more than all the arithmetic of a product.
 """
 
 from __future__ import annotations
@@ -15,47 +15,47 @@ Quaternion = tuple[float, float, float, float]
 
 
 def pose_trans(p_from: Sequence[float], p_from_to: Sequence[float]) -> Pose:
-    """The pose p_from_to, given in the frame p_from, in the frame that p_from is given in."""
-    (base, turn), (position, rotation) = _parts(p_from), _parts(p_from_to)
-    moved = _rotate(turn, position)
-    return _pose([a + b for a, b in zip(base, moved, strict=True)], _product(turn, rotation))
+    """Transform the pose p_from_to from the frame p_from to the frame in which p_from is given."""
+    (base, outer), (position, rotation) = _parts(p_from), _parts(p_from_to)
+    moved = _rotate(outer, position)
+    return _pose([a + b for a, b in zip(base, moved, strict=True)], _product(outer, rotation))
 
 
 def pose_inv(p_from: Sequence[float]) -> Pose:
-    """The pose of the frame that p_from is given in, in the frame p_from."""
+    """Invert a pose."""
     position, rotation = _parts(p_from)
     back = _opposite(rotation)
     return _pose([-each for each in _rotate(back, position)], back)
 
 
 def pose_add(p_1: Sequence[float], p_2: Sequence[float]) -> Pose:
-    """Positions added, and the rotation of p_2 followed by that of p_1."""
-    (first, turn), (second, rotation) = _parts(p_1), _parts(p_2)
-    return _pose([a + b for a, b in zip(first, second, strict=True)], _product(turn, rotation))
+    """Add positions, and apply the rotation of p_2 followed by that of p_1."""
+    (first, outer), (second, rotation) = _parts(p_1), _parts(p_2)
+    return _pose([a + b for a, b in zip(first, second, strict=True)], _product(outer, rotation))
 
 
 def pose_sub(p_to: Sequence[float], p_from: Sequence[float]) -> Pose:
-    """Positions subtracted, and the rotation, in the common frame, that takes p_from to p_to."""
-    (end, turn), (start, rotation) = _parts(p_to), _parts(p_from)
-    return _pose([a - b for a, b in zip(end, start, strict=True)], _product(turn, _opposite(rotation)))
+    """Subtract positions, with the rotation, in the common frame, that takes p_from to p_to."""
+    (end, target), (start, rotation) = _parts(p_to), _parts(p_from)
+    return _pose([a - b for a, b in zip(end, start, strict=True)], _product(target, _opposite(rotation)))
 
 
 def interpolate_pose(p_from: Sequence[float], p_to: Sequence[float], alpha: float) -> Pose:
-    """The pose at a part `alpha` (0 to 1) of the way: on a straight line, about a fixed axis the shorter way round."""
-    (start, turn), (end, rotation) = _parts(p_from), _parts(p_to)
+    """Interpolate on a straight line and about a fixed axis, by the shorter rotation; `alpha` is 0 to 1."""
+    (start, initial), (end, rotation) = _parts(p_from), _parts(p_to)
     part = float(number(alpha))
-    between = _rotvec(_product(_opposite(turn), rotation))
+    between = _rotvec(_product(_opposite(initial), rotation))
     position = [a + part * (b - a) for a, b in zip(start, end, strict=True)]
-    return _pose(position, _product(turn, _quaternion([part * each for each in between])))
+    return _pose(position, _product(initial, _quaternion([part * each for each in between])))
 
 
 def point_dist(p_from: Sequence[float], p_to: Sequence[float]) -> float:
-    """The distance of the positions, m."""
+    """Return the distance of two positions, m."""
     return math.dist(_parts(p_from)[0], _parts(p_to)[0])
 
 
 def rpy2rotvec(rpy_vector: Sequence[float]) -> list[float]:
-    """The rotation vector of a turn about x (roll), then y (pitch), then z (yaw) of the fixed frame."""
+    """Convert rotations about x (roll), then y (pitch), then z (yaw) of the fixed frame to a rotation vector."""
     roll, pitch, yaw = (0.5 * each for each in _vector(rpy_vector))
     about_x = (math.cos(roll), math.sin(roll), 0.0, 0.0)
     about_y = (math.cos(pitch), 0.0, math.sin(pitch), 0.0)
@@ -64,7 +64,7 @@ def rpy2rotvec(rpy_vector: Sequence[float]) -> list[float]:
 
 
 def rotvec2rpy(rotation_vector: Sequence[float]) -> list[float]:
-    """Roll, pitch and yaw of a rotation vector; at a pitch of a quarter turn the roll is 0."""
+    """Roll, pitch and yaw of a rotation vector; at a pitch of ±90° the roll is 0."""
     w, x, y, z = _quaternion(_vector(rotation_vector))
     sine = max(-1.0, min(1.0, 2.0 * (w * y - x * z)))
     if abs(sine) > 1.0 - 1e-12:
@@ -96,7 +96,7 @@ def _pose(position: Sequence[float], rotation: Quaternion) -> Pose:
 def _quaternion(rotvec: Sequence[float]) -> Quaternion:
     x, y, z = rotvec
     angle = math.sqrt(x * x + y * y + z * z)
-    # sin(angle / 2) / angle is 1 / 2 to the last bit far before this.
+    # Below this, sin(angle / 2) / angle is 1 / 2 to the last bit.
     scale = math.sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
     return math.cos(0.5 * angle), x * scale, y * scale, z * scale
 

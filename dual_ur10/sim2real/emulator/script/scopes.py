@@ -1,9 +1,9 @@
-"""What the names of a program stand for.
+"""Scopes: the functions of a program, and the variables that its names refer to.
 
 A name that is declared `global` anywhere in the program is global, except where it is a parameter or declared `local`.
 A name that an enclosing function assigns (above all the program itself) is that function's variable, for assignments
-as well: drivers share their set-points between the program's threads that way, without a word of declaration. All
-other names that a function assigns are its own.
+too: drivers share set-points between the program's threads in this way, without any declaration. All other names that
+a function assigns are its own.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from dual_ur10.sim2real.emulator.script.syntax import (
 )
 
 DEPTH_MAX: Final = 60
-"""How deeply expressions and blocks may be nested."""
+"""Greatest nesting depth of expressions and blocks."""
 
 LOOPS_MAX: Final = 12
-"""How deeply loops may be nested within one function."""
+"""Greatest nesting depth of loops within one function."""
 
 BRANCHES_MAX: Final = 300
 """Most branches of one `if`."""
@@ -45,17 +45,17 @@ BRANCHES_MAX: Final = 300
 
 @dataclass(slots=True, eq=False)
 class Function:
-    """A function, a thread or the program itself, with the names in it.
+    """Function, thread or the program itself, with the names in it.
 
     Attributes:
-        define: Its text.
-        parent: The function that it is defined in.
+        define: Its node.
+        parent: Enclosing function.
         parameters: Names of its parameters.
         local: Names declared `local` in it.
         free: Names that it assigns without a declaration.
         declared: Names that it declares `global`.
-        functions: What is defined in it, by name.
-        calls: What it calls or starts.
+        functions: Functions defined in it, by name.
+        calls: Calls and thread starts in it.
         blocks: Whether a call of it may take a control period or more.
         recursive: Whether it may call itself, directly or not.
     """
@@ -72,11 +72,11 @@ class Function:
     recursive: bool = False
 
     def owns(self, name: str) -> bool:
-        """Whether a function within this one that uses the name means this one's variable."""
+        """Return True if functions within this one refer to its variable by that name."""
         return name in self.parameters or name in self.local or name in self.free
 
     def find(self, name: str) -> Function | None:
-        """The function of this name that a call from here means."""
+        """Return the function that a call from here refers to."""
         scope: Function | None = self
         while scope is not None:
             if name in scope.functions:
@@ -86,14 +86,14 @@ class Function:
 
 
 class Names:
-    """All functions of a program, and what its variables are.
+    """All functions of a program, and the scope of its variables.
 
     Attributes:
-        functions: By the identity of their node; the program itself is the first.
+        functions: Functions by the identity of their node; the program itself is the first.
         shared: Names declared `global` anywhere.
 
     Raises:
-        ScriptSyntaxError: A name is declared in two ways, or something is nested too deeply.
+        ScriptSyntaxError: A name is declared in two ways, or the nesting is too deep.
     """
 
     def __init__(self, program: Define) -> None:
@@ -106,7 +106,7 @@ class Names:
                 raise ScriptSyntaxError(word.line or 1, name, f"in {word} it is both global and local")
 
     def place(self, name: str, function: Function) -> str | None:
-        """Where a variable is kept: "global", "own", "outer", or None if nothing assigns it."""
+        """Return the scope of a variable: "global", "own", "outer", or None if nothing assigns it."""
         if name in function.parameters or name in function.local:
             return "own"
         if name in self.shared:

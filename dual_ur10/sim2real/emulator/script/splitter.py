@@ -1,8 +1,8 @@
-"""Cuts what arrives at a script port into programs.
+"""Splitter of the byte stream of a script port into programs.
 
 A line that begins with `def` or `sec` begins a program, which goes on to the `end` that closes it. Any other line is a
-program of its own; lines that say nothing (blank, comments, labels of PolyScope) are none. Each byte is looked at once,
-however it arrives.
+program of its own. Blank lines, comments and labels of PolyScope are none. Each byte is scanned once, whatever the
+pieces in which it arrives.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from typing import Final
 from dual_ur10.errors import ProtocolError
 
 PROGRAM_MAX: Final = 1 << 18
-"""Bytes of the longest program that is waited for."""
+"""Bytes of the longest program."""
 
-# Strings and comments are matched to be passed over: words in them do not count.
+# Strings and comments are matched in order to skip the words in them.
 _WORDS: Final = re.compile(r'"[^"\n]*"|#.*|\b(?:(def|thread|sec|while|if|switch)|(end))\b')
 _BEGINS: Final = re.compile(r"\s*(?:def|sec)\b")
 _SILENT: Final = re.compile(r"\s*(?:[#$].*)?$", re.DOTALL)
 
 
 class Splitter:
-    """Takes bytes, gives programs."""
+    """Incremental splitter: bytes in, programs out."""
 
     def __init__(self) -> None:
         self._line = bytearray()
@@ -31,7 +31,7 @@ class Splitter:
         self._open = 0
 
     def feed(self, data: bytes) -> list[str]:
-        """Take what has arrived; return the programs that it completes.
+        """Add received bytes and return the programs that they complete.
 
         Raises:
             ProtocolError: More than `PROGRAM_MAX` bytes have come without the end of a program.
@@ -51,7 +51,7 @@ class Splitter:
 
     @property
     def rest(self) -> bytes:
-        """What has arrived of a program that is not complete."""
+        """Bytes of the incomplete program."""
         return "".join(self._lines).encode() + bytes(self._line)
 
     def _check(self, more: int) -> None:

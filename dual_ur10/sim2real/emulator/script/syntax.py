@@ -1,6 +1,6 @@
-"""The tree of a URScript program.
+"""Syntax tree of a URScript program.
 
-`at` is the word of the text that a node is named by in messages: an operator, a name, a keyword.
+`at` is the word by which messages name a node: an operator, a name, a keyword.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dual_ur10.errors import ScriptSyntaxError
 
 @dataclass(slots=True)
 class Number:
-    """A number, or True or False."""
+    """Number, True or False."""
 
     at: Token
     value: float | int | bool
@@ -22,7 +22,7 @@ class Number:
 
 @dataclass(slots=True)
 class Text:
-    """A string."""
+    """String."""
 
     at: Token
     value: str
@@ -30,14 +30,14 @@ class Text:
 
 @dataclass(slots=True)
 class Name:
-    """A variable."""
+    """Variable."""
 
     at: Token
 
 
 @dataclass(slots=True)
 class Call:
-    """A call, or with `runs` the start of a thread."""
+    """Call, or with `runs` the start of a thread."""
 
     at: Token
     arguments: list[Expression]
@@ -47,7 +47,7 @@ class Call:
 
 @dataclass(slots=True)
 class Index:
-    """An element of a list, or with two items of a matrix."""
+    """Element of a list, or with two items of a matrix."""
 
     at: Token
     base: Expression
@@ -56,7 +56,7 @@ class Index:
 
 @dataclass(slots=True)
 class ListOf:
-    """A list, or a pose."""
+    """List or pose."""
 
     at: Token
     items: list[Expression]
@@ -65,7 +65,7 @@ class ListOf:
 
 @dataclass(slots=True)
 class Unary:
-    """`-` or `not`."""
+    """Operator `-` or `not`."""
 
     at: Token
     operand: Expression
@@ -73,7 +73,7 @@ class Unary:
 
 @dataclass(slots=True)
 class Binary:
-    """An operator between two operands."""
+    """Operator between two operands."""
 
     at: Token
     left: Expression
@@ -85,7 +85,7 @@ Expression = Number | Text | Name | Call | Index | ListOf | Unary | Binary
 
 @dataclass(slots=True)
 class Assign:
-    """An assignment to a variable, or to an element: then `items` is not empty."""
+    """Assignment to a variable, or with `items` to an element."""
 
     at: Token
     qualifier: str
@@ -95,7 +95,7 @@ class Assign:
 
 @dataclass(slots=True)
 class If:
-    """Conditions with their blocks, and what is done else."""
+    """Conditions with their blocks, and the block of `else`."""
 
     at: Token
     branches: list[tuple[Token, Expression, list[Statement]]]
@@ -104,7 +104,7 @@ class If:
 
 @dataclass(slots=True)
 class While:
-    """A loop."""
+    """Loop."""
 
     at: Token
     condition: Expression
@@ -113,14 +113,14 @@ class While:
 
 @dataclass(slots=True)
 class Simple:
-    """A statement of one word: break, continue, halt, pass, enter_critical, exit_critical."""
+    """Statement of one word: break, continue, halt, pass, enter_critical, exit_critical."""
 
     at: Token
 
 
 @dataclass(slots=True)
 class Return:
-    """The end of a function, with its value."""
+    """Return from a function, with its value."""
 
     at: Token
     value: Expression | None
@@ -128,7 +128,7 @@ class Return:
 
 @dataclass(slots=True)
 class Kill:
-    """`kill` or `join` of a thread."""
+    """Statement `kill` or `join` of a thread."""
 
     at: Token
     value: Expression
@@ -136,7 +136,7 @@ class Kill:
 
 @dataclass(slots=True)
 class Define:
-    """A function, a thread or a secondary program: `kind` is def, thread or sec."""
+    """Function, thread or secondary program: `kind` is def, thread or sec."""
 
     at: Token
     kind: str

@@ -1,7 +1,7 @@
-"""What URScript variables hold: numbers, True and False, strings, lists, poses.
+"""Values of URScript: numbers, True and False, strings, lists, poses.
 
-Lists and poses are values: an assignment copies them. Here nobody changes one in place; an assignment to an element
-makes a new list. So a builtin must not change a list that it was given, nor one that it has returned.
+Lists and poses are values: an assignment copies them. Here no list is ever changed in place; an assignment to an
+element makes a new one. So a builtin must change neither a list that it received nor one that it returned.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ Builtins = dict[str, Callable[..., Any]]
 """Functions that programs may call, by name. A generator function blocks its thread until it ends."""
 
 INT_MAX: Final = 2**31 - 1
-"""Integers have 32 bits."""
+"""Largest integer of 32 bits."""
 
 POSE_LENGTH: Final = 6
 
 LIST_MAX: Final = 512
-"""Most elements of a list, and of all rows of a matrix together."""
+"""Most elements of a list, or of all rows of a matrix together."""
 
 TEXT_MAX: Final = 1023
-"""Most characters of a string that a program makes (UR's script manual)."""
+"""Most characters of a string made by a program (UR's script manual)."""
 
 
 class Pose(list[float]):
-    """p[x, y, z, rx, ry, rz] in m and rad: a position and a rotation vector.
+    """Pose p[x, y, z, rx, ry, rz] in m and rad: a position and a rotation vector.
 
     Raises:
         ValueError: It does not have six elements.
@@ -44,13 +44,13 @@ class Pose(list[float]):
 
 
 def kind(value: object) -> str:
-    """What a value is, for messages."""
+    """Name the kind of a value, for messages."""
     names = {bool: "a boolean", int: "an integer", float: "a float", str: "a string", list: "a list", Pose: "a pose"}
     return "nothing" if value is None else names.get(type(value), f"a {type(value).__name__}")
 
 
 def number(value: object) -> float:
-    """The value, which must be a number.
+    """Return the value if it is a number.
 
     Raises:
         TypeError: It is none.
@@ -61,7 +61,7 @@ def number(value: object) -> float:
 
 
 def integer(value: object) -> int:
-    """The value, which must be an integer.
+    """Return the value if it is an integer.
 
     Raises:
         TypeError: It is none.
@@ -72,7 +72,7 @@ def integer(value: object) -> int:
 
 
 def text(value: object) -> str:
-    """A value as text, as `textmsg` and `to_str` write it."""
+    """Format a value as `textmsg` and `to_str` do."""
     if isinstance(value, list):
         return f"{'p' if isinstance(value, Pose) else ''}[{', '.join(map(text, value))}]"
     return str(value)

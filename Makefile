@@ -14,7 +14,7 @@ FETCH_EXAMPLES = $(VENV)/bin/python -m pip download --quiet --disable-pip-versio
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help demo test test-oldest test-dist soak bench install lint format clean check-python
+.PHONY: help demo dist docs test test-oldest test-dist soak bench install lint format clean check-python
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*  ## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -77,11 +77,19 @@ test: $(VENV)/.dev  ## install, lint, type-check and run all tests
 	@$(VENV)/bin/ruff check .
 	@$(VENV)/bin/ruff format --check .
 	@$(VENV)/bin/mypy
+	@$(MAKE) --no-print-directory docs
 	@$(call all_tests,)
 
 # What neither steps MuJoCo nor knows Gymnasium is the same with every version of them.
 test-oldest: $(OLDEST)/.dev  ## the tests again with MuJoCo 3.17 and Gymnasium 1.2.2, without those of controllers
 	@$(OLDEST)/bin/python -m pytest -n 2 -m "not emulated" --ignore tests/sim2real/emulator --ignore tests/sim2real/control/test_adapter.py
+
+dist: $(VENV)/.dev  ## build wheel and sdist into out/dist, and check the sdist by building from it
+	@rm -rf out/dist
+	@$(VENV)/bin/python -m build --outdir out/dist
+
+docs: $(VENV)/.dev  ## build the documentation site into out/site, strictly
+	@PYTHONPATH=. $(VENV)/bin/mkdocs build --quiet --strict --site-dir out/site
 
 test-dist: $(DIST)/.dev  ## training on Ray RLlib with two workers on this machine
 	@$(DIST)/bin/python -m pytest tests/distributed

@@ -59,6 +59,10 @@ class ResetNeededError(DualUR10Error, RuntimeError):
     """A step was asked for before the first reset."""
 
 
+class ResetRefusedError(SettingsError):
+    """A reset would move the arms of two controllers, and nobody has consented to that."""
+
+
 class MissingExtraError(DualUR10Error, ImportError):
     """An optional dependency is not installed."""
 

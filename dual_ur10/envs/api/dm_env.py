@@ -16,6 +16,7 @@ from dm_env import (  # type: ignore[import-untyped]  # has no types
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.errors import ResetNeededError
 from dual_ur10.ids import env_id_of, task_name
 
@@ -49,10 +50,17 @@ class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has
         self.info: dict[str, Any] = {}
         self._seed, self._over = seed, True
 
-    def reset(self) -> TimeStep:
-        """Begin an episode. The first one is drawn from the seed, each further one from where the last left off."""
+    def reset(self, *, move_to_start: bool = False) -> TimeStep:
+        """Begin an episode. The first one is drawn from the seed, each further one from where the last left off.
+
+        Args:
+            move_to_start: Consent to the motion of the arms on two controllers, as for `DualArmEnv`.
+
+        Raises:
+            ResetRefusedError: On two controllers, a later reset was called without consent. Nothing has moved.
+        """
         self._over = True  # should anything fail from here on, the episode must be begun again
-        observation, self.info = self.env.reset(seed=self._seed)
+        observation, self.info = self.env.reset(seed=self._seed, options={MOVE_TO_START: move_to_start})
         self._seed, self._over = None, False
         return restart(observation)
 

@@ -8,11 +8,9 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.envs.api.autoreset import is_by_itself
 from dual_ur10.envs.api.infos import of_row
-from dual_ur10.envs.core.cells import check_for_controllers
 from dual_ur10.envs.core.core import PHYSICS_ERROR, Core
-from dual_ur10.envs.core.options import DEFAULT_RATE_HZ
+from dual_ur10.envs.core.options import DEFAULT_RATE_HZ, MOVE_TO_START, take_consent
 from dual_ur10.envs.rendering.images import RENDER_MODES
 from dual_ur10.envs.rendering.pixels import Observer, row_of
 from dual_ur10.envs.rendering.viewer import Viewer
@@ -35,7 +33,12 @@ class DualArmEnv(gym.Env[Any, Array]):
     What is observed: with `observation="state"` (the default) the task's numbers, (size,); with "pixels" a dict of
     images, (height, width, 3) uint8, by the names in `cameras`; with "both" `{"state": ..., "pixels": {...}}`.
 
-    `reset` takes no options. `info` of `reset` and `step` holds `q_rad` (2, 6) and `flange_m` (2, 3); that of `step`
+    `reset` takes one option, `move_to_start`. On a cell of two controllers a reset moves both arms to where the episode
+    begins. The first one needs the confirmation of an operator on real arms (`confirm`, or a question at the terminal);
+    every later one needs `options={"move_to_start": True}` as well, unless `confirm` is given. A wrapper that resets by
+    itself passes no options and is refused with `ResetRefusedError`. In simulation the option means nothing.
+
+    `info` of `reset` and `step` holds `q_rad` (2, 6) and `flange_m` (2, 3); that of `step`
     also the task's values, `is_success`, `reward/<term>`, and, when an episode was ended by them, `safety` (a
     `dual_ur10.sim2real.control.gate.Verdict`) or `physics_error` (a message).
     """
@@ -49,7 +52,7 @@ class DualArmEnv(gym.Env[Any, Array]):
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise UnknownNameError("render mode", str(render_mode), [*RENDER_MODES, "None"])
         self.render_mode = render_mode
-        self.core = Core(task, keywords, autoreset=is_by_itself())
+        self.core = Core(task, keywords)
         try:
             self._observer = Observer(self.core)
         except BaseException:
@@ -76,16 +79,19 @@ class DualArmEnv(gym.Env[Any, Array]):
         """Begin an episode; see `gymnasium.Env.reset`.
 
         Raises:
-            SettingsError: There are options; or, on two controllers, something resets by itself that wraps this.
+            SettingsError: There are other options than `move_to_start`.
+            ResetRefusedError: On two controllers, a later reset was called without consent. Nothing has moved.
             RenderError: Images are observed, and no OpenGL backend was found.
         """
-        if self.core.config.file is not None:
-            check_for_controllers(self.core.config, 1, autoreset=is_by_itself(), randomized=False)
-        if options:
-            raise SettingsError(f"reset takes no options, found {sorted(options)}: set keywords at gym.make")
+        others = dict(options or {})
+        consent = take_consent(others)
+        if others:
+            raise SettingsError(
+                f"reset takes the option {MOVE_TO_START!r} alone, found {sorted(others)}: set keywords at gym.make"
+            )
         super().reset(seed=seed)
+        state, info = self.core.reset([self.np_random], seed=seed, move_to_start=consent)
         self._terminated = False
-        state, info = self.core.reset([self.np_random], seed=seed)
         observation = self._observer.begin(state, _ROW)
         if self.render_mode == "human":
             self.render()

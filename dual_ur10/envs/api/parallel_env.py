@@ -14,6 +14,7 @@ from pettingzoo.utils.conversions import parallel_to_aec_wrapper  # type: ignore
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper  # type: ignore[import-untyped]  # as above
 
 from dual_ur10.envs.api.two_agents import Share, agent_spaces, check_count, check_options
+from dual_ur10.envs.core.options import MOVE_TO_START, take_consent
 from dual_ur10.errors import ActionError, ResetNeededError
 from dual_ur10.ids import env_id_of, task_name
 from dual_ur10.kinematics.ur10 import ARMS
@@ -114,15 +115,21 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
 
         Args:
             seed: Seed of this and all following episodes; None: go on with the generator as it is.
-            options: There are none; PettingZoo's own checks pass one, hence only a warning.
+            options: `{"move_to_start": True}` as for `DualArmEnv`. PettingZoo's own checks pass another one, hence only
+                a warning of unknown ones.
 
         Returns:
             Observation and info of each agent.
         """
-        if options:
-            gym.logger.warn(f"reset takes no options, {sorted(options)} is ignored: set keywords when making it")
+        others = dict(options or {})
+        consent = take_consent(others)
+        if others:
+            gym.logger.warn(
+                f"reset takes the option {MOVE_TO_START!r} alone, {sorted(others)} is ignored: set keywords "
+                "when making the environment"
+            )
         self.agents = []  # should the reset fail, the episode must be begun again
-        _, info = self._env.reset(seed=seed)
+        _, info = self._env.reset(seed=seed, options={MOVE_TO_START: consent})
         self._cycles = 0
         self.agents = list(ARMS)
         left, right = self._share.infos(info)

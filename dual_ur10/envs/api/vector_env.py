@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.envs.api.infos import masked, restarted
 from dual_ur10.envs.core.core import PHYSICS_ERROR, Core, Step
-from dual_ur10.envs.core.options import DEFAULT_RATE_HZ
+from dual_ur10.envs.core.options import DEFAULT_RATE_HZ, MOVE_TO_START, take_consent
 from dual_ur10.envs.rendering.pixels import Observer, row_of
 from dual_ur10.errors import ResetNeededError, SettingsError, UnknownNameError
 from dual_ur10.types import Array, Mask, Rows
@@ -97,11 +97,13 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
 
         Args:
             seed: As for `gymnasium.vector.SyncVectorEnv`: s gives row k the seed s + k; or one per row.
-            options: `{"reset_mask": mask}` resets only the rows of a boolean mask, (num_envs,).
+            options: `"reset_mask"`, a boolean mask, (num_envs,), of the rows to reset; and `"move_to_start"` as for
+                `DualArmEnv`.
 
         Raises:
             SettingsError: Seeds or mask do not fit.
             ResetNeededError: The first reset is not of all rows.
+            ResetRefusedError: On two controllers, a later reset was called without consent. Nothing has moved.
             RenderError: Images are observed, and no OpenGL backend was found.
         """
         seeds: list[int | None] = [None] * self.num_envs
@@ -109,7 +111,9 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
             seeds = [int(seed) + k for k in range(self.num_envs)] if isinstance(seed, int | np.integer) else list(seed)
         if len(seeds) != self.num_envs:
             raise SettingsError(f"{len(seeds)} seeds for {self.num_envs} environments: pass one per row, or one number")
-        rows = self._masked_rows(dict(options or {}))
+        others = dict(options or {})
+        consent = take_consent(others)
+        rows = self._masked_rows(others)
         if not self._rngs:
             if len(rows) < self.num_envs:
                 raise ResetNeededError("the first reset must be of all rows: call reset() without a reset_mask first")
@@ -117,7 +121,7 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
         else:
             drawn = {row: seeding.np_random(seeds[row])[0] for row in rows.tolist() if seeds[row] is not None}
             self._rngs = [drawn.get(row, rng) for row, rng in enumerate(self._rngs)]
-        observation, info = self._begin(rows, seeds[0])
+        observation, info = self._begin(rows, seeds[0], move_to_start=consent)
         mask = np.zeros(self.num_envs, dtype=bool)
         mask[rows] = True
         return observation, masked(info, mask)
@@ -125,7 +129,7 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
     def _masked_rows(self, options: dict[str, Any]) -> Rows:
         mask = options.pop("reset_mask", None)
         if options:
-            raise UnknownNameError("reset option", str(next(iter(options))), ["reset_mask"])
+            raise UnknownNameError("reset option", str(next(iter(options))), ["reset_mask", MOVE_TO_START])
         if mask is None:
             return np.arange(self.num_envs)
         if not (isinstance(mask, np.ndarray) and mask.dtype == bool and mask.shape == (self.num_envs,) and mask.any()):
@@ -134,11 +138,14 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
             )
         return np.flatnonzero(mask)
 
-    def _begin(self, rows: Rows, seed: int | None = None) -> tuple[Any, dict[str, NDArray[Any]]]:
+    def _begin(
+        self, rows: Rows, seed: int | None = None, *, move_to_start: bool = False
+    ) -> tuple[Any, dict[str, NDArray[Any]]]:
         """Begin episodes; the seed is that of the first row, which is recorded where there is no other."""
+        rngs = [self._rngs[row] for row in rows.tolist()]
+        state, info = self.core.reset(rngs, rows, seed=seed, move_to_start=move_to_start)
         self._steps[rows] = 0
         self._done[rows] = False
-        state, info = self.core.reset([self._rngs[row] for row in rows.tolist()], rows, seed=seed)
         return self._observer.begin(state, rows), info
 
     def step(  # type: ignore[override]  # Gymnasium types the flags as it types rewards

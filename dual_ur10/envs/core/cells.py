@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from dual_ur10.envs.core.options import EnvOptions
+from dual_ur10.envs.core.options import MOVE_TO_START, EnvOptions
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
-from dual_ur10.errors import SettingsError
+from dual_ur10.errors import ResetRefusedError, SettingsError
 from dual_ur10.sim2real.config.cell import Cell, CellConfig, Perturbation
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.limits import MotionLimits
@@ -82,3 +82,25 @@ def check_for_controllers(config: CellConfig, n: int, *, autoreset: bool, random
         raise SettingsError("randomization is of simulated cells: leave it out on controllers, which are as they are")
     if config.perturbation != Perturbation():
         raise SettingsError("a perturbation is of simulated cells: leave it out on controllers, which are as they are")
+
+
+def check_reset(*, begun: bool, consent: bool) -> None:
+    """Refuse a reset that would move the arms of two controllers without consent.
+
+    Wrappers that begin episodes by themselves call the same `reset` as a program. They pass no options, so that none of
+    them leads arms to another start.
+
+    Args:
+        begun: An episode has begun before.
+        consent: The caller consents to the motion.
+
+    Raises:
+        ResetRefusedError: An episode has begun before, and the caller does not consent.
+    """
+    if begun and not consent:
+        raise ResetRefusedError(
+            "reset was called again without consent, on a cell of two controllers: it would move both arms to where an "
+            "episode begins, and nothing may do that by itself. Pass "
+            f'reset(options={{"{MOVE_TO_START}": True}}) in your program, or make the environment with confirm=, which '
+            "is asked before each such motion; train in simulation"
+        )

@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from dual_ur10.envs.core.cells import check_for_controllers, make_cell
+from dual_ur10.envs.core.cells import check_for_controllers, check_reset, make_cell
 from dual_ur10.envs.core.options import split_keywords
 from dual_ur10.envs.core.randomization import on_top, resolve_randomization
 from dual_ur10.envs.core.sensing import Sensing
@@ -180,6 +180,7 @@ class Core:
         rows = np.arange(n)
         clearance.check_start(self.task.start(rows, [np.random.default_rng(0) for _ in rows]).q_rad, rows)
         self._state: CellState | None = None
+        self._begun = False  # whether an episode ever has
         self.late_actions = 0
         self._sensing = Sensing(config, self._randomization, period_s, n)
         self._plant = config.perturbation.expanded(n)
@@ -215,7 +216,12 @@ class Core:
         return self.task.timing
 
     def reset(
-        self, rngs: Sequence[np.random.Generator], rows: Rows | None = None, *, seed: int | None = None
+        self,
+        rngs: Sequence[np.random.Generator],
+        rows: Rows | None = None,
+        *,
+        seed: int | None = None,
+        move_to_start: bool = False,
     ) -> tuple[Array, dict[str, NDArray[Any]]]:
         """Begin new episodes.
 
@@ -223,11 +229,17 @@ class Core:
             rngs: One generator per cell to reset.
             rows: The cells to reset; None: all.
             seed: That the generator comes from, to be recorded; None: it goes on.
+            move_to_start: Consent to the motion to the start, see `check_reset`.
 
         Returns:
             Observations of all cells, (n, size), and `info`.
+
+        Raises:
+            ResetRefusedError: It would move the arms of two controllers without consent. Nothing has changed.
         """
         cell = self._open()
+        if self.config.file is not None:
+            check_reset(begun=self._begun, consent=move_to_start or self.options.confirm is not None)
         rows = np.arange(self.n) if rows is None else rows
         self._state = None  # should anything fail from here on, the episode must be begun again
         if self._hook is not None:
@@ -251,7 +263,7 @@ class Core:
         # The other rows go on: what was observed of them last stays as it was.
         self._observation = self._observation.copy()
         self._observation[rows] = observation[rows]
-        self._state = state
+        self._state, self._begun = state, True
         self.agents = Agents(self.task, self._observation, None, self._weights)
         info: dict[str, Any] = self._measurements(state)
         randomized = {**start.drawn, **drawn}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Callable, Mapping
-from typing import Any, Literal, get_args
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from dual_ur10.sim2real.control.adapter import ActionMode
 from dual_ur10.sim2real.control.command_queue import checked_latency
 
 DEFAULT_RATE_HZ = 25.0
+
+MOVE_TO_START: Final = "move_to_start"
+"""Option of `reset` by which its caller consents to the motion to where an episode begins."""
 
 ObservationKind = Literal["state", "pixels", "both"]
 
@@ -139,3 +142,15 @@ def split_keywords(keywords: Mapping[str, Any]) -> tuple[EnvOptions, dict[str, A
     rest = dict(keywords)
     options = {name: rest.pop(name) for name in OPTION_NAMES if name in rest}
     return EnvOptions(**options), rest
+
+
+def take_consent(options: dict[str, Any]) -> bool:
+    """Remove `move_to_start` from the options of a reset and return it; False if it is not there.
+
+    Raises:
+        SettingsError: It is neither True nor False.
+    """
+    consent = options.pop(MOVE_TO_START, False)
+    if not isinstance(consent, bool):
+        raise SettingsError(f"the reset option {MOVE_TO_START} is {consent!r}: it must be True or False")
+    return consent

@@ -15,6 +15,7 @@ import gymnasium as gym
 import numpy as np
 
 from dual_ur10 import __version__
+from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 from dual_ur10.ids import ENV_IDS
 from dual_ur10.kinematics.ur10 import ARMS
@@ -126,7 +127,8 @@ def _run(
     observation: Any = None
     while live.any():
         if fresh.any():
-            observation, _ = env.reset(seed=[seeds[k] for k in current], options={"reset_mask": fresh})
+            options = {"reset_mask": fresh, MOVE_TO_START: True}
+            observation, _ = env.reset(seed=[seeds[k] for k in current], options=options)
             tally.begin(fresh)
             if fresh.all():
                 actor.reset()

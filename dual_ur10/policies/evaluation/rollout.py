@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.policies.policy import Policy
 from dual_ur10.types import Array
@@ -76,7 +77,7 @@ class Trace:
 def rollout(
     env: Any, policy: Policy, *, seed: int | None = None, on_step: Callable[[Info], None] | None = None
 ) -> Record:
-    """Run one episode.
+    """Run one episode. On a cell of two controllers this moves both arms to where it begins.
 
     Args:
         env: An environment as `gym.make` gives it.
@@ -88,7 +89,7 @@ def rollout(
         DualUR10Error: What the environment raises; and whatever the policy does, after which arms that are not
             simulated are stopped for good.
     """
-    observation, _ = env.reset(seed=seed)
+    observation, _ = env.reset(seed=seed, options={MOVE_TO_START: True})
     policy.reset()
     kind = env.action_space.dtype
     rewards: list[float] = []

@@ -12,6 +12,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.errors import DualUR10Error, RecordingError
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.analysis.parity import bits_equal
@@ -201,13 +202,14 @@ def replay(
         check_same_actions(header, played, core)
         core.pipeline = tap = _Tap(core.pipeline)
         info: dict[str, Any] = {}
+        consent = {MOVE_TO_START: True}
         generator = generator_of(run, episode)
         if generator is not None:
             env.unwrapped.np_random = generator
-            _, info = env.reset()
+            _, info = env.reset(options=consent)
         else:
             for seed in resets_of(run, episode) if again else [played.seed]:
-                _, info = env.reset(seed=seed)
+                _, info = env.reset(seed=seed, options=consent)
         found = _play(env, tap, played, info, exact=again, on_step=on_step)
         if found.success is None:  # the recording was shorter than an episode: no more targets come
             core.cell.finish()

@@ -23,7 +23,7 @@ SINE = "DualUR10/SineTracking-v0"
 REWARDS = ("shared", "individual")
 MODES = ("joint_delta", "joint_position", "tcp_delta")
 # PettingZoo's checks hand options to reset, to see that it takes them.
-checks = pytest.mark.filterwarnings("ignore:.*reset takes no options")
+checks = pytest.mark.filterwarnings("ignore:.*reset takes the option")
 
 
 def joint_actions(space, mode, q_rad, steps, rng):

@@ -168,7 +168,7 @@ class Lab:
         thread = threading.Thread(target=note, name="note", daemon=True)
         thread.start()
         try:
-            return self.env.reset(**keywords)
+            return self.env.reset(options={"move_to_start": True}, **keywords)
         finally:
             ended.set()
             thread.join()
@@ -288,7 +288,7 @@ class Lab:
         for arm in ramped:
             self.wires[ARMS.index(arm)].assert_rested(self.fault_tick, self.tick_s)
         quiet = self.traffic()
-        for again in (lambda: self.env.step(self.policy()), lambda: self.env.reset(seed=1)):
+        for again in (lambda: self.env.step(self.policy()), lambda: self.reset(seed=1)):
             with pytest.raises(CellFaulted, match="cell clear") as found:
                 again()
         for word in words:

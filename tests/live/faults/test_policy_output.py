@@ -110,7 +110,7 @@ def test_7_the_same_action_for_ever_ends_at_rest_short_of_everything(lab):
         assert np.abs(lab.ask(arm, "actual_qd")[0]).max() < 1e-2
     assert lab.nearest_m() >= 0.0199
     assert lab.latch.read() is None
-    lab.env.reset(seed=0)  # from there a way leads back
+    lab.reset(seed=0)  # from there a path leads back
 
 
 @pytest.mark.parametrize(("row", "late_s"), [(8, 0.08), (9, 0.3)])

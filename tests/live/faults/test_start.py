@@ -197,7 +197,7 @@ def test_58_a_second_runner_is_refused_and_the_first_goes_on(lab):
     process = lab_program(lab)
     assert process.returncode == 2
     assert f"is moved by another program (process {os.getpid()})" in " ".join(process.stderr.split())
-    lab.env.reset(seed=0)
+    lab.reset(seed=0)
     lab.env.step(lab.policy())
     assert lab.latch.read() is None
 

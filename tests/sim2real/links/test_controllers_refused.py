@@ -1,4 +1,6 @@
-"""What is refused on a cell of two controllers, on every way to it; none of it needs a controller."""
+"""Refusals on a cell of two controllers, behind every interface; none of them needs a controller."""
+
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -9,22 +11,27 @@ from dual_ur10.envs import dm_env
 from dual_ur10.envs.api.dual_arm_env import DualArmEnv
 from dual_ur10.envs.api.parallel_env import parallel_env
 from dual_ur10.envs.core.cells import check_for_controllers
+from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.envs.core.randomization import Randomization
 from dual_ur10.envs.core.sensing import Sensing
-from dual_ur10.errors import ResetNeededError, SettingsError
+from dual_ur10.errors import ResetNeededError, ResetRefusedError, SettingsError, StartError
+from dual_ur10.policies.baselines import ZeroPolicy
+from dual_ur10.policies.evaluation.rollout import rollout
 from dual_ur10.sim2real.config.cell_file import load_cell_file, starting_text
 from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell
 
 SINE, HANDOVER = "DualUR10/SineTracking-v0", "DualUR10/Handover-v0"
 BY_THEMSELVES = "episodes that begin by themselves, as in training, on a cell of controllers"
+REFUSED = r"nothing may do that by itself.*reset\(options=\{\"move_to_start\": True\}\)"
+CONSENT = {MOVE_TO_START: True}
 
 
 @pytest.fixture(params=["real", "emulated"])
 def path(request, tmp_path, monkeypatch):
-    """A cell file of controllers that nobody gets to."""
+    """Cell file of controllers that must not be reached."""
 
     def reached(*_, **__):
-        pytest.fail("it came to the controllers")
+        pytest.fail("the controllers were reached")
 
     monkeypatch.setattr(RtdeCell, "__init__", reached)
     hosts = ("192.0.2.1", "192.0.2.2") if request.param == "real" else ("127.0.0.2", "127.0.0.3")
@@ -34,57 +41,53 @@ def path(request, tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def arms(path):
-    """A simulated environment that takes its cell for one of controllers."""
+def arms(path, monkeypatch):
+    """A simulated environment that takes its cell for one of controllers, and counts how often it moves to a start."""
     env = DualArmEnv("SineTracking", duration_s=0.2)
     env.core.config = load_cell_file(path).config()
+    env.moves, reset = 0, env.core.cell.reset
+
+    def counted(*args, **keywords):
+        env.moves += 1
+        return reset(*args, **keywords)
+
+    monkeypatch.setattr(env.core.cell, "reset", counted)
     yield env
     env.close()
 
 
-def run(env, action):
-    """Beyond the end of an episode."""
-    for _ in range(10):
+def run(env, action, steps=10):
+    """Step beyond the end of an episode."""
+    for _ in range(steps):
         env.step(action)
 
 
-@pytest.mark.parametrize("mode", ["sync", "async", "vector_entry_point"])
-def test_vector_environments_are_refused_before_anything_is_connected(path, mode):
+def test_our_vector_environment_with_autoreset_is_refused_before_it_connects(path):
     with pytest.raises(SettingsError, match=BY_THEMSELVES):
-        gym.make_vec(HANDOVER, num_envs=1, vectorization_mode=mode, cell=path)
+        gym.make_vec(HANDOVER, num_envs=1, vectorization_mode="vector_entry_point", cell=path)
 
 
-def test_gymnasiums_own_vector_environment_is_refused_where_it_resets_by_itself(arms):
-    env = gym.vector.SyncVectorEnv([lambda: arms])
+@pytest.mark.parametrize(
+    "wrapper",
+    [
+        lambda env: gym.vector.SyncVectorEnv([lambda: env]),
+        lambda env: gym.vector.SyncVectorEnv([lambda: env], autoreset_mode="SameStep"),
+        gym.wrappers.Autoreset,
+        lambda env: gym.wrappers.Autoreset(gym.wrappers.RecordEpisodeStatistics(env)),
+    ],
+    ids=["next step", "same step", "Autoreset", "wrapped"],
+)
+def test_a_wrapper_that_resets_by_itself_does_not_move_the_arms(arms, wrapper):
+    env = wrapper(arms)
     env.reset(seed=0)
-    with pytest.raises(SettingsError, match=BY_THEMSELVES):
+    with pytest.raises(ResetRefusedError, match=REFUSED):
         run(env, env.action_space.sample())
+    assert arms.moves == 1
 
 
-def test_the_wrapper_that_resets_by_itself_is_refused_where_it_does(arms):
-    env = gym.wrappers.Autoreset(arms)
-    env.reset(seed=0)
-    with pytest.raises(SettingsError, match=BY_THEMSELVES):
-        run(env, env.action_space.sample())
-
-
-def test_a_vector_environment_that_leaves_resets_to_the_program_is_none_of_them(arms):
-    env = gym.vector.SyncVectorEnv([lambda: arms], autoreset_mode="Disabled")
-    for _ in range(2):
-        env.reset(seed=0)
-        env.step(env.action_space.sample())
-
-
-def test_a_program_resets_as_often_as_it_likes(arms):
-    env = gym.wrappers.TimeLimit(gym.wrappers.RecordEpisodeStatistics(arms), 3)
-    for _ in range(2):
-        env.reset(seed=0)
-        while not any(env.step(env.action_space.sample())[2:4]):
-            pass
-
-
-def test_stable_baselines3_is_refused_on_every_way(path, arms):
+def test_stable_baselines3_does_not_move_the_arms_by_itself(path, arms):
     pytest.importorskip("stable_baselines3", reason="needs the extra train")
+    from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import DummyVecEnv
 
     from dual_ur10.envs.api.sb3_bridge import JointVecEnv, TwoAgentVecEnv
@@ -94,12 +97,91 @@ def test_stable_baselines3_is_refused_on_every_way(path, arms):
             kind("SineTracking", 1, cell=path)
         with pytest.raises(SettingsError, match="2 environments on one cell"):
             kind("SineTracking", 2, cell=path)
-    with pytest.raises(SettingsError, match=BY_THEMSELVES):
-        DummyVecEnv([lambda: gym.make(SINE, cell=path)])
-    env = DummyVecEnv([lambda: arms])
+    env = DummyVecEnv([lambda: Monitor(arms)])
+    env.set_options(CONSENT)  # consents to the first reset alone: Stable-Baselines3 forgets options once they are used
     env.reset()
-    with pytest.raises(SettingsError, match=BY_THEMSELVES):
+    with pytest.raises(ResetRefusedError, match=REFUSED):
         run(env, [env.action_space.sample()])
+    assert arms.moves == 1
+
+
+def test_a_program_resets_as_often_as_it_consents(arms):
+    env = gym.wrappers.TimeLimit(gym.wrappers.RecordEpisodeStatistics(arms), 3)
+    for episode in range(3):
+        env.reset(seed=0, options=CONSENT if episode else None)
+        while not any(env.step(env.action_space.sample())[2:4]):
+            pass
+    for refused in (None, {}, {MOVE_TO_START: False}):
+        with pytest.raises(ResetRefusedError, match=REFUSED):
+            env.reset(seed=0, options=refused)
+    with pytest.raises(SettingsError, match="move_to_start is 1: it must be True or False"):
+        env.reset(options={MOVE_TO_START: 1})
+    assert arms.moves == 3
+
+
+def test_a_failed_first_reset_may_be_repeated(arms, monkeypatch):
+    reset = arms.core.cell.reset
+
+    def failing(*_, **__):
+        raise StartError("nobody confirmed")
+
+    monkeypatch.setattr(arms.core.cell, "reset", failing)
+    with pytest.raises(StartError):
+        arms.reset(seed=0)
+    monkeypatch.setattr(arms.core.cell, "reset", reset)
+    arms.reset(seed=0)
+
+
+def test_a_refused_reset_changes_nothing(arms):
+    arms.reset(seed=0)
+    action = np.zeros(12, dtype=np.float32)
+    arms.step(action)
+    with pytest.raises(ResetRefusedError):
+        arms.reset()
+    assert arms.moves == 1
+    assert arms.step(action)[4]["q_rad"].shape == (2, 6)  # the episode goes on
+
+
+def test_confirm_consents_to_every_reset(arms):
+    arms.core.options = replace(arms.core.options, confirm=lambda question: True)
+    for _ in range(2):
+        arms.reset(seed=0)
+    assert arms.moves == 2
+
+
+def test_a_vector_environment_without_autoreset_passes_the_consent_on(arms):
+    env = gym.vector.SyncVectorEnv([lambda: arms], autoreset_mode="Disabled")
+    env.reset(seed=0)
+    with pytest.raises(ResetRefusedError):
+        env.reset(seed=0)
+    env.reset(seed=0, options=CONSENT)
+    assert arms.moves == 2
+
+
+def test_our_vector_environment_needs_consent(path):
+    env = gym.make_vec(SINE, num_envs=1, vectorization_mode="vector_entry_point", autoreset_mode="Disabled")
+    env.unwrapped.core.config = load_cell_file(path).config()
+    env.reset(seed=0)
+    with pytest.raises(ResetRefusedError):
+        env.reset(options={"reset_mask": np.array([True])})
+    env.reset(options={"reset_mask": np.array([True]), **CONSENT})
+    env.close()
+
+
+def test_two_agents_need_consent(path):
+    env = parallel_env("SineTracking", duration_s=0.2)
+    env.unwrapped._env.core.config = load_cell_file(path).config()
+    env.reset(seed=0)
+    with pytest.raises(ResetRefusedError):
+        env.reset()
+    env.reset(options=CONSENT)
+    env.close()
+
+
+def test_rollouts_consent(arms):
+    for seed in range(2):
+        rollout(arms, ZeroPolicy(arms.action_space), seed=seed)
+    assert arms.moves == 2
 
 
 def test_dm_env_does_not_begin_an_episode_in_a_step(path):
@@ -109,16 +191,18 @@ def test_dm_env_does_not_begin_an_episode_in_a_step(path):
     with pytest.raises(ResetNeededError, match=r"call reset\(\) first"):
         env.step(action)
     for _ in range(2):
-        step = env.reset()
+        step = env.reset(move_to_start=True)
         while not step.last():
             step = env.step(action)
         with pytest.raises(ResetNeededError, match=r"on a cell of controllers none begins by itself"):
             env.step(action)
+        with pytest.raises(ResetRefusedError, match=REFUSED):
+            env.reset()
     env.close()
 
 
 def test_two_agents_are_not_refused(path):
-    with pytest.raises(pytest.fail.Exception, match="it came to the controllers"):
+    with pytest.raises(pytest.fail.Exception, match="the controllers were reached"):
         parallel_env("SineTracking", cell=path)
 
 
@@ -132,9 +216,7 @@ def test_nothing_is_added_to_what_controllers_measure(path):
     core.close()
 
 
-def test_what_is_believed_of_a_simulated_plant_is_refused(path):
-    from dataclasses import replace
-
+def test_randomization_and_perturbation_are_refused(path):
     config = load_cell_file(path).config()
     check_for_controllers(config, 1, autoreset=False, randomized=False)
     with pytest.raises(SettingsError, match="randomization is of simulated cells"):

@@ -164,6 +164,7 @@ def _episode(own: dict[str, list[Any]], seed: int, number: int, success: bool, e
         q_rad=np.empty((0, 2, 6)),
         flange_m=np.empty((0, 2, 3)),
         initial_state=None,
+        first_target=np.zeros(count, dtype=np.int64),
     )
 
 

@@ -14,7 +14,7 @@ from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.analysis.parity import Parity, parity
 from dual_ur10.sim2real.analysis.reconstruction import replayed_keywords
 from dual_ur10.sim2real.analysis.series import NO_SPREAD, Spread, Value, at, lag, lengths, none, rising, spread
-from dual_ur10.sim2real.analysis.tick_map import rests
+from dual_ur10.sim2real.analysis.tick_map import late_actions
 from dual_ur10.sim2real.analysis.timing import Timing, timing
 from dual_ur10.sim2real.analysis.tracks import Track, flange_of, mounts_of, tracks, uneven_s
 from dual_ur10.sim2real.recording.run import Header, Run
@@ -321,12 +321,7 @@ def _notes(runs: tuple[Run, Run], mounts: tuple[Mounts, Mounts], count: int) -> 
 
 
 def _rests(name: str, run: Run) -> list[str]:
-    if run.header.source != "mujoco" and any(each.first_target is None for each in run.episodes):
-        return [
-            f"run {name} is of an earlier version, which did not record when actions came too late: behind such a one "
-            "it is compared at wrong times of the task"
-        ]
-    count = rests(run)
+    count = late_actions(run)
     if not count:
         return []
     what = "1 action came" if count == 1 else f"{count} actions came"

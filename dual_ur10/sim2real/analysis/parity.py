@@ -77,6 +77,6 @@ def bits_equal(a: Array, b: Array) -> NDArray[np.bool_]:
 
 def _whole(track: Track) -> tuple[NDArray[np.int64], Array]:
     """Numbers of the actions' targets that are whole, and these targets; the first that was sent for each number."""
-    whole = (track.index == np.rint(track.index)) & ~track.resting
+    whole = (track.index == np.rint(track.index)) & ~track.stopped
     index, rows = np.unique(track.index[whole].astype(np.int64), return_index=True)
     return index, track.target_rad[whole][rows]

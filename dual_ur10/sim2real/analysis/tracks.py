@@ -1,6 +1,6 @@
 """What one arm did in one episode of a recorded run, on two clocks: that of the run, and that of the task.
 
-The task's clock is that of the targets' numbers, but where both arms had to rest (`numbering`). Where a cell runs
+The task's clock is that of the targets' numbers, but where both arms had to rest (`tick_map`). Where a cell runs
 slower than the task, by its `speed_factor` or the slider, a second of the task takes longer; two runs at different
 speeds are the same motion on the task's clock.
 """
@@ -19,7 +19,7 @@ from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
 from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.analysis.series import rising
-from dual_ur10.sim2real.analysis.tick_map import Numbering, around, numbering
+from dual_ur10.sim2real.analysis.tick_map import TickMap, sent_around, tick_map
 from dual_ur10.sim2real.recording.run import ArmLog, Header, Run
 from dual_ur10.types import Array
 
@@ -41,7 +41,7 @@ class Track:
         period: (k,) control periods.
         number: (k,) numbers of the targets, as they were sent; between two where time was slowed down.
         index: (k,) ticks of the task's clock that they belong to, 0 for the episode's first.
-        resting: (k,) whether they belong to no action, for both arms come to rest because one came too late.
+        stopped: (k,) whether they belong to no action, for both arms come to rest because one came too late.
         target_rad: (k, 6).
         time_s: (j,) when each state was, strictly rising.
         task_s: (j,) the same on the task's clock.
@@ -54,7 +54,7 @@ class Track:
     period: Array
     number: Array
     index: Array
-    resting: NDArray[np.bool_]
+    stopped: NDArray[np.bool_]
     target_rad: Array
     time_s: Array
     task_s: Array
@@ -105,7 +105,7 @@ def track(run: Run, number: int, arm: int) -> Track:
     if not 0 <= number < len(run.episodes):
         raise RecordingError(f"the recording has {len(run.episodes)} episodes: there is no number {number}")
     episode, header, log = run.episodes[number], run.header, run.arms[arm]
-    numbers = numbering(run, number)
+    numbers = tick_map(run, number)
     sent = _sent(run, number, arm, numbers)
     if len(sent["index"]) < 2:
         raise RecordingError(
@@ -114,7 +114,7 @@ def track(run: Run, number: int, arm: int) -> Track:
         )
     begin_s = episode.begin_s
     sent_s = sent["sent_s"] - begin_s
-    index, resting = numbers(sent["index"])
+    index, stopped = numbers(sent["index"])
     # When each target was due: free of the jitter with which it was sent.
     due_s = _line(sent["period"], sent_s - sent["late_s"], _STRAIGHT_TICKS * header.tick_s)
     end_s = due_s[-1] + header.tick_s
@@ -142,7 +142,7 @@ def track(run: Run, number: int, arm: int) -> Track:
         period=sent["period"],
         number=sent["index"],
         index=index,
-        resting=resting,
+        stopped=stopped,
         target_rad=sent["target_rad"],
         time_s=time_s,
         task_s=_task_times(time_s, due_s, index * header.tick_s),
@@ -156,11 +156,11 @@ def tracks(run: Run, number: int) -> tuple[Track, Track]:
     return track(run, number, 0), track(run, number, 1)
 
 
-def _sent(run: Run, number: int, arm: int, numbers: Numbering) -> dict[str, Array]:
+def _sent(run: Run, number: int, arm: int, numbers: TickMap) -> dict[str, Array]:
     """Targets sent to an arm in an episode."""
-    kept = around(run, number, arm)
+    kept = sent_around(run, number, arm)
     rows = {name: values[kept] for name, values in run.arms[arm].sent.items()}
-    inside = (rows["index"] > numbers.first - 0.5) & (rows["index"] < numbers.behind - 0.5)
+    inside = (rows["index"] > numbers.first - 0.5) & (rows["index"] < numbers.end - 0.5)
     return {name: values[inside] for name, values in rows.items()}
 
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import RecordingError
-from dual_ur10.sim2real.recording.cdr import Schema
-from dual_ur10.sim2real.recording.run import NOT_TOLD, Episode
+from dual_ur10.sim2real.recording.run import LATE, Episode
 from dual_ur10.sim2real.recording.schemas import BEGIN, EPISODE_TOPIC, STEP, STEP_TOPIC
 
 _SEED_DIGITS: Final = 100
@@ -18,9 +17,7 @@ _MOST_NUMBER: Final = 2**52
 _FINITE: Final = ("time_s", "reward", "q_rad", "flange_m", "action", "targets_rad", "gripper_m")
 
 
-def read_episodes(
-    begins: list[bytes], steps: list[bytes], ticks: int, *, from_within: bool, schema: Schema = STEP
-) -> list[Episode]:
+def read_episodes(begins: list[bytes], steps: list[bytes], ticks: int, *, from_within: bool) -> list[Episode]:
     """All episodes of a run.
 
     Args:
@@ -28,7 +25,6 @@ def read_episodes(
         steps: Messages of `STEP_TOPIC`.
         ticks: Control periods of a step.
         from_within: Whether the first episode may lack its first steps, as in a black box.
-        schema: Of the steps: `STEP`, or one that was before it.
 
     Raises:
         RecordingError: A message makes no sense, or does not follow the one before.
@@ -39,7 +35,7 @@ def read_episodes(
             raise RecordingError(f"{EPISODE_TOPIC}, row {row}: it does not follow the episode before")
     members: dict[int, list[dict[str, Any]]] = {head["number"]: [] for head in heads}
     for row, data in enumerate(steps):
-        step = _step(row, data, ticks, schema)
+        step = _step(row, data, ticks)
         own = members.get(step["episode"])
         if own is None:
             raise RecordingError(f"{STEP_TOPIC}, row {row}: there is no episode {step['episode']}")
@@ -60,8 +56,8 @@ def _begin(row: int, data: bytes, *, from_within: bool) -> dict[str, Any]:
     return head
 
 
-def _step(row: int, data: bytes, ticks: int, schema: Schema) -> dict[str, Any]:
-    step, what = {"first_target": NOT_TOLD} | schema.decode(data), f"{STEP_TOPIC}, row {row}"
+def _step(row: int, data: bytes, ticks: int) -> dict[str, Any]:
+    step, what = STEP.decode(data), f"{STEP_TOPIC}, row {row}"
     for name in _FINITE:
         if not np.isfinite(step[name]).all():
             raise RecordingError(f"{what}: {name} is not finite")
@@ -75,7 +71,7 @@ def _step(row: int, data: bytes, ticks: int, schema: Schema) -> dict[str, Any]:
         )
     if step["success"] not in (-1, 0, 1):
         raise RecordingError(f"{what}: success is {step['success']}")
-    if not NOT_TOLD <= step["first_target"] <= _MOST_NUMBER:
+    if not LATE <= step["first_target"] <= _MOST_NUMBER:
         raise RecordingError(f"{what}: first_target is {step['first_target']}")
     return step
 
@@ -104,7 +100,6 @@ def _episode(head: dict[str, Any], steps: list[dict[str, Any]], ticks: int) -> E
         return np.array([*values, *(step[name] for step in steps)], dtype=dtype).reshape(-1, *shape)
 
     width = steps[0]["action"].size if steps else 0
-    told = bool(steps) and all(step["first_target"] != NOT_TOLD for step in steps)
     return Episode(
         seed=int(head["seed"]) if head["seed"] else None,
         number=head["number"],
@@ -123,6 +118,6 @@ def _episode(head: dict[str, Any], steps: list[dict[str, Any]], ticks: int) -> E
         q_rad=all_of("q_rad", 2, 6, begin=True),
         flange_m=all_of("flange_m", 2, 3, begin=True),
         initial_state=head["initial_state"] or None,
-        first_target=all_of("first_target", dtype=np.int64) if told else None,
+        first_target=all_of("first_target", dtype=np.int64),
         first_step=first,
     )

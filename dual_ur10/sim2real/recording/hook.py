@@ -12,7 +12,7 @@ from dual_ur10.sim2real.config.cell import CellState, CellStep
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.recording.describe import plain
 from dual_ur10.sim2real.recording.rows import BeginRow, RunRecorder, StepRow
-from dual_ur10.sim2real.recording.run import LATE, NOT_TOLD
+from dual_ur10.sim2real.recording.run import LATE
 from dual_ur10.types import Array
 
 
@@ -108,10 +108,8 @@ class RecordHook:
         self._step += 1
         self.recorder.step(row, period.trace)
 
-    def _first_target(self, period: CellStep) -> int:
+    def _first_target(self, period: CellStep) -> int | None:
         """Return the number of the step's first target, or its stand-in; record a missed deadline as an event."""
-        if period.first_target is None:
-            return NOT_TOLD
         if not period.late:
             return period.first_target
         self.recorder.event(

@@ -21,11 +21,9 @@ from dual_ur10.sim2real.recording.schemas import (
     EPISODE_TOPIC,
     EVENT,
     EVENT_TOPIC,
-    FORMER_STEP,
     SENT_COLUMNS,
     SINGLE,
     STATE_COLUMNS,
-    STEP,
     STEP_TOPIC,
     Columns,
     columns_of,
@@ -92,9 +90,8 @@ def _run(found: Scanned, allow_partial: bool) -> Run:
     header = header_of(found.metadata[METADATA_NAME])
     for topic in _WANTED - found.schemas.keys():
         raise RecordingError(found.reason or f"it has no channel {topic}")
-    former = found.schemas[STEP_TOPIC] == (FORMER_STEP.name, FORMER_STEP.text)
     for topic, schema in SINGLE.items():
-        if found.schemas[topic] != (schema.name, schema.text) and not (former and topic == STEP_TOPIC):
+        if found.schemas[topic] != (schema.name, schema.text):
             raise RecordingError(f"{topic} is defined otherwise than this version does")
     left, right = (_arm(found, arm, finite=not allow_partial) for arm in ARMS)
     black_box = bool(header.extra.get("black_box"))
@@ -103,7 +100,6 @@ def _run(found: Scanned, allow_partial: bool) -> Run:
         found.messages[STEP_TOPIC],
         header.period_ticks,
         from_within=black_box,
-        schema=FORMER_STEP if former else STEP,
     )
     if header.seed is None and episodes and not black_box:
         header = replace(header, seed=episodes[0].seed)  # a file's header is written before its first reset

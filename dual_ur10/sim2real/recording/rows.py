@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.sim2real.recording.run import NOT_TOLD
 from dual_ur10.sim2real.recording.schemas import BEGIN, STEP
 from dual_ur10.types import Array
 
@@ -72,8 +71,8 @@ class StepRow:
         q_rad: (2, 6) at its end.
         flange_m: (2, 3) at its end.
         observation: (O,) at its end, or None.
-        first_target: Number of the first of `targets_rad` among those that are sent; `LATE`: none of them is;
-            `NOT_TOLD`.
+        first_target: Number of the first of `targets_rad` among those that are sent; `LATE`: none of them is; None: the
+            recorder counts the targets itself.
     """
 
     action: NDArray[Any]
@@ -89,7 +88,7 @@ class StepRow:
     q_rad: Array
     flange_m: Array
     observation: Array | None = None
-    first_target: int = NOT_TOLD
+    first_target: int | None = None
 
     def encode(self, episode: int, step: int) -> bytes:
         """The message of step `step` of the run's episode `episode`."""

@@ -17,9 +17,6 @@ from dual_ur10.types import Array
 LATE: Final = -1
 """In place of a target's number: the action came too late, and nothing of it was sent."""
 
-NOT_TOLD: Final = -2
-"""In place of a target's number: it is not known."""
-
 
 @dataclass(frozen=True)
 class Header:
@@ -105,7 +102,7 @@ class Episode:
         flange_m: (m+1, 2, 3).
         initial_state: Of MuJoCo after the reset; None outside simulation.
         first_target: (m,) number of the first of each step's targets, among those that were sent (`ArmLog.sent`,
-            "index"); `LATE` where nothing of it was sent. None: it was not recorded.
+            "index"); `LATE` where nothing of it was sent.
         first_step: Number of step 0 here in the episode: above 0 in a black box that begins within one.
     """
 
@@ -126,7 +123,7 @@ class Episode:
     q_rad: Array
     flange_m: Array
     initial_state: bytes | None
-    first_target: NDArray[np.int64] | None = None
+    first_target: NDArray[np.int64]
     first_step: int = 0
 
 

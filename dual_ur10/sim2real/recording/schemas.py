@@ -81,7 +81,8 @@ BEGIN: Final = _schema(
 )
 """An empty observation or state: there is none. An empty seed: none was given."""
 
-_STEP: Final = (
+STEP: Final = _schema(
+    "Step",
     "float64 time_s",
     "int64 episode",
     "int64 step",
@@ -97,12 +98,9 @@ _STEP: Final = (
     "float64[] targets_rad",
     "float64[] gripper_m",
     "float64[] observation",
+    "int64 first_target",
 )
-STEP: Final = _schema("Step", *_STEP, "int64 first_target")
-"""`time_s` is the task's; success -1: not known; first_target -1: the action came too late, -2: not known."""
-
-FORMER_STEP: Final = _schema("Step", *_STEP)
-"""As it was before, which is still read."""
+"""`time_s` is the task's; success -1: not known; first_target -1: the action missed its deadline."""
 
 EVENT: Final = _schema("Event", "float64 time_s", "string kind", "string text", "string arm")
 

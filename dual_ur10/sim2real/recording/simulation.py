@@ -82,8 +82,8 @@ class SimulationRecord:
         if self._episode < 0:
             raise ResetNeededError("a step was to be recorded before the first episode: call begin_episode first")
         ticks = len(row.targets_rad)
+        row = replace(row, first_target=self._sent + 1 + self._latency_ticks)
         if trace is not None:
-            row = replace(row, first_target=self._sent + 1 + self._latency_ticks)
             self._trace(trace)
         self._ticks += ticks
         self.writer.single(STEP_TOPIC, self.now_s, row.encode(self._episode, self._step))

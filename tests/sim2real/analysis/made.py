@@ -135,6 +135,7 @@ def run(
             q_rad=np.stack([each.state["q_rad"][number * (sends + 1) + every] for each in arms], axis=1),
             flange_m=np.zeros((steps + 1, 2, 3)),
             initial_state=None,
+            first_target=first_index + late + ticks * np.arange(steps),
         )
         for number in range(episodes)
     ]
@@ -157,7 +158,6 @@ def rested(
     at: tuple[int, ...] = (40,),
     pause: int = 60,
     sent_later_s: float = 0.0,
-    told: bool = True,
     first_index: int = 4711,
     **values: Any,
 ) -> Run:
@@ -166,7 +166,6 @@ def rested(
     Args:
         at: These steps.
         sent_later_s: By how much later the right arm's targets are sent.
-        told: Whether the steps say with which targets they begin.
     """
     head = header(source="emulated", **values)
     tick_s, ticks, late = head.tick_s, head.period_ticks, head.latency_ticks
@@ -193,5 +192,5 @@ def rested(
         }
         arms.append(ArmLog({**state, "timestamp_s": 500.0 + state["arrival_s"]}, sent))
     plain = run(seconds, **values).episodes[0]
-    episode = replace(plain, first_target=np.array(begins) if told else None)
+    episode = replace(plain, first_target=np.array(begins))
     return Run(head, (arms[0], arms[1]), [episode], [], True)

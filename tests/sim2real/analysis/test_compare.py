@@ -277,25 +277,13 @@ def test_a_run_with_rests_is_read_to_its_end() -> None:
         assert theirs.index[-1] == ours.index[-1] == 749
         assert theirs.task_s[-1] == pytest.approx(ours.task_s[-1], abs=1e-9)
         assert len(theirs.index) == 750 + 3 * (60 - 5)
-        assert theirs.resting.sum() == 3 * 60
+        assert theirs.stopped.sum() == 3 * 60
 
 
-@pytest.mark.parametrize("told", [True, False])
-def test_skew_is_between_equal_targets_whatever_rests_there_were(told: bool) -> None:
-    found = timing(rested(at=(20, 90), sent_later_s=0.7e-3, told=told))
+def test_skew_is_between_equal_targets_whatever_stops_there_were() -> None:
+    found = timing(rested(at=(20, 90), sent_later_s=0.7e-3))
     assert np.abs(found.skews_s + 0.7e-3).max() < 1e-9
     assert len(found.skews_s) > 700
-
-
-def test_a_recording_that_does_not_tell_of_rests_has_one_beginning_for_both_arms() -> None:
-    made = rested(at=(20, 90), told=False)
-    # The right arm stood still so long that other beginnings would fit it as well.
-    still = np.repeat(made.arms[1].sent["target_rad"][:1], len(made.arms[1].sent["index"]), axis=0)
-    made = with_arm(made, 1, sent={"target_rad": still})
-    left, right = tracks(made, 0)
-    assert left.index[0] == right.index[0] == 0.0
-    assert left.number[0] == right.number[0] == 4711.0
-    assert "run B is of an earlier version" in " ".join(compare(run(), made).notes)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -455,7 +443,10 @@ def test_episodes_do_not_leak_into_each_other() -> None:
         sent["sent_s"] = times - TICK_S
         sent["index"] = sent["period"] = np.arange(3.0 * count).reshape(3, count)
         logs.append([{k: v.reshape(-1, *v.shape[2:]) for k, v in each.items()} for each in (state, sent)])
-    episodes = [replace(each, begin_s=k * count * TICK_S) for k, each in enumerate(made.episodes)]
+    episodes = [
+        replace(each, begin_s=k * count * TICK_S, first_target=each.first_target + k * count)
+        for k, each in enumerate(made.episodes)
+    ]
     glued = replace(made, episodes=episodes)
     for arm, (state, rows) in enumerate(logs):
         glued = with_arm(glued, arm, state=state, sent=rows)

@@ -79,6 +79,7 @@ def step_row(rng, number, **changes):
         "q_rad": rng.normal(size=(2, 6)),
         "flange_m": rng.normal(size=(2, 3)),
         "observation": rng.normal(size=OBSERVATION),
+        "first_target": TICKS * number,
     }
     return StepRow(**(values | changes))
 

@@ -11,11 +11,10 @@ import pytest
 import dual_ur10  # noqa: F401 - registers the ids
 from dual_ur10.errors import RecordingError
 from dual_ur10.sim2real.config.cell import CellStep
-from dual_ur10.sim2real.recording import rows, schemas
 from dual_ur10.sim2real.recording.hook import RecordHook
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.recording.run import LATE
-from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, FORMER_STEP, SINGLE, STEP_TOPIC
+from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, STEP_TOPIC
 from dual_ur10.sim2real.recording.writer import RunWriter
 from tests.sim2real.recording.runs import TICKS, begin_row, header, step_row
 
@@ -37,26 +36,10 @@ def test_steps_tell_with_which_target_they_begin(tmp_path):
     assert episode.first_target.dtype == np.int64
 
 
-def test_steps_that_do_not_tell_it_have_none(tmp_path):
-    (episode,) = read_run(written(tmp_path, [40, -2])).episodes
-    assert episode.first_target is None
-
-
-@pytest.mark.parametrize("targets", [[40, 44], [40, LATE, 44], [-3], [2**60]])
+@pytest.mark.parametrize("targets", [[40, 44], [40, LATE, 44], [-2], [-3], [2**60]])
 def test_targets_that_no_run_has_are_refused_with_their_row(tmp_path, targets):
     with pytest.raises(RecordingError, match=f"/step, row {len(targets) - 1}: first_target is"):
         read_run(written(tmp_path, targets))
-
-
-def test_a_recording_of_before_is_read(tmp_path, monkeypatch):
-    with monkeypatch.context() as patch:
-        patch.setattr(rows, "STEP", FORMER_STEP)
-        patch.setitem(schemas.SINGLE, STEP_TOPIC, FORMER_STEP)
-        written(tmp_path, [1, 2])
-    assert SINGLE[STEP_TOPIC].text != FORMER_STEP.text
-    run = read_run(tmp_path)
-    assert run.episodes[0].first_target is None
-    assert len(run.episodes[0].reward) == 2
 
 
 def test_the_seed_of_a_run_is_that_of_its_first_reset(tmp_path):

@@ -37,5 +37,6 @@ if __name__ == "__main__":
     palette = rows[len(rows) // 2].quantize(96, method=Image.Quantize.MEDIANCUT)
     pictures = [row.quantize(palette=palette, dither=Image.Dither.NONE) for row in rows]
     path = Path(__file__).parent / "images" / "tasks.gif"
-    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=int(1000 * FRAME_S), loop=0, optimize=True)
+    duration_ms = int(1000 * FRAME_S)
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=duration_ms, loop=0, optimize=True)
     print(f"{path.name}: {path.stat().st_size / 1e6:.2f} MB, {len(rows)} frames")

@@ -1,4 +1,4 @@
-"""Checks of a motion command's numbers."""
+"""Input validation of motion commands."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def number(value: Any, what: str) -> float:
     """Return a finite number.
 
     Raises:
-        MotionError: It is none.
+        MotionError: The value is not one.
     """
     try:
         found = float(0.0 + value)  # which text does not pass
@@ -32,7 +32,7 @@ def six(values: Iterable[Any], what: str) -> tuple[float, ...]:
     """Return six finite numbers.
 
     Raises:
-        MotionError: They are not six, or not finite numbers.
+        MotionError: The values are not six finite numbers.
     """
     try:
         found = tuple([float(0.0 + each) for each in values])
@@ -44,10 +44,10 @@ def six(values: Iterable[Any], what: str) -> tuple[float, ...]:
 
 
 def positive(value: Any, what: str) -> float:
-    """Return a number above zero.
+    """Return a number greater than zero.
 
     Raises:
-        MotionError: It is none.
+        MotionError: The value is not one.
     """
     found = number(value, what)
     if found <= 0.0:
@@ -59,7 +59,7 @@ def not_negative(value: Any, what: str) -> float:
     """Return a number of at least zero.
 
     Raises:
-        MotionError: It is none.
+        MotionError: The value is not one.
     """
     found = number(value, what)
     if found < 0.0:
@@ -71,9 +71,9 @@ def checked_frame(pose: Iterable[Any], what: str) -> Frame:
     """Return position and rotation of a pose.
 
     Raises:
-        MotionError: It is none, or one that no arm has.
+        MotionError: The values are no pose, or are out of any arm's range.
     """
     numbers = six(pose, what)
     if max(map(abs, numbers[:3])) > _FARTHEST_M or max(map(abs, numbers[3:])) > _LONGEST_ROTVEC_RAD:
-        raise MotionError(f"{what} is {numbers}: no arm has poses like that")
+        raise MotionError(f"{what} is {numbers}: that is out of any arm's range")
     return frame_of(numbers)

@@ -1,4 +1,4 @@
-"""Motions of the TCP, as functions of their own time; the posture follows from the pose in closed form."""
+"""Trajectories of the TCP. The joint positions follow from the pose in closed form."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ from dual_ur10.sim2real.emulator.motion.trajectories import TIME_EPSILON_S, Traj
 from dual_ur10.types import Array
 
 ACCELERATION_LIMIT: Final = 40.0
-"""Greatest acceleration of the TCP, in m/s² and rad/s²: this project's choice. A controller takes more than an arm can
-follow."""
+"""Greatest acceleration of the TCP, m/s² and rad/s². A choice of this project: controllers accept more than an arm can
+follow.
+"""
 
 SPEED_LIMIT: Final = 5.0
-"""Greatest speed of the TCP, in m/s and rad/s; joints are the nearer limit."""
+"""Greatest speed of the TCP, m/s and rad/s. The joints' limits are usually reached first."""
 
 
 class PoseTrajectory(Trajectory):
-    """A motion whose poses are known.
+    """Trajectory given by poses of the TCP.
 
     Args:
-        arm: Its kinematics.
-        tool: Where the TCP is.
-        near: (6,) posture at the start.
+        arm: Kinematics of the arm.
+        tool: Tool that carries the TCP.
+        near: (6,) joint positions at the start.
     """
 
     governed = True
@@ -39,10 +40,10 @@ class PoseTrajectory(Trajectory):
 
     @abstractmethod
     def poses(self, times: Array) -> Frame:
-        """Poses (n) of the TCP at times (n,)."""
+        """Return poses (n) of the TCP at times (n,)."""
 
     def positions(self, step: float, counts: Array) -> Array:
-        """Joint positions (n, 6); see `Trajectory`."""
+        """Return joint positions (n, 6); see `Trajectory`."""
         q, ok = self.arm.joints(self.poses(self.t + step * counts), self.near, self.tool)
         if not ok:
             raise UnreachableError("the arm does not reach the next pose on its path")
@@ -50,26 +51,26 @@ class PoseTrajectory(Trajectory):
         return q
 
     def commit(self, time: float) -> None:
-        """Let `time` pass."""
+        """Advance by `time`."""
         self.t += time
         self.near = self._reached
 
 
 class PoseMove(PoseTrajectory):
-    """From rest to rest along a path.
+    """Move along a path, from rest to rest.
 
-    Translation in m and rotation in rad have the same `speed` and `acceleration` as numbers, and the one that takes
-    longer leads. UR publishes only the former.
+    Translation in m and rotation in rad have the same numbers `speed` and `acceleration`; the one that takes longer
+    leads. UR publishes only the former.
 
     Args:
-        arm: Its kinematics.
-        tool: Where the TCP is.
-        near: (6,) posture at the start.
-        path: The way.
-        end: (6,) posture at the end.
+        arm: Kinematics of the arm.
+        tool: Tool that carries the TCP.
+        near: (6,) joint positions at the start.
+        path: Path of the TCP.
+        end: (6,) joint positions at the end.
         acceleration: m/s² and rad/s².
         speed: m/s and rad/s.
-        time: If above 0, in this time, whatever `acceleration` and `speed` are.
+        time: Duration, s; overrides `acceleration` and `speed` if above 0.
         blend_m: Blend radius.
     """
 
@@ -95,16 +96,16 @@ class PoseMove(PoseTrajectory):
         self.duration = self.profile.duration
 
     def poses(self, times: Array) -> Frame:
-        """Poses (n) of the TCP at times (n,)."""
-        return self.path.at(np.array([self.profile.share(t) for t in times.tolist()]))
+        """Return poses (n) of the TCP at times (n,)."""
+        return self.path.at(np.array([self.profile.fraction(t) for t in times.tolist()]))
 
 
 class PoseBlend(PoseTrajectory):
-    """A move that starts before the one before it has ended: displacements add up, rotations follow each other.
+    """Move that starts before the previous one has ended: displacements add up, rotations are composed.
 
     Args:
-        main: The move; it starts where `ending` ends.
-        ending: The move before.
+        main: The move, which starts at the end of `ending`.
+        ending: The previous move.
     """
 
     def __init__(self, main: PoseMove, ending: PoseMove) -> None:
@@ -112,14 +113,14 @@ class PoseBlend(PoseTrajectory):
         self.main, self.ending = main, ending
 
     def poses(self, times: Array) -> Frame:
-        """Poses (n) of the TCP at times (n,)."""
+        """Return poses (n) of the TCP at times (n,)."""
         position, rotation = self.main.poses(times - self.t + self.main.t)
         late, turned = self.ending.poses(times - self.t + self.ending.t)
         end = self.ending.path.end
         return Frame(position + (late - end.position), turned @ end.rotation.T @ rotation)
 
     def commit(self, time: float) -> None:
-        """Let `time` pass."""
+        """Advance by `time`."""
         super().commit(time)
         self.main.t += time
         self.ending.t += time
@@ -127,19 +128,19 @@ class PoseBlend(PoseTrajectory):
 
     @property
     def finished(self) -> bool:
-        """Whether it has come to rest."""
+        """True once the arm has stopped."""
         return self.main.finished and self.ending.finished
 
 
 class PoseBrake(PoseTrajectory):
-    """From a speed of the TCP to rest, on a straight line.
+    """Straight braking from a speed of the TCP to rest.
 
     Args:
-        arm: Its kinematics.
-        tool: Where the TCP is.
-        near: (6,) posture at the start.
+        arm: Kinematics of the arm.
+        tool: Tool that carries the TCP.
+        near: (6,) joint positions at the start.
         twist: (6,) speed at the start, m/s and rad/s.
-        time: Until it stands.
+        time: Duration, s.
     """
 
     def __init__(self, arm: ArmKinematics, tool: Tool, near: Array, twist: Array, time: float) -> None:
@@ -147,7 +148,7 @@ class PoseBrake(PoseTrajectory):
         self._start, self._twist, self.duration = arm.tcp(near, tool), twist, time
 
     def poses(self, times: Array) -> Frame:
-        """Poses (n) of the TCP at times (n,)."""
+        """Return poses (n) of the TCP at times (n,)."""
         t = np.minimum(times, self.duration)
         if self.duration > 0.0:
             t = t - t * t / (2 * self.duration)
@@ -155,12 +156,12 @@ class PoseBrake(PoseTrajectory):
 
 
 class SpeedPose(PoseTrajectory):
-    """To a given speed of the TCP at an acceleration, and on with it.
+    """Acceleration to a speed of the TCP, which is then held.
 
     Args:
-        arm: Its kinematics.
-        tool: Where the TCP is.
-        near: (6,) posture at the start.
+        arm: Kinematics of the arm.
+        tool: Tool that carries the TCP.
+        near: (6,) joint positions at the start.
         twist: (6,) speed at the start, m/s and rad/s.
     """
 
@@ -170,12 +171,12 @@ class SpeedPose(PoseTrajectory):
     def __init__(self, arm: ArmKinematics, tool: Tool, near: Array, twist: Array) -> None:
         super().__init__(arm, tool, near)
         self._start, self._twist, self._target = arm.tcp(near, tool), twist, twist
-        self._change = np.zeros((2, 6))  # acceleration of either half while it lasts, and zero in the other
+        self._change = np.zeros((2, 6))  # rows: acceleration of translation, of rotation
         self._reached_s = np.zeros(2)
         self._timed = False
 
     def aim(self, twist: Array, acceleration: float, acceleration_rad_s2: float, ticks: int) -> None:
-        """Take a new speed (6,); after `ticks`, or when it is reached if that is 0, the program may go on."""
+        """Set a new speed (6,). The command returns after `ticks`, or at 0 once the speed is reached."""
         self._target = twist
         self._timed, self.ticks_left = ticks > 0, ticks
         change = twist - self._twist
@@ -188,19 +189,21 @@ class SpeedPose(PoseTrajectory):
         self.t = 0.0
 
     def _ramps(self, times: Array) -> Array:
-        """(n, 2) time of acceleration of either half."""
+        """Return the time (n, 2) for which translation and rotation have accelerated."""
         ramps: Array = np.minimum(times[:, None], self._reached_s)
         return ramps
 
     def poses(self, times: Array) -> Frame:
-        """Poses (n) of the TCP at times (n,)."""
+        """Return poses (n) of the TCP at times (n,)."""
         ramps = self._ramps(times)
-        way = np.multiply.outer(times, self._twist) + (times[:, None] * ramps - 0.5 * ramps * ramps) @ self._change
-        return _moved(self._start, way)
+        displacement = (
+            np.multiply.outer(times, self._twist) + (times[:, None] * ramps - 0.5 * ramps * ramps) @ self._change
+        )
+        return _moved(self._start, displacement)
 
     def commit(self, time: float) -> None:
-        """Let `time` pass."""
-        # The state is brought up to now, so that the tool's turning needs no more than a tick's rotation vector.
+        """Advance by `time`."""
+        # Restart from the present state, so that the rotation needs no more than one tick's rotation vector.
         now = np.array([time])
         position, rotation = self.poses(now)
         self._start = Frame(position[0], rotation[0])
@@ -214,11 +217,11 @@ class SpeedPose(PoseTrajectory):
 
     @property
     def returns(self) -> bool:
-        """Whether the program may go on."""
+        """True once the command returns to its program."""
         return self.ticks_left <= 0 if self._timed else not self._reached_s.any()
 
 
-def _moved(start: Frame, way: Array) -> Frame:
-    """Poses (n) after moving by (n, 6), a displacement and a rotation vector in base."""
-    rotation = quat_to_matrix(quat_from_rotvec(way[:, 3:])) @ start.rotation
-    return Frame(start.position + way[:, :3], rotation)
+def _moved(start: Frame, displacement: Array) -> Frame:
+    """Return poses (n) displaced by (n, 6): a displacement and a rotation vector in base."""
+    rotation = quat_to_matrix(quat_from_rotvec(displacement[:, 3:])) @ start.rotation
+    return Frame(start.position + displacement[:, :3], rotation)

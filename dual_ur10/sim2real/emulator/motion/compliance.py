@@ -1,4 +1,4 @@
-"""Force mode and free drive: how the TCP gives way to a force."""
+"""Admittance of the TCP in force mode and freedrive."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from dual_ur10.kinematics.rotations import cross
 from dual_ur10.sim2real.emulator.motion.tool_kinematics import Frame
 from dual_ur10.types import Array, constant
 
-# UR publishes none of these. They are modest, so that a stiff contact stays stable at 8 ms.
+# UR publishes none of these. Modest values keep a stiff contact stable at 8 ms.
 FORCE_DAMPING: Final = constant([500.0, 500.0, 500.0, 20.0, 20.0, 20.0])  # N s/m, N m s/rad
 FREE_DAMPING: Final = constant([100.0, 100.0, 100.0, 5.0, 5.0, 5.0])
-FREE_FRICTION: Final = constant([4.0, 4.0, 4.0, 0.4, 0.4, 0.4])  # N, N m: below this the arm stands
+FREE_FRICTION: Final = constant([4.0, 4.0, 4.0, 0.4, 0.4, 0.4])  # N, N m: smaller wrenches do not move the arm
 SPEED_CAP: Final = constant([0.5, 0.5, 0.5, 1.0, 1.0, 1.0])  # m/s, rad/s
 TIME_CONSTANT_S: Final = 0.05
 _WRENCH_CAP: Final = 1e4
@@ -24,17 +24,17 @@ _WRENCH_CAP: Final = 1e4
 
 @dataclass
 class Compliance:
-    """An admittance: forces make speeds, in some axes of a frame.
+    """Admittance: wrenches cause speeds, in selected axes of a frame.
 
     Attributes:
-        frame: Its axes, in base.
-        kind: UR's types: 1, y points from the TCP to the frame's origin; 2, as it is; 3, x is the direction of the
-            TCP's speed in the frame's x-y plane.
+        frame: Compliance frame, in base.
+        kind: UR's types. 1: y points from the TCP to the frame's origin. 2: the frame as given. 3: x is the direction
+            of the TCP's speed in the frame's x-y plane.
         axes: (6,) 1 in compliant axes, else 0.
-        wanted: (6,) wrench that the arm is to exert in them, in the frame.
+        wanted: (6,) wrench that the arm exerts in them, in the frame.
         limits: (6,) greatest speeds in them.
-        damping: (6,) of which a wrench makes a speed.
-        friction: (6,) wrench that does not move the arm.
+        damping: (6,) wrench per speed.
+        friction: (6,) wrench below which the arm does not move.
     """
 
     frame: Frame
@@ -46,12 +46,12 @@ class Compliance:
     friction: Array
 
     def twist(self, wrench: Sequence[float] | Array | None, tcp: Frame, speed: Array) -> Array:
-        """Speed (6,) of the TCP in base.
+        """Return the speed (6,) of the TCP in base.
 
         Args:
-            wrench: (6,) what the environment exerts on the TCP, in base's axes; None: nothing.
-            tcp: Where the TCP is.
-            speed: (3,) its speed, m/s.
+            wrench: (6,) wrench of the environment on the TCP, in base's axes; None: no wrench.
+            tcp: Pose of the TCP.
+            speed: (3,) speed of the TCP, m/s.
         """
         rotation = self._rotation(tcp, speed)
         net = self.wanted.copy()

@@ -1,4 +1,4 @@
-"""What programs command of one arm."""
+"""URScript's motion commands of one arm."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ _MOST_TICKS: Final = 2**31
 
 
 class Motion(ToolMotion):
-    """The reference motion of one arm, and the commands of URScript that shape it.
+    """Reference motion of one arm, with the motion commands of URScript.
 
-    A command takes effect in the next `plan` and replaces what moved the arm before, from the position and speed that
-    it has. Every one answers with a [Handle][dual_ur10.sim2real.emulator.motion.Handle].
+    A command takes effect in the next `plan` and replaces the previous one, from the present position and speed. Every
+    command returns a [Handle][dual_ur10.sim2real.emulator.motion.Handle].
 
     Poses are those of the TCP in UR's `base`: x, y, z in m and a rotation vector in rad.
     """
@@ -50,17 +50,17 @@ class Motion(ToolMotion):
     # Moves.
 
     def move_joints(self, q: Iterable[Any], a: float, v: float, t: float = 0.0, r: float = 0.0) -> Handle:
-        """`movej`: to joint positions, along a line in joint space.
+        """`movej`: move to joint positions, on a line in joint space.
 
         Args:
             q: (6,) target.
             a: Acceleration of the joint that moves farthest, rad/s²; at most 40.
             v: Its speed, rad/s; reduced where a joint would exceed its limit.
-            t: If above 0, the time of the move, whatever `a` and `v` are.
+            t: Duration, s; overrides `a` and `v` if above 0.
             r: Blend radius in m.
 
         Raises:
-            MotionError: An argument makes no sense.
+            MotionError: An argument is invalid.
         """
         target = np.array(six(q, "the target of movej"))
         a, v, t, r = _move_arguments("movej", a, v, t, r)
@@ -74,25 +74,25 @@ class Motion(ToolMotion):
         return self._begin(move if ending is None else Superposed(move, ending, start), target, ending)
 
     def move_linear(self, pose: Iterable[Any], a: float, v: float, t: float = 0.0, r: float = 0.0) -> Handle:
-        """`movel`: to a pose, along a line in space, the tool turning evenly.
+        """`movel`: move to a pose, on a line in space, with an even rotation of the tool.
 
-        Where a joint would exceed its speed limit, the move slows down.
+        The move slows down where a joint would exceed its speed limit.
 
         Args:
             pose: (6,) target.
             a: Acceleration, m/s² and rad/s².
             v: Speed, m/s and rad/s.
-            t: If above 0, the time of the move, whatever `a` and `v` are.
+            t: Duration, s; overrides `a` and `v` if above 0.
             r: Blend radius in m.
 
         Raises:
-            MotionError: An argument makes no sense.
+            MotionError: An argument is invalid.
         """
         target = checked_frame(pose, "the target of movel")
         return self._move_tcp(None, target, *_move_arguments("movel", a, v, t, r))
 
     def move_process(self, pose: Iterable[Any], a: float, v: float, r: float = 0.0) -> Handle:
-        """`movep`: as `movel`. UR's blends are circles at constant speed; here they are those of `movel`.
+        """`movep`: like `movel`. UR blends with circles at constant speed; here blends are those of `movel`.
 
         Args:
             pose: (6,) target.
@@ -101,13 +101,13 @@ class Motion(ToolMotion):
             r: Blend radius in m.
 
         Raises:
-            MotionError: An argument makes no sense.
+            MotionError: An argument is invalid.
         """
         target = checked_frame(pose, "the target of movep")
         return self._move_tcp(None, target, *_move_arguments("movep", a, v, 0.0, r))
 
     def servo_circular(self, pose: Iterable[Any], a: float, v: float, r: float = 0.0) -> Handle:
-        """`servoc`: as `movep`.
+        """`servoc`: like `movep`.
 
         Args:
             pose: (6,) target.
@@ -122,20 +122,20 @@ class Motion(ToolMotion):
         return self._move_tcp(None, target, *_move_arguments("servoc", a, v, 0.0, r))
 
     def move_circular(self, via: Iterable[Any], to: Iterable[Any], a: float, v: float, r: float = 0.0) -> Handle:
-        """`movec`: to a pose on a circle through another one's position, the tool turning evenly.
+        """`movec`: move to a pose on a circle through another position, with an even rotation of the tool.
 
         Args:
-            via: (6,) pose on the way; its orientation is not used.
+            via: (6,) pose on the circle, of which only the position is used.
             to: (6,) target.
             a: Acceleration, m/s² and rad/s².
             v: Speed, m/s and rad/s.
             r: Blend radius in m.
 
         Raises:
-            MotionError: An argument makes no sense, or no circle goes through the three points.
+            MotionError: An argument is invalid, or no circle passes through the three points.
         """
-        way, target = checked_frame(via, "the via point of movec"), checked_frame(to, "the target of movec")
-        return self._move_tcp(way.position, target, *_move_arguments("movec", a, v, 0.0, r))
+        via_frame, target = checked_frame(via, "the via point of movec"), checked_frame(to, "the target of movec")
+        return self._move_tcp(via_frame.position, target, *_move_arguments("movec", a, v, 0.0, r))
 
     def _move_tcp(self, via: Array | None, target: Frame, a: float, v: float, t: float, r: float) -> Handle:
         if self.fault is not None:
@@ -147,7 +147,7 @@ class Motion(ToolMotion):
         blended = isinstance(ending, PoseMove) and ending.tool is self.tool
         start = ending.path.end if blended and isinstance(ending, PoseMove) else self.arm.tcp(near, self.tool)
         path: Path = Line(start, target) if via is None else through(start, via, target)
-        end = self._posture(target, near)
+        end = self._joints_at(target, near)
         if end is None:
             return self._refuse()
         move = PoseMove(self.arm, self.tool, near, path, end, a, v, t, r)
@@ -158,31 +158,32 @@ class Motion(ToolMotion):
             trajectory = Superposed(move, ending, near)
         return self._begin(trajectory, end, ending)
 
-    def _posture(self, target: Frame, near: Array) -> Array | None:
-        """Posture at a pose; None, and a fault, if it is out of reach."""
+    def _joints_at(self, target: Frame, near: Array) -> Array | None:
+        """Return the joint positions at a pose; None, with a fault, if it is out of reach."""
         q, ok = self.arm.joints(Frame(target.position[None], target.rotation[None]), near, self.tool)
         if ok:
             found: Array = q[0]
             return found
         self._fail(
-            SINGULARITY, f"the pose {[round(each, 4) for each in pose_of(target)]} is out of reach from this posture"
+            SINGULARITY,
+            f"the pose {[round(each, 4) for each in pose_of(target)]} is out of reach from this configuration",
         )
         return None
 
     def _ending(self, acceleration: float) -> Trajectory | None:
-        """The motion that the next move is added to, so that speeds have no jump; None from rest."""
+        """Return the motion on which the next move is superposed, so that speeds have no jump; None from rest."""
         self._end_freedrive_for_command()
         trajectory = self._trajectory
         if isinstance(trajectory, JointMove | PoseMove) and trajectory.blend_m > 0.0 and self._handle.done:
             if isinstance(trajectory, PoseMove):
-                # The posture that its path leads to, which need not be the one nearest to where it started.
+                # The configuration at the end of its path need not be the one nearest to its start.
                 end = trajectory.path.end
                 q, ok = self.arm.joints(Frame(end.position[None], end.rotation[None]), trajectory.near, trajectory.tool)
                 trajectory.end = q[0] if ok else trajectory.end
             return trajectory
         if float(np.abs(self._rate).max()) < 1e-9:
             return None
-        # Each joint slows down at least as fast as the next move makes it faster: the sum keeps the speed limits.
+        # Each joint decelerates at least as fast as the next move accelerates it, so the sum keeps the speed limits.
         slowing = max(min(acceleration, ACCELERATION_LIMIT_RAD_S2), self.assumptions.program_stop_rad_s2)
         brake = JointBrake(self.q, self._rate, np.abs(self._rate) / slowing)
         return brake if self._may_go_to(brake.end) else None
@@ -192,12 +193,12 @@ class Motion(ToolMotion):
         self._handle, self._trajectory, self.waypoint = Handle(), trajectory, waypoint
         self._starved = 0
         if ending is None or isinstance(ending, JointBrake):
-            # The trajectory starts from where the arm is; what blends goes on beside what it had given way.
+            # The trajectory starts at the present position. A blend keeps the compliance offset.
             self._offset = ZEROS
         return self._handle
 
     def _may_go_to(self, target: Array) -> bool:
-        """Whether a target is inside the joint limits; a fault if not."""
+        """Return True if a target is inside the joint limits; raise a fault if it is not."""
         if self.fault is not None:
             return False
         beyond = np.abs(target) > _LIMIT
@@ -213,16 +214,16 @@ class Motion(ToolMotion):
     # Streams.
 
     def servo_joints(self, q: Iterable[Any], t: float, lookahead_s: float, gain: float) -> Handle:
-        """`servoj`: towards joint positions by the servoj law, which takes the latest target.
+        """`servoj`: follow joint positions by the servoj law, which uses the latest target.
 
         Args:
             q: (6,) target.
-            t: For how long it controls the arm, s; rounded up to whole control periods, at least one.
-            lookahead_s: Brought into 0.03 to 0.2 s.
-            gain: Brought into 100 to 2000.
+            t: Time for which it controls the arm, s; rounded up to whole control periods, at least one.
+            lookahead_s: Clipped to 0.03 to 0.2 s.
+            gain: Clipped to 100 to 2000.
 
         Raises:
-            MotionError: An argument makes no sense.
+            MotionError: An argument is invalid.
         """
         target = np.array(six(q, "the target of servoj"))
         ticks = self._ticks(t, "t of servoj")
@@ -248,17 +249,17 @@ class Motion(ToolMotion):
         return self._begin(servo, target, servo if servo is self._trajectory else None)
 
     def speed_joints(self, qd: Iterable[Any], a: float, t: float = 0.0) -> Handle:
-        """`speedj`: accelerate to joint speeds and go on with them.
+        """`speedj`: accelerate to joint speeds and hold them.
 
-        If the program commands nothing after it has returned, the arm slows down as at the end of a program.
+        If the program commands nothing after the return, the arm decelerates as at the end of a program.
 
         Args:
-            qd: (6,) speeds, rad/s; all reduced by one factor if a joint would exceed its limit.
+            qd: (6,) speeds, rad/s; all scaled by one factor if a joint would exceed its limit.
             a: Acceleration of the joint whose speed changes most, rad/s²; at most 40.
-            t: If above 0, the time after which it returns; else it returns when the speed is reached.
+            t: Time after which it returns, s; at 0 it returns when the speed is reached.
 
         Raises:
-            MotionError: An argument makes no sense.
+            MotionError: An argument is invalid.
         """
         speed = np.array(six(qd, "the speed of speedj"))
         a = min(positive(a, "a of speedj"), ACCELERATION_LIMIT_RAD_S2)
@@ -270,19 +271,19 @@ class Motion(ToolMotion):
         return self._begin(SpeedJoints(self.q, self._rate, speed, a, ticks), self.q, None)
 
     def speed_linear(self, xd: Iterable[Any], a: float, t: float = 0.0, a_rot: float | None = None) -> Handle:
-        """`speedl`: accelerate to a speed of the TCP and go on with it.
+        """`speedl`: accelerate to a speed of the TCP and hold it.
 
-        Where a joint would exceed its limit, it slows down; near a singularity it ends with a fault. If the program
-        commands nothing after it has returned, the arm slows down as at the end of a program.
+        It slows down where a joint would exceed its limit; near a singularity it ends with a fault. If the program
+        commands nothing after the return, the arm decelerates as at the end of a program.
 
         Args:
             xd: (6,) m/s and rad/s, in base.
             a: Acceleration, m/s².
-            t: If above 0, the time after which it returns; else it returns when the speed is reached.
-            a_rot: Acceleration of rotation, rad/s²; as a number `a` if None.
+            t: Time after which it returns, s; at 0 it returns when the speed is reached.
+            a_rot: Acceleration of rotation, rad/s²; the number `a` if None.
 
         Raises:
-            MotionError: An argument makes no sense.
+            MotionError: An argument is invalid.
         """
         twist = np.array(six(xd, "the speed of speedl"))
         a, a_rot = _accelerations("speedl", a, a_rot)
@@ -301,7 +302,7 @@ class Motion(ToolMotion):
     # Stops.
 
     def stop_joints(self, a: float) -> Handle:
-        """`stopj`: bring the joints to rest together.
+        """`stopj`: stop all joints together.
 
         Args:
             a: Deceleration of the fastest joint, rad/s²; at most 40.
@@ -316,11 +317,11 @@ class Motion(ToolMotion):
         return self._begin(JointBrake.together(self.q, self._rate, time), self.q, None)
 
     def stop_linear(self, a: float, a_rot: float | None = None) -> Handle:
-        """`stopl`: bring the TCP to rest along the line on which it moves.
+        """`stopl`: stop the TCP on its present line.
 
         Args:
             a: Deceleration, m/s².
-            a_rot: Deceleration of rotation, rad/s²; as a number `a` if None.
+            a_rot: Deceleration of rotation, rad/s²; the number `a` if None.
 
         Raises:
             MotionError: One is not greater than zero.
@@ -333,11 +334,11 @@ class Motion(ToolMotion):
         return self._begin(PoseBrake(self.arm, self.tool, self.q, twist, time), self.q, None)
 
     def halt(self, scaling: float = 1.0) -> None:
-        """The program ended: come to rest, and end force mode and free drive.
+        """Stop at the end of a program, and end force mode and freedrive.
 
         Args:
-            scaling: How fast time passed in the last `plan`: the arm is as much slower than its motion. From now on it
-                is to pass at 1.
+            scaling: Time scaling of the last `plan`, by which the arm is slower than its motion. From now on time
+                passes at 1.
         """
         self._rate = self._rate * scaling
         self._yield = self._yield * scaling
@@ -348,12 +349,12 @@ class Motion(ToolMotion):
             self._brake(self.assumptions.program_stop_rad_s2)
 
     def rest_at(self, q_rad: Array) -> None:
-        """The arm was pushed off its path: it stands where it is found, (6,), from now on."""
+        """Hold the arm at measured joint positions (6,) after it was pushed off its path."""
         self.q = np.array(q_rad, dtype=np.float64)
         self.hold()
 
     def hold(self) -> None:
-        """The brakes hold the arm: it stands where it is, from now on."""
+        """Hold the arm with its brakes where it is."""
         self._handle.abort()
         self._trajectory = self._compliance = self._still = None
         self._rate = self._offset = self._yield = self.qd = self.qdd = ZEROS

@@ -1,4 +1,4 @@
-"""Curves of the TCP from one pose to another, by the share of the way."""
+"""Geometric paths of the TCP between two poses, parametrised by the fraction covered."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from dual_ur10.kinematics.rotations import cross
 from dual_ur10.sim2real.emulator.motion.tool_kinematics import Frame, rotvec_of
 from dual_ur10.types import Array
 
-_STRAIGHT: Final = 1e-6  # sine of the angle at the start under which three points are on a line
+_STRAIGHT: Final = 1e-6  # sine of the angle at the start below which three points are on a line
 
 
 class Path(Protocol):
-    """A curve.
+    """Geometric path.
 
     Attributes:
-        end: Where it ends.
-        length_m: Of the way of the TCP.
-        angle_rad: By which the tool turns.
+        end: Final pose.
+        length_m: Length of the TCP's path.
+        angle_rad: Angle of the tool's rotation.
     """
 
     end: Frame
     length_m: float
     angle_rad: float
 
-    def at(self, shares: Array) -> Frame:
-        """Poses (n) at shares (n,) of the way."""
+    def at(self, fractions: Array) -> Frame:
+        """Return poses (n) at fractions (n,) of the path."""
 
 
-class _Turn:
-    """A rotation to another about one axis, evenly, the short way."""
+class _Rotation:
+    """Even rotation from one orientation to another about one axis, by the shorter angle."""
 
     def __init__(self, start: Array, end: Array) -> None:
         rotvec = np.array(rotvec_of(end @ start.T))
@@ -44,42 +44,41 @@ class _Turn:
         self._start, self._sine = start, axis @ start
         self._versine = axis @ self._sine
 
-    def at(self, shares: Array) -> Array:
-        """(n, 3, 3)."""
-        angle = (self.angle_rad * shares)[:, None, None]
+    def at(self, fractions: Array) -> Array:
+        angle = (self.angle_rad * fractions)[:, None, None]
         half = np.sin(0.5 * angle)
         rotation: Array = self._start + np.sin(angle) * self._sine + (2 * half * half) * self._versine
         return rotation
 
 
 class Line:
-    """Straight, the tool turning evenly.
+    """Straight line with an even rotation of the tool.
 
     Args:
-        start: Pose at share 0.
-        end: Pose at share 1.
+        start: Pose at fraction 0.
+        end: Pose at fraction 1.
     """
 
     def __init__(self, start: Frame, end: Frame) -> None:
         self.end = end
-        self._start, self._way = start.position, end.position - start.position
-        self._turn = _Turn(start.rotation, end.rotation)
-        self.length_m, self.angle_rad = float(np.linalg.norm(self._way)), self._turn.angle_rad
+        self._start, self._displacement = start.position, end.position - start.position
+        self._rotation = _Rotation(start.rotation, end.rotation)
+        self.length_m, self.angle_rad = float(np.linalg.norm(self._displacement)), self._rotation.angle_rad
 
-    def at(self, shares: Array) -> Frame:
-        """Poses (n) at shares (n,) of the way."""
-        return Frame(self._start + np.multiply.outer(shares, self._way), self._turn.at(shares))
+    def at(self, fractions: Array) -> Frame:
+        """Return poses (n) at fractions (n,) of the path."""
+        return Frame(self._start + np.multiply.outer(fractions, self._displacement), self._rotation.at(fractions))
 
 
 class Arc:
-    """A circle's arc through a point, the tool turning evenly.
+    """Circular arc with an even rotation of the tool.
 
     Args:
-        start: Pose at share 0.
+        start: Pose at fraction 0.
         centre: (3,).
-        second: (3,) unit vector in the circle's plane, where the arc is heading at its start.
+        second: (3,) unit vector in the circle's plane, along the arc at its start.
         sweep_rad: Angle of the arc.
-        end: Pose at share 1.
+        end: Pose at fraction 1.
     """
 
     def __init__(self, start: Frame, centre: Array, second: Array, sweep_rad: float, end: Frame) -> None:
@@ -87,21 +86,21 @@ class Arc:
         self._centre, self._first, self._sweep = centre, start.position - centre, sweep_rad
         radius = float(np.linalg.norm(self._first))
         self._second = radius * second
-        self._turn = _Turn(start.rotation, end.rotation)
-        self.length_m, self.angle_rad = radius * sweep_rad, self._turn.angle_rad
+        self._rotation = _Rotation(start.rotation, end.rotation)
+        self.length_m, self.angle_rad = radius * sweep_rad, self._rotation.angle_rad
 
-    def at(self, shares: Array) -> Frame:
-        """Poses (n) at shares (n,) of the way."""
-        angle = (self._sweep * shares)[:, None]
+    def at(self, fractions: Array) -> Frame:
+        """Return poses (n) at fractions (n,) of the path."""
+        angle = (self._sweep * fractions)[:, None]
         position = self._centre + np.cos(angle) * self._first + np.sin(angle) * self._second
-        return Frame(position, self._turn.at(shares))
+        return Frame(position, self._rotation.at(fractions))
 
 
 def through(start: Frame, via: Array, end: Frame) -> Path:
-    """The arc through a point (3,), or the line if it is on the way.
+    """Return the arc through a point (3,), or the line if the point is on it.
 
     Raises:
-        MotionError: No circle goes through the three points in this order.
+        MotionError: No circle passes through the three points in this order.
     """
     towards, whole = via - start.position, end.position - start.position
     normal = cross(towards, whole)

@@ -1,4 +1,4 @@
-"""The state of one arm's reference motion, and how it advances by a tick."""
+"""State of one arm's reference motion, and its advance by one tick."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ SUDDEN_CHANGE: Final = "C204A1"  # path sanity check: sudden change in target po
 SUDDEN_STOP: Final = "C204A3"  # path sanity check: sudden stop
 INVALID_SETPOINT: Final = "C204A5"  # path sanity check: the program resulted in an invalid setpoint
 
-_NO_TIME: Final = 1e-6  # scaling below which the arm stands
+_NO_TIME: Final = 1e-6  # scaling below which the arm stops
 _MOVING_RAD_S: Final = 1e-6
-_STILL_RAD_S: Final = 0.01  # below this an arm without a command is not stopped
-_OVERSPEED: Final = 1.1  # share of a joint's speed limit above which a setpoint is invalid
-_SLOWEST: Final = 0.02  # share of its speed below which a motion of the TCP is stopped: near a singularity
+_STILL_RAD_S: Final = 0.01  # slower arms without a command are not stopped
+_OVERSPEED: Final = 1.1  # ratio to a joint's speed limit above which a setpoint is invalid
+_SLOWEST: Final = 0.02  # ratio to its speed below which a TCP motion is stopped near a singularity
 _TRIES: Final = 6
-_DAMPING: Final = 0.05  # of the least squares by which a compliant TCP moves the joints
-_YIELD_RAD_S2: Final = 8.0  # acceleration of the joints when the TCP gives way
+_DAMPING: Final = 0.05  # of the damped least squares from a compliant TCP to the joints
+_YIELD_RAD_S2: Final = 8.0  # acceleration of the joints of a compliant TCP
 _YIELD_SPEED: Final = constant(0.4 * JOINT_SPEED_RAD_S)
 _LIMIT: Final = constant(JOINT_RANGE_RAD + 1e-9)
 ZEROS: Final = constant(np.zeros(6))
@@ -40,11 +40,11 @@ ZEROS: Final = constant(np.zeros(6))
 
 @dataclass(frozen=True)
 class MotionFault:
-    """Why a UR controller would stop protectively.
+    """Reason for a protective stop of a UR controller.
 
     Attributes:
         code: UR's error code.
-        text: What was found, what is allowed.
+        text: Found and allowed values.
     """
 
     code: str
@@ -52,11 +52,10 @@ class MotionFault:
 
 
 class Handle:
-    """What a program waits for.
+    """Progress of a motion command, for the program that waits for it.
 
     Attributes:
-        done: Whether the function that moves the arm returns now: the motion has ended, its blend has begun, or its
-            time is over.
+        done: Whether the command returns now: the motion has ended, its blend has begun, or its time is over.
         aborted: Whether the motion was cut short by a fault, a stop or another motion. Then it is done, too.
     """
 
@@ -66,27 +65,27 @@ class Handle:
         self.done = self.aborted = False
 
     def abort(self) -> None:
-        """The motion ends before it was done."""
+        """End the motion before it is done."""
         if not self.done:
             self.done = self.aborted = True
 
 
 class Reference:
-    """The motion that the arm is to make, one control tick after the other.
+    """Reference motion of one arm.
 
     Args:
         tick_s: Control period.
         substeps: Physics steps per control period.
-        q_rad: (6,) where the arm stands.
-        dh: Denavit-Hartenberg parameters that the controller believes in.
-        lookahead_scale: True lookahead of `servoj` over the one asked for.
-        assumptions: What no document settles.
+        q_rad: (6,) initial joint positions.
+        dh: Nominal Denavit-Hartenberg parameters of the controller.
+        lookahead_scale: Ratio of the true lookahead of `servoj` to the commanded one.
+        assumptions: Behaviour that no document settles.
 
     Attributes:
-        q, qd, qdd: (6,) at the end of the last tick; the differences over its last physics step.
-        fault: Why a controller would stop protectively now, or None. The arm then comes to rest by itself, off its
-            path, as fast as all joints can together; commands are refused until it is set to None again.
-        waypoint: (6,) where the last command leads.
+        q, qd, qdd: (6,) at the end of the last tick; qd and qdd are differences over its last physics step.
+        fault: Reason for a protective stop now, or None. The arm then leaves its path and stops all joints together as
+            fast as possible. Commands are refused until it is set to None again.
+        waypoint: (6,) target of the last command.
     """
 
     def __init__(
@@ -119,15 +118,15 @@ class Reference:
         self._rate: Array = ZEROS  # speed in trajectory time
         self._scaling = 0.0
         self._starved = 0
-        self._still: Array | None = None  # what `plan` answers at rest
-        # What the TCP gave way, on top of the trajectory.
+        self._still: Array | None = None  # plan of an arm at rest
+        # Displacement of the compliant TCP, on top of the trajectory.
         self._compliance: Compliance | None = None
         self._offset: Array = ZEROS
         self._yield: Array = ZEROS
 
     @property
     def moving(self) -> bool:
-        """Whether the reference moves, or would if its time passed."""
+        """True if the reference moves, or would move if its time passed."""
         trajectory = self._trajectory
         if trajectory is not None and not trajectory.streamed:
             return True
@@ -145,20 +144,20 @@ class Reference:
         """Advance by one control tick.
 
         Args:
-            scaling: Trajectory time that passes in this tick over its length, 0 to 1.
-            wrench: (6,) what the environment exerts on the TCP, in base's axes, N and N m; None: nothing.
-            q_actual: (6,) measured joint angles; not needed so far.
+            scaling: Ratio of trajectory time to the tick, 0 to 1.
+            wrench: (6,) wrench of the environment on the TCP, in base's axes, N and N m; None: no wrench.
+            q_actual: (6,) measured joint angles; unused.
 
         Returns:
             (substeps, 3, 6): position before each physics step, speed after it, acceleration in it. Speeds are
-            differences of positions over the step, and accelerations differences of speeds: a semi-implicit integrator
-            that is given the accelerations follows exactly. Not to be written to.
+            differences of positions over the step, accelerations differences of speeds. A semi-implicit integrator
+            that is given the accelerations follows exactly. Read-only.
 
         Raises:
-            MotionError: `scaling` is not in its range.
+            MotionError: `scaling` is out of range.
         """
         if not 0.0 <= scaling <= 1.0:
-            raise MotionError(f"motion passes at {scaling!r} of its speed: allowed are 0 to 1")
+            raise MotionError(f"the time scaling is {scaling!r}: allowed are 0 to 1")
         self._await_commands(scaling)
         self._scaling = scaling
         self._refused.abort()
@@ -200,9 +199,9 @@ class Reference:
         return self._still
 
     def _await_commands(self, scaling: float) -> None:
-        """React to a program that moved the arm and commands nothing any more.
+        """React to a program that stopped commanding a moving arm.
 
-        While the motion is being slowed down, as for a pause, or stands, none is expected.
+        None is expected while the motion slows down, as for a pause, or stands.
         """
         trajectory = self._trajectory
         if trajectory is None or not trajectory.streamed or not self._handle.done:
@@ -226,48 +225,48 @@ class Reference:
     # The trajectory.
 
     def _advance(self, step: float) -> Array:
-        """Positions (substeps, 6) of the trajectory, which has advanced."""
+        """Advance the trajectory and return its positions (substeps, 6)."""
         trajectory = self._trajectory
         if trajectory is None:
             self._rate = ZEROS
             return np.broadcast_to(self.q - self._offset, (self.substeps, 6))
         before = self.q - self._offset
         try:
-            q, share, speed = self._slowed(trajectory, before, step)
+            q, scale, speed = self._slowed(trajectory, before, step)
             self._check(trajectory, q, speed)
         except UnreachableError as error:
             self._fail(SINGULARITY, f"position in singularity or out of reach: {error}")
         except _InvalidError as error:
             self._fail(error.code, str(error))
         else:
-            return self._commit(trajectory, q, share * step, speed * share)
+            return self._commit(trajectory, q, scale * step, speed * scale)
         return self._advance(step)  # of the brake
 
     def _slowed(self, trajectory: Trajectory, before: Array, step: float) -> tuple[Array, float, Array]:
-        """Positions, the share of its time that passes so that joints keep their limits, and the last speed then."""
-        share = 1.0
+        """Return positions, the time scaling that keeps the joints' limits, and the last speed."""
+        scale = 1.0
         for _ in range(_TRIES):
-            q = trajectory.positions(share * step, self._counts)
+            q = trajectory.positions(scale * step, self._counts)
             moves = np.empty_like(q)
             moves[0] = q[0] - before
             np.subtract(q[1:], q[:-1], out=moves[1:])
             used = float((np.abs(moves) / JOINT_SPEED_RAD_S).max()) / step
             if used <= 1.0 + 1e-6 or not trajectory.governed:
                 break
-            share *= 0.9999 / used
-            if share < _SLOWEST:
+            scale *= 0.9999 / used
+            if scale < _SLOWEST:
                 break
-        if share < _SLOWEST or (used > _OVERSPEED and not isinstance(trajectory, JointBrake)):
+        if scale < _SLOWEST or (used > _OVERSPEED and not isinstance(trajectory, JointBrake)):
             if trajectory.governed:
                 raise UnreachableError("its joints would have to move faster than they can")
             raise _InvalidError(
                 INVALID_SETPOINT,
                 f"invalid setpoint: a joint would move at {used:.3g} times its greatest speed, allowed is {_OVERSPEED}",
             )
-        return q, share, moves[-1] / (share * step)
+        return q, scale, moves[-1] / (scale * step)
 
     def _check(self, trajectory: Trajectory, q: Array, rate: Array) -> None:
-        """Stop at the joint limits. What plans its way to the end was checked when it was commanded."""
+        """Stop at the joint limits. Targets of other trajectories were checked when they were commanded."""
         if not trajectory.streamed:
             return
         stop = q[-1] if isinstance(trajectory, Servo) else q[-1] + 0.5 * self._stopping_s(rate) * rate
@@ -280,12 +279,12 @@ class Reference:
             )
 
     def _commit(self, trajectory: Trajectory, q: Array, time: float, speed: Array) -> Array:
-        """Take the positions over, after `time` of the trajectory; `speed` is the last one in trajectory time."""
+        """Accept the positions after `time` of the trajectory; `speed` is the last one in trajectory time."""
         trajectory.commit(time * self.substeps)
         trajectory.ticks_left -= 1
         rate = trajectory.rate()
-        share = time / (self._scaling * self._dt)
-        self._rate = speed if rate is None else rate * share
+        scale = time / (self._scaling * self._dt)
+        self._rate = speed if rate is None else rate * scale
         if isinstance(trajectory, Superposed | PoseBlend) and trajectory.ending.finished:
             trajectory = self._trajectory = trajectory.main
         handle = self._handle
@@ -306,37 +305,37 @@ class Reference:
         return float(away @ away) <= blend * blend
 
     def _refuse(self) -> Handle:
-        """The handle of a command that is not executed. It is done after this tick, so that no program spins."""
+        """Return the handle of a refused command. It is done after this tick, so that no program spins."""
         if self._refused.done:
             self._refused = Handle()
         return self._refused
 
     def _stopping_s(self, rate: Array) -> float:
-        """How long the fastest stop takes from given joint speeds."""
+        """Return the duration of the fastest stop from given joint speeds."""
         return self.assumptions.stopping_s * float((np.abs(rate) / JOINT_SPEED_RAD_S).max())
 
     def _brake(self, acceleration: float) -> None:
-        """Bring the joints to rest together."""
+        """Stop the joints together."""
         rate = self._rate + self._yield
         self._follow(JointBrake.together(self.q, rate, float(np.abs(rate).max()) / acceleration))
 
     def _follow(self, trajectory: Trajectory) -> None:
-        """Go on with a trajectory that starts from where the arm is and how it moves."""
+        """Continue with a trajectory that starts at the present position and speed."""
         self._trajectory, self._compliance = trajectory, None
         self._offset = self._yield = ZEROS
         self._starved = 0
 
     def _fail(self, code: str, text: str) -> None:
-        """Stop as a controller does that notices a fault."""
+        """Stop as a controller does after a fault."""
         self.fault = MotionFault(code, text)
         self._handle.abort()
         rate = self._rate + self._yield
         self._follow(JointBrake.together(self.q, rate, self._stopping_s(rate)))
 
-    # What gives way.
+    # Compliance.
 
     def _give_way(self, step: float, wrench: Sequence[float] | Array | None) -> Array:
-        """What is added to the trajectory, (substeps, 6), when the TCP gives way to a wrench."""
+        """Return the displacement (substeps, 6) of the compliant TCP on top of the trajectory."""
         time = step * self.substeps
         target = ZEROS
         if self._compliance is not None:
@@ -347,23 +346,23 @@ class Reference:
             damped = jacobian @ jacobian.T + _DAMPING**2 * np.eye(6)
             target = jacobian.T @ np.linalg.solve(damped, twist)
             target = target / max(1.0, float((np.abs(target) / _YIELD_SPEED).max()))
-            # A joint limit is no place to be pushed into: stop with room to spare.
+            # Stop before a joint limit, with room to spare.
             after = self.q + target * self.assumptions.stopping_s
             target = np.where((np.abs(after) > JOINT_RANGE_RAD) & (target * self.q > 0.0), 0.0, target)
         change = (target - self._yield) * min(1.0, time / TIME_CONSTANT_S)
         most = _YIELD_RAD_S2 * time
         change = change * min(1.0, most / max(float(np.abs(change).max()), most))
         t = (step * self._counts)[:, None]
-        way: Array = self._offset + t * self._yield + (0.5 / time) * t * t * change
+        offset: Array = self._offset + t * self._yield + (0.5 / time) * t * t * change
         self._yield = self._yield + change
         if self._compliance is None and float(np.abs(self._yield).max()) < 1e-9:
             self._yield = ZEROS
-        self._offset = way[-1]
-        return way
+        self._offset = offset[-1]
+        return offset
 
 
 class _InvalidError(Exception):
-    """A position or speed that no controller executes."""
+    """Setpoint that no controller executes."""
 
     def __init__(self, code: str, text: str) -> None:
         super().__init__(text)

@@ -1,4 +1,4 @@
-"""`servoj`: the servoj law, towards the latest target."""
+"""Trajectory of `servoj`: the servoj law with the latest target held."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from dual_ur10.sim2real.control.servoj import ServojLaw
 from dual_ur10.sim2real.emulator.motion.trajectories import Trajectory
 from dual_ur10.types import Array
 
-_MOST_KEPT: Final = 256  # discretisations; a ramp of the speed needs one per tick
+_MOST_KEPT: Final = 256  # discretisations; a ramp of the time scaling needs one per tick
 _AT_TARGET: Final = 1e-12  # rad and rad/s
 
 _known: dict[tuple[float, float, float, int], tuple[Array, Array]] = {}
 
 
 def _discretised(lookahead_s: float, gain: float, step: float, steps: int) -> tuple[Array, Array]:
-    """Rows (steps, 2) of position - target after each step, and (2, 2) state after all, from (q - target, qd)."""
+    """Return rows (steps, 2) of position - target per step, and the final state (2, 2), from (q - target, qd)."""
     key = (lookahead_s, gain, step, steps)
     found = _known.get(key)
     if found is None:
@@ -33,11 +33,11 @@ def _discretised(lookahead_s: float, gain: float, step: float, steps: int) -> tu
 
 
 class Servo(Trajectory):
-    """The motion of the law, with the latest target held.
+    """Motion by the servoj law, with the latest target held.
 
     Args:
-        start: (6,).
-        rate: (6,) speed at the start.
+        start: (6,) joint positions.
+        rate: (6,) joint speeds at the start.
     """
 
     streamed = True
@@ -53,20 +53,20 @@ class Servo(Trajectory):
 
     @property
     def q(self) -> Array:
-        """(6,) position now."""
+        """(6,) present position."""
         q: Array = self._state[0]
         return q
 
     def aim(self, target: Array, lookahead_s: float, gain: float, ticks: int) -> None:
-        """Take a new target (6,), which controls the arm for `ticks`."""
+        """Set a new target (6,), which controls the arm for `ticks`."""
         self.target, self._law, self.ticks_left, self._settled = target, (lookahead_s, gain), ticks, False
 
     def shift(self, q: Array, rate: Array) -> None:
-        """Go on from another position and speed."""
+        """Continue from another position and speed."""
         self._state = np.array([q, rate])
 
     def positions(self, step: float, counts: Array) -> Array:
-        """Joint positions (n, 6); see `Trajectory`."""
+        """Return joint positions (n, 6); see `Trajectory`."""
         rows, self._end = _discretised(*self._law, step, len(counts))
         offset = self._state.copy()
         offset[0] -= self.target
@@ -75,23 +75,23 @@ class Servo(Trajectory):
         return q
 
     def commit(self, time: float) -> None:
-        """Let `time` pass."""
+        """Advance by `time`."""
         self.t += time
         self._state = self._end @ self._offset
         self._settled = float(np.abs(self._state).max()) < _AT_TARGET
         self._state[0] += self.target
 
     def rate(self) -> Array:
-        """Joint speeds (6,) now."""
+        """Return the joint speeds (6,) now."""
         speed: Array = self._state[1]
         return speed
 
     @property
     def finished(self) -> bool:
-        """Whether it has come to rest."""
+        """True once the arm has stopped."""
         return self._settled and self.ticks_left <= 0
 
     @property
     def returns(self) -> bool:
-        """Whether the program may go on."""
+        """True once the command returns to its program."""
         return self.ticks_left <= 0

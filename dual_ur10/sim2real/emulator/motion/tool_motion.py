@@ -1,4 +1,4 @@
-"""Force mode and free drive, as programs command them."""
+"""Reference motion of a TCP: its pose, kinematic queries, force mode and freedrive."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from dual_ur10.sim2real.emulator.motion.compliance import (
 )
 from dual_ur10.sim2real.emulator.motion.reference import ZEROS, Reference
 from dual_ur10.sim2real.emulator.motion.servo import Servo
-from dual_ur10.sim2real.emulator.motion.tool_kinematics import Frame, Pose, Tool, pose_of
+from dual_ur10.sim2real.emulator.motion.tool_kinematics import Frame, Tool, UrPose, pose_of
 from dual_ur10.types import Array
 
 
 class ToolMotion(Reference):
-    """A reference motion whose TCP can be told to give way. See `Motion`."""
+    """Reference motion of an arm with a tool, whose TCP can be compliant. See `Motion`."""
 
     _force_damping: float = 0.025
     _force_gain: float = 1.0
     _free: bool = False
 
     @property
-    def tcp(self) -> Pose:
-        """Tool offset: pose of the TCP on the flange."""
+    def tcp(self) -> UrPose:
+        """Pose of the TCP on the flange."""
         return self.tool.pose
 
     def set_tcp(self, pose: Iterable[Any]) -> None:
-        """`set_tcp`: what is commanded from now on is meant for the TCP at this pose (6,) on the flange.
+        """`set_tcp`: use the TCP at this pose (6,) on the flange for later commands.
 
         Raises:
             MotionError: It is no pose.
@@ -44,39 +44,39 @@ class ToolMotion(Reference):
         checked_frame(numbers, "the TCP")
         self.tool = Tool(numbers)
 
-    def tcp_pose(self, q: Sequence[float] | Array) -> Pose:
-        """Pose of the TCP at joint angles (6,)."""
+    def tcp_pose(self, q: Sequence[float] | Array) -> UrPose:
+        """Return the pose of the TCP at joint angles (6,)."""
         return pose_of(self.arm.tcp(q, self.tool))
 
-    def flange_pose(self, q: Sequence[float] | Array) -> Pose:
-        """Pose of the flange at joint angles (6,)."""
+    def flange_pose(self, q: Sequence[float] | Array) -> UrPose:
+        """Return the pose of the flange at joint angles (6,)."""
         return pose_of(self.arm.tcp(q, Tool()))
 
-    def tcp_poses_and_speeds(self, q: Array, qd: Array) -> tuple[list[Pose], list[tuple[float, ...]]]:
-        """Poses (6,) and speeds (6,), m/s and rad/s in base, of the TCP at joint angles and speeds (n, 6)."""
+    def tcp_poses_and_speeds(self, q: Array, qd: Array) -> tuple[list[UrPose], list[tuple[float, ...]]]:
+        """Return poses (6,) and speeds (6,), m/s and rad/s in base, of the TCP at joint angles and speeds (n, 6)."""
         frames, jacobian = self.arm.tcp_and_jacobian(q, self.tool)
         poses = [pose_of(Frame(*each)) for each in zip(*frames, strict=True)]
         return poses, [tuple(each) for each in (jacobian @ qd[..., None])[..., 0].tolist()]
 
     def tcp_speed(self, q: Sequence[float] | Array, qd: Sequence[float] | Array) -> tuple[float, ...]:
-        """Speed (6,) of the TCP, m/s and rad/s in base."""
+        """Return the speed (6,) of the TCP, m/s and rad/s in base."""
         return self.tcp_poses_and_speeds(np.array([q], dtype=np.float64), np.array([qd], dtype=np.float64))[1][0]
 
-    def forward(self, q: Sequence[float] | Array, tcp: Sequence[float] | None = None) -> Pose:
-        """`get_forward_kin`: pose of a TCP, or of the one set, at joint angles (6,).
+    def forward(self, q: Sequence[float] | Array, tcp: Sequence[float] | None = None) -> UrPose:
+        """`get_forward_kin`: return the pose of a TCP, by default the one that is set, at joint angles (6,).
 
         Raises:
-            MotionError: These are no six finite numbers, or the TCP is no pose.
+            MotionError: The angles are not six finite numbers, or the TCP is no pose.
         """
         return pose_of(self.arm.tcp(six(q, "joint positions"), self._tool(tcp)))
 
     def inverse(
         self, pose: Iterable[Any], qnear: Sequence[float] | Array, tcp: Sequence[float] | None = None
     ) -> Array | None:
-        """`get_inverse_kin`: joint angles (6,) nearest to `qnear` at a pose of a TCP, or of the one set; None: none.
+        """`get_inverse_kin`: return the joint angles (6,) nearest to `qnear` at a pose, or None if it is out of reach.
 
         Raises:
-            MotionError: An argument makes no sense.
+            MotionError: An argument is invalid.
         """
         target = checked_frame(pose, "the pose of get_inverse_kin")
         near = np.array(six(qnear, "qnear of get_inverse_kin"))
@@ -88,19 +88,19 @@ class ToolMotion(Reference):
     def force_mode(
         self, frame: Iterable[Any], selection: Sequence[Any], wrench: Iterable[Any], kind: int, limits: Iterable[Any]
     ) -> None:
-        """`force_mode`: in the selected axes the TCP gives way until the arm exerts a wrench.
+        """`force_mode`: let the TCP yield in the selected axes until the arm exerts a wrench.
 
         Args:
-            frame: (6,) pose whose axes are meant, in base.
+            frame: (6,) compliance frame, in base.
             selection: (6,) true in compliant axes.
-            wrench: (6,) that the arm is to exert on the environment in them, N and N m.
-            kind: UR's type: 1, the frame is turned so that its y axis points from the TCP to its origin; 2, it is
-                taken as given; 3, it is turned so that its x axis is the direction of the TCP's speed.
-            limits: (6,) greatest speeds in compliant axes, m/s and rad/s; this project's own caps are 0.5 m/s and
-                1 rad/s. Those of the other axes are not used: the arm follows its path there.
+            wrench: (6,) wrench that the arm exerts on the environment in them, N and N m.
+            kind: UR's type. 1: the frame is rotated so that its y axis points from the TCP to its origin. 2: it is
+                used as given. 3: it is rotated so that its x axis is the direction of the TCP's speed.
+            limits: (6,) greatest speeds in compliant axes, m/s and rad/s, capped at 0.5 m/s and 1 rad/s by this
+                project. Those of the other axes are ignored: the arm follows its path there.
 
         Raises:
-            MotionError: An argument makes no sense.
+            MotionError: An argument is invalid.
         """
         at = checked_frame(frame, "the frame of force_mode")
         wanted = np.clip(six(wrench, "the wrench of force_mode"), -1e4, 1e4)
@@ -114,7 +114,7 @@ class ToolMotion(Reference):
             self._free = False
 
     def end_force_mode(self) -> None:
-        """`end_force_mode`: the TCP gives way no more; a motion that goes on does so from where the arm is."""
+        """`end_force_mode`: make the TCP stiff. A motion that goes on does so from the present position."""
         if self._compliance is not None and not self._free:
             self._stiffen()
 
@@ -130,14 +130,14 @@ class ToolMotion(Reference):
             self._force_gain = min(max(number(gain_scaling, "the gain scaling of force mode"), 0.0), 2.0)
 
     def freedrive(self, free_axes: Sequence[Any] = (1,) * 6, feature: Iterable[Any] = (0.0,) * 6) -> None:
-        """`freedrive_mode`: the TCP follows the wrench that it feels, and stands without one.
+        """`freedrive_mode`: let the TCP follow the measured wrench. Without a wrench the arm stands.
 
         Args:
             free_axes: (6,) true in free axes.
-            feature: (6,) pose whose axes are meant, in base.
+            feature: (6,) frame of the axes, in base.
 
         Raises:
-            MotionError: An argument makes no sense.
+            MotionError: An argument is invalid.
         """
         at = checked_frame(feature, "the feature of freedrive_mode")
         axes = np.array([float(bool(each)) for each in six(free_axes, "the free axes of freedrive_mode")])
@@ -150,13 +150,13 @@ class ToolMotion(Reference):
         self._free = True
 
     def end_freedrive(self) -> None:
-        """`end_freedrive_mode`: the arm stands again."""
+        """`end_freedrive_mode`: make the arm stiff again."""
         if self.free:
             self._stiffen()
 
     @property
     def free(self) -> bool:
-        """Whether the arm is in free drive."""
+        """True in freedrive."""
         return self._free and self._compliance is not None
 
     def _end_freedrive_for_command(self) -> None:
@@ -166,7 +166,7 @@ class ToolMotion(Reference):
     def _stiffen(self) -> None:
         self._compliance = None
         if isinstance(self._trajectory, Servo):
-            # The law pulls the arm back to its target from where it has been pushed.
+            # The servoj law pulls the arm back to its target.
             self._trajectory.shift(self.q, self._rate + self._yield)
             self._offset = self._yield = ZEROS
 

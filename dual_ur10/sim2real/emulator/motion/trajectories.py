@@ -1,4 +1,4 @@
-"""Motions in joint space, as functions of their own time."""
+"""Trapezoidal speed profiles, and trajectories in joint space."""
 
 from __future__ import annotations
 
@@ -12,41 +12,41 @@ from dual_ur10.kinematics.ur10 import JOINT_SPEED_RAD_S
 from dual_ur10.types import Array
 
 ACCELERATION_LIMIT_RAD_S2: Final = 40.0
-"""Greatest acceleration that a program gets: what ur_rtde's argument checks and UR's manual allow it to ask for."""
+"""Greatest acceleration of programs: the limit of ur_rtde's argument checks and of UR's manual."""
 
 _TINY: Final = 1e-300
 
 TIME_EPSILON_S: Final = 1e-9
-"""Times nearer than this are the same: what is left by adding up ticks."""
+"""Times that differ by less are equal: rounding errors of added ticks."""
 
-_NO_WAY: Final = 1e-12
-"""Distances below this are none."""
+_NO_DISTANCE: Final = 1e-12
+"""Distances below this are zero."""
 
 _SLOWEST_RATE: Final = 1e-100
 
-_RAMP_SHARE: Final = 1 / 3
-"""Share of each ramp in a move whose time is given; UR publishes no figure."""
+_RAMP_FRACTION: Final = 1 / 3
+"""Fraction of each ramp in a move of given duration; UR publishes no figure."""
 
 
 class Trapezoid:
-    """Accelerate, go on, decelerate at the same rate.
+    """Trapezoidal speed profile: accelerate, hold the speed, decelerate at the same rate.
 
     Args:
-        distance: How far, of whatever leads the move; zero takes no time.
+        distance: Distance of the leading quantity; zero takes no time.
         speed: Greatest speed.
-        acceleration: Of both ramps.
+        acceleration: Acceleration of both ramps.
 
     Attributes:
         duration: s.
-        ramp: Time of each ramp, s.
+        ramp: Duration of each ramp, s.
     """
 
     def __init__(self, distance: float, speed: float, acceleration: float) -> None:
         self.duration = self.ramp = 0.0
-        self._speed = self._acceleration = 0.0  # of the share, 1/s and 1/s²
-        if distance > _NO_WAY:
+        self._speed = self._acceleration = 0.0  # of the fraction, 1/s and 1/s²
+        if distance > _NO_DISTANCE:
             speed, acceleration = max(speed, _SLOWEST_RATE), max(acceleration, _SLOWEST_RATE)
-            # Too short a way to reach the speed makes it a triangle.
+            # A distance too short to reach the speed makes it a triangle.
             peak = min(speed, math.sqrt(acceleration * distance))
             self.ramp = peak / acceleration
             self.duration = distance / peak + self.ramp
@@ -54,24 +54,24 @@ class Trapezoid:
 
     @classmethod
     def timed(cls, distance: float, time: float, speed: float, acceleration: float) -> Trapezoid:
-        """The profile of a move that takes `time`, or longer where `speed` and `acceleration` do not allow that."""
-        if distance <= _NO_WAY:
+        """Return a profile of given duration, or a longer one where `speed` and `acceleration` require it."""
+        if distance <= _NO_DISTANCE:
             still = cls(0.0, speed, acceleration)
             still.duration = time
             return still
-        peak = distance / (time * (1 - _RAMP_SHARE))
-        ramp = time * _RAMP_SHARE
+        peak = distance / (time * (1 - _RAMP_FRACTION))
+        ramp = time * _RAMP_FRACTION
         if peak > speed:
             peak, ramp = speed, max(time - distance / speed, speed / acceleration)
         if peak > acceleration * ramp:
-            # Ramps as long as it takes: the lower speed that solves distance = peak (time - peak / acceleration).
+            # Longer ramps: the lower speed that solves distance = peak (time - peak / acceleration).
             root = time * time - 4 * distance / acceleration
             peak = min(speed, acceleration * (time - math.sqrt(root)) / 2) if root > 0.0 else speed
             ramp = peak / acceleration
         return cls(distance, peak, peak / ramp)
 
-    def share(self, t: float) -> float:
-        """Share of the way that is behind after `t`, 0 to 1."""
+    def fraction(self, t: float) -> float:
+        """Return the fraction of the distance covered after `t`, 0 to 1."""
         left = self.duration - t
         if left <= TIME_EPSILON_S:
             return 1.0
@@ -84,26 +84,26 @@ class Trapezoid:
         return self._speed * (t - 0.5 * self.ramp)
 
     def slope(self, t: float) -> float:
-        """Share of the way per second at `t`."""
+        """Return the fraction of the distance per second at `t`."""
         left = self.duration - t
         if left <= TIME_EPSILON_S or t <= 0.0:
             return 0.0
         return min(self._speed, self._acceleration * min(t, left))
 
     def decelerates(self, t: float) -> bool:
-        """Whether the move slows down at `t` to stop."""
+        """Return True if the final deceleration has begun at `t`."""
         return self.duration - t <= self.ramp + TIME_EPSILON_S
 
 
 class Trajectory(ABC):
-    """A motion.
+    """Joint positions as a function of time.
 
     Attributes:
-        t: Its time, s.
-        duration: When it has come to rest, s; infinite if it does not by itself.
-        streamed: Whether a program has to go on commanding it.
-        governed: Whether its time may be slowed down so that joints keep their speed limits. What is not governed
-            limits its speeds itself.
+        t: Elapsed time, s.
+        duration: Time at which the arm stops, s; infinite if it does not stop by itself.
+        streamed: Whether a program has to keep commanding it.
+        governed: Whether its time may be slowed down so that joints keep their speed limits. Other trajectories limit
+            their speeds themselves.
     """
 
     t: float = 0.0
@@ -114,40 +114,40 @@ class Trajectory(ABC):
 
     @abstractmethod
     def positions(self, step: float, counts: Array) -> Array:
-        """Joint positions (n, 6) at `step * counts` from now; without any effect on the trajectory.
+        """Return joint positions (n, 6) at `step * counts` from now, without changing the trajectory.
 
         Raises:
             UnreachableError: The trajectory leaves the workspace.
         """
 
     def commit(self, time: float) -> None:
-        """Let `time` pass, after `positions` of the same time."""
+        """Advance by `time`, after `positions` of the same time."""
         self.t += time
 
     def rate(self) -> Array | None:
-        """Joint speeds (6,) now, or None: those of the last positions."""
+        """Return the joint speeds (6,) now, or None for those of the last positions."""
         return None
 
     @property
     def finished(self) -> bool:
-        """Whether it has come to rest."""
+        """True once the arm has stopped."""
         return self.t >= self.duration - TIME_EPSILON_S
 
     @property
     def returns(self) -> bool:
-        """Whether the program that commanded it may go on."""
+        """True once the command returns to its program."""
         return self.finished
 
 
 class JointMove(Trajectory):
-    """From rest to rest, all joints in the same time.
+    """Move from rest to rest, all joints in the same time.
 
     Args:
-        start: (6,).
-        target: (6,).
-        acceleration: Of the joint that moves farthest, rad/s².
-        speed: Of the same, rad/s; less where another joint would exceed its limit.
-        time: If above 0, in this time, whatever `acceleration` and `speed` are.
+        start: (6,) joint positions.
+        target: (6,) joint positions.
+        acceleration: Acceleration of the joint that moves farthest, rad/s².
+        speed: Its speed, rad/s; less where another joint would exceed its limit.
+        time: Duration, s; overrides `acceleration` and `speed` if above 0.
         blend_m: Blend radius.
     """
 
@@ -156,11 +156,11 @@ class JointMove(Trajectory):
     def __init__(
         self, start: Array, target: Array, acceleration: float, speed: float, time: float = 0.0, blend_m: float = 0.0
     ) -> None:
-        self._start, self.end, self._way = start, target, target - start
+        self._start, self.end, self._displacement = start, target, target - start
         self.blend_m = blend_m
-        way = np.abs(self._way)
-        distance = float(way.max())
-        limit = distance / float((way / JOINT_SPEED_RAD_S).max()) if distance else 1.0
+        distances = np.abs(self._displacement)
+        distance = float(distances.max())
+        limit = distance / float((distances / JOINT_SPEED_RAD_S).max()) if distance else 1.0
         if time > 0.0:
             self.profile = Trapezoid.timed(distance, time, limit, ACCELERATION_LIMIT_RAD_S2)
         else:
@@ -168,26 +168,26 @@ class JointMove(Trajectory):
         self.duration = self.profile.duration
 
     def positions(self, step: float, counts: Array) -> Array:
-        """Joint positions (n, 6); see `Trajectory`."""
-        share = self.profile.share
-        shares = [share(self.t + step * count) for count in range(1, len(counts) + 1)]
-        q = self._start + np.multiply.outer(shares, self._way)
-        if shares[-1] == 1.0:
-            q[[each == 1.0 for each in shares]] = self.end
+        """Return joint positions (n, 6); see `Trajectory`."""
+        fraction = self.profile.fraction
+        fractions = [fraction(self.t + step * count) for count in range(1, len(counts) + 1)]
+        q = self._start + np.multiply.outer(fractions, self._displacement)
+        if fractions[-1] == 1.0:
+            q[[each == 1.0 for each in fractions]] = self.end
         return q
 
     def rate(self) -> Array:
-        """Joint speeds (6,) now."""
-        return self._way * self.profile.slope(self.t)
+        """Return the joint speeds (6,) now."""
+        return self._displacement * self.profile.slope(self.t)
 
 
 class JointBrake(Trajectory):
-    """From a speed to rest.
+    """Braking from joint speeds to rest.
 
     Args:
-        start: (6,).
-        rate: (6,) speed.
-        times: (6,) until each joint stands.
+        start: (6,) joint positions.
+        rate: (6,) joint speeds.
+        times: (6,) braking time of each joint, s.
     """
 
     def __init__(self, start: Array, rate: Array, times: Array) -> None:
@@ -197,11 +197,11 @@ class JointBrake(Trajectory):
 
     @classmethod
     def together(cls, start: Array, rate: Array, time: float) -> JointBrake:
-        """All joints stand after `time`."""
+        """Stop all joints after `time`."""
         return cls(start, rate, np.full(6, time))
 
     def positions(self, step: float, counts: Array) -> Array:
-        """Joint positions (n, 6); see `Trajectory`."""
+        """Return joint positions (n, 6); see `Trajectory`."""
         t = np.minimum((self.t + step * counts)[:, None], self._times)
         q: Array = self._start + self._rate * (t - t * t / (2 * self._times))
         if self.t + step * counts[-1] >= self.duration - TIME_EPSILON_S:
@@ -209,20 +209,20 @@ class JointBrake(Trajectory):
         return q
 
     def rate(self) -> Array:
-        """Joint speeds (6,) now."""
+        """Return the joint speeds (6,) now."""
         left: Array = self._rate * (1.0 - np.minimum(self.t / self._times, 1.0))
         return left
 
 
 class SpeedJoints(Trajectory):
-    """To given joint speeds at an acceleration, and on with them.
+    """Acceleration to joint speeds, which are then held.
 
     Args:
-        start: (6,).
-        rate: (6,) speed at the start.
-        target: (6,) speed asked for.
-        acceleration: Of the joint whose speed changes most, rad/s².
-        ticks: After how many ticks the program may go on; 0: when the speed is reached.
+        start: (6,) joint positions.
+        rate: (6,) joint speeds at the start.
+        target: (6,) commanded joint speeds.
+        acceleration: Acceleration of the joint whose speed changes most, rad/s².
+        ticks: Ticks after which the command returns; 0: when the speed is reached.
     """
 
     streamed = True
@@ -236,7 +236,7 @@ class SpeedJoints(Trajectory):
         self._timed, self.ticks_left = ticks > 0, ticks
 
     def positions(self, step: float, counts: Array) -> Array:
-        """Joint positions (n, 6); see `Trajectory`."""
+        """Return joint positions (n, 6); see `Trajectory`."""
         t = self.t + step * counts[:, None]
         ramp = np.minimum(t, self._reached_s)
         q: Array = self._start + self._rate * ramp + (0.5 * ramp * ramp) * self._acceleration
@@ -244,23 +244,23 @@ class SpeedJoints(Trajectory):
         return q
 
     def rate(self) -> Array:
-        """Joint speeds (6,) now."""
+        """Return the joint speeds (6,) now."""
         speed: Array = self._rate + min(self.t, self._reached_s) * self._acceleration
         return speed
 
     @property
     def returns(self) -> bool:
-        """Whether the program may go on."""
+        """True once the command returns to its program."""
         return self.ticks_left <= 0 if self._timed else self.t >= self._reached_s - TIME_EPSILON_S
 
 
 class Superposed(Trajectory):
-    """A move that starts before the motion before it has ended: the sum of both displacements.
+    """Move that starts before the previous motion has ended: the sum of both displacements.
 
     Args:
-        main: The move; it starts where `ending` ends.
-        ending: The motion before.
-        end: (6,) where `ending` ends.
+        main: The move, which starts at the end of `ending`.
+        ending: The previous motion.
+        end: (6,) joint positions at the end of `ending`.
     """
 
     governed = True
@@ -269,21 +269,21 @@ class Superposed(Trajectory):
         self.main, self.ending, self._end = main, ending, end
 
     def positions(self, step: float, counts: Array) -> Array:
-        """Joint positions (n, 6); see `Trajectory`."""
+        """Return joint positions (n, 6); see `Trajectory`."""
         q: Array = self.main.positions(step, counts) + (self.ending.positions(step, counts) - self._end)
         return q
 
     def commit(self, time: float) -> None:
-        """Let `time` pass."""
+        """Advance by `time`."""
         self.main.commit(time)
         self.ending.commit(time)
 
     def rate(self) -> Array | None:
-        """Joint speeds (6,) now, or None."""
+        """Return the joint speeds (6,) now, or None."""
         main, ending = self.main.rate(), self.ending.rate()
         return None if main is None or ending is None else main + ending
 
     @property
     def finished(self) -> bool:
-        """Whether it has come to rest."""
+        """True once the arm has stopped."""
         return self.main.finished and self.ending.finished

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dual_ur10.errors import SettingsError
+from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, quat_to_matrix
 from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
 from dual_ur10.types import Array, constant, numbers
@@ -140,6 +141,14 @@ class Frames:
         """Orientations in each arm's own `base` frame, (..., 2, 4), in the cell frame."""
         result: Array = (quat[..., None, :] @ self._back)[..., 0, :]
         return result
+
+    def poses_to_base(self, pose: Poses) -> Poses:
+        """Poses in the cell frame, (n, 2 or 1, ...), in each arm's own `base` frame, (n, 2, ...)."""
+        both = (len(pose.position_m), 2)
+        return Poses(
+            self.position_to_base(np.broadcast_to(pose.position_m, (*both, 3))),
+            self.quat_to_base(np.broadcast_to(pose.quat, (*both, 4))),
+        )
 
     @property
     def others_pose(self) -> Array:

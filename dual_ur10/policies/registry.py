@@ -8,7 +8,6 @@ Learned policies come with the package in `learned/learned_policies`, a folder e
 
 from __future__ import annotations
 
-import dataclasses
 import importlib
 import os
 from importlib.resources import files
@@ -95,23 +94,16 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
 
 
 def _scripted(env_id: str, keywords: dict[str, Any]) -> Policy:
-    from dual_ur10.envs.core.core import load_task
-    from dual_ur10.envs.core.options import split_keywords
-    from dual_ur10.envs.core.randomization import resolve_randomization
-    from dual_ur10.envs.tasks.task import Timing, task_settings
-    from dual_ur10.sim2real.config.cell_file import resolve_cell
+    from dual_ur10.envs.core.setup import EnvSetup
 
-    task = load_task(task_name(env_id_of(env_id)))
-    options, own = split_keywords(keywords)
-    config = resolve_cell(options.cell)
-    period_s = config.servoj.ticks_per_action(options.policy_rate_hz) * config.servoj.tick_s
-    timing = Timing(period_s, period_s + options.latency_ticks(config) * config.servoj.tick_s)
-    own = {key: own[key] for key in own if key in {each.name for each in dataclasses.fields(task.settings_type)}}
-    settings = resolve_randomization(options.randomization).spread(task_settings(task, own), own)
-    module, attribute = _SCRIPTED[task.name].split(":")
+    task = task_name(env_id_of(env_id))
+    setup = EnvSetup.resolve(task, keywords, ignore_unknown=True)
+    module, attribute = _SCRIPTED[task].split(":")
     factory = getattr(importlib.import_module(f"dual_ur10.policies.scripted.{module}"), attribute)
-    mounts, limits = (config.left, config.right), config.capped(task.limits)
-    policy: Policy = factory(timing, options.action_mode, mounts=mounts, limits=limits, settings=settings)
+    mounts = setup.config.left, setup.config.right
+    policy: Policy = factory(
+        setup.timing, setup.options.action_mode, mounts=mounts, limits=setup.limits, settings=setup.settings
+    )
     return policy
 
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from dual_ur10.envs.api.two_agents import Share, agent_spaces, check_count, check_options
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
-from dual_ur10.envs.core.cells import check_for_controllers
 from dual_ur10.envs.core.options import EnvOptions
+from dual_ur10.envs.core.setup import check_for_controllers
 from dual_ur10.errors import ActionError, MissingExtraError, SettingsError
 from dual_ur10.ids import env_id_of, task_name
 from dual_ur10.sim2real.config.cell_file import resolve_cell

@@ -50,9 +50,10 @@ def check_count(name: str, value: object, *, optional: bool = False) -> None:
 
 def agent_spaces(core: Core) -> tuple[list[Any], list[Any]]:
     """Observation space and action space of each agent, `gymnasium.spaces.Box` all."""
-    bound = core.task.agent_bound
+    layout = core.task.agent_layout_for(core.setup.settings)
+    bounds = zip(layout.low.reshape(2, -1), layout.high.reshape(2, -1), strict=True)
     low, high = (each.reshape(2, -1) for each in (core.action_space.low, core.action_space.high))
-    observation = [spaces.Box(-bound[arm], bound[arm], dtype=np.float64) for arm in range(2)]
+    observation = [spaces.Box(*each, dtype=np.float64) for each in bounds]
     return observation, [spaces.Box(low[arm], high[arm], dtype=np.float32) for arm in range(2)]
 
 

@@ -1,106 +1,107 @@
-"""Makes the cell that an environment's keywords ask for."""
+"""The cell of an environment, and the recorder of its run."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import contextlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
 
-from dual_ur10.envs.core.options import MOVE_TO_START, EnvOptions
+from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
-from dual_ur10.errors import ResetRefusedError, SettingsError
-from dual_ur10.sim2real.config.cell import Cell, CellConfig, Perturbation
+from dual_ur10.errors import SettingsError
+from dual_ur10.sim2real.config.cell import Cell
 from dual_ur10.sim2real.control.clearance import Clearance
-from dual_ur10.sim2real.control.limits import MotionLimits
+from dual_ur10.sim2real.recording.rows import RunRecorder
+
+_NOT_RECORDED: Final = ("cell", "confirm", "record", "record_failure", "record_about")
 
 
-def make_cell(
-    config: CellConfig,
-    options: EnvOptions,
-    ticks: int,
-    n: int,
-    *,
-    threads: int,
-    limits: MotionLimits,
-    clearance: Clearance,
-    varied: Collection[str],
-    coupled: bool,
-) -> Cell:
-    """A simulated cell, or that of two controllers.
+def make_cell(setup: EnvSetup, n: int, *, threads: int, clearance: Clearance) -> Cell:
+    """Make a simulated cell, or that of two controllers.
 
     Args:
-        config: The cell, with a task's equipment.
-        options: Keywords of the environment.
-        ticks: Control periods of a step.
+        setup: Of the environment.
         n: Number of cells.
         threads: Threads to simulate on.
-        limits: Of the task.
-        clearance: Measures the distances on the way to a start.
-        varied: What randomization changes.
-        coupled: Whether both arms hold one object.
+        clearance: Measures the distances on the path to a start.
 
     Raises:
         DualUR10Error: It cannot be made; see `MujocoCell` and `RtdeCell`.
     """
-    latency = options.latency_ticks(config)
+    config, ticks, latency = setup.config, setup.ticks, setup.latency_ticks
     if config.file is None:
+        varied = setup.randomization.varied
         return MujocoCell(config, ticks, n=n, threads=threads, latency_ticks=latency, varied=varied)
-    from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell  # what it needs, a simulation does not
+    from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell  # a simulation does not need its imports
 
     return RtdeCell(
         config,
         ticks,
-        limits=limits,
+        limits=setup.limits,
         clearance=clearance,
         latency_ticks=latency,
-        coupled=coupled,
-        confirm=options.confirm,
-        only=options.arm,
+        coupled=setup.task_type.coupled,
+        confirm=setup.options.confirm,
+        only=setup.options.arm,
     )
 
 
-def check_for_controllers(config: CellConfig, n: int, *, autoreset: bool, randomized: bool) -> None:
-    """Refuse what two controllers cannot do.
+def make_recorder(setup: EnvSetup, keywords: Mapping[str, Any], cell: Cell) -> RunRecorder | None:
+    """Make the recorder of a run of this cell; None if nothing is to be recorded.
+
+    A cell of two controllers always has a black box.
 
     Args:
-        config: The cell.
-        n: Number of environments.
-        autoreset: Whether episodes begin by themselves.
-        randomized: Whether something is to differ from episode to episode.
+        setup: Of the environment.
+        keywords: Those that it follows from.
+        cell: The cell.
 
     Raises:
-        SettingsError: So it is, and the cell is one of two controllers.
+        SettingsError: There are several cells.
+        RecordingError: A file cannot be made.
     """
-    if config.file is None:
-        return
-    if n > 1:
-        raise SettingsError(f"{n} environments on one cell of controllers: there is one pair of arms. Use one")
-    if autoreset:
-        raise SettingsError(
-            "episodes that begin by themselves, as in training, on a cell of controllers: arms go to where an episode "
-            'begins when somebody resets them. Train in simulation; or set autoreset_mode to "Disabled"'
-        )
-    if randomized:
-        raise SettingsError("randomization is of simulated cells: leave it out on controllers, which are as they are")
-    if config.perturbation != Perturbation():
-        raise SettingsError("a perturbation is of simulated cells: leave it out on controllers, which are as they are")
+    options, config = setup.options, setup.config
+    if options.record is None and config.file is None:
+        return None
+    if cell.n > 1:
+        raise SettingsError(f"{cell.n} cells are stepped together: only one alone can be recorded")
+    from dual_ur10.sim2real.recording.describe import describe
+    from dual_ur10.sim2real.recording.recorder import RecorderProcess
+    from dual_ur10.sim2real.recording.simulation import SimulationRecord
+    from dual_ur10.sim2real.recording.writer import new_folder
+    from dual_ur10.sim2real.runtime.latch import state_folder
+    from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell
 
-
-def check_reset(*, begun: bool, consent: bool) -> None:
-    """Refuse a reset that would move the arms of two controllers without consent.
-
-    Wrappers that begin episodes by themselves call the same `reset` as a program. They pass no options, so that none of
-    them leads arms to another start.
-
-    Args:
-        begun: An episode has begun before.
-        consent: The caller consents to the motion.
-
-    Raises:
-        ResetRefusedError: An episode has begun before, and the caller does not consent.
-    """
-    if begun and not consent:
-        raise ResetRefusedError(
-            "reset was called again without consent, on a cell of two controllers: it would move both arms to where an "
-            "episode begins, and nothing may do that by itself. Pass "
-            f'reset(options={{"{MOVE_TO_START}": True}}) in your program, or make the environment with confirm=, which '
-            "is asked before each such motion; train in simulation"
-        )
+    file, about = config.file, dict(options.record_about or {})
+    header = describe(
+        f"DualUR10/{setup.task_type.name}-v0",
+        {
+            **({"cell": keywords["cell"]} if "cell" in keywords and file is None else {}),
+            **{name: value for name, value in keywords.items() if name not in _NOT_RECORDED},
+            "action_latency_ticks": setup.latency_ticks,
+        },
+        config,
+        period_ticks=setup.ticks,
+        latency_ticks=setup.latency_ticks,
+        source=config.kind,
+        speed_factor=config.speed_factor,
+        cell_file=None if file is None else file.text(),
+        policy=about.pop("policy", ""),
+        policy_sha256=about.pop("policy_sha256", None),
+        extra=about,
+    )
+    folder = None if options.record is None else new_folder(Path(options.record), header)
+    try:
+        if not isinstance(cell, RtdeCell):
+            return None if folder is None else SimulationRecord(folder, header)
+        boxes = state_folder() / "black_boxes" if folder is None else folder
+        boxes.mkdir(mode=0o700, exist_ok=True)
+        recorder = RecorderProcess(cell.memory_names, folder, header, boxes)
+        recorder.wait_until_ready()
+    except BaseException:
+        if folder is not None:
+            with contextlib.suppress(OSError):  # a folder that is not empty stays
+                folder.rmdir()
+        raise
+    return recorder

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,15 +11,15 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from dual_ur10.envs.core.cells import check_for_controllers, check_reset, make_cell
-from dual_ur10.envs.core.options import split_keywords
-from dual_ur10.envs.core.randomization import on_top, resolve_randomization
+from dual_ur10.envs.core.cells import make_cell, make_recorder
+from dual_ur10.envs.core.options import EnvOptions
+from dual_ur10.envs.core.randomization import on_top
 from dual_ur10.envs.core.sensing import Sensing
-from dual_ur10.envs.tasks.task import Task, Timing, task_settings
-from dual_ur10.errors import ActionError, CellFaulted, ClosedError, DualUR10Error, ResetNeededError, UnknownNameError
-from dual_ur10.sim2real.config.cell import Cell, CellState, CellStep
-from dual_ur10.sim2real.config.cell_file import resolve_cell
-from dual_ur10.sim2real.control.adapter import Command, ServojAdapter
+from dual_ur10.envs.core.setup import EnvSetup, check_for_controllers, check_reset
+from dual_ur10.envs.tasks.task import Task, Timing
+from dual_ur10.errors import ActionError, CellFaulted, ClosedError, DualUR10Error, ResetNeededError
+from dual_ur10.sim2real.config.cell import Cell, CellConfig, CellState, CellStep
+from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
 from dual_ur10.sim2real.control.pipeline import ServojPipeline
@@ -28,13 +27,6 @@ from dual_ur10.sim2real.recording.hook import RecordHook
 from dual_ur10.sim2real.recording.rows import RunRecorder
 from dual_ur10.sim2real.recording.writer import prepare
 from dual_ur10.types import Array, Mask, Rows
-
-TASKS = {
-    "SineTracking": "dual_ur10.envs.tasks.sine_tracking.task:SineTracking",
-    "SyncCarry": "dual_ur10.envs.tasks.sync_carry.task:SyncCarry",
-    "Handover": "dual_ur10.envs.tasks.handover.task:Handover",
-}
-"""Where each task's class is, by the task's name."""
 
 PHYSICS_ERROR = "the simulation diverged: the observation is that of the last good instant"
 """Text of `info["physics_error"]`."""
@@ -93,19 +85,6 @@ class Step(NamedTuple):
     agents: Agents
 
 
-def load_task(name: str) -> type[Task[Any, Any]]:
-    """The class of a task.
-
-    Raises:
-        UnknownNameError: No task has this name.
-    """
-    if name not in TASKS:
-        raise UnknownNameError("task", str(name), list(TASKS))
-    module, attribute = TASKS[name].split(":")
-    task: type[Task[Any, Any]] = getattr(importlib.import_module(module), attribute)
-    return task
-
-
 def _spread(values: Array, rows: Rows, n: int) -> Array:
     """Values of some rows, (len(rows), ...), as an array of all, (n, ...), with NaN in the others."""
     result = np.full((n, *values.shape[1:]), np.nan)
@@ -133,87 +112,63 @@ class Core:
     def __init__(
         self, task: str, keywords: Mapping[str, Any], *, n: int = 1, threads: int | None = None, autoreset: bool = False
     ) -> None:
-        task_type = load_task(task)
-        self.options, own = split_keywords(keywords)
-        options = self.options
-        self._randomization = resolve_randomization(options.randomization)
-        settings = self._randomization.spread(task_settings(task_type, own), own)
-        need = task_type.furnishing(settings)
-        config = resolve_cell(options.cell).furnished(need.equipment, need.timestep_s, need.gains)
-        limits = config.capped(task_type.limits)
-        ticks = config.servoj.ticks_per_action(options.policy_rate_hz)
-        latency = options.latency_ticks(config)
-        mounts = (config.left, config.right)
-        adapter = ServojAdapter(
-            config.servoj,
-            limits,
-            ticks,
-            n=n,
-            mode=options.action_mode,
-            gripper=need.equipment.grippers and not need.equipment.welded,
-            compensate_lag=options.compensate_lag,
-            dh=[mount.dh for mount in mounts],
-            yaw_rad=[mount.yaw_rad for mount in mounts],
-            speed_factor=config.speed_factor,
-            lookahead_s=config.measured_lookahead_s,
-        )
-        self.n, self.config = n, config
-        randomized = not self._randomization.is_none
-        check_for_controllers(config, n, autoreset=autoreset, randomized=randomized)
+        self.setup = setup = EnvSetup.resolve(task, keywords)
+        config, requirements = setup.config, setup.requirements
+        self._randomization = setup.randomization
+        adapter = setup.make_adapter(n)
+        self.n = n
+        check_for_controllers(config, n, autoreset=autoreset, randomized=not self._randomization.is_none)
         threads = threads or min(n, os.cpu_count() or 1)
         clearance = Clearance(
             config.measured_scene,
             n=n,
             threads=threads,
             minimum_m=config.minimum_clearance_m,
-            closer=need.closer,
+            closer=requirements.closer,
             uncertainty=config.uncertainty,
         )
-        gate = SafetyGate(limits, config.servoj.tick_s, ticks, clearance, n=n)
-        self.pipeline = ServojPipeline(adapter, gate, held=options.held_arm)
-        period_s = adapter.period_s
-        timing = Timing(period_s, period_s + latency * config.servoj.tick_s)
-        self.task = task_type(settings, config, timing, n)
+        gate = SafetyGate(setup.limits, config.servoj.tick_s, setup.ticks, clearance, n=n)
+        self.pipeline = ServojPipeline(adapter, gate, held=setup.options.held_arm)
+        self.task = setup.make_task(n)
         self._clearance = clearance
-        self._weights = np.array(list(task_type.weights.values()))
-        self._terms = [f"reward/{name}" for name in task_type.weights]
+        self._weights = np.array(list(self.task.weights.values()))
+        self._terms = [f"reward/{name}" for name in self.task.weights]
         rows = np.arange(n)
         clearance.check_start(self.task.start(rows, [np.random.default_rng(0) for _ in rows]).q_rad, rows)
         self._state: CellState | None = None
         self._begun = False  # whether an episode ever has
         self.late_actions = 0
-        self._sensing = Sensing(config, self._randomization, period_s, n)
+        self._sensing = Sensing(config, self._randomization, setup.timing.period_s, n)
         self._plant = config.perturbation.expanded(n)
-        self._observation: Array = np.zeros((n, len(self.task.observation_bound)))
+        layout, record = self.task.layout, setup.options.record
+        self._observation: Array = np.zeros((n, 2 * layout.size))
         self.action_space = self._action_space()
-        bound = self.task.observation_bound
-        self.observation_space = spaces.Box(-bound, bound, dtype=np.float64)
-        if options.record is not None:
-            prepare(Path(options.record))  # before anything is connected
-        self.cell: Cell | None = make_cell(
-            config,
-            options,
-            ticks,
-            n,
-            threads=threads,
-            limits=limits,
-            clearance=clearance,
-            varied=self._randomization.varied,
-            coupled=task_type.coupled,
-        )
+        self.observation_space = spaces.Box(layout.low, layout.high, dtype=np.float64)
+        if record is not None:
+            prepare(Path(record))  # before anything is connected
+        self.cell: Cell | None = make_cell(setup, n, threads=threads, clearance=clearance)
         self._hook: RecordHook | None = None
         self.recorder: RunRecorder | None = None
-        if options.record is not None or config.file is not None:
-            self._begin_record(task, keywords, ticks)
+        self._begin_record(keywords)
 
     def _action_space(self) -> spaces.Box:
         low, high = self.pipeline.adapter.action_bounds
         return spaces.Box(low.reshape(-1).astype(np.float32), high.reshape(-1).astype(np.float32), dtype=np.float32)
 
     @property
+    def options(self) -> EnvOptions:
+        """Keywords of every environment."""
+        return self.setup.options
+
+    @property
+    def config(self) -> CellConfig:
+        """The cell, with the task's equipment."""
+        return self.setup.config
+
+    @property
     def timing(self) -> Timing:
         """Rate and latency of actions."""
-        return self.task.timing
+        return self.setup.timing
 
     def reset(
         self,
@@ -366,12 +321,10 @@ class Core:
                 recorder.event("fault", str(error))
             raise
 
-    def _begin_record(self, task: str, keywords: Mapping[str, Any], ticks: int) -> None:
-        from dual_ur10.envs.core.records import recorder_of
-
+    def _begin_record(self, keywords: Mapping[str, Any]) -> None:
         cell = self._open()
         try:
-            self.recorder = recorder_of(task, keywords, self.options, self.config, cell, ticks)
+            self.recorder = make_recorder(self.setup, keywords, cell)
             if self.recorder is not None:
                 self.record(self.recorder)
         except BaseException:

@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.assets.gripper import OPENING_M, PAD_LENGTH_M, TCP_M
-from dual_ur10.envs.tasks.poses import Poses
 from dual_ur10.errors import SettingsError
+from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import rotate
 from dual_ur10.sim2real.config.cell import CellState
 from dual_ur10.types import Array, Mask

@@ -11,8 +11,8 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 import numpy as np
 
 from dual_ur10.assets.settings import Equipment
-from dual_ur10.envs.core.options import OPTION_NAMES
-from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.envs.tasks.observation_layout import ObservationLayout
+from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array, Mask, Rows
@@ -52,8 +52,8 @@ class Timing:
 
 
 @dataclasses.dataclass(frozen=True)
-class Furnishing:
-    """What a task needs in the cell.
+class SceneRequirements:
+    """Scene that a task needs in the cell.
 
     Attributes:
         equipment: Grippers and what they handle.
@@ -84,8 +84,7 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         coupled: Whether both arms hold one object between them.
         stages: Names of the stages that `info["stage"]` counts, if there are any; 0 is before the first.
         settings_type: Dataclass of what the user may set.
-        observation_bound: (size,) largest magnitude of each number of an observation.
-        agent_bound: (2, size) the same of each agent's observation.
+        layout: Fields of an observation; of an object, as its settings ask for them.
 
     Args:
         settings: What the user may set.
@@ -100,17 +99,27 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
     stages: ClassVar[tuple[str, ...]] = ()
     coupled: ClassVar[bool] = False
     settings_type: ClassVar[type[Any]]
-    observation_bound: Array
-    agent_bound: Array
+    layout: ObservationLayout
 
     def __init__(self, settings: SettingsT, cell: CellConfig, timing: Timing, n: int) -> None:
         self.settings, self.cell, self.timing, self.n = settings, cell, timing, n
         self.limits = cell.capped(type(self).limits)
+        self.layout = self.layout_for(settings)
 
     @classmethod
-    def furnishing(cls, settings: SettingsT) -> Furnishing:
-        """What the task needs in the cell."""
-        return Furnishing()
+    def layout_for(cls, settings: SettingsT) -> ObservationLayout:
+        """Return the fields that an observation has with these settings."""
+        return cls.layout
+
+    @classmethod
+    def agent_layout_for(cls, settings: SettingsT) -> ObservationLayout:
+        """Return the fields of each agent's own observation, which begin with those of its arm."""
+        return cls.layout_for(settings)
+
+    @classmethod
+    def requirements(cls, settings: SettingsT) -> SceneRequirements:
+        """Return the scene that the task needs in the cell."""
+        return SceneRequirements()
 
     @abstractmethod
     def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
@@ -129,8 +138,8 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         """Observations, (n, size): the left arm's numbers, then the right arm's."""
 
     def observe_agents(self, observation: Array) -> Array:
-        """Each agent's own observation, (n, 2, size), from those of both, (n, size)."""
-        return observation.reshape(self.n, 2, -1)
+        """Return each agent's own observation, (n, 2, size), from those of both, (n, size); for any n."""
+        return observation.reshape(len(observation), 2, -1)
 
     @abstractmethod
     def evaluate(self, state: CellState, measured: MeasuredT) -> Outcome:
@@ -139,19 +148,6 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
     def payload_kg(self) -> Array | None:
         """(n, 2) mass that each gripper holds at the end of the period to come, as told to the controllers."""
         return None
-
-
-def task_settings(task: type[Task[Any, Any]], keywords: Mapping[str, Any]) -> Any:
-    """The settings of a task from plain keywords.
-
-    Raises:
-        UnknownNameError: A keyword is not one of the task's settings.
-    """
-    known = [each.name for each in dataclasses.fields(task.settings_type)]
-    for key in keywords:
-        if key not in known:
-            raise UnknownNameError(f"keyword of {task.name}", str(key), [*known, *OPTION_NAMES])
-    return task.settings_type(**keywords)
 
 
 def slower(wanted: MotionLimits, allowed: MotionLimits) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,15 +9,14 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from dual_ur10.envs.core.core import load_task
-from dual_ur10.envs.core.options import EnvOptions, split_keywords
+from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.envs.core.randomization import Randomization, resolve_randomization
-from dual_ur10.envs.tasks.task import Task, Timing, task_settings
+from dual_ur10.envs.core.setup import EnvSetup, load_task
+from dual_ur10.envs.tasks.task import Task
 from dual_ur10.errors import CheckpointError
 from dual_ur10.ids import ENV_IDS, env_id_of, task_name
 from dual_ur10.policies.learned import schema
 from dual_ur10.sim2real.config.cell import CellConfig
-from dual_ur10.sim2real.config.cell_file import resolve_cell
 from dual_ur10.sim2real.control.adapter import ActionMode, ServojAdapter
 from dual_ur10.sim2real.control.servoj import Family, ServojProfile
 from dual_ur10.sim2real.recording.describe import plain
@@ -144,28 +142,28 @@ class Described:
     """An environment and what it says of itself.
 
     Args:
-        options: Keywords of every environment.
-        config: The cell, furnished.
-        task: The task; of how many cells does not matter.
+        setup: Of the environment.
+        task: Its task, for any number of cells.
         adapter: Likewise.
 
     Attributes:
+        setup: As given.
         target: What a policy depends on.
     """
 
-    def __init__(self, options: EnvOptions, config: CellConfig, task: Task[Any, Any], adapter: ServojAdapter) -> None:
-        self._task = task
+    def __init__(self, setup: EnvSetup, task: Task[Any, Any], adapter: ServojAdapter) -> None:
+        self.setup, self._task, config = setup, task, setup.config
         low, high = (each.reshape(-1).astype(np.float32) for each in adapter.action_bounds)
-        bound = task.observation_bound
+        layout = task.layout
         steps = adapter.mode == "joint_delta"
         step_rad = tuple((np.asarray(task.limits.speed_rad_s) * adapter.period_s).tolist()) if steps else ()
         mounts = (config.left, config.right)
         self.target = Target(
             env_id=env_id_of(task.name),
-            kwargs=_kwargs(options, config, task.settings),
-            observation=Space((len(bound),), "float64", tuple((-bound).tolist()), tuple(bound.tolist())),
+            kwargs=_kwargs(setup),
+            observation=Space((2 * layout.size,), "float64", tuple(layout.low.tolist()), tuple(layout.high.tolist())),
             action=Space((len(low),), "float32", tuple(low.tolist()), tuple(high.tolist())),
-            rate=Rate(config.servoj.tick_s, adapter.ticks, int(options.latency_ticks(config))),
+            rate=Rate(config.servoj.tick_s, setup.ticks, int(setup.latency_ticks)),
             actions=Actions(adapter.mode, adapter.gripper, bool(adapter.compensate_lag), step_rad),
             robot=Robot(
                 "UR10",
@@ -178,14 +176,11 @@ class Described:
 
     @property
     def agent_size(self) -> int:
-        """How many numbers each agent observes."""
-        return len(self._task.agent_bound[0])
+        """Number of values that each agent observes."""
+        return self.setup.task_type.agent_layout_for(self.setup.settings).size
 
     def split(self, observation: Array) -> Array:
         """Each agent's own observation, (n, 2, size), from those of both, (n, size)."""
-        if len(observation) != self._task.n:
-            self._task = copy.copy(self._task)  # an environment may go on with the other one
-            self._task.n = len(observation)
         return self._task.observe_agents(observation)
 
 
@@ -196,27 +191,9 @@ def described(env_id: str, keywords: Mapping[str, Any]) -> Described:
         UnknownNameError: There is no such environment, or keyword.
         SettingsError: Or one of its kinds: a value is not legal.
     """
-    kind = load_task(task_name(env_id_of(env_id)))
-    options, own = split_keywords(keywords)
-    settings = resolve_randomization(options.randomization).spread(task_settings(kind, own), own)
-    need = kind.furnishing(settings)
-    config = resolve_cell(options.cell).furnished(need.equipment, need.timestep_s, need.gains)
-    mounts = (config.left, config.right)
-    adapter = ServojAdapter(
-        config.servoj,
-        config.capped(kind.limits),
-        config.servoj.ticks_per_action(options.policy_rate_hz),
-        mode=options.action_mode,
-        gripper=need.equipment.grippers and not need.equipment.welded,
-        compensate_lag=options.compensate_lag,
-        dh=[mount.dh for mount in mounts],
-        yaw_rad=[mount.yaw_rad for mount in mounts],
-        speed_factor=config.speed_factor,
-        lookahead_s=config.measured_lookahead_s,
-    )
-    period_s = adapter.period_s
-    timing = Timing(period_s, period_s + options.latency_ticks(config) * config.servoj.tick_s)
-    return Described(options, config, kind(settings, config, timing, 1), adapter)
+    setup = EnvSetup.resolve(task_name(env_id_of(env_id)), keywords)
+    adapter = setup.make_adapter()
+    return Described(setup, setup.make_task(), adapter)
 
 
 def described_env(env: Any) -> Described:
@@ -229,7 +206,7 @@ def described_env(env: Any) -> Described:
     core = getattr(getattr(env, "cells", None), "core", None) if core is None else core
     if core is None:
         raise CheckpointError(f"{type(env).__name__} is no environment of dual_ur10: pass one, or its id and keywords")
-    return Described(core.options, core.config, core.task, core.pipeline.adapter)
+    return Described(core.setup, core.task, core.pipeline.adapter)
 
 
 def described_target(target: Target) -> Described:
@@ -251,9 +228,10 @@ def described_target(target: Target) -> Described:
         raise CheckpointError(f"its kwargs make no environment: {error!s:.300}") from error
 
 
-def _kwargs(options: EnvOptions, config: CellConfig, settings: Any) -> dict[str, object]:
+def _kwargs(setup: EnvSetup) -> dict[str, object]:
+    options, settings = setup.options, setup.settings
     found: dict[str, Any] = {name: getattr(options, name) for name in OPTIONS}
-    found["action_latency_ticks"] = int(options.latency_ticks(config))
+    found["action_latency_ticks"] = int(setup.latency_ticks)
     if found["randomization"] is None or isinstance(found["randomization"], Randomization):
         found["randomization"] = dataclasses.asdict(resolve_randomization(found["randomization"]))
     default = EnvOptions()

@@ -7,20 +7,15 @@ from typing import Final
 
 import numpy as np
 
-from dual_ur10.envs.tasks.poses import Poses
 from dual_ur10.kinematics import nearest
 from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.kinematics.ur10 import DHParameters
 from dual_ur10.types import Array
 
 TAUGHT_HIGHER_M: Final = 0.013
 """How much higher than a task names it a teacher grips: fingers pass the table at 4 and 7 mm, less than pupils err."""
-
-
-def poses_at(arms: Array, first: int) -> Poses:
-    """Poses among the numbers of the arms, (..., 2, size), that begin at one of them."""
-    return Poses(arms[..., first : first + 3], arms[..., first + 3 : first + 7])
 
 
 def lying(pose: Poses, mounts: Sequence[ArmMount], height_m: float) -> Poses:

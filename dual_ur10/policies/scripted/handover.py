@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -12,21 +12,22 @@ from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.tasks.handover.settings import HandoverSettings
 from dual_ur10.envs.tasks.handover.stages import WIDTH_M
+from dual_ur10.envs.tasks.handover.task import Handover
 from dual_ur10.envs.tasks.holding import TCP_LEVER
-from dual_ur10.envs.tasks.poses import Poses
+from dual_ur10.envs.tasks.observation_layout import pose_of
 from dual_ur10.envs.tasks.task import Timing, slower
 from dual_ur10.errors import ActionError, LostError, SettingsError
 from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import rotate
-from dual_ur10.policies.scripted.carrying import TAUGHT_HIGHER_M, lying, poses_at
+from dual_ur10.policies.scripted.carrying import TAUGHT_HIGHER_M, lying
 from dual_ur10.policies.scripted.free_motion import FreeMotion
 from dual_ur10.policies.scripted.handover_paths import Ways
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array, Rows
 
-# Where the parts of one arm's 56 numbers are; see the table of `Handover`.
-_COMMANDED, _FLANGE, _OPENING, _BLOCK, _TARGET, _ROLE, _TIME = 12, 18, 25, 32, 39, 54, 55
-_SIZE = 56
+Fields = Mapping[str, Array]
+"""Fields of one row's observation, (2, field size) each."""
 
 _SPEED_SHARE: Final = 0.92  # of the task's limit
 _FOLLOWED_RAD: Final = 0.01  # how far a command may be behind what was wanted, before the motion waits for it
@@ -93,8 +94,6 @@ class HandoverPolicy:
     ) -> None:
         if action_mode not in ("joint_delta", "joint_position"):
             raise SettingsError(f"the scripted policy commands joints: action_mode {action_mode!r} is not for it")
-        from dual_ur10.envs.tasks.handover.task import Handover
-
         self.timing, self.action_mode = timing, action_mode
         self.mounts = SceneSettings().mounts if mounts is None else tuple(mounts)
         allowed = limits or Handover.limits
@@ -131,33 +130,28 @@ class HandoverPolicy:
             ActionError: Not an observation of Handover.
             UnreachableError: The block or its target cannot be reached.
         """
-        observation = np.asarray(observation, dtype=np.float64)
-        if observation.shape[-1:] != (2 * _SIZE,) or observation.ndim > 2:
-            raise ActionError(
-                f"an observation of Handover has shape ({2 * _SIZE},) or (n, {2 * _SIZE}), found {observation.shape}"
-            )
-        arms = observation.reshape(-1, 2, _SIZE)
-        n = len(arms)
+        batch = Handover.layout.batch(observation, Handover.name)
+        arms, n = [Handover.layout.split(row) for row in batch], len(batch)
         if self._clock is None:
             self._clock, self._episodes = np.full(n, np.inf), [_new(row) for row in arms]
         if len(self._clock) != n:
             raise ActionError(f"{n} observations after {len(self._clock)}: call reset() before another number")
-        clock = arms[:, 0, _TIME]
+        clock = Handover.layout.split(batch)["progress"][:, 0, 0]
         for row in np.flatnonzero(clock < self._clock).tolist():
             self._episodes[row] = self._begun(arms[row])
         self._clock = clock.copy()
         actions = [self._act(episode, row) for episode, row in zip(self._episodes, arms, strict=True)]
-        return np.array(actions).reshape(*observation.shape[:-1], -1).astype(np.float32)
+        return np.array(actions).reshape(*np.shape(observation)[:-1], -1).astype(np.float32)
 
-    def _begun(self, arms: Array) -> _Episode:
+    def _begun(self, arms: Fields) -> _Episode:
         episode = _new(arms)
-        block = self._ways.to_cell(lying(poses_at(arms, _BLOCK), self.mounts, BLOCK_SIZE_M[2] / 2))
-        episode.motion = self._ways.pick(arms[:, _COMMANDED : _COMMANDED + 6], episode.giver, _of(block, episode.giver))
+        block = self._ways.to_cell(lying(pose_of(arms, "block_base"), self.mounts, BLOCK_SIZE_M[2] / 2))
+        episode.motion = self._ways.pick(arms["commanded_q_rad"], episode.giver, _of(block, episode.giver))
         return episode
 
-    def _act(self, episode: _Episode, arms: Array) -> Array:
+    def _act(self, episode: _Episode, arms: Fields) -> Array:
         """Action of one row, (14,)."""
-        commanded = arms[:, _COMMANDED : _COMMANDED + 6].reshape(12)
+        commanded = arms["commanded_q_rad"].reshape(12)
         if self._teaches and episode.motion is not None:
             self._see_to_block(episode, arms)
             self._follow(episode, episode.motion, commanded)
@@ -176,7 +170,7 @@ class HandoverPolicy:
             return True
         return self._teaches and bool(np.abs(commanded - motion.at(motion.duration_s)).max() < _THERE_RAD)
 
-    def _see_to_block(self, episode: _Episode, arms: Array) -> None:
+    def _see_to_block(self, episode: _Episode, arms: Fields) -> None:
         """What a pupil has let go on the table is laid; elsewhere it is lost.
 
         Without this it would be told to lower and to close an empty hand, and elsewhere, with just the same before its
@@ -189,15 +183,15 @@ class HandoverPolicy:
             return
         receiver = 1 - episode.giver
         arm = episode.giver if episode.phase == _MEET else receiver
-        if WIDTH_M - _EMPTY_M < arms[arm, _OPENING] < _OPEN_M:
+        if WIDTH_M - _EMPTY_M < arms["gripper_m"][arm, 0] < _OPEN_M:
             return
-        block = self._ways.to_cell(poses_at(arms, _BLOCK))
+        block = self._ways.to_cell(pose_of(arms, "block_base"))
         if episode.phase == _MEET or block.position_m[arm, 2] > BLOCK_SIZE_M[2] / 2 + _LAID_M:
             raise LostError("the block has left the hand that should carry it")
         episode.opening[receiver] = 1.0
         self._go_on(episode, arms)
 
-    def _go_on(self, episode: _Episode, arms: Array) -> None:
+    def _go_on(self, episode: _Episode, arms: Fields) -> None:
         """Begin the next phase."""
         episode.phase += 1
         episode.time_s = episode.waited_s = episode.sure_s = 0.0
@@ -222,38 +216,36 @@ class HandoverPolicy:
         ):
             episode.time_s += self.timing.period_s / 4
 
-    def _handle(self, episode: _Episode, arms: Array) -> None:
+    def _handle(self, episode: _Episode, arms: Fields) -> None:
         """Close or open the fingers that are to, and begin the next motion once they are where they should be."""
         if episode.phase == _LEAVE:
             return
         opens = episode.phase in (_GIVE, _PLACE)
         arm = episode.giver if episode.phase in (_PICK, _GIVE) else 1 - episode.giver
         episode.opening[arm] = 1.0 if opens else -1.0
-        opening = arms[arm, _OPENING]
+        opening = arms["gripper_m"][arm, 0]
         done = opening > _OPEN_M if opens else abs(opening - WIDTH_M) < _CLOSED_M
         episode.waited_s += self.timing.period_s
         episode.sure_s = episode.sure_s + self.timing.period_s if done else 0.0
         if episode.sure_s > _SURE_S or episode.waited_s > _PATIENCE_S:
             self._go_on(episode, arms)
 
-    def _next(self, episode: _Episode, arms: Array) -> FreeMotion | None:
+    def _next(self, episode: _Episode, arms: Fields) -> FreeMotion | None:
         """The motion of the phase that begins."""
         ways, giver, receiver = self._ways, episode.giver, 1 - episode.giver
-        q = arms[:, _COMMANDED : _COMMANDED + 6]
-        flange = ways.to_cell(poses_at(arms, _FLANGE))
+        q = arms["commanded_q_rad"]
+        flange = ways.to_cell(pose_of(arms, "flange_base"))
         tools = Poses(flange.position_m + rotate(flange.quat, np.tile(TCP_LEVER, (2, 1))), flange.quat)
         if episode.phase == _MEET:
             return ways.meet(q, giver, _of(tools, giver))
         if episode.phase == _PLACE:
-            block, target = (_of(ways.to_cell(poses_at(arms, first)), receiver) for first in (_BLOCK, _TARGET))
+            block, target = (_of(ways.to_cell(pose_of(arms, name)), receiver) for name in ("block_base", "target_base"))
             return ways.place(q, giver, tools, block, target)
         return ways.leave(q, giver, _of(tools, receiver)) if episode.phase == _LEAVE else None
 
 
-def _new(arms: Array) -> _Episode:
-    return _Episode(
-        0 if arms[0, _ROLE] > 0 else 1, _PICK, None, arms[:, _COMMANDED : _COMMANDED + 6].reshape(12).copy()
-    )
+def _new(arms: Fields) -> _Episode:
+    return _Episode(0 if arms["role"][0, 0] > 0 else 1, _PICK, None, arms["commanded_q_rad"].reshape(12).copy())
 
 
 def _of(poses: Poses, arm: int) -> Poses:

@@ -11,9 +11,9 @@ from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.envs.tasks.handover.settings import APPROACH_M, GRIPS, MEETING_M, laid_quat, presented_quat
 from dual_ur10.envs.tasks.holding import flanges_of
-from dual_ur10.envs.tasks.poses import Poses, after, seen_from
 from dual_ur10.kinematics import nearest
 from dual_ur10.kinematics.frames import ArmMount, Frames
+from dual_ur10.kinematics.poses import Poses, after, seen_from
 from dual_ur10.kinematics.rotations import quat_to_matrix, rotate
 from dual_ur10.policies.scripted.free_motion import FreeMotion, Waypoint
 from dual_ur10.types import Array

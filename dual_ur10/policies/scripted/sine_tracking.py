@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,6 @@ from dual_ur10.policies.scripted.lag_model import DeviationModel
 from dual_ur10.policies.scripted.recovery import Rejoin
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array, Rows
-
-# Where the parts of one arm's 34 numbers are; see the table of `SineTracking`.
-_Q, _SPEED, _COMMANDED, _FLANGE_QUAT = slice(0, 6), slice(6, 12), slice(12, 18), slice(21, 25)
-_REFERENCE, _AHEAD, _TURN = slice(25, 28), slice(28, 31), slice(31, 34)
-_SIZE = 34
 
 _RESTART_RAD = 2e-3  # a reference that is so far from where it was going belongs to another episode
 _CHANGE_RAD_S3 = 5.0  # with long periods it goes elsewhere by itself: more than the jerk of a sine of 0.2 rad at 0.5 Hz
@@ -101,13 +96,10 @@ class SineTrackingPolicy:
             ActionError: Not an observation of SineTracking.
             UnreachableError: The reference cannot be reached.
         """
-        observation = np.asarray(observation, dtype=np.float64)
-        if observation.shape[-1:] != (2 * _SIZE,) or observation.ndim > 2:
-            raise ActionError(f"an observation of SineTracking has shape (68,) or (n, 68), found {observation.shape}")
-        arms = observation.reshape(-1, 2, _SIZE)
-        n = len(arms)
-        commanded = arms[..., _COMMANDED].reshape(n, 12)
-        now, ahead = self._wanted(arms)
+        batch = SineTracking.layout.batch(observation, SineTracking.name)
+        fields, n = SineTracking.layout.split(batch), len(batch)
+        commanded = fields["commanded_q_rad"].reshape(n, 12)
+        now, ahead = self._wanted(fields)
         before = self._continued(now, ahead, commanded)
         points = np.stack([before, now, ahead])
         self._before, self._predicted = now, np.tensordot(self._next, points, axes=1)
@@ -119,16 +111,16 @@ class SineTrackingPolicy:
                 self._model, self._expected = DeviationModel((n, 12)), commanded
             # What the last motion ended with beyond what was wanted there: a limit may have kept it from the rest.
             self._added.append(commanded - self._expected)
-            measured = arms[..., _Q].reshape(n, 12)
+            measured = fields["q_rad"].reshape(n, 12)
             settled = self._settled(commanded)
             self._model.learn(speed_now, acceleration, measured - now - self._in_force(), settled)
             self._expected = ahead
             goal = ahead - self._model.predict(speed_ahead, acceleration)
         if self._rejoin is not None:
-            goal = self._rejoin(goal, commanded, arms[..., _SPEED].reshape(n, 12))
+            goal = self._rejoin(goal, commanded, fields["qd_rad_s"].reshape(n, 12))
         # What is left to go may be more than an action can ask for.
         action = goal if self.action_mode == "joint_position" else np.clip((goal - commanded) / self._step, -1.0, 1.0)
-        return action.reshape(*observation.shape[:-1], 12).astype(np.float32)
+        return action.reshape(*np.shape(observation)[:-1], 12).astype(np.float32)
 
     def _continued(self, now: Array, ahead: Array, commanded: Array) -> Array:
         """Where the wanted motion was one period ago; forgets the rows whose reference is not where it was to be.
@@ -172,20 +164,19 @@ class SineTrackingPolicy:
         history = [self._added[0]] * (whole + 2) + self._added
         return history[-1 - whole] * (1.0 - part) + history[-2 - whole] * part
 
-    def _wanted(self, arms: Array) -> tuple[Array, Array]:
+    def _wanted(self, fields: Mapping[str, Array]) -> tuple[Array, Array]:
         """Joint positions, (n, 12) each, that put the flanges on the reference now and ahead."""
-        turn = arms[..., _TURN]
-        half = turn / 2
+        half = fields["rotation"] / 2
         scalar = np.sqrt(np.maximum(1.0 - (half * half).sum(axis=-1, keepdims=True), 0.0))
-        reference = quat_to_matrix(quat_multiply(np.concatenate([scalar, half], axis=-1), arms[..., _FLANGE_QUAT]))
-        wanted = np.empty((2, len(arms), 2, 6))
-        positions = np.stack([arms[..., _REFERENCE], arms[..., _AHEAD]])
+        reference = quat_to_matrix(quat_multiply(np.concatenate([scalar, half], axis=-1), fields["flange_base_quat"]))
+        wanted = np.empty((2, len(half), 2, 6))
+        positions = np.stack([fields["reference_base_m"], fields["ahead_base_m"]])
         references = np.broadcast_to(reference, (2, *reference.shape))
-        near = np.broadcast_to(arms[..., _COMMANDED], wanted.shape)
+        near = np.broadcast_to(fields["commanded_q_rad"], wanted.shape)
         # One call for arms with the same kinematics: it costs little more than for a single pose.
         for group in ([0, 1],) if self.dh[0] == self.dh[1] else ([0], [1]):
             wanted[:, :, group] = nearest(
                 positions[:, :, group], references[:, :, group], near[:, :, group], self.dh[group[0]]
             )
-        now, ahead = wanted.reshape(2, len(arms), 12)
+        now, ahead = wanted.reshape(2, len(half), 12)
         return now, ahead

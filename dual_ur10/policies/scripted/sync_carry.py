@@ -10,12 +10,14 @@ import numpy as np
 from dual_ur10.assets.props import BAR_WIDTH_M
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.tasks.holding import flanges_of
-from dual_ur10.envs.tasks.poses import Poses, after, seen_from
+from dual_ur10.envs.tasks.observation_layout import pose_of
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
+from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.envs.tasks.task import Timing, slower
 from dual_ur10.errors import ActionError, SettingsError
 from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.policies.scripted.carrying import TAUGHT_HIGHER_M, lying, poses_at, postures
+from dual_ur10.kinematics.poses import Poses, after, seen_from
+from dual_ur10.policies.scripted.carrying import TAUGHT_HIGHER_M, lying, postures
 from dual_ur10.policies.scripted.free_motion import FreeMotion, Waypoint
 from dual_ur10.policies.scripted.recovery import Rejoin
 from dual_ur10.sim2real.control.limits import MotionLimits
@@ -54,8 +56,6 @@ class SyncCarryPolicy:
     ) -> None:
         if action_mode not in ("joint_delta", "joint_position"):
             raise SettingsError(f"the scripted policy commands joints: action_mode {action_mode!r} is not for it")
-        from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
-
         self.timing, self.action_mode = timing, action_mode
         self.mounts = SceneSettings().mounts if mounts is None else tuple(mounts)
         self.dh = [mount.dh for mount in self.mounts]
@@ -63,8 +63,7 @@ class SyncCarryPolicy:
         allowed = limits or SyncCarry.limits
         self._step = np.tile(allowed.speed_rad_s, 2) * timing.period_s
         self._speed = np.tile(SyncCarry.limits.speed_rad_s, 2) * (_SPEED_SHARE / slower(SyncCarry.limits, allowed))
-        self._skip = 0 if self.settings.rigid else 1
-        self.size = 61 + self._skip
+        self._layout = SyncCarry.layout_for(self.settings)
         self._higher_m, self._teaches = 0.0, False
         self._rejoin = Rejoin(allowed, timing.period_s)
         self.reset()
@@ -100,27 +99,22 @@ class SyncCarryPolicy:
             ActionError: Not an observation of SyncCarry with these settings.
             UnreachableError: The bar or its way cannot be reached.
         """
-        observation = np.asarray(observation, dtype=np.float64)
-        if observation.shape[-1:] != (2 * self.size,) or observation.ndim > 2:
-            raise ActionError(
-                f"an observation of SyncCarry with grasp={self.settings.grasp!r} has shape ({2 * self.size},) or "
-                f"(n, {2 * self.size}), found {observation.shape}"
-            )
-        arms = observation.reshape(-1, 2, self.size)
-        n, late = len(arms), 25 + self._skip
+        batch = self._layout.batch(observation, f"SyncCarry with grasp={self.settings.grasp!r}")
+        fields, n = self._layout.split(batch), len(batch)
         if self._clock is None:
             self._begin(n)
         if self._clock is None or len(self._clock) != n:
             raise ActionError(f"{n} observations after another number: call reset() first")
-        commanded = arms[..., 12:18]
-        bar, now, ahead = (poses_at(arms, late + 6 + 7 * k) for k in range(3))
-        clock = arms[:, 0, late + 34] + arms[:, 0, late + 35]
+        commanded = fields["commanded_q_rad"]
+        names = ("flange_base", "bar_base", "reference_base", "ahead_base")
+        flange, bar, now, ahead = (pose_of(fields, name) for name in names)
+        clock = fields["time_to_path_s"][:, 0, 0] + fields["progress"][:, 0, 0]
         fresh = np.flatnonzero(clock < self._clock)
         self._clock = clock
         for row in fresh.tolist():
             reference = Poses(*(part[row] for part in now))
             seen = reference if self._teaches else Poses(*(part[row] for part in bar))
-            self._plan(row, arms[row], seen, reference)
+            self._plan(row, commanded[row], Poses(*(part[row] for part in flange)), seen, reference)
         goal = postures(after(ahead, self._offset), commanded, self.dh)
         closed = np.full(n, -1.0)
         for row, motion in enumerate(self._motion):
@@ -135,21 +129,18 @@ class SyncCarryPolicy:
         self._time_s += self.timing.period_s
         if not self._teaches:
             self._rejoin.forget(fresh, commanded.reshape(n, 12))
-            whole = self._rejoin(goal.reshape(n, 12), commanded.reshape(n, 12), arms[..., 6:12].reshape(n, 12))
+            whole = self._rejoin(goal.reshape(n, 12), commanded.reshape(n, 12), fields["qd_rad_s"].reshape(n, 12))
             goal = whole.reshape(n, 2, 6)
         step = self._step.reshape(2, 6)
         action = goal if self.action_mode == "joint_position" else (goal - commanded) / step
-        if self._skip:
+        if not self.settings.rigid:
             action = np.concatenate([action, np.broadcast_to(closed[:, None, None], (n, 2, 1))], axis=2)
-        return action.reshape(*observation.shape[:-1], -1).astype(np.float32)
+        return action.reshape(*np.shape(observation)[:-1], -1).astype(np.float32)
 
-    def _plan(self, row: int, arms: Array, bar: Poses, reference: Poses) -> None:
-        """The way to the grips of one cell, and how the flanges will stand to the reference, (2, ...) each."""
+    def _plan(self, row: int, commanded: Array, flange: Poses, bar: Poses, reference: Poses) -> None:
+        """Plan the path of one cell to the grips, and the poses of the flanges in the reference, (2, ...) each."""
         self._time_s[row] = 0.0
-        commanded = arms[:, 12:18]
-        if self.settings.rigid:
-            flange = Poses(arms[:, 18:21], arms[:, 21:25])
-        else:
+        if not self.settings.rigid:
             flange = flanges_of(after(lying(bar, self.mounts, BAR_WIDTH_M / 2 + self._higher_m), self.settings.grip))
             above = Poses(flange.position_m + np.array([0.0, 0.0, _ABOVE_M]), flange.quat)
             lower = Poses(above.position_m - np.array([0.0, 0.0, 1e-3]), flange.quat)

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
-from dual_ur10.errors import SettingsError, TrainingError
+from dual_ur10.errors import TrainingError
 from dual_ur10.ids import task_name
 from dual_ur10.policies.learned.manifest import Manifest
 from dual_ur10.policies.learned.policy import LearnedPolicy
@@ -58,8 +58,7 @@ class Imitator:
         self._settings: Imitation = self._asked.settings
         self._threads = threads
         self._place: Described = described(self._asked.env_id, self._asked.keywords)
-        joint = self._asked.agents == "joint"
-        self._blind = self._unseen(self._place.target.observation.shape[0] if joint else self._place.agent_size)
+        self._blind = self._unseen()
         self._told, self._shown_s = on_progress, 0.0
         self._progress = Progress(0, self._asked.steps)
         self._rounds, self._longest = 0, 1
@@ -209,15 +208,18 @@ class Imitator:
             return [(own.reshape(2 * len(own), -1), arms.reshape(2 * len(arms), -1))]
         return [(np.ascontiguousarray(own[:, k]), np.ascontiguousarray(arms[:, k])) for k in (0, 1)]
 
-    def _unseen(self, size: int) -> list[int]:
-        """Numbers that a network does not see, of an observation that has so many."""
-        arms = 2 if self._asked.agents == "joint" else 1
-        own = size // arms
-        for number in self._settings.unseen:
-            if not -own <= number < own:
-                raise SettingsError(f"unseen has {number}: the observation has {own} numbers, from 0, or from -1 back")
-        found = sorted({number % own for number in self._settings.unseen})
-        return [arm * own + number for arm in range(arms) for number in found]
+    def _unseen(self) -> list[int]:
+        """Return the positions of the values that a network does not see.
+
+        Raises:
+            UnknownNameError: The task has no such field.
+        """
+        task, settings = self._place.setup.task_type, self._place.setup.settings
+        joint = self._asked.agents == "joint"
+        layout = task.layout_for(settings) if joint else task.agent_layout_for(settings)
+        absent = {*task.layout.names} - {*layout.names}  # with these settings of the task
+        found = layout.indices(name for name in self._settings.unseen if name not in absent)
+        return [arm * layout.size + index for arm in range(2 if joint else 1) for index in found]
 
     @property
     def _count(self) -> int:

@@ -74,10 +74,9 @@ class Imitation:
             it then shows how it comes back. Each episode draws its own.
         patience: DAgger: largest difference of any joint's action from the expert's, of 2, at which the network drives
             on. Beyond it the expert drives for a while.
-        unseen: Numbers of an arm's observation that the network is blind to, from 0, or from its end, -1. What went
-            together with an action, such as the speed that it led to, is easier to learn from than what it was done
-            for, and fails when the network drives (P. de Haan et al., "Causal Confusion in Imitation Learning",
-            NeurIPS 2019).
+        unseen: Fields of an arm's observation (`ObservationLayout`) that the network does not see. An effect of an
+            action, such as the speed that it led to, is easier to learn from than its cause, and fails when the network
+            drives (P. de Haan et al., "Causal Confusion in Imitation Learning", NeurIPS 2019).
     """
 
     hidden: tuple[int, ...] = (256, 256)
@@ -88,7 +87,7 @@ class Imitation:
     expert_share: float = 0.5
     noise: float = 0.1
     patience: float = 0.4
-    unseen: tuple[int, ...] = ()
+    unseen: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,6 +111,25 @@ class TaskSettings:
     checks: int = 32
 
 
+_MOTION_FIELDS: Final = (
+    "q_rad",
+    "qd_rad_s",
+    "flange_base_m",
+    "flange_base_quat",
+    "force_n",
+    "torque_nm",
+    "other_flange_m",
+    "other_flange_quat",
+)
+_CARRY_UNSEEN: Final = (
+    *_MOTION_FIELDS,
+    "gripper_m",
+    "bar_base_m",
+    "bar_base_quat",
+    "reference_base_m",
+    "reference_base_quat",
+)
+
 SETTINGS: Final[dict[str, TaskSettings]] = {
     "SineTracking": TaskSettings(
         steps={"ppo": 3_000_000, "sac": 300_000, "bc": 96_000, "dagger": 288_000},
@@ -120,14 +138,14 @@ SETTINGS: Final[dict[str, TaskSettings]] = {
         steps={"ppo": 1_000_000, "sac": 200_000, "bc": 57_600, "dagger": 230_400},
         # It sees what was commanded, where the bar is to go, and the time. The fingers close by time alone: where they
         # were seen, those that began early by chance went on closing.
-        imitation=Imitation(noise=0.05, unseen=(*range(12), *range(18, 26), *range(-36, -16), *range(-9, -2))),
+        imitation=Imitation(noise=0.05, unseen=_CARRY_UNSEEN),
     ),
     "Handover": TaskSettings(
         envs=192,
         randomization="none",
         steps={"ppo": 3_000_000, "sac": 300_000, "bc": 115_200, "dagger": 460_800},
         # It sees what was commanded, the fingers, the block, its target and the role.
-        imitation=Imitation(unseen=(*range(12), *range(18, 25), *range(26, 32), *range(46, 53), 55)),
+        imitation=Imitation(unseen=(*_MOTION_FIELDS, "progress")),
     ),
 }
 
@@ -247,12 +265,8 @@ def check(settings: Reinforcement | Imitation) -> None:
             ):
                 raise SettingsError(f"hidden is {value!r}: it must be 1 to 7 numbers of units, 1 to 4096 each")
         elif each.name == "unseen":
-            if not isinstance(value, tuple) or not all(
-                type(number) is int and -256 <= number < 256 for number in value
-            ):
-                raise SettingsError(
-                    f"unseen is {value!r}: it must be numbers of an arm's observation, from 0 or from -1"
-                )
+            if not isinstance(value, tuple) or not all(isinstance(name, str) for name in value):
+                raise SettingsError(f"unseen is {value!r}: it must be names of fields of an observation")
         elif each.name == "activation":
             if value not in get_args(Activation):
                 raise UnknownNameError("activation", str(value), get_args(Activation))

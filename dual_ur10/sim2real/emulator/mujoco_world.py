@@ -9,10 +9,9 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.assets.gripper import OPENING_M
-from dual_ur10.envs.core.core import load_task
 from dual_ur10.envs.core.randomization import PRESETS, on_top
+from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.physics import Physics
-from dual_ur10.envs.tasks.task import Timing, task_settings
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.config.cell import CellConfig, CellState
@@ -22,7 +21,6 @@ from dual_ur10.types import Array
 PLANTS: Final = ("nominal", "mild", "wide")
 """How the plant differs from what is believed of it: as the randomization of that name draws it."""
 
-_POLICY_HZ: Final = 25.0  # only to ask a task how its episodes begin
 _MOST_DH_ERROR_M: Final = 0.02
 
 
@@ -69,15 +67,11 @@ class EmulatedWorld:
     """
 
     def __init__(self, config: CellConfig, task: str, options: PlantOptions) -> None:
-        kind = load_task(task)
-        settings = task_settings(kind, {})
-        need = kind.furnishing(settings)
-        self.config = config = config.furnished(need.equipment, need.timestep_s, need.gains)
+        setup = EnvSetup.resolve(task, {"cell": config, "action_latency_ticks": 0})
+        self.config = config = setup.config
         self.substeps = config.substeps
         rng = np.random.default_rng(options.seed)
-        ticks = config.servoj.ticks_per_action(_POLICY_HZ)
-        timing = Timing(ticks * config.servoj.tick_s, ticks * config.servoj.tick_s)
-        start = kind(settings, config, timing, 1).start(np.arange(1), [np.random.default_rng(options.seed)])
+        start = setup.make_task().start(np.arange(1), [np.random.default_rng(options.seed)])
         self.start_q_rad: Array = np.asarray(start.q_rad, dtype=np.float64).reshape(2, 6)
         true = _with_dh_errors(config, options.dh_error_m, rng)
         self._physics = Physics(true, 1, 1)
@@ -94,7 +88,7 @@ class EmulatedWorld:
         self._positions, self._orientations = self._physics.bind("xpos"), self._physics.bind("xquat")
         self._physics.reset(start, np.arange(1))
         model = self._physics.model
-        grippers = need.equipment.grippers
+        grippers = config.equipment.grippers
         names = ("gripper", "finger_1", "finger_2")
         self.gripper_kg = sum(float(model.body(f"left/{name}").mass[0]) for name in names) if grippers else 0.0
         joints = 8 if grippers else 6

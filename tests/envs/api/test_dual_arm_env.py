@@ -15,7 +15,7 @@ from gymnasium.wrappers import FrameStackObservation, RecordVideo, RescaleAction
 
 import dual_ur10
 from dual_ur10 import errors, policies
-from dual_ur10.envs.core.core import TASKS, load_task
+from dual_ur10.envs.core.setup import TASKS, load_task
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import JOINTS
@@ -242,16 +242,13 @@ def test_docstring_tables_tell_the_spaces(name):
     step = task.limits.speed_rad_s[0] * env.core.timing.period_s
     opening = "-1 is 0, 1 is 0.085 (m)"
     assert all(row[6] == (opening if "gripper" in row[4] else f"share of {step:.3f} (rad)") for row in rows)
-    expected = 0
-    for row in table_rows(task, "Observation Space"):
-        first, last = int(row[0].split("-")[0]), int(row[0].split("-")[-1])
-        assert first == expected
-        assert env.observation_space.low[first : last + 1].tolist() == [float(row[2])] * (last + 1 - first)
-        assert env.observation_space.high[first : last + 1].tolist() == [float(row[3])] * (last + 1 - first)
-        for each in row[4].split(" ... "):
+    lines = task.__doc__.split("## Observation Space")[1].split("## Rewards")[0].splitlines()
+    assert [line.strip() for line in lines if re.match(r"\s*\| \d", line)] == task.layout.table()
+    for field in task.layout.fields:
+        for each in field.mujoco.format(arm="right", other="left").split(" ... "):
             assert each in names | {"-"}
-        expected = last + 1
-    assert env.observation_space.shape == (expected,)
+    assert np.array_equal(env.observation_space.low, task.layout.low)
+    assert np.array_equal(env.observation_space.high, task.layout.high)
     arguments = re.findall(r"\n    \| `(\w+)` \|", task.__doc__)
     assert arguments == list(task.settings_type.__dataclass_fields__)
     weights = {name: float(value) for name, value in re.findall(r"- \*(\w+)\* \(([\d.]+)\)", task.__doc__)}
@@ -264,10 +261,10 @@ def test_observation_is_what_the_table_says():
     env.reset(seed=0)
     for action in actions(env, 7) * 0.3:
         observation, _, _, _, info = env.step(action)
-    arms = observation.reshape(2, 34)
-    assert np.array_equal(arms[:, :6], info["q_rad"])
-    position, rotation = flange_pose(arms[:, :6])
-    assert np.allclose(arms[:, 18:21], position, atol=1e-9)
+    arms = env.unwrapped.task.layout.split(observation)
+    assert np.array_equal(arms["q_rad"], info["q_rad"])
+    position, rotation = flange_pose(arms["q_rad"])
+    assert np.allclose(arms["flange_base_m"], position, atol=1e-9)
     for arm, mount in enumerate((cell.left, cell.right)):
         turn = np.array(
             [
@@ -276,16 +273,16 @@ def test_observation_is_what_the_table_says():
                 [0, 0, 1],
             ]
         ) @ np.diag([-1, -1, 1])
-        assert np.allclose(turn @ arms[arm, 18:21] + mount.position_m, info["flange_m"][arm], atol=1e-9)
-        assert np.allclose(turn @ arms[arm, 25:28] + mount.position_m, info["reference_m"][arm], atol=1e-9)
+        assert np.allclose(turn @ arms["flange_base_m"][arm] + mount.position_m, info["flange_m"][arm], atol=1e-9)
+        assert np.allclose(turn @ arms["reference_base_m"][arm] + mount.position_m, info["reference_m"][arm], atol=1e-9)
         # The turn observed leads from the flange to the tool pointing straight down.
-        w, x, y, z = arms[arm, 21:25]
+        w, x, y, z = arms["flange_base_quat"][arm]
         assert np.allclose(
             rotation[arm][2], [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], atol=1e-9
         )
         down = np.diag([1.0, -1.0, -1.0]) @ rotation[arm].T
         vector = np.array([down[2, 1] - down[1, 2], down[0, 2] - down[2, 0], down[1, 0] - down[0, 1]]) / 2
-        assert np.allclose(arms[arm, 31:34], vector, atol=1e-3)
+        assert np.allclose(arms["rotation"][arm], vector, atol=1e-3)
 
 
 def test_reward_is_the_weighted_sum_of_its_terms():

@@ -6,9 +6,9 @@ import pytest
 
 from dual_ur10 import CellConfig, ServojProfile, errors, policies
 from dual_ur10.assets.props import BAR_MASS_KG
-from dual_ur10.envs.tasks.poses import Poses, after, angle, seen_from
 from dual_ur10.envs.tasks.sync_carry.path import MOVES, CarryPath
 from dual_ur10.envs.tasks.sync_carry.settings import bar_pose
+from dual_ur10.kinematics.poses import Poses, after, angle, seen_from
 from dual_ur10.kinematics.rotations import quat_from_rotvec, rotate
 from tests.soak import SOAK, scaled
 
@@ -131,7 +131,7 @@ def test_tight_caps_slow_both_arms_and_keep_the_grasp():
 
 def test_what_is_felt_is_the_load():
     infos, task = run(steps=SHORT + 40)
-    wrench = infos[-1]["observation"].reshape(2, task.agent_bound.shape[1])[:, 26:32]
+    wrench = np.hstack([task.layout.split(infos[-1]["observation"])[name] for name in ("force_n", "torque_nm")])
     # Half the bar's weight on each, with the noise of a CB3's estimate.
     assert np.allclose(wrench[:, 2], -9.81 * BAR_MASS_KG / 2, atol=12.0)
     quiet, _ = run(steps=SHORT + 40, cell=CellConfig(wrench_noise=(0.0, 0.0)))

@@ -3,9 +3,9 @@ import pytest
 from dm_control.utils import rewards
 
 from dual_ur10 import errors
-from dual_ur10.envs.core.core import load_task
+from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.tasks.sine_tracking.path import SineSettings
-from dual_ur10.envs.tasks.task import gaussian, task_settings
+from dual_ur10.envs.tasks.task import gaussian
 from dual_ur10.kinematics.frames import ArmMount, to_base
 
 
@@ -47,11 +47,10 @@ def test_to_base_turns_points_of_the_cell_into_urs_base():
 
 
 def test_settings_by_keyword():
-    task = load_task("SineTracking")
-    assert task_settings(task, {"amplitude_m": 0.2}) == SineSettings(amplitude_m=0.2)
+    assert EnvSetup.resolve("SineTracking", {"amplitude_m": 0.2}).settings == SineSettings(amplitude_m=0.2)
     with pytest.raises(errors.UnknownNameError, match="amplitude_m"):
-        task_settings(task, {"amplitude": 0.2})
+        EnvSetup.resolve("SineTracking", {"amplitude": 0.2})
     with pytest.raises(errors.UnknownNameError, match="SineTracking"):
-        load_task("Sine")
+        EnvSetup.resolve("Sine", {})
     assert np.allclose(SineSettings(axis=(0, 3, 4)).direction, [0, 0.6, 0.8])
     assert SineSettings(arms="right").tracking.tolist() == [0.0, 1.0]

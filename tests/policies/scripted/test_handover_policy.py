@@ -5,8 +5,8 @@ from dual_ur10 import errors
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.tasks.handover.settings import GRIPS, lying
-from dual_ur10.envs.tasks.poses import Poses, after
 from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.poses import Poses, after
 from dual_ur10.policies.policy import Policy
 from dual_ur10.policies.scripted.free_motion import FreeMotion, Waypoint
 from dual_ur10.policies.scripted.handover import HandoverPolicy

@@ -16,7 +16,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from dual_ur10 import policies
-from dual_ur10.errors import CheckpointError, SettingsError, TrainingError
+from dual_ur10.errors import CheckpointError, TrainingError, UnknownNameError
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.training import folder as folders
 from dual_ur10.policies.training import imitation as imitate
@@ -140,16 +140,22 @@ def test_every_kind_of_agents_acts(tmp_path, agents):
     env.close()
 
 
-@pytest.mark.parametrize(("agents", "blind"), [("joint", [0, 33, 34, 67]), ("shared", [0, 40])])
-def test_a_network_is_blind_to_what_its_settings_say(tmp_path, agents, blind):
-    asked = small("bc", agents, rounds=1, changes={"unseen": (0, -1)})
+@pytest.mark.parametrize(
+    ("agents", "fields", "blind"),
+    [
+        ("joint", ("flange_base_m", "rotation"), [18, 19, 20, 31, 32, 33, 52, 53, 54, 65, 66, 67]),
+        ("shared", ("other_flange_base_quat", "rotation"), [31, 32, 33, 37, 38, 39, 40]),
+    ],
+)
+def test_a_network_does_not_see_the_unseen_fields(tmp_path, agents, fields, blind):
+    asked = small("bc", agents, rounds=1, changes={"unseen": fields})
     (normaliser,) = checkpoint.read_manifest(train(asked, tmp_path / "out")).normalisers
     assert np.flatnonzero(np.array(normaliser.var) > 1e12).tolist() == blind
 
 
-def test_numbers_that_there_are_not_are_refused_before_anything_is_learned(tmp_path):
-    with pytest.raises(SettingsError, match="unseen has 34"):
-        train(small("bc", rounds=1, changes={"unseen": (34,)}), tmp_path / "out")
+def test_unknown_unseen_fields_are_refused_before_training(tmp_path):
+    with pytest.raises(UnknownNameError, match="unknown observation field 'gripper_m'"):
+        train(small("bc", rounds=1, changes={"unseen": ("gripper_m",)}), tmp_path / "out")
     assert not list((tmp_path / "out").glob("samples*"))
 
 

@@ -14,8 +14,8 @@ from dual_ur10.assets.props import prop_size_m
 from dual_ur10.assets.scene import build_model
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.envs.tasks.handover.settings import GRIPS
-from dual_ur10.envs.tasks.poses import Poses
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
+from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.kinematics.ur10 import ARMS, LINKS
 from dual_ur10.sim2real.config.cell import CellConfig

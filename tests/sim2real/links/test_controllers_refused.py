@@ -10,10 +10,10 @@ from dual_ur10 import Perturbation
 from dual_ur10.envs import dm_env
 from dual_ur10.envs.api.dual_arm_env import DualArmEnv
 from dual_ur10.envs.api.parallel_env import parallel_env
-from dual_ur10.envs.core.cells import check_for_controllers
 from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.envs.core.randomization import Randomization
 from dual_ur10.envs.core.sensing import Sensing
+from dual_ur10.envs.core.setup import check_for_controllers
 from dual_ur10.errors import ResetNeededError, ResetRefusedError, SettingsError, StartError
 from dual_ur10.policies.baselines import ZeroPolicy
 from dual_ur10.policies.evaluation.rollout import rollout

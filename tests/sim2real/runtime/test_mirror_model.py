@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
 from dual_ur10 import ENV_IDS
-from dual_ur10.envs.core.core import load_task
+from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
-from dual_ur10.envs.tasks.task import Timing, task_settings
 from dual_ur10.ids import task_name
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.adapter import Command
@@ -22,14 +19,8 @@ TICKS = 5
 
 def simulated(name, **cell):
     """A task's cell, and how an episode of it begins."""
-    task_type = load_task(name)
-    settings = task_settings(task_type, {})
-    need = task_type.furnishing(settings)
-    if need.equipment.welded:
-        need = dataclasses.replace(need, equipment=dataclasses.replace(need.equipment, welded=False))
-    config = CellConfig(**cell).furnished(need.equipment, need.timestep_s, need.gains)
-    task = task_type(settings, config, Timing(0.04, 0.04), 1)
-    return MujocoCell(config, TICKS), task.start(np.array([0]), [np.random.default_rng(5)])
+    setup = EnvSetup.resolve(name, {"cell": CellConfig(**cell)})
+    return MujocoCell(setup.config, TICKS), setup.make_task().start(np.array([0]), [np.random.default_rng(5)])
 
 
 def moving(cell, start, periods=6):

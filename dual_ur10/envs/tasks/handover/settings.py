@@ -13,11 +13,11 @@ import numpy as np
 from dual_ur10.assets.props import BLOCK_GRIP_M, BLOCK_GRIP_QUAT, BLOCK_SIZE_M
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.envs.tasks.holding import flanges_of
-from dual_ur10.envs.tasks.poses import Poses, after, yawed
 from dual_ur10.envs.tasks.task import check_numbers
 from dual_ur10.errors import UnknownNameError, WorkspaceError
 from dual_ur10.kinematics import try_nearest
 from dual_ur10.kinematics.frames import Frames
+from dual_ur10.kinematics.poses import Poses, after, yawed
 from dual_ur10.kinematics.rotations import quat_multiply, quat_to_matrix
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.types import Array

@@ -14,9 +14,22 @@ from dual_ur10.assets.settings import HOME_Q_RAD, Equipment
 from dual_ur10.envs.tasks.handover.settings import GRIPS, MEETING_M, HandoverSettings, check_reach, lying
 from dual_ur10.envs.tasks.handover.stages import STAGES, STILL_M_S, WIDTH_M, Facts, Hand, advance, passed, terms
 from dual_ur10.envs.tasks.holding import PICKING, between, given, holds, tools
-from dual_ur10.envs.tasks.poses import Poses, length, seen_from
-from dual_ur10.envs.tasks.task import Furnishing, Outcome, Task, Timing, slower
+from dual_ur10.envs.tasks.observation_layout import (
+    ARM_FIELDS,
+    OTHER_FLANGE_FIELDS,
+    Field,
+    ObservationLayout,
+    arm_values,
+    gripper_field,
+    per_arm,
+    pose_fields,
+    pose_values,
+    wrench_fields,
+    wrench_values,
+)
+from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, slower
 from dual_ur10.kinematics.frames import Frames
+from dual_ur10.kinematics.poses import Poses, length, seen_from
 from dual_ur10.kinematics.rotations import cross, rotate
 from dual_ur10.kinematics.ur10 import DH_D_M
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
@@ -90,46 +103,29 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     ## Observation Space
 
     The observation space is a `Box(low, high, (112,), float64)` with the bounds of the table: 56 numbers of the left
-    arm, then the same 56 of the right arm. It holds only what a real cell can measure. Poses, forces and torques are in
-    the arm's own `base` frame if nothing else is said; quaternions are (w, x, y, z). The gripper's own weight is taken
+    arm, which the table shows, then the same 56 of the right arm, with left and right exchanged. All of them can be
+    measured on a real cell. Poses, forces and torques are in the arm's own `base` frame if nothing else is said; quaternions are (w, x, y, z). The gripper's own weight is taken
     off the force; it has the noise that `CellConfig.wrench_noise` says.
 
     | Num | Observation | Min | Max | Name (in XML file) | Type (Unit) |
     |-----|-------------|-----|-----|--------------------|-------------|
-    | 0-5 | joint positions of the left arm | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
-    | 6-11 | joint speeds of the left arm | -10 | 10 | left/shoulder_pan_joint ... left/wrist_3_joint | speed (rad/s) |
-    | 12-17 | commanded joint positions of the left arm | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
-    | 18-20 | position of the left flange | -2 | 2 | left/flange | position (m) |
-    | 21-24 | orientation of the left flange | -1.01 | 1.01 | left/flange | quaternion |
-    | 25 | opening of the left gripper | -0.1 | 0.1 | left/finger_1_joint ... left/finger_2_joint | position (m) |
-    | 26-28 | force of the block on the left gripper | -2000 | 2000 | left/wrench | force (N) |
-    | 29-31 | torque of the block on the left gripper about the flange | -2000 | 2000 | left/wrench | torque (N·m) |
+        | 0-5 | joint positions | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
+    | 6-11 | joint speeds | -10 | 10 | left/shoulder_pan_joint ... left/wrist_3_joint | speed (rad/s) |
+    | 12-17 | commanded joint positions | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
+    | 18-20 | position of the flange | -2 | 2 | left/flange | position (m) |
+    | 21-24 | orientation of the flange | -1.01 | 1.01 | left/flange | quaternion |
+    | 25 | opening of the gripper | -0.1 | 0.1 | left/finger_1_joint ... left/finger_2_joint | position (m) |
+    | 26-28 | force of the block on the gripper | -2000 | 2000 | left/wrench | force (N) |
+    | 29-31 | torque of the block on the gripper about the flange | -2000 | 2000 | left/wrench | torque (N·m) |
     | 32-34 | position of the block | -10 | 10 | block | position (m) |
     | 35-38 | orientation of the block | -1.01 | 1.01 | block | quaternion |
     | 39-41 | position of the target | -10 | 10 | target | position (m) |
     | 42-45 | orientation of the target | -1.01 | 1.01 | target | quaternion |
-    | 46-48 | position of the right flange in the frame of the left one | -5 | 5 | right/flange | position (m) |
-    | 49-52 | orientation of the right flange in the frame of the left one | -1.01 | 1.01 | right/flange | quaternion |
-    | 53 | opening of the right gripper | -0.1 | 0.1 | right/finger_1_joint ... right/finger_2_joint | position (m) |
-    | 54 | role of the left arm: 1 gives, -1 receives | -1.01 | 1.01 | - | sign |
-    | 55 | share of the time of the episode that is behind | -1.01 | 1.01 | - | share |
-    | 56-61 | joint positions of the right arm | -6.5 | 6.5 | right/shoulder_pan_joint ... right/wrist_3_joint | angle (rad) |
-    | 62-67 | joint speeds of the right arm | -10 | 10 | right/shoulder_pan_joint ... right/wrist_3_joint | speed (rad/s) |
-    | 68-73 | commanded joint positions of the right arm | -6.5 | 6.5 | right/shoulder_pan_joint ... right/wrist_3_joint | angle (rad) |
-    | 74-76 | position of the right flange | -2 | 2 | right/flange | position (m) |
-    | 77-80 | orientation of the right flange | -1.01 | 1.01 | right/flange | quaternion |
-    | 81 | opening of the right gripper | -0.1 | 0.1 | right/finger_1_joint ... right/finger_2_joint | position (m) |
-    | 82-84 | force of the block on the right gripper | -2000 | 2000 | right/wrench | force (N) |
-    | 85-87 | torque of the block on the right gripper about the flange | -2000 | 2000 | right/wrench | torque (N·m) |
-    | 88-90 | position of the block | -10 | 10 | block | position (m) |
-    | 91-94 | orientation of the block | -1.01 | 1.01 | block | quaternion |
-    | 95-97 | position of the target | -10 | 10 | target | position (m) |
-    | 98-101 | orientation of the target | -1.01 | 1.01 | target | quaternion |
-    | 102-104 | position of the left flange in the frame of the right one | -5 | 5 | left/flange | position (m) |
-    | 105-108 | orientation of the left flange in the frame of the right one | -1.01 | 1.01 | left/flange | quaternion |
-    | 109 | opening of the left gripper | -0.1 | 0.1 | left/finger_1_joint ... left/finger_2_joint | position (m) |
-    | 110 | role of the right arm: 1 gives, -1 receives | -1.01 | 1.01 | - | sign |
-    | 111 | share of the time of the episode that is behind | -1.01 | 1.01 | - | share |
+    | 46-48 | position of the other flange in the frame of this one | -5 | 5 | right/flange | position (m) |
+    | 49-52 | orientation of the other flange in the frame of this one | -1.01 | 1.01 | right/flange | quaternion |
+    | 53 | opening of the other gripper | -0.1 | 0.1 | right/finger_1_joint ... right/finger_2_joint | position (m) |
+    | 54 | role: 1 gives, -1 receives | -1.01 | 1.01 | - | sign |
+    | 55 | elapsed ratio of the episode's time | -1.01 | 1.01 | - | ratio |
 
     ## Rewards
 
@@ -223,6 +219,17 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     }
     stages: ClassVar[tuple[str, ...]] = STAGES
     settings_type: ClassVar[type[HandoverSettings]] = HandoverSettings
+    layout: ObservationLayout = ObservationLayout(
+        *ARM_FIELDS,
+        gripper_field(),
+        *wrench_fields("block"),
+        *pose_fields("block_base", "the block", "block"),
+        *pose_fields("target_base", "the target", "target"),
+        *OTHER_FLANGE_FIELDS,
+        gripper_field("other"),
+        Field("role", 1, -1.01, 1.01, "sign", "role: 1 gives, -1 receives"),
+        Field("progress", 1, -1.01, 1.01, "ratio", "elapsed ratio of the episode's time"),
+    )
 
     def __init__(self, settings: HandoverSettings, cell: CellConfig, timing: Timing, n: int) -> None:
         super().__init__(settings, cell, timing, n)
@@ -233,10 +240,6 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         self.duration_s = settings.duration_s * slower(type(self).limits, self.limits)
         self._steps = max(1, math.ceil(self.duration_s / timing.period_s - 1e-9))
         self._settled_steps = max(1, math.ceil(SETTLED_S / timing.period_s - 1e-9))
-        arm = [6.5] * 6 + [10.0] * 6 + [6.5] * 6 + [2.0] * 3 + [1.01] * 4 + [0.1] + [2e3] * 6
-        arm += ([10.0] * 3 + [1.01] * 4) * 2 + [5.0] * 3 + [1.01] * 4 + [0.1, 1.01, 1.01]
-        self.agent_bound = np.tile(np.array(arm), (2, 1))
-        self.observation_bound = self.agent_bound.reshape(-1)
         self._giver = np.zeros(n, dtype=np.intp)
         self._grip_m: Array = np.zeros((n, 2, 3))
         # Of the episode so far.
@@ -248,10 +251,10 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         self._slip_m: Array = np.zeros((n, 2))
 
     @classmethod
-    def furnishing(cls, settings: HandoverSettings) -> Furnishing:
+    def requirements(cls, settings: HandoverSettings) -> SceneRequirements:
         """Two grippers and the block."""
         equipment = Equipment(grippers=True, prop="block", grip_force_n=settings.grip_force_n)
-        return Furnishing(equipment, 0.002, "stiff", PICKING)
+        return SceneRequirements(equipment, 0.002, "stiff", PICKING)
 
     def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
         """Draw who gives, where the block lies and where it is wanted. The arms stand above the table, open."""
@@ -288,18 +291,21 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         return HandoverMeasured(block, target, relative, grip_in_tool_m, between(grip_in_tool_m), holding)
 
     def observe(self, state: CellState, measured: HandoverMeasured, commanded_q_rad: Array) -> Array:
-        """Observations, (n, 112)."""
-        frames, both = self._frames, (self.n, 2)
-        opening = given(state.gripper_m)[..., None]
-        parts = [state.q_rad, state.qd_rad_s, commanded_q_rad, state.flange_base_m, state.flange_base_quat, opening]
-        parts.append(given(state.wrench))
-        for pose in (measured.block, measured.target):
-            parts.append(frames.position_to_base(np.broadcast_to(pose.position_m, (*both, 3))))
-            parts.append(frames.quat_to_base(np.broadcast_to(pose.quat, (*both, 4))))
-        role = np.where(np.arange(2) == self._giver[:, None], 1.0, -1.0)
-        time = np.broadcast_to(np.clip(state.time_s / self.duration_s, 0.0, 1.0)[:, None], both)
-        parts += [*measured.relative, opening[:, ::-1], role[..., None], time[..., None]]
-        return np.concatenate(parts, axis=2).reshape(self.n, -1)
+        """Assemble the observations, (n, 112)."""
+        gripper_m = given(state.gripper_m)[..., None]
+        return self.layout.join(
+            {
+                **arm_values(state, commanded_q_rad),
+                **wrench_values(given(state.wrench)),
+                **pose_values("block_base", self._frames.poses_to_base(measured.block)),
+                **pose_values("target_base", self._frames.poses_to_base(measured.target)),
+                **pose_values("other_flange", measured.relative),
+                "gripper_m": gripper_m,
+                "other_gripper_m": gripper_m[:, ::-1],
+                "role": np.where(np.arange(2) == self._giver[:, None], 1.0, -1.0)[..., None],
+                "progress": per_arm(np.clip(state.time_s / self.duration_s, 0.0, 1.0)),
+            }
+        )
 
     def evaluate(self, state: CellState, measured: HandoverMeasured) -> Outcome:
         """Stages, reward terms, success and the end."""

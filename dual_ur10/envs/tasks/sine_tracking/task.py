@@ -9,6 +9,13 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from dual_ur10.assets.settings import HOME_Q_RAD
+from dual_ur10.envs.tasks.observation_layout import (
+    ARM_FIELDS,
+    Field,
+    ObservationLayout,
+    arm_values,
+    pose_fields,
+)
 from dual_ur10.envs.tasks.sine_tracking.path import CENTER_RANGE_M, TOOL_DOWN_QUAT, SineSettings, check_path
 from dual_ur10.envs.tasks.task import Outcome, Task, Timing, gaussian
 from dual_ur10.kinematics import nearest
@@ -75,27 +82,19 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     ## Observation Space
 
     The observation space is a `Box(low, high, (68,), float64)` with the bounds of the table: 34 numbers of the left
-    arm, then the same 34 of the right arm. It holds only what a real cell can measure. Poses are in the arm's own `base` frame, the one in which
-    UR's controller reports its TCP; quaternions are (w, x, y, z).
+    arm, which the table shows, then the same 34 of the right arm, with left and right exchanged. All of them can be
+    measured on a real cell. Poses are in the arm's own `base` frame, the one in which UR's controller reports its TCP; quaternions are (w, x, y, z).
 
     | Num | Observation | Min | Max | Name (in XML file) | Type (Unit) |
     |-----|-------------|-----|-----|--------------------|-------------|
-    | 0-5 | joint positions of the left arm | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
-    | 6-11 | joint speeds of the left arm | -10 | 10 | left/shoulder_pan_joint ... left/wrist_3_joint | speed (rad/s) |
-    | 12-17 | commanded joint positions of the left arm | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
-    | 18-20 | position of the left flange | -2 | 2 | left/flange | position (m) |
-    | 21-24 | orientation of the left flange | -1.01 | 1.01 | left/flange | quaternion |
-    | 25-27 | reference of the left flange now | -10 | 10 | - | position (m) |
-    | 28-30 | reference of the left flange at the end of the next action's motion | -10 | 10 | - | position (m) |
-    | 31-33 | turn from the left flange to its reference, rotation vector for small turns | -2.01 | 2.01 | - | angle (rad) |
-    | 34-39 | joint positions of the right arm | -6.5 | 6.5 | right/shoulder_pan_joint ... right/wrist_3_joint | angle (rad) |
-    | 40-45 | joint speeds of the right arm | -10 | 10 | right/shoulder_pan_joint ... right/wrist_3_joint | speed (rad/s) |
-    | 46-51 | commanded joint positions of the right arm | -6.5 | 6.5 | right/shoulder_pan_joint ... right/wrist_3_joint | angle (rad) |
-    | 52-54 | position of the right flange | -2 | 2 | right/flange | position (m) |
-    | 55-58 | orientation of the right flange | -1.01 | 1.01 | right/flange | quaternion |
-    | 59-61 | reference of the right flange now | -10 | 10 | - | position (m) |
-    | 62-64 | reference of the right flange at the end of the next action's motion | -10 | 10 | - | position (m) |
-    | 65-67 | turn from the right flange to its reference, rotation vector for small turns | -2.01 | 2.01 | - | angle (rad) |
+        | 0-5 | joint positions | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
+    | 6-11 | joint speeds | -10 | 10 | left/shoulder_pan_joint ... left/wrist_3_joint | speed (rad/s) |
+    | 12-17 | commanded joint positions | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
+    | 18-20 | position of the flange | -2 | 2 | left/flange | position (m) |
+    | 21-24 | orientation of the flange | -1.01 | 1.01 | left/flange | quaternion |
+    | 25-27 | reference of the flange now | -10 | 10 | - | position (m) |
+    | 28-30 | reference of the flange at the end of the next motion | -10 | 10 | - | position (m) |
+    | 31-33 | rotation vector from the flange to its reference, if small | -2.01 | 2.01 | - | angle (rad) |
 
     ## Rewards
 
@@ -151,20 +150,24 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     )
     weights: ClassVar[dict[str, float]] = {"position": 0.6, "orientation": 0.2, "synchrony": 0.2}
     settings_type: ClassVar[type[SineSettings]] = SineSettings
+    layout: ObservationLayout = ObservationLayout(
+        *ARM_FIELDS,
+        Field("reference_base_m", 3, -10.0, 10.0, "position (m)", "reference of the flange now"),
+        Field("ahead_base_m", 3, -10.0, 10.0, "position (m)", "reference of the flange at the end of the next motion"),
+        Field("rotation", 3, -2.01, 2.01, "angle (rad)", "rotation vector from the flange to its reference, if small"),
+    )
 
     def __init__(self, settings: SineSettings, cell: CellConfig, timing: Timing, n: int) -> None:
         super().__init__(settings, cell, timing, n)
-        arm = np.repeat([6.5, 10.0, 6.5, 2.0, 1.01, 10.0, 10.0, 2.01], [6, 6, 6, 3, 4, 3, 3, 3])
-        self.observation_bound = np.tile(arm, 2)
         mounts = (cell.left, cell.right)
         check_path(settings, cell.measured_scene, self.limits, cell.minimum_clearance_m, cell.uncertainty)
         frames = Frames(mounts)
         self._base_m, self._to_base = frames.base_m, frames.rotation
         # Pose of the other flange in each arm's `base`, (14,), from the numbers of both arms.
-        others = np.zeros((2, 34, 2, 7))
-        others[1, 18:25, 0], others[0, 18:25, 1] = frames.others_pose[0, :7], frames.others_pose[1, :7]
-        self._others = others.reshape(68, 14), frames.others_pose[:, 7].reshape(14)
-        self.agent_bound = np.stack([np.append(arm, [5.0] * 3 + [1.01] * 4)] * 2)
+        size, pose = self.layout.size, self.layout.indices(["flange_base_m", "flange_base_quat"])
+        others = np.zeros((2, size, 2, 7))
+        others[1, pose, 0], others[0, pose, 1] = frames.others_pose[0, :7], frames.others_pose[1, :7]
+        self._others = others.reshape(2 * size, 14), frames.others_pose[:, 7].reshape(14)
         along_base = (self._to_base @ settings.direction) * settings.tracking[:, None]
         # What follows the sine: the reference in `base` now and ahead, and in the cell frame now.
         self._along = np.stack([along_base, along_base, settings.direction * settings.tracking[:, None]])
@@ -215,25 +218,29 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         )
 
     def observe(self, state: CellState, measured: SineMeasured, commanded_q_rad: Array) -> Array:
-        """Observations, (n, 68)."""
-        parts = (
-            state.q_rad,
-            state.qd_rad_s,
-            commanded_q_rad,
-            state.flange_base_m,
-            state.flange_base_quat,
-            measured.reference_base_m,
-            measured.ahead_base_m,
-            measured.turn,
+        """Assemble the observations, (n, 68)."""
+        return self.layout.join(
+            {
+                **arm_values(state, commanded_q_rad),
+                "reference_base_m": measured.reference_base_m,
+                "ahead_base_m": measured.ahead_base_m,
+                "rotation": measured.turn,
+            }
         )
-        return np.concatenate(parts, axis=2).reshape(self.n, -1)
+
+    @classmethod
+    def agent_layout_for(cls, settings: SineSettings) -> ObservationLayout:
+        """Return the fields of an arm, and the pose of the other flange in this arm's `base` frame."""
+        other = pose_fields("other_flange_base", "the other flange in this arm's base frame", "{other}/flange", 5.0)
+        return cls.layout.extended(*other)
 
     def observe_agents(self, observation: Array) -> Array:
-        """Each agent's own observation, (n, 2, 41): its 34 numbers, and the pose of the other flange in its frame."""
-        result = np.empty((self.n, 2, 41))
-        result[..., :34] = observation.reshape(self.n, 2, 34)
+        """Return each agent's own observation, (n, 2, 41), from those of both, (n, 68)."""
+        n, size = len(observation), self.layout.size
+        result = np.empty((n, 2, size + 7))
+        result[..., :size] = observation.reshape(n, 2, size)
         others = observation[:, None] @ self._others[0] + self._others[1]
-        result[..., 34:] = others.reshape(self.n, 2, 7)
+        result[..., size:] = others.reshape(n, 2, 7)
         return result
 
     def evaluate(self, state: CellState, measured: SineMeasured) -> Outcome:

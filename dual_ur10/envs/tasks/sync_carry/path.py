@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from dual_ur10.envs.tasks.poses import Poses
+from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import quat_multiply
 from dual_ur10.types import Array
 

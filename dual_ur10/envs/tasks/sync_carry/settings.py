@@ -12,13 +12,13 @@ import numpy as np
 from dual_ur10.assets.props import BAR_WIDTH_M, GRIP_DISTANCE_M, GRIP_QUAT
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.envs.tasks.holding import flanges_of
-from dual_ur10.envs.tasks.poses import Poses, after, yawed
 from dual_ur10.envs.tasks.sync_carry.path import MOVES, CarryPath
 from dual_ur10.envs.tasks.task import check_numbers
 from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError
 from dual_ur10.kinematics import try_nearest
 from dual_ur10.kinematics.forward import tips
 from dual_ur10.kinematics.frames import Frames
+from dual_ur10.kinematics.poses import Poses, after, yawed
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_to_matrix, rotate
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.limits import MotionLimits

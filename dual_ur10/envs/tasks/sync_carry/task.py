@@ -12,12 +12,25 @@ from dual_ur10.assets.gripper import OPENING_M
 from dual_ur10.assets.props import BAR_MASS_KG, BAR_WIDTH_M
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment
 from dual_ur10.envs.tasks.holding import PICKING, flanges_of, given, holds, tools
-from dual_ur10.envs.tasks.poses import Poses, after, angle, length, seen_from
+from dual_ur10.envs.tasks.observation_layout import (
+    ARM_FIELDS,
+    OTHER_FLANGE_FIELDS,
+    Field,
+    ObservationLayout,
+    arm_values,
+    gripper_field,
+    per_arm,
+    pose_fields,
+    pose_values,
+    wrench_fields,
+    wrench_values,
+)
 from dual_ur10.envs.tasks.sync_carry.path import CarryPath
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings, bar_pose, ideal_relative, path_rate
-from dual_ur10.envs.tasks.task import Furnishing, Outcome, Task, Timing, gaussian
+from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, gaussian
 from dual_ur10.kinematics import nearest
 from dual_ur10.kinematics.frames import Frames
+from dual_ur10.kinematics.poses import Poses, after, angle, length, seen_from
 from dual_ur10.kinematics.rotations import quat_to_matrix, rotate
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits
@@ -98,49 +111,31 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     ## Observation Space
 
     The observation space is a `Box(low, high, (124,), float64)` with the bounds of the table: 62 numbers of the left
-    arm, then the same 62 of the right arm. It holds only what a real cell can measure. Poses, forces and torques are in
-    the arm's own `base` frame if nothing else is said; quaternions are (w, x, y, z). The gripper's own weight is taken
+    arm, which the table shows, then the same 62 of the right arm, with left and right exchanged. All of them can be
+    measured on a real cell. Poses, forces and torques are in the arm's own `base` frame if nothing else is said; quaternions are (w, x, y, z). The gripper's own weight is taken
     off the force; it has the noise that `CellConfig.wrench_noise` says. With `grasp="rigid"` the opening is left out:
     61 numbers per arm.
 
     | Num | Observation | Min | Max | Name (in XML file) | Type (Unit) |
     |-----|-------------|-----|-----|--------------------|-------------|
-    | 0-5 | joint positions of the left arm | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
-    | 6-11 | joint speeds of the left arm | -10 | 10 | left/shoulder_pan_joint ... left/wrist_3_joint | speed (rad/s) |
-    | 12-17 | commanded joint positions of the left arm | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
-    | 18-20 | position of the left flange | -2 | 2 | left/flange | position (m) |
-    | 21-24 | orientation of the left flange | -1.01 | 1.01 | left/flange | quaternion |
-    | 25 | opening of the left gripper | -0.1 | 0.1 | left/finger_1_joint ... left/finger_2_joint | position (m) |
-    | 26-28 | force of the bar on the left gripper | -2000 | 2000 | left/wrench | force (N) |
-    | 29-31 | torque of the bar on the left gripper about the flange | -2000 | 2000 | left/wrench | torque (N·m) |
+        | 0-5 | joint positions | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
+    | 6-11 | joint speeds | -10 | 10 | left/shoulder_pan_joint ... left/wrist_3_joint | speed (rad/s) |
+    | 12-17 | commanded joint positions | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
+    | 18-20 | position of the flange | -2 | 2 | left/flange | position (m) |
+    | 21-24 | orientation of the flange | -1.01 | 1.01 | left/flange | quaternion |
+    | 25 | opening of the gripper | -0.1 | 0.1 | left/finger_1_joint ... left/finger_2_joint | position (m) |
+    | 26-28 | force of the bar on the gripper | -2000 | 2000 | left/wrench | force (N) |
+    | 29-31 | torque of the bar on the gripper about the flange | -2000 | 2000 | left/wrench | torque (N·m) |
     | 32-34 | position of the bar | -10 | 10 | bar | position (m) |
     | 35-38 | orientation of the bar | -1.01 | 1.01 | bar | quaternion |
-    | 39-41 | reference of the bar now | -10 | 10 | - | position (m) |
-    | 42-45 | reference of its orientation now | -1.01 | 1.01 | - | quaternion |
-    | 46-48 | reference of the bar at the end of the next action's motion | -10 | 10 | - | position (m) |
-    | 49-52 | reference of its orientation then | -1.01 | 1.01 | - | quaternion |
-    | 53-55 | position of the right flange in the frame of the left one | -5 | 5 | right/flange | position (m) |
-    | 56-59 | orientation of the right flange in the frame of the left one | -1.01 | 1.01 | right/flange | quaternion |
-    | 60 | time on the path, until it begins | -10 | 10 | - | time (s) |
-    | 61 | share of the path that is behind | -1.01 | 1.01 | - | share |
-    | 62-67 | joint positions of the right arm | -6.5 | 6.5 | right/shoulder_pan_joint ... right/wrist_3_joint | angle (rad) |
-    | 68-73 | joint speeds of the right arm | -10 | 10 | right/shoulder_pan_joint ... right/wrist_3_joint | speed (rad/s) |
-    | 74-79 | commanded joint positions of the right arm | -6.5 | 6.5 | right/shoulder_pan_joint ... right/wrist_3_joint | angle (rad) |
-    | 80-82 | position of the right flange | -2 | 2 | right/flange | position (m) |
-    | 83-86 | orientation of the right flange | -1.01 | 1.01 | right/flange | quaternion |
-    | 87 | opening of the right gripper | -0.1 | 0.1 | right/finger_1_joint ... right/finger_2_joint | position (m) |
-    | 88-90 | force of the bar on the right gripper | -2000 | 2000 | right/wrench | force (N) |
-    | 91-93 | torque of the bar on the right gripper about the flange | -2000 | 2000 | right/wrench | torque (N·m) |
-    | 94-96 | position of the bar | -10 | 10 | bar | position (m) |
-    | 97-100 | orientation of the bar | -1.01 | 1.01 | bar | quaternion |
-    | 101-103 | reference of the bar now | -10 | 10 | - | position (m) |
-    | 104-107 | reference of its orientation now | -1.01 | 1.01 | - | quaternion |
-    | 108-110 | reference of the bar at the end of the next action's motion | -10 | 10 | - | position (m) |
-    | 111-114 | reference of its orientation then | -1.01 | 1.01 | - | quaternion |
-    | 115-117 | position of the left flange in the frame of the right one | -5 | 5 | left/flange | position (m) |
-    | 118-121 | orientation of the left flange in the frame of the right one | -1.01 | 1.01 | left/flange | quaternion |
-    | 122 | time on the path, until it begins | -10 | 10 | - | time (s) |
-    | 123 | share of the path that is behind | -1.01 | 1.01 | - | share |
+    | 39-41 | position of the bar's reference now | -10 | 10 | - | position (m) |
+    | 42-45 | orientation of the bar's reference now | -1.01 | 1.01 | - | quaternion |
+    | 46-48 | position of the bar's reference at the end of the next motion | -10 | 10 | - | position (m) |
+    | 49-52 | orientation of the bar's reference at the end of the next motion | -1.01 | 1.01 | - | quaternion |
+    | 53-55 | position of the other flange in the frame of this one | -5 | 5 | right/flange | position (m) |
+    | 56-59 | orientation of the other flange in the frame of this one | -1.01 | 1.01 | right/flange | quaternion |
+    | 60 | time until the path begins, negative | -10 | 10 | - | time (s) |
+    | 61 | completed ratio of the path | -1.01 | 1.01 | - | ratio |
 
     ## Rewards
 
@@ -217,6 +212,17 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         "squeeze": 0.1,
     }
     settings_type: ClassVar[type[CarrySettings]] = CarrySettings
+    layout: ObservationLayout = ObservationLayout(
+        *ARM_FIELDS,
+        gripper_field(),
+        *wrench_fields("bar"),
+        *pose_fields("bar_base", "the bar", "bar"),
+        *pose_fields("reference_base", "the bar's reference now"),
+        *pose_fields("ahead_base", "the bar's reference at the end of the next motion"),
+        *OTHER_FLANGE_FIELDS,
+        Field("time_to_path_s", 1, -10.0, 10.0, "time (s)", "time until the path begins, negative"),
+        Field("progress", 1, -1.01, 1.01, "ratio", "completed ratio of the path"),
+    )
 
     def __init__(self, settings: CarrySettings, cell: CellConfig, timing: Timing, n: int) -> None:
         super().__init__(settings, cell, timing, n)
@@ -227,11 +233,6 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         self._grasp_s = _GRASP_S[settings.rigid] / self._rate
         self.duration_s = self._grasp_s + settings.duration_s / self._rate + _SETTLE_S
         self._steps = math.ceil(self.duration_s / timing.period_s - 1e-9)
-        gripper = [] if settings.rigid else [0.1]
-        arm = [6.5] * 6 + [10.0] * 6 + [6.5] * 6 + [2.0] * 3 + [1.01] * 4 + gripper + [2e3] * 3 + [2e3] * 3
-        arm += ([10.0] * 3 + [1.01] * 4) * 3 + [5.0] * 3 + [1.01] * 4 + [10.0, 1.01]
-        self.agent_bound = np.tile(np.array(arm), (2, 1))
-        self.observation_bound = self.agent_bound.reshape(-1)
         self._bar = Poses(np.zeros((n, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)))
         self._when = np.array([0.0, timing.ahead_s])
         self._count = np.zeros(n, dtype=np.int64)
@@ -244,10 +245,15 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         self._carried: Array = np.zeros((n, 2))
 
     @classmethod
-    def furnishing(cls, settings: CarrySettings) -> Furnishing:
+    def layout_for(cls, settings: CarrySettings) -> ObservationLayout:
+        """Return the fields of an observation; with a rigid grasp there are no grippers."""
+        return cls.layout.without("gripper_m") if settings.rigid else cls.layout
+
+    @classmethod
+    def requirements(cls, settings: CarrySettings) -> SceneRequirements:
         """Two grippers and the bar. A friction grip needs a physics step of 1 ms."""
         equipment = Equipment(grippers=True, prop="bar", welded=settings.rigid, grip_force_n=settings.grip_force_n)
-        return Furnishing(equipment, 0.002 if settings.rigid else 0.001, "compliant", PICKING)
+        return SceneRequirements(equipment, 0.002 if settings.rigid else 0.001, "compliant", PICKING)
 
     def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
         """Draw where the bar lies. The grippers are open above its nominal place, or hold it if they are welded."""
@@ -290,19 +296,22 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         return CarryMeasured(clock[:, 0], references, bar, relative, grip_in_tool, holding, force)
 
     def observe(self, state: CellState, measured: CarryMeasured, commanded_q_rad: Array) -> Array:
-        """Observations, (n, 122), or (n, 120) with a rigid grasp."""
-        frames, clock = self._frames, measured.clock_s
-        bars = [measured.bar, *(Poses(*(part[:, [k]] for part in measured.references)) for k in (0, 1))]
-        times = np.stack([np.minimum(clock, 0.0), np.clip(clock / self._path.duration_s, 0.0, 1.0)], axis=1)
-        opening = () if self.settings.rigid else (given(state.gripper_m)[..., None],)
-        parts = [state.q_rad, state.qd_rad_s, commanded_q_rad, state.flange_base_m, state.flange_base_quat, *opening]
-        parts.append(given(state.wrench))
-        both = (self.n, 2)
-        for bar in bars:
-            parts.append(frames.position_to_base(np.broadcast_to(bar.position_m, (*both, 3))))
-            parts.append(frames.quat_to_base(np.broadcast_to(bar.quat, (*both, 4))))
-        parts += [*measured.relative, np.broadcast_to(times[:, None], (*both, 2))]
-        return np.concatenate(parts, axis=2).reshape(self.n, -1)
+        """Assemble the observations, (n, 124), or (n, 122) with a rigid grasp."""
+        clock = measured.clock_s
+        now, ahead = (Poses(*(part[:, [k]] for part in measured.references)) for k in (0, 1))
+        values = {
+            **arm_values(state, commanded_q_rad),
+            **wrench_values(given(state.wrench)),
+            **pose_values("bar_base", self._frames.poses_to_base(measured.bar)),
+            **pose_values("reference_base", self._frames.poses_to_base(now)),
+            **pose_values("ahead_base", self._frames.poses_to_base(ahead)),
+            **pose_values("other_flange", measured.relative),
+            "time_to_path_s": per_arm(np.minimum(clock, 0.0)),
+            "progress": per_arm(np.clip(clock / self._path.duration_s, 0.0, 1.0)),
+        }
+        if not self.settings.rigid:
+            values["gripper_m"] = given(state.gripper_m)[..., None]
+        return self.layout.join(values)
 
     def evaluate(self, state: CellState, measured: CarryMeasured) -> Outcome:
         """Reward terms; success at the end."""

@@ -1,0 +1,188 @@
+"""From the keywords of an environment to all that follows from them, before anything is made or connected."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+from collections.abc import Mapping
+from typing import Any, Final
+
+from dual_ur10.envs.core.options import MOVE_TO_START, OPTION_NAMES, EnvOptions
+from dual_ur10.envs.core.randomization import Randomization, resolve_randomization
+from dual_ur10.envs.tasks.task import SceneRequirements, Task, Timing
+from dual_ur10.errors import ResetRefusedError, SettingsError, UnknownNameError
+from dual_ur10.sim2real.config.cell import CellConfig, Perturbation
+from dual_ur10.sim2real.config.cell_file import resolve_cell
+from dual_ur10.sim2real.control.adapter import ServojAdapter
+from dual_ur10.sim2real.control.limits import MotionLimits
+
+TASKS: Final = {
+    "SineTracking": "dual_ur10.envs.tasks.sine_tracking.task:SineTracking",
+    "SyncCarry": "dual_ur10.envs.tasks.sync_carry.task:SyncCarry",
+    "Handover": "dual_ur10.envs.tasks.handover.task:Handover",
+}
+"""Module and name of each task's class, by the task's name."""
+
+
+def load_task(name: str) -> type[Task[Any, Any]]:
+    """Return the class of a task.
+
+    Raises:
+        UnknownNameError: No task has this name.
+    """
+    if name not in TASKS:
+        raise UnknownNameError("task", str(name), list(TASKS))
+    module, attribute = TASKS[name].split(":")
+    task: type[Task[Any, Any]] = getattr(importlib.import_module(module), attribute)
+    return task
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EnvSetup:
+    """Specification of an environment: a pure function of its task and keywords.
+
+    Attributes:
+        options: Keywords of every environment.
+        task_type: Class of the task.
+        settings: Settings of the task.
+        randomization: Variation from episode to episode.
+        requirements: Scene that the task needs.
+        config: The cell, with the task's equipment.
+        limits: Motion limits of the task, as far as the cell allows them.
+        ticks: Control periods per action.
+        latency_ticks: Control periods from an observation to the first target of its action.
+        timing: Rate and latency of actions in seconds.
+    """
+
+    options: EnvOptions
+    task_type: type[Task[Any, Any]]
+    settings: Any
+    randomization: Randomization
+    requirements: SceneRequirements
+    config: CellConfig
+    limits: MotionLimits
+    ticks: int
+    latency_ticks: int
+    timing: Timing
+
+    @classmethod
+    def resolve(cls, task: str, keywords: Mapping[str, Any], *, ignore_unknown: bool = False) -> EnvSetup:
+        """Derive the setup from the keywords of an environment. A path in them is read here.
+
+        Args:
+            task: Name of the task.
+            keywords: Those of `EnvOptions`, and settings of the task.
+            ignore_unknown: Accept further keywords, which have no effect.
+
+        Raises:
+            UnknownNameError: There is no such task, or keyword.
+            SettingsError: Or one of its kinds: a value is not legal.
+        """
+        task_type = load_task(task)
+        options = EnvOptions(**{name: keywords[name] for name in OPTION_NAMES if name in keywords})
+        known = [each.name for each in dataclasses.fields(task_type.settings_type)]
+        own = {name: value for name, value in keywords.items() if name not in OPTION_NAMES}
+        unknown = [name for name in own if name not in known]
+        if unknown and not ignore_unknown:
+            raise UnknownNameError(f"keyword of {task}", str(unknown[0]), [*known, *OPTION_NAMES])
+        own = {name: value for name, value in own.items() if name in known}
+        randomization = resolve_randomization(options.randomization)
+        settings = randomization.spread(task_type.settings_type(**own), own)
+        requirements = task_type.requirements(settings)
+        config = resolve_cell(options.cell).furnished(
+            requirements.equipment, requirements.timestep_s, requirements.gains
+        )
+        tick_s, latency_ticks = config.servoj.tick_s, options.latency_ticks(config)
+        ticks = config.servoj.ticks_per_action(options.policy_rate_hz)
+        period_s = ticks * tick_s
+        return cls(
+            options=options,
+            task_type=task_type,
+            settings=settings,
+            randomization=randomization,
+            requirements=requirements,
+            config=config,
+            limits=config.capped(task_type.limits),
+            ticks=ticks,
+            latency_ticks=latency_ticks,
+            timing=Timing(period_s, period_s + latency_ticks * tick_s),
+        )
+
+    def make_task(self, n: int = 1) -> Task[Any, Any]:
+        """Make the task for n cells.
+
+        Raises:
+            SettingsError: Or one of its kinds: the arms cannot do it in this cell.
+        """
+        return self.task_type(self.settings, self.config, self.timing, n)
+
+    def make_adapter(self, n: int = 1) -> ServojAdapter:
+        """Make the adapter from actions to targets for n cells.
+
+        Raises:
+            SettingsError: Or one of its kinds: a value is not legal.
+        """
+        config, options, equipment = self.config, self.options, self.requirements.equipment
+        mounts = (config.left, config.right)
+        return ServojAdapter(
+            config.servoj,
+            self.limits,
+            self.ticks,
+            n=n,
+            mode=options.action_mode,
+            gripper=equipment.grippers and not equipment.welded,
+            compensate_lag=options.compensate_lag,
+            dh=[mount.dh for mount in mounts],
+            yaw_rad=[mount.yaw_rad for mount in mounts],
+            speed_factor=config.speed_factor,
+            lookahead_s=config.measured_lookahead_s,
+        )
+
+
+def check_for_controllers(config: CellConfig, n: int, *, autoreset: bool, randomized: bool) -> None:
+    """Refuse requests that two controllers cannot serve. A simulated cell can serve all.
+
+    Args:
+        config: The cell.
+        n: Number of environments.
+        autoreset: Whether episodes begin without a call of `reset`.
+        randomized: Whether something differs from episode to episode.
+
+    Raises:
+        SettingsError: The cell is one of two controllers, and cannot serve this.
+    """
+    if config.file is None:
+        return
+    if n > 1:
+        raise SettingsError(f"{n} environments on one cell of controllers: there is one pair of arms. Use one")
+    if autoreset:
+        raise SettingsError(
+            "episodes that begin by themselves, as in training, on a cell of controllers: arms move to the start of an "
+            'episode only when somebody calls reset. Train in simulation, or set autoreset_mode to "Disabled"'
+        )
+    if randomized:
+        raise SettingsError("randomization is for simulated cells: leave it out on controllers")
+    if config.perturbation != Perturbation():
+        raise SettingsError("a perturbation is for simulated cells: leave it out on controllers")
+
+
+def check_reset(*, begun: bool, consent: bool) -> None:
+    """Refuse a reset that would move the arms of two controllers without consent.
+
+    Wrappers that begin episodes by themselves call the same `reset` as a program. They pass no options, so that none of
+    them leads arms to another start.
+
+    Args:
+        begun: An episode has begun before.
+        consent: The caller consents to the motion.
+
+    Raises:
+        ResetRefusedError: An episode has begun before, and the caller does not consent.
+    """
+    if begun and not consent:
+        raise ResetRefusedError(
+            "reset was called again without consent, on a cell of two controllers: it would move both arms to where an "
+            "episode begins, and nothing may do that by itself. Pass "
+            f'reset(options={{"{MOVE_TO_START}": True}}) in your program, or make the environment with confirm=, which '
+            "is asked before each such motion; train in simulation"
+        )

@@ -1,0 +1,196 @@
+"""Named fields of an observation: the only place where the position of a number in it is written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from dual_ur10.errors import ActionError, UnknownNameError
+from dual_ur10.kinematics.poses import Poses
+from dual_ur10.sim2real.config.cell import CellState
+from dual_ur10.types import Array, constant
+
+
+@dataclass(frozen=True)
+class Field:
+    """One quantity in the observation of an arm.
+
+    Attributes:
+        name: Key in `ObservationLayout.split`.
+        size: Number of values.
+        low, high: Bounds of each value.
+        unit: Type and unit, as in the table of the task's docstring.
+        description: Quantity, as in that table.
+        mujoco: Name in the MJCF model, with "{arm}" for the arm and "{other}" for the other one; "-": none.
+    """
+
+    name: str
+    size: int
+    low: float
+    high: float
+    unit: str
+    description: str
+    mujoco: str = "-"
+
+
+class ObservationLayout:
+    """Fields of one arm in their order. An observation holds those of the left arm, then those of the right arm.
+
+    Args:
+        *fields: Fields of one arm.
+
+    Attributes:
+        fields: As given.
+        size: Number of values of one arm.
+        low, high: (2 * size,) bounds of an observation.
+    """
+
+    def __init__(self, *fields: Field) -> None:
+        self.fields = fields
+        ends = np.cumsum([field.size for field in fields]).tolist()
+        self._slices = {field.name: slice(end - field.size, end) for field, end in zip(fields, ends, strict=True)}
+        self.size: int = ends[-1]
+        sizes = [field.size for field in fields]
+        self.low = constant(np.tile(np.repeat([field.low for field in fields], sizes), 2))
+        self.high = constant(np.tile(np.repeat([field.high for field in fields], sizes), 2))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the fields in their order."""
+        return tuple(self._slices)
+
+    def without(self, *names: str) -> ObservationLayout:
+        """Return a layout that lacks some fields."""
+        return ObservationLayout(*(field for field in self.fields if field.name not in names))
+
+    def extended(self, *fields: Field) -> ObservationLayout:
+        """Return a layout with further fields at the end."""
+        return ObservationLayout(*self.fields, *fields)
+
+    def join(self, values: Mapping[str, Array]) -> Array:
+        """Assemble observations, (n, 2 * size), from fields, (n, 2, field size) each."""
+        parts = [values[name] for name in self._slices]
+        return np.concatenate(parts, axis=2).reshape(len(parts[0]), -1)
+
+    def split(self, observation: Array) -> dict[str, Array]:
+        """Return views of the fields, (..., 2, field size) each, of observations, (..., 2 * size)."""
+        arms = observation.reshape(*observation.shape[:-1], 2, self.size)
+        return {name: arms[..., part] for name, part in self._slices.items()}
+
+    def batch(self, observation: object, task: str) -> Array:
+        """Return an observation, or a batch of them, as a batch of float64, (n, 2 * size).
+
+        Raises:
+            ActionError: The shape is not that of an observation of `task`.
+        """
+        array = np.asarray(observation, dtype=np.float64)
+        size = 2 * self.size
+        if array.shape[-1:] != (size,) or array.ndim > 2:
+            raise ActionError(f"an observation of {task} has shape ({size},) or (n, {size}), found {array.shape}")
+        return array.reshape(-1, size)
+
+    def indices(self, names: Iterable[str]) -> list[int]:
+        """Return the positions of the values of some fields among those of one arm, in ascending order.
+
+        Raises:
+            UnknownNameError: There is no such field.
+        """
+        found: set[int] = set()
+        for name in names:
+            if name not in self._slices:
+                raise UnknownNameError("observation field", name, self.names)
+            found.update(range(self.size)[self._slices[name]])
+        return sorted(found)
+
+    def table(self) -> list[str]:
+        """Return the rows of the left arm for the table in a task's docstring."""
+        return [
+            f"| {_range(self._slices[field.name])} | {field.description} | {field.low:g} | {field.high:g} | "
+            f"{field.mujoco.format(arm='left', other='right')} | {field.unit} |"
+            for field in self.fields
+        ]
+
+
+def _range(part: slice) -> str:
+    return f"{part.start}" if part.stop == part.start + 1 else f"{part.start}-{part.stop - 1}"
+
+
+def arm_values(state: CellState, commanded_q_rad: Array) -> dict[str, Array]:
+    """Return the values of `ARM_FIELDS`."""
+    return {
+        "q_rad": state.q_rad,
+        "qd_rad_s": state.qd_rad_s,
+        "commanded_q_rad": commanded_q_rad,
+        "flange_base_m": state.flange_base_m,
+        "flange_base_quat": state.flange_base_quat,
+    }
+
+
+def wrench_values(wrench: Array) -> dict[str, Array]:
+    """Return the values of `wrench_fields` from wrenches, (n, 2, 6)."""
+    return {"force_n": wrench[..., :3], "torque_nm": wrench[..., 3:]}
+
+
+def per_arm(values: Array) -> Array:
+    """Repeat values, (n,), for both arms, (n, 2, 1)."""
+    return np.broadcast_to(values[:, None, None], (len(values), 2, 1))
+
+
+def pose_of(fields: Mapping[str, Array], name: str) -> Poses:
+    """Return the pose in the fields `<name>_m` and `<name>_quat`."""
+    return Poses(fields[f"{name}_m"], fields[f"{name}_quat"])
+
+
+def pose_values(name: str, pose: Poses) -> dict[str, Array]:
+    """Return the values of the fields `<name>_m` and `<name>_quat`."""
+    return {f"{name}_m": pose.position_m, f"{name}_quat": pose.quat}
+
+
+def pose_fields(name: str, thing: str, mujoco: str = "-", bound_m: float = 10.0) -> tuple[Field, Field]:
+    """Return the fields `<name>_m` and `<name>_quat` of the pose of a thing."""
+    return (
+        Field(f"{name}_m", 3, -bound_m, bound_m, "position (m)", f"position of {thing}", mujoco),
+        Field(f"{name}_quat", 4, -1.01, 1.01, "quaternion", f"orientation of {thing}", mujoco),
+    )
+
+
+_JOINTS: Final = "{arm}/shoulder_pan_joint ... {arm}/wrist_3_joint"
+
+ARM_FIELDS: Final = (
+    Field("q_rad", 6, -6.5, 6.5, "angle (rad)", "joint positions", _JOINTS),
+    Field("qd_rad_s", 6, -10.0, 10.0, "speed (rad/s)", "joint speeds", _JOINTS),
+    Field("commanded_q_rad", 6, -6.5, 6.5, "angle (rad)", "commanded joint positions", _JOINTS),
+    *pose_fields("flange_base", "the flange", "{arm}/flange", 2.0),
+)
+"""First fields of every task."""
+
+OTHER_FLANGE_FIELDS: Final = pose_fields(
+    "other_flange", "the other flange in the frame of this one", "{other}/flange", 5.0
+)
+"""Pose of the other arm's flange in this arm's flange frame."""
+
+
+def gripper_field(arm: str = "arm") -> Field:
+    """Return the field of the gripper's width: of this "arm", or of the "other" one."""
+    name, thing = ("gripper_m", "the gripper") if arm == "arm" else ("other_gripper_m", "the other gripper")
+    joints = f"{{{arm}}}/finger_1_joint ... {{{arm}}}/finger_2_joint"
+    return Field(name, 1, -0.1, 0.1, "position (m)", f"opening of {thing}", joints)
+
+
+def wrench_fields(thing: str) -> tuple[Field, Field]:
+    """Return the fields of the force and torque that a thing exerts on the gripper."""
+    return (
+        Field("force_n", 3, -2000.0, 2000.0, "force (N)", f"force of the {thing} on the gripper", "{arm}/wrench"),
+        Field(
+            "torque_nm",
+            3,
+            -2000.0,
+            2000.0,
+            "torque (N·m)",
+            f"torque of the {thing} on the gripper about the flange",
+            "{arm}/wrench",
+        ),
+    )

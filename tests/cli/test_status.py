@@ -171,7 +171,7 @@ def test_an_arm_that_falls_silent_is_dead_until_it_speaks_again(cell, made):
         watch.wait(5.0)
         assert watch.dead == ""
         cell.ask("link", arm="left", port="rtde", mute=True)
-        assert "its time stands still" in until(lambda: watch.dead)
+        assert "its time stalls" in until(lambda: watch.dead)
         assert watch.program_fault == ""
         cell.ask("heal", arm="left")
         until(lambda: not watch.dead)

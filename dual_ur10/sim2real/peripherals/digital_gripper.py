@@ -1,8 +1,7 @@
-"""A gripper that opens and closes with a digital output of its controller, by RTDE.
+"""Gripper that a digital output of the arm's controller opens and closes, through RTDE.
 
-Commands go over an RTDE connection of their own that takes the mask and value of one group of outputs as inputs, and
-nothing else: no registers, so that those of `ur_rtde`'s control script are not touched. A second connection only reads
-the outputs back.
+Commands go over an RTDE connection of their own. Its only inputs are the mask and value of one group of outputs, so
+that the registers of `ur_rtde`'s control script stay free. A second connection only reads the outputs.
 """
 
 from __future__ import annotations
@@ -17,33 +16,34 @@ from dual_ur10.sim2real.links.link_socket import checked_timeout
 from dual_ur10.sim2real.links.rtde_link import PORT, RtdeClient, RtdeLink
 from dual_ur10.sim2real.peripherals.gripper_link import GripperReading
 from dual_ur10.sim2real.protocol.rtde import Kind, frame
+from dual_ur10.types import Closing
 
 OUTPUTS: Final = "actual_digital_output_bits"
 
 STALE_S: Final = 0.5
-"""For how long the controller's time may stand still."""
+"""Longest time for which the controller's time may stall."""
 
 CHANGE_S: Final = 0.5
-"""Within how long a command must show in the outputs."""
+"""Time within which a command must show in the outputs."""
 
 _RATE_HZ: Final = 25.0
 _IN_USE: Final = "IN_USE"
 _OPEN_ABOVE_M: Final = 0.55 * OPENING_M
-_CLOSED_BELOW_M: Final = 0.45 * OPENING_M  # between them it stays as it is: noise does not make it chatter
+_CLOSED_BELOW_M: Final = 0.45 * OPENING_M  # hysteresis: noise does not make it chatter
 _GROUPS: Final = (("standard", 0, 8), ("configurable", 8, 16), ("tool", 16, 18))  # UR's RTDE guide: bits of `OUTPUTS`
 
 
-class DigitalGripperLink:
-    """Opens above 55 % of a 2F-85's stroke, closes below 45 %, and stays as it is between them.
+class DigitalGripperLink(Closing):
+    """Client that opens above 55 % of a 2F-85's stroke, closes below 45 %, and keeps its state in between.
 
-    What it tells is the state of the output: nothing measures these fingers.
+    Its readings are the state of the output: nothing measures these fingers.
 
     Args:
         host: IPv4 address of the controller.
-        gripper: Its output, and the level that opens it.
-        timeout_s: For connecting.
-        port: Of RTDE.
-        name: Of the arm, for messages.
+        gripper: Output of the gripper, and the level that opens it.
+        timeout_s: Time limit of the connections.
+        port: RTDE port.
+        name: Name of the arm, for messages.
 
     Raises:
         SettingsError: An argument is not legal.
@@ -72,7 +72,6 @@ class DigitalGripperLink:
             self._connections = stack.pop_all()
 
     def _take_outputs(self, group: str, names: tuple[str, str], deadline_s: float) -> int:
-        """Number of the input recipe."""
         recipe, kinds = self._sender.set_up(Kind.SETUP_INPUTS, names, b"", deadline_s)
         if _IN_USE in kinds:
             raise self._sender.socket.error(
@@ -90,10 +89,10 @@ class DigitalGripperLink:
         return f"{self._sender.socket.where}, gripper at output {self._gripper.output}"
 
     def read(self) -> GripperReading:
-        """The opening that belongs to the output.
+        """Return the opening that belongs to the state of the output.
 
         Raises:
-            LinkError: The controller was lost, or its time stands still.
+            LinkError: The controller was lost, or its time stalls.
             ClosedError: The link was closed.
         """
         self._check()
@@ -102,7 +101,7 @@ class DigitalGripperLink:
         if self._commanded is not None and is_open != self._commanded and time.monotonic() > self._due_s:
             wanted = "open" if self._commanded else "close"
             fault = (
-                f"output {self._gripper.output} does not {wanted} the gripper, as commanded {CHANGE_S:g} s ago: see "
+                f"output {self._gripper.output} does not {wanted} the gripper, as commanded {CHANGE_S:g} s ago: check "
                 "what else sets it, and that no action is assigned to it on the pendant"
             )
         return GripperReading(OPENING_M if is_open else 0.0, fault, None)
@@ -113,23 +112,23 @@ class DigitalGripperLink:
         return bool(int(bits) & self._mask) == self._gripper.open_level  # type: ignore[arg-type]  # a number, by its type
 
     def _check(self) -> None:
-        """Take what has come on both connections.
+        """Read both connections.
 
         Raises:
-            LinkError: One is lost.
+            LinkError: One was lost.
         """
         self._reader.poll()
         age_s = self._reader.age_s(time.monotonic())
         if age_s > STALE_S:
             raise self._sender.socket.error(
-                f"its time stands still for {age_s:.1f} s", "check the controller and the network"
+                f"its time stalls for {age_s:.1f} s", "check the controller and the network"
             )
-        data = self._sender.socket.receive_now()  # text messages are not of interest; the end is
+        data = self._sender.socket.receive_now()  # text messages are ignored; the end is not
         if data == b"":
             raise self._sender.socket.ended()
 
     def command(self, opening_m: float) -> bool:
-        """Set the output, if that is another state than the last that was commanded.
+        """Set the output, if its state differs from the last command.
 
         Raises:
             LinkError: The controller was lost.
@@ -147,16 +146,16 @@ class DigitalGripperLink:
         return True
 
     def forget(self) -> None:
-        """The next command is sent in any case."""
+        """See `GripperLink`."""
         self._commanded = None
 
     def needs_activation(self) -> bool:
-        """It needs none."""
+        """Return False."""
         return False
 
     def activate(self, within_s: float) -> None:
-        """There is nothing to do."""
+        """Do nothing."""
 
     def close(self) -> None:
-        """End both connections; the output stays as it is. May be called twice."""
+        """End both connections; the output keeps its state. May be called twice."""
         self._connections.close()

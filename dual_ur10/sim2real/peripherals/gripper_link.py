@@ -1,6 +1,6 @@
-"""Clients of grippers: one question or command at a time, with an end to each. Threads are in `grippers`.
+"""Interface to grippers, and the client of a Robotiq 2F-85: one request at a time, each with a time limit.
 
-A link sends nothing by itself, neither when it is made nor when it is closed: what is held stays held.
+A link sends no command by itself, neither when it is made nor when it is closed: a held object stays held.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ from typing import Final, NamedTuple, Protocol
 from dual_ur10.assets.gripper import FORCE_N, OPENING_M
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.links.link_socket import LinkSocket, checked_timeout
+from dual_ur10.types import Closing
 
 COUNTS: Final = 255
-"""Steps of a Robotiq's position, force and speed."""
+"""Largest value of a Robotiq's position, force and speed."""
 
 ANSWER_S: Final = 0.5
-"""Within how long a gripper must answer."""
+"""Time limit of an answer."""
 
 _LONGEST: Final = 256  # of an answer, bytes
 _NOT_UNDERSTOOD: Final = "?"
@@ -30,7 +31,7 @@ FAULTS: Final = {
     5: "a command has to wait for the end of the activation",
     7: "it has to be activated before it takes commands",
     8: "too hot: let it cool down",
-    9: "it has not heard from the controller for a second: check its cable",
+    9: "it has received nothing from the controller for a second: check its cable",
     10: "supply voltage too low: check the tool's power",
     11: "automatic release is going on: the fingers open slowly",
     12: "internal fault: switch its power off and on",
@@ -38,16 +39,16 @@ FAULTS: Final = {
     14: "overcurrent",
     15: "automatic release is complete: it has to be activated again",
 }
-"""What FLT says, by its lower four bits: Robotiq's manual of the 2F-85."""
+"""Meaning of the lower four bits of FLT: Robotiq's manual of the 2F-85."""
 
 
 class GripperReading(NamedTuple):
-    """What a gripper tells.
+    """Reading of a gripper.
 
     Attributes:
-        opening_m: Distance of the fingers, 0 to `OPENING_M`; None if it does not tell.
-        fault: Why it would not do what it is told, or "".
-        holding: Whether something between or outside the fingers has stopped them; None if it does not tell.
+        opening_m: Distance of the fingers, 0 to `OPENING_M`; None if unknown.
+        fault: Reason why it would not obey a command, or "".
+        holding: True if an object between or outside the fingers has stopped them; None if unknown.
     """
 
     opening_m: float | None
@@ -56,7 +57,7 @@ class GripperReading(NamedTuple):
 
 
 class GripperLink(Protocol):
-    """A connection to one gripper. Every call takes at most `ANSWER_S`, and `activate` as long as it is given."""
+    """Connection to one gripper. Each call takes at most `ANSWER_S`, except `activate`."""
 
     @property
     def where(self) -> str:
@@ -64,7 +65,7 @@ class GripperLink(Protocol):
         ...
 
     def read(self) -> GripperReading:
-        """Ask how it is.
+        """Return its present reading.
 
         Raises:
             LinkError: It was lost.
@@ -72,10 +73,10 @@ class GripperLink(Protocol):
         ...
 
     def command(self, opening_m: float) -> bool:
-        """Open or close. Returns whether anything had to be sent.
+        """Open or close. Return True if a command had to be sent.
 
         Args:
-            opening_m: Distance of the fingers to go to, 0 to `OPENING_M`.
+            opening_m: Target distance of the fingers, 0 to `OPENING_M`.
 
         Raises:
             LinkError: It was lost.
@@ -83,11 +84,11 @@ class GripperLink(Protocol):
         ...
 
     def forget(self) -> None:
-        """What was commanded last may not hold any more, as somebody else may have moved it: the next one is sent."""
+        """Forget the last command, since somebody else may have moved it: the next command is sent in any case."""
         ...
 
     def needs_activation(self) -> bool:
-        """Whether it must be activated before it takes commands.
+        """Return True if it must be activated before it accepts commands.
 
         Raises:
             LinkError: It was lost.
@@ -95,33 +96,33 @@ class GripperLink(Protocol):
         ...
 
     def activate(self, within_s: float) -> None:
-        """Activate it. The fingers open, and may close before: what they held falls.
+        """Activate it. The fingers open, and may close before: a held object falls.
 
         Raises:
-            LinkError: It was lost, or has not become active by then.
+            LinkError: It was lost, or has not become active within the time.
         """
         ...
 
     def close(self) -> None:
-        """End the connection; nothing is sent. May be called twice."""
+        """End the connection without sending anything. May be called twice."""
         ...
 
 
 def counts_of(opening_m: float) -> int:
-    """POS, 0 open to 255 closed, of an opening in m."""
+    """Return POS, 0 open to 255 closed, of an opening in m."""
     return min(max(round(COUNTS * (1.0 - opening_m / OPENING_M)), 0), COUNTS)
 
 
 def opening_of(counts: int) -> float:
-    """Opening in m of POS."""
+    """Return the opening of POS, m."""
     return OPENING_M * (1.0 - counts / COUNTS)
 
 
 def force_counts(force_n: float) -> int:
-    """FOR, 0 to 255, of a grip force in N.
+    """Return FOR, 0 to 255, of a grip force in N.
 
     Raises:
-        SettingsError: No 2F-85 grips so.
+        SettingsError: A 2F-85 has no such force.
     """
     least, most = FORCE_N
     if not (math.isfinite(force_n) and least <= force_n <= most):
@@ -129,17 +130,17 @@ def force_counts(force_n: float) -> int:
     return round(COUNTS * (force_n - least) / (most - least))
 
 
-class RobotiqLink:
-    """A Robotiq 2F-85 behind the text protocol of its URCap, which answers at the arm's controller.
+class RobotiqLink(Closing):
+    """Robotiq 2F-85 behind the text protocol of its URCap, which answers at the arm's controller.
 
-    Positions are taken to be linear from POS 0, fully open, to POS 255, closed.
+    Positions are assumed to be linear from POS 0, fully open, to POS 255, closed.
 
     Args:
         host: IPv4 address of the controller.
-        port: Number.
-        force_n: Of the grip.
-        timeout_s: For connecting.
-        name: Of the arm, for messages.
+        port: Port number.
+        force_n: Grip force.
+        timeout_s: Time limit of the connection.
+        name: Name of the arm, for messages.
 
     Raises:
         SettingsError: An argument is not legal.
@@ -155,7 +156,7 @@ class RobotiqLink:
         self._rest = b""
         self._commanded: int | None = None
         try:
-            self._told("STA", deadline_s)  # somebody is there, and speaks this protocol
+            self._get("STA", deadline_s)  # checks that the service speaks this protocol
         except BaseException:
             self._socket.close()
             raise
@@ -166,14 +167,14 @@ class RobotiqLink:
         return self._socket.where
 
     def read(self) -> GripperReading:
-        """Ask for POS, STA, FLT and OBJ.
+        """Return its present reading, from POS, STA, FLT and OBJ.
 
         Raises:
             LinkError: It was lost.
             ClosedError: It was closed.
         """
         deadline_s = time.monotonic() + ANSWER_S
-        position, state, fault, stopped = (self._told(name, deadline_s) for name in ("POS", "STA", "FLT", "OBJ"))
+        position, state, fault, stopped = (self._get(name, deadline_s) for name in ("POS", "STA", "FLT", "OBJ"))
         opening_m = None if position is None else opening_of(position)
         if position is None or state is None or fault is None or stopped is None:
             text = "the controller does not reach its gripper: check the tool's power and the gripper's cable"
@@ -187,10 +188,10 @@ class RobotiqLink:
         return GripperReading(opening_m, text, stopped in _STOPPED)
 
     def command(self, opening_m: float) -> bool:
-        """Send it to an opening, with its force and full speed, if that is another step than the last.
+        """Send an opening with the grip force and full speed, if POS differs from the last command.
 
         Raises:
-            LinkError: It was lost, or does not take the command.
+            LinkError: It was lost, or does not accept the command.
             ClosedError: It was closed.
         """
         counts = counts_of(opening_m)
@@ -201,31 +202,34 @@ class RobotiqLink:
         return True
 
     def forget(self) -> None:
-        """The next command is sent in any case."""
+        """See `GripperLink`."""
         self._commanded = None
 
     def needs_activation(self) -> bool:
-        """Whether it is not active, or has a fault that only activation ends.
+        """Return True if it is not active, or has a fault that only activation clears.
 
         Raises:
             LinkError: It was lost.
             ClosedError: It was closed.
         """
         deadline_s = time.monotonic() + ANSWER_S
-        return self._told("STA", deadline_s) != _ACTIVE or (self._told("FLT", deadline_s) or 0) & 15 > _ACTIVATION_FIRST
+        return (
+            self._get("STA", deadline_s) != _ACTIVE
+            or (self._get("FLT", deadline_s) or 0) & 15 > _ACTIVATION_FIRST
+        )
 
     def activate(self, within_s: float) -> None:
-        """Reset it, then activate it, and wait for the end of that.
+        """Reset it, then activate it, and wait until it is active.
 
         Raises:
-            LinkError: It was lost, or has not become active by then.
+            LinkError: It was lost, or has not become active within the time.
             ClosedError: It was closed.
         """
         end_s = time.monotonic() + within_s
         self._commanded = None
         for active, state in ((0, _RESET), (1, _ACTIVE)):
             self._set(f"ACT {active}", time.monotonic() + ANSWER_S)
-            while (found := self._told("STA", time.monotonic() + ANSWER_S)) != state:
+            while (found := self._get("STA", time.monotonic() + ANSWER_S)) != state:
                 if time.monotonic() >= end_s:
                     raise self._socket.error(
                         f"not active after {within_s:g} s (STA {found}, expected {state})",
@@ -241,8 +245,8 @@ class RobotiqLink:
                 f"answers {answer[:40]!r} to 'SET {words}'", "expected is 'ack': check the tool's power and the port"
             )
 
-    def _told(self, name: str, deadline_s: float) -> int | None:
-        """A register, or None if the controller cannot reach the gripper."""
+    def _get(self, name: str, deadline_s: float) -> int | None:
+        """Value of a register, or None if the controller cannot reach the gripper."""
         answer = self._exchange(f"GET {name}", deadline_s, (b"\n",))
         word, _, value = answer.partition(" ")
         if word == name and value == _NOT_UNDERSTOOD:
@@ -254,12 +258,12 @@ class RobotiqLink:
         return int(value)
 
     def _exchange(self, line: str, deadline_s: float, ends: tuple[bytes, ...]) -> str:
-        """The answer to a line. Any failure ends the connection, so that a late answer is not taken for another's."""
+        """Return the answer to a line. Any failure closes the connection, so that no late answer is mistaken."""
         try:
             self._socket.send(line.encode("ascii") + b"\n", deadline_s)
             buffer = self._rest
             while True:
-                buffer = buffer.lstrip()  # of an "ack" that had an end of line after all
+                buffer = buffer.lstrip()  # the end of line after an "ack", if there was one
                 for end in ends:
                     place = buffer.find(end)
                     if place >= 0:
@@ -274,5 +278,5 @@ class RobotiqLink:
             raise
 
     def close(self) -> None:
-        """End the connection; the gripper holds what it holds. May be called twice."""
+        """End the connection; a held object stays held. May be called twice."""
         self._socket.close()

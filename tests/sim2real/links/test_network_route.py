@@ -1,107 +1,60 @@
-"""The networks of learned policies, on numpy alone."""
+"""Routes to controllers, read from tables of the kernel."""
 
-from __future__ import annotations
-
-from typing import Any
-
-import numpy as np
 import pytest
 
-from dual_ur10.errors import CheckpointError
-from dual_ur10.policies.learned.network import Network, NetworkShape, Normaliser
-from tests.soak import scaled
+from dual_ur10.sim2real.links.network_route import Route, is_loopback, route_to
+
+HEADER = "Iface Destination Gateway Flags RefCnt Use Metric Mask MTU Window IRTT\n"
 
 
-def layers(shape: NetworkShape, seed: int = 0) -> list[Any]:
-    rng = np.random.default_rng(seed)
-    return [
-        ((rng.normal(size=(out, into)) / np.sqrt(into)).astype(np.float32), rng.normal(size=out).astype(np.float32))
-        for into, out in shape.pairs
-    ]
+@pytest.fixture
+def routes(tmp_path):
+    """Function that writes a table of routes, as the kernel of a little-endian machine prints it, and interfaces."""
+
+    def hexed(address):
+        return "".join(f"{int(each):02X}" for each in reversed(address.split(".")))
+
+    def make(*rows, wireless=()):
+        lines = [
+            f"{interface} {hexed(net)} {hexed(gateway)} {flags:04X} 0 0 {metric} {hexed(mask)} 0 0 0\n"
+            for interface, net, gateway, flags, metric, mask in rows
+        ]
+        (tmp_path / "route").write_text(HEADER + "".join(lines))
+        for interface in wireless:
+            (tmp_path / interface / "wireless").mkdir(parents=True)
+        return {"routes": tmp_path / "route", "interfaces": tmp_path}
+
+    return make
 
 
-def bounds(size: int) -> tuple[Any, Any]:
-    return np.linspace(-2, -1, size, dtype=np.float32), np.linspace(0.5, 1.5, size, dtype=np.float32)
+DEFAULT = ("eth0", "0.0.0.0", "10.0.0.1", 3, 100, "0.0.0.0")
+OFFICE = ("eth0", "10.0.0.0", "0.0.0.0", 1, 100, "255.255.255.0")
+ARMS = ("eth1", "192.168.1.0", "0.0.0.0", 1, 0, "255.255.255.0")
 
 
-@pytest.mark.parametrize("activation", ["tanh", "relu"])
-@pytest.mark.parametrize("squashing", ["clip", "tanh"])
-@pytest.mark.parametrize("sizes", [(7, 3), (68, 256, 256, 12), (41, 33, 65, 7), (3, 4096, 2), (4096, 5, 1)])
-def test_it_computes_what_torch_computes(activation: Any, squashing: Any, sizes: tuple[int, ...]) -> None:
-    torch = pytest.importorskip("torch")
-    shape = NetworkShape(sizes, activation, squashing)
-    weights, (low, high) = layers(shape), bounds(sizes[-1])
-    rng = np.random.default_rng(1)
-    mean, var = rng.normal(size=sizes[0]), rng.uniform(0.1, 2, size=sizes[0])
-    own = Network(shape, weights, low, high, Normaliser(tuple(mean), tuple(var), clip=1.5))
-    observation = rng.normal(size=(scaled(2000), sizes[0])) * 2
-    x = torch.as_tensor(np.clip((observation - mean) / np.sqrt(var + 1e-8), -1.5, 1.5).astype(np.float32))
-    for k, (weight, bias) in enumerate(weights):
-        x = torch.nn.functional.linear(x, torch.as_tensor(weight), torch.as_tensor(bias))
-        if k < len(weights) - 1:
-            x = torch.tanh(x) if activation == "tanh" else torch.relu(x)
-    expected = x.numpy()
-    if squashing == "tanh":
-        expected = low + (high - low) * (np.tanh(expected) + 1) / 2
-    found = own(observation)
-    assert found.dtype == np.float32
-    np.testing.assert_allclose(found, np.clip(expected, low, high), atol=2e-5)
-    assert not np.allclose(found[0], found[1])
+def test_the_most_exact_route_is_taken(routes, monkeypatch):
+    monkeypatch.setattr("sys.byteorder", "little")
+    table = routes(DEFAULT, OFFICE, ARMS, wireless=["wlan0"])
+    assert route_to("192.168.1.11", **table) == Route("eth1", None, False, False)
+    assert route_to("10.0.0.7", **table) == Route("eth0", None, True, False)
+    assert route_to("8.8.8.8", **table) == Route("eth0", "10.0.0.1", True, False)
+    two = routes(ARMS, ("wlan0", "192.168.1.0", "0.0.0.0", 1, 600, "255.255.255.0"))
+    assert route_to("192.168.1.11", **two).interface == "eth1"
+    down = routes(("eth1", "192.168.1.0", "0.0.0.0", 0, 0, "255.255.255.0"), DEFAULT)
+    assert route_to("192.168.1.11", **down).interface == "eth0"
+    air = routes(("wlan0", "192.168.1.0", "0.0.0.0", 1, 600, "255.255.255.0"))
+    assert route_to("192.168.1.11", **air) == Route("wlan0", None, False, True)
 
 
-@pytest.mark.parametrize("sizes", [(68, 256, 256, 12), (112, 64, 64, 14), (41, 300, 7)])
-def test_a_row_of_a_batch_gets_what_it_gets_alone(sizes: tuple[int, ...]) -> None:
-    shape = NetworkShape(sizes, "tanh", "clip")
-    network = Network(shape, layers(shape), *bounds(sizes[-1]), None)
-    batch = np.random.default_rng(0).normal(size=(64, sizes[0]))
-    together = network(batch)
-    for row in range(64):
-        assert network(batch[row : row + 1]).tobytes() == together[row].tobytes()
-        assert network(batch[row:])[0].tobytes() == together[row].tobytes()
-
-
-def test_actions_stay_within_their_bounds() -> None:
-    shape = NetworkShape((3, 8, 4), "relu", "clip")
-    low, high = bounds(4)
-    found = Network(shape, layers(shape), low, high, None)(np.random.default_rng(0).normal(size=(500, 3)) * 1e3)
-    assert (found >= low).all()
-    assert (found <= high).all()
-    assert (found == low).any()
-    assert (found == high).any()
-
-
-def test_what_overflows_warns_of_nothing_and_stays_within_bounds() -> None:
-    shape = NetworkShape((1, 1, 1), "relu", "clip")
-    huge = [(np.float32([[3e38]]), np.float32([0])), (np.float32([[3e38]]), np.float32([0]))]
-    found = Network(shape, huge, np.float32([-1]), np.float32([1]), None)(np.array([[100.0]]))
-    assert found.tolist() == [[1.0]]
-
-
-def test_an_observation_is_left_as_it_is() -> None:
-    shape = NetworkShape((2, 2), "tanh", "clip")
-    network = Network(shape, layers(shape), *bounds(2), Normaliser((1.0, 2.0), (1.0, 1.0)))
-    observation = np.array([[5.0, -50.0]])
-    network(observation)
-    assert observation.tolist() == [[5.0, -50.0]]
-
-
-@pytest.mark.parametrize(
-    "sizes", [(), (3,), (3, 0), (3, -1, 2), (5000, 2), (4000, 4000), tuple([2] * 10), (2, 10**12), (4096,) * 5]
-)
-def test_impossible_sizes_are_refused(sizes: tuple[int, ...]) -> None:
-    with pytest.raises(CheckpointError, match="the network has"):
-        NetworkShape(sizes, "tanh", "clip")
-
-
-@pytest.mark.parametrize(
-    ("values", "said"),
-    [
-        ({"mean": (1.0,), "var": (1.0, 2.0)}, "one each"),
-        ({"mean": (1.0,), "var": (-1.0,)}, "variance of -1"),
-        ({"mean": (1.0,), "var": (1.0,), "clip": 0.0}, "above 0"),
-        ({"mean": (1.0,), "var": (1.0,), "epsilon": 0.0}, "above 0"),
-    ],
-)
-def test_impossible_normalisers_are_refused(values: Any, said: str) -> None:
-    with pytest.raises(CheckpointError, match=said):
-        Normaliser(**values)
+def test_a_route_that_cannot_be_determined_is_none(routes, tmp_path, monkeypatch):
+    assert route_to("192.168.1.11", **routes(OFFICE)) is None
+    assert route_to("192.168.1.11", tmp_path / "none") is None
+    (tmp_path / "bad").write_text(HEADER + "eth0\nx y z w a b c d\n../.. 0 0 1 0 0 0 0\neth0 FFFFFFFFFF 0 1 0 0 0 0\n")
+    assert route_to("192.168.1.11", tmp_path / "bad") is None
+    (tmp_path / "binary").write_bytes(b"\xff\xfe\n" * 10)
+    assert route_to("192.168.1.11", tmp_path / "binary") is None
+    monkeypatch.setattr("sys.platform", "darwin")
+    assert route_to("192.168.1.11", **routes(ARMS)) is None
+    assert route_to("127.3.2.1", tmp_path / "none").interface == "lo"
+    assert is_loopback("127.3.2.1")
+    assert not is_loopback("128.0.0.1")

@@ -12,6 +12,7 @@ from dual_ur10.sim2real.commissioning.status_view import StatusView
 from dual_ur10.sim2real.config.cell_file import load_cell_file
 from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.peripherals.gripper_link import RobotiqLink
+from tests.waiting import until
 
 
 @pytest.fixture(scope="module")
@@ -155,14 +156,6 @@ def test_a_file_that_is_none(show, tmp_path):
 
     with pytest.raises(CellFileError, match="no cell file"):
         show(file=tmp_path / "none.toml")
-
-
-def until(condition, within_s=10.0):
-    end = time.monotonic() + within_s
-    while not (found := condition()):
-        assert time.monotonic() < end, "it did not come about"
-        time.sleep(0.01)
-    return found
 
 
 def test_an_arm_that_falls_silent_is_dead_until_it_speaks_again(cell, made):

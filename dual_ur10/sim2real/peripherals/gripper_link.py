@@ -213,10 +213,7 @@ class RobotiqLink(Closing):
             ClosedError: It was closed.
         """
         deadline_s = time.monotonic() + ANSWER_S
-        return (
-            self._get("STA", deadline_s) != _ACTIVE
-            or (self._get("FLT", deadline_s) or 0) & 15 > _ACTIVATION_FIRST
-        )
+        return self._get("STA", deadline_s) != _ACTIVE or (self._get("FLT", deadline_s) or 0) & 15 > _ACTIVATION_FIRST
 
     def activate(self, within_s: float) -> None:
         """Reset it, then activate it, and wait until it is active.

@@ -1,4 +1,4 @@
-"""The grippers of a cell of controllers: a thread for each, so that no gripper keeps the arms waiting."""
+"""Grippers of a cell of controllers: a thread for each, so that no gripper delays the arms."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from dual_ur10.types import Closing
 log = logging.getLogger(__name__)
 
 STALE_S: Final = 1.0
-"""A gripper that has not been heard for so long is a fault: its answers have half a second each."""
+"""Largest age of a reading: each answer may take half a second."""
 
 ACTIVATION_S: Final = 10.0
-"""Within how long a gripper must become active."""
+"""Time limit of an activation."""
 
 _POLL_S: Final = 0.02
 _MOST_WAITING: Final = 256  # commands; a quarter of a second ahead is 125 at most
@@ -35,51 +35,51 @@ T = TypeVar("T")
 
 
 class GripperThread:
-    """One gripper. All but `activate` and `close` return at once.
+    """Thread of one gripper. All methods but `activate` and `close` return at once.
 
     Args:
-        name: Of the arm.
-        link: To the gripper; it is this object's from now on.
-        poll_s: How often it is asked how it is.
-        may: Asked in its thread when a command is due: whether that still holds.
+        name: Name of the arm.
+        link: Link to the gripper; this object closes it.
+        poll_s: Period of readings.
+        permitted: Called in the thread when a command is due. The command is dropped if it returns False.
 
     Raises:
-        LinkError: It does not tell.
+        LinkError: There is no first reading.
     """
 
     def __init__(
-        self, name: str, link: GripperLink, poll_s: float = _POLL_S, may: Callable[[], bool] = lambda: True
+        self, name: str, link: GripperLink, poll_s: float = _POLL_S, permitted: Callable[[], bool] = lambda: True
     ) -> None:
         self.name = name
-        self._link, self._poll_s, self._may = link, poll_s, may
+        self._link, self._poll_s, self._permitted = link, poll_s, permitted
         self._reading = link.read()
         self._read_s = time.monotonic()
         self._lost = ""
         self._closed = False
         self._waiting: deque[tuple[float, float]] = deque()
-        self._using = threading.Lock()  # the link: held for one call at a time, or an activation
+        self._link_lock = threading.Lock()  # taken for one call, or for an activation
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._run, name=f"{name} gripper", daemon=True)
         self._thread.start()
 
     @property
     def opening_m(self) -> float | None:
-        """Opening that was measured last, 0 to `OPENING_M`; None if it does not tell."""
+        """Newest opening, 0 to `OPENING_M`; None if unknown."""
         return self._reading.opening_m
 
     @property
     def holding(self) -> bool | None:
-        """Whether an object stops the fingers; None if it does not tell."""
+        """True if an object stops the fingers; None if unknown."""
         return self._reading.holding
 
     @property
     def measured_s(self) -> float:
-        """When that was measured, on the clock of `time.monotonic`."""
+        """Time of the newest reading, on the clock of `time.monotonic`."""
         return self._read_s
 
     @property
     def fault(self) -> str:
-        """Why it would not do what it is told, with its arm, or "". Once it was lost, it is lost."""
+        """Reason why it would not obey a command, with its arm, or "". A lost gripper stays lost."""
         if self._lost:
             return self._lost
         if self._reading.fault:
@@ -90,14 +90,14 @@ class GripperThread:
         return ""
 
     def command(self, opening_m: float, at_s: float) -> None:
-        """Open or close, at a time. What was to come then or later is forgotten; of several due, the last is sent.
+        """Open or close at a time. This drops commands for that time or later; of several due, the last is sent.
 
         Args:
-            opening_m: Distance of the fingers to go to, 0 to `OPENING_M`.
-            at_s: When, on the clock of `time.monotonic`; at once if that is past.
+            opening_m: Target distance of the fingers, 0 to `OPENING_M`.
+            at_s: Time on the clock of `time.monotonic`; a time in the past means at once.
 
         Raises:
-            ActionError: That is no opening that it has, or no time.
+            ActionError: The opening is out of range, or the time not finite.
             ClosedError: It was closed.
         """
         if not (-_SLACK_M <= opening_m <= OPENING_M + _SLACK_M and math.isfinite(at_s)):
@@ -116,7 +116,7 @@ class GripperThread:
             self._changed.notify()
 
     def forget(self) -> None:
-        """Somebody else may have moved it: the next command is sent, also if it is the same as the last.
+        """Send the next command in any case, since somebody else may have moved the gripper.
 
         Raises:
             LinkError: It was lost.
@@ -124,7 +124,7 @@ class GripperThread:
         self._directly(self._link.forget)
 
     def needs_activation(self) -> bool:
-        """Whether it must be activated before it takes commands. It is asked, and waited for.
+        """Ask it whether it must be activated before it accepts commands. This waits for the answer.
 
         Raises:
             LinkError: It was lost.
@@ -132,12 +132,12 @@ class GripperThread:
         return self._directly(self._link.needs_activation)
 
     def activate(self, within_s: float = ACTIVATION_S) -> None:
-        """Activate it, and wait for the end. Its fingers open, and may close before; what they held falls.
+        """Activate it, and wait for the end. Its fingers open, and may close before; a held object falls.
 
-        Commands that wait are forgotten: what is due next comes after the activation.
+        Waiting commands are dropped.
 
         Raises:
-            LinkError: It was lost, or did not become active by then.
+            LinkError: It was lost, or did not become active within the time.
         """
 
         def act() -> None:
@@ -149,8 +149,8 @@ class GripperThread:
         self._directly(act)
 
     def _directly(self, act: Callable[[], T]) -> T:
-        """Do it between two calls of the thread."""
-        with self._using:
+        """Call `act` between two calls of the thread."""
+        with self._link_lock:
             if self._lost:
                 raise LinkError(self._lost)
             if self._closed:
@@ -174,11 +174,11 @@ class GripperThread:
         next_s = time.monotonic()
         while True:
             self._wait(next_s)
-            with self._using:
+            with self._link_lock:
                 if self._closed or self._lost:
                     return
                 try:
-                    opening_m = self._due()  # not before: an activation may just have made it obsolete
+                    opening_m = self._due()  # with the lock: an activation may just have dropped it
                     if opening_m is not None:
                         self._link.command(opening_m)
                     if time.monotonic() >= next_s:
@@ -186,11 +186,11 @@ class GripperThread:
                         next_s = time.monotonic() + self._poll_s
                 except DualUR10Error as error:
                     self._lose(str(error))
-                except Exception as error:  # whatever it is, the program must hear of it
+                except Exception as error:  # of any kind: the program must learn of it
                     self._lose(f"{self._link.where}: {type(error).__name__}: {error}; its thread has ended")
 
     def _wait(self, until_s: float) -> None:
-        """Wait until a command is due, or it is time to ask, or all is over."""
+        """Wait until a command or a reading is due, or this was closed."""
         with self._changed:
             while not self._closed:
                 now_s = time.monotonic()
@@ -200,15 +200,15 @@ class GripperThread:
                 self._changed.wait(next_s - now_s)
 
     def _due(self) -> float | None:
-        """The last of the commands that are due, or None."""
+        """Return the last of the due commands, or None."""
         opening_m = None
         with self._changed:
             while self._waiting and self._waiting[0][0] <= time.monotonic():
                 opening_m = self._waiting.popleft()[1]
-        return opening_m if opening_m is not None and self._may() else None
+        return opening_m if opening_m is not None and self._permitted() else None
 
     def close(self) -> None:
-        """End the connection. Nothing is sent: what is held stays held. May be called twice."""
+        """End the connection. Nothing is sent: a held object stays held. May be called twice."""
         with self._changed:
             self._closed = True
             self._waiting.clear()
@@ -219,56 +219,58 @@ class GripperThread:
 
 
 class Grippers(Closing):
-    """The grippers of both arms, as a cell file names them. Nothing is sent to them when this is made.
+    """Grippers of both arms, as a cell file names them. Making this object sends nothing to them.
 
     Args:
-        cell_file: Of the cell.
+        cell_file: Cell file.
         force_n: Grip force, 20 to 235 N; a gripper at a digital output has its own.
-        may: Asked, in a thread, when a command is due: whether it still holds. After a stop it does not.
+        permitted: See `GripperThread`. After a stop, no command is permitted.
 
     Attributes:
-        each: The left and the right arm's; None where there is none.
+        each: Grippers of the left and the right arm; None where there is none.
 
     Raises:
         SettingsError: The force is not legal.
         LinkError: A gripper cannot be reached. None is connected then.
     """
 
-    def __init__(self, cell_file: CellFile, *, force_n: float = 60.0, may: Callable[[], bool] = lambda: True) -> None:
+    def __init__(
+        self, cell_file: CellFile, *, force_n: float = 60.0, permitted: Callable[[], bool] = lambda: True
+    ) -> None:
         self.each: list[GripperThread | None] = []
         try:
             for name, arm in zip(ARMS, cell_file.arms, strict=True):
                 link = link_to(arm, force_n, name)
-                self.each.append(None if link is None else _started(name, link, may))
+                self.each.append(None if link is None else _started(name, link, permitted))
         except BaseException:
             self.close()
             raise
 
     @property
     def opening_m(self) -> tuple[float | None, float | None]:
-        """Openings that were measured last; None where there is no gripper, or none that tells."""
+        """Newest openings; None where there is no gripper, or its opening is unknown."""
         left, right = (None if each is None else each.opening_m for each in self.each)
         return left, right
 
     @property
     def fault(self) -> str:
-        """Why one of them would not do what it is told, or "". It does not wait."""
-        return self.fault_but()
+        """Reason why one of them would not obey a command, or "". It does not wait."""
+        return self.fault_except()
 
-    def fault_but(self, held: str | None = None) -> str:
-        """The same, without what an arm's gripper has that is not used: "left" or "right"; None: both are."""
+    def fault_except(self, held: str | None = None) -> str:
+        """Return the same, without the gripper of an arm that is not used: "left" or "right"; None: both are used."""
         used = [each for each in self.each if each is not None and each.name != held]
         return "; ".join(text for each in used if (text := each.fault))
 
     def command(self, openings_m: Sequence[float | None], at_s: float) -> None:
-        """Open or close both at a time; see `GripperThread.command`. It does not wait.
+        """Open or close both; see `GripperThread.command`. It does not wait.
 
         Args:
-            openings_m: (2,) of the left and the right arm; None leaves that one as it is.
-            at_s: When, on the clock of `time.monotonic`.
+            openings_m: (2,) left and right opening; None leaves that gripper as it is.
+            at_s: Time on the clock of `time.monotonic`.
 
         Raises:
-            ActionError: That is no opening that one of them has, or no time.
+            ActionError: An opening is out of range, or the time not finite.
             ClosedError: They were closed.
         """
         for each, opening_m in zip(self.each, openings_m, strict=True):
@@ -276,7 +278,7 @@ class Grippers(Closing):
                 each.command(float(opening_m), at_s)
 
     def forget(self) -> None:
-        """Somebody else may have moved them: the next commands are sent in any case.
+        """Send the next commands in any case, since somebody else may have moved the grippers.
 
         Raises:
             LinkError: One was lost.
@@ -288,18 +290,18 @@ class Grippers(Closing):
     def activate(
         self, confirm: Callable[[str], bool], within_s: float = ACTIVATION_S, *, held: str | None = None
     ) -> None:
-        """Activate those that need it, one after the other, if a person agrees. It waits for the end.
+        """Activate those that need it, one after the other, with the operator's confirmation. It waits for the end.
 
-        Grippers that are active already are left alone: what they hold stays held.
+        Active grippers are left alone: a held object stays held.
 
         Args:
-            confirm: Shows the question to a person, and says whether the answer was yes. It is called once for each
-                gripper that needs it, and not at all if none does.
-            within_s: For each of them.
-            held: "left" or "right": of that arm, which is not to move, the gripper is left as it is.
+            confirm: Asks the operator, and returns True for yes. It is called once for each gripper that needs
+                activation.
+            within_s: Time limit of each activation.
+            held: "left" or "right": arm that is not to move, and whose gripper is left as it is.
 
         Raises:
-            OperationRefusedError: The person did not agree.
+            OperationRefusedError: The operator did not confirm it.
             LinkError: One was lost, or did not become active.
         """
         for each in self.each:
@@ -317,19 +319,19 @@ class Grippers(Closing):
             each.activate(within_s)
 
     def close(self) -> None:
-        """End the connections. Nothing is sent: what is held stays held. May be called twice."""
+        """End the connections. Nothing is sent: a held object stays held. May be called twice."""
         for each in self.each:
             if each is not None:
                 each.close()
 
 
 def link_to(arm: ArmEntry, force_n: float, name: str = "") -> GripperLink | None:
-    """A connection to an arm's gripper, or None if there is none.
+    """Return a link to an arm's gripper, or None if there is none.
 
     Args:
-        arm: Of the cell file.
-        force_n: Of the grip; a gripper at a digital output has its own.
-        name: Of the arm, for messages.
+        arm: Entry of the cell file.
+        force_n: Grip force; a gripper at a digital output has its own.
+        name: Name of the arm, for messages.
 
     Raises:
         SettingsError: The force is not legal.
@@ -342,9 +344,9 @@ def link_to(arm: ArmEntry, force_n: float, name: str = "") -> GripperLink | None
     return None
 
 
-def _started(name: str, link: GripperLink, may: Callable[[], bool]) -> GripperThread:
+def _started(name: str, link: GripperLink, permitted: Callable[[], bool]) -> GripperThread:
     try:
-        return GripperThread(name, link, may=may)
+        return GripperThread(name, link, permitted=permitted)
     except BaseException:
         link.close()
         raise

@@ -130,7 +130,7 @@ class RtdeCell:
                 if arm.gripper.kind == "none":
                     raise SettingsError(f"this task needs grippers, and {name}.gripper in {file.source} is of none")
             runner = self._open
-            self._grippers = Grippers(file, force_n=equipment.grip_force_n, may=lambda: runner.moves_on)
+            self._grippers = Grippers(file, force_n=equipment.grip_force_n, permitted=lambda: runner.moves_on)
         self._tracker = tracker_of(file, equipment.prop or "")
         self._placer = placer_of(file)
 
@@ -347,7 +347,7 @@ class RtdeCell:
         end = time.monotonic() + _OPENING_S
         while True:
             runner.check()
-            fault = grippers.fault_but(held)
+            fault = grippers.fault_except(held)
             if fault:
                 raise StartError(f"a gripper does not do what it is told: {fault}")
             found = grippers.opening_m
@@ -370,7 +370,7 @@ class RtdeCell:
         q, qd = (np.array([getattr(each, name) for each in statuses]) for name in ("q_rad", "qd_rad_s"))
         opening = wrench = thing = None
         if self._grippers is not None:
-            fault = self._grippers.fault_but(None if self._only is None else ARMS[1 - self._only])
+            fault = self._grippers.fault_except(None if self._only is None else ARMS[1 - self._only])
             if fault:
                 raise LinkError(f"a gripper does not do what it is told: {fault}")
             # One that does not tell is taken to be open.

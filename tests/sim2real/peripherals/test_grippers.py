@@ -1,4 +1,4 @@
-"""Grippers of a cell: the links ask and command, threads keep nobody waiting, and a lost gripper is said to be lost."""
+"""Grippers of a cell: links, threads that delay nothing, and the loss of a gripper."""
 
 import contextlib
 import dataclasses
@@ -28,6 +28,7 @@ from dual_ur10.sim2real.peripherals.gripper_link import (
 from dual_ur10.sim2real.peripherals.grippers import Grippers, GripperThread, link_to
 from dual_ur10.sim2real.protocol.rtde import Kind
 from tests.sim2real.links.fake_servers import exactly, serving, until_closed
+from tests.waiting import until
 
 HERE = "127.0.0.1"
 
@@ -52,14 +53,6 @@ def file(made):
     return made[1]
 
 
-def until(condition, within_s=10.0):
-    end = time.monotonic() + within_s
-    while not (found := condition()):
-        assert time.monotonic() < end, "it did not come about"
-        time.sleep(0.005)
-    return found
-
-
 def yes(question):
     assert "keep hands away" in question
     return True
@@ -78,8 +71,17 @@ def grippers(cell, file):
         yield grippers
 
 
+@contextlib.contextmanager
+def robotiq_link(answers, heard=None):
+    with (
+        serving(lambda connection: robotiq(connection, answers, heard)) as port,
+        RobotiqLink(HERE, port, 127.5) as link,
+    ):
+        yield link
+
+
 def register(link, name):
-    return link._told(name, time.monotonic() + 1.0)
+    return link._get(name, time.monotonic() + 1.0)
 
 
 # Numbers.
@@ -109,7 +111,7 @@ def test_forces():
 # On the emulated cell.
 
 
-def test_nothing_is_sent_before_somebody_asks_for_it(tmp_path):
+def test_nothing_is_sent_without_a_request(tmp_path):
     path = tmp_path / "cell.toml"
     with EmulatedCell(task="Handover", plant="nominal", cell=str(path)) as cell:
         with Grippers(load_cell_file(path)) as grippers:
@@ -120,17 +122,17 @@ def test_nothing_is_sent_before_somebody_asks_for_it(tmp_path):
                 grippers.activate(lambda question: False)
             with pytest.raises(OperationRefusedError):
                 grippers.activate(lambda question: "yes")  # only True is
-            # Asked for nothing, both are as they were.
+            # Refused activations changed nothing.
             assert [each.needs_activation() for each in grippers.each] == [True, True]
-            # A command to a gripper that is not active: it is said, and does not end the thread.
+            # A command to an inactive gripper is a fault, and does not end the thread.
             grippers.command((0.02, None), 0.0)
             until(lambda: "FLT 7: it has to be activated" in grippers.fault)
             asked = []
             grippers.activate(lambda question: asked.append(question) or True)
             assert len(asked) == 2
             assert grippers.fault == ""
-            grippers.activate(never)  # who is active is left alone
-        with contextlib.closing(RobotiqLink(cell.left, 63352)) as link:
+            grippers.activate(never)  # active grippers are left alone
+        with RobotiqLink(cell.left, 63352) as link:
             assert not link.needs_activation()  # closing sent nothing
 
 
@@ -138,7 +140,7 @@ def test_a_command_is_sent_when_it_is_due(grippers):
     begin = time.monotonic()
     grippers.command((0.03, 0.02), begin + 0.4)
     assert time.monotonic() - begin < 0.3  # it did not wait
-    with contextlib.closing(RobotiqLink(*address(grippers, 0))) as other:
+    with RobotiqLink(*address(grippers, 0)) as other:
         while time.monotonic() < begin + 0.3:
             assert register(other, "PRE") == 0
         until(lambda: register(other, "PRE") == counts_of(0.03))
@@ -154,7 +156,7 @@ def address(grippers, arm):
     return socket.getpeername()
 
 
-def test_what_is_held_stays_held(cell, file):
+def test_a_held_object_stays_held(cell, file):
     with Grippers(file) as grippers:
         grippers.activate(yes)
         grippers.command((0.02, OPENING_M), 0.0)
@@ -186,7 +188,7 @@ def test_a_lost_gripper_is_named_and_the_other_goes_on(grippers, cell, reset):
     assert "left arm, Robotiq gripper at" in grippers.fault
     assert "right" not in grippers.fault
     until(lambda: not grippers.each[0]._thread.is_alive())
-    grippers.command((0.01, 0.04), 0.0)  # no error here: the fault tells
+    grippers.command((0.01, 0.04), 0.0)  # no error here: `fault` reports it
     until(lambda: abs(grippers.opening_m[1] - 0.04) < 0.001)
     assert grippers.opening_m[0] > 0.08
     time.sleep(0.1)
@@ -195,7 +197,7 @@ def test_a_lost_gripper_is_named_and_the_other_goes_on(grippers, cell, reset):
         grippers.activate(never)
 
 
-def test_a_silent_gripper_is_lost_and_keeps_nobody_waiting(grippers, cell):
+def test_a_silent_gripper_is_lost_and_delays_nothing(grippers, cell):
     cell.ask("link", arm="right", port="gripper", mute=True)
     until(lambda: grippers.fault, within_s=5.0)
     assert "right arm, Robotiq gripper" in grippers.fault
@@ -223,11 +225,11 @@ def test_no_gripper(file):
         assert grippers.fault == ""
 
 
-# The protocol, against servers that do it wrong.
+# The Robotiq protocol, against faulty servers.
 
 
 def robotiq(connection, answers, heard=None):
-    """Answer GETs from a mapping, by what the last SET said of ACT if it is there; a SET is acknowledged."""
+    """Answer GETs from a mapping, whose keys may end with the last value of ACT; acknowledge SETs."""
     rest, active = b"", ""
     while True:
         while b"\n" not in rest:
@@ -249,12 +251,10 @@ def robotiq(connection, answers, heard=None):
 @pytest.mark.parametrize("ack", ["ack", "ack\n", "ack\r\n"])
 def test_an_ack_with_or_without_an_end(ack):
     answers = {"STA": "STA 3\n", "POS": "POS 51\n", "OBJ": "OBJ 2\n", "SET": ack}
-    with serving(lambda connection: robotiq(connection, answers)) as port:
-        link = RobotiqLink(HERE, port)
+    with robotiq_link(answers) as link:
         for opening_m in (0.02, 0.03, 0.04):
             assert link.command(opening_m)
             assert link.read() == GripperReading(pytest.approx(0.8 * OPENING_M), "", True)
-        link.close()
 
 
 @pytest.mark.parametrize(
@@ -267,7 +267,7 @@ def test_an_ack_with_or_without_an_end(ack):
         ("STA", "x" * 300, "no Robotiq gripper"),
     ],
 )
-def test_an_answer_that_is_none(name, answer, text):
+def test_an_answer_that_is_not_valid(name, answer, text):
     with serving(lambda connection: robotiq(connection, {name: answer, "SET": "ack"})) as port:
         if text is None:
             link = RobotiqLink(HERE, port)
@@ -278,61 +278,49 @@ def test_an_answer_that_is_none(name, answer, text):
                 RobotiqLink(HERE, port)
 
 
-def test_a_command_that_is_not_taken():
-    with serving(lambda connection: robotiq(connection, {"SET": "?\n"})) as port:
-        link = RobotiqLink(HERE, port)
-        with pytest.raises(LinkError, match=r"answers '\?' to 'SET POS"):
-            link.command(0.01)
-        link.close()
+def test_a_command_that_is_not_accepted():
+    with robotiq_link({"SET": "?\n"}) as link, pytest.raises(LinkError, match=r"answers '\?' to 'SET POS"):
+        link.command(0.01)
 
 
 @pytest.mark.parametrize("code", [*sorted(FAULTS), 1, 0x53])
 def test_faults_are_explained(code):
-    with serving(lambda connection: robotiq(connection, {"STA": "STA 3\n", "FLT": f"FLT {code}\n"})) as port:
-        link = RobotiqLink(HERE, port)
+    with robotiq_link({"STA": "STA 3\n", "FLT": f"FLT {code}\n"}) as link:
         text = link.read().fault
         assert text.startswith(f"FLT {code}: ")
         assert ("does not list" in text) == (code & 15 not in FAULTS)
         assert link.needs_activation() == (code & 15 > 5)
-        link.close()
 
 
 def test_an_activation_that_does_not_end():
-    with serving(lambda connection: robotiq(connection, {"SET": "ack"})) as port:
-        link = RobotiqLink(HERE, port)
-        with pytest.raises(LinkError, match=r"not active after 0.1 s"):
-            link.activate(0.1)
-        link.close()
+    with robotiq_link({"SET": "ack"}) as link, pytest.raises(LinkError, match=r"not active after 0.1 s"):
+        link.activate(0.1)
 
 
 def test_an_activation_begins_with_a_reset():
     heard = []
     answers = {"SET": "ack", "STA": "STA 3\n", "STA0": "STA 0\n", "STA1": "STA 3\n"}
-    with serving(lambda connection: robotiq(connection, answers, heard)) as port:
-        link = RobotiqLink(HERE, port)
+    with robotiq_link(answers, heard) as link:
         link.activate(5.0)
-        link.close()
     assert heard == ["SET ACT 0", "SET ACT 1"]
 
 
 def test_a_command_is_sent_once_and_again_after_an_activation():
     heard = []
     answers = {"SET": "ack", "STA": "STA 3\n", "STA0": "STA 0\n", "STA1": "STA 3\n"}
-    with serving(lambda connection: robotiq(connection, answers, heard)) as port:
-        link = RobotiqLink(HERE, port, 127.5)
+    with robotiq_link(answers, heard) as link:
         step_m = OPENING_M / 255
         commands = (0.0, 0.4 * step_m, step_m, step_m, 0.0)
         assert [link.command(opening_m) for opening_m in commands] == [True, False, True, False, True]
         link.activate(5.0)
         assert link.command(0.0)
-        link.forget()  # somebody may have moved it
+        link.forget()  # since somebody may have moved it
         assert link.command(0.0)
-        link.close()
     positions = [line for line in heard if "POS" in line]
     assert positions == [f"SET POS {counts} SPE 255 FOR 128 GTO 1" for counts in (255, 254, 255, 255, 255)]
 
 
-def test_an_answer_that_was_interrupted_is_not_taken_for_the_next_ones(monkeypatch):
+def test_an_interrupted_request_closes_the_connection(monkeypatch):
     answers = {"SET": "ack", "STA": "STA 3\n"}
     with serving(lambda connection: robotiq(connection, answers)) as port:
         link = RobotiqLink(HERE, port)
@@ -348,7 +336,7 @@ def test_an_answer_that_was_interrupted_is_not_taken_for_the_next_ones(monkeypat
             link.read()
 
 
-def test_only_what_is_asked_for_is_sent():
+def test_nothing_else_is_sent():
     heard = []
 
     def talk(connection):
@@ -365,7 +353,7 @@ def test_only_what_is_asked_for_is_sent():
 
 
 class Link:
-    """A link that remembers, and fails when told to."""
+    """Link that records commands, and fails on demand."""
 
     where = "a gripper"
 
@@ -411,8 +399,8 @@ def thread(link):
     assert link.closed
 
 
-def test_commands_ahead_of_each_other_all_come_in_their_turn(thread, link):
-    """Each comes before the one before it is due: none of them starves."""
+def test_commands_are_sent_in_order(thread, link):
+    """Each is given before the one before it is due: none starves."""
     begin = time.monotonic()
     for number in range(5):
         thread.command(0.01 * number, begin + 0.1 + 0.05 * number)
@@ -421,18 +409,18 @@ def test_commands_ahead_of_each_other_all_come_in_their_turn(thread, link):
     assert all(at_s >= begin + 0.1 + 0.05 * number for number, (_, at_s) in enumerate(link.sent))
 
 
-def test_the_last_one_wins(thread, link):
+def test_a_later_call_drops_commands_for_later(thread, link):
     begin = time.monotonic()
     thread.command(0.01, begin + 0.2)
     thread.command(0.02, begin + 0.3)
-    thread.command(0.03, begin + 0.15)  # what was to come later is forgotten
+    thread.command(0.03, begin + 0.15)
     until(lambda: link.sent)
     time.sleep(max(0.0, begin + 0.35 - time.monotonic()))
     assert [opening_m for opening_m, _ in link.sent] == [0.03]
 
 
 def test_of_several_that_are_due_the_last_is_sent(thread, link):
-    link.gate.clear()  # the gripper takes its time to answer
+    link.gate.clear()  # the gripper answers late
     time.sleep(0.05)
     begin = time.monotonic()
     for number in range(100):
@@ -443,10 +431,10 @@ def test_of_several_that_are_due_the_last_is_sent(thread, link):
     assert [opening_m for opening_m, _ in link.sent] == [99e-4]
 
 
-def test_a_command_that_does_not_hold_any_more_when_it_is_due_is_not_sent(link):
-    """Both arms were stopped meanwhile: what is held stays held."""
+def test_a_command_that_is_not_permitted_when_due_is_not_sent(link):
+    """As after a stop of both arms: a held object stays held."""
     allowed = True
-    thread = GripperThread("left", link, 0.005, may=lambda: allowed)
+    thread = GripperThread("left", link, 0.005, permitted=lambda: allowed)
     thread.command(0.01, time.monotonic())
     until(lambda: link.sent)
     thread.command(0.08, time.monotonic() + 0.1)
@@ -459,7 +447,7 @@ def test_a_command_that_does_not_hold_any_more_when_it_is_due_is_not_sent(link):
     thread.close()
 
 
-def test_commands_from_before_an_activation_are_forgotten(thread, link):
+def test_an_activation_drops_waiting_commands(thread, link):
     thread.command(0.01, time.monotonic() + 0.02)
     thread.activate()
     time.sleep(0.1)
@@ -468,7 +456,7 @@ def test_commands_from_before_an_activation_are_forgotten(thread, link):
     until(lambda: link.sent)
 
 
-def test_a_gripper_that_is_stuck_keeps_nobody_waiting_and_is_said_to_be(thread, link, monkeypatch):
+def test_a_stuck_gripper_is_reported_and_delays_nothing(thread, link, monkeypatch):
     monkeypatch.setattr("dual_ur10.sim2real.peripherals.grippers.STALE_S", 0.1)
     assert thread.fault == ""
     link.gate.clear()
@@ -479,7 +467,7 @@ def test_a_gripper_that_is_stuck_keeps_nobody_waiting_and_is_said_to_be(thread, 
     until(lambda: link.sent)
 
 
-def test_a_fault_of_the_gripper_is_told_as_long_as_it_lasts(thread, link):
+def test_a_fault_is_reported_as_long_as_it_lasts(thread, link):
     link.fault = "FLT 8: too hot"
     until(lambda: thread.fault == "a gripper: FLT 8: too hot")
     link.fault = ""
@@ -487,7 +475,7 @@ def test_a_fault_of_the_gripper_is_told_as_long_as_it_lasts(thread, link):
 
 
 @pytest.mark.parametrize("error", [LinkError("gone"), RuntimeError("a mistake")])
-def test_a_thread_that_ends_says_why(thread, link, error):
+def test_a_thread_that_ends_reports_its_reason(thread, link, error):
     link.error = error
     until(lambda: thread.fault)
     assert str(error) in thread.fault
@@ -500,7 +488,7 @@ def test_a_thread_that_ends_says_why(thread, link, error):
 
 
 @pytest.mark.parametrize("opening_m", [-0.001, 0.086, float("nan"), float("inf")])
-def test_openings_that_it_does_not_have(thread, link, opening_m):
+def test_openings_that_are_not_legal(thread, link, opening_m):
     with pytest.raises(ActionError, match="left gripper"):
         thread.command(opening_m, 0.0)
     with pytest.raises(ActionError, match="finite time"):
@@ -514,7 +502,7 @@ def test_a_closed_gripper(link):
     thread.close()
     thread.close()
     time.sleep(0.1)
-    assert link.sent == []  # also what was to come
+    assert link.sent == []  # waiting commands included
     assert thread.fault == ""
     for act in (thread.needs_activation, thread.activate, lambda: thread.command(0.01, 0.0)):
         with pytest.raises(ClosedError):
@@ -534,7 +522,7 @@ def test_a_digital_output(cell, output, open_level):
     others = cell.ask("state", arm="left", names=[OUTPUTS])[OUTPUTS] & ~(1 << output)
     before = level()
     gripper = DigitalGripper(output=output, open_level=open_level)
-    with contextlib.closing(DigitalGripperLink(cell.left, gripper, name="left")) as link:
+    with DigitalGripperLink(cell.left, gripper, name="left") as link:
         assert level() == before  # nothing is sent by itself
         assert not link.needs_activation()
         assert f"gripper at output {output}" in link.where
@@ -542,10 +530,10 @@ def test_a_digital_output(cell, output, open_level):
             link.command(opening_m)
             until(lambda opens=opens: level() == (opens == open_level))
             until(lambda opens=opens: link.read() == GripperReading(OPENING_M if opens else 0.0, "", None))
-            assert not link.command(opening_m)  # it is so already
+            assert not link.command(opening_m)  # no change
             link.forget()
             assert link.command(opening_m)
-            assert not link.command(0.5 * OPENING_M)  # between, it stays
+            assert not link.command(0.5 * OPENING_M)  # hysteresis
         kept = level()
     time.sleep(0.1)
     assert level() == kept  # closing sends nothing
@@ -564,7 +552,7 @@ def test_a_digital_gripper_of_the_cell_file(cell, file):
     assert link_to(dataclasses.replace(file.left, gripper=NoGripper()), 60.0) is None
 
 
-def test_outputs_that_another_client_has(cell):
+def test_outputs_in_use_by_another_client(cell):
     names = ("standard_digital_output_mask", "standard_digital_output")
     end_s = time.monotonic() + 5.0
     client = RtdeClient("", cell.left, 30004, end_s)
@@ -578,10 +566,10 @@ def test_outputs_that_another_client_has(cell):
 
 
 def test_registers_are_left_to_others(cell):
-    """A link and all registers that commands need, at the same time."""
+    """A link leaves all registers free that commands need."""
     from dual_ur10.sim2real.commissioning.doctor import REGISTERS
 
-    with contextlib.closing(DigitalGripperLink(cell.left, DigitalGripper(output=1))):
+    with DigitalGripperLink(cell.left, DigitalGripper(output=1)):
         end_s = time.monotonic() + 5.0
         client = RtdeClient("", cell.left, 30004, end_s)
         try:
@@ -593,7 +581,7 @@ def test_registers_are_left_to_others(cell):
 
 def test_an_output_that_something_else_sets(cell, monkeypatch):
     monkeypatch.setattr("dual_ur10.sim2real.peripherals.digital_gripper.CHANGE_S", 0.1)
-    with contextlib.closing(DigitalGripperLink(cell.left, DigitalGripper(output=2, open_level=True))) as link:
+    with DigitalGripperLink(cell.left, DigitalGripper(output=2, open_level=True)) as link:
         link.command(OPENING_M)
         cell.ask("override", arm="left", **{OUTPUTS: 0})
         try:
@@ -605,7 +593,7 @@ def test_an_output_that_something_else_sets(cell, monkeypatch):
 
 @pytest.mark.parametrize("fault", ["drop", "mute"])
 def test_a_lost_controller(cell, fault):
-    with contextlib.closing(DigitalGripperLink(cell.right, DigitalGripper(output=2), name="right")) as link:
+    with DigitalGripperLink(cell.right, DigitalGripper(output=2), name="right") as link:
         link.read()
         if fault == "drop":
             cell.ask("drop", arm="right", port="rtde")
@@ -621,11 +609,11 @@ def test_a_lost_controller(cell, fault):
 
         text = until(lost)
         assert "right arm, RTDE" in text
-        assert ("stands still" in text) == (fault == "mute")
+        assert ("stalls" in text) == (fault == "mute")
 
 
 def test_the_sending_connection_alone_is_lost(cell):
-    with contextlib.closing(DigitalGripperLink(cell.right, DigitalGripper(output=2))) as link:
+    with DigitalGripperLink(cell.right, DigitalGripper(output=2)) as link:
         assert isinstance(link._reader, RtdeLink)
         assert isinstance(link._sender.socket, LinkSocket)
         link._sender.socket._socket.shutdown(2)

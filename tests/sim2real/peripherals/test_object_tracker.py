@@ -19,6 +19,7 @@ from dual_ur10.sim2real.links.json_link import JsonLink
 from dual_ur10.sim2real.peripherals.object_placer import placer_of
 from dual_ur10.sim2real.peripherals.object_tracker import STALE_S, CameraTracker, Flanges, tracker_of
 from tests.sim2real.links.fake_servers import serving
+from tests.waiting import until
 
 HERE = "127.0.0.1"
 FLANGES = Flanges(
@@ -43,14 +44,6 @@ def cell(made):
 @pytest.fixture
 def file(made):
     return made[1]
-
-
-def until(condition, within_s=10.0):
-    end = time.monotonic() + within_s
-    while not (found := condition()):
-        assert time.monotonic() < end, "it did not come about"
-        time.sleep(0.005)
-    return found
 
 
 def failure(tracker):

@@ -63,6 +63,7 @@ class Page(HTMLParser):
         self.feed(text)
         self.close()
         assert not self.open, self.open
+        self.text = " ".join(self.text.split())
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         if tag not in VOID:
@@ -112,7 +113,7 @@ def test_the_terminal_shows_a_row_per_run_and_where_the_files_are(made: tuple[Pa
 
 def test_the_report_has_the_tables_of_the_sine(made: tuple[Path, str]) -> None:
     page = Page((made[0] / "report.html").read_text(encoding="utf-8"))
-    accuracy = page.tables["accuracy"]
+    accuracy = page.tables["sine-table"]
     assert [row[0] for row in accuracy[1:]] == [each.title for each in sine.CASES]
     assert all(len(row) == 9 for row in accuracy)
     figures = {row[0]: row[1:] for row in accuracy[1:]}
@@ -123,7 +124,7 @@ def test_the_report_has_the_tables_of_the_sine(made: tuple[Path, str]) -> None:
 
 
 def test_the_report_has_a_row_for_each_way_to_carry(made: tuple[Path, str]) -> None:
-    head, *rows = Page((made[0] / "report.html").read_text(encoding="utf-8")).tables["carry"]
+    head, *rows = Page((made[0] / "report.html").read_text(encoding="utf-8")).tables["carry-table"]
     assert [row[0] for row in rows] == [each.title for each in carry.CASES]
     column = {re.sub(r"(mm|°|N|%.*)$", "", name): k for k, name in enumerate(head)}
     relative = [float(row[column["relative position"]]) for row in rows]
@@ -138,7 +139,7 @@ def test_the_report_has_a_row_for_each_way_to_carry(made: tuple[Path, str]) -> N
 
 
 def test_the_report_has_a_row_for_each_handover(made: tuple[Path, str]) -> None:
-    head, *rows = Page((made[0] / "report.html").read_text(encoding="utf-8")).tables["handover"]
+    head, *rows = Page((made[0] / "report.html").read_text(encoding="utf-8")).tables["handover-table"]
     seeds = range(run.QUICK.episodes)
     assert [row[0] for row in rows] == [f"{each.title}, seed {k}" for each in handover.CASES for k in seeds]
     for row in rows:
@@ -305,7 +306,7 @@ def test_the_section_shows_both_sides_of_a_task(beside: emulated.EmulatedPair) -
     compared = sum(each.sent.compared for each in beside.comparison.arms)
     assert row[5].endswith(f" of {compared}")
     assert row[-2] == str(beside.emulated.late_actions)
-    for words in ("Emulated is not real", "depend on what else this machine does", "SyncCarry: CellFaulted: <late>"):
+    for words in ("Emulated is not real", "depend on the other work of this machine", "SyncCarry: CellFaulted: <late>"):
         assert words in page.text
     assert beside.emulated.folder.name in page.text
 

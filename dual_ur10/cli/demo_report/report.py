@@ -55,7 +55,7 @@ def write_report(path: Path, findings: Findings) -> None:
     """
     tasks = {each.name: each for each in TASKS}
     values: dict[str, Any] = {
-        name: {**task.context(findings.results[name]), "table": task.table(name, findings.results[name])}
+        name: {**task.context(findings.results[name]), "table": task.table(f"{name}-table", findings.results[name])}
         for name, task in tasks.items()
     }
     noisy = [each for each in findings.results["handover"] if each.case.name == tasks["handover"].cases[-1].name]

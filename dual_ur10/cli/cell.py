@@ -11,14 +11,14 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from dual_ur10.cli.options import console, errors
+from dual_ur10.cli.options import ArmFamily, Left, Right, console, errors
 from dual_ur10.errors import CellFileError, SettingsError, UnknownNameError
 from dual_ur10.ids import env_id_of
 
 FINDINGS = 2
-"""Exit code when something is wrong with a file."""
+"""Exit code of a file with errors."""
 
-app = typer.Typer(help="Files that say what a cell of two controllers is.", no_args_is_help=True)
+app = typer.Typer(help="Create, check and show cell files, and clear latched stops.", no_args_is_help=True)
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="A cell file, such as lab.toml.")]
 
@@ -27,12 +27,12 @@ File = Annotated[Path, typer.Argument(metavar="FILE", help="A cell file, such as
 def new(
     file: File,
     kind: Annotated[str, typer.Option("--kind", help="real or emulated.")] = "real",
-    left: Annotated[str | None, typer.Option("--left", help="IPv4 address of the left controller.")] = None,
-    right: Annotated[str | None, typer.Option("--right", help="IPv4 address of the right controller.")] = None,
-    family: Annotated[str, typer.Option("--family", help="cb3 (UR10, 125 Hz) or e-series (UR10e, 500 Hz).")] = "cb3",
-    task: Annotated[str | None, typer.Option("--task", help="Environment that the cell is set up for.")] = None,
+    left: Left = None,
+    right: Right = None,
+    family: ArmFamily = "cb3",
+    task: Annotated[str | None, typer.Option("--task", help="Environment for which the cell is set up.")] = None,
 ) -> None:
-    """Write a commented cell file to begin with, slow enough for a first run. No file is ever overwritten."""
+    """Write a commented cell file to start from, slow enough for a first run. Files are never overwritten."""
     from dual_ur10.sim2real.config.cell_file import starting_text
     from dual_ur10.sim2real.config.cell_file_text import write_new
 
@@ -53,7 +53,7 @@ def new(
 
 @app.command()
 def check(file: File) -> None:
-    """Say all that is wrong with a cell file, a line each. Connects to nothing."""
+    """Report all errors of a cell file, a line each. Connects to nothing."""
     from dual_ur10.sim2real.config.cell_file import examine
 
     cell, findings = examine(file)
@@ -73,7 +73,7 @@ def check(file: File) -> None:
 
 @app.command()
 def show(file: File) -> None:
-    """Show what a cell file says, defaults included."""
+    """Show all values of a cell file, defaults included."""
     from dual_ur10.sim2real.config.cell_file import load_cell_file
 
     cell = load_cell_file(file)
@@ -97,9 +97,9 @@ def show(file: File) -> None:
 @app.command()
 def clear(
     file: File,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for emulated cells alone.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask. Only for emulated cells.")] = False,
 ) -> None:
-    """Say that somebody has looked at arms that were stopped, so that they may be started again."""
+    """Clear a latched stop, once an operator has checked both arms, so that they may be started again."""
     from dual_ur10.sim2real.commissioning.operator_prompts import ask_at_terminal
     from dual_ur10.sim2real.config.cell_file import load_cell_file
     from dual_ur10.sim2real.runtime.latch import Latch
@@ -114,15 +114,15 @@ def clear(
         f"[bold red]stopped[/] at {fault.when_utc} UTC: {escape(fault.text)}", highlight=False, soft_wrap=True
     )
     if yes and cell.kind == "real":
-        raise SettingsError("--yes is for emulated cells: somebody must look at real arms and say so at a terminal")
-    if not yes and not ask_at_terminal("Have both arms been looked at, and has the cause been put right?"):
-        raise SettingsError("the fault was left as it is")
+        raise SettingsError("--yes is for emulated cells: an operator must check real arms and confirm at a terminal")
+    if not yes and not ask_at_terminal("Have both arms been checked, and has the cause been removed?"):
+        raise SettingsError("not confirmed: the latched stop remains")
     latch.clear()
-    console.print("cleared: the next start looks at both controllers again", highlight=False)
+    console.print("cleared: the next start checks both controllers again", highlight=False)
 
 
 def _flat(values: Mapping[str, Any], path: str = "") -> dict[str, str]:
-    """Values as texts, by their paths."""
+    """Return values as texts, by their paths."""
     found: dict[str, str] = {}
     for name, value in values.items():
         here = f"{path}{name}"
@@ -137,7 +137,7 @@ def _flat(values: Mapping[str, Any], path: str = "") -> dict[str, str]:
 
 
 def _short(value: Any) -> Any:
-    """Numbers with as many digits as matter to a reader."""
+    """Round numbers to nine digits."""
     if isinstance(value, tuple):
         return [_short(each) for each in value]
     return float(f"{value:.9g}") if isinstance(value, float) else value

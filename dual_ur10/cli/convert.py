@@ -15,22 +15,27 @@ from dual_ur10.ids import env_id_of
 
 
 def convert(
-    model: Annotated[Path, typer.Argument(metavar="MODEL", help="A zip file of Stable-Baselines3.")],
+    model: Annotated[Path, typer.Argument(metavar="MODEL", help="A model saved by Stable-Baselines3, a zip file.")],
     env: EnvName,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FOLDER", help="Folder to be made.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FOLDER", help="Folder to create.")],
     trust_pickle: Annotated[
-        bool, typer.Option("--trust-pickle", help="You know who made these files, and let them run code.")
+        bool,
+        typer.Option("--trust-pickle", help="Run the code in these files: you trust their author."),
     ] = False,
     vec_normalize: Annotated[
-        Path | None, typer.Option("--vec-normalize", metavar="FILE", help="The VecNormalize that was saved with it.")
+        Path | None, typer.Option("--vec-normalize", metavar="FILE", help="The VecNormalize saved with the model.")
     ] = None,
-    algo: Annotated[str | None, typer.Option("--algo", "-a", help="ppo or sac; else the file says it.")] = None,
+    algo: Annotated[str | None, typer.Option("--algo", "-a", help="ppo or sac. Default: from the file.")] = None,
     agents: Annotated[
-        str | None, typer.Option("--agents", help="joint: for both arms; shared: for each arm. Else the file says it.")
+        str | None,
+        typer.Option(
+            "--agents",
+            help="joint: for both arms; shared: for each arm. Default: from the file.",
+        ),
     ] = None,
     settings: Settings = None,
 ) -> None:
-    """Make a checkpoint of a model of Stable-Baselines3, by running the code that is in its file."""
+    """Convert a model of Stable-Baselines3 to a checkpoint. This runs the code that the file holds."""
     from dual_ur10.policies.learned.checkpoint import check_new, save
     from dual_ur10.policies.learned.from_sb3 import Algorithm, from_sb3, glance
     from dual_ur10.policies.learned.signature import described
@@ -43,20 +48,20 @@ def convert(
     if agents is not None and agents not in sizes:
         raise UnknownNameError("agents", agents, list(sizes))
     check_new(out)
-    said, size = glance(model)
-    if algo is None and said is None:
+    specified, size = glance(model)
+    if algo is None and specified is None:
         raise CheckpointError(
-            f"{model} is not known to be of PPO or SAC, and no other can be converted: if it is, say so with --algo"
+            f"{model} does not specify PPO or SAC, and no other can be converted: name one with --algo"
         )
-    if algo is not None and said not in (None, algo):
-        raise CheckpointError(f"{model} is of {said}, --algo says {algo}: leave it out")
+    if algo is not None and specified not in (None, algo):
+        raise CheckpointError(f"{model} is a model of {specified}, but --algo is {algo}: leave --algo out")
     kind: Any = agents or next((name for name, each in sizes.items() if each == size), "joint")
     if size not in (None, sizes[kind]):
         raise CheckpointError(
             f"{model} observes {size} numbers; in {env_id} both arms together (joint) observe {sizes['joint']}, and "
             f"each of them (shared) {sizes['shared']}: name the environment, --agents and --set of its training"
         )
-    trained: Any = algo or said
+    trained: Any = algo or specified
     policy = from_sb3(
         model,
         env_id,
@@ -67,13 +72,13 @@ def convert(
         **keywords,
     )
     manifest = save(out, policy.layers, policy.manifest)
-    # With a "/" in it no folder is taken for the name of a policy.
+    # With a "/" in it, a folder is never mistaken for the name of a policy.
     folder = out if os.sep in str(out) else f"./{out}"
     options = [word for text in settings or () for word in ("--set", text)]
     for line in (
         f"model   {model}: {trained}, {kind}",
         f"policy  {out}",
         f"sha256  {manifest.weights_sha256}",
-        f"look at it with: dual-ur10 evaluate {shlex.join([env, '--policy', str(folder), *options])}",
+        f"evaluate it with: dual-ur10 evaluate {shlex.join([env, '--policy', str(folder), *options])}",
     ):
         console.print(line, highlight=False, soft_wrap=True, markup=False)

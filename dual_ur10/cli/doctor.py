@@ -19,13 +19,15 @@ _MARKS = {"ok": "[green]ok[/]", "warn": "[yellow]warn[/]", "fail": "[bold red]fa
 
 def doctor(
     file: Annotated[
-        Path | None, typer.Argument(metavar="[FILE]", help="A cell file, which says what is expected.")
+        Path | None, typer.Argument(metavar="[FILE]", help="A cell file; without one, name both addresses.")
     ] = None,
-    left: Annotated[str | None, typer.Option("--left", help="Without a file: address of the left controller.")] = None,
-    right: Annotated[str | None, typer.Option("--right", help="And of the right controller.")] = None,
+    left: Annotated[str | None, typer.Option("--left", help="Address of the left controller, without a file.")] = None,
+    right: Annotated[
+        str | None, typer.Option("--right", help="Address of the right controller, without a file.")
+    ] = None,
     family: Annotated[str, typer.Option("--family", help="cb3 (UR10, 125 Hz) or e-series (UR10e, 500 Hz).")] = "cb3",
 ) -> None:
-    """Look at two UR controllers, and say what is not as it should be. Nothing moves. Exit code 1 if anything fails."""
+    """Check two UR controllers and report problems with their remedies. Nothing moves. Exit code 1 if a check fails."""
     from dual_ur10.sim2real.commissioning.doctor import check_cell
     from dual_ur10.sim2real.commissioning.findings import ExpectedArm, any_fails, expected_of
 
@@ -34,7 +36,7 @@ def doctor(
     elif file is None and left is not None and right is not None:
         arms = [ExpectedArm(host=host, family=cast(Family, family)) for host in (left, right)]
     else:
-        raise SettingsError("name a cell file, or both addresses with --left and --right")
+        raise SettingsError("name either a cell file, or both addresses with --left and --right")
     findings = check_cell(*arms)
     table = Table(header_style="bold")
     for header in ("arm", "check", "", "found", "expected", "remedy"):

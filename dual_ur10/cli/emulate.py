@@ -7,26 +7,27 @@ from typing import Annotated
 
 import typer
 
-from dual_ur10.cli.options import console
+from dual_ur10.cli.options import ArmFamily, Left, Right, console
 
 
 def emulate(
-    left: Annotated[str | None, typer.Option("--left", help="Loopback address of the left controller.")] = None,
-    right: Annotated[str | None, typer.Option("--right", help="Loopback address of the right controller.")] = None,
-    family: Annotated[str, typer.Option("--family", help="cb3 (UR10, 125 Hz) or e-series (UR10e, 500 Hz).")] = "cb3",
+    left: Left = None,
+    right: Right = None,
+    family: ArmFamily = "cb3",
     task: Annotated[str, typer.Option("--task", help="Environment whose scene is simulated.")] = "SineTracking",
     cell: Annotated[
-        str | None, typer.Option("--cell", help="Write a file that tells other programs where the controllers are.")
+        str | None,
+        typer.Option("--cell", help="Write a cell file, for programs that connect."),
     ] = None,
     plant: Annotated[
-        str, typer.Option("--plant", help="How the arms differ from what is believed of them: nominal, mild or wide.")
+        str, typer.Option("--plant", help="Deviation of the arms from the nominal model: nominal, mild or wide.")
     ] = "mild",
     dh_error: Annotated[
-        float, typer.Option("--dh-error-mm", min=0.0, help="Largest error of the arms' kinematics.")
+        float, typer.Option("--dh-error-mm", min=0.0, help="Largest error of the arms' kinematics, in mm.")
     ] = 0.0,
-    seed: Annotated[int, typer.Option("--seed", help="Of the plant, the start, and faults left to chance.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the plant, the start, and random faults.")] = 0,
     powered: Annotated[
-        bool, typer.Option("--powered/--powered-off", help="Whether the arms have power from the start.")
+        bool, typer.Option("--powered/--powered-off", help="Start with the arms powered on, or off.")
     ] = True,
     view: Annotated[bool, typer.Option("--view", help="Show the cell in a browser on this machine.")] = False,
 ) -> None:

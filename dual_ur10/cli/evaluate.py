@@ -1,4 +1,4 @@
-"""The command `evaluate`: how often a policy succeeds, and how well."""
+"""The command `evaluate`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsed
 
 from dual_ur10.cli.options import (
     RUNS,
-    TOLD_TO_REST,
+    STOP_COMMANDED,
     CellFileName,
     EnvName,
     NoRecord,
@@ -18,6 +18,7 @@ from dual_ur10.cli.options import (
     Perturbed,
     PolicyName,
     PowerOn,
+    Randomization,
     Seed,
     Settings,
     console,
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from dual_ur10.policies.evaluation.results import Evaluation
 
 BELOW = 1
-"""Exit code when fewer episodes succeed than wanted."""
+"""Exit code when too few episodes succeed."""
 
 
 def evaluate(
@@ -45,18 +46,17 @@ def evaluate(
     policy: PolicyName = "scripted",
     episodes: Annotated[int, typer.Option("--episodes", "-n", help="Number of episodes.")] = 300,
     seed: Seed = 0,
-    envs: Annotated[int, typer.Option("--envs", help="Episodes that run at a time. No result depends on it.")] = 8,
+    envs: Annotated[int, typer.Option("--envs", help="Episodes that run at a time; no result depends on it.")] = 8,
     min_success: Annotated[
         float | None,
-        typer.Option("--min-success", metavar="RATE", help="Exit with code 1 if fewer succeed, such as 0.95."),
+        typer.Option("--min-success", metavar="RATE", help="Exit with code 1 below this success rate."),
     ] = None,
-    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write everything to a file.")] = None,
-    csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write a row per episode.")] = None,
+    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write all results to this file.")] = None,
+    csv: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="Write a row per episode to this file.")
+    ] = None,
     settings: Settings = None,
-    randomization: Annotated[
-        str | None,
-        typer.Option("--randomization", metavar="PRESET", help="What differs from episode to episode."),
-    ] = None,
+    randomization: Randomization = None,
     perturbed: Perturbed = False,
     cell: CellFileName = None,
     arm: OneArm = None,
@@ -66,13 +66,13 @@ def evaluate(
         typer.Option(
             "--record",
             metavar="FOLDER",
-            help="A folder with the record of this run is made in it: with --cell in runs/ if nothing is said, in "
-            "simulation only if it is, and then one episode runs at a time.",
+            help="Record the run, in a new folder inside this one. Default: runs with --cell, none in simulation. "
+            "Episodes that are recorded run one at a time.",
         ),
     ] = None,
     no_record: NoRecord = False,
 ) -> None:
-    """Run many episodes of a policy, and print how often and how well it succeeds."""
+    """Run many episodes of a policy, and print its success rate and further figures."""
     from dual_ur10.policies.evaluation.evaluate import evaluate as run
 
     env_id, keywords = env_id_of(env), keywords_of(settings, perturbed, cell, arm)
@@ -83,7 +83,7 @@ def evaluate(
         keywords.setdefault("record", str(record or RUNS))
     envs = envs if cell is None and "record" not in keywords else 1
     if min_success is not None and not 0.0 <= min_success <= 1.0:
-        raise SettingsError(f"--min-success is {min_success:g}: it must be a share from 0 to 1, such as 0.95")
+        raise SettingsError(f"--min-success is {min_success:g}: it must be a rate from 0 to 1, such as 0.95")
     targets = [path for path in (json, csv) if path is not None]
     if len({check_target(path) for path in targets}) < len(targets):
         raise SettingsError(f"--json and --csv both name {json}")
@@ -106,7 +106,7 @@ def evaluate(
                 found = so_far
                 text = f"success {100 * so_far.success_rate:.1f} %"
                 progress.update(bar, description=text, completed=len(so_far.episodes))
-                if cell is not None:  # there is no bar
+                if cell is not None:  # no bar is shown
                     done = f"{len(so_far.episodes)} of {episodes} episodes, {text}{late_text(so_far.late_actions)}"
                     console.print(done, highlight=False)
 
@@ -117,7 +117,7 @@ def evaluate(
         if found is not None:
             console.print(found.as_table())
         done = 0 if found is None else len(found.episodes)
-        arms = "" if cell is None else f"; {TOLD_TO_REST}"
+        arms = "" if cell is None else f"; {STOP_COMMANDED}"
         console.print(f"interrupted after {done} of {episodes} episodes; no result was written{arms}", highlight=False)
         raise typer.Exit(INTERRUPTED) from None
     console.print(found.as_table())
@@ -130,7 +130,7 @@ def evaluate(
     if min_success is not None and found.success_rate < min_success:
         errors.print(
             f"[bold red]too few successes:[/] [red]{found.successes} of {episodes} are a rate of "
-            f"{found.success_rate:.4g}, wanted {min_success:g} or more[/]",
+            f"{found.success_rate:.4g}, required {min_success:g} or more[/]",
             soft_wrap=True,
             highlight=False,
         )

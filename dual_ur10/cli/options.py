@@ -1,4 +1,4 @@
-"""What the commands share: their arguments, and what these stand for."""
+"""Options that several commands share, and the values that they stand for."""
 
 from __future__ import annotations
 
@@ -7,17 +7,24 @@ import json
 from pathlib import Path
 from typing import Annotated, Any
 
+import gymnasium as gym
 import typer
 from rich.console import Console
 from rich.progress import Progress, ProgressColumn
 
-from dual_ur10.errors import SettingsError
+from dual_ur10 import policies
+from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
+from dual_ur10.ids import env_id_of
+from dual_ur10.policies.baselines import BASELINES, RandomPolicy, ZeroPolicy
 
 console = Console()
 errors = Console(stderr=True)
 
+RUNS = Path("runs")
+"""Default folder of recorded runs."""
+
 EnvName = Annotated[
-    str, typer.Argument(metavar="ENV", help="An id, such as DualUR10/SineTracking-v0; SineTracking will do.")
+    str, typer.Argument(metavar="ENV", help="An id, such as DualUR10/SineTracking-v0, or its short form SineTracking.")
 ]
 PolicyName = Annotated[
     str, typer.Option("--policy", "-p", help="scripted, learned, random or zero, or the folder of a checkpoint.")
@@ -28,41 +35,47 @@ Settings = Annotated[
         "--set", metavar="KEY=VALUE", help="A keyword of the environment, such as amplitude_m=0.05. May be repeated."
     ),
 ]
-Perturbed = Annotated[
-    bool, typer.Option("--perturbed", help="A plant that differs from what the controller believes of it.")
+Perturbed = Annotated[bool, typer.Option("--perturbed", help="A plant that differs from the nominal model.")]
+Randomization = Annotated[
+    str | None,
+    typer.Option("--randomization", metavar="PRESET", help="Randomization from episode to episode, such as mild."),
 ]
 CellFileName = Annotated[
-    Path | None, typer.Option("--cell", metavar="FILE", help="A cell file: on two controllers instead of in MuJoCo.")
+    Path | None, typer.Option("--cell", metavar="FILE", help="A cell file: run on its two controllers, not in MuJoCo.")
 ]
 OneArm = Annotated[
-    str | None, typer.Option("--arm", help="left or right: this arm moves, the other stays where it is. With --cell.")
+    str | None, typer.Option("--arm", help="left or right: only this arm moves, the other holds. Needs --cell.")
 ]
 PowerOn = Annotated[
-    bool, typer.Option("--power-on", help="Power the arms on and release their brakes first, if somebody confirms it.")
+    bool, typer.Option("--power-on", help="First power the arms on and release their brakes, once you confirm it.")
 ]
 Record = Annotated[
-    Path, typer.Option("--record", metavar="FOLDER", help="A folder with the record of this run is made in it.")
+    Path, typer.Option("--record", metavar="FOLDER", help="Record the run, in a new folder inside this one.")
 ]
 NoRecord = Annotated[bool, typer.Option("--no-record", help="Do not record.")]
-RUNS = Path("runs")
-"""Where runs are recorded if nothing else is said."""
-
-Seed = Annotated[int, typer.Option("--seed", "-s", min=0, help="Seed of the first episode; the next ones count on.")]
+RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="A recorded run: its folder or its file.")]
+Partial = Annotated[
+    bool, typer.Option("--allow-partial", help="Read the intact part of a run that was cut off, for example by a kill.")
+]
+Seed = Annotated[int, typer.Option("--seed", "-s", min=0, help="Seed of the first episode; the next ones count up.")]
+Left = Annotated[str | None, typer.Option("--left", help="IPv4 address of the left controller.")]
+Right = Annotated[str | None, typer.Option("--right", help="IPv4 address of the right controller.")]
+ArmFamily = Annotated[str, typer.Option("--family", help="cb3 (UR10, 125 Hz) or e-series (UR10e, 500 Hz).")]
 
 
 def keywords_of(
     settings: list[str] | None, perturbed: bool, cell: Path | None = None, arm: str | None = None
 ) -> dict[str, Any]:
-    """Keywords of the environment from `KEY=VALUE` texts; values are Python literals or JSON, or else text.
+    """Return keywords of the environment from `KEY=VALUE` texts; values are Python literals or JSON, else text.
 
     Raises:
         SettingsError: A text has no "=", a key is given twice, or two options do not go together.
     """
     keywords: dict[str, Any] = {}
     if perturbed and cell is not None:
-        raise SettingsError("--perturbed is of simulated cells, and --cell names two controllers: leave one out")
+        raise SettingsError("--perturbed is for simulation, --cell for two controllers: leave one out")
     if arm is not None and cell is None:
-        raise SettingsError("--arm is of two controllers: name their cell file with --cell")
+        raise SettingsError("--arm is for two controllers: name their cell file with --cell")
     if cell is not None:
         keywords["cell"] = str(cell)
     if arm is not None:
@@ -83,10 +96,10 @@ def keywords_of(
 
 
 def randomize(keywords: dict[str, Any], preset: str | None) -> None:
-    """Put what --randomization says into the keywords of the environment.
+    """Add --randomization to the keywords of the environment.
 
     Raises:
-        SettingsError: They say it already.
+        SettingsError: The keywords have it already.
     """
     if preset is None:
         return
@@ -96,37 +109,37 @@ def randomize(keywords: dict[str, Any], preset: str | None) -> None:
 
 
 def record_in(keywords: dict[str, Any], folder: Path, about: dict[str, Any]) -> None:
-    """Let an environment record its run in a folder, unless --set names another, and say what is known of the run."""
+    """Add the folder of the recording, unless --set names another, and the policy's provenance to the keywords."""
     keywords.setdefault("record", str(folder))
     keywords.setdefault("record_about", about)
 
 
 def progress_of(console: Console, cell: Path | None, *columns: ProgressColumn) -> Progress:
-    """A bar for work that takes a while. None where arms move: it would be drawn over what a person is asked."""
+    """Return a progress bar, which is off where arms move: it would be drawn over questions to the operator."""
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal or cell is not None)
 
 
-TOLD_TO_REST = "both arms were told to come to rest: look at them"
-"""What to say of the arms of a cell where somebody has interrupted."""
+STOP_COMMANDED = "both arms were commanded to stop: check them"
+"""Message on the arms of a cell after Ctrl-C."""
 
 
 def late_text(count: int) -> str:
-    """What to append where actions came too late."""
+    """Return a suffix with the number of actions that missed their deadline; "" if none did."""
     if not count:
         return ""
     return f", {count} late action{'' if count == 1 else 's'}"
 
 
 def power_on(cell: Path | None) -> None:
-    """Power the arms of a cell on and release their brakes, if somebody at the terminal confirms it.
+    """Power the arms of a cell on and release their brakes, once an operator at the terminal confirms it.
 
     Raises:
         SettingsError: No cell is named.
-        StartError: Nobody is there to confirm it.
+        StartError: The operator has not confirmed it.
         DualUR10Error: An arm cannot be powered on.
     """
     if cell is None:
-        raise SettingsError("--power-on is of two controllers: name their cell file with --cell")
+        raise SettingsError("--power-on is for two controllers: name their cell file with --cell")
     from dual_ur10.sim2real.commissioning import power
     from dual_ur10.sim2real.commissioning.operator_prompts import prompt_for
     from dual_ur10.sim2real.config.cell_file import load_cell_file
@@ -145,5 +158,32 @@ def _value(text: str) -> Any:
 
 
 def _no_constant(name: str) -> None:
-    """NaN and Infinity are not JSON, though Python reads them."""
+    """Refuse NaN and Infinity, which Python reads although they are not JSON."""
     raise ValueError(name)
+
+
+def make(env: str, policy: str, keywords: dict[str, Any], seed: int) -> tuple[Any, Any]:
+    """Return environment and policy.
+
+    Raises:
+        DualUR10Error: A name or a value is not legal.
+    """
+    env_id = env_id_of(env)
+    names = (*policies.NAMES, *BASELINES)
+    if policy not in names and not policies.is_path(policy):
+        raise UnknownNameError("policy", policy, names)
+    try:
+        made = gym.make(env_id, **keywords)
+    except TypeError as error:
+        # Gymnasium appends where it was raised and all keywords.
+        reason = str(error).split(" was raised from the environment creator")[0]
+        raise SettingsError(f"a value of --set has the wrong type: {reason}") from error
+    try:
+        if policy == "random":
+            return made, RandomPolicy(made.action_space, seed=seed)
+        if policy == "zero":
+            return made, ZeroPolicy(made.action_space)
+        return made, policies.load(policy, env_id, **keywords)
+    except DualUR10Error:
+        made.close()
+        raise

@@ -1,4 +1,4 @@
-"""The command `status`: both arms of a cell, live."""
+"""The command `status`."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ _GROUPS: Final = ((0, 8), (8, 8), (16, 2))  # bits of digital inputs and outputs
 def status(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A cell file.")],
     once: Annotated[bool, typer.Option("--once", help="Print the state once. Exit code 1 if an arm is lost.")] = False,
-    seconds: Annotated[float | None, typer.Option("--seconds", min=0.1, help="Stop after so long.")] = None,
+    seconds: Annotated[float | None, typer.Option("--seconds", min=0.1, help="Stop after this time.")] = None,
 ) -> None:
-    """Show both arms live: modes, power, currents, temperatures, joints, inputs and outputs. It only reads."""
+    """Show both arms live: modes, power, currents, temperatures, joints, inputs and outputs. Read-only."""
     from dual_ur10.sim2real.commissioning.status_view import StatusView
 
     cell = load_cell_file(file)
@@ -60,7 +60,7 @@ def _show(arms: Sequence[Any], end_s: float) -> None:
 
 
 def picture(arms: Sequence[Any]) -> RenderableType:
-    """What is shown of both arms.
+    """Return the tables of both arms.
 
     Args:
         arms: The left and the right `StatusView`.
@@ -73,7 +73,7 @@ def picture(arms: Sequence[Any]) -> RenderableType:
         table.add_row("lost", *(f"[bold red]{escape(arm.dead)}[/]" if arm.dead else "" for arm in arms))
     for label, text in _ROWS:
         cells = [_NONE if arm.status is None else text(arm) for arm in arms]
-        # What was known of a lost arm is old: it is not to be taken for what is.
+        # Values of a lost arm are old, and must look old.
         table.add_row(label, *(f"[dim]{each}[/]" if arm.dead else each for arm, each in zip(arms, cells, strict=True)))
     table.add_row("program", *map(_program, arms))
     table.add_row("gripper", *map(_gripper, arms))

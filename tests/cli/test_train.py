@@ -88,7 +88,7 @@ def test_collect_makes_a_dataset(tmp_path, monkeypatch):
     arguments = ("SineTracking", "-n", 2, "--envs", 2, "--set", "duration_s=2.0", "--randomization", "mild")
     result = run("collect", *arguments)
     assert result.exit_code == 0, result.output
-    assert "2 episodes, 2 of them well, 100 steps" in result.stdout
+    assert "2 episodes, 2 of them successful, 100 steps" in result.stdout
     dataset = minari.load_dataset("dual-ur10/sinetracking/scripted-v0")
     assert dataset.total_episodes == 2
     assert run("collect", *arguments).exit_code == 2

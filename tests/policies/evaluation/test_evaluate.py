@@ -652,7 +652,7 @@ def test_too_few_successes_are_exit_code_1(policy: str, wanted: str, expected: i
         "SineTracking", "-n", "3", "--set", "duration_s=2", "-p", policy, "--min-success", wanted, "--json", str(path)
     )
     assert code == expected
-    assert ("too few successes: 0 of 3 are a rate of 0, wanted 0.5 or more" in text) == bool(expected)
+    assert ("too few successes: 0 of 3 are a rate of 0, required 0.5 or more" in text) == bool(expected)
     assert path.exists()
 
 
@@ -669,7 +669,7 @@ def test_too_few_successes_are_exit_code_1(policy: str, wanted: str, expected: i
         (("SineTracking", "--set", "num_envs=3"), "keyword num_envs"),
         (("SineTracking", "--episodes", "0"), "episodes is 0: it must be a whole number, 1 or more"),
         (("SineTracking", "--envs", "0"), "num_envs is 0"),
-        (("SineTracking", "--min-success", "1.5"), "--min-success is 1.5: it must be a share from 0 to 1"),
+        (("SineTracking", "--min-success", "1.5"), "--min-success is 1.5: it must be a rate from 0 to 1"),
         (("SineTracking", "--min-success", "nan"), "--min-success is nan"),
         (("SineTracking", "--randomization", "x", "--set", "randomization=y"), "randomization is set twice"),
         (("SineTracking", "--json", "none/x.json"), "cannot write none/x.json"),

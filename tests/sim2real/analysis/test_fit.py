@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dual_ur10.cli import runs as cli_runs
+from dual_ur10.cli import fit as cli_fit
 from dual_ur10.errors import CellFileError, RecordingError
 from dual_ur10.sim2real.analysis.cell_update import write_back
 from dual_ur10.sim2real.analysis.fit import ArmFit, Estimate, fit, remark, respond
@@ -265,8 +265,8 @@ def test_fit_says_so_at_the_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyP
     arm = ArmFit(early, replace(early, latency_s=0.001), 0.03, 2000.0)
     monkeypatch.setattr("dual_ur10.sim2real.analysis.fit.fit", lambda run, episode: (arm, arm))
     monkeypatch.setattr("dual_ur10.sim2real.recording.reader.read_run", lambda path, allow_partial: run(1.0))
-    with cli_runs.console.capture() as shown:
-        cli_runs.fit(tmp_path)
+    with cli_fit.console.capture() as shown:
+        cli_fit.fit(tmp_path)
     text = shown.get()
     assert text.count("counts as none") == 2
     assert "note: left, controller alone: the latency is below 0" in text

@@ -119,13 +119,13 @@ def test_options_that_do_not_go_together_are_refused() -> None:
     for command in (("evaluate", "SineTracking"), ("replay", "somewhere"), ("rollout", "SineTracking")):
         code, text = run(*command, "--arm", "left")
         assert code == 2
-        assert "--arm is of two controllers: name their cell file with --cell" in text
+        assert "--arm is for two controllers: name their cell file with --cell" in text
     assert run("rollout", "SineTracking", "-n", "1", *SHORT)[0] == 0
     (made,) = Path("runs").iterdir()
     for command in (("evaluate", "SineTracking"), ("replay", str(made))):
         code, text = run(*command, "--power-on")
         assert code == 2
-        assert "--power-on is of two controllers" in text
+        assert "--power-on is for two controllers" in text
         assert len(list(Path("runs").iterdir())) == 1
 
 
@@ -149,7 +149,7 @@ def test_on_two_controllers_power_comes_first_and_no_bar_hides_a_question(
 
     monkeypatch.setattr("dual_ur10.policies.evaluation.evaluate.evaluate", act)
     monkeypatch.setattr("dual_ur10.sim2real.analysis.replay.replay", act)
-    for module in ("evaluate", "runs"):
+    for module in ("evaluate", "replay"):
         monkeypatch.setattr(f"dual_ur10.cli.{module}.power_on", order.append)
     monkeypatch.setattr(Console, "is_terminal", True)
     arguments = ("SineTracking",) if command == "evaluate" else (str(before),)

@@ -11,7 +11,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from dual_ur10.cli import runs as cli_runs
+from dual_ur10.cli import compare as cli_compare
+from dual_ur10.cli import fit as cli_fit
+from dual_ur10.cli import replay as cli_replay
 from dual_ur10.errors import CellFileError, DualUR10Error, MissingExtraError, RecordingError
 from dual_ur10.sim2real.analysis.compare import compare
 from dual_ur10.sim2real.analysis.report import report, write_report
@@ -20,7 +22,7 @@ from tests.sim2real.analysis.made import run, with_arm
 from tests.sim2real.analysis.recorded import record
 
 app = typer.Typer()
-for command in (cli_runs.replay, cli_runs.compare, cli_runs.fit):
+for command in (cli_replay.replay, cli_compare.compare, cli_fit.fit):
     app.command()(command)
 
 
@@ -125,7 +127,7 @@ def test_a_replay_that_differs_ends_with_code_1(tmp_path: Path, monkeypatch: pyt
     made.episodes[0].q_rad[3, 0, 0] = np.nextafter(made.episodes[0].q_rad[3, 0, 0], 9.0)
     monkeypatch.setattr("dual_ur10.sim2real.recording.reader.read_run", lambda path, allow_partial: made)
     code, text = called("replay", "anything", "--no-record")
-    assert code == cli_runs.DIFFERENT == 1
+    assert code == cli_replay.DIFFERENT == 1
     assert "different: joints in step 2 differ: left shoulder_pan_joint" in text
 
 

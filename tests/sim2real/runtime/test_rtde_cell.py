@@ -410,7 +410,7 @@ def test_ctrl_c_while_arms_move_says_that_they_are_at_rest(lab):
     lab.wait_until_moving(process)
     process.send_signal(signal.SIGINT)
     assert process.wait(30.0) == 130
-    assert process.stdout.read().splitlines()[-1] == "interrupted: both arms are at rest"
+    assert process.stdout.read().splitlines()[-1] == "interrupted: both arms have stopped"
     lab.assert_at_rest()
 
 

@@ -1,0 +1,31 @@
+"""The command `list`."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+from rich.table import Table
+
+from dual_ur10.cli.options import console
+from dual_ur10.ids import ENV_IDS
+from dual_ur10.policies.baselines import BASELINES
+from dual_ur10.policies.registry import shipped_names
+
+
+def list_environments() -> None:
+    """List the environments, their rates and sizes, and the policies for them."""
+    table = Table(box=None, header_style="bold", padding=(0, 2, 0, 0))
+    for header, justify in (("environment", "left"), ("rate", "right"), ("action", "right"), ("observation", "right")):
+        # An id must stay whole, to be copied.
+        table.add_column(header, justify=justify, no_wrap=True, min_width=len(header))  # type: ignore[arg-type]  # rich wants literals
+    table.add_column("policies")
+    table.columns[0].min_width = max(map(len, ENV_IDS))
+    for env_id in ENV_IDS:
+        env = gym.make(env_id)
+        try:
+            core = env.unwrapped.core  # type: ignore[attr-defined]  # Gymnasium knows only Env
+            sizes = [" × ".join(map(str, space.shape or ())) for space in (env.action_space, env.observation_space)]
+            names = ", ".join(("scripted", *shipped_names(env_id), *BASELINES))
+            table.add_row(f"[cyan]{env_id}[/]", f"{1 / core.timing.period_s:g} Hz", *sizes, names)
+        finally:
+            env.close()
+    console.print(table)

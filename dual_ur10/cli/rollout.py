@@ -1,0 +1,102 @@
+"""The command `rollout`."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from dual_ur10.cli.options import (
+    RUNS,
+    CellFileName,
+    EnvName,
+    NoRecord,
+    OneArm,
+    Perturbed,
+    PolicyName,
+    PowerOn,
+    Record,
+    Seed,
+    Settings,
+    console,
+    errors,
+    keywords_of,
+    late_text,
+    make,
+    power_on,
+    record_in,
+)
+from dual_ur10.ids import env_id_of
+from dual_ur10.policies.registry import provenance
+from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
+
+
+def rollout(
+    env: EnvName,
+    policy: PolicyName = "scripted",
+    episodes: Annotated[int, typer.Option("--episodes", "-n", min=1, help="Number of episodes.")] = 5,
+    seed: Seed = 0,
+    settings: Settings = None,
+    perturbed: Perturbed = False,
+    cell: CellFileName = None,
+    arm: OneArm = None,
+    power: PowerOn = False,
+    record: Record = RUNS,
+    no_record: NoRecord = False,
+) -> None:
+    """Run episodes of a policy, in MuJoCo or on two controllers, and print a row for each."""
+    from dual_ur10.policies.evaluation.rollout import rollout as run_episode
+
+    keywords = keywords_of(settings, perturbed, cell, arm)
+    if power:
+        power_on(cell)
+    if not no_record:
+        record_in(keywords, record, provenance(policy, env_id_of(env)))
+    made, actor = make(env, policy, keywords, seed)
+    table = Table(header_style="bold")
+    for header in ("episode", "seed", "steps", "return", "success", "RMS error\n[dim]mm[/]", "largest\n[dim]mm[/]"):
+        table.add_column(header, justify="center" if header == "success" else "right")
+    table.add_column("ended by")
+    returns, successes = [], 0
+    late = 0
+    try:
+        # The operator may be asked something at the terminal.
+        with contextlib.nullcontext() if cell else console.status("running") as shown:
+            for episode in range(episodes):
+                if shown is not None:
+                    shown.update(f"episode {episode + 1} of {episodes}")
+                found = run_episode(made, actor, seed=seed + episode)
+                figures = ["—", "—"]
+                if found.flange_error_m is not None:
+                    squares = (found.flange_error_m**2).mean(axis=0)
+                    figures = [f"{1e3 * np.sqrt(squares.max()):.4f}", f"{1e3 * found.flange_error_m.max():.4f}"]
+                total = float(found.reward.sum())
+                returns.append(total)
+                successes += found.success
+                mark = "[green]yes[/]" if found.success else "[red]no[/]"
+                row = (str(episode), str(seed + episode), str(found.steps), f"{total:.2f}", mark, *figures)
+                table.add_row(*row, escape(found.ended_by))
+                late = made.unwrapped.core.late_actions
+    except KeyboardInterrupt:
+        if cell is None:
+            raise
+        runner = made.unwrapped.core.cell.runner
+        made.close()
+        end = "both arms have stopped" if runner.came_to_rest else "check both arms, one was not seen to stop"
+        errors.print(f"interrupted: {end}", highlight=False, soft_wrap=True)
+        raise typer.Exit(INTERRUPTED) from None
+    finally:
+        made.close()
+    console.print(table)
+    spread = f" ± {np.std(returns):.2f}" if episodes > 1 else ""
+    plant = "perturbed plant" if perturbed else "nominal plant: errors near zero are those of an exact model"
+    if cell is not None:
+        plant = f"{made.unwrapped.core.config.kind} cell"
+    console.print(
+        f"success {successes} of {episodes}, return {np.mean(returns):.2f}{spread} ({plant}){late_text(late)}",
+        highlight=False,
+    )

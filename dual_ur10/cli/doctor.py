@@ -9,7 +9,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from dual_ur10.cli.options import console
+from dual_ur10.cli.options import ArmFamily, Left, Right, console
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.config.cell_file import load_cell_file
 from dual_ur10.sim2real.control.servoj import Family
@@ -21,11 +21,9 @@ def doctor(
     file: Annotated[
         Path | None, typer.Argument(metavar="[FILE]", help="A cell file; without one, name both addresses.")
     ] = None,
-    left: Annotated[str | None, typer.Option("--left", help="Address of the left controller, without a file.")] = None,
-    right: Annotated[
-        str | None, typer.Option("--right", help="Address of the right controller, without a file.")
-    ] = None,
-    family: Annotated[str, typer.Option("--family", help="cb3 (UR10, 125 Hz) or e-series (UR10e, 500 Hz).")] = "cb3",
+    left: Left = None,
+    right: Right = None,
+    family: ArmFamily = "cb3",
 ) -> None:
     """Check two UR controllers and report problems with their remedies. Nothing moves. Exit code 1 if a check fails."""
     from dual_ur10.sim2real.commissioning.doctor import check_cell

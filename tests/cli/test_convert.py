@@ -291,7 +291,7 @@ def test_no_code_runs_where_it_would_be_for_nothing(sb3: Any, tmp_path: Path) ->
         (("SineTracking", "--out", tmp_path / "there"), "exists, and nothing is written over"),
         (("SineTracking", "--out", tmp_path / "a b"), "is no name of a checkpoint"),
         (("SyncCarry", "--out", out), "observes 68 numbers"),
-        (("SineTracking", "--out", out, "--algo", "sac"), "is of ppo"),
+        (("SineTracking", "--out", out, "--algo", "sac"), "is a model of ppo"),
         (("SineTracking", "--out", out, "--algo", "dqn"), "unknown algorithm 'dqn': use one of 'ppo', 'sac'"),
         (("SineTracking", "--out", out, "--agents", "independent"), "unknown agents 'independent': use one of 'joint'"),
         (("SineTracking", "--out", out, "--set", "colour=red"), "unknown keyword of SineTracking 'colour'"),

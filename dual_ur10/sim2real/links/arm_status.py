@@ -1,4 +1,4 @@
-"""What a sample of a controller's state means, and whether an arm may move in it."""
+"""Status of an arm, decoded from RTDE samples, and the reasons for which it must not move."""
 
 from __future__ import annotations
 
@@ -41,44 +41,44 @@ _FIELDS: Final = {
 _OPTIONAL_FIELDS: Final = {"payload": "payload_kg", "payload_cog": "payload_cog_m", "tcp_offset": "tcp_offset"}
 
 STATUS_VARIABLES: Final = tuple(_FIELDS)
-"""RTDE variables of a status. Every version of a controller has them."""
+"""RTDE variables that a status needs. Every software version has them."""
 
 OPTIONAL_VARIABLES: Final = tuple(_OPTIONAL_FIELDS)
-"""RTDE variables that came with software 3.11, 3.12 and 5.5.1: UR's RTDE guide."""
+"""RTDE variables since software 3.11, 3.12 and 5.5.1: UR's RTDE guide."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ArmStatus:
-    """State of one arm, as its controller tells it.
+    """Status of one arm, as its controller reports it.
 
     Attributes:
-        arrival_s: When it was read, on the clock of `time.monotonic`.
-        timestamp_s: The controller's own time.
-        robot_mode: As `RobotMode`, or any other number.
-        safety_mode: As `SafetyMode`, or any other number.
-        robot_bits: As `RobotBits`.
-        safety_bits: As `SafetyBits`.
-        runtime_state: As `RuntimeState`, or any other number.
+        arrival_s: Time of reading, on the clock of `time.monotonic`.
+        timestamp_s: Controller's own time.
+        robot_mode: `RobotMode`, or any other number.
+        safety_mode: `SafetyMode`, or any other number.
+        robot_bits: `RobotBits`.
+        safety_bits: `SafetyBits`.
+        runtime_state: `RuntimeState`, or any other number.
         slider: Speed slider, 0 to 1.
-        speed_scaling: What the controller makes of it, and of reduced mode and its own limits.
+        speed_scaling: Resulting speed scaling, with reduced mode and the controller's own limits.
         q_rad: (6,) measured joint angles.
         qd_rad_s: (6,) measured joint speeds.
-        target_q_rad: (6,) where the controller wants the joints to be.
-        tcp_pose: (6,) measured: x, y, z in m, rotation vector in rad, in `base`.
-        tcp_speed: (6,) measured: m/s and rad/s.
-        tcp_force: (6,) N and N·m; a CB3 estimates it from the currents.
-        current_a: (6,) of the joints.
-        temperature_c: (6,) of the joints.
-        joint_voltage_v: (6,) of the joints.
-        main_voltage_v: Of the power supply.
-        robot_voltage_v: At the arm.
-        robot_current_a: Of the arm.
+        target_q_rad: (6,) joint angles that the controller aims at.
+        tcp_pose: (6,) measured TCP pose: x, y, z in m, rotation vector in rad, in `base`.
+        tcp_speed: (6,) measured TCP speed, m/s and rad/s.
+        tcp_force: (6,) force and torque at the TCP, N and N·m; a CB3 estimates them from the currents.
+        current_a: (6,) joint currents.
+        temperature_c: (6,) joint temperatures.
+        joint_voltage_v: (6,) joint voltages.
+        main_voltage_v: Voltage of the power supply.
+        robot_voltage_v: Voltage at the arm.
+        robot_current_a: Current of the arm.
         digital_inputs: Bits 0 to 7 standard, 8 to 15 configurable, 16 and 17 of the tool.
-        digital_outputs: Likewise.
+        digital_outputs: The same bits of the outputs.
         analog_input0, analog_input1: V, or A.
-        payload_kg: What the controller was told of it, or None where it does not say.
-        payload_cog_m: (3,) its centre of mass, likewise.
-        tcp_offset: (6,) the tool centre point from the flange, likewise.
+        payload_kg: Payload that is set on the controller; None if unknown.
+        payload_cog_m: (3,) its centre of mass; None if unknown.
+        tcp_offset: (6,) tool centre point from the flange; None if unknown.
     """
 
     arrival_s: float
@@ -112,7 +112,7 @@ class ArmStatus:
 
     @classmethod
     def from_sample(cls, sample: Sample) -> Self:
-        """The status that a sample of `STATUS_VARIABLES`, and maybe `OPTIONAL_VARIABLES`, tells.
+        """Return the status in a sample of `STATUS_VARIABLES` and any of `OPTIONAL_VARIABLES`.
 
         Raises:
             KeyError: A variable is missing.
@@ -123,7 +123,7 @@ class ArmStatus:
         return cls(arrival_s=sample.arrival_s, **found)
 
     def row(self) -> list[float]:
-        """All numbers in the order of `ROW`; NaN for what the controller does not say."""
+        """Return all numbers in the order of `ROW`; NaN for unknown values."""
         row: list[float] = []
         for name, size in ROW:
             value = getattr(self, name)
@@ -135,7 +135,7 @@ class ArmStatus:
 
     @classmethod
     def from_row(cls, row: Any) -> Self:
-        """The status of a row, as `row` makes it."""
+        """Return the status of such a row."""
         numbers, found, at = list(map(float, row)), {}, 0
         for name, size in ROW:
             value: Any = numbers[at] if size == 1 else tuple(numbers[at : at + size])
@@ -159,10 +159,10 @@ _WHOLE: Final = frozenset(
 ROW: Final = tuple(
     (each.name, 6 if each.name in _SIX else 3 if each.name == "payload_cog_m" else 1) for each in fields(ArmStatus)
 )
-"""Names of a status's values, and how many numbers each is."""
+"""Names and sizes of the values of a status."""
 
 ROW_SIZE: Final = sum(size for _, size in ROW)
-"""Numbers of a status."""
+"""Length of a row."""
 
 
 _STOPPING_BITS: Final = {
@@ -179,7 +179,7 @@ _STOPPING_BITS: Final = {
 
 _KNOWN_BITS: Final = int(SafetyBits.NORMAL | SafetyBits.REDUCED | sum(_STOPPING_BITS))
 
-# As plain numbers: operations of flags take several times as long, and this is asked for every sample.
+# Plain numbers: operations on flags take several times as long, and every sample is checked.
 _NORMAL, _REDUCED = int(SafetyBits.NORMAL), int(SafetyBits.REDUCED)
 _FINE: Final = (_NORMAL,)
 _FINE_REDUCED: Final = (_NORMAL, _REDUCED, _NORMAL | _REDUCED)
@@ -187,37 +187,37 @@ _POWER_ON, _TEACH_BUTTON = int(RobotBits.POWER_ON), int(RobotBits.TEACH_BUTTON)
 
 
 def stop_reason(status: ArmStatus, *, allow_reduced: bool = False, playing: bool = True) -> str | None:
-    """Why an arm must not move, or None if it may.
+    """Return the reason why an arm must not move, or None if it may.
 
-    It may in safety mode 1 alone, and in 2 where reduced mode is allowed. Every other number is a stop, also one that
-    no document knows. The same holds of robot modes but 7, and of bits.
+    It may move in safety mode 1, and in 2 where reduced mode is allowed. Every other number is a stop, even one that no
+    document lists. The same holds for robot modes other than 7, and for bits.
 
     Args:
-        status: Of the arm.
-        allow_reduced: Whether it may move in reduced mode.
-        playing: Whether a program must be running, as while this program moves the arm; before that, none need be.
+        status: Status of the arm.
+        allow_reduced: True if it may move in reduced mode.
+        playing: True if a program must be running, as while this program moves the arm.
     """
     mode = status.safety_mode
     if mode != SafetyMode.NORMAL and not (mode == SafetyMode.REDUCED and allow_reduced):
         return f"safety mode {name_of(SafetyMode, mode)}"
     bits = status.safety_bits
     if bits not in (_FINE_REDUCED if allow_reduced else _FINE):
-        return f"safety status bits 0x{bits:x}: {_meaning(bits)}"
+        return f"safety status bits 0x{bits:x}: {_describe(bits)}"
     if status.robot_mode != RobotMode.RUNNING:
         return f"robot mode {name_of(RobotMode, status.robot_mode)}"
     if not status.robot_bits & _POWER_ON:
         return f"robot status bits 0x{status.robot_bits:x}: no power"
-    # The button on the pendant's power switch is not looked at: what it brings about shows in the modes.
+    # The bit of the power button is not checked: its effect shows in the modes.
     if status.robot_bits & _TEACH_BUTTON:
         return f"robot status bits 0x{status.robot_bits:x}: freedrive button pressed"
     if playing and status.runtime_state != RuntimeState.PLAYING:
         return f"program state {name_of(RuntimeState, status.runtime_state)}"
     if not all(map(math.isfinite, (*status.q_rad, *status.qd_rad_s, status.slider, status.speed_scaling))):
-        return "joint angles, joint speeds, slider or speed scaling that are no finite numbers"
+        return "joint angles, joint speeds, slider or speed scaling that are not finite numbers"
     return None
 
 
-def _meaning(bits: int) -> str:
+def _describe(bits: int) -> str:
     found = [text for bit, text in _STOPPING_BITS.items() if bits & bit]
     if bits & ~_KNOWN_BITS:
         found.append(f"unknown bits 0x{bits & ~_KNOWN_BITS:x}")
@@ -229,6 +229,6 @@ def _meaning(bits: int) -> str:
 
 
 def name_of(kind: type[SafetyMode] | type[RobotMode] | type[RuntimeState], number: int) -> str:
-    """A number with UR's word for it, such as "7 (RUNNING)", or "21 (unknown)"."""
+    """Return a number with UR's name for it, such as "7 (RUNNING)" or "21 (unknown)"."""
     known = {int(each): each.name for each in kind}
     return f"{number} ({known.get(number, 'unknown')})"

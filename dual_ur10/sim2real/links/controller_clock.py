@@ -9,27 +9,27 @@ from typing import Final
 from dual_ur10.errors import LinkError
 
 WINDOW_S: Final = 2.0
-"""For how long the quickest packet decides: some packet of so many comes without a wait on its way."""
+"""Time for which the quickest packet decides: among so many, some packet arrives without delay."""
 
 SLEW: Final = 5e-4
-"""By how much the estimate may move per second, once it is settled: clocks of computers drift by at most 1e-4."""
+"""Largest change of a settled estimate per second: clocks of computers drift by at most 1e-4."""
 
 _SETTLED: Final = 25  # packets, at least
-_AGREEING: Final = 3  # packets that are as quick as each other: no chance, and so no better ones are waited for
+_AGREEING: Final = 3  # packets that are equally quick: not by chance, so no better ones are awaited
 _AGREE_S: Final = 0.0005
-_JUMP_S: Final = 1.0  # by which no clock drifts between two packets
+_JUMP_S: Final = 1.0  # no clock drifts so far between two packets
 
 
 class ControllerClock:
-    """Estimates the offset of a controller's clock from the times at which its packets arrive.
+    """Estimator of the offset of a controller's clock, from the arrival times of its packets.
 
-    A packet may be late and cannot be early. So the offset is that of the quickest packets of the last seconds; what
-    the network adds to every packet cannot be seen, and is in the estimate.
+    A packet may be late and cannot be early. So the offset is that of the quickest packets of the last seconds. The
+    latency that all packets share cannot be observed, and is part of the estimate.
 
     Args:
-        tick_s: The controller's period.
-        round_trip_s: How long an answer of the controller takes. What is sent so much earlier arrives in time: the
-            way of the packets is in the estimate, and the way back is still to come.
+        tick_s: Control period of the controller.
+        round_trip_s: Round-trip time of a request. A target that is sent so much earlier arrives in time: one half
+            is in the estimate, and the other half is the latency of the target.
     """
 
     def __init__(self, tick_s: float, round_trip_s: float = 0.0) -> None:
@@ -45,9 +45,9 @@ class ControllerClock:
 
     @property
     def is_settled(self) -> bool:
-        """Whether enough packets have come for the estimate to be of use.
+        """True once the packets suffice for a useful estimate.
 
-        On a busy machine that takes some more of them: arms that begin by a wrong estimate are out of step at first.
+        On a busy machine that takes more packets: arms that start with a wrong estimate are out of step at first.
         """
         agree = len(self._quickest) == _AGREEING and self._quickest[-1] - self._quickest[0] < _AGREE_S
         return self._count >= _SETTLED and (agree or self._listened_s > WINDOW_S)
@@ -58,10 +58,10 @@ class ControllerClock:
         return self._offset_s
 
     def note(self, timestamp_s: float, arrival_s: float) -> None:
-        """A packet of the controller's time `timestamp_s` has arrived.
+        """Add the arrival of a packet of the controller's time `timestamp_s`.
 
         Raises:
-            LinkError: The controller's clock jumped: it was started anew.
+            LinkError: The controller's clock jumped: it was restarted.
         """
         offset = arrival_s - timestamp_s
         before = self._last
@@ -69,7 +69,7 @@ class ControllerClock:
         if before is not None and (timestamp_s < before[0] or offset < self._offset_s - _JUMP_S):
             raise LinkError(
                 f"the controller's clock went from {before[0]:.3f} to {timestamp_s:.3f} s within "
-                f"{arrival_s - before[1]:.3f} s: it was started anew; connect again"
+                f"{arrival_s - before[1]:.3f} s: it was restarted; connect again"
             )
         while self._offsets and self._offsets[-1][1] >= offset:
             self._offsets.pop()
@@ -78,7 +78,7 @@ class ControllerClock:
             self._offsets.popleft()
         least = self._offsets[0][1]
         if before is None or arrival_s > before[1]:
-            self._count += 1  # those that had waited to be read together are as good as one
+            self._count += 1  # packets that waited to be read together count as one
             if not self.is_settled:
                 self._quickest = sorted([*self._quickest, offset])[:_AGREEING]
         if self._first_s is None:
@@ -90,41 +90,37 @@ class ControllerClock:
         most = SLEW * (arrival_s - before[1])
         self._offset_s += min(max(least - self._offset_s, -most), most)
 
-    def local_s(self, timestamp_s: float) -> float:
-        """When the controller's clock shows this time, by this machine's clock."""
-        return timestamp_s + self._offset_s
-
-    def next_period(self, now_s: float, share: float) -> tuple[int, float]:
-        """The next control period of which `share` will not have passed when something that is sent now arrives.
+    def next_period(self, now_s: float, phase: float) -> tuple[int, float]:
+        """Return the next control period that a packet sent now reaches before `phase`.
 
         Args:
             now_s: This machine's clock.
-            share: 0 to 1: where in the period a target is to arrive.
+            phase: Fraction of the period, 0 to 1, at which a target is to arrive.
 
         Returns:
-            The period's number, counted from that of the first packet, and when to send, by this machine's clock.
+            The period's number, counted from that of the first packet, and the time to send, by this machine's clock.
 
         Raises:
-            LinkError: Nothing is known of the controller's clock yet.
+            LinkError: There was no packet yet.
         """
         number = math.floor((now_s + self.round_trip_s - self._origin()) / self.tick_s)
-        at = self.moment(number, share)
-        while at <= now_s:  # twice, where rounding has put the present a period back
-            number, at = number + 1, self.moment(number + 1, share)
+        at = self.moment(number, phase)
+        while at <= now_s:  # twice, where rounding put the present a period back
+            number, at = number + 1, self.moment(number + 1, phase)
         return number, at
 
-    def moment(self, number: int, share: float) -> float:
-        """When to send what is to arrive as `share` of a control period has passed, by this machine's clock.
+    def moment(self, number: int, phase: float) -> float:
+        """Return the time to send a target that is to arrive at `phase` of a control period, by this machine's clock.
 
         Raises:
-            LinkError: Nothing is known of the controller's clock yet.
+            LinkError: There was no packet yet.
         """
-        return self._origin() + (number + share) * self.tick_s - self.round_trip_s
+        return self._origin() + (number + phase) * self.tick_s - self.round_trip_s
 
     def _origin(self) -> float:
-        """When period 0 began: that of the first packet."""
+        """Beginning of period 0, that of the first packet, by this machine's clock."""
         if self._first_s is None:
-            raise LinkError("nothing is known of the controller's clock before its first packet: wait for it")
+            raise LinkError("the controller's clock is unknown before its first packet: wait for it")
         return self._first_s + self._offset_s
 
 

@@ -1,4 +1,4 @@
-"""A client of the dashboard server: questions about a controller, and the one command that stops its program.
+"""Client of the dashboard server: queries, and the command that stops the program.
 
 Nothing here unlocks a stop, starts or loads a program: that is for a person at the pendant.
 """
@@ -17,7 +17,7 @@ from dual_ur10.types import Closing
 PORT: Final = 29999
 
 FORBIDDEN: Final = ("play", "unlock protective stop", "close safety popup", "restart safety", "load")
-"""Commands that would let an arm go on after a stop, or start something: they are for a person."""
+"""Commands that resume motion after a stop, or start something: they are for a person."""
 
 _LONGEST: Final = 1024  # of a command, characters
 _GREETING: Final = "Connected"
@@ -26,13 +26,13 @@ _REMOTE_SINCE: Final = (5, 6)  # UR's article "Dashboard Server e-Series"; a CB3
 
 
 class DashboardLink(Closing):
-    """One connection. Any failure ends it, so that a late answer is never taken for that of another question.
+    """Connection to a dashboard. Any failure closes it, so that a late answer is not taken for that of another query.
 
     Args:
         host: IPv4 address.
-        timeout_s: For connecting, and for each question.
-        port: Number.
-        name: Of the arm, for messages.
+        timeout_s: Time limit of the connection, and of each query.
+        port: Port number.
+        name: Name of the arm, for messages.
 
     Raises:
         SettingsError: An argument is not legal.
@@ -61,7 +61,7 @@ class DashboardLink(Closing):
         return self._socket.where
 
     def fileno(self) -> int:
-        """For `select`: readable when an answer, or the end, has come.
+        """Return the file number for `select`: readable when there is an answer, or the end.
 
         Raises:
             ClosedError: It was closed.
@@ -78,9 +78,9 @@ class DashboardLink(Closing):
             The line that answers it.
 
         Raises:
-            SettingsError: The command is no such line.
+            SettingsError: The command is not such a line.
             OperationRefusedError: It is one of `FORBIDDEN`.
-            LinkError: There is no answer in time, or it is none. The connection was closed.
+            LinkError: There is no answer in time, or it is not valid. The connection was closed.
             ClosedError: It was closed before.
         """
         if not (0 < len(command) <= _LONGEST and command.isascii() and command.isprintable()):
@@ -98,22 +98,22 @@ class DashboardLink(Closing):
             self.check()
             self._socket.send(command.encode("ascii") + b"\n", deadline_s)
             return self._line(deadline_s)
-        except BaseException:  # an interrupt, too: its answer would be taken for the next one's
+        except BaseException:  # also an interrupt: its answer would be taken for the next one
             self._socket.close()
             raise
 
     def check(self) -> None:
-        """See that it still stands, and that nothing was said unasked. It does not wait.
+        """Check that the connection stands, and that nothing was sent unasked. It does not wait.
 
         Raises:
-            LinkError: It was lost, or something was said.
+            LinkError: It was lost, or the server sent something.
             ClosedError: It was closed.
         """
         data = self._socket.receive_now()
         if data == b"":
             raise self._socket.ended()
         if data is not None:
-            raise self._socket.error(f"said {data[:80]!r} unasked", "connect again: answers may be those of others")
+            raise self._socket.error(f"sent {data[:80]!r} unasked", "connect again: answers may be mixed up")
 
     def _line(self, deadline_s: float) -> str:
         while True:
@@ -126,7 +126,7 @@ class DashboardLink(Closing):
             if lines:
                 return lines[0].strip()
 
-    def _told(self, command: str, prefix: str = "") -> str:
+    def _query(self, command: str, prefix: str = "") -> str:
         answer = self.ask(command)
         if not answer.lower().startswith(prefix.lower()):
             raise self._socket.error(
@@ -134,7 +134,7 @@ class DashboardLink(Closing):
             )
         return answer[len(prefix) :].strip()
 
-    def _told_if_known(self, command: str) -> str | None:
+    def _query_if_known(self, command: str) -> str | None:
         answer = self.ask(command)
         return None if not answer or answer.lower().startswith(_UNKNOWN) else answer
 
@@ -152,7 +152,7 @@ class DashboardLink(Closing):
             )
 
     def version(self) -> tuple[int, ...]:
-        """Version of PolyScope: three or four numbers. It is asked for once."""
+        """Return the version of PolyScope, three or four numbers. It is queried once."""
         if self._version is None:
             answer = self.ask("PolyscopeVersion")
             found = re.search(r"(\d{1,9})\.(\d{1,9})\.(\d{1,9})(?:\.(\d{1,9}))?", answer, re.ASCII)
@@ -162,20 +162,20 @@ class DashboardLink(Closing):
         return self._version
 
     def robot_mode(self) -> str:
-        """UR's word for it, such as "RUNNING"."""
-        return self._told("robotmode", "Robotmode:")
+        """Return UR's name of the robot mode, such as "RUNNING"."""
+        return self._query("robotmode", "Robotmode:")
 
     def safety(self) -> str:
-        """UR's word for the safety status, such as "NORMAL"; before there was one, for the safety mode."""
-        answer = self._told_if_known("safetystatus")
-        return self._told("safetymode", "Safetymode:") if answer is None else answer.partition(":")[2].strip()
+        """Return UR's name of the safety status, such as "NORMAL"; in old versions, of the safety mode."""
+        answer = self._query_if_known("safetystatus")
+        return self._query("safetymode", "Safetymode:") if answer is None else answer.partition(":")[2].strip()
 
     def program_state(self) -> str:
-        """State and name of the program, such as "STOPPED lift.urp"."""
-        return self._told("programState")
+        """Return state and name of the program, such as "STOPPED lift.urp"."""
+        return self._query("programState")
 
     def remote_control(self) -> bool | None:
-        """Whether the controller is in remote control; None where it has no such mode."""
+        """Return True in remote control; None if the controller has no such mode."""
         if self.version() < _REMOTE_SINCE:
             return None
         answer = self.ask("is in remote control").lower()
@@ -184,12 +184,12 @@ class DashboardLink(Closing):
         return answer == "true"
 
     def serial_number(self) -> str | None:
-        """Serial number, or None where it cannot be asked for."""
-        return self._told_if_known("get serial number")
+        """Return the serial number, or None if this version does not report it."""
+        return self._query_if_known("get serial number")
 
     def model(self) -> str | None:
-        """Model, such as "UR10", or None where it cannot be asked for."""
-        return self._told_if_known("get robot model")
+        """Return the model, such as "UR10", or None if this version does not report it."""
+        return self._query_if_known("get robot model")
 
     def close(self) -> None:
         """End the connection. May be called twice."""

@@ -1,4 +1,4 @@
-"""A TCP connection to a controller of which nothing takes longer than it is given."""
+"""TCP connection to a controller. Every operation has a deadline."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _RECEIVE_BYTES: Final = 65_536
 
 
 def checked_host(host: str) -> str:
-    """An address, as it is written everywhere else.
+    """Return an address in canonical form.
 
     Raises:
-        SettingsError: It is no IPv4 address. Names are not looked up: that takes a time that nothing bounds, and what
-            they stand for can change between two connections.
+        SettingsError: It is not an IPv4 address. Names are not resolved: that takes an unbounded time, and the result
+            can change between two connections.
     """
     try:
         return str(ipaddress.IPv4Address(host))
@@ -31,7 +31,7 @@ def checked_host(host: str) -> str:
 
 
 def checked_timeout(timeout_s: float) -> float:
-    """A time limit.
+    """Return a time limit.
 
     Raises:
         SettingsError: It is not positive and finite.
@@ -42,26 +42,26 @@ def checked_timeout(timeout_s: float) -> float:
 
 
 class LinkSocket(Closing):
-    """A connected socket. Any failure is a [LinkError][dual_ur10.errors.LinkError] that names arm, host and remedy.
+    """Connected socket. Any failure is a [LinkError][dual_ur10.errors.LinkError] that names arm, host and remedy.
 
     Args:
-        name: Of the arm, for messages; "" if it has none.
-        what: What answers at the port, for messages.
+        name: Name of the arm, for messages; "" if it has none.
+        service: Service at the port, for messages.
         host: IPv4 address.
-        port: Number.
-        deadline_s: When the connection must stand, on the clock of `time.monotonic`.
+        port: Port number.
+        deadline_s: Deadline of the connection, on the clock of `time.monotonic`.
 
     Attributes:
         where: Arm, interface and address, for messages.
 
     Raises:
-        SettingsError: The host is no IPv4 address.
-        LinkError: There is no connection by then.
+        SettingsError: The host is not an IPv4 address.
+        LinkError: There is no connection before the deadline.
     """
 
-    def __init__(self, name: str, what: str, host: str, port: int, deadline_s: float) -> None:
+    def __init__(self, name: str, service: str, host: str, port: int, deadline_s: float) -> None:
         host = checked_host(host)
-        self.where = f"{name + ' arm, ' if name else ''}{what} at {host}:{port}"
+        self.where = f"{name + ' arm, ' if name else ''}{service} at {host}:{port}"
         self._socket: socket.socket | None = None
         try:
             self._socket = socket.create_connection((host, port), timeout=self._left(deadline_s))
@@ -76,7 +76,7 @@ class LinkSocket(Closing):
             ) from error
 
     def error(self, found: str, remedy: str) -> LinkError:
-        """An error about this connection."""
+        """Return an error about this connection."""
         return LinkError(f"{self.where}: {found}; {remedy}")
 
     def _left(self, deadline_s: float) -> float:
@@ -92,7 +92,7 @@ class LinkSocket(Closing):
         return self._socket
 
     def fileno(self) -> int:
-        """For `select`.
+        """Return the file number for `select`.
 
         Raises:
             ClosedError: It was closed.
@@ -100,10 +100,10 @@ class LinkSocket(Closing):
         return self._open.fileno()
 
     def send(self, data: bytes, deadline_s: float) -> None:
-        """Send all of it.
+        """Send all data.
 
         Raises:
-            LinkError: It is not sent by then, or the connection ended.
+            LinkError: They are not sent before the deadline, or the connection ended.
             ClosedError: It was closed.
         """
         open_ = self._open
@@ -114,10 +114,10 @@ class LinkSocket(Closing):
             raise self._failed(error) from error
 
     def receive(self, deadline_s: float) -> bytes:
-        """What has come, as soon as something has.
+        """Wait for data, and return them.
 
         Raises:
-            LinkError: Nothing comes by then, or the connection ended.
+            LinkError: Nothing arrives before the deadline, or the connection ended.
             ClosedError: It was closed.
         """
         open_ = self._open
@@ -131,7 +131,7 @@ class LinkSocket(Closing):
         return data
 
     def receive_now(self) -> bytes | None:
-        """What has come, None if nothing has, or b"" at the end of the stream. It does not wait.
+        """Return waiting data, None if there are none, or b"" at the end of the stream. It does not wait.
 
         Raises:
             LinkError: The connection was broken.
@@ -147,7 +147,7 @@ class LinkSocket(Closing):
             raise self._failed(error) from error
 
     def ended(self) -> LinkError:
-        """The error that the controller closed the connection."""
+        """Return the error that the controller closed the connection."""
         return self.error(
             "the controller closed the connection",
             "check that it was not shut down or restarted, and that no other program takes its connections",
@@ -169,9 +169,9 @@ class LinkSocket(Closing):
             self._socket = None
 
     def close_and_wait(self, deadline_s: float) -> None:
-        """End the connection, and wait until the controller has seen it and closed its side; what it says is dropped.
+        """End the connection, and wait until the controller has closed its side. Data that it sends are dropped.
 
-        It gives back then what it held for this connection. A controller that does not close is not waited for longer.
+        The controller has then released the resources of this connection. The wait ends at the deadline.
         """
         with contextlib.suppress(OSError, ClosedError):
             self._open.shutdown(socket.SHUT_WR)

@@ -1,4 +1,4 @@
-"""By which of this computer's network interfaces a controller is reached, and whether that will do."""
+"""Network interface and router that lead from this computer to a controller."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ _MOST_BYTES: Final = 1 << 20
 
 
 class Route(NamedTuple):
-    """How a host is reached.
+    """Route to a host.
 
     Attributes:
-        interface: Its name; "lo" for this computer itself.
-        gateway: Address of the router on the way, or None.
-        default: Whether the same interface leads to the rest of the world.
-        wireless: Whether it is Wi-Fi.
+        interface: Name of the interface; "lo" for this computer itself.
+        gateway: Address of the router, or None.
+        default: True if the same interface has the default route.
+        wireless: True for Wi-Fi.
     """
 
     interface: str
@@ -31,17 +31,17 @@ class Route(NamedTuple):
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address is this computer's own loopback."""
+    """Return True for a loopback address."""
     return ipaddress.IPv4Address(host).is_loopback
 
 
 def route_to(host: str, routes: Path = ROUTES, interfaces: Path = INTERFACES) -> Route | None:
-    """How a host is reached, or None if that cannot be told: there is no route, or this is not Linux.
+    """Return the route to a host, or None if it cannot be determined: there is none, or this is not Linux.
 
     Args:
         host: IPv4 address.
-        routes: The kernel's table of routes.
-        interfaces: Where the kernel lists network interfaces.
+        routes: Table of routes of the kernel.
+        interfaces: Folder in which the kernel lists network interfaces.
     """
     if is_loopback(host):
         return Route("lo", None, False, False)
@@ -56,7 +56,7 @@ def route_to(host: str, routes: Path = ROUTES, interfaces: Path = INTERFACES) ->
     fitting = [row for row in table if address & row.mask == row.destination]
     if not fitting:
         return None
-    # The most exact route wins, and of several the one with the least metric.
+    # The most specific route wins; among equals, the one with the least metric.
     best = max(fitting, key=lambda row: (row.mask, -row.metric))
     return Route(
         best.interface,
@@ -75,7 +75,7 @@ class _Row(NamedTuple):
 
 
 def _row(line: str) -> _Row | None:
-    """A line of the table, or None if it is no route that is in use."""
+    """Return a line of the table, or None if it is not a route in use."""
     words = line.split()
     try:
         interface, destination, gateway, flags = words[0], words[1], words[2], int(words[3], 16)
@@ -88,5 +88,5 @@ def _row(line: str) -> _Row | None:
 
 
 def _address(text: str) -> int:
-    """An address as the kernel prints it: the bytes of network order, read as a number of this machine."""
+    """Return an address from the kernel's text: bytes in network order, read as a number of this machine."""
     return int.from_bytes(int(text, 16).to_bytes(4, sys.byteorder), "big")

@@ -1,4 +1,4 @@
-"""What a controller says of itself on its primary interface, once: version, model, calibration, safety settings."""
+"""Facts that a controller reports on its primary interface: version, model, calibration and safety settings."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from dual_ur10.sim2real.protocol.primary_packet import ROBOT_STATE
 
 PORT: Final = 30001
 
-# Layouts: UR's client interface article, and the parsers of Universal Robots' client library.
-# That the safety data, whose layout is not published, begin with the checksum of the safety settings, and come once
-# those are applied: Universal Robots' forum, topic 988.
+# Layouts: UR's client interface article, and the parsers of Universal Robots' client library. The layout of the safety
+# data is not published. They begin with the checksum of the safety settings, and are sent once these are applied:
+# Universal Robots' forum, topic 988.
 _HEADER: Final = struct.Struct(">iB")
 _VERSION: Final = 3  # kind of message
 _KINEMATICS, _CONFIGURATION, _SAFETY = 5, 6, 10  # kinds of sub-packages
 _KINEMATICS_DATA: Final = struct.Struct(">6I24d")
 _BEFORE_TYPE: Final = 53 * 8 + 2 * 4  # of the configuration: limits, defaults and lengths, masterboard and box
 _LARGEST: Final = 1 << 16  # of a packet; a robot state has about 1.4 KiB
-_MOST_PACKETS: Final = 200  # 20 s of them, should something send all at once
+_MOST_PACKETS: Final = 200  # 20 s of them
 
 
 class PrimaryFacts(NamedTuple):
-    """What was read.
+    """Facts about a controller and its arm.
 
     Attributes:
         version: Major, minor, bugfix and build of the controller's software.
         robot_type: UR's number: 1 UR5, 2 UR10 and UR10e, 3 UR3, ...
-        checksums: (6,) of the calibration, one per joint.
+        checksums: (6,) checksums of the calibration, one per joint.
         theta_rad, a_m, d_m, alpha_rad: (6,) Denavit-Hartenberg parameters as calibrated.
-        safety_checksum: Of the safety settings: a number of 32 bits, not what the pendant shows. None: not told.
+        safety_checksum: Checksum of the safety settings: 32 bits, not the text on the pendant. None: not reported.
     """
 
     version: tuple[int, int, int, int]
@@ -48,10 +48,10 @@ class PrimaryFacts(NamedTuple):
     safety_checksum: int | None = None
 
     def dh(self) -> DHParameters:
-        """The parameters of this arm.
+        """Return the parameters of this arm.
 
         Raises:
-            SettingsError: They are no UR10's.
+            SettingsError: They are not those of a UR10.
         """
         return DHParameters(self.a_m, self.d_m, self.alpha_rad, self.theta_rad)
 
@@ -61,13 +61,13 @@ def read_primary(host: str, timeout_s: float = 2.0, port: int = PORT, *, name: s
 
     Args:
         host: IPv4 address.
-        timeout_s: For all of it. Robot states come ten times a second.
-        port: Number.
-        name: Of the arm, for messages.
+        timeout_s: Time limit. Robot states come ten times a second.
+        port: Port number.
+        name: Name of the arm, for messages.
 
     Raises:
         SettingsError: An argument is not legal.
-        LinkError: There is no primary interface, or what it says is not complete in time, or not in order.
+        LinkError: There is no primary interface, or its data are incomplete in time or not valid.
     """
     deadline_s = time.monotonic() + checked_timeout(timeout_s)
     with LinkSocket(name, "primary interface", host, port, deadline_s) as socket:
@@ -84,7 +84,7 @@ def read_primary(host: str, timeout_s: float = 2.0, port: int = PORT, *, name: s
 
 
 class _Reader:
-    """Takes bytes until there is all that is needed."""
+    """Parser that takes bytes until all facts are there."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
@@ -96,7 +96,7 @@ class _Reader:
 
     @property
     def facts(self) -> PrimaryFacts | None:
-        """What was read, once it is complete."""
+        """Facts, once they are complete."""
         flat = self._kinematics
         if self._version is None or flat is None or self._robot_type is None:
             return None
@@ -105,10 +105,10 @@ class _Reader:
         return PrimaryFacts(self._version, self._robot_type, checksums, theta, a, d, alpha, self._safety_checksum)
 
     def feed(self, data: bytes) -> None:
-        """Take what came.
+        """Take bytes of the stream.
 
         Raises:
-            ProtocolError: It is not what a primary interface says.
+            ProtocolError: They are not those of a primary interface.
         """
         buffer = self._buffer
         buffer += data

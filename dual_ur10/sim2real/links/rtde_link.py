@@ -1,8 +1,8 @@
-"""A client of RTDE that only reads: how the state of an arm is watched, apart from whatever commands it.
+"""Read-only client of RTDE, which observes an arm independently of the program that commands it.
 
-It needs no thread and never waits once it is made. It sends nothing after the start, so that it cannot disturb; it
-does not connect again by itself. Whether a controller lives is judged by the timestamp in its data and by nothing else:
-a connection that stands says nothing, and neither do packages that repeat themselves.
+It needs no thread, and once made it never waits. After the start it sends nothing, so that it cannot disturb, and it
+does not reconnect. The timestamp in its data is the only sign of life of a controller: an open connection is none, nor
+are packages that repeat themselves.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ _UNFIT: Final = "this is no UR controller of a known version, or something betwe
 
 
 class RtdeClient:
-    """An RTDE connection before its start: one request, one answer.
+    """RTDE connection before its start: one request, one answer.
 
     Args:
-        name: Of the arm, for messages.
+        name: Name of the arm, for messages.
         host: IPv4 address.
-        port: Number.
-        deadline_s: When the controller must have told its version, on the clock of `time.monotonic`.
+        port: Port number.
+        deadline_s: Deadline for the controller's version, on the clock of `time.monotonic`.
 
     Attributes:
         version: Major, minor, bugfix and build of the controller's software.
 
     Raises:
-        LinkError: It has not, or speaks no version 2 of the protocol.
+        LinkError: It did not answer in time, or does not speak version 2 of the protocol.
     """
 
     def __init__(self, name: str, host: str, port: int, deadline_s: float) -> None:
@@ -62,14 +62,14 @@ class RtdeClient:
 
     @property
     def rate_hz(self) -> float:
-        """How often the controller computes its state: by its version."""
+        """Rate at which the controller computes its state, by its version."""
         return 1.0 / TICK_S["cb3" if self.version[0] <= _CB3 else "e-series"]
 
     def ask_version(self, deadline_s: float) -> tuple[int, int, int, int]:
         """Ask for the version of the controller's software.
 
         Raises:
-            LinkError: There is no answer by then, or it is none.
+            LinkError: There is no answer in time, or it is not valid.
         """
         answer = self.request(Kind.GET_URCONTROL_VERSION, b"", deadline_s)
         if len(answer) != 16:
@@ -78,10 +78,10 @@ class RtdeClient:
         return major, minor, bugfix, build
 
     def round_trips_s(self, count: int, deadline_s: float) -> list[float]:
-        """How long so many answers take, s.
+        """Measure the duration of `count` requests, s.
 
         Raises:
-            LinkError: They do not come by then.
+            LinkError: There are no answers in time.
         """
         found = []
         for _ in range(count):
@@ -91,10 +91,10 @@ class RtdeClient:
         return found
 
     def request(self, kind: Kind, payload: bytes, deadline_s: float) -> bytes:
-        """The answer to a request.
+        """Send a request, and return its answer.
 
         Raises:
-            LinkError: There is none by then, or what comes is none.
+            LinkError: There is no answer in time, or it is not valid.
         """
         self.socket.send(frame(kind, payload), deadline_s)
         while True:
@@ -110,19 +110,19 @@ class RtdeClient:
                 raise self.socket.error(f"packages of kind {kinds} as the answer to one of kind {int(kind)}", _UNFIT)
 
     def set_up(self, kind: Kind, names: Sequence[str], prefix: bytes, deadline_s: float) -> tuple[int, list[str]]:
-        """Ask for a recipe.
+        """Set up a recipe.
 
         Args:
-            kind: Of outputs or inputs.
-            names: Of its variables.
-            prefix: What comes before them.
-            deadline_s: When there must be an answer.
+            kind: Setup of outputs or inputs.
+            names: Variables.
+            prefix: Bytes before the names.
+            deadline_s: Deadline of the answer.
 
         Returns:
-            Its number, 0 if it was refused, and for each name its type or why it was refused.
+            Number of the recipe, 0 if it was refused, and for each name its type or the reason of the refusal.
 
         Raises:
-            LinkError: There is no answer by then, or it does not fit.
+            LinkError: There is no answer in time, or it does not fit.
         """
         answer = self.request(kind, prefix + ",".join(names).encode("ascii"), deadline_s)
         types = split_names(answer[1:])
@@ -132,25 +132,25 @@ class RtdeClient:
 
 
 class RtdeLink(Closing):
-    """Reads the variables of one controller.
+    """Reader of RTDE output variables of one controller.
 
     Args:
         host: IPv4 address.
         variables: RTDE output variables. `timestamp` is always read.
-        frequency_hz: How often they are to come; None: as often as the controller computes them.
-        port: Number.
-        timeout_s: Within how long the link must stand, all phases together.
+        frequency_hz: Rate of the samples; None: the controller's own rate.
+        port: Port number.
+        timeout_s: Time limit of the start, all phases together.
         optional: Variables that are read if this version of the controller has them.
-        name: Of the arm, for messages.
+        name: Name of the arm, for messages.
 
     Attributes:
         version: Major, minor, bugfix and build of the controller's software.
-        frequency_hz: How often data were asked for.
-        variables: Names of what is read.
+        frequency_hz: Requested rate of the samples.
+        variables: Names of the variables that are read.
 
     Raises:
         SettingsError: An argument is not legal.
-        LinkError: There is no controller, it does not answer in time or in order, or it lacks a variable.
+        LinkError: There is no controller, its answers are late or not valid, or it lacks a variable.
     """
 
     def __init__(
@@ -164,7 +164,7 @@ class RtdeLink(Closing):
         optional: Sequence[str] = (),
         name: str = "",
     ) -> None:
-        wanted, optional = _checked(variables, frequency_hz), _checked(optional, None)[1:]
+        wanted, optional = _check_names(variables, frequency_hz), _check_names(optional, None)[1:]
         deadline_s = time.monotonic() + checked_timeout(timeout_s)
         client = RtdeClient(name, host, port, deadline_s)
         self._socket = client.socket
@@ -173,7 +173,7 @@ class RtdeLink(Closing):
             self.version = client.version
             self.frequency_hz = client.rate_hz if frequency_hz is None else float(frequency_hz)
             names = [*wanted, *(each for each in optional if each not in wanted)]
-            recipe, kinds = _outputs(client, names, set(optional) - set(wanted), self.frequency_hz, deadline_s)
+            recipe, kinds = _set_up_outputs(client, names, set(optional) - set(wanted), self.frequency_hz, deadline_s)
             self.variables = tuple(each for each, _ in kinds)
             self._stream = RtdeStream(recipe, kinds, time.monotonic(), self._socket.where)
             self._begin(deadline_s)
@@ -182,7 +182,7 @@ class RtdeLink(Closing):
             raise
 
     def _begin(self, deadline_s: float) -> None:
-        """Start the stream. Data may come together with the answer."""
+        """Start the stream. Data may arrive together with the answer."""
         self._socket.send(frame(Kind.START), deadline_s)
         while not self._stream.started:
             data = self._socket.receive(deadline_s)
@@ -195,16 +195,16 @@ class RtdeLink(Closing):
 
     @property
     def latest(self) -> Sample | None:
-        """The newest sample, or None if none has come."""
+        """Newest sample, or None before the first."""
         return self._stream.latest
 
     @property
     def count(self) -> int:
-        """Samples so far."""
+        """Number of samples so far."""
         return self._stream.count
 
     def age_s(self, now_s: float) -> float:
-        """How long the controller's time has stood still, as far as is known here, s.
+        """Return the time since the controller's time last advanced, as known here, s.
 
         Args:
             now_s: Time of `time.monotonic`.
@@ -212,7 +212,7 @@ class RtdeLink(Closing):
         return now_s - self._stream.alive_s
 
     def fileno(self) -> int:
-        """For `select`: readable when there is something to poll.
+        """Return the file number for `select`: readable when there is something to poll.
 
         Raises:
             ClosedError: The link was closed.
@@ -220,14 +220,14 @@ class RtdeLink(Closing):
         return self._socket.fileno()
 
     def poll(self, now_s: float | None = None) -> list[Sample]:
-        """What has come since the last poll. It does not wait.
+        """Return the samples since the last poll. It does not wait.
 
         Args:
-            now_s: Time of `time.monotonic`; None: it is asked for.
+            now_s: Time of `time.monotonic`; None: read that clock.
 
         Raises:
-            LinkError: The link is broken: the stream has ended, or what came is no data of this recipe, or the
-                controller's time went back. It stays broken; samples that came before are in `latest`.
+            LinkError: The link is broken: the stream has ended, holds data of no such recipe, or the controller's time
+                went back. It stays broken; the newest sample before that is `latest`.
             ClosedError: The link was closed.
         """
         if self._fault:
@@ -264,29 +264,29 @@ class RtdeLink(Closing):
         self._socket.close()
 
 
-def _checked(names: Sequence[str], frequency_hz: float | None) -> list[str]:
-    """The names, after the timestamp.
+def _check_names(names: Sequence[str], frequency_hz: float | None) -> list[str]:
+    """Return the names, after the timestamp.
 
     Raises:
-        SettingsError: One is none, or is there twice, or the frequency is none.
+        SettingsError: A name or the frequency is not legal, or a name is there twice.
     """
     for name in names:
         if not isinstance(name, str) or re.fullmatch(r"[A-Za-z0-9_]{1,64}", name) is None:
             raise SettingsError(f"RTDE variable {name!r}: names have letters, digits and underscores only")
     if isinstance(names, str) or len(set(names)) != len(names):
-        raise SettingsError(f"RTDE variables {names!r}: give a list in which each is there once")
+        raise SettingsError(f"RTDE variables {names!r}: give a list of distinct names")
     if frequency_hz is not None and not (math.isfinite(frequency_hz) and frequency_hz > 0.0):
         raise SettingsError(f"frequency_hz is {frequency_hz!r}: it must be positive and finite")
     return [TIMESTAMP, *(name for name in names if name != TIMESTAMP)]
 
 
-def _outputs(
+def _set_up_outputs(
     client: RtdeClient, names: list[str], optional: set[str], frequency_hz: float, deadline_s: float
 ) -> tuple[int, list[tuple[str, DataType]]]:
-    """Set up the output recipe, without what is optional and not there.
+    """Set up the output recipe, without optional variables that this version lacks.
 
     Returns:
-        Its number, names and types.
+        Number, names and types of the recipe.
 
     Raises:
         LinkError: It is refused.

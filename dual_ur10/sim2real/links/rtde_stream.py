@@ -1,4 +1,4 @@
-"""What comes on an RTDE connection after its start: bytes in, samples out, no sockets."""
+"""Data stream of an RTDE connection after its start: bytes in, samples out, no sockets."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from dual_ur10.sim2real.protocol.rtde import HEADER, DataType, Frames, Kind, Val
 log = logging.getLogger(__name__)
 
 TIMESTAMP: Final = "timestamp"
-"""The controller's own time, s since it was started."""
+"""Variable of the controller's own time, s since it was started."""
 
-_LARGEST_TEXT: Final = HEADER.size + 1 + 255 + 1 + 255 + 1  # both its texts have one byte of length
-_MOST_TEXTS: Final = 20  # are logged; a controller that never stops talking does not fill the log
+_LARGEST_TEXT: Final = HEADER.size + 1 + 255 + 1 + 255 + 1  # two texts, whose lengths have one byte
+_MOST_TEXTS: Final = 20  # logged messages, so that a controller cannot fill the log
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,8 +26,8 @@ class Sample:
     """One data package.
 
     Attributes:
-        values: By RTDE's names: numbers, or tuples of them.
-        arrival_s: When it was read, on the clock of `time.monotonic`.
+        values: Numbers, or tuples of them, by RTDE's names.
+        arrival_s: Time of reading, on the clock of `time.monotonic`.
     """
 
     values: Mapping[str, Value]
@@ -35,25 +35,25 @@ class Sample:
 
     @property
     def timestamp_s(self) -> float:
-        """The controller's own time of it, s."""
+        """Controller's own time, s."""
         time_s: Any = self.values[TIMESTAMP]
         return float(time_s)
 
 
 class RtdeStream:
-    """Cuts the stream into samples, and watches the controller's time. It begins with the answer to the start.
+    """Decoder of the stream, which begins with the answer to the start, into samples with advancing time.
 
     Args:
-        recipe: Number of the output recipe, as the controller gave it.
-        variables: Names and types, in the order of the recipe; `timestamp` is one of them.
-        start_s: When the stream began, on the clock of `time.monotonic`.
-        where: For the log.
+        recipe: Number of the output recipe, from the controller.
+        variables: Names and types in the order of the recipe; `timestamp` is one of them.
+        start_s: Beginning of the stream, on the clock of `time.monotonic`.
+        where: Arm and address, for the log.
 
     Attributes:
-        latest: The newest sample, or None.
-        alive_s: When the controller's time last went on; the start, if it has not yet.
-        count: Samples so far.
-        started: Whether the controller has answered the start.
+        latest: Newest sample, or None.
+        alive_s: Time at which the controller's time last advanced; before that, the start.
+        count: Number of samples so far.
+        started: True once the controller has answered the start.
         size: Bytes of a data package.
     """
 
@@ -77,22 +77,22 @@ class RtdeStream:
         self._frames = Frames(max(self.size, _LARGEST_TEXT))
 
     def feed(self, data: bytes, arrival_s: float) -> list[Sample]:
-        """The samples that `data` completes.
+        """Return the samples that `data` completes.
 
         Args:
             data: Bytes of the stream, cut anywhere.
-            arrival_s: When they were read.
+            arrival_s: Time of reading.
 
         Raises:
-            ProtocolError: What came is no package of this recipe, or the controller's time went back. Samples before
-                it count: the newest is `latest`.
+            ProtocolError: A package is not of this recipe, or the controller's time went back. Samples before it
+                count: the newest is `latest`.
         """
         samples = []
         for kind, payload in self._frames.feed(data):
             if kind == Kind.DATA_PACKAGE:
                 samples.append(self._sample(payload, arrival_s))
             elif kind == Kind.TEXT_MESSAGE:
-                self._hear(payload)
+                self._log_text(payload)
             elif kind == Kind.START and payload == b"\1" and not self.started:
                 self.started = True
             else:
@@ -125,7 +125,7 @@ class RtdeStream:
         self.count += 1
         return sample
 
-    def _hear(self, payload: bytes) -> None:
+    def _log_text(self, payload: bytes) -> None:
         self._texts += 1
         if self._texts <= _MOST_TEXTS:
             text = payload[1 : 1 + payload[0]] if payload else b""

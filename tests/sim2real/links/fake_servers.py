@@ -1,4 +1,4 @@
-"""Servers of a few lines, for what an emulated controller does not do."""
+"""Small servers, for behaviour that an emulated controller does not have."""
 
 import contextlib
 import socket
@@ -10,9 +10,9 @@ DEADLINE_S = 20.0
 
 @contextlib.contextmanager
 def serving(talk):
-    """The port of a server at 127.0.0.1 that runs `talk(connection)` for the first client.
+    """Yield the port of a server at 127.0.0.1 that runs `talk(connection)` for its first client.
 
-    An error in it is raised at the end of the block, unless the client went away.
+    Its errors are raised at the end of the block, unless the client went away.
     """
     errors = []
     with socket.create_server(("127.0.0.1", 0)) as listener:
@@ -52,7 +52,7 @@ def exactly(connection, count):
 
 
 def until_closed(connection):
-    """Everything that the client still sends."""
+    """Return everything that the client still sends."""
     found = b""
     with contextlib.suppress(ConnectionError):
         while data := connection.recv(65536):
@@ -65,17 +65,17 @@ def rtde_frame(kind, payload=b""):
 
 
 def rtde_request(connection):
-    """Kind and payload of the client's next package."""
+    """Return kind and payload of the client's next package."""
     size, kind = struct.unpack(">HB", exactly(connection, 3))
     return chr(kind), exactly(connection, size - 3)
 
 
 ANSWERS = {"V": b"\1", "v": struct.pack(">4I", 3, 15, 8, 1), "O": b"\1DOUBLE,INT32", "S": b"\1"}
-"""To a client that reads `timestamp` and `robot_mode`."""
+"""Answers to a client that reads `timestamp` and `robot_mode`."""
 
 
 def rtde_talk(connection, **answers):
-    """Answer the requests of a link up to its start, with other answers where they are given."""
+    """Answer the requests of a link up to its start; `answers` replace `ANSWERS`."""
     wanted = {**ANSWERS, **answers}
     for kind in "VvOS":
         assert rtde_request(connection)[0] == kind

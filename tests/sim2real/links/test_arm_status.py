@@ -1,4 +1,4 @@
-"""What a sample means: an arm may move in one state, and every other one stops it."""
+"""Status of an arm: one state lets it move, and every other one stops it."""
 
 import dataclasses
 import math
@@ -27,7 +27,7 @@ MOVING = {"robot_mode": 7, "safety_mode": 1, "robot_status_bits": 3, "safety_sta
 
 
 def status_of(**values):
-    """A status in which an arm may move, but for these values."""
+    """Return a status in which an arm may move, with other values for these fields."""
     zeros = zero_values(PROFILES["cb3"])
     all_values = {name: zeros[name] for name in (*STATUS_VARIABLES, *OPTIONAL_VARIABLES)}
     return ArmStatus.from_sample(Sample({**all_values, "speed_scaling": 1.0, **MOVING, **values}, 5.0))
@@ -88,7 +88,7 @@ def test_robot_bits():
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_numbers_that_are_none_stop(bad):
+def test_numbers_that_are_not_finite_stop(bad):
     for values in (
         {"actual_q": (0.0,) * 5 + (bad,)},
         {"actual_qd": (bad,) + (0.0,) * 5},
@@ -102,7 +102,7 @@ def test_numbers_that_are_none_stop(bad):
     st.integers(-5, 300), st.integers(-5, 300), st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1),
     st.integers(0, 300), st.booleans(), st.booleans(),
 )  # fmt: skip
-def test_nothing_but_that_state_is_let_pass(safety, robot, safety_bits, robot_bits, runtime, reduced, playing):
+def test_no_other_state_lets_it_move(safety, robot, safety_bits, robot_bits, runtime, reduced, playing):
     status = status_of(
         safety_mode=safety, robot_mode=robot, safety_status_bits=safety_bits, robot_status_bits=robot_bits,
         runtime_state=runtime,
@@ -133,7 +133,7 @@ def test_every_variable_has_its_own_field():
         assert status[field] == values[name]
 
 
-def test_what_is_optional_may_be_missing():
+def test_optional_values_may_be_missing():
     values = {**zero_values(PROFILES["cb3"])}
     for name in OPTIONAL_VARIABLES:
         del values[name]
@@ -145,7 +145,7 @@ def test_what_is_optional_may_be_missing():
 
 @st.composite
 def statuses(draw):
-    """Any status that a controller may tell, optional values or none."""
+    """Random statuses, with and without optional values."""
     types, values = output_types(PROFILES["cb3"]), {}
     known = draw(st.sampled_from([0, 1, 3]))
     for name in (*STATUS_VARIABLES, *OPTIONAL_VARIABLES[:known]):
@@ -160,7 +160,7 @@ def statuses(draw):
 
 
 @given(statuses(), st.booleans())
-def test_a_row_says_all_of_a_status(status, as_array):
+def test_a_row_holds_the_whole_status(status, as_array):
     row = status.row()
     assert len(row) == ROW_SIZE
     assert all(isinstance(each, float) for each in row)
@@ -168,11 +168,11 @@ def test_a_row_says_all_of_a_status(status, as_array):
     assert found == status
     for field in dataclasses.fields(status):
         value = getattr(status, field.name)
-        if not isinstance(value, float):  # what is whole stays so: bits are taken of it
+        if not isinstance(value, float):  # integers stay integers: they hold bits
             assert type(getattr(found, field.name)) is type(value), field.name
 
 
-def test_a_row_lies_as_its_names_say():
+def test_the_order_of_a_row_is_that_of_its_names():
     types, values, number = output_types(PROFILES["cb3"]), {}, 0.0
     for name in (*STATUS_VARIABLES, *OPTIONAL_VARIABLES):
         count = types[name].count
@@ -191,7 +191,7 @@ def test_a_row_lies_as_its_names_say():
 
 
 @pytest.mark.parametrize("family", ["cb3", "e-series"])
-def test_an_emulated_controllers_stops(family):
+def test_stops_of_an_emulated_controller(family):
     with (
         EmulatedCell(plant="nominal", family=family) as cell,
         RtdeLink(cell.left, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES) as link,

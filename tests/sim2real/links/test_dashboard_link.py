@@ -1,4 +1,4 @@
-"""The dashboard client: its questions, what it refuses to send, and that whatever is wrong is an error."""
+"""Dashboard client: its queries, the commands it refuses to send, and its errors."""
 
 import select
 import socket
@@ -27,7 +27,7 @@ def e_series():
         yield cell
 
 
-def test_questions_to_a_cb3(cb3):
+def test_queries_to_a_cb3(cb3):
     with DashboardLink(cb3.left, name="left") as link:
         assert link.where == f"left arm, dashboard at {cb3.left}:29999"
         assert link.version() == (3, 15, 8, 106339)
@@ -53,7 +53,7 @@ def test_remote_control_of_an_e_series_controller(e_series):
     e_series.ask("remote", arm="left", on=True)
 
 
-def test_what_a_version_does_not_know_is_none(cb3):
+def test_queries_that_a_version_lacks_are_none(cb3):
     cb3.ask("pretend", arm="right", version=[3, 10, 0, 1])
     with DashboardLink(cb3.right) as link:
         assert link.version() == (3, 10, 0, 1)
@@ -75,7 +75,7 @@ def test_stop_stops_the_program(cb3):
             cb3.wait_until("right", "runtime_state", 1)
 
 
-def test_a_question_has_one_line(cb3):
+def test_a_command_has_one_line(cb3):
     before = cb3.ask("state", arm="left", names=["robot_mode"])
     with DashboardLink(cb3.left) as link:
         for command in ("robotmode\npower off", "power off\r", "power off\0", "", "ä", "x" * 1025, "a\x85power off"):
@@ -85,7 +85,7 @@ def test_a_question_has_one_line(cb3):
     assert cb3.ask("state", arm="left", names=["robot_mode"]) == before
 
 
-def test_nothing_is_sent_that_lets_an_arm_go_on():
+def test_commands_that_resume_motion_are_not_sent():
     sent = []
 
     def talk(connection):
@@ -99,7 +99,7 @@ def test_nothing_is_sent_that_lets_an_arm_go_on():
     assert sent == [b""]
     for name in ("play", "unlock", "unlock_protective_stop", "load", "restart_safety"):
         assert not hasattr(DashboardLink, name)
-    # It is whole words that count.
+    # Whole words count.
     with serving(answering(b"1\n")) as port, DashboardLink(HERE, port=port) as link:
         assert link.ask("playful") == "1"
 
@@ -115,7 +115,7 @@ def answering(*answers):
     return talk
 
 
-def test_a_silent_server_is_given_up_and_its_late_answer_is_not_heard(cb3):
+def test_a_silent_server_is_an_error_and_its_late_answer_is_ignored(cb3):
     link = DashboardLink(cb3.left, 2.0, name="left")
     cb3.ask("link", arm="left", port="dashboard", mute=True)
     with pytest.raises(LinkError, match=r"left arm, dashboard at .*: no answer in time; "):
@@ -137,7 +137,7 @@ def test_a_silent_server_is_given_up_and_its_late_answer_is_not_heard(cb3):
     link.close()
 
 
-def test_an_answer_that_was_interrupted_is_not_taken_for_the_next_ones(monkeypatch):
+def test_an_interrupted_query_closes_the_connection(monkeypatch):
     with serving(answering(b"Robotmode: IDLE\n")) as port:
         link = DashboardLink(HERE, port=port)
 
@@ -163,7 +163,7 @@ def test_an_answer_that_was_interrupted_is_not_taken_for_the_next_ones(monkeypat
         (b"Robotmode: RUN", "no answer in time"),
     ],
 )
-def test_answers_that_are_none_are_named(answer, text):
+def test_answers_that_are_not_valid(answer, text):
     with (
         serving(answering(answer)) as port,
         DashboardLink(HERE, 0.5, port, name="left") as link,
@@ -172,18 +172,18 @@ def test_answers_that_are_none_are_named(answer, text):
         link.robot_mode()
 
 
-@pytest.mark.parametrize(("question", "name"), [("version", "PolyscopeVersion"), ("remote_control", "is in remote")])
-def test_a_version_or_remote_mode_that_is_none_is_named(question, name):
-    first = () if question == "version" else (b"URSoftware 5.12.5\n",)
+@pytest.mark.parametrize(("query", "name"), [("version", "PolyscopeVersion"), ("remote_control", "is in remote")])
+def test_a_version_or_remote_mode_that_is_not_valid(query, name):
+    first = () if query == "version" else (b"URSoftware 5.12.5\n",)
     with (
         serving(answering(*first, b"perhaps\n")) as port,
         DashboardLink(HERE, port=port) as link,
         pytest.raises(LinkError, match=f"answers 'perhaps' to '{name}"),
     ):
-        getattr(link, question)()
+        getattr(link, query)()
 
 
-def test_what_is_said_unasked_is_not_taken_for_an_answer():
+def test_unasked_lines_are_not_taken_for_an_answer():
     asked = threading.Event()
 
     def talk(connection):
@@ -198,7 +198,7 @@ def test_what_is_said_unasked_is_not_taken_for_an_answer():
         assert link.ask("a") == "one"
         asked.set()
         assert select.select([link], [], [], DEADLINE_S)[0]
-        with pytest.raises(LinkError, match=r"said b'unasked.*' unasked"):
+        with pytest.raises(LinkError, match=r"sent b'unasked.*' unasked"):
             link.ask("b")
         with pytest.raises(ClosedError):
             link.ask("b")
@@ -215,6 +215,6 @@ def test_another_server_is_named(greeting):
 
 
 @pytest.mark.parametrize("values", [{"host": "robot.local"}, {"host": HERE, "timeout_s": -1.0}])
-def test_what_makes_no_sense_is_refused(values):
+def test_arguments_that_are_not_legal(values):
     with pytest.raises(SettingsError):
         DashboardLink(**values)

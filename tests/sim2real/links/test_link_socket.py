@@ -1,4 +1,4 @@
-"""A connection that is closed so that the controller has seen it, in bounded time."""
+"""Connections that are closed in bounded time, after the controller has seen it."""
 
 import time
 
@@ -34,7 +34,7 @@ def test_closing_waits_until_the_controller_has_seen_it():
         socket.close_and_wait(soon())
 
 
-def test_a_controller_that_does_not_close_is_not_waited_for():
+def test_the_wait_for_a_controller_that_does_not_close_is_bounded():
     done = []
 
     def talk(connection):
@@ -62,7 +62,7 @@ def test_a_deadline_that_has_passed_sends_and_reads_nothing():
     assert sent == [b""]
 
 
-def test_a_peer_that_does_not_read_is_given_up():
+def test_a_peer_that_does_not_read_is_an_error():
     done = []
 
     def talk(connection):

@@ -1,4 +1,4 @@
-"""What is read once from the primary interface, and that whatever is wrong with it is an error."""
+"""Facts from the primary interface, and the errors of a faulty one."""
 
 import contextlib
 import dataclasses
@@ -43,7 +43,7 @@ def packet(kind, body=b""):
 
 
 @pytest.mark.parametrize("family", ["cb3", "e-series"])
-def test_an_emulated_controller_says_what_it_is(family):
+def test_facts_of_an_emulated_controller(family):
     with EmulatedCell(plant="nominal", family=family) as cell:
         facts = read_primary(cell.left)
         assert facts.version == PROFILES[family].version
@@ -79,7 +79,7 @@ def test_rows_are_not_confused_and_pieces_do_not_matter():
     assert facts.checksums == kinematics_checksums(CALIBRATED)
 
 
-def test_what_is_told_only_once_may_come_in_several_packets():
+def test_facts_may_come_in_several_packets():
     reader = _Reader()
     whole = state()
     reader.feed(packet(16) + whole)
@@ -122,7 +122,7 @@ WHOLE = VERSION + state()
         (b"", "closed the connection"),
     ],
 )
-def test_what_is_no_primary_interface_is_named(data, text):
+def test_data_that_are_not_valid(data, text):
     with (
         serving(lambda connection: connection.sendall(data)) as port,
         pytest.raises(LinkError, match=text) as caught,
@@ -157,7 +157,7 @@ def test_changed_bytes_are_a_protocol_error_or_values(place, junk):
                 reader.facts.dh()
 
 
-def test_bad_arguments_are_refused():
+def test_arguments_that_are_not_legal():
     with pytest.raises(SettingsError, match="IPv4"):
         read_primary("robot")
     with pytest.raises(SettingsError, match="timeout_s"):

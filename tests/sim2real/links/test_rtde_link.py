@@ -1,4 +1,4 @@
-"""The read-only RTDE client: what it reads, that it never waits or writes, and that whatever is wrong is an error."""
+"""Read-only RTDE client: its samples, that it never waits or writes, and its errors."""
 
 import contextlib
 import itertools
@@ -42,14 +42,14 @@ def started():
 
 @pytest.fixture
 def cell(started):
-    """The cell, with nothing left of the test before."""
+    """Cell without traces of the previous test."""
     yield started
     started.ask("heal", arm="left")
     started.ask("override", arm="left", timestamp=None)
 
 
 def wait(link, condition, what):
-    """Poll until a condition holds; the samples that came."""
+    """Poll until a condition holds, and return the samples."""
     end = time.monotonic() + DEADLINE_S
     samples = []
     while not condition():
@@ -65,7 +65,7 @@ def more(link, count):
 
 
 def fault(link):
-    """The error that polling comes to."""
+    """Poll until an error, and return its message."""
     end = time.monotonic() + DEADLINE_S
     while time.monotonic() < end:
         try:
@@ -86,23 +86,23 @@ def test_samples_have_the_controllers_values_in_order(cell):
         assert link.variables == ("timestamp", *NAMES)
         before = time.monotonic()
         samples = more(link, 5)
-        told = cell.ask("state", arm="left", names=["actual_q"])["actual_q"]
+        expected = cell.ask("state", arm="left", names=["actual_q"])["actual_q"]
     times = [each.timestamp_s for each in samples]
     assert times == sorted(set(times))
     assert all(each.values["robot_mode"] == 7 for each in samples)
-    assert samples[-1].values["actual_q"] == pytest.approx(told, abs=1e-3)
+    assert samples[-1].values["actual_q"] == pytest.approx(expected, abs=1e-3)
     assert samples[-1].values.keys() == {"timestamp", *NAMES}
     assert before <= samples[-1].arrival_s <= time.monotonic()
     assert samples[-1] is link.latest
 
 
-def test_data_come_as_often_as_they_are_asked_for(cell):
+def test_samples_come_at_the_requested_rate(cell):
     with RtdeLink(cell.left, NAMES, frequency_hz=25.0) as link:
         times = [each.timestamp_s for each in more(link, 4)]
     assert [b - a for a, b in itertools.pairwise(times)] == pytest.approx([0.04] * (len(times) - 1))
 
 
-def test_what_is_optional_may_be_missing_and_nothing_else(cell):
+def test_only_optional_variables_may_be_missing(cell):
     with RtdeLink(cell.left, NAMES, optional=("ft_raw_wrench", "payload")) as link:
         assert link.variables == ("timestamp", *NAMES, "payload")
         assert more(link, 1)[-1].values["payload"] == 0.0
@@ -129,11 +129,11 @@ def test_a_silent_controller_ages_and_polling_does_not_wait(cell):
         assert link.age_s(time.monotonic()) < time.monotonic() - alive
 
 
-def test_packages_whose_time_stands_still_are_no_sign_of_life(cell):
+def test_packages_whose_time_stalls_are_no_sign_of_life(cell):
     with RtdeLink(cell.left, NAMES) as link:
         now = more(link, 1)[-1].timestamp_s + 100.0
         cell.ask("override", arm="left", timestamp=now)
-        wait(link, lambda: link.latest.timestamp_s == now, "the time to stand")
+        wait(link, lambda: link.latest.timestamp_s == now, "the time to stall")
         at = link.latest.arrival_s + 5.0
         age_s = link.age_s(at)
         more(link, 5)
@@ -141,7 +141,7 @@ def test_packages_whose_time_stands_still_are_no_sign_of_life(cell):
         assert link.age_s(at) == age_s
 
 
-def test_a_timestamp_that_goes_back_breaks_the_link_for_good(cell):
+def test_a_timestamp_that_goes_back_breaks_the_link(cell):
     with RtdeLink(cell.left, NAMES, name="left") as link:
         last = more(link, 2)[-1]
         cell.ask("override", arm="left", timestamp=0.001)
@@ -154,7 +154,7 @@ def test_a_timestamp_that_goes_back_breaks_the_link_for_good(cell):
             with pytest.raises(LinkError, match="went back"):
                 link.poll()
         end = time.monotonic() + DEADLINE_S
-        while cell.ask("clients", arm="left")["rtde"]:  # it does not connect again
+        while cell.ask("clients", arm="left")["rtde"]:  # it does not reconnect
             assert time.monotonic() < end
 
 
@@ -175,7 +175,7 @@ def test_a_corrupt_stream_is_an_error(cell):
         assert "RTDE" in fault(link)
 
 
-def test_a_controller_that_accepts_and_is_silent_is_given_up(cell):
+def test_a_controller_that_accepts_and_is_silent_is_an_error(cell):
     cell.ask("link", arm="left", port="rtde", half_open=True)
     with pytest.raises(LinkError, match=r"left arm, RTDE at .*no answer in time;"):
         RtdeLink(cell.left, NAMES, timeout_s=0.3, name="left")
@@ -187,14 +187,14 @@ def test_a_refused_connection_is_named(cell):
         RtdeLink(cell.left, NAMES, name="left")
 
 
-def test_links_of_both_arms_are_apart(cell):
+def test_links_of_both_arms_are_independent(cell):
     with RtdeLink(cell.left, NAMES) as left, RtdeLink(cell.right, NAMES) as right:
         cell.ask("drop", arm="left", port="rtde")
         fault(left)
         more(right, 3)
 
 
-def test_a_closed_link_says_so(cell):
+def test_a_closed_link(cell):
     link = RtdeLink(cell.left, NAMES)
     assert select.select([link], [], [], DEADLINE_S)[0] == [link]
     link.close()
@@ -204,7 +204,7 @@ def test_a_closed_link_says_so(cell):
             use()
 
 
-# With servers of a few lines.
+# With small servers.
 
 
 def test_nothing_is_sent_after_the_start():
@@ -222,7 +222,7 @@ def test_nothing_is_sent_after_the_start():
     assert sent == [b""]
 
 
-def test_what_is_asked_for():
+def test_requests():
     asked = []
 
     def talk(connection):
@@ -273,7 +273,7 @@ def test_pieces_and_texts_change_nothing():
         ({"S": b""}, "kind 83"),
     ],
 )
-def test_answers_that_are_none_are_named(answers, text):
+def test_answers_that_are_not_valid(answers, text):
     with (
         serving(lambda connection: rtde_talk(connection, **answers)) as port,
         pytest.raises(LinkError, match=r"right arm, RTDE at 127\.0\.0\.1:.*; ") as caught,
@@ -283,7 +283,7 @@ def test_answers_that_are_none_are_named(answers, text):
 
 
 @pytest.mark.parametrize("first", [b"HTTP/1.1 400 Bad Request\r\n\r\n", b"\0\1V", b"\0\4X\1", b"\0\4V\1\0\4V\1", b""])
-def test_what_is_no_rtde_server_is_an_error(first):
+def test_a_server_of_another_protocol_is_an_error(first):
     def talk(connection):
         rtde_request(connection)
         connection.sendall(first)
@@ -292,7 +292,7 @@ def test_what_is_no_rtde_server_is_an_error(first):
         RtdeLink(HERE, ["robot_mode"], port=port)
 
 
-def test_a_server_that_never_comes_to_the_point_is_given_up():
+def test_a_server_that_sends_texts_only_is_an_error():
     def talk(connection):
         end = time.monotonic() + DEADLINE_S
         while time.monotonic() < end:
@@ -343,8 +343,8 @@ def test_a_bad_package_in_the_stream_is_an_error(package, text):
         ({"host": ""}, "IPv4"),
         ({"variables": ["a,b"]}, "a,b"),
         ({"variables": ["a\n"]}, "letters"),
-        ({"variables": ["robot_mode", "robot_mode"]}, "once"),
-        ({"variables": "robot_mode"}, "list"),
+        ({"variables": ["robot_mode", "robot_mode"]}, "distinct"),
+        ({"variables": "robot_mode"}, "list of distinct"),
         ({"optional": ["a b"]}, "a b"),
         ({"frequency_hz": 0.0}, "frequency_hz"),
         ({"frequency_hz": math.nan}, "frequency_hz"),
@@ -352,7 +352,7 @@ def test_a_bad_package_in_the_stream_is_an_error(package, text):
         ({"timeout_s": math.inf}, "timeout_s"),
     ],
 )
-def test_what_makes_no_sense_is_refused(values, text):
+def test_arguments_that_are_not_legal(values, text):
     with pytest.raises(SettingsError, match=text):
         RtdeLink(**{"host": HERE, "variables": ["robot_mode"], **values})
 
@@ -368,7 +368,7 @@ def stream():
 
 @settings(max_examples=scaled(2000), deadline=None)
 @given(st.lists(st.integers(1, 40), max_size=30), st.integers(1, 10))
-def test_where_the_bytes_are_cut_does_not_matter(cuts, count):
+def test_the_cuts_between_bytes_do_not_matter(cuts, count):
     data = STARTED + b"".join(rtde_data(float(time_s), time_s) for time_s in range(count))
     whole, parts = stream(), stream()
     samples = whole.feed(data, 11.0)
@@ -382,7 +382,7 @@ def test_where_the_bytes_are_cut_does_not_matter(cuts, count):
 
 @settings(max_examples=scaled(20_000), deadline=None)
 @given(st.binary(max_size=200))
-def test_whatever_comes_it_is_a_protocol_error_or_nothing(data):
+def test_random_bytes_are_a_protocol_error_or_nothing(data):
     found = stream()
     with contextlib.suppress(ProtocolError):
         found.feed(STARTED + rtde_data(1.0) + data, 11.0)
@@ -402,13 +402,13 @@ def test_a_changed_byte_is_found_or_is_in_a_value(where, change):
             found.feed(bytes(package) + rtde_data(3.0) * 50, 12.0)
         except ProtocolError:
             return
-        # Texts are let pass, and nothing else.
+        # Only texts pass.
         assert bytes(package)[2] == ord("M")
     else:
         try:
             (sample,) = found.feed(bytes(package), 12.0)
         except ProtocolError:
-            assert where < 12  # the timestamp went back, or is no number
+            assert where < 12  # the timestamp went back, or is not finite
             return
         assert sample.values != {"timestamp": 2.0, "robot_mode": 7}
 
@@ -422,7 +422,7 @@ def test_before_the_first_sample_age_counts_from_the_start():
     assert (found.alive_s, found.latest.arrival_s) == (11.0, 12.0)
 
 
-def test_a_controller_that_talks_does_not_fill_the_log(caplog):
+def test_texts_do_not_fill_the_log(caplog):
     found = stream()
     found.feed(STARTED + rtde_frame("M", b"\2hi\0\3") * 1000, 11.0)
     assert 0 < len(caplog.records) < 100

@@ -1,4 +1,4 @@
-"""Loopback addresses for emulated controllers: free ones are found, since UR's ports cannot be chosen."""
+"""Ports and loopback addresses of emulated controllers. UR's ports are fixed, so each has its own address."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ PORTS: Final = {
     "rtde": 30004,
     "gripper": 63352,
 }
-"""UR's ports, and that of Robotiq's gripper server."""
+"""UR's ports, and the port of Robotiq's gripper server."""
 
 _ATTEMPTS: Final = 200
-_FIRST_NETWORK: Final = 64  # 127.64.0.0 and above: away from what other programs use
+_FIRST_NETWORK: Final = 64  # 127.64.0.0 and above, which other programs rarely use
 
 
 def is_free(host: str) -> bool:
-    """Whether all of a controller's ports are free at an address.
+    """Return True if all of a controller's ports are free at an address.
 
     Raises:
         AddressError: The address cannot be used at all.
@@ -44,15 +44,15 @@ def is_free(host: str) -> bool:
 
 
 def free_address(taken: Collection[str] = ()) -> str:
-    """A loopback address at which all of a controller's ports are free.
+    """Return a loopback address at which all of a controller's ports are free.
 
     Args:
-        taken: Addresses that are not to be used.
+        taken: Addresses to avoid.
 
     Raises:
         AddressError: None was found.
     """
-    # Other programs may look at the same time: everyone looks in an order of its own.
+    # Other programs may search at the same time, so each searches in its own random order.
     order = random.Random(os.getpid() * 1_000_003 + random.getrandbits(32))
     reason = ""
     for _ in range(_ATTEMPTS):
@@ -69,10 +69,10 @@ def free_address(taken: Collection[str] = ()) -> str:
 
 
 def checked_address(host: str) -> str:
-    """The address, if a controller can listen there.
+    """Return the address if a controller can listen there.
 
     Raises:
-        AddressError: It is not of the loopback interface, taken, or does not exist on this machine.
+        AddressError: It is no loopback address, is taken, or does not exist on this machine.
     """
     check_loopback(host)
     for port in PORTS.values():
@@ -81,10 +81,10 @@ def checked_address(host: str) -> str:
 
 
 def listening(address: tuple[str, int]) -> socket.socket:
-    """A socket that listens.
+    """Return a listening socket.
 
     Raises:
-        AddressError: The address is taken, does not exist on this machine, or is not of the loopback interface.
+        AddressError: The address is taken, does not exist on this machine, or is no loopback address.
     """
     check_loopback(address[0])
     sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)

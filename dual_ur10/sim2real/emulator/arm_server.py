@@ -1,4 +1,4 @@
-"""The ports of one emulated controller, and what its clients get in every control period."""
+"""Ports of one emulated controller, and the data that its clients receive in every control period."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from dual_ur10.sim2real.protocol.text_lines import LineReader
 
 log = logging.getLogger(__name__)
 
-_MOST_SCRIPTS: Final = 64  # programs that wait to be started
+_MOST_SCRIPTS: Final = 64  # programs waiting for their start
 
 
 class RtdePeer:
-    """A client of the RTDE port."""
+    """Client of the RTDE port."""
 
     finished = False
 
@@ -39,20 +39,20 @@ class RtdePeer:
         self.session = session
 
     def received(self, data: bytes) -> bytes:
-        """Answer what came."""
+        """Answer received bytes."""
         return self.session.receive(data)
 
     def closed(self) -> None:
-        """Free its inputs."""
+        """Release its inputs."""
         self.session.close()
 
 
 class LinePeer:
-    """A client that sends lines and gets one line for each.
+    """Client that sends lines and gets one answer for each.
 
     Args:
-        answer: From a line to its answer.
-        end: What follows every answer.
+        answer: Function from a line to its answer.
+        end: End of every answer.
     """
 
     finished = False
@@ -61,15 +61,15 @@ class LinePeer:
         self._answer, self._lines, self._end = answer, LineReader(), end
 
     def received(self, data: bytes) -> bytes:
-        """Answer what came."""
+        """Answer received bytes."""
         return "".join(self._answer(line) + self._end for line in self._lines.feed(data)).encode("utf-8", "replace")
 
     def closed(self) -> None:
-        """There is nothing to forget."""
+        """Do nothing: the peer has no state."""
 
 
 class DashboardPeer(LinePeer):
-    """A client of the dashboard server."""
+    """Client of the dashboard server."""
 
     def __init__(self, dashboard: Dashboard) -> None:
         super().__init__(dashboard.answer)
@@ -77,15 +77,15 @@ class DashboardPeer(LinePeer):
 
     @property
     def finished(self) -> bool:  # type: ignore[override]  # read only here
-        """Whether it said goodbye."""
+        """True after the client has quit."""
         return self._dashboard.closed
 
 
 class ScriptPeer:
-    """A client of a port that takes programs.
+    """Client of a port that takes programs.
 
     Args:
-        run: Takes a program.
+        run: Function that takes a program.
     """
 
     finished = False
@@ -94,28 +94,28 @@ class ScriptPeer:
         self._run, self._splitter = run, Splitter()
 
     def received(self, data: bytes) -> bytes:
-        """Run the programs that are complete. Nothing is answered."""
+        """Run the completed programs. Nothing is answered."""
         for text in self._splitter.feed(data):
             self._run(text)
         return b""
 
     def closed(self) -> None:
-        """What is not complete is dropped."""
+        """Drop an incomplete program."""
 
 
 class ArmServer:
     """One controller on its standard ports.
 
     Args:
-        hub: The sockets of the cell.
+        hub: Sockets of the cell.
         controller: The controller.
-        host: A loopback address of its own.
-        gripper: The gripper's server, or None.
-        off: Called when the controller is shut down through its dashboard.
+        host: Its own loopback address.
+        gripper: Server of the gripper, or None.
+        off: Callback for a shutdown through the dashboard.
 
     Attributes:
-        ports: By name, as in `PORTS`.
-        script_delay_s: By how much the start of programs is late.
+        ports: Ports by name, as in `PORTS`.
+        script_delay_s: Injected delay of the start of programs.
 
     Raises:
         AddressError: The address cannot be used.
@@ -134,7 +134,7 @@ class ArmServer:
         self.script_delay_s = 0.0
         self._scripts: deque[tuple[float, str, Future[Program | ScriptError]]] = deque()
         self._hub = hub
-        # Control periods do not wait for programs to be read, and one arm's not for the other's.
+        # Parsing must not delay control periods, nor the other arm's programs.
         self._reader = ThreadPoolExecutor(1, f"{controller.name} programs")
         self._rtde = RtdePort(
             controller.profile,
@@ -154,35 +154,35 @@ class ArmServer:
             raise
 
     def pretend(self, profile: ControllerProfile, kinematics: DHParameters) -> None:
-        """Tell clients of a version, model or calibration that may not be the true one, from now on.
+        """Report another version, model or calibration to clients from now on.
 
         Raises:
-            SettingsError: It cannot be told.
+            SettingsError: It cannot be encoded.
         """
         try:
             primary = PrimaryPacket(profile, kinematics)
         except struct.error as error:
-            raise SettingsError(f"no controller can say this: {error}") from error
+            raise SettingsError(f"no controller can report this: {error}") from error
         self.primary, self.shown, self.kinematics = primary, profile, kinematics
         self._rtde.profile = profile
 
     def check(self, values: Mapping[str, Any]) -> None:
-        """Check that clients can be told these values, on every port.
+        """Check that values can be reported to clients on every port.
 
         Args:
-            values: By RTDE's names.
+            values: Values by RTDE name.
 
         Raises:
             SettingsError: They cannot.
         """
-        told = {**self.controller.values, **values}
+        reported = {**self.controller.values, **values}
         try:
             for name, value in values.items():
                 self._rtde.output_types[name].fit(name, value)
-            self._realtime.pack(told)
-            self.primary.state(told)
+            self._realtime.pack(reported)
+            self.primary.state(reported)
         except (struct.error, TypeError, ValueError, OverflowError) as error:
-            raise SettingsError(f"clients cannot be told {dict(values)!r}: {error}") from error
+            raise SettingsError(f"clients cannot be sent {dict(values)!r}: {error}") from error
 
     def _listen(self, name: str, gripper: RobotiqGripper | None) -> None:
         def add(which: str, accept: Callable[[], object], greeting: Callable[[], bytes] = bytes) -> None:
@@ -195,7 +195,7 @@ class ArmServer:
         add("realtime", lambda: ScriptPeer(self._take_script))
         add("rtde", lambda: RtdePeer(self._rtde.open()))
         if gripper is not None:
-            # Its answers have their ends, where they have one.
+            # The gripper's answers bring their own ends.
             add("gripper", lambda: LinePeer(gripper.answer, end=""))
 
     def _take_script(self, text: str) -> None:
@@ -206,13 +206,13 @@ class ArmServer:
         self._scripts.append((self.controller.time_s + self.script_delay_s, text, found))
 
     def before_tick(self) -> None:
-        """Start the programs that have been read, in their order."""
+        """Start the parsed programs, in order of arrival."""
         while self._scripts and self._scripts[0][0] <= self.controller.time_s and self._scripts[0][2].done():
             _, text, found = self._scripts.popleft()
             self.controller.run_script(text, found.result())
 
     def publish(self) -> None:
-        """Send what is due in this control period."""
+        """Send the data that are due in this control period."""
         controller, ports = self.controller, self.ports
         for connection in list(ports["rtde"].connections):
             peer = connection.peer

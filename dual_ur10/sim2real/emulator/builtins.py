@@ -1,4 +1,4 @@
-"""The functions that programs may call, of one controller."""
+"""All URScript builtins of one controller."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _ELEMENTS_PER_STEP = 8
 
 
 def _costly(controller: Controller, own: Builtins) -> Builtins:
-    """Functions whose time depends on how much they are given: they count for more than one statement."""
+    """Return functions whose duration depends on the size of their argument: they count as several statements."""
 
     def norm(a: Any) -> float:
         controller.spend(_size(a))
@@ -30,14 +30,14 @@ def _costly(controller: Controller, own: Builtins) -> Builtins:
 
 
 def _size(value: Any) -> int:
-    """Statements that looking at a value counts for."""
+    """Return the number of statements that a value counts for."""
     if not isinstance(value, list):
         return 0
     return sum(len(each) if isinstance(each, list) else 1 for each in value) // _ELEMENTS_PER_STEP
 
 
 def builtins_of(controller: Controller) -> Builtins:
-    """Every built-in function, by name, as the controller's version has them."""
+    """Return every builtin by name, as the controller's version has them."""
     own = library(controller.profile.tick_s)
     return {
         **own,

@@ -1,4 +1,4 @@
-"""URScript's functions of registers, inputs and outputs, and messages."""
+"""URScript's functions for registers, inputs and outputs, messages and the RTDE watchdog."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _int32(value: float) -> int:
 
 
 def io_builtins(controller: Controller) -> Builtins:
-    """The functions, by name."""
+    """Return the functions by name."""
     registers, io = controller.registers, controller.io
 
     def read_input_integer_register(address: int) -> int:
@@ -125,7 +125,7 @@ def io_builtins(controller: Controller) -> Builtins:
         controller.watchdog = _watchdog(controller, variable_name, float(number(min_frequency)), action)
         controller.received.watchdog = (controller.ticks, float(min_frequency), action)
 
-    # Every function that stands above is one of URScript's.
+    # Every function above is one of URScript's.
     own = locals()
     return {name: value for name, value in own.items() if callable(value)}
 
@@ -159,7 +159,7 @@ def _within(n: int, count: int) -> int:
 
 
 def _old(n: int) -> int:
-    """Bit of an input or output in the old numbering, in which 8 and 9 are the tool's."""
+    """Return the bit of an input or output in the old numbering, in which 8 and 9 are the tool's."""
     return TOOL + _within(n, 10) - 8 if n >= 8 else _within(n, 8)
 
 

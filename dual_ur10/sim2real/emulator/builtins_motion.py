@@ -15,35 +15,35 @@ from dual_ur10.sim2real.emulator.script.values import number
 Blocking = Generator[None, None, None]
 
 SOLUTION_STEPS: Final = 50
-"""Statements that a solution of the inverse kinematics counts for, in what a program may do in one control period."""
+"""Statements that one solution of the inverse kinematics counts for."""
 
 # Names and defaults of the parameters are those of UR's script manual; they are what programs write.
 # ruff: noqa: A002
 
 
 class MotionOwner:
-    """Which of a program's threads moves the arm: one at a time, as on a real controller."""
+    """Ownership of the arm's motion by one thread of a program at a time, as on a real controller."""
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
         self._owner: Any = None
 
     def check(self) -> None:
-        """Make sure that it is the program that wants to move the arm.
+        """Check that the caller is the main program.
 
         Raises:
             MotionError: It is a secondary program.
         """
         machine = self._controller.program.machine
-        if machine is None or machine.thread is None:  # what runs now is not the program
+        if machine is None or machine.thread is None:  # a secondary program runs now
             raise MotionError("a secondary program must not move the arm: do that in a program, with def")
 
     @contextmanager
     def taken(self) -> Iterator[None]:
-        """Move the arm from the thread that runs now.
+        """Own the motion from the running thread.
 
         Raises:
-            MotionError: Another thread does.
+            MotionError: Another thread owns it.
         """
         self.check()
         machine = self._controller.program.machine
@@ -58,7 +58,7 @@ class MotionOwner:
                 self._owner = None
 
     def follow(self, start: Callable[[], Handle]) -> Blocking:
-        """Start a motion and block until the program may go on. A thread that is killed leaves no motion behind."""
+        """Start a motion and block until its command returns. A killed thread stops its motion."""
         with self.taken():
             handle = start()
             try:
@@ -72,10 +72,10 @@ class MotionOwner:
 
 
 def joints_of(controller: Controller, q: Sequence[float], near: Sequence[float] | None = None) -> list[float]:
-    """Joint positions of what a program gives as a target: joint positions, or a pose.
+    """Return the joint positions of a target: joint positions, or a pose.
 
     Raises:
-        MotionError: The pose cannot be reached, or these are not six numbers.
+        MotionError: The pose cannot be reached, or there are not six numbers.
     """
     if len(q) != 6:
         raise MotionError(f"a target has six numbers, found {len(q)}")
@@ -89,7 +89,7 @@ def joints_of(controller: Controller, q: Sequence[float], near: Sequence[float] 
 
 
 def pose_of(controller: Controller, target: Sequence[float]) -> list[float]:
-    """Pose of the TCP of what a program gives as a target: a pose, or joint positions."""
+    """Return the pose of the TCP for a target: a pose, or joint positions."""
     if len(target) != 6:
         raise MotionError(f"a target has six numbers, found {len(target)}")
     if isinstance(target, Pose):
@@ -98,7 +98,7 @@ def pose_of(controller: Controller, target: Sequence[float]) -> list[float]:
 
 
 def motion_builtins(controller: Controller) -> Builtins:
-    """The functions, by name."""
+    """Return the functions by name."""
     motion, owner, tick_s = controller.motion, MotionOwner(controller), controller.profile.tick_s
 
     def movej(q: Any, a: float = 1.4, v: float = 1.05, t: float = 0, r: float = 0) -> Blocking:

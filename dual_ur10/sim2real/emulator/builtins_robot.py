@@ -1,4 +1,4 @@
-"""URScript's functions about the arm: where it is, what it carries, what it feels."""
+"""URScript's functions about the arm: kinematics, measured state, payload and forces."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dual_ur10.sim2real.emulator.controller import Controller
 from dual_ur10.sim2real.emulator.script import Builtins, Pose
 from dual_ur10.sim2real.emulator.script.values import number
 
-# Names and defaults of the parameters are those of UR's script manual; they are what programs write.
+# Names and defaults of the parameters are those of UR's script manual, since programs pass them by name.
 # ruff: noqa: N803
 
 _CONTACT_N: Final = 15.0  # against a direction; UR publishes no threshold of tool_contact
@@ -38,7 +38,7 @@ def _mass(m: Any) -> float:
 
 
 def robot_builtins(controller: Controller) -> Builtins:
-    """The functions, by name."""
+    """Return the functions by name."""
     motion, values, payload = controller.motion, controller.values, controller.payload
     contact = _Contact(controller)
 
@@ -157,9 +157,9 @@ def robot_builtins(controller: Controller) -> Builtins:
         set_payload(payload.mass_kg, CoG)
 
     def set_target_payload(m: float, cog: Any, inertia: Any = (0.0,) * 6, transition_time: float = 0.0) -> None:
-        turns = tuple(_six(inertia, "an inertia"))
+        moments = tuple(_six(inertia, "an inertia"))
         set_payload(m, cog)
-        payload.inertia_kg_m2 = turns
+        payload.inertia_kg_m2 = moments
 
     def get_target_payload() -> float:
         return payload.mass_kg
@@ -171,7 +171,7 @@ def robot_builtins(controller: Controller) -> Builtins:
         return list(payload.inertia_kg_m2)
 
     def set_gravity(d: Any) -> None:
-        _numbers(d, 3, "gravity")  # the arms stand upright in every cell: nothing else would be true
+        _numbers(d, 3, "gravity")  # without effect: the arms stand upright in every cell
 
     def enable_external_ft_sensor(
         enable: bool, sensor_mass: float = 0.0, sensor_measuring_offset: Any = (0.0,) * 3, sensor_cog: Any = (0.0,) * 3
@@ -206,14 +206,14 @@ def robot_builtins(controller: Controller) -> Builtins:
 
 
 class _Contact:
-    """Since when the tool is pushed back."""
+    """Duration of a contact force on the tool."""
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
         self._tick, self._steps = -1, 0
 
     def steps(self, direction: list[float]) -> int:
-        """Control periods since the push against `direction` began; 0: there is none."""
+        """Return the control periods since the force against `direction` began; 0 without one."""
         towards = np.array(direction[:3])
         length = float(np.linalg.norm(towards))
         force = self._controller.wrench[:3]

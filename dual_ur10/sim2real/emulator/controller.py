@@ -1,4 +1,4 @@
-"""One emulated UR controller: what happens in one of its control periods."""
+"""One emulated UR controller: the work of one control period."""
 
 from __future__ import annotations
 
@@ -31,28 +31,28 @@ log = logging.getLogger(__name__)
 
 GRAVITY_M_S2: Final = 9.81
 
-# UR publishes no torque constants. These only make currents of a believable size of the simulated torques.
+# UR publishes no torque constants. These give plausible currents for the simulated torques.
 _NM_PER_A: Final = np.array([13.0, 13.0, 10.0, 9.0, 9.0, 9.0])
 
-_HISTORY: Final = 1000  # control periods of joint positions that a program may look back at
-_SETPOINTS: Final = 50_000  # executed servoj targets that are kept
+_HISTORY: Final = 1000  # control periods of joint positions kept for programs
+_SETPOINTS: Final = 50_000  # executed servoj targets kept
 _MESSAGES: Final = 256
 
 STEADY_RAD: Final = 0.01
 STEADY_RAD_S: Final = 0.001
-REDUCED_SPEED: Final = 0.5  # of the speed in reduced mode; a real controller's depends on its safety configuration
+REDUCED_SPEED: Final = 0.5  # ratio of the speed in reduced mode; a real one depends on the safety configuration
 
 
 class ArmReading(NamedTuple):
-    """What the controller of one arm measures.
+    """Measurements of one arm.
 
     Attributes:
         q_rad: (6,) joint positions.
         qd_rad_s: (6,) joint speeds.
-        torque_nm: (6,) torques of the joints' motors.
+        torque_nm: (6,) motor torques of the joints.
         wrench: (6,) force and torque on the flange, N and N·m, along the axes of the arm's `base`, without the
             gripper's own weight; zero where nothing measures it.
-        gripper_m: Opening of the gripper; None if there is none.
+        gripper_m: Gripper width; None without a gripper.
     """
 
     q_rad: Array
@@ -63,7 +63,7 @@ class ArmReading(NamedTuple):
 
 
 class Setpoint(NamedTuple):
-    """One executed servoj."""
+    """One executed servoj target."""
 
     tick: int
     q_rad: tuple[float, ...]
@@ -74,7 +74,7 @@ class Setpoint(NamedTuple):
 
 @dataclass
 class Payload:
-    """What a controller was told of its payload."""
+    """Payload as set on the controller."""
 
     mass_kg: float = 0.0
     cog_m: tuple[float, ...] = (0.0, 0.0, 0.0)
@@ -87,14 +87,14 @@ class Controller:
     Args:
         name: "left" or "right", for the log.
         profile: Its version.
-        q_rad: (6,) where the arm stands.
-        substeps: Physics steps of one control period.
-        dh: The kinematics that it believes in.
-        builtins: Makes the functions that its programs may call, as `builtins_of` does.
-        lookahead_scale: True lookahead over the one that programs ask for.
-        gripper_kg: Mass that its installation declares as payload.
+        q_rad: (6,) initial joint positions.
+        substeps: Physics steps per control period.
+        dh: Its nominal kinematics.
+        builtins: Factory of the functions that its programs may call, such as `builtins_of`.
+        lookahead_scale: Ratio of the true lookahead to the commanded one.
+        gripper_kg: Payload mass declared by its installation.
         powered: Whether the arm is powered from the start.
-        boot_s: Time since it was started, in its own clock.
+        boot_s: Initial reading of its own clock.
     """
 
     def __init__(
@@ -154,7 +154,7 @@ class Controller:
         return self.boot_s + self.ticks * self.profile.tick_s
 
     def tick(self, reading: ArmReading) -> Array:
-        """Let one control period begin: measure, run the program, and say how the arm is to move.
+        """Begin one control period: measure, run the program, and plan the motion.
 
         Returns:
             (substeps, 3, 6): the motion, as `EmulatedWorld.advance` takes it.
@@ -176,12 +176,12 @@ class Controller:
         self._ran = self.program.machine is not None
         before = self.motion.qd.copy()
         plan: Array = self.motion.plan(self.program.speed, wrench=self.wrench, q_actual=reading.q_rad)
-        self._look_for_faults(reading)
+        self._check_faults(reading)
         self._publish((self.motion.qd - before) / self.profile.tick_s)
         return plan
 
-    def _look_for_faults(self, reading: ArmReading) -> None:
-        """Stop where a controller would: for what it is asked to do, and for an arm that does not do it."""
+    def _check_faults(self, reading: ArmReading) -> None:
+        """Stop protectively after an infeasible command, or if the arm deviates from its path."""
         fault = self.motion.fault
         if fault is not None:
             self.motion.fault = None
@@ -199,12 +199,12 @@ class Controller:
             self._wanted = self.motion.q
 
     def note_setpoint(self, q_rad: Sequence[float], t_s: float, lookahead_s: float, gain: float) -> None:
-        """Keep a servoj target that is executed."""
+        """Record an executed servoj target."""
         self.setpoints_count += 1
         self.setpoints.append(Setpoint(self.ticks, tuple(q_rad), float(t_s), float(lookahead_s), float(gain)))
 
     def override(self, name: str, value: Any) -> None:
-        """Tell clients this value of a variable, whatever is true, from the next tick on; None ends it."""
+        """Report this value of a variable to clients from the next tick on, instead of the true one; None ends it."""
         if value is not None:
             self._overridden.setdefault(name, self.values[name])
             self.overrides[name] = value
@@ -214,7 +214,7 @@ class Controller:
     # Stops.
 
     def protective_stop(self, code: str, text: str) -> None:
-        """Stop protectively, for a reason that UR has a code for."""
+        """Stop protectively, with an error code of UR."""
         if self.safety.safety_mode == SafetyMode.PROTECTIVE_STOP:
             return
         log.warning("%s: protective stop: %s: %s", self.name, code, text)
@@ -223,7 +223,7 @@ class Controller:
         self.messages.append(messages.safety_mode_message(self.time_s, SafetyMode.PROTECTIVE_STOP, code))
 
     def say(self, text: str) -> None:
-        """Send the text of a program to clients of the primary interface."""
+        """Send a text message of a program to clients of the primary interface."""
         self.messages.append(messages.text_message(self.time_s, text))
 
     def show(self, title: str, text: str) -> None:
@@ -236,10 +236,10 @@ class Controller:
         self.messages.append(messages.script_error_message(self.time_s, error))
 
     def spend(self, steps: int) -> None:
-        """Count a function of a program as so many of the statements that it may run in a control period.
+        """Charge a costly function with so many statements of this control period.
 
         Raises:
-            RecursionError: It has no more of them.
+            RecursionError: The control period has fewer left.
         """
         machine = self.program.machine
         if machine is not None and machine.thread is not None:
@@ -265,7 +265,7 @@ class Controller:
             else:
                 self.program.stop("its watchdog was not fed")
 
-    # What is measured and told.
+    # Measured and reported values.
 
     def zero_wrench(self) -> None:
         """Take the present force as zero."""
@@ -302,7 +302,7 @@ class Controller:
         )
 
     def _publish(self, qdd: Array) -> None:
-        """Bring the values that clients are told up to date."""
+        """Update the values that are reported to clients."""
         values, motion, reading, program, safety = self.values, self.motion, self.reading, self.program, self.safety
         running = safety.robot_mode == RobotMode.RUNNING
         current = reading.torque_nm / _NM_PER_A
@@ -359,22 +359,22 @@ class Controller:
 
     @property
     def steady(self) -> bool:
-        """Whether the arm stands, and nothing wants to move it."""
+        """True if the arm stands and no motion is commanded."""
         there = float(np.abs(self.motion.q - self.reading.q_rad).max()) < STEADY_RAD
         return not self.motion.moving and there and float(np.abs(self.reading.qd_rad_s).max()) < STEADY_RAD_S
 
-    # What clients send.
+    # Input from clients.
 
     def inputs(self, values: Mapping[str, Any]) -> None:
-        """Take over an RTDE input package's values that are no registers."""
+        """Apply the values of an RTDE input package that are no registers."""
         self.io.apply(values)
 
     def run_script(self, text: str, found: Program | ScriptError | None = None) -> None:
-        """Run what came on a script port: refused in local mode, as a controller does.
+        """Run a program received on a script port. Local mode refuses it, as on a real controller.
 
         Args:
-            text: The program.
-            found: What reading it has given, if it has been read already.
+            text: Text of the program.
+            found: Result of parsing it, if it has been parsed already.
         """
         if self.profile.has_remote_control and not self.remote_control:
             log.warning("%s: a program is refused: the controller is in local mode", self.name)
@@ -385,10 +385,10 @@ class Controller:
         self.program.load(text, found)
 
     def play(self) -> None:
-        """Play or go on.
+        """Start or resume the program.
 
         Raises:
-            OperationRefusedError: The arm may not be moved, or there is no program.
+            OperationRefusedError: The arm must not move, or there is no program.
         """
         if self.safety.demand is not Demand.NONE:
             raise OperationRefusedError("the arm is stopped or has no power")

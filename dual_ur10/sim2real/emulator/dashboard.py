@@ -1,7 +1,7 @@
-"""The dashboard server (port 29999): one command a line, one answer a line.
+"""Dashboard server (port 29999): one command per line, one answer per line.
 
 Commands and answers: UR's articles "Dashboard Server CB-Series" and "Dashboard Server e-Series", and the answers that
-Universal Robots' client library accepts. "Assumption" marks what none of them says.
+Universal Robots' client library accepts. "Assumption" marks behaviour that none of them specifies.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ LOCAL_MODE: Final = (
     "Command is not allowed due to safety reasons, please switch robot to Remote Control mode and reconnect to port "
     "29999"
 )
-"""The answer of an e-Series controller in local mode, as users of UR's drivers have quoted it."""
+"""Answer of an e-Series controller in local mode, as users of UR's drivers have quoted it."""
 
 USER_ROLES: Final = ("programmer", "operator", "none", "locked", "restricted")
 """User roles of a CB3 (UR's article "Dashboard Server CB-Series")."""
 
 _LONGEST_NAME: Final = 4  # words
 
-# Before `safetystatus` there was only `safetymode`, which knows one kind of safeguard stop. Assumption: it still does.
+# `safetymode` is older than `safetystatus` and has one kind of safeguard stop. Assumption: it still has.
 _AS_SAFEGUARD: Final = (
     SafetyMode.AUTOMATIC_MODE_SAFEGUARD_STOP,
     SafetyMode.SYSTEM_THREE_POSITION_ENABLING_STOP,
@@ -48,15 +48,15 @@ _PROGRAM_STATES: Final = {
 
 @dataclass(frozen=True)
 class _Command:
-    """How a command is answered, and where it exists.
+    """Dashboard command: its answer and the versions that have it.
 
     Attributes:
-        answer: From its argument to the answer.
+        answer: Function from the argument to the answer.
         e_series: First PolyScope 5 that has it, if any.
         cb3: First PolyScope 3 that has it, if any.
         argument: Whether text may follow the name.
         remote: Whether an e-Series controller allows it only in remote control.
-        refusal: The answer if the robot refuses; `{}` stands for the argument. Empty: the refusal's own text.
+        refusal: Answer if the robot refuses; `{}` stands for the argument. If empty, the refusal's own text.
     """
 
     answer: Callable[[str], str]
@@ -70,16 +70,16 @@ class _Command:
 class Dashboard:
     """One connection to the dashboard server.
 
-    Make one for each connection: a client that connected in local mode has to connect again after a switch to remote
-    control, as on a real controller.
+    Make one for each connection: after a switch to remote control, a client that connected in local mode has to connect
+    again, as on a real controller.
 
     Args:
-        profile: The controller.
-        robot: What the commands act on.
+        profile: Profile of the controller.
+        robot: Operations behind the commands.
 
     Attributes:
-        greeting: The line that a client gets first.
-        closed: Whether the connection is to be closed after the last answer.
+        greeting: First line for a new client.
+        closed: Whether to close the connection after the last answer.
     """
 
     greeting = GREETING
@@ -96,7 +96,7 @@ class Dashboard:
         return tuple(self._commands)
 
     def answer(self, line: str) -> str:
-        """The answer to one line, without an end of line. Nothing that a client sends raises."""
+        """Answer one line, without an end of line. No input raises."""
         found = self._find(line.strip())
         if found is None:
             return f"could not understand: '{line.strip()}'"
@@ -113,7 +113,7 @@ class Dashboard:
             return command.refusal.replace("{}", argument) or " ".join(str(reason).split())
 
     def _find(self, line: str) -> tuple[_Command, str] | None:
-        """The command of a line with its argument: the longest name that fits, in any case (assumed of the CB3)."""
+        """Return the command of a line with its argument: the longest matching name, in any case (assumed for CB3)."""
         words = line.split(" ")
         for count in range(min(len(words), _LONGEST_NAME), 0, -1):
             command = self._commands.get(" ".join(words[:count]).lower())
@@ -129,9 +129,7 @@ class Dashboard:
         robot, profile = self._robot, self._profile
         version = ".".join(map(str, profile.version))
 
-        def told(text: str, act: Callable[[], None]) -> Callable[[str], str]:
-            """Do it, then say `text`."""
-
+        def done(text: str, act: Callable[[], None]) -> Callable[[str], str]:
             def answer(_: str) -> str:
                 act()
                 return text
@@ -143,20 +141,20 @@ class Dashboard:
 
         def switch(name: str, text: str, act: Callable[[], None]) -> dict[str, _Command]:
             # UR documents the refusals of play, stop and pause. Assumption: the others refuse in the same words.
-            return {name: _Command(told(text, act), remote=True, refusal=f"Failed to execute: {name}")}
+            return {name: _Command(done(text, act), remote=True, refusal=f"Failed to execute: {name}")}
 
         return {
             "load": _Command(self._load, argument=True, remote=True, refusal="Error while loading program: {}"),
             **switch("play", "Starting program", robot.play),
             **switch("stop", "Stopped", robot.stop),
             **switch("pause", "Pausing program", robot.pause),
-            "quit": _Command(told("Disconnected", self._close)),
-            "shutdown": _Command(told("Shutting down", self._shutdown), remote=True),
+            "quit": _Command(done("Disconnected", self._close)),
+            "shutdown": _Command(done("Shutting down", self._shutdown), remote=True),
             "running": _Command(asked(lambda: f"Program running: {str(self._plays()).lower()}")),
             "robotmode": _Command(asked(lambda: f"Robotmode: {_name(RobotMode, robot.robot_mode)}")),
             "get loaded program": _Command(asked(self._loaded)),
             "popup": _Command(self._popup, argument=True),
-            "close popup": _Command(told("closing popup", robot.close_popup)),
+            "close popup": _Command(done("closing popup", robot.close_popup)),
             "addtolog": _Command(self._add_to_log, argument=True),
             "isprogramsaved": _Command(asked(lambda: f"{str(robot.program_saved).lower()} {self._program()}")),
             "programstate": _Command(asked(self._program_state)),
@@ -179,9 +177,9 @@ class Dashboard:
                 asked(lambda: f"Safetystatus: {_name(SafetyMode, robot.safety_mode)}"), e_series=(5, 4), cb3=(3, 11)
             ),
             "unlock protective stop": _Command(
-                told("Protective stop releasing", robot.unlock_protective_stop), cb3=(3, 1), remote=True
+                done("Protective stop releasing", robot.unlock_protective_stop), cb3=(3, 1), remote=True
             ),
-            "close safety popup": _Command(told("closing safety popup", robot.close_safety_popup), cb3=(3, 1)),
+            "close safety popup": _Command(done("closing safety popup", robot.close_safety_popup), cb3=(3, 1)),
             "load installation": _Command(
                 self._load_installation,
                 cb3=(3, 2),
@@ -190,7 +188,7 @@ class Dashboard:
                 refusal="Failed to load installation: {}",
             ),
             "restart safety": _Command(
-                told("Restarting safety", robot.restart_safety),
+                done("Restarting safety", robot.restart_safety),
                 e_series=(5, 1),
                 cb3=(3, 7),
                 remote=True,
@@ -209,7 +207,7 @@ class Dashboard:
         return self._robot.runtime_state in (RuntimeState.PLAYING, RuntimeState.RESUMING)
 
     def _program(self) -> str:
-        """The loaded program without its folder, as PolyScope names it."""
+        """Return the loaded program without its folder, as PolyScope names it."""
         return self._robot.loaded_program.rsplit("/", 1)[-1] or "<unnamed>"
 
     def _loaded(self) -> str:
@@ -275,7 +273,7 @@ def _exists(command: _Command, profile: ControllerProfile) -> bool:
 
 
 def _name(kind: type[RobotMode] | type[SafetyMode], number: int) -> str:
-    """UR's word for a mode; a number that has none, as itself."""
+    """Return UR's word for a mode, or the number itself if it has none."""
     return kind(number).name if number in set(kind) else str(number)
 
 

@@ -1,4 +1,4 @@
-"""Start an emulated cell in a process of its own, and end it."""
+"""Emulated cell in a process of its own."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ from dual_ur10.sim2real.links.json_link import JsonLink
 from dual_ur10.types import Closing
 
 MODULE: Final = "dual_ur10.sim2real.emulator.emulator"
-"""The program of an emulated cell."""
+"""Main program of an emulated cell."""
 
 _START_S: Final = 30.0
 _END_S: Final = 5.0
 
 
 class EmulatedCell(Closing):
-    """Two emulated controllers and their simulated arms, as long as the `with` block lasts.
+    """Two emulated controllers and their simulated arms, for the duration of a `with` block.
 
     They run in a process of their own, because constructors of `ur_rtde` hold Python's global lock while they wait for
-    answers: a controller in the same process could not give them.
+    answers: a controller in the same process could not answer them.
 
     Args:
-        log: Where the cell writes its log; None: it is kept until the cell is closed.
+        log: Log file of the cell; None keeps the log until the cell is closed.
         options: See `dual_ur10.sim2real.emulator.emulator.EmulatorOptions`.
 
     Attributes:
         left, right: Addresses of the controllers.
         port: Fault-injection port, at the left controller's address.
-        description: What the cell file says.
+        description: Content of the cell file.
 
     Raises:
         AddressError: An address cannot be used.
         EmulatorError: The process did not start.
-        DualUR10Error: An option is not legal.
+        DualUR10Error: An option is invalid.
     """
 
     def __init__(self, *, log: str | Path | None = None, **options: Any) -> None:
-        # Written by the other process and read by this one: appended to, so that reading moves no place of writing.
+        # The other process writes and this one reads. Appending keeps the write position independent of reads.
         if log is None:
             self._log: IO[str] = tempfile.TemporaryFile("a+")  # noqa: SIM115  # closed with the cell
         else:
@@ -57,7 +57,7 @@ class EmulatedCell(Closing):
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
-            # It finds what this program finds, and Ctrl-C is for this program alone.
+            # It imports from the same places. Ctrl-C reaches this program alone.
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             start_new_session=True,
         )
@@ -90,7 +90,7 @@ class EmulatedCell(Closing):
         return answer
 
     def log_tail(self, characters: int = 2000) -> str:
-        """The end of what the cell has logged so far."""
+        """Return the end of the cell's log."""
         self._log.seek(0)
         return self._log.read()[-characters:].strip()
 
@@ -112,7 +112,7 @@ class EmulatedCell(Closing):
             raise EmulatorError(str(error)) from error
 
     def setpoints(self, arm: str, since: int = 0) -> list[Any]:
-        """All servoj targets that a controller has executed from number `since` on, as far as it keeps them.
+        """Return the executed servoj targets of a controller from number `since` on, as far as it keeps them.
 
         Returns:
             For each: tick, target (6), t, lookahead, gain.
@@ -120,7 +120,7 @@ class EmulatedCell(Closing):
         return self._pages("setpoints", "setpoints", arm, since)
 
     def packages(self, arm: str, since: int = 0) -> list[Any]:
-        """All RTDE packages with a motion command that a controller was sent from number `since` on, if it keeps them.
+        """Return the received RTDE packages with motion commands from number `since` on, as far as they are kept.
 
         Returns:
             For each: tick, `ur_rtde`'s number of the command, the first six numbers that belong to it.
@@ -137,10 +137,10 @@ class EmulatedCell(Closing):
                 return found
 
     def wait_until(self, arm: str, name: str, value: Any, within_s: float = 10.0) -> None:
-        """Wait until a controller tells this of a variable, by RTDE's name.
+        """Wait until a controller reports this value of a variable, by RTDE name.
 
         Raises:
-            EmulatorError: It did not, within the time.
+            EmulatorError: It did not in time.
         """
         end = time.monotonic() + within_s
         found = None

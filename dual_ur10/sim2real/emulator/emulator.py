@@ -1,4 +1,4 @@
-"""An emulated cell: two controllers, their sockets, and one simulation of both arms, on one thread in real time."""
+"""Emulated cell: two controllers, their sockets, and one simulation of both arms, on one thread in real time."""
 
 from __future__ import annotations
 
@@ -43,34 +43,34 @@ from dual_ur10.sim2real.protocol.modes import RobotMode, SafetyMode
 log = logging.getLogger(__name__)
 
 MOST_BEHIND_S: Final = 0.25
-"""If the machine stood still for longer, the time is lost instead of made up for."""
+"""Longest stall of the machine that is caught up with. The time of longer stalls is lost."""
 
 _FRAME_S: Final = 1 / 30
-_SWITCH_S: Final = 0.0002  # for how long the thread that reads programs may keep a control period waiting
-_LATE: Final = 200  # control periods that began more than a period late, whose numbers are kept
-_LATENESS: Final = 20_000  # control periods whose lateness is kept
-_LATENESS_LOOKED_AT: Final = 10_000
+_SWITCH_S: Final = 0.0002  # longest delay of a control period by the thread that parses programs
+_LATE: Final = 200  # kept numbers of control periods that began more than a period late
+_LATENESS: Final = 20_000  # kept latenesses
+_LATENESS_REPORTED: Final = 10_000
 BOOT_S: Final = (1000.0, 2345.676)
-"""What the controllers' clocks say at first: they agree with nothing, as on real ones."""
+"""Initial clocks of the controllers: unrelated, as on real ones."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EmulatorOptions:
-    """What is emulated.
+    """Options of an emulated cell.
 
     Attributes:
-        left, right: Loopback addresses; None: free ones are found.
-        family: Of both controllers.
+        left, right: Loopback addresses; None finds free ones.
+        family: Family of both controllers.
         task: Id or name of the environment whose scene is simulated.
-        plant: How the simulated plant differs from what is believed; see `PlantOptions`.
-        seed: Of what is drawn of the plant, where the episode begins, and of faults left to chance.
+        plant: Deviation of the plant from its nominal model; see `PlantOptions`.
+        seed: Seed of the sampled plant, the start of the episode, and random faults.
         dh_error_m: Largest error of the arms' kinematics, m.
         powered: Whether the arms have power, and their brakes released, from the start.
         view: Whether MuJoCo's web viewer shows the cell.
-        cell: Where to write the cell file; None: nowhere.
-        phase_s: How long after whole multiples of a control period, by this machine's monotonic clock, control periods
-            begin; None: whenever the cell begins to run. Two cells with an arm each are so two controllers that do not
-            keep step.
+        cell: Path of the cell file to write, or None.
+        phase_s: Phase of the control periods relative to whole multiples of a control period on this machine's
+            monotonic clock; None: any. With it, two cells with one arm each behave like two controllers with
+            unsynchronised clocks.
     """
 
     left: str | None = None
@@ -100,14 +100,14 @@ class EmulatorOptions:
 
 
 class Emulator:
-    """Two controllers and their world. It listens from the start, and moves on in `run`.
+    """Two controllers and their world. It listens from the start, and advances in `run`.
 
     Args:
-        options: What is emulated.
+        options: Options of the cell.
 
     Raises:
         AddressError: An address cannot be used.
-        DualUR10Error: An option is not legal.
+        DualUR10Error: An option is invalid.
     """
 
     def __init__(self, options: EmulatorOptions) -> None:
@@ -122,7 +122,7 @@ class Emulator:
         self.lateness_s: deque[float] = deque(maxlen=_LATENESS)
         self.late_ticks: deque[int] = deque(maxlen=_LATE)
         self.lost_s = 0.0
-        self._told = False
+        self._diverged = False
         self.servers: list[ArmServer] = []
         self._hub = Hub(options.seed)
         self._injection = FaultInjection(self, options.seed)
@@ -159,11 +159,11 @@ class Emulator:
 
     @property
     def url(self) -> str | None:
-        """Where a browser on this machine sees the cell."""
+        """Address of the web viewer on this machine, or None."""
         return None if self._viewer is None else self._viewer.url
 
     def description(self) -> dict[str, Any]:
-        """What a client needs to know, as the cell file says it."""
+        """Return the content of the cell file."""
         config = self.world.config
         arms = {
             name: {
@@ -182,8 +182,8 @@ class Emulator:
         }
 
     def run(self) -> None:
-        """Move on in real time until the cell ends."""
-        # What stands now stays: the collector need not look at it again in the middle of a control period.
+        """Advance in real time until the cell ends."""
+        # Freeze present objects, so that the garbage collector does not delay control periods.
         gc.collect()
         gc.freeze()
         hasten()
@@ -198,27 +198,27 @@ class Emulator:
             if late > self.tick_s:
                 self.late_ticks.append(self.ticks)
             if late > MOST_BEHIND_S:
-                log.warning("the machine stood still for %.0f ms: the cell's time stood still, too", 1e3 * late)
+                log.warning("the machine stalled for %.0f ms: the cell's time stalled, too", 1e3 * late)
                 self.lost_s += late
                 due += late
             self.tick()
             due += self.tick_s
 
     def tick(self) -> None:
-        """One control period of both arms."""
-        plans, openings = [], []
+        """Advance both arms by one control period."""
+        plans, widths = [], []
         for arm, server in enumerate(self.servers):
             server.before_tick()
             reading = self.world.read(arm)
             plans.append(server.controller.tick(reading))
-            openings.append(_opening(server, self.tick_s, reading.gripper_m))
+            widths.append(_gripper_width(server, self.tick_s, reading.gripper_m))
             try:
                 server.publish()
-            except Exception:  # a mistake of ours, or of who overrides values, must not end the other arm
-                log.exception("%s: its clients are told nothing in this control period", server.controller.name)
-        self.world.advance(plans, openings, [server.controller.payload.mass_kg for server in self.servers])
-        if self.world.failed and not self._told:
-            self._told = True
+            except Exception:  # a bug, or a bad override, must not end the other arm
+                log.exception("%s: nothing was sent to its clients in this control period", server.controller.name)
+        self.world.advance(plans, widths, [server.controller.payload.mass_kg for server in self.servers])
+        if self.world.failed and not self._diverged:
+            self._diverged = True
             log.error("the simulation diverged: the arms stand where they were last well; start the cell again")
             for server in self.servers:
                 server.controller.safety.stop(SafetyMode.FAULT, "the simulation diverged")
@@ -230,12 +230,12 @@ class Emulator:
 
     @property
     def time_s(self) -> float:
-        """Time since the start, as far as it was not lost."""
+        """Time since the start, without time lost in stalls."""
         return self.ticks * self.tick_s
 
     def info(self) -> dict[str, Any]:
-        """How the cell does."""
-        lateness = np.array(list(self.lateness_s)[-_LATENESS_LOOKED_AT:] or [0.0])
+        """Return timing and condition of the cell."""
+        lateness = np.array(list(self.lateness_s)[-_LATENESS_REPORTED:] or [0.0])
         return {
             "time_s": self.ticks * self.tick_s,
             "ticks": self.ticks,
@@ -252,7 +252,7 @@ class Emulator:
         }
 
     def _off(self) -> None:
-        """A controller was shut down: the cell goes on until both are."""
+        """Shut one controller down. The cell goes on until both are off."""
         self.ended = all(each.controller.safety.robot_mode == RobotMode.DISCONNECTED for each in self.servers)
 
     def close(self) -> None:
@@ -264,13 +264,13 @@ class Emulator:
             self._viewer = None
 
 
-def _opening(server: ArmServer, tick_s: float, opening_m: float | None) -> float | None:
-    """What the gripper's server wants the opening to be. It has the arm's power."""
+def _gripper_width(server: ArmServer, tick_s: float, width_m: float | None) -> float | None:
+    """Return the width that the gripper's server commands. The gripper has the arm's power."""
     gripper = server.gripper
-    if gripper is None or opening_m is None:
+    if gripper is None or width_m is None:
         return None
     gripper.powered = server.controller.safety.robot_mode > RobotMode.POWER_OFF
-    return gripper.tick(tick_s, opening_m)
+    return gripper.tick(tick_s, width_m)
 
 
 def _addresses(options: EmulatorOptions) -> tuple[str, str]:
@@ -288,12 +288,12 @@ def write_cell_file(path: str | Path, description: Mapping[str, Any]) -> None:
     """Write a description as TOML.
 
     Args:
-        path: Where to. A file of an emulated cell is replaced; any other is left alone.
+        path: Target file. Only a file of an emulated cell is replaced.
         description: Tables by name, with plain values, or plain values.
 
     Raises:
-        SettingsError: There is another file.
-        DualUR10Error: The place cannot be written to.
+        SettingsError: Another file exists there.
+        DualUR10Error: The file cannot be written.
     """
     path = Path(path)
     if path.exists():
@@ -316,7 +316,7 @@ def main() -> None:
     except (DualUR10Error, TypeError) as error:
         print(json.dumps({"error": type(error).__name__, "text": str(error)}), flush=True)  # noqa: T201  # the answer
         return
-    print(json.dumps(emulator.description()), flush=True)  # noqa: T201  # the answer that the starter waits for
+    print(json.dumps(emulator.description()), flush=True)  # noqa: T201  # the answer that EmulatedCell waits for
     threading.Thread(target=_end_with_input, args=(emulator,), daemon=True).start()
     with contextlib.suppress(KeyboardInterrupt):
         emulator.run()
@@ -324,7 +324,7 @@ def main() -> None:
 
 
 def _end_with_input(emulator: Emulator) -> None:
-    """The cell never outlives the program that started it."""
+    """End the cell with the program that started it."""
     while not emulator.ended:
         ready, _, _ = select.select([sys.stdin], [], [], 1.0)
         if ready and not os.read(sys.stdin.fileno(), 1024):

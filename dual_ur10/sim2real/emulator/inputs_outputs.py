@@ -20,14 +20,14 @@ _LEAST_A, _SPAN_A = 0.004, 0.016  # and as a current
 
 
 class InputsOutputs:
-    """The state of all inputs and outputs.
+    """State of all inputs and outputs.
 
     Attributes:
-        inputs: Bits of the digital inputs, in the order of RTDE.
+        inputs: Bits of the digital inputs, in RTDE's order.
         outputs: Bits of the digital outputs.
-        slider: Where the speed slider stands, 0 to 1.
+        slider: Position of the speed slider, 0 to 1.
         tool_voltage: Supply of the tool, V.
-        external_wrench: What a client says that an external sensor measures, N and N·m, or None.
+        external_wrench: Wrench that a client reports from an external sensor, N and N·m, or None.
     """
 
     def __init__(self) -> None:
@@ -36,11 +36,11 @@ class InputsOutputs:
         self.slider = 1.0
         self.external_wrench: tuple[float, ...] | None = None
         self.tool_voltage = 24
-        self._analog = [0.0, 0.0]  # share of full scale
+        self._analog = [0.0, 0.0]  # fraction of full scale
         self._voltage = [False, False]
 
     def apply(self, values: Mapping[str, Any]) -> None:
-        """Take over the values of an RTDE input package. A mask says which of them are meant."""
+        """Apply the values of an RTDE input package, as far as their masks select them."""
         for name, (first, count) in _GROUPS.items():
             mask = int(values.get(f"{name}_mask", 0)) & ((1 << count) - 1)
             self.outputs = self.outputs & ~(mask << first) | (int(values.get(name, 0)) & mask) << first
@@ -74,15 +74,15 @@ class InputsOutputs:
             raise ValueError(f"there is no digital input {bit}: they are 0 to {TOOL + 1}")
         self.inputs = self.inputs | 1 << bit if value else self.inputs & ~(1 << bit)
 
-    def set_analog(self, index: int, share: float, voltage: bool | None = None) -> None:
-        """Set an analog output to a share of its range, as a voltage or a current; None: as before.
+    def set_analog(self, index: int, fraction: float, voltage: bool | None = None) -> None:
+        """Set an analog output to a fraction of its range, as a voltage or a current; None keeps the kind.
 
         Raises:
             ValueError: There is no such output.
         """
         if index not in (0, 1):
             raise ValueError(f"there is no analog output {index}: they are 0 and 1")
-        self._analog[index] = min(1.0, max(0.0, share)) if share == share else 0.0
+        self._analog[index] = min(1.0, max(0.0, fraction)) if fraction == fraction else 0.0
         if voltage is not None:
             self._voltage[index] = voltage
 
@@ -90,21 +90,21 @@ class InputsOutputs:
         """Set the supply of the tool.
 
         Raises:
-            ValueError: It is none of those that a controller gives.
+            ValueError: Controllers do not supply this voltage.
         """
         if voltage not in _TOOL_VOLTS:
             raise ValueError(f"the tool cannot be supplied with {voltage!r} V: allowed are {_TOOL_VOLTS}")
         self.tool_voltage = int(voltage)
 
     def set_slider(self, fraction: float) -> None:
-        """Move the speed slider; beyond its ends it stays there, and NaN moves nothing."""
+        """Move the speed slider. Values are clipped to its range; NaN is ignored."""
         if fraction == fraction:
             self.slider = min(1.0, max(0.0, fraction))
 
     def analog(self, index: int) -> float:
-        """An analog output, V or A."""
-        share = self._analog[index]
-        return share * _VOLTS if self._voltage[index] else _LEAST_A + share * _SPAN_A
+        """Return an analog output, V or A."""
+        fraction = self._analog[index]
+        return fraction * _VOLTS if self._voltage[index] else _LEAST_A + fraction * _SPAN_A
 
     @property
     def analog_types(self) -> int:

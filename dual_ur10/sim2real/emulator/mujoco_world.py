@@ -1,4 +1,4 @@
-"""The world behind two emulated controllers: one cell in MuJoCo, moved by what the controllers want."""
+"""Simulated world of two emulated controllers: one cell in MuJoCo, driven by their reference motions."""
 
 from __future__ import annotations
 
@@ -19,21 +19,20 @@ from dual_ur10.sim2real.emulator.controller import ArmReading
 from dual_ur10.types import Array
 
 PLANTS: Final = ("nominal", "mild", "wide")
-"""How the plant differs from what is believed of it: as the randomization of that name draws it."""
+"""Deviation of the plant from its nominal model: none, or the randomization of that name."""
 
 _MOST_DH_ERROR_M: Final = 0.02
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PlantOptions:
-    """What the simulated plant is.
+    """Simulated plant.
 
     Attributes:
-        plant: "nominal": exactly as believed. "mild" or "wide": as the randomization of that name draws it from
-            `seed`: masses, friction, lookahead, latency, base poses, object and grip.
-        seed: Of what is drawn, and of how the task's episode begins.
-        dh_error_m: By how much lengths of the arms' kinematics differ from what the controllers believe, at random
-            up to this, m.
+        plant: "nominal" for the nominal model. "mild" or "wide" for a sample from the randomization of that name:
+            masses, friction, lookahead, latency, base poses, object and grip.
+        seed: Seed of the sample, and of the start of the task's episode.
+        dh_error_m: Largest random error of the lengths in the arms' kinematics, m.
     """
 
     plant: str = "mild"
@@ -50,20 +49,20 @@ class PlantOptions:
 
 
 class EmulatedWorld:
-    """A task's cell, advanced by one control period at a time.
+    """Cell of a task, advanced by one control period at a time.
 
     Args:
-        config: The cell as it is believed to be.
-        task: Name of a task, which furnishes the cell and says where its episode begins.
-        options: How the plant differs from that.
+        config: Nominal cell.
+        task: Name of the task, which defines the scene and the start of its episode.
+        options: Deviation of the plant from the nominal model.
 
     Attributes:
-        config: The cell, furnished.
-        substeps: Physics steps of one control period.
-        start_q_rad: (2, 6) where the arms stand at first.
-        lookahead_scale: (2,) true lookahead of each controller over the one that is asked for.
-        gripper_kg: Mass of a gripper; 0 if there is none.
-        drawn: What was drawn of the plant, by name.
+        config: The cell with the scene of the task.
+        substeps: Physics steps per control period.
+        start_q_rad: (2, 6) initial joint positions.
+        lookahead_scale: (2,) ratio of each controller's true lookahead to the commanded one.
+        gripper_kg: Mass of one gripper; 0 without grippers.
+        drawn: Sampled parameters of the plant, by name.
     """
 
     def __init__(self, config: CellConfig, task: str, options: PlantOptions) -> None:
@@ -82,8 +81,8 @@ class EmulatedWorld:
         self.lookahead_scale: Array = values["lookahead_scale"][0]
         step_s = config.scene.timestep_s
         latency = np.rint(values["latency_s"][0] / step_s).astype(int)
-        self._lines = [_Line(int(steps), self.start_q_rad[arm]) for arm, steps in enumerate(latency)]
-        # Views are filled from the next change of positions on.
+        self._delays = [_Delay(int(steps), self.start_q_rad[arm]) for arm, steps in enumerate(latency)]
+        # These views are filled at the next change of positions.
         self._torque: Array = self._physics.bind("qfrc_actuator")
         self._positions, self._orientations = self._physics.bind("xpos"), self._physics.bind("xquat")
         self._physics.reset(start, np.arange(1))
@@ -98,7 +97,7 @@ class EmulatedWorld:
 
     @property
     def failed(self) -> bool:
-        """Whether the simulation diverged: the arms stay where they were last well."""
+        """True after the simulation has diverged. The arms stay at their last valid state."""
         return bool(self._physics.failed[0])
 
     def read(self, arm: int) -> ArmReading:
@@ -112,27 +111,27 @@ class EmulatedWorld:
             None if state.gripper_m is None else float(state.gripper_m[0, arm]),
         )
 
-    def advance(self, plans: Sequence[Array], openings_m: Sequence[float | None], payloads_kg: Sequence[float]) -> None:
-        """Move on by one control period.
+    def advance(self, plans: Sequence[Array], widths_m: Sequence[float | None], payloads_kg: Sequence[float]) -> None:
+        """Advance by one control period.
 
         Args:
             plans: Per arm (substeps, 3, 6): position before, speed after and acceleration in every physics step.
-            openings_m: Per arm the commanded opening of its gripper.
-            payloads_kg: Per arm what its controller takes to be in its gripper.
+            widths_m: Commanded gripper width of each arm.
+            payloads_kg: Payload mass as set on each controller.
         """
-        both = np.concatenate([line(plan) for line, plan in zip(self._lines, plans, strict=True)], axis=2)[None]
+        both = np.concatenate([delay(plan) for delay, plan in zip(self._delays, plans, strict=True)], axis=2)[None]
         grippers = payload = None
         if self.gripper_kg:
-            # What is measured of fingers that are wide open may be a hair more.
-            grippers = np.array([[[min(max(each or 0.0, 0.0), OPENING_M) for each in openings_m]]])
-            # The model of the arms has their grippers in it.
+            # The measured width of open fingers may be slightly above the maximum.
+            grippers = np.array([[[min(max(each or 0.0, 0.0), OPENING_M) for each in widths_m]]])
+            # The arm model includes the gripper's mass.
             payload = np.array([payloads_kg]) - self.gripper_kg
         self._physics.advance((both[:, :, 0], both[:, :, 1], both[:, :, 2]), grippers, payload)
         self._elapsed += self.config.servoj.tick_s
         self._state = self._physics.state(self._elapsed, moved=True)
 
     def pose(self, body: str) -> tuple[Array, Array]:
-        """Position (3,) and orientation (4,), (w, x, y, z), of a body in the cell frame.
+        """Return position (3,) and orientation (4,), (w, x, y, z), of a body in the cell frame.
 
         Raises:
             UnknownNameError: There is no such body.
@@ -145,7 +144,7 @@ class EmulatedWorld:
         return self._positions[0, index].copy(), self._orientations[0, index].copy()
 
     def place(self, pose: Array) -> None:
-        """Put the object that is handled at a pose, (7,) position and (w, x, y, z), at rest.
+        """Place the handled object at a pose, (7,) position and (w, x, y, z), at rest.
 
         Raises:
             SettingsError: There is none.
@@ -153,11 +152,11 @@ class EmulatedWorld:
         self._physics.place(pose)
 
     def draw(self) -> tuple[Any, Any]:
-        """MuJoCo's model and data of what is now: the same objects at every call."""
+        """Return MuJoCo's model and data of the present state: the same objects at every call."""
         return self._physics.model_and_data(0)
 
 
-class _Line:
+class _Delay:
     """Motion that arrives late by whole physics steps.
 
     Args:
@@ -173,13 +172,13 @@ class _Line:
         steps = len(self._waiting)
         if not steps:
             return plan
-        all_of_it = np.concatenate([self._waiting, plan])
-        self._waiting = all_of_it[len(plan) :]
-        return all_of_it[: len(plan)]
+        queue = np.concatenate([self._waiting, plan])
+        self._waiting = queue[len(plan) :]
+        return queue[: len(plan)]
 
 
 def _with_dh_errors(config: CellConfig, most_m: float, rng: np.random.Generator) -> CellConfig:
-    """The cell with kinematics that differ from what is believed of them."""
+    """Return the cell with random errors of its kinematics."""
     if not most_m:
         return config
     mounts = {}

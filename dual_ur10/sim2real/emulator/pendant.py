@@ -1,4 +1,4 @@
-"""What people do with one controller: at its teach pendant, or through its dashboard server."""
+"""Operator actions on one controller, at its teach pendant or through its dashboard server."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MOST_PROGRAMS = 64
 
 
 class Pendant:
-    """Operations of one controller for its operator.
+    """Operator actions on one controller.
 
     Methods raise [OperationRefusedError][dual_ur10.errors.OperationRefusedError] where a controller would refuse.
 
@@ -37,39 +37,39 @@ class Pendant:
 
     @property
     def robot_mode(self) -> int:
-        """RTDE's `robot_mode`, as of now."""
+        """RTDE's `robot_mode`, as reported."""
         return int(self._controller.overrides.get("robot_mode", self._controller.safety.robot_mode))
 
     @property
     def safety_mode(self) -> int:
-        """RTDE's `safety_mode`, as of now."""
+        """RTDE's `safety_mode`, as reported."""
         return int(self._controller.overrides.get("safety_mode", self._controller.safety.safety_mode))
 
     @property
     def runtime_state(self) -> int:
-        """RTDE's `runtime_state`, as of now."""
+        """RTDE's `runtime_state`, as reported."""
         return int(self._controller.overrides.get("runtime_state", self._controller.program.state))
 
     @property
     def remote_control(self) -> bool:
-        """Whether clients may control this controller."""
+        """True in remote control."""
         return self._controller.remote_control
 
     @property
     def loaded_program(self) -> str:
-        """What `play` starts: the file that was loaded, or the name of the program that a client sent since."""
+        """Program that `play` starts: the loaded file, or the name of a program that a client has sent since."""
         return self._file if self.program_saved else self._controller.program.name
 
     @property
     def program_saved(self) -> bool:
-        """Whether what `play` starts is a file."""
+        """True if `play` starts a file."""
         return bool(self._file) and self._controller.program.last is self.programs.get(self._file)
 
     def keep(self, name: str, text: str) -> None:
-        """Put a program on the controller.
+        """Store a program on the controller.
 
         Raises:
-            ScriptError: It cannot be read.
+            ScriptError: It is no valid program.
         """
         program = parse(text, self._controller.program.builtins)
         self.programs.pop(name, None)
@@ -78,11 +78,11 @@ class Pendant:
             del self.programs[next(iter(self.programs))]
 
     def power_on(self) -> None:
-        """Give the arm power."""
+        """Switch the arm's power on."""
         self._controller.safety.power_on()
 
     def power_off(self) -> None:
-        """End the program and take the arm's power."""
+        """End the program and switch the arm's power off."""
         self._controller.program.stop("the arm's power was switched off")
         self._controller.safety.power_off()
 
@@ -95,7 +95,7 @@ class Pendant:
         self._controller.safety.unlock_protective_stop()
 
     def close_safety_popup(self) -> None:
-        """There is nothing to close: nobody looks at this pendant."""
+        """Do nothing: this pendant has no screen."""
 
     def restart_safety(self) -> None:
         """Restart after a violation or a fault."""
@@ -103,14 +103,14 @@ class Pendant:
         self._controller.safety.restart()
 
     def play(self) -> None:
-        """Start the loaded program, or let a paused one go on."""
+        """Start the loaded program, or resume a paused one."""
         self._controller.play()
 
     def resume(self) -> None:
-        """Let a paused program go on; unlike `play`, it starts none.
+        """Resume a paused program. Unlike `play`, this starts none.
 
         Raises:
-            OperationRefusedError: The arm may not be moved, or no program is paused.
+            OperationRefusedError: The arm must not move, or no program is paused.
         """
         if self._controller.program.state not in (RuntimeState.PAUSED, RuntimeState.PAUSING):
             raise OperationRefusedError("no program is paused")
@@ -125,7 +125,7 @@ class Pendant:
         self._controller.program.stop("it was stopped by hand")
 
     def load(self, name: str) -> None:
-        """Load a program that was put on the controller.
+        """Load a stored program.
 
         Raises:
             UnknownNameError: There is no such program.
@@ -139,7 +139,7 @@ class Pendant:
         """Load an installation.
 
         Raises:
-            UnknownNameError: There is only one.
+            UnknownNameError: It is not the only one.
         """
         if name != "default.installation":
             raise UnknownNameError("installation", name, ("default.installation",))
@@ -149,7 +149,7 @@ class Pendant:
         self._controller.show("Popup", text)
 
     def close_popup(self) -> None:
-        """Close that message."""
+        """Close the message."""
         self._controller.popup = ""
 
     def add_to_log(self, text: str) -> None:
@@ -167,7 +167,7 @@ class Pendant:
         self.operational_mode = mode
 
     def clear_operational_mode(self) -> None:
-        """Let the operational mode be switched at the pendant."""
+        """Let the pendant switch the operational mode again."""
         self.operational_mode = "NONE"
 
     def set_user_role(self, role: str) -> None:

@@ -1,4 +1,4 @@
-"""Which controller is emulated: its version, its rate, and what no document settles of it."""
+"""Profile of an emulated controller: version, control rate, and assumptions about undocumented behaviour."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from dual_ur10.sim2real.control.servoj import TICK_S, Family
 
 @dataclass(frozen=True, kw_only=True)
 class Assumptions:
-    """Behaviour of a controller that no public document settles.
+    """Behaviour of a controller that no public document specifies.
 
-    Each is a switch, so that what depends on it can be tried both ways, and set right once a real controller or URSim
-    has been asked. `docs/reference/emulator.md` lists them with the test that would settle each.
+    Each is a switch, so that code can be tested both ways, and corrected after a measurement on a real controller or
+    URSim. `docs/emulated_cell.md` lists them with the test that would settle each.
 
     Attributes:
-        unlock_wait_s: For how long after a protective stop the dashboard refuses to unlock it.
-        protective_stop_pauses: Whether a protective stop pauses the program; else it stops it.
-        emergency_stop_pauses: The same of emergency stops.
-        safeguard_resumes: Whether a program goes on by itself when a safeguard stop is released.
+        unlock_wait_s: Time after a protective stop for which the dashboard refuses to unlock it.
+        protective_stop_pauses: Whether a protective stop pauses the program, or else stops it.
+        emergency_stop_pauses: The same for emergency stops.
+        safeguard_resumes: Whether a program resumes by itself when a safeguard stop is released.
         output_registers_persist: Whether output registers keep their values when a program ends.
         watchdog_counts_unchanged: Whether writing an unchanged value feeds a program's RTDE watchdog.
-        power_on_s: From "power on" to idle.
-        brake_release_s: From "brake release" to running.
-        restart_safety_s: From "restart safety" to power off.
-        stopping_s: How long an emulated brake takes from full speed, in all stops that hold the path.
+        power_on_s: Time from "power on" to idle.
+        brake_release_s: Time from "brake release" to running.
+        restart_safety_s: Time from "restart safety" to power off.
+        stopping_s: Duration of a stop on the path from full speed.
         program_stop_rad_s2: Deceleration of the joints when a program ends while the arm moves.
-        servoj_jump_factor: A servoj target is a sudden change if it is farther from where the arm is than this many
-            times the way at the joint's greatest speed in lookahead time and `t`.
-        starved_ticks: Control periods without a motion command after which an arm that still moves is protectively
-            stopped, while its program goes on.
+        servoj_jump_factor: A servoj target is a sudden change if it is farther from the arm than this many times the
+            distance at the joint's greatest speed in lookahead time and `t`.
+        starved_ticks: Control periods without a motion command after which an arm that still moves stops protectively,
+            while its program goes on.
         infinite_loop_steps: Statements that a program may run in one control period before they count as an infinite
             loop. A solution of the inverse kinematics counts for 50.
-        deviation_rad: How far a joint may be from where it should be,
-        deviation_ticks: and for how many control periods, before a protective stop.
+        deviation_rad: Deviation of a joint from its path that causes a protective stop
+        deviation_ticks: after so many control periods.
     """
 
     unlock_wait_s: float = 5.0
@@ -63,12 +63,12 @@ class ControllerProfile:
     Attributes:
         family: "cb3" or "e-series".
         version: Major, minor, bugfix and build.
-        released: Date of the software, as the dashboard says it.
+        released: Date of the software, as the dashboard reports it.
         serial_number: Digits.
-        model: As the dashboard says it.
-        robot_type: As the primary interface says it; 2 is the UR10.
-        safety_checksum: Of its safety settings, as the primary interface says it; 0 to 2**32 - 1.
-        assumptions: What no document settles.
+        model: Model name, as the dashboard reports it.
+        robot_type: Number on the primary interface; 2 is the UR10.
+        safety_checksum: Checksum of the safety settings on the primary interface, 0 to 2**32 - 1.
+        assumptions: Behaviour that no document specifies.
     """
 
     family: Family
@@ -87,11 +87,11 @@ class ControllerProfile:
 
     @property
     def has_remote_control(self) -> bool:
-        """Whether there is a remote control mode: since PolyScope 5.6, never on a CB3."""
+        """True if the version has a remote control mode: since PolyScope 5.6, never on a CB3."""
         return self.at_least((5, 6))
 
     def at_least(self, e_series: tuple[int, int], cb3: tuple[int, int] | None = None) -> bool:
-        """Whether the version has what came with `e_series` (5.x) and, if it came there at all, with `cb3` (3.x)."""
+        """Return True from version `e_series` (5.x) on, or on a CB3 from version `cb3` (3.x) on; None: never there."""
         mine = self.version[:2]
         if mine[0] < 5:
             return cb3 is not None and mine >= cb3
@@ -106,11 +106,11 @@ PROFILES: Final = {
         family="e-series", version=(5, 12, 5, 1101), released="Nov 20 2023", serial_number="2021500001"
     ),
 }
-"""The profiles that are tested, by family."""
+"""Tested profiles, by family."""
 
 
 def profile_of(family: str) -> ControllerProfile:
-    """The profile of a controller family.
+    """Return the profile of a controller family.
 
     Raises:
         UnknownNameError: There is no such family.

@@ -1,4 +1,4 @@
-"""The program of one controller: it is loaded, plays, pauses and stops, and tells how fast its motion passes."""
+"""Program of one controller: it is loaded, plays, pauses and stops, and sets the time scaling of the motion."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from dual_ur10.sim2real.protocol.modes import RuntimeState
 log = logging.getLogger(__name__)
 
 SLIDER_S = 0.25
-"""In which the speed follows the slider over its whole range; ours, so that no speed jumps."""
+"""Time in which the speed follows the slider over its whole range. A choice of this project, so that no speed jumps."""
 
-_SECONDARY = 8  # programs beside the main one at the same time
+_SECONDARY = 8  # concurrent secondary programs
 
 _PLAYS = (RuntimeState.PLAYING, RuntimeState.RESUMING)
 
 
 class ProgramRunner:
-    """What plays on one controller.
+    """Runner of one controller's main and secondary programs.
 
     Args:
-        profile: The controller.
+        profile: Profile of the controller.
         motion: The arm's reference motion, which ends with the program.
-        builtins: The functions that programs may call, by name.
-        failed: Told of every program that was refused or stopped by an error.
+        builtins: Functions that programs may call, by name.
+        failed: Callback for every program that was refused or stopped by an error.
 
     Attributes:
         state: RTDE's `runtime_state`.
         name: Name of the program that plays or played last, or "".
-        speed: How fast the motion's time passes in this tick, 0 to 1.
+        speed: Time scaling of the motion in this tick, 0 to 1.
         machine: The program that plays, or None.
-        last: What `play` starts: the program that was loaded or played last, or None.
+        last: Program that `play` starts: the one that was loaded or played last, or None.
     """
 
     def __init__(
@@ -58,13 +58,13 @@ class ProgramRunner:
         self._unrun = False
 
     def load(self, text: str, found: Program | ScriptError | None = None) -> None:
-        """Play a program in place of the one that plays, or a secondary program beside it.
+        """Play a program in place of the present one, or a secondary program beside it.
 
-        One that cannot be read is refused as a controller does: the program that plays ends all the same.
+        An invalid program is refused as a controller does: the present program ends all the same.
 
         Args:
-            text: The program.
-            found: What reading it has given, if it has been read already.
+            text: Text of the program.
+            found: Result of parsing it, if it has been parsed already.
         """
         program = read(text, self.builtins) if found is None else found
         if isinstance(program, ScriptError):
@@ -77,9 +77,9 @@ class ProgramRunner:
             self.start(program)
 
     def start(self, program: Program) -> None:
-        """Play a program in place of the one that plays."""
+        """Play a program in place of the present one."""
         if self._unrun and self._demand is Demand.NONE:
-            self._run()  # two programs in one control period: what the first does at once is not to be lost
+            self._run()  # two programs in one control period: keep the immediate effects of the first
         self.stop("another program took its place")
         if self._demand is not Demand.NONE:
             self._failed(ScriptRuntimeError(1, program.name, "not started: the arm is stopped or has no power"))
@@ -103,12 +103,12 @@ class ProgramRunner:
         return Machine(program, self.builtins, steps_per_tick=steps)
 
     def prepare(self, program: Program) -> None:
-        """Have a program ready for `play`."""
+        """Prepare a program for `play`."""
         self.stop("another program was loaded")
         self.last, self.name = program, program.name
 
     def play(self) -> None:
-        """Go on after a pause, or start the program anew that was loaded or played last; nothing if it plays.
+        """Resume after a pause, or restart the program that was loaded or played last. A playing program goes on.
 
         Raises:
             OperationRefusedError: There is no program.
@@ -123,7 +123,7 @@ class ProgramRunner:
             self.start(self.last)
 
     def pause(self) -> None:
-        """Come to rest on the path, and stay there until `play`, whatever paused it before.
+        """Stop on the path until `play`, whatever paused the program before.
 
         Raises:
             OperationRefusedError: No program plays.
@@ -138,7 +138,7 @@ class ProgramRunner:
             self.state = RuntimeState.PAUSING
 
     def stop(self, reason: str) -> None:
-        """End the program; the arm comes to rest."""
+        """End the program and stop the arm."""
         if self.machine is not None:
             log.info("program %s ends: %s", self.name, reason)
             self.machine.kill()
@@ -148,23 +148,23 @@ class ProgramRunner:
         self._paused_by_safety = False
 
     def _rest(self) -> None:
-        """Brake from the speed that the arm has."""
+        """Brake from the present speed."""
         if self.speed == 0.0:
-            self.motion.hold()  # it stands in the middle of its path, and what is left of it is given up
+            self.motion.hold()  # paused: the rest of its path is given up
         elif self._demand is Demand.NONE:
             self.motion.halt(self.speed)
-            self.speed = 1.0  # from here on, time passes as the clock does
+            self.speed = 1.0  # from here on, time is not scaled
         else:
-            self.motion.halt()  # the safety stop that has begun goes on slowing time down, too
+            self.motion.halt()  # the safety stop in progress goes on reducing the time scaling, too
 
     def tick(self, demand: Demand, *, may_move: bool, resumes: bool, slider: float) -> None:
-        """Let one control period pass: the program runs, and the motion's speed follows.
+        """Advance by one control period: run the program and update the time scaling.
 
         Args:
-            demand: What the safety state asks.
-            may_move: Whether the arm may be moved at all.
-            resumes: Whether a program that safety paused goes on when nothing asks for a pause any more.
-            slider: Where the speed is to go, 0 to 1.
+            demand: Demand of the safety state.
+            may_move: Whether the arm may move at all.
+            resumes: Whether a program paused by safety resumes once no pause is demanded.
+            slider: Target of the time scaling, 0 to 1.
         """
         self._demand = demand
         if demand is Demand.STOP:
@@ -213,7 +213,7 @@ class ProgramRunner:
     def _pass_time(self, demand: Demand, may_move: bool, slider: float) -> None:
         tick_s = self.profile.tick_s
         if self.state == RuntimeState.STOPPING:
-            # The brake takes its own time, whatever the slider says; a stop for safety takes no longer than any other.
+            # The brake ignores the slider. A safety stop takes no longer than any other.
             if demand is not Demand.NONE:
                 self.speed = max(0.0, self.speed - tick_s / self.profile.assumptions.stopping_s)
             if self.speed == 0.0 or not self.motion.moving:

@@ -1,7 +1,7 @@
-"""The packet of the real-time interface (ports 30003 and 30013), sent every control period.
+"""Packet of the real-time interface (ports 30003 and 30013), sent every control period.
 
-An INT32 with the packet's length, then doubles; all big-endian. Fields and their order: the table of UR's article
-"Remote control via TCP/IP"; later versions only append.
+An INT32 with the packet's length, then doubles, all big-endian. Fields and their order: the table of UR's article
+"Remote control via TCP/IP". Later versions only append.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ class RealtimeField(NamedTuple):
     """Doubles of the packet.
 
     Attributes:
-        offset: Of the first byte.
-        doubles: How many.
-        name: RTDE output variable that they are; "" for what UR keeps to itself, which is sent as zeros.
+        offset: First byte.
+        doubles: Number of doubles.
+        name: RTDE output variable; "" for undocumented fields, which are sent as zeros.
     """
 
     offset: int
@@ -72,8 +72,8 @@ FIELDS: Final = (
 )
 
 LENGTHS: Final = (
-    # Length, first PolyScope 5 and first PolyScope 3 that has it. Assumption: the borders between versions of
-    # PolyScope 3 before 3.15, which no document at hand gives.
+    # Length, first PolyScope 5 and first PolyScope 3 that has it. Assumption: the versions of PolyScope 3 before
+    # 3.15, which no document at hand gives.
     (1220, (5, 10), (3, 15)),
     (1140, (5, 9), (3, 14)),
     (1116, (5, 4), (3, 10)),
@@ -85,13 +85,13 @@ LENGTHS: Final = (
 
 
 class RealtimePacket:
-    """Packs the packet of one controller.
+    """Encoder of the packet of one controller.
 
     Args:
-        profile: The controller.
+        profile: Profile of the controller.
 
     Attributes:
-        length: Of the packet, bytes.
+        length: Length of the packet, bytes.
         names: RTDE output variables that `pack` reads.
     """
 
@@ -103,10 +103,10 @@ class RealtimePacket:
         self._struct = struct.Struct(f">i{(self.length - 4) // 8}d")
 
     def pack(self, values: Mapping[str, Any]) -> bytes:
-        """The packet.
+        """Encode the packet.
 
         Args:
-            values: By name of the RTDE output variable: a number, or a tuple of as many as the field has.
+            values: Values by name of the RTDE output variable: a number, or a tuple of the field's length.
 
         Raises:
             KeyError: A name of `names` is missing.
@@ -124,6 +124,6 @@ class RealtimePacket:
 
 
 def packet_length(profile: ControllerProfile) -> int:
-    """Length of the packet of one controller, bytes."""
+    """Return the length of the packet of one controller, bytes."""
     never = (99, 0)
     return next((length for length, e, cb3 in LENGTHS if profile.at_least(e or never, cb3)), LENGTHS[-1][0])

@@ -1,4 +1,4 @@
-"""What one emulated controller was sent that moves its arm: counted from its start, whoever sent it."""
+"""Record of the motion commands that one emulated controller received, from any client since its start."""
 
 from __future__ import annotations
 
@@ -8,25 +8,27 @@ from typing import Any, Final, NamedTuple
 
 from dual_ur10.sim2real.emulator.registers import Registers
 
-_MOST: Final = 50_000  # packages that are kept
+_MOST: Final = 50_000  # kept packages
 
 COMMAND_REGISTERS: Final = {"input_int_register_0": 0, "input_int_register_24": 24}
-"""Where `ur_rtde` writes what its control script is to do; the second one with its upper range of registers. What
-belongs to it is in the double registers from the same number on."""
+"""Registers in which `ur_rtde` writes the command for its control script; the second with its upper range of registers.
+Arguments are in the double registers from the same number on.
+"""
 
 MOTION_COMMANDS: Final = frozenset((1, 2, 3, 4, 6, 9, 10, 11, 12, 18, 24, 31, 41, 45, 51, 52, 66))
-"""Commands of `ur_rtde` 1.6.5 that move an arm, let it be moved, or stop it hard: moveJ and moveL, force mode, speedJ,
+"""Commands of `ur_rtde` 1.6.5 that move an arm, release it, or stop it hard: moveJ and moveL, force mode, speedJ,
 speedL, servoJ, servoL, servoC, teach mode, a protective stop, jogging, paths, contact, freedrive, torque. Others read,
-set, end a motion, or only show that somebody is there (0)."""
+set, end a motion, or keep the connection alive (0).
+"""
 
 
 class MotionPackage(NamedTuple):
-    """One package with such a command.
+    """One package with a motion command.
 
     Attributes:
-        tick: Control periods that had begun when it came: it can take effect in the next one.
-        command: Of `MOTION_COMMANDS`.
-        numbers: The first six double registers: the target, where there is one.
+        tick: Control periods begun at its arrival. It can take effect in the next one.
+        command: One of `MOTION_COMMANDS`.
+        numbers: First six double registers: the target, if the command has one.
     """
 
     tick: int
@@ -35,16 +37,16 @@ class MotionPackage(NamedTuple):
 
 
 class Received:
-    """What came for one controller.
+    """Record of one controller.
 
     Attributes:
-        motion: The last packages that carry a motion command, oldest first.
-        motion_count: How many there were.
-        uploads: Programs that came on the ports 30001, 30002 and 30003, whether they were refused or run.
-        upload_tick: When the last one came; None: there was none.
-        watchdog: What the last watchdog was set to: tick, Hz, action; None: there was none.
-        ended_tick: Control period in which a program ended last; None: none has.
-        stop_tick: Control period in which the last stop that was injected took effect, or None.
+        motion: Last packages with a motion command, oldest first.
+        motion_count: Number of all of them.
+        uploads: Programs received on the ports 30001, 30002 and 30003, refused ones too.
+        upload_tick: Control period of the last one, or None.
+        watchdog: Last watchdog setting: tick, Hz, action; or None.
+        ended_tick: Control period in which a program last ended, or None.
+        stop_tick: Control period in which the last injected stop took effect, or None.
     """
 
     def __init__(self, registers: Registers) -> None:
@@ -58,11 +60,11 @@ class Received:
         self.stop_tick: int | None = None
 
     def package(self, names: Sequence[str], tick: int) -> None:
-        """An RTDE client has written these inputs.
+        """Record the inputs written by an RTDE client.
 
         Args:
-            names: RTDE's.
-            tick: Control periods that have begun.
+            names: RTDE names.
+            tick: Control periods begun.
         """
         for name, first in COMMAND_REGISTERS.items():
             if name in names:
@@ -73,11 +75,11 @@ class Received:
                     self.motion.append(MotionPackage(tick, command, tuple(numbers)))
 
     def upload(self, tick: int) -> None:
-        """A program has come."""
+        """Record a received program."""
         self.uploads, self.upload_tick = self.uploads + 1, tick
 
     def counts(self) -> dict[str, Any]:
-        """All that is counted."""
+        """Return all counts."""
         return {
             "motion": self.motion_count,
             "motion_tick": self.motion[-1].tick if self.motion else None,

@@ -1,4 +1,4 @@
-"""The general purpose registers by which programs and RTDE clients exchange numbers."""
+"""General purpose registers, by which programs and RTDE clients exchange numbers, and watchdogs on them."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 NUMBERS: Final = 48
-"""Integer registers and double registers, each way: UR's RTDE guide."""
+"""Number of integer registers and of double registers per direction: UR's RTDE guide."""
 
 BITS: Final = 128
-"""Bit registers, each way."""
+"""Number of bit registers per direction."""
 
 _REGISTER: Final = re.compile(r"(input|output)_(bit|int|double)_register_(0|[1-9]\d{0,2})")
 _BIT_GROUP: Final = re.compile(r"(input|output)_bit_registers(0_to_31|32_to_63)")
@@ -22,15 +22,15 @@ _BIT_GROUP: Final = re.compile(r"(input|output)_bit_registers(0_to_31|32_to_63)"
 class Registers:
     """All registers of one controller.
 
-    Recipes of RTDE hold on to the lists: change what is in them, do not replace them.
+    Change the lists only in place: recipes of RTDE refer to them.
 
     Attributes:
         input_int, input_double: 48 numbers that clients write and programs read.
-        input_bits: 128 of them.
+        input_bits: 128 bits of the same direction.
         output_int, output_double: 48 numbers that programs write and clients read.
-        output_bits: 128 of them.
-        writes: How often clients wrote each RTDE input variable, by its name; what was never written counts 0. Inputs
-            that are no registers are counted, too, as a program can watch over any of them.
+        output_bits: 128 bits of the same direction.
+        writes: Number of writes by clients of each RTDE input variable, by name. Inputs that are no registers count
+            too, since a program can watch any of them.
     """
 
     input_int: list[int] = field(default_factory=lambda: [0] * NUMBERS)
@@ -42,11 +42,10 @@ class Registers:
     writes: Counter[str] = field(default_factory=Counter)
 
     def find(self, name: str) -> tuple[list[Any], int | slice] | None:
-        """Where the register with an RTDE variable's name is kept.
+        """Find the register with an RTDE variable's name.
 
         Returns:
-            The list and the index in it, or for the variables that hold 32 bits the slice of them; None if the
-            variable is no register.
+            The list and the index in it, or a slice for variables of 32 bits; None if the variable is no register.
         """
         if match := _BIT_GROUP.fullmatch(name):
             direction, group = match.groups()
@@ -71,16 +70,17 @@ class Registers:
 
 @dataclass
 class Watchdog:
-    """A program's demand that a client keeps writing a register.
+    """Demand of a program that a client keeps writing a register.
 
     Attributes:
-        name: The register's, as RTDE names it.
+        name: RTDE name of the register.
         period_s: Longest time between two writes.
         action: "pause" or "stop".
-        writes: How often it had been written when it was looked at last.
-        machine: The program.
-        value: Gives what is in the register.
-        since_s: Time since it was last fed.
+        writes: Number of writes at the last check.
+        machine: Program that set it.
+        value: Getter of the register.
+        since_s: Time since the last write.
+        last: Value at the last check.
     """
 
     name: str
@@ -93,7 +93,7 @@ class Watchdog:
     last: Any = None
 
     def is_fed(self, registers: Registers, counts_unchanged: bool) -> bool:
-        """Whether the register was written since this was asked last."""
+        """Return True if the register was written since the last check."""
         writes, value = registers.writes.get(self.name, 0), self.value()
         fed = writes != self.writes and (counts_unchanged or value != self.last)
         self.writes, self.last = writes, value

@@ -1,10 +1,10 @@
-r"""A Robotiq 2F-85 as its URCap offers it on port 63352: text commands for the registers of the gripper.
+r"""Emulated Robotiq 2F-85 with its URCap's server on port 63352: text commands for the registers of the gripper.
 
     SET ACT 1 GTO 1 POS 255 SPE 255 FOR 100  ->  ack
     GET POS                                  ->  POS 3
 
 Registers and their meaning: Robotiq's manual of the 2F-85; their names on this port: Robotiq's URCap. "Assumption"
-marks what neither says.
+marks behaviour that neither specifies.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ LOWEST_SPEED_M_S: Final = 0.02
 """Speed at SPE 0 (data sheet of the 2F-85: 20 to 150 mm/s)."""
 
 ACTIVATION_S: Final = 1.0
-"""Shortest time of an activation. Assumption; the real one opens and closes fully in it, this one only opens."""
+"""Shortest activation. Assumption: the real gripper opens and closes fully, this one only opens."""
 
 STALL_S: Final = 0.15
-"""Fingers that press and have come no nearer for this long are stopped by something. Assumption."""
+"""Fingers that press without progress for this long are blocked. Assumption."""
 
 PROGRESS_M: Final = 0.0003
-"""What counts as nearer: one step of POS."""
+"""Smallest progress: one step of POS."""
 
 REACHED_M: Final = 0.001
-"""Fingers this near to where they were told to go are there: three steps of POS."""
+"""Tolerance of the requested width: three steps of POS."""
 
 LATENCY_S: Final = 0.1
-"""From a command to the first motion of the fingers: what the simulated gripper has, too."""
+"""Time from a command to the first motion of the fingers, as in the simulated gripper."""
 
 _LAG_S: Final = 0.02
-"""How far the reference may run ahead of moving fingers, as a time: more than the servo's own lag."""
+"""Lead of the reference over moving fingers, as a time: more than the servo's own lag."""
 
 _FLAGS: Final = ("ACT", "GTO", "ATR", "ARD")
-_BYTES: Final = ("POS", "SPE", "FOR", "SID")  # SID, which of several grippers is meant, is kept and not used
+_BYTES: Final = ("POS", "SPE", "FOR", "SID")  # SID selects one of several grippers; it is stored but unused
 _NOT_UNDERSTOOD: Final = "?"
 
 # Object status.
@@ -50,14 +50,14 @@ class RobotiqGripper:
     """One gripper.
 
     Args:
-        opening_m: Stroke: the opening at POS 0; at POS 255 it is closed.
-        stiffness_n_m: Of the position servo that `tick` commands: how much force it makes of a difference between
-            commanded and measured opening. It turns FOR into a grip force.
-        latency_s: Of the servo that `tick` commands.
+        opening_m: Stroke: the width at POS 0. At POS 255 it is closed.
+        stiffness_n_m: Stiffness of the position servo behind `tick`: force per difference between commanded and
+            measured width. It converts FOR to a grip force.
+        latency_s: Latency of that servo.
 
     Attributes:
-        powered: Whether the tool has power. Without, nothing is answered but "?", and the gripper has to be activated
-            again afterwards.
+        powered: Whether the tool has power. Without it every answer is "?", and the gripper needs a new activation
+            afterwards.
     """
 
     def __init__(
@@ -66,36 +66,36 @@ class RobotiqGripper:
         self.opening_m, self.stiffness_n_m, self.latency_s = opening_m, stiffness_n_m, latency_s
         self.powered = True
         self._set = {"ACT": 0, "GTO": 0, "ATR": 0, "ARD": 0, "POS": 0, "SPE": 255, "FOR": 255, "SID": 9}
-        self._activating_s: float | None = None  # since when, while it activates
+        self._activating_s: float | None = None  # duration of the present activation
         self._active = False
         self._object = MOVING
         self._fault = NO_FAULT
         self._measured_m: float | None = None
         self._reference_m = opening_m
         self._standing_s = 0.0
-        self._left_m = math.inf  # way left when they last came nearer
-        self._stopped_at_m: float | None = None  # where an object stopped the fingers
+        self._left_m = math.inf  # distance left at the last progress
+        self._stopped_at_m: float | None = None  # width at which an object stopped the fingers
 
     @property
     def force_n(self) -> float:
-        """Grip force that FOR asks for."""
+        """Grip force requested by FOR."""
         return FORCE_N[0] + (FORCE_N[1] - FORCE_N[0]) * self._set["FOR"] / 255
 
     @property
     def speed_m_s(self) -> float:
-        """Speed of the opening that SPE asks for."""
+        """Speed of the width requested by SPE."""
         return LOWEST_SPEED_M_S + (SPEED_M_S - LOWEST_SPEED_M_S) * self._set["SPE"] / 255
 
     @property
     def requested_m(self) -> float:
-        """Opening that POS asks for."""
+        """Width requested by POS."""
         return self.opening_m * (1 - self._set["POS"] / 255)
 
     def answer(self, line: str) -> str:
-        r"""What is sent back for one line, as it is: "ack" ends without a newline, the rest with one.
+        r"""Answer one line. "ack" ends without a newline, all other answers with one.
 
-        Clients compare three bytes with "ack"; several answers to GET arrive in one read and are split at `\n`.
-        Nothing that a client sends raises.
+        Clients compare three bytes with "ack"; several answers to GET arrive in one read and are split at `\n`. No
+        input raises.
         """
         verb, *words = line.split() or [""]
         if verb == "GET" and len(words) == 1:
@@ -108,25 +108,25 @@ class RobotiqGripper:
                 return "ack"
         return f"{_NOT_UNDERSTOOD}\n"
 
-    def tick(self, dt_s: float, opening_m: float) -> float:
-        """Let time pass.
+    def tick(self, dt_s: float, width_m: float) -> float:
+        """Advance by `dt_s`.
 
         Args:
-            dt_s: How much; more than 0.
-            opening_m: The fingers' opening, measured.
+            dt_s: Time step, above 0.
+            width_m: Measured gripper width.
 
         Returns:
-            The opening to command to the servo, m.
+            Width to command to the servo, m.
         """
         if self._measured_m is None:
-            self._reference_m = min(max(opening_m, 0.0), self.opening_m)
-        self._measured_m = opening_m
+            self._reference_m = min(max(width_m, 0.0), self.opening_m)
+        self._measured_m = width_m
         if not self.powered:
             self._reset()
             return self._reference_m  # a worm gear holds
         goal_m, rate_m_s = self._goal()
         if goal_m is not None:
-            self._go(goal_m, rate_m_s, dt_s, opening_m)
+            self._go(goal_m, rate_m_s, dt_s, width_m)
         if self._activating_s is not None:
             self._activating_s += dt_s
             if self._activating_s >= ACTIVATION_S and self._object != MOVING:
@@ -139,7 +139,7 @@ class RobotiqGripper:
         return self._reference_m
 
     def _goal(self) -> tuple[float | None, float]:
-        """Where the fingers go, if anywhere, and how fast."""
+        """Return the target width, if any, and the speed."""
         if self._fault in (RELEASING, RELEASED):
             return (self.opening_m if self._set["ARD"] else 0.0), LOWEST_SPEED_M_S
         if self._activating_s is not None:
@@ -149,11 +149,11 @@ class RobotiqGripper:
         return None, 0.0
 
     def _go(self, goal_m: float, rate_m_s: float, dt_s: float, measured_m: float) -> None:
-        """Move the reference, and see whether the fingers follow."""
+        """Move the reference, and detect blocked fingers."""
         if self._stopped_at_m is not None:
             passed_m = measured_m - self._stopped_at_m
             if (passed_m if self._object == STOPPED_OPENING else -passed_m) > REACHED_M:
-                self._start()  # what stopped the fingers is gone
+                self._start()  # the obstacle is gone
         press_m = self.force_n / self.stiffness_n_m
         ahead_m = press_m + ((_LAG_S + self.latency_s) * rate_m_s if self._stopped_at_m is None else 0.0)
         step_m = rate_m_s * dt_s
@@ -212,18 +212,18 @@ class RobotiqGripper:
             self._start()
 
     def _start(self) -> None:
-        """A motion begins: whether anything stops it is open again."""
+        """Begin a motion, with unknown object status."""
         self._object, self._standing_s, self._left_m, self._stopped_at_m = MOVING, 0.0, math.inf, None
 
     def _reset(self) -> None:
-        """Activation is lost; the fingers stay where they are."""
+        """Lose the activation. The fingers stay in place."""
         self._set.update(ACT=0, GTO=0, ATR=0, POS=0)
         self._active, self._activating_s, self._fault = False, None, NO_FAULT
         self._start()
 
 
 def _value(name: str, text: str) -> int | None:
-    """The number for a register that can be written, or nothing if there is no such register or it cannot hold it."""
+    """Parse the value of a writable register; None if there is no such register or the value is out of range."""
     highest = 1 if name in _FLAGS else 255 if name in _BYTES else -1
     if not (text.isascii() and text.isdigit() and len(text) <= 3):
         return None

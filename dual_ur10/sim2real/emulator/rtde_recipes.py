@@ -1,4 +1,4 @@
-"""What one RTDE data package holds, prepared so that packing and unpacking it takes microseconds."""
+"""Recipes of RTDE data packages, prepared so that packing and unpacking takes microseconds."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from dual_ur10.sim2real.protocol.rtde import HEADER, DataType, Kind, Value
 Reader = Callable[[Any], Iterable[Any]]
 
 OUTPUT_RECIPE = 1
-"""Number of the one output recipe that a connection has."""
+"""Number of the only output recipe of a connection."""
 
 
 class _Field(NamedTuple):
-    """A variable and where its value is: `container[key]`."""
+    """Variable and the place of its value: `container[key]`."""
 
     name: str
     kind: DataType
@@ -27,17 +27,17 @@ class _Field(NamedTuple):
 
     @property
     def group(self) -> tuple[int, str]:
-        """Fields in a row with the same group are read at once."""
+        """Group key: consecutive fields of one group are read at once."""
         shape = "bits" if isinstance(self.key, slice) else "number" if self.kind.count == 1 else "vector"
         return id(self.container), shape
 
 
 class OutputRecipe:
-    """The variables that a client reads.
+    """Variables that a client reads.
 
     Args:
         variables: Names and types, in the client's order.
-        values: Where the variables are that are no registers.
+        values: Values of the variables that are no registers.
         registers: The registers.
         numbered: Whether packages begin with the number of the recipe: since version 2 of the protocol.
     """
@@ -62,7 +62,7 @@ class OutputRecipe:
         self._header = (packer.size, int(Kind.DATA_PACKAGE), *number)
 
     def package(self) -> bytes:
-        """A data package with the values of this moment.
+        """Return a data package with the present values.
 
         Raises:
             SettingsError: A value is no number, or a vector has the wrong length.
@@ -73,7 +73,7 @@ class OutputRecipe:
                 flat += read(container)
             return self._pack(*flat)
         except (struct.error, TypeError, OverflowError):
-            # A number does not fit its type. That is rare, so it may take longer.
+            # A number does not fit its type: rare, so it may be slow.
             return self._pack(*self._header, *self._fitted())
 
     def _fitted(self) -> Iterable[float | int]:
@@ -83,7 +83,7 @@ class OutputRecipe:
 
 
 class InputRecipe:
-    """The variables that a client writes.
+    """Variables that a client writes.
 
     Args:
         variables: Names and types, in the client's order.
@@ -95,7 +95,7 @@ class InputRecipe:
         self._writes = registers.writes
         self._kinds = [kind for _, kind in variables]
         self._struct = struct.Struct(">" + _codes(self._kinds))
-        # By what is done with them, each with the place of its value in a package.
+        # Grouped by kind of write, each with the place of its value in a package.
         self._cells: list[tuple[list[Any], int, str, int]] = []
         self._groups: list[tuple[list[Any], slice, str, int]] = []
         self._others: list[tuple[str, int, int]] = []
@@ -119,32 +119,32 @@ class InputRecipe:
         """Write a package's values into the registers.
 
         Args:
-            data: The package without header and recipe number. If it is too short, the variables that are there in
-                full are written; what is too much is left alone.
+            data: Package without header and recipe number. Of a short package only complete variables are written;
+                excess bytes are ignored.
 
         Returns:
-            The values that do not belong into registers, by name.
+            Values that are no registers, by name.
         """
         flat = self._struct.unpack_from(data) if len(data) >= self._struct.size else self._prefix(data)
-        there, writes = len(flat), self._writes
+        available, writes = len(flat), self._writes
         for cells, index, name, place in self._cells:
-            if place >= there:
+            if place >= available:
                 break
             cells[index] = flat[place]
             writes[name] += 1
         for bits, where, name, place in self._groups:
-            if place < there:
+            if place < available:
                 bits[where] = _int_to_bits(flat[place])
                 writes[name] += 1
         others: dict[str, Value] = {}
         for name, start, end in self._others:
-            if end <= there:
+            if end <= available:
                 others[name] = flat[start] if end - start == 1 else flat[start:end]
                 writes[name] += 1
         return others
 
     def _prefix(self, data: bytes) -> tuple[Any, ...]:
-        """The values of the variables that are there in full."""
+        """Unpack the complete variables of a short package."""
         codes, size = "", 0
         for kind in self._kinds:
             size += struct.calcsize(f">{kind.count}{kind.code}")
@@ -159,7 +159,7 @@ def _codes(kinds: Iterable[DataType]) -> str:
 
 
 def _reader(keys: list[Any], shape: str) -> Reader:
-    """A function that gives all elements at `keys` of a container in a row."""
+    """Return a function that returns all elements at `keys` of a container in a row."""
     if shape == "bits":
         return lambda bits: [_bits_to_int(bits[key]) for key in keys]
     if len(keys) == 1:

@@ -1,11 +1,11 @@
-"""The server's side of RTDE, UR's real-time data exchange (port 30004): bytes in, bytes out, no sockets.
+"""Server side of RTDE, UR's real-time data exchange (port 30004): bytes in, bytes out, no sockets.
 
-What UR's guide leaves open is done so:
+Choices where UR's guide is silent:
 
-* An output setup replaces the one before. If it names an unknown variable, or none at all, the connection has no
+* An output setup replaces the previous one. If it names an unknown variable, or none at all, the connection has no
   output recipe afterwards, and data stop.
-* A setup that is refused has the number 0, and takes no variable into use.
-* Packages of an unknown kind are counted and not answered; so are text messages of clients.
+* A refused setup has the number 0, and claims no variable.
+* Packages of an unknown kind, and text messages of clients, are counted and not answered.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from dual_ur10.sim2real.protocol.rtde import DataType, Frames, Kind, TextKind, V
 log = logging.getLogger(__name__)
 
 VERSIONS: Final = (1, 2)
-"""Versions of the protocol. A connection has the first until it asks for another."""
+"""Versions of the protocol. A connection starts with the first."""
 
 MAX_INPUT_RECIPES: Final = 255
-"""The number of a recipe is one byte, and 0 means none."""
+"""Limit of the recipe number, which is one byte; 0 means none."""
 
 MAX_VARIABLES: Final = 1024
-"""In one recipe. A controller has fewer than 600, and packages of 1024 vectors still fit into a frame."""
+"""Most variables of a recipe. A controller has fewer than 600, and packages of 1024 vectors still fit into a frame."""
 
 _LONGEST_DIVIDER: Final = 10**9
 
@@ -40,14 +40,14 @@ Answer = Callable[["RtdeSession", bytes], bytes]
 
 
 class RtdePort:
-    """What the RTDE connections of one controller share.
+    """State shared by the RTDE connections of one controller.
 
     Args:
-        profile: The controller's version decides which variables there are.
-        registers: Clients write the input registers at once, so that the last one wins within a control period.
+        profile: Profile of the controller, whose version defines the variables.
+        registers: Registers. Clients write the input registers at once, so the last one within a control period wins.
         values: All variables that are no registers, by name. They are read whenever a package is published.
-        inputs: Called with the variables of a package that are no registers, by name, if there are any.
-        written: Called after every package with the names of its recipe's variables.
+        inputs: Callback for the variables of a package that are no registers, by name.
+        written: Callback after every package, with the names of its recipe's variables.
 
     Raises:
         SettingsError: `values` lacks a variable.
@@ -72,28 +72,28 @@ class RtdePort:
         self.owners: dict[str, RtdeSession] = {}
 
     def open(self) -> RtdeSession:
-        """A new connection."""
+        """Open a connection."""
         return RtdeSession(self)
 
 
 class RtdeSession:
     """One client's connection.
 
-    Send what `receive` returns before anything that is published later: nothing may reach a client before the answer
-    to its START.
+    Send the result of `receive` before any later result of `publish`: nothing may reach a client before the answer to
+    its START.
 
     Args:
-        port: What it shares with the others of the controller.
+        port: State shared with the controller's other connections.
 
     Attributes:
         started: Whether data are published.
-        version: Of the protocol.
-        divider: A package is published every so many control periods.
-        data_packages: That were received.
-        short_packages, long_packages: Of them, those that did not have the length of their recipe.
-        unknown_packages: Of a kind that RTDE does not have.
-        text_messages: That were received.
-        published: Packages that were published.
+        version: Version of the protocol.
+        divider: Control periods per published package.
+        data_packages: Received data packages.
+        short_packages, long_packages: Of these, packages shorter or longer than their recipe.
+        unknown_packages: Received packages of a kind that RTDE does not have.
+        text_messages: Received text messages.
+        published: Published packages.
     """
 
     def __init__(self, port: RtdePort) -> None:
@@ -110,13 +110,13 @@ class RtdeSession:
         self.unknown_packages = self.text_messages = self.published = 0
 
     def receive(self, data: bytes) -> bytes:
-        """Take what came from the client, in pieces of any size.
+        """Process received bytes, in pieces of any size.
 
         Returns:
             The answers to send.
 
         Raises:
-            ProtocolError: No client of RTDE sends this. The session is closed; close the connection, too.
+            ProtocolError: The bytes violate RTDE. The session is closed; close the connection, too.
             ClosedError: The session was closed.
         """
         if self._closed:
@@ -139,7 +139,7 @@ class RtdeSession:
         return b"".join(answers)
 
     def publish(self, tick: int) -> bytes:
-        """The data package of a control period, or nothing if none is due.
+        """Return the data package of a control period, or nothing if none is due.
 
         Args:
             tick: Number of the control period. The first one after START is always due.
@@ -147,7 +147,7 @@ class RtdeSession:
         if not self.started or self._outputs is None:
             return b""
         due = self._due
-        if due is None or tick > due or due - tick > self.divider:  # ticks were left out, or begin anew
+        if due is None or tick > due or due - tick > self.divider:  # ticks were skipped, or restarted
             due = tick
         if tick < due:
             return b""
@@ -156,12 +156,12 @@ class RtdeSession:
         return self._outputs.package()
 
     def text(self, message: str, source: str = "", kind: TextKind = TextKind.INFO) -> bytes:
-        """A text message; nothing unless data are published, as other clients wait for answers only.
+        """Encode a text message; nothing unless data are published, since other clients expect answers only.
 
         Args:
-            message: The text, of which 255 bytes are sent.
-            source: Who says it.
-            kind: How serious it is.
+            message: Text, of which 255 bytes are sent.
+            source: Sender.
+            kind: Severity.
         """
         if not self.started:
             return b""
@@ -169,11 +169,11 @@ class RtdeSession:
 
     @property
     def writes(self) -> bool:
-        """Whether it has set up inputs."""
+        """True if it has set up inputs."""
         return bool(self._inputs)
 
     def close(self) -> None:
-        """End the session: others can use its inputs at once. Closing it again does nothing."""
+        """End the session and release its inputs. May be called twice."""
         self._closed, self.started = True, False
         owners = self._port.owners
         for name in [name for name, owner in owners.items() if owner is self]:
@@ -207,7 +207,7 @@ class RtdeSession:
                 self._outputs = self._output_recipe(self._outputs.variables)
         return frame(Kind.REQUEST_PROTOCOL_VERSION, bytes([wanted in VERSIONS]))
 
-    def _tell_version(self, payload: bytes) -> bytes:
+    def _report_version(self, payload: bytes) -> bytes:
         return frame(Kind.GET_URCONTROL_VERSION, struct.pack(">4I", *self._port.profile.version))
 
     def _set_up_outputs(self, payload: bytes) -> bytes:
@@ -262,7 +262,7 @@ class RtdeSession:
 
 _ANSWERS: Final[dict[int, Answer]] = {
     Kind.REQUEST_PROTOCOL_VERSION: RtdeSession._request_version,
-    Kind.GET_URCONTROL_VERSION: RtdeSession._tell_version,
+    Kind.GET_URCONTROL_VERSION: RtdeSession._report_version,
     Kind.SETUP_OUTPUTS: RtdeSession._set_up_outputs,
     Kind.SETUP_INPUTS: RtdeSession._set_up_inputs,
     Kind.START: RtdeSession._start,
@@ -284,7 +284,7 @@ def _names(payload: bytes) -> list[str]:
 
 
 def _divider(rate_hz: float, frequency_hz: float) -> int:
-    """Control periods between two packages. What is no frequency stands for the highest: every period."""
+    """Return the control periods per package. An invalid frequency means the highest."""
     if math.isnan(frequency_hz) or frequency_hz <= 0.0:
         return 1
     return max(1, round(min(rate_hz / frequency_hz, _LONGEST_DIVIDER)))

@@ -1,8 +1,7 @@
-"""Which RTDE variables a controller has: UR's RTDE guide.
+"""RTDE variables of a controller, from UR's RTDE guide.
 
-The columns of the tables are the name, the type, and the versions of CB3 and e-Series software that brought the
-variable; a minus where none did. A question mark stands for a version that was not found documented. Registers of the
-same kind share a row.
+Columns of the tables: name, type, and the versions of CB3 and e-Series software that introduced the variable; a minus
+where none did. A question mark marks an undocumented version. Registers of the same kind share a row.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from dual_ur10.sim2real.protocol.rtde import TYPES, DataType, Value
 Version = tuple[int, ...]
 
 _E_SERIES: Final = 5
-"""First major version of the e-Series; later ones follow the same column."""
+"""First major version of the e-Series. Later ones use the same column."""
 
 _REGISTERS: Final = """
 input_bit_registers0_to_31               UINT32        3.4    5.0
@@ -29,7 +28,7 @@ input_int_register_24..47                INT32         3.9    5.3
 input_double_register_0..23              DOUBLE        3.4    5.0
 input_double_register_24..47             DOUBLE        3.9    5.3
 """
-"""Clients write the input registers, and can read them back."""
+"""Input registers, which clients write and can read back."""
 
 _INPUTS: Final = (
     _REGISTERS
@@ -147,24 +146,24 @@ output_double_register_24..47            DOUBLE        3.9    5.3
 
 
 def output_types(profile: ControllerProfile) -> dict[str, DataType]:
-    """Types of the variables that clients of this controller can read."""
+    """Return the types of the variables that clients of this controller can read."""
     return dict(_of_version(_OUTPUTS, profile.version))
 
 
 def input_types(profile: ControllerProfile) -> dict[str, DataType]:
-    """Types of the variables that clients of this controller can write."""
+    """Return the types of the variables that clients of this controller can write."""
     return dict(_of_version(_INPUTS, profile.version))
 
 
 def zero_values(profile: ControllerProfile) -> dict[str, Value]:
-    """Every variable that clients can read and that is no register, with a zero of its type."""
+    """Return a zero for every readable variable that is no register."""
     registers = Registers()
     return {name: kind.zero for name, kind in output_types(profile).items() if registers.find(name) is None}
 
 
 @cache
 def _rows(table: str) -> tuple[tuple[str, DataType, Version | None, Version | None], ...]:
-    """Name, type and versions of every variable in a table."""
+    """Return name, type and versions of every variable in a table."""
     rows = []
     for line in filter(None, table.splitlines()):
         names, kind, cb3, e_series = line.split()

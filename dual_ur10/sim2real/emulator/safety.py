@@ -1,6 +1,6 @@
-"""Power, brakes and safety of one controller: which state it is in, and what that allows.
+"""Power, brakes and safety state of one controller.
 
-A state machine in controller time. It decides nothing about motion; it says what a program has to do (`Demand`).
+A state machine in controller time. It does not control motion: it states what the program has to do (`Demand`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ UNLOCK_TOO_EARLY: Final = (
 
 
 class Demand(Enum):
-    """What the state asks of the program: to go on, to pause on its path, or to end with the arm held by its brakes."""
+    """Demand of the safety state on the program: go on, pause on the path, or end with the arm held by its brakes."""
 
     NONE = "none"
     PAUSE = "pause"
@@ -41,18 +41,18 @@ _POWERLESS: Final = (
     SafetyMode.VIOLATION,
     SafetyMode.FAULT,
 )
-"""Modes in which the arm has no power, once it has come to rest."""
+"""Modes in which a stopped arm has no power."""
 
 
 class Safety:
-    """The state of one controller.
+    """Safety state of one controller.
 
     Args:
-        assumptions: What no document settles.
+        assumptions: Behaviour that no document specifies.
         powered: Whether the arm is powered, with its brakes released, from the start.
 
     Attributes:
-        robot_mode: Power and brakes.
+        robot_mode: State of power and brakes.
         reason: Code and text of the last stop, or "".
     """
 
@@ -61,15 +61,15 @@ class Safety:
         self.robot_mode = RobotMode.RUNNING if powered else RobotMode.POWER_OFF
         self.reason = ""
         self._now_s = 0.0
-        self._stopped: dict[int, float] = {}  # safety modes other than normal and reduced, and since when
+        self._stopped: dict[int, float] = {}  # active stop modes, and their start times
         self._reduced = False
-        self._next: list[tuple[float, RobotMode]] = []  # steps of powering up, and when
+        self._next: list[tuple[float, RobotMode]] = []  # steps of powering up, and their times
         self._restarting_until: float | None = None
         self._loses_power = False
 
     @property
     def safety_mode(self) -> int:
-        """RTDE's `safety_mode`: the gravest condition that holds."""
+        """RTDE's `safety_mode`: the gravest active condition."""
         if self._stopped:
             return max(self._stopped, key=_gravity)
         return SafetyMode.REDUCED if self._reduced else SafetyMode.NORMAL
@@ -89,12 +89,12 @@ class Safety:
 
     @property
     def reduced(self) -> bool:
-        """Whether the reduced limits are in force."""
+        """True while the reduced limits apply."""
         return self._reduced
 
     @property
     def demand(self) -> Demand:
-        """What the state asks of the program."""
+        """Demand on the program."""
         pauses = {
             SafetyMode.PROTECTIVE_STOP: self.assumptions.protective_stop_pauses,
             SafetyMode.ROBOT_EMERGENCY_STOP: self.assumptions.emergency_stop_pauses,
@@ -110,21 +110,21 @@ class Safety:
 
     @property
     def resumes(self) -> bool:
-        """Whether a program that pauses now goes on by itself when what holds it has ended."""
+        """True if a program that pauses now resumes by itself after the stop."""
         return self.assumptions.safeguard_resumes and set(self._stopped) <= {int(SafetyMode.SAFEGUARD_STOP)}
 
     @property
     def may_move(self) -> bool:
-        """Whether the arm may be moved."""
+        """True if the arm may move."""
         return self.robot_mode == RobotMode.RUNNING and not self._stopped and not self._loses_power
 
     def tick(self, dt_s: float, *, at_rest: bool) -> None:
-        """Let time pass. `at_rest`: whether the arm stands."""
+        """Advance by `dt_s`. `at_rest`: whether the arm stands."""
         self._now_s += dt_s
         while self._next and self._next[0][0] <= self._now_s:
             self.robot_mode = self._next.pop(0)[1]
         if at_rest and self._loses_power:
-            # Also if the button has been turned back meanwhile.
+            # Even if the button has been released meanwhile.
             self._loses_power = False
             if self.robot_mode > RobotMode.POWER_OFF:
                 self.power_off()
@@ -133,36 +133,36 @@ class Safety:
             for mode in (SafetyMode.VIOLATION, SafetyMode.FAULT):
                 self._stopped.pop(mode, None)
 
-    # What happens to the arm.
+    # Conditions.
 
     def stop(self, mode: int, reason: str = "") -> None:
-        """A stop condition comes to hold: any number that RTDE's `safety_mode` may have.
+        """Raise a stop condition: any number that RTDE's `safety_mode` may have.
 
         Raises:
-            OperationRefusedError: The number says that nothing is stopped.
+            OperationRefusedError: The number stands for normal operation.
         """
         if mode in (SafetyMode.NORMAL, SafetyMode.REDUCED):
-            raise OperationRefusedError(f"safety mode {int(mode)} is no stop: release the conditions that hold instead")
+            raise OperationRefusedError(f"safety mode {int(mode)} is no stop: release the active conditions instead")
         if mode not in self._stopped:
             self._stopped[int(mode)] = self._now_s
             self.reason = reason
             self._loses_power = self._loses_power or mode in _POWERLESS
 
     def release(self, mode: int) -> None:
-        """A condition ends: an emergency stop button is turned, a safeguard closed."""
+        """Clear a condition: an emergency stop button is released, a safeguard closed."""
         self._stopped.pop(int(mode), None)
 
     def reduce(self, reduced: bool) -> None:
-        """The reduced limits come into force, or end."""
+        """Switch the reduced limits."""
         self._reduced = reduced
 
-    # What people do.
+    # Operator actions.
 
     def power_on(self) -> None:
-        """Give the arm power.
+        """Switch the arm's power on.
 
         Raises:
-            OperationRefusedError: A stop holds that keeps the arm without power.
+            OperationRefusedError: An active stop forbids power.
         """
         self._check_power()
         if self.robot_mode == RobotMode.POWER_OFF and not self._next:
@@ -170,10 +170,10 @@ class Safety:
             self._next = [(self._now_s + self.assumptions.power_on_s, RobotMode.IDLE)]
 
     def release_brakes(self) -> None:
-        """Release the brakes, after powering up if that has not been done.
+        """Release the brakes, and power up first if necessary.
 
         Raises:
-            OperationRefusedError: A stop holds that keeps the arm without power.
+            OperationRefusedError: An active stop forbids power.
         """
         self._check_power()
         if self.robot_mode == RobotMode.POWER_OFF and not self._next:
@@ -184,16 +184,16 @@ class Safety:
         self._next.append((begin + self.assumptions.brake_release_s, RobotMode.RUNNING))
 
     def power_off(self) -> None:
-        """Take the arm's power."""
+        """Switch the arm's power off."""
         self._next.clear()
         if self.robot_mode != RobotMode.DISCONNECTED:
             self.robot_mode = RobotMode.POWER_OFF
 
     def unlock_protective_stop(self) -> None:
-        """Release a protective stop; nothing if there is none.
+        """Release a protective stop, if there is one.
 
         Raises:
-            OperationRefusedError: Too early: its cause is to be looked at first.
+            OperationRefusedError: It is too early: its cause is to be inspected first.
         """
         since = self._stopped.get(SafetyMode.PROTECTIVE_STOP)
         if since is None:
@@ -203,7 +203,7 @@ class Safety:
         self.release(SafetyMode.PROTECTIVE_STOP)
 
     def restart(self) -> None:
-        """Restart the safety system after a violation or a fault: the arm is without power then."""
+        """Restart the safety system after a violation or a fault. The arm has no power then."""
         self.power_off()
         self._restarting_until = self._now_s + self.assumptions.restart_safety_s
 
@@ -214,7 +214,7 @@ class Safety:
             if mode in _POWERLESS:
                 raise OperationRefusedError(f"the arm gets no power while its safety mode is {SafetyMode(mode).name}")
         if self._loses_power:
-            raise OperationRefusedError("the arm gets no power while it comes to rest after an emergency stop: wait")
+            raise OperationRefusedError("the arm gets no power while it stops after an emergency stop: wait")
 
 
 _KNOWN: Final = frozenset(int(mode) for mode in SafetyMode)
@@ -231,5 +231,5 @@ _GRAVEST: Final = (
 
 
 def _gravity(mode: int) -> int:
-    """Order of modes that hold at the same time; a number that is not known is graver than all that are."""
+    """Rank simultaneous modes. An unknown number is graver than all known ones."""
     return _GRAVEST.index(SafetyMode(mode)) if mode in _GRAVEST else len(_GRAVEST)

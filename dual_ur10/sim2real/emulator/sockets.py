@@ -1,4 +1,4 @@
-"""TCP connections of an emulated controller: sockets that never block, and what can be made to go wrong with them."""
+"""Non-blocking TCP connections of emulated controllers, with injected link faults."""
 
 from __future__ import annotations
 
@@ -23,35 +23,35 @@ from dual_ur10.sim2real.emulator.addresses import listening
 log = logging.getLogger(__name__)
 
 MOST_CONNECTIONS: Final = 32
-"""Clients of one port at the same time; more are closed at once. UR publishes no figure."""
+"""Concurrent clients of one port. More are closed at once. UR publishes no figure."""
 
 MOST_LATE_S: Final = 60.0
-"""Longest injected delay of packets and programs, which are kept meanwhile."""
+"""Longest injected delay of packets and programs, which are queued meanwhile."""
 
-_RECEIVE_BYTES: Final = 8192  # at a time, so that clients that send much cannot keep the others waiting
-_MOST_WAITING_BYTES: Final = 262_144  # that a client has not read: then packets are dropped, or it is closed
+_RECEIVE_BYTES: Final = 8192  # per read, so that a busy client cannot delay the others
+_MOST_WAITING_BYTES: Final = 262_144  # unread by a client: beyond this, packets are dropped or it is disconnected
 _SEND_BUFFER_BYTES: Final = 65_536
-_SERVED_S: Final = 0.001  # for which clients are served in a control period that is late already
+_SERVED_S: Final = 0.001  # time for clients in a control period that is already late
 _RESET: Final = struct.pack("ii", 1, 0)  # SO_LINGER that makes close() send RST
 
 
 class Peer(Protocol):
-    """What talks to one client. It takes bytes and gives bytes, and knows nothing of sockets."""
+    """Protocol handler of one client: bytes in, bytes out, no sockets."""
 
     @property
     def finished(self) -> bool:
-        """Whether the connection is to be closed once the last answer was sent."""
+        """True if the connection is to be closed after the last answer."""
         ...
 
     def received(self, data: bytes) -> bytes:
-        """Answer what came.
+        """Answer received bytes.
 
         Raises:
-            ProtocolError: The connection is to be closed.
+            ProtocolError: The connection must be closed.
         """
 
     def closed(self) -> None:
-        """The connection has ended."""
+        """React to the end of the connection."""
 
 
 _Seconds = Annotated[float, Field(ge=0.0, le=MOST_LATE_S)]
@@ -86,7 +86,7 @@ class LinkFaults:
     foreign: _Count = 0
 
     def damage(self, package: bytes) -> bytes:
-        """An RTDE package of the data stream, as it arrives."""
+        """Apply the faults of RTDE packages to one of the data stream."""
         size = int.from_bytes(package[:2], "big")
         if self.short > 0:
             self.short -= 1
@@ -102,7 +102,7 @@ class LinkFaults:
 
 @dataclass
 class _Delayed:
-    """Bytes on their way, in order."""
+    """Delayed bytes, in order."""
 
     waiting: deque[tuple[float, bytes, bool]] = field(default_factory=deque)
     last_s: float = 0.0
@@ -127,7 +127,7 @@ class Connection:
     """One client.
 
     Attributes:
-        dropped: Packets that it did not get because it did not read.
+        dropped: Packets dropped because the client was slow.
     """
 
     def __init__(self, hub: Hub, sock: socket.socket, peer: Peer, port: Port) -> None:
@@ -141,11 +141,11 @@ class Connection:
         self._coming, self._going = _Delayed(), _Delayed()
 
     def send(self, data: bytes, *, droppable: bool = False) -> None:
-        """Send, or keep what cannot be sent now.
+        """Send, or queue unsent bytes.
 
         Args:
             data: Bytes.
-            droppable: Whether they are one packet of a stream, which is left out as a whole when the client is slow.
+            droppable: Whether they are one packet of a stream, which is dropped as a whole when the client is slow.
         """
         faults = self.port.faults
         if not data or not self.open or faults.mute or self.half_open:
@@ -171,10 +171,10 @@ class Connection:
         self._out += data
         self.flush()
         if len(self._out) > _MOST_WAITING_BYTES:
-            self.close("it does not read what it asked for")
+            self.close("it does not read its answers")
 
     def flush(self) -> None:
-        """Send what waits, as far as the client takes it."""
+        """Send queued bytes, as far as the client accepts them."""
         if not self.open:
             return
         try:
@@ -183,7 +183,7 @@ class Connection:
         except BlockingIOError:
             pass
         except OSError:
-            # It has gone, and what it said before may not have been read: a program is run all the same.
+            # The client has gone. Its last bytes may be unread, and a program in them still runs.
             self._out.clear()
             if not self.port.faults.frozen:
                 self.read()
@@ -194,16 +194,16 @@ class Connection:
         )
 
     def read(self) -> None:
-        """Take what has come and answer it."""
+        """Receive bytes and answer them."""
         try:
             data = self.sock.recv(_RECEIVE_BYTES)
         except BlockingIOError:
             return
-        except OSError:  # it ended without a goodbye
+        except OSError:  # reset by the client
             data = b""
         if hasattr(socket, "TCP_QUICKACK"):
-            # Clients that leave Nagle's algorithm on wait for this before they send their next packet. The system
-            # takes it back after every packet.
+            # Clients with Nagle's algorithm wait for the acknowledgement before their next packet. The system resets
+            # this option after every packet.
             with contextlib.suppress(OSError):
                 self.sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
         if not data:
@@ -223,8 +223,8 @@ class Connection:
         except ProtocolError as error:
             self.close(str(error))
             return
-        except Exception:  # a mistake of ours must not end the other connections, let alone the other arm
-            log.exception("%s: a client is disconnected, because what it sent was not handled", self.port.name)
+        except Exception:  # a bug must not end the other connections, let alone the other arm
+            log.exception("%s: a client is disconnected after an internal error", self.port.name)
             self.close("an error inside the emulated cell")
             return
         self.send(reply)
@@ -233,11 +233,11 @@ class Connection:
 
     @property
     def next_s(self) -> float:
-        """When the next bytes arrive that are late."""
+        """Arrival time of the next delayed bytes."""
         return min(self._coming.next_s, self._going.next_s)
 
     def pass_time(self, now_s: float) -> None:
-        """Let bytes that are late arrive."""
+        """Deliver delayed bytes that are due."""
         for data, _ in self._coming.due(now_s):
             self._take(data)
         for data, droppable in self._going.due(now_s):
@@ -248,8 +248,8 @@ class Connection:
         """End the connection. May be called twice.
 
         Args:
-            reason: Why, for the log; "" if the client ended it.
-            reset: Whether the client is to see a reset instead of an end.
+            reason: Reason for the log; "" if the client ended it.
+            reset: Whether to send a reset instead of an end.
         """
         if not self.open:
             return
@@ -267,14 +267,14 @@ class Port:
     """One listening port and its clients.
 
     Args:
-        hub: What it belongs to.
-        name: For the log.
+        hub: Hub of all ports.
+        name: Name for the log.
         address: Host and port.
-        accept: Makes the peer of a new client; what it sends first is `greeting`.
-        greeting: What every client gets first.
+        accept: Factory of the peer of a new client.
+        greeting: Factory of the first bytes for every client.
 
     Attributes:
-        faults: What goes wrong here.
+        faults: Injected faults.
     """
 
     def __init__(
@@ -283,7 +283,7 @@ class Port:
         self.hub, self.name, self.address = hub, name, address
         self.faults = LinkFaults()
         self.connections: list[Connection] = []
-        self.served = 0  # when it was served last, counted by the hub
+        self.served = 0  # hub's count at its last service
         self._accept, self._greeting = accept, greeting
         self._sock: socket.socket | None = None
         self.listen()
@@ -300,31 +300,31 @@ class Port:
 
     @property
     def number(self) -> int:
-        """The port's number, also where the system chose it."""
+        """Port number, also where the system chose it."""
         return self.address[1] if self._sock is None else int(self._sock.getsockname()[1])
 
     def refuse(self) -> None:
-        """Stop listening: clients that connect are refused. Those that are connected stay."""
+        """Stop listening, so that new clients are refused. Connected clients stay."""
         if self._sock is not None:
             self.hub.selector.unregister(self._sock)
             self._sock.close()
             self._sock = None
 
     def accept(self) -> None:
-        """Take a new client in."""
+        """Accept a new client."""
         if self._sock is None:
             return
         try:
             sock, _ = self._sock.accept()
         except OSError as error:
-            log.warning("%s: a client could not be taken in: %s", self.name, error)
+            log.warning("%s: a client could not be accepted: %s", self.name, error)
             return
         if len(self.connections) >= MOST_CONNECTIONS:
             log.warning("%s: a client is refused: there are %d already", self.name, len(self.connections))
             sock.close()
             return
         sock.setblocking(False)
-        with contextlib.suppress(OSError):  # it may have gone already, which reading will tell
+        with contextlib.suppress(OSError):  # it may have gone already, which the next read reports
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
         connection = Connection(self.hub, sock, self._accept(), self)
@@ -338,13 +338,13 @@ class Port:
             connection.send(data, droppable=True)
 
     def disconnect(self, reason: str, *, reset: bool = False, whose: Callable[[Peer], bool] = lambda _: True) -> None:
-        """End all connections, or those of some peers."""
+        """Close all connections, or those of selected peers."""
         for connection in list(self.connections):
             if whose(connection.peer):
                 connection.close(reason, reset=reset)
 
     def close(self) -> None:
-        """End the connections and stop listening."""
+        """Close the connections and stop listening."""
         self.disconnect("the emulated cell ends")
         self.refuse()
 
@@ -353,7 +353,7 @@ class Hub:
     """All ports and connections of an emulated cell, on one thread.
 
     Args:
-        seed: Of the faults that are left to chance.
+        seed: Seed of random faults.
     """
 
     def __init__(self, seed: int = 0) -> None:
@@ -375,11 +375,11 @@ class Hub:
         return port
 
     def due(self, faults: LinkFaults) -> float:
-        """When bytes that are sent or come now arrive."""
+        """Return the arrival time of bytes sent or received now."""
         return time.monotonic() + faults.delay_s + faults.jitter_s * self.random.random()
 
     def watch(self, connection: Connection, events: int) -> None:
-        """Wait for what a connection waits for."""
+        """Set the events to wait for on a connection."""
         if events == connection.events or not connection.open:
             return
         if not connection.events:
@@ -391,7 +391,7 @@ class Hub:
         connection.events = events
 
     def forget(self, connection: Connection) -> None:
-        """A connection has ended."""
+        """Remove a closed connection."""
         if connection.events:
             self.selector.unregister(connection.sock)
             connection.events = 0
@@ -404,9 +404,9 @@ class Hub:
             connections = [each for port in self.ports for each in port.connections]
             left = min((each.next_s for each in connections), default=until_s)
             left = min(left, until_s) - time.monotonic()
-            # The selector waits in whole milliseconds and may be late by one: the rest is slept.
+            # The selector waits in whole milliseconds and may be late by one, so the rest is slept.
             ready = self.selector.select(max(0.0, left - 0.001))
-            # Who has waited longest comes first: where there is no time for all, nobody is left out again and again.
+            # Longest-waiting first, so that no client starves where time is short.
             ready.sort(key=lambda each: each[0].data.served)
             for key, events in ready:
                 serve = key.data
@@ -420,7 +420,7 @@ class Hub:
                 if events & selectors.EVENT_READ and serve.open:
                     serve.read()
                 if time.monotonic() > end:
-                    break  # the others are served after the control period, which does not wait
+                    break  # the others are served after the control period
             now = time.monotonic()
             for connection in [each for port in self.ports for each in port.connections]:
                 connection.pass_time(now)

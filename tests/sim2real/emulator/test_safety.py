@@ -184,7 +184,7 @@ def test_brakes_are_not_released_while_an_emergency_stop_takes_the_power():
     safety.stop(SafetyMode.ROBOT_EMERGENCY_STOP)
     safety.release(SafetyMode.ROBOT_EMERGENCY_STOP)
     passing(safety, 0.05, at_rest=False)
-    with pytest.raises(OperationRefusedError, match="comes to rest"):
+    with pytest.raises(OperationRefusedError, match="while it stops after an emergency stop"):
         safety.release_brakes()
     passing(safety, 0.05)
     assert safety.robot_mode == RobotMode.POWER_OFF

@@ -105,14 +105,14 @@ def norm(a: float | list[float]) -> float:
 
 
 def length(v: list[Any] | str) -> int:
-    """Number of elements of a list, or of characters of a string."""
+    """Count the elements of a list, or the characters of a string."""
     if isinstance(v, (list, str)):
         return len(v)
     raise TypeError(f"expected a list or a string, found {kind(v)}")
 
 
 def get_list_length(v: list[Any]) -> int:
-    """Number of elements of a list."""
+    """Count the elements of a list."""
     return len(_list(v))
 
 
@@ -156,7 +156,7 @@ def str_find(src: str, target: str, start_from: int = 0) -> int:
 
 
 def str_len(str: str) -> int:  # noqa: A002
-    """Number of characters of a string."""
+    """Count the characters of a string."""
     return len(_text(str))
 
 

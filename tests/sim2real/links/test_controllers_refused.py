@@ -40,11 +40,16 @@ def path(request, tmp_path, monkeypatch):
     return str(file)
 
 
+def take_for_controllers(core, path):
+    """Let a simulated environment take its cell for that of a cell file."""
+    core.setup = replace(core.setup, config=load_cell_file(path).config())
+
+
 @pytest.fixture
 def arms(path, monkeypatch):
     """A simulated environment that takes its cell for one of controllers, and counts how often it moves to a start."""
     env = DualArmEnv("SineTracking", duration_s=0.2)
-    env.core.config = load_cell_file(path).config()
+    take_for_controllers(env.core, path)
     env.moves, reset = 0, env.core.cell.reset
 
     def counted(*args, **keywords):
@@ -143,7 +148,8 @@ def test_a_refused_reset_changes_nothing(arms):
 
 
 def test_confirm_consents_to_every_reset(arms):
-    arms.core.options = replace(arms.core.options, confirm=lambda question: True)
+    core = arms.core
+    core.setup = replace(core.setup, options=replace(core.setup.options, confirm=lambda question: True))
     for _ in range(2):
         arms.reset(seed=0)
     assert arms.moves == 2
@@ -160,7 +166,7 @@ def test_a_vector_environment_without_autoreset_passes_the_consent_on(arms):
 
 def test_our_vector_environment_needs_consent(path):
     env = gym.make_vec(SINE, num_envs=1, vectorization_mode="vector_entry_point", autoreset_mode="Disabled")
-    env.unwrapped.core.config = load_cell_file(path).config()
+    take_for_controllers(env.unwrapped.core, path)
     env.reset(seed=0)
     with pytest.raises(ResetRefusedError):
         env.reset(options={"reset_mask": np.array([True])})
@@ -170,7 +176,7 @@ def test_our_vector_environment_needs_consent(path):
 
 def test_two_agents_need_consent(path):
     env = parallel_env("SineTracking", duration_s=0.2)
-    env.unwrapped._env.core.config = load_cell_file(path).config()
+    take_for_controllers(env.unwrapped._env.core, path)
     env.reset(seed=0)
     with pytest.raises(ResetRefusedError):
         env.reset()
@@ -186,7 +192,7 @@ def test_rollouts_consent(arms):
 
 def test_dm_env_does_not_begin_an_episode_in_a_step(path):
     env = dm_env(SINE, duration_s=0.2)
-    env.env.core.config = load_cell_file(path).config()
+    take_for_controllers(env.env.core, path)
     action = np.zeros(12, dtype=np.float32)
     with pytest.raises(ResetNeededError, match=r"call reset\(\) first"):
         env.step(action)
@@ -219,8 +225,8 @@ def test_nothing_is_added_to_what_controllers_measure(path):
 def test_randomization_and_perturbation_are_refused(path):
     config = load_cell_file(path).config()
     check_for_controllers(config, 1, autoreset=False, randomized=False)
-    with pytest.raises(SettingsError, match="randomization is of simulated cells"):
+    with pytest.raises(SettingsError, match="randomization is for simulated cells"):
         check_for_controllers(config, 1, autoreset=False, randomized=True)
     shifted = replace(config, perturbation=Perturbation(base_shift_m=0.01))
-    with pytest.raises(SettingsError, match="a perturbation is of simulated cells"):
+    with pytest.raises(SettingsError, match="a perturbation is for simulated cells"):
         check_for_controllers(shifted, 1, autoreset=False, randomized=False)

@@ -25,7 +25,7 @@ def command_line() -> str:
 
 def cell_file() -> str:
     """Return the reference of all keys of a cell file."""
-    from dual_ur10.sim2real.config.cell_file import reference_page
+    from dual_ur10.sim2real.config.cell_file_reference import reference_page
 
     return reference_page()
 

@@ -33,8 +33,7 @@ def new(
     task: Annotated[str | None, typer.Option("--task", help="Environment for which the cell is set up.")] = None,
 ) -> None:
     """Write a commented cell file to start from, slow enough for a first run. Files are never overwritten."""
-    from dual_ur10.sim2real.config.cell_file import starting_text
-    from dual_ur10.sim2real.config.cell_file_text import write_new
+    from dual_ur10.sim2real.config.cell_file_reference import starting_text, write_new
 
     if kind not in ("real", "emulated"):
         raise UnknownNameError("kind of cell", kind, ("real", "emulated"))

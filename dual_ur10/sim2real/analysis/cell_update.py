@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,8 +16,7 @@ from dual_ur10.files import check_target, write_text
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.analysis.fit import ArmFit
 from dual_ur10.sim2real.config.cell_file import CellFile, examine_text, load_cell_file
-from dual_ur10.sim2real.config.cell_file_entries import Measured
-from dual_ur10.sim2real.config.cell_file_schema import MOST_LATENCY_S
+from dual_ur10.sim2real.config.cell_file_tables import MAX_LATENCY_S, Measured
 from dual_ur10.sim2real.control.servoj import MEASURED_LOOKAHEAD_S
 from dual_ur10.sim2real.recording.run import Header
 
@@ -50,8 +48,8 @@ def write_back(path: str | Path, header: Header, found: Sequence[ArmFit]) -> Pat
     _check_same_cell(cell, header)
     measured = [_measured(arm, each) for arm, each in zip(ARMS, found, strict=True)]
     text = target.read_bytes().decode("utf-8")
-    left, right = (replace(arm, measured=each) for arm, each in zip(cell.arms, measured, strict=True))
-    updated = _updated(text, replace(cell, left=left, right=right), measured)
+    left, right = (arm.replace(measured=each) for arm, each in zip(cell.arms, measured, strict=True))
+    updated = _updated(text, cell.replace(left=left, right=right), measured)
     kept = _keep(target)
     write_text(target, updated)
     return kept
@@ -71,10 +69,10 @@ def _measured(arm: str, found: ArmFit) -> Measured:
     # As many digits as mean something. A latency just below zero is none.
     lookahead_s, latency_s = round(each.lookahead_s, 6), max(round(each.latency_s, 6), 0.0)
     low, high = MEASURED_LOOKAHEAD_S
-    if not (low <= lookahead_s <= high and each.latency_s >= -most and latency_s <= MOST_LATENCY_S):
+    if not (low <= lookahead_s <= high and each.latency_s >= -most and latency_s <= MAX_LATENCY_S):
         raise RecordingError(
             f"{arm}: lookahead {lookahead_s:g} s and latency {each.latency_s:g} s are no figures of a controller: "
-            f"{low:g} to {high:g} s and 0 to {MOST_LATENCY_S:g} s are expected. Fit another run"
+            f"{low:g} to {high:g} s and 0 to {MAX_LATENCY_S:g} s are expected. Fit another run"
         )
     return Measured(lookahead_s=lookahead_s, latency_s=latency_s)
 
@@ -129,7 +127,7 @@ def _updated(text: str, wanted: CellFile, measured: Sequence[Measured]) -> str:
         entry["measured"]["lookahead_s"], entry["measured"]["latency_s"] = each.lookahead_s, each.latency_s
     changed = document.as_string()
     found, findings = examine_text(changed)
-    if found is None or replace(found, source=wanted.source) != wanted:
+    if found != wanted:
         reason = findings[0] if findings else "it would say something else"
         raise CellFileError(
             f"{wanted.source}: what was measured cannot be put into this file: {reason}. Nothing was changed; put "

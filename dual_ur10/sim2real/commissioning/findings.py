@@ -12,7 +12,7 @@ from dual_ur10.errors import LinkError, SettingsError, UnknownNameError
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, quat_to_rotvec
 from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
-from dual_ur10.sim2real.config.cell_file_entries import ArmEntry
+from dual_ur10.sim2real.config.cell_file_tables import ArmEntry
 from dual_ur10.sim2real.control.servoj import Family
 from dual_ur10.sim2real.control.time_scaling import FULL
 from dual_ur10.sim2real.links.arm_status import ArmStatus, name_of, stop_reason
@@ -148,7 +148,7 @@ def expected_of(arm: ArmEntry) -> ExpectedArm:
         host=arm.host,
         family=arm.family,
         dh=arm.mount.dh,
-        checksums=arm.checksum,
+        checksums=arm.calibration.checksum,
         safety_checksum=arm.safety_checksum,
         tcp=arm.tcp,
         payload_kg=arm.payload_kg,

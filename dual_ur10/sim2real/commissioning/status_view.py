@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 from dual_ur10.errors import DualUR10Error
-from dual_ur10.sim2real.config.cell_file_entries import ArmEntry, RobotiqSocket
+from dual_ur10.sim2real.config.cell_file_tables import ArmEntry, RobotiqSocket
 from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
 from dual_ur10.sim2real.links.dashboard_link import DashboardLink
 from dual_ur10.sim2real.links.rtde_link import RtdeLink

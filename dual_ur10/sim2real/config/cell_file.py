@@ -1,48 +1,50 @@
-"""Cell files: what a cell of two controllers is, in TOML, checked before anything is connected to.
+"""Cell files: the description of a cell of two controllers in TOML, checked before anything is connected to.
 
-`docs/reference/cell-file.md` lists every key.
+The reference page of `cell_file_reference` lists every key.
 """
 
 from __future__ import annotations
 
 import hashlib
+import ipaddress
 import math
 import os
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final, NamedTuple, Self, cast
+
+from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from dual_ur10.assets.obstacles import Obstacle
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.errors import CellFileError, SettingsError, UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.config.cell import CellConfig, Perturbation
-from dual_ur10.sim2real.config.cell_file_entries import (
-    GRIPPERS,
-    OBSTACLES,
-    PLAIN,
-    TRACKERS,
+from dual_ur10.sim2real.config.cell import LEAST_DAMPING, CellConfig, Perturbation
+from dual_ur10.sim2real.config.cell_file_tables import (
+    MAX_OBSTACLES,
     ZERO,
     ArmEntry,
     ArmLimits,
+    EmulatedTrackerEntry,
     EmulatorEntry,
+    Kind,
     Measured,
+    Name,
     NoGripper,
+    ObstacleEntry,
+    PlaneEntry,
+    Table,
+    Task,
     Tracker,
-    of_kind,
-    plain,
-    said,
-    with_kind,
+    key,
 )
-from dual_ur10.sim2real.config.cell_file_reader import mount_of, read
-from dual_ur10.sim2real.config.cell_file_schema import Kind
-from dual_ur10.sim2real.config.cell_file_text import commented, toml_text
-from dual_ur10.sim2real.control.servoj import ServojProfile
+from dual_ur10.sim2real.config.cell_file_text import KeyList, missing, toml_text
 
-MOST_BYTES: Final = 64 * 1024
-MOST_DOTS: Final = 100  # in one line
+MAX_BYTES: Final = 64 * 1024
+MAX_DOTS: Final = 100  # in one line
 
 # For first runs. 0.25 m/s is what ISO 10218-1 calls reduced speed.
 FIRST_SPEED_FACTOR: Final = 0.25
@@ -50,81 +52,117 @@ FIRST_SPEED_RAD_S: Final = 0.5
 FIRST_TCP_SPEED_M_S: Final = 0.25
 _FIRST: Final = {"speed_rad_s": (FIRST_SPEED_RAD_S, "rad/s"), "tcp_speed_m_s": (FIRST_TCP_SPEED_M_S, "m/s")}
 
-_PLAIN: Final = ("kind", "name", "task", "speed_factor", "commissioned", "allow_reduced_mode", "rt_priority")
+_UNIT_TOLERANCE: Final = 1e-3
+_BEHIND_M: Final = 0.01
 
 
-@dataclass(frozen=True, kw_only=True)
-class CellFile:
-    """What a cell file says, checked; also when made by hand or by `dataclasses.replace`.
+class _UnfitError(ValueError):
+    """Values that are legal each and do not fit together."""
 
-    Attributes:
-        kind: "real" or "emulated".
-        left, right: The arms.
-        name: What the cell is called.
-        task: Id of the environment that it is set up for; None: any.
-        speed_factor: How fast the clock of a task runs, above 0 and at most 1.
-        commissioned: Whether a person has signed for a real cell. Until then no target exceeds what first runs are
-            made at, whatever the limits are.
-        allow_reduced_mode: Whether both arms go on, slower, where a controller is in reduced mode.
-        rt_priority: Real-time priority of the senders; 0: none.
-        emulator: The process that emulates the cell, if one does.
-        tracker: Where the poses of objects come from; None: there are none.
-        obstacles: What stands in the workspace.
-        source: The file, for messages. Two cell files that say the same are equal, wherever they are.
+    def __init__(self, findings: list[str]) -> None:
+        super().__init__("; ".join(findings))
+        self.findings = findings
 
-    Raises:
-        CellFileError: A value is not legal, or two do not fit together.
-    """
 
-    kind: Kind
+class CellFile(Table):
+    """The content of a cell file. Files with the same content are equal, wherever they are."""
+
+    kind: Kind = key("real or emulated arms")
+    name: Name = key("name of the cell", "cell")
+    task: Task | None = key(
+        "id of the environment that the cell is set up for", None, example="DualUR10/SineTracking-v0"
+    )
+    speed_factor: float = key(
+        "speed of a task's clock relative to real time", 1.0, low=0.05, high=1, if_real=True, example=0.25
+    )
+    commissioned: bool = key(
+        "whether the checklist of a real cell was signed; until then, its arms are as slow as in first runs", False
+    )
+    allow_reduced_mode: bool = key(
+        "whether both arms go on, at half their speed, when a controller is in reduced mode", False
+    )
+    rt_priority: int = key("real-time priority of the senders; 0 is off", 0, low=0, high=90)
     left: ArmEntry
     right: ArmEntry
-    name: str = "cell"
-    task: str | None = None
-    speed_factor: float = 1.0
-    commissioned: bool = False
-    allow_reduced_mode: bool = False
-    rt_priority: int = 0
     emulator: EmulatorEntry | None = None
-    tracker: Tracker | None = None
-    obstacles: tuple[Obstacle, ...] = ()
-    source: str = field(default="the cell file", compare=False)
+    tracker: Tracker | None = Field(None, description="source of the objects' poses")
+    obstacle: tuple[ObstacleEntry, ...] = Field((), max_length=MAX_OBSTACLES, description="shape of the obstacle")
 
-    def __post_init__(self) -> None:
-        _, findings = read(self.mapping())
+    _source: str = PrivateAttr("the cell file")
+
+    @classmethod
+    def read(cls, values: Mapping[str, Any], source: str = "the cell file") -> CellFile:
+        """Return the cell file of plain values, as TOML has them.
+
+        Args:
+            values: Content of the file.
+            source: The file, for messages.
+
+        Raises:
+            CellFileError: A value is not legal, or two do not fit together.
+        """
+        cell, findings = _examined(values, source)
+        if cell is None:
+            raise _error(source, findings)
+        return cell
+
+    def replace(self, **changes: Any) -> Self:
+        """Return this cell with some keys changed, checked again.
+
+        Raises:
+            CellFileError: As of `read`.
+        """
+        return cast(Self, self.read(super().replace(**changes).mapping(), self.source))
+
+    @model_validator(mode="before")
+    @classmethod
+    def _default_positions(cls, values: Any) -> Any:
+        """Bases of an emulated cell stand where those of the simulated cell do."""
+        if not isinstance(values, Mapping) or values.get("kind") == "real":
+            return values
+        filled = dict(values)
+        for arm, mount in zip(ARMS, SceneSettings().mounts, strict=True):
+            entry = values.get(arm)
+            entry = entry.model_dump(exclude_unset=True) if isinstance(entry, ArmEntry) else entry
+            if isinstance(entry, Mapping):
+                filled[arm] = {"base_position_m": mount.position_m, **entry}
+        return filled
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> CellFile:
+        findings = [*_missing_of_real(self.model_dump(exclude_unset=True, exclude_none=True)), *_rules(self)]
         if findings:
-            raise _error(self.source, findings)
+            raise _UnfitError(findings)
+        return self
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, CellFile) and dict(self) == dict(other)
+
+    def __hash__(self) -> int:
+        return hash(self.sha256)
+
+    @property
+    def source(self) -> str:
+        """The file, for messages."""
+        return self._source
 
     @property
     def arms(self) -> tuple[ArmEntry, ArmEntry]:
         """Both arms in the order of `ARMS`."""
         return self.left, self.right
 
-    def mapping(self) -> dict[str, Any]:
-        """The content of the file, with all that it leaves to defaults."""
-        return said(
-            {
-                "kind": self.kind,
-                "name": self.name,
-                "task": self.task,
-                "speed_factor": self.speed_factor,
-                "commissioned": self.commissioned,
-                "allow_reduced_mode": self.allow_reduced_mode,
-                "rt_priority": self.rt_priority,
-                **{name: arm.mapping() for name, arm in zip(ARMS, self.arms, strict=True)},
-                "emulator": None if self.emulator is None else plain(self.emulator),
-                "tracker": None if self.tracker is None else with_kind(self.tracker),
-                "obstacle": tuple(map(with_kind, self.obstacles)) or None,
-            }
-        )
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """Obstacles in the workspace, as scenes take them."""
+        return tuple(each.obstacle for each in self.obstacle)
 
     def text(self) -> str:
-        """The file. Read again, it is equal to this."""
+        """Return the file with all defaults. Read again, it is equal to this."""
         return toml_text(self.mapping())
 
     @property
     def sha256(self) -> str:
-        """Of `text()`, in hexadecimal digits: of what the file means, not of its comments."""
+        """SHA-256 of `text()` in hexadecimal digits: of the content of the file, not of its comments."""
         return hashlib.sha256(self.text().encode()).hexdigest()
 
     def config(self) -> CellConfig:
@@ -134,7 +172,7 @@ class CellFile:
             CellFileError: The arms' families or servoj settings differ.
         """
         for name in ("family", "lookahead_s", "gain"):
-            left, right = (getattr(each.servoj, name) for each in self.arms)
+            left, right = (getattr(each.profile, name) for each in self.arms)
             if left != right:
                 key = name if name == "family" else f"servoj.{name}"
                 finding = (
@@ -147,7 +185,7 @@ class CellFile:
                 kind=self.kind,
                 left=self.left.mount,
                 right=self.right.mount,
-                servoj=self.left.servoj,
+                servoj=self.left.profile,
                 speed_factor=self.speed_factor,
                 obstacles=self.obstacles,
                 uncertainty=(
@@ -158,7 +196,7 @@ class CellFile:
                 file=self,
                 measured_lookahead_s=self._lookahead_s(),
                 tcp_m=(self.left.tcp_position_m or ZERO, self.right.tcp_position_m or ZERO),
-                **{each.name: self._tighter(each.name) for each in fields(ArmLimits)},  # type: ignore[arg-type]  # floats
+                **{name: self._tighter(name) for name in ArmLimits.model_fields},  # type: ignore[arg-type]  # floats
             )
         except SettingsError as error:
             raise _error(self.source, [str(error)]) from error
@@ -201,7 +239,7 @@ class CellFile:
         for name, arm in zip(ARMS, self.arms, strict=True):
             if arm.mount.dh.is_nominal:
                 notes.append(f"{name}.calibration is the nominal UR10's: flange poses may be off by some millimetres")
-            if arm.checksum is None:
+            if arm.calibration.checksum is None:
                 notes.append(f"{name}.calibration.checksum is not said: another calibration would not be noticed")
             if arm.serial_number is None:
                 notes.append(f"{name}.serial_number is not said: swapped arms may not be noticed")
@@ -214,12 +252,12 @@ class CellFile:
                     f"{name}.tcp_position_m is not at the flange and {name}.gripper is none: what is mounted "
                     "there does not exist for the safety gate"
                 )
-            for key, (first, unit) in _FIRST.items():
-                limit = getattr(arm.limits, key)
+            for limited, (first, unit) in _FIRST.items():
+                limit = getattr(arm.limits, limited)
                 if limit is None:
-                    notes.append(f"{name}.limits.{key} is not said: first runs are made at {first:g} {unit}")
+                    notes.append(f"{name}.limits.{limited} is not said: first runs are made at {first:g} {unit}")
                 elif limit > first:
-                    notes.append(f"{name}.limits.{key} is {limit:g}: first runs are made at {first:g} {unit}")
+                    notes.append(f"{name}.limits.{limited} is {limit:g}: first runs are made at {first:g} {unit}")
         if not self.commissioned:
             speeds = " and ".join(f"{first:g} {unit}" for first, unit in _FIRST.values())
             notes.append(
@@ -232,68 +270,15 @@ class CellFile:
 
 
 class Examination(NamedTuple):
-    """What was found of a file.
+    """Result of the examination of a file.
 
     Attributes:
-        cell: What it says; None if anything is wrong.
-        findings: What is wrong, a line each.
+        cell: Content of the file; None if anything is wrong.
+        findings: Errors, a line each.
     """
 
     cell: CellFile | None
     findings: list[str]
-
-
-def starting_text(
-    kind: Kind = "real",
-    left: str | None = None,
-    right: str | None = None,
-    family: str = "cb3",
-    task: str | None = None,
-    source: str = "the cell file",
-) -> str:
-    """A commented file to begin with: slow, and with all that the file of such a cell has to say.
-
-    Args:
-        kind: "real" or "emulated".
-        left: Address of the left controller; an emulated cell has one by default.
-        right: Address of the right controller, likewise.
-        family: Of both controllers.
-        task: Id of the environment that it is set up for; None: any.
-        source: The file, for messages.
-
-    Raises:
-        CellFileError: A value is not legal, or the address of a real arm is missing.
-    """
-    real = kind == "real"
-    hosts = [left, right] if real else [left or "127.0.0.2", right or "127.0.0.3"]
-    for arm, host in zip(ARMS, hosts, strict=True):
-        if host is None:
-            raise CellFileError(
-                f"the address of the {arm} arm is missing: it is on the controller's screen, under network. Give "
-                f"it as --{arm}, or write the file of an emulated cell with --kind emulated"
-            )
-    on_controller = {"tcp_position_m": ZERO, "tcp_rotation_rad": ZERO, "payload_kg": 0.0, "payload_cog_m": ZERO}
-    arms = {
-        arm: {
-            "host": host,
-            "family": family,
-            "base_position_m": mount.position_m,
-            "base_yaw_rad": mount.yaw_rad,
-            **({"base_uncertainty_m": 0.005, "base_uncertainty_rad": 0.01, **on_controller} if real else {}),
-            "gripper": {"kind": "none"},
-            "servoj": {"lookahead_s": ServojProfile().lookahead_s, "gain": ServojProfile().gain},
-            "limits": {"speed_rad_s": FIRST_SPEED_RAD_S, "tcp_speed_m_s": FIRST_TCP_SPEED_M_S},
-        }
-        for arm, host, mount in zip(ARMS, hosts, SceneSettings().mounts, strict=True)
-    }
-    signed = {"commissioned": False} if real else {}
-    values: dict[str, Any] = {"kind": kind, "name": "cell", "task": task, "speed_factor": FIRST_SPEED_FACTOR, **signed}
-    values |= {"rt_priority": 0, **arms}
-    text = commented(said(values))
-    _, findings = examine_text(text, source)
-    if findings:
-        raise _error(source, findings[:1])
-    return text
 
 
 def examine(path: str | Path) -> Examination:
@@ -313,16 +298,15 @@ def examine_text(text: str, source: str = "the cell file") -> Examination:
     """
     for row, line in enumerate(text.split("\n"), start=1):
         # Python's reader takes half a minute for a key of thirty thousand parts.
-        if line.count(".") > MOST_DOTS and not line.startswith("#"):
-            raise CellFileError(f"{source}: line {row} has {line.count('.')} dots: allowed are {MOST_DOTS}. Shorten it")
+        if line.count(".") > MAX_DOTS and not line.startswith("#"):
+            raise CellFileError(f"{source}: line {row} has {line.count('.')} dots: allowed are {MAX_DOTS}. Shorten it")
     try:
         mapping = tomllib.loads(text)
     except RecursionError:
         raise CellFileError(f"{source} is no TOML: brackets inside brackets, too many. Correct it") from None
     except ValueError as error:
         raise CellFileError(f"{source} is no TOML: {str(error)[:200]}. Correct that place") from None
-    values, findings = read(mapping)
-    return Examination(None if findings else _built(values, source), findings)
+    return _examined(mapping, source)
 
 
 def load_cell_file(path: str | Path) -> CellFile:
@@ -368,14 +352,14 @@ def _text_of(path: str | Path) -> str:
         if not path.is_file():  # a pipe would keep us waiting
             raise CellFileError(f"{path} is no regular file: name a cell file")
         with path.open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
+            content = file.read(MAX_BYTES + 1)
     except (OSError, ValueError, RuntimeError) as error:
         if isinstance(error, CellFileError):
             raise
         raise CellFileError(f"cannot read {path}: {error}. Correct the name, or the rights of the file") from error
-    if len(content) > MOST_BYTES:
+    if len(content) > MAX_BYTES:
         raise CellFileError(
-            f"{path} is longer than {MOST_BYTES} bytes, the most that a cell file may be: name another, or shorten it"
+            f"{path} is longer than {MAX_BYTES} bytes, the most that a cell file may be: name another, or shorten it"
         )
     try:
         return content.decode("utf-8")
@@ -391,29 +375,133 @@ def _error(source: str, findings: list[str]) -> CellFileError:
     return CellFileError(f"{source}: {findings[0]}{rest}")
 
 
-def _built(values: Mapping[str, Any], source: str) -> CellFile:
-    """The cell of checked values."""
-    arms = [_arm(row, values[name]) for row, name in enumerate(ARMS)]
-    emulator, tracker = values["emulator"], values["tracker"]
-    return CellFile(
-        left=arms[0],
-        right=arms[1],
-        emulator=None if emulator is None else EmulatorEntry(**emulator),
-        tracker=None if tracker is None else cast(Tracker, of_kind(TRACKERS, tracker)),
-        obstacles=tuple(of_kind(OBSTACLES, each) for each in values["obstacle"]),
-        source=source,
-        **{name: values[name] for name in _PLAIN},
-    )
+@cache
+def keys() -> KeyList:
+    """Return the keys of a cell file in words."""
+    return KeyList(CellFile.model_json_schema())
 
 
-def _arm(row: int, values: Mapping[str, Any]) -> ArmEntry:
-    return ArmEntry(
-        host=values["host"],
-        servoj=ServojProfile(values["family"], **values["servoj"]),
-        mount=mount_of(row, values),
-        checksum=values["calibration"]["checksum"],
-        gripper=of_kind(GRIPPERS, values["gripper"]),
-        limits=ArmLimits(**values["limits"]),
-        measured=Measured(**values["measured"]),
-        **{name: values[name] for name in PLAIN},
-    )
+def _examined(values: Mapping[str, Any], source: str) -> Examination:
+    try:
+        cell = CellFile.model_validate(_normal(values))
+    except ValidationError as error:
+        errors = error.errors(include_url=False)
+        unfit = errors[0].get("ctx", {}).get("error")
+        if isinstance(unfit, _UnfitError):
+            return Examination(None, unfit.findings)
+        errors.sort(key=lambda each: each["type"] == "missing")  # last: a misspelt key may be the one that is missing
+        # A vector that is too short gives an error for each missing number.
+        findings = dict.fromkeys(keys().finding(each["type"], each["loc"], each["input"]) for each in errors)
+        return Examination(None, [*findings, *_missing_of_real(values)])
+    cell._source = source
+    return Examination(cell, [])
+
+
+def _normal(value: Any) -> Any:
+    """Arrays as tuples, and zeros without a sign: equal files have equal texts."""
+    if isinstance(value, Mapping):
+        return {name: _normal(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return tuple(map(_normal, value))
+    return value + 0.0 if isinstance(value, float) else value
+
+
+def _missing_of_real(values: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what the file of a real cell has to name and does not."""
+    if values.get("kind") != "real":
+        return
+    for each in keys().keys:
+        if not each.schema.get("if_real"):
+            continue
+        for arm in ARMS if each.path.startswith("ARM.") else ("",):
+            table = values.get(arm) if arm else values
+            if isinstance(table, Mapping) and each.name not in table:
+                yield missing(each.path.replace("ARM", arm), each, "the file of a real cell has to name it")
+
+
+def _rules(cell: CellFile) -> Iterator[str]:
+    """Yield what does not fit together."""
+    emulated = cell.kind == "emulated"
+    for name, arm in zip(ARMS, cell.arms, strict=True):
+        yield from _host_fits(cell.kind, f"{name}.host", arm.host)
+    if cell.left.host == cell.right.host:
+        yield (
+            f"right.host is {cell.right.host}, as left.host is: each arm has a controller of its own. "
+            "Write both addresses as the controllers show them"
+        )
+    yield from _bases(cell)
+    for name, arm in zip(ARMS, cell.arms, strict=True):
+        yield from _servoj(name, arm)
+    if cell.emulator is not None and not emulated:
+        yield 'emulator is in the file of a real cell: it is allowed with kind = "emulated" only. Take the table out'
+    if isinstance(cell.tracker, EmulatedTrackerEntry) and (not emulated or cell.emulator is None):
+        yield (
+            'tracker.kind is "emulated": only an emulated cell has such a camera, at the address in the table '
+            '[emulator]. Use "attached" or "given", or the file that `emulate --cell` writes'
+        )
+    yield from _obstacles(cell)
+
+
+def _host_fits(kind: Kind, path: str, host: str) -> Iterator[str]:
+    address = ipaddress.IPv4Address(host)
+    if kind == "emulated" and not address.is_loopback:
+        yield (
+            f'{path} is {host} with kind = "emulated": emulated controllers have loopback addresses, 127.0.0.0/8. '
+            'If a robot is there, write kind = "real"'
+        )
+    elif kind == "real" and address.is_loopback:
+        yield (
+            f'{path} is {host} with kind = "real": no robot is at a loopback address. Write its own address, or '
+            'kind = "emulated"'
+        )
+    elif kind == "real" and (address.is_unspecified or address.is_multicast or address.is_reserved):
+        yield f"{path} is {host}: no single machine has this address. Write the one that the controller shows"
+
+
+def _bases(cell: CellFile) -> Iterator[str]:
+    mounts = []
+    for name, arm in zip(ARMS, cell.arms, strict=True):
+        try:
+            mounts.append(arm.mount)
+        except SettingsError as error:
+            where = "calibration" if "DH" in str(error) else "base_position_m"
+            yield f"{name}.{where}: {error}. Write the figures of this arm"
+    if len(mounts) == 2:
+        try:
+            SceneSettings(left=mounts[0], right=mounts[1])
+        except SettingsError as error:
+            yield f"left.base_position_m and right.base_position_m: {error}. Write where the bases stand"
+
+
+def _servoj(name: str, arm: ArmEntry) -> Iterator[str]:
+    profile = arm.profile
+    if profile.damping < LEAST_DAMPING:
+        least = (2 * LEAST_DAMPING / profile.lookahead_s) ** 2
+        yield (
+            f"{name}.servoj.gain is {profile.gain:g} with lookahead_s = {profile.lookahead_s:g}: the arm would swing "
+            f"(damping {profile.damping:.2f}, allowed is {LEAST_DAMPING} or more). Choose a gain of {math.ceil(least)} "
+            "or more, or a longer lookahead"
+        )
+
+
+def _obstacles(cell: CellFile) -> Iterator[str]:
+    seen: dict[str, int] = {}
+    for row, each in enumerate(cell.obstacle):
+        path = f"obstacle[{row}]"
+        if each.name in seen:
+            yield f"{path}.name is {each.name!r}, as that of obstacle[{seen[each.name]}]: choose another"
+        seen.setdefault(each.name, row)
+        if not isinstance(each, PlaneEntry):
+            continue
+        length = math.hypot(*each.normal)
+        if abs(length - 1) > _UNIT_TOLERANCE:
+            yield f"{path}.normal has the length {length:.6g}: allowed is 1. Divide it by its length"
+            continue
+        for name, arm in zip(ARMS, cell.arms, strict=True):
+            away = (a - b for a, b in zip(arm.base_position_m or ZERO, each.point_m, strict=True))
+            ahead_m = sum(a * b for a, b in zip(each.normal, away, strict=True))
+            if ahead_m < -_BEHIND_M:
+                yield (
+                    f"{path}.normal points away from the {name} base, which is {-ahead_m:.3g} m behind the plane: the "
+                    "arms are in front of it. Turn the normal round, or move the point"
+                )

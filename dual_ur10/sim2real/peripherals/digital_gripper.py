@@ -11,7 +11,7 @@ from contextlib import ExitStack
 from typing import Final
 
 from dual_ur10.assets.gripper import OPENING_M
-from dual_ur10.sim2real.config.cell_file_entries import DigitalGripper
+from dual_ur10.sim2real.config.cell_file_tables import DigitalGripper
 from dual_ur10.sim2real.links.link_socket import checked_timeout
 from dual_ur10.sim2real.links.rtde_link import PORT, RtdeClient, RtdeLink
 from dual_ur10.sim2real.peripherals.gripper_link import GripperReading

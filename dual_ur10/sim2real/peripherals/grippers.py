@@ -14,7 +14,7 @@ from dual_ur10.assets.gripper import OPENING_M
 from dual_ur10.errors import ActionError, ClosedError, DualUR10Error, LinkError, OperationRefusedError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.config.cell_file_entries import ArmEntry, DigitalGripper, RobotiqSocket
+from dual_ur10.sim2real.config.cell_file_tables import ArmEntry, DigitalGripper, RobotiqSocket
 from dual_ur10.sim2real.peripherals.digital_gripper import DigitalGripperLink
 from dual_ur10.sim2real.peripherals.gripper_link import GripperLink, RobotiqLink
 from dual_ur10.types import Closing

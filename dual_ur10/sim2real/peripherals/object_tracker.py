@@ -14,9 +14,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from dual_ur10.errors import CellFileError, DualUR10Error, LinkError
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, rotate
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.config import cell_file_entries as entries
+from dual_ur10.sim2real.config import cell_file_tables as entries
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.config.cell_file_entries import Three
+from dual_ur10.sim2real.config.cell_file_tables import Three
 from dual_ur10.sim2real.links.json_link import JsonLink
 from dual_ur10.types import Array, Closing
 
@@ -135,7 +135,9 @@ class CameraTracker(Closing):
         LinkError: The camera does not answer, or knows no such body.
     """
 
-    def __init__(self, link: JsonLink, body: str, entry: entries.EmulatedTracker, rate_hz: float = RATE_HZ) -> None:
+    def __init__(
+        self, link: JsonLink, body: str, entry: entries.EmulatedTrackerEntry, rate_hz: float = RATE_HZ
+    ) -> None:
         self._link, self._body, self._entry, self._period_s = link, body, entry, 1.0 / rate_hz
         self.where = f"{link.where}, looking for {body!r}"
         self._lost = ""
@@ -214,9 +216,9 @@ def tracker_of(cell_file: CellFile, prop: str) -> ObjectTracker | None:
     if not prop:
         return None
     entry = cell_file.tracker
-    if isinstance(entry, entries.AttachedTracker):
+    if isinstance(entry, entries.AttachedTrackerEntry):
         return FlangeTracker(entry.arm, entry.position_m, quat_from_rotvec(entry.rotation_rad))
-    if isinstance(entry, entries.GivenTracker):
+    if isinstance(entry, entries.GivenTrackerEntry):
         return FixedTracker(entry.position_m, quat_from_rotvec(entry.rotation_rad))
     if cell_file.emulator is None:
         raise CellFileError(
@@ -224,4 +226,4 @@ def tracker_of(cell_file: CellFile, prop: str) -> ObjectTracker | None:
             'kind "attached" or "given"' + (", or a table [emulator]" if cell_file.kind == "emulated" else "")
         )
     link = JsonLink("emulated camera", cell_file.left.host, cell_file.emulator.port, _ANSWER_S)
-    return CameraTracker(link, prop, entry or entries.EmulatedTracker())
+    return CameraTracker(link, prop, entry or entries.EmulatedTrackerEntry())

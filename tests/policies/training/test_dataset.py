@@ -12,7 +12,7 @@ from dual_ur10.errors import DatasetError, SettingsError
 from dual_ur10.policies.evaluation.evaluate import evaluate
 from dual_ur10.policies.learned.signature import described
 from dual_ur10.policies.training.dataset import collect, read_dataset
-from dual_ur10.sim2real.config.cell_file import starting_text
+from dual_ur10.sim2real.config.cell_file_reference import starting_text
 
 minari = pytest.importorskip("minari")
 h5py = pytest.importorskip("h5py")

@@ -11,7 +11,7 @@ from dual_ur10 import ENV_IDS
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.policies.training import seeds
 from dual_ur10.policies.training.settings import SETTINGS, Imitation, Reinforcement, defaults
-from dual_ur10.sim2real.config.cell_file import starting_text
+from dual_ur10.sim2real.config.cell_file_reference import starting_text
 from tests.policies.training.small import small
 
 

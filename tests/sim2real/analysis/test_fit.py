@@ -17,7 +17,7 @@ from dual_ur10.errors import CellFileError, RecordingError
 from dual_ur10.sim2real.analysis.cell_update import write_back
 from dual_ur10.sim2real.analysis.fit import ArmFit, Estimate, fit, remark, respond
 from dual_ur10.sim2real.config.cell_file import load_cell_file
-from dual_ur10.sim2real.config.cell_file_entries import Measured
+from dual_ur10.sim2real.config.cell_file_tables import Measured
 from dual_ur10.sim2real.control.servoj import ServojLaw
 from tests.sim2real.analysis.made import header, motion, run, with_arm
 from tests.soak import scaled
@@ -176,8 +176,8 @@ def test_what_was_measured_is_written_and_nothing_is_lost(tmp_path: Path, text: 
     assert kept.read_bytes() == text.encode()
     measured = Measured(lookahead_s=0.031235, latency_s=0.0041)
     after = load_cell_file(path)
-    assert after == replace(
-        before, left=replace(before.left, measured=measured), right=replace(before.right, measured=measured)
+    assert after == before.replace(
+        left=before.left.replace(measured=measured), right=before.right.replace(measured=measured)
     )
     comments = [each.strip() for each in re.findall("#.*", text)]
     assert len(comments) > 1
@@ -225,7 +225,7 @@ def test_what_must_not_be_written_is_refused(tmp_path: Path, head: Any, found: A
 
 def test_a_run_of_other_robots_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "lab.toml"
-    from dual_ur10.sim2real.config.cell_file import starting_text
+    from dual_ur10.sim2real.config.cell_file_reference import starting_text
 
     path.write_text(starting_text("real", "192.168.1.10", "192.168.1.11"))
     other = starting_text("real", "192.168.1.10", "192.168.1.12")

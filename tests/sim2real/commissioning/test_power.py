@@ -1,6 +1,5 @@
 """Power on: only where nothing else is wrong, only if a person agrees, and nothing but power and brakes."""
 
-import dataclasses
 import time
 
 import pytest
@@ -74,7 +73,7 @@ def never(question):
 
 def test_both_arms_are_powered_and_their_brakes_released(cell, file, sent):
     questions = []
-    file = dataclasses.replace(file, left=dataclasses.replace(file.left, payload_kg=1.5))
+    file = file.replace(left=file.left.replace(payload_kg=1.5))
     assert power_on(file, lambda question: questions.append(question) or True)
     assert modes(cell) == [7, 7]
     assert len(questions) == 1

@@ -17,7 +17,8 @@ from dual_ur10.envs.core.setup import check_for_controllers
 from dual_ur10.errors import ResetNeededError, ResetRefusedError, SettingsError, StartError
 from dual_ur10.policies.baselines import ZeroPolicy
 from dual_ur10.policies.evaluation.rollout import rollout
-from dual_ur10.sim2real.config.cell_file import load_cell_file, starting_text
+from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.config.cell_file_reference import starting_text
 from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell
 
 SINE, HANDOVER = "DualUR10/SineTracking-v0", "DualUR10/Handover-v0"

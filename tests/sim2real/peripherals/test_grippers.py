@@ -1,7 +1,6 @@
 """Grippers of a cell: links, threads that delay nothing, and the loss of a gripper."""
 
 import contextlib
-import dataclasses
 import threading
 import time
 
@@ -12,7 +11,7 @@ from hypothesis import strategies as st
 from dual_ur10.assets.gripper import FORCE_N, OPENING_M
 from dual_ur10.errors import ActionError, ClosedError, LinkError, OperationRefusedError, SettingsError
 from dual_ur10.sim2real.config.cell_file import load_cell_file
-from dual_ur10.sim2real.config.cell_file_entries import DigitalGripper, NoGripper
+from dual_ur10.sim2real.config.cell_file_tables import DigitalGripper, NoGripper
 from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.links.link_socket import LinkSocket
 from dual_ur10.sim2real.links.rtde_link import RtdeClient, RtdeLink
@@ -217,8 +216,8 @@ def test_a_port_that_is_closed_connects_none(cell, file):
 
 
 def test_no_gripper(file):
-    arms = {name: dataclasses.replace(getattr(file, name), gripper=NoGripper()) for name in ("left", "right")}
-    with Grippers(dataclasses.replace(file, **arms)) as grippers:
+    arms = {name: getattr(file, name).replace(gripper=NoGripper()) for name in ("left", "right")}
+    with Grippers(file.replace(**arms)) as grippers:
         grippers.command((0.01, 0.01), 0.0)
         grippers.activate(never)
         assert grippers.opening_m == (None, None)
@@ -541,15 +540,15 @@ def test_a_digital_output(cell, output, open_level):
 
 
 def test_a_digital_gripper_of_the_cell_file(cell, file):
-    left = dataclasses.replace(file.left, gripper=DigitalGripper(output=3, open_level=True))
-    with Grippers(dataclasses.replace(file, left=left)) as grippers:
+    left = file.left.replace(gripper=DigitalGripper(output=3, open_level=True))
+    with Grippers(file.replace(left=left)) as grippers:
         grippers.command((OPENING_M, None), 0.0)
         until(lambda: grippers.opening_m[0] == OPENING_M)
         grippers.command((0.0, None), 0.0)
         until(lambda: grippers.opening_m[0] == 0.0)
         cell.ask("link", arm="left", port="rtde", mute=True)
         until(lambda: "left arm, RTDE" in grippers.fault)
-    assert link_to(dataclasses.replace(file.left, gripper=NoGripper()), 60.0) is None
+    assert link_to(file.left.replace(gripper=NoGripper()), 60.0) is None
 
 
 def test_outputs_in_use_by_another_client(cell):

@@ -1,6 +1,5 @@
 """Trackers of the object: on a flange, at a fixed pose, seen by a camera whose loss is named; and its placer."""
 
-import dataclasses
 import json
 import math
 import os
@@ -12,7 +11,7 @@ import pytest
 
 from dual_ur10.errors import CellFileError, EmulatorError, LinkError, SettingsError
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, rotate
-from dual_ur10.sim2real.config import cell_file_entries as entries
+from dual_ur10.sim2real.config import cell_file_tables as entries
 from dual_ur10.sim2real.config.cell_file import load_cell_file
 from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.links.json_link import JsonLink
@@ -55,7 +54,7 @@ def failure(tracker):
 
 
 def tracked(file, entry, prop="block"):
-    return tracker_of(dataclasses.replace(file, tracker=entry), prop)
+    return tracker_of(file.replace(tracker=entry), prop)
 
 
 # Trackers without a camera.
@@ -63,7 +62,7 @@ def tracked(file, entry, prop="block"):
 
 @pytest.mark.parametrize("arm", [0, 1])
 def test_an_object_on_a_flange_moves_with_it(file, arm):
-    entry = entries.AttachedTracker(
+    entry = entries.AttachedTrackerEntry(
         arm=("left", "right")[arm], position_m=(0.0, 0.1, 0.2), rotation_rad=(0.0, 0.0, math.pi / 2)
     )
     found = tracked(file, entry).pose(7.0, FLANGES)
@@ -74,7 +73,7 @@ def test_an_object_on_a_flange_moves_with_it(file, arm):
 
 
 def test_an_object_at_a_fixed_pose(file):
-    entry = entries.GivenTracker(position_m=(0.1, 0.2, 0.3), rotation_rad=(0.0, 0.0, math.pi / 2))
+    entry = entries.GivenTrackerEntry(position_m=(0.1, 0.2, 0.3), rotation_rad=(0.0, 0.0, math.pi / 2))
     tracker = tracked(file, entry)
     found = tracker.pose(7.0, FLANGES)
     assert found.position_m.tolist() == [0.1, 0.2, 0.3]
@@ -91,7 +90,7 @@ def test_nothing_to_track(file):
 
 def test_a_file_without_a_tracker(file):
     with pytest.raises(CellFileError, match=r"handles a block.*\[tracker\].*\[emulator\]"):
-        tracker_of(dataclasses.replace(file, emulator=None), "block")
+        tracker_of(file.replace(emulator=None), "block")
 
 
 # The emulated camera.
@@ -115,7 +114,7 @@ def near(pose, x_m):
 
 def test_noise_and_delay_come_from_the_file(cell, file):
     cell.ask("place", position_m=[0.3, 0.0, 0.0], quat=[1.0, 0.0, 0.0, 0.0])
-    entry = entries.EmulatedTracker(noise_m=0.02, noise_rad=0.1, delay_s=0.2)
+    entry = entries.EmulatedTrackerEntry(noise_m=0.02, noise_rad=0.1, delay_s=0.2)
     with tracked(file, entry) as tracker:
         found = {}
         while len(found) < 40:
@@ -131,7 +130,7 @@ def test_noise_and_delay_come_from_the_file(cell, file):
 def test_a_delay_that_makes_every_pose_too_old(file):
     assert STALE_S > 0.499
     with pytest.raises(SettingsError, match=r"delay_s is 0\.5: allowed is a number, 0 to 0\.499"):
-        tracked(file, entries.EmulatedTracker(delay_s=0.5))
+        tracked(file, entries.EmulatedTrackerEntry().replace(delay_s=0.5))
 
 
 def test_an_object_that_is_not_in_this_cell(file):
@@ -140,9 +139,9 @@ def test_an_object_that_is_not_in_this_cell(file):
 
 
 def test_no_cell_there(file):
-    entry = dataclasses.replace(file.emulator, port=1)
+    entry = file.emulator.replace(port=1)
     with pytest.raises(LinkError, match=r"emulated camera at .*:1.*no connection"):
-        tracker_of(dataclasses.replace(file, emulator=entry), "block")
+        tracker_of(file.replace(emulator=entry), "block")
 
 
 def test_a_cell_that_ends_is_named_at_once(tmp_path):
@@ -188,7 +187,7 @@ def test_answers_that_are_no_pose(value):
         connection.sendall(json.dumps({"ok": True, "value": value}).encode() + b"\n")
 
     with serving(talk) as port, pytest.raises(LinkError, match=r"emulated camera.*expected"):
-        CameraTracker(JsonLink("emulated camera", HERE, port), "block", entries.EmulatedTracker())
+        CameraTracker(JsonLink("emulated camera", HERE, port), "block", entries.EmulatedTrackerEntry())
 
 
 # The placer.
@@ -202,10 +201,10 @@ def test_an_object_that_cannot_be_placed(file):
 
 
 def test_a_placer_that_does_not_answer(file):
-    gone = dataclasses.replace(file, emulator=dataclasses.replace(file.emulator, port=1))
+    gone = file.replace(emulator=file.emulator.replace(port=1))
     with placer_of(gone) as placer, pytest.raises(EmulatorError, match=r"object placer at .*:1: no connection"):
         placer.place((0.3, 0.0, 0.8), (1.0, 0.0, 0.0, 0.0))
 
 
 def test_a_cell_whose_objects_a_person_places(file):
-    assert placer_of(dataclasses.replace(file, emulator=None)) is None
+    assert placer_of(file.replace(emulator=None)) is None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
 import signal
@@ -16,7 +15,7 @@ import pytest
 
 from dual_ur10.errors import CellBusyError, CellFaulted, SettingsError
 from dual_ur10.sim2real.config.cell_file import CellFile, load_cell_file
-from dual_ur10.sim2real.config.cell_file_entries import EmulatorEntry
+from dual_ur10.sim2real.config.cell_file_tables import EmulatorEntry
 from dual_ur10.sim2real.runtime import latch
 from dual_ur10.sim2real.runtime.latch import CellLock, Latch, state_folder
 
@@ -136,7 +135,7 @@ def test_a_fault_is_that_of_each_controller(cell, tmp_path):
 
 
 def test_an_emulator_that_was_started_anew_has_no_faults(cell):
-    first, second = (dataclasses.replace(cell, emulator=EmulatorEntry(port=5000, pid=pid)) for pid in (100, 101))
+    first, second = (cell.replace(emulator=EmulatorEntry(port=5000, pid=pid)) for pid in (100, 101))
     Latch(first).set("stopped")
     assert Latch(first).read() is not None
     assert Latch(second).read() is None

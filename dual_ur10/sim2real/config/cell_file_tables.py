@@ -1,0 +1,374 @@
+"""Tables of a cell file as pydantic models: every key once, with its type, bounds, default and description.
+
+All else follows from these models: validation, the JSON schema, the template that `cell new` writes and the reference
+page. A key's unit is part of its name. Keys are written in the order in which they stand here, so that equal files have
+equal texts and hashes.
+
+Tables made by hand raise `pydantic.ValidationError`; reading and changing a cell file raises `CellFileError`.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Literal, Self, TypeVar
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+
+from dual_ur10.assets import obstacles
+from dual_ur10.ids import ENV_IDS
+from dual_ur10.kinematics import ur10
+from dual_ur10.kinematics.frames import MAX_MOUNT_M, ArmMount
+from dual_ur10.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, DHParameters
+from dual_ur10.sim2real.control.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S, MEASURED_LOOKAHEAD_S, Family, ServojProfile
+
+Kind = Literal["real", "emulated"]
+Three = tuple[float, float, float]
+
+ZERO: Final = (0.0, 0.0, 0.0)
+MAX_OBSTACLES: Final = 64
+MAX_LATENCY_S: Final = 0.3
+ROBOTIQ_PORT: Final = 63352
+"""TCP port of Robotiq's URCap."""
+
+_TURN: Final = 2 * math.pi
+_ROOM_M: Final = obstacles.ROOM_M
+_LIMIT: Final = "the hard limit"
+
+T = TypeVar("T")
+Vector = tuple[T, T, T]
+Joints = tuple[T, T, T, T, T, T]
+
+Angle = Annotated[float, Field(ge=-_TURN, le=_TURN)]
+Offset = Annotated[float, Field(ge=-1, le=1)]
+"""Coordinate in a flange frame, m."""
+Place = Annotated[float, Field(ge=-MAX_MOUNT_M, le=MAX_MOUNT_M)]
+"""Coordinate in the cell frame within reach of the arms, m."""
+Coordinate = Annotated[float, Field(ge=-_ROOM_M, le=_ROOM_M)]
+"""Coordinate in the cell frame, m."""
+Checksum = Annotated[int, Field(ge=0, le=2**32 - 1)]
+
+
+def key(
+    description: str,
+    default: Any = ...,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    example: Any = None,
+    if_real: bool = False,
+    note: str = "",
+) -> Any:
+    """Return the description of a key as pydantic's field.
+
+    Args:
+        description: What the key holds, for the template and the reference page.
+        default: Value where the file leaves the key out; `...`: the key is required; None: there is no value.
+        low: Smallest legal number.
+        high: Largest legal number.
+        example: A legal value for messages; None: the default is one.
+        if_real: Whether the file of a real cell has to name it.
+        note: Remark on the range.
+    """
+    extra = {"if_real": if_real or None, "note": note or None}
+    given: dict[str, Any] = {
+        "ge": low,
+        "le": high,
+        "examples": None if example is None else [example],
+        "json_schema_extra": {name: value for name, value in extra.items() if value} or None,
+    }
+    # An explicit None would override what the type of the field brings.
+    return Field(default, description=description, **{name: each for name, each in given.items() if each is not None})
+
+
+def _checked_address(text: str) -> str:
+    ipaddress.IPv4Address(text)  # raises a ValueError
+    return text
+
+
+def _checked_id(text: str) -> str:
+    if text not in ENV_IDS:
+        raise ValueError(text)
+    return text
+
+
+def _text(allowed: str, **constraints: Any) -> Any:
+    return Field(json_schema_extra={"allowed": allowed}, **constraints)
+
+
+Name = Annotated[str, _text("up to 64 letters, digits, _ and -, in quotes", pattern=f"^{obstacles.NAME}$")]
+Serial = Annotated[str, _text("up to 32 letters, digits and hyphens, in quotes", pattern="^[A-Za-z0-9-]{1,32}$")]
+Address = Annotated[str, AfterValidator(_checked_address), _text("an IPv4 address; names are not looked up")]
+Task = Annotated[str, AfterValidator(_checked_id), _text("the id of an environment")]
+
+
+class Table(BaseModel):
+    """A table of a cell file: frozen, strict about types, without unknown keys."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+    def replace(self, **changes: Any) -> Self:
+        """Return this table with some keys changed; they are checked when the table becomes part of a cell file."""
+        return self.model_copy(update=changes)
+
+    def mapping(self) -> dict[str, Any]:
+        """Return the table with all defaults, without keys that have no value and without empty tables."""
+        return _without_nothing(self.model_dump(warnings=False))
+
+
+def _without_nothing(values: Mapping[str, Any]) -> dict[str, Any]:
+    kept = {}
+    for name, value in values.items():
+        inner = _without_nothing(value) if isinstance(value, Mapping) else value
+        if inner is not None and inner not in ({}, ()):
+            kept[name] = inner
+    return kept
+
+
+class NoGripper(Table):
+    """Flange without a gripper."""
+
+    kind: Literal["none"] = "none"
+
+
+class RobotiqSocket(Table):
+    """Robotiq gripper behind the text protocol of its URCap, on the arm's controller."""
+
+    kind: Literal["robotiq"] = "robotiq"
+    port: int = key("TCP port of Robotiq's URCap", ROBOTIQ_PORT, low=1, high=65535)
+
+
+class DigitalGripper(Table):
+    """Gripper that a digital output opens and closes."""
+
+    kind: Literal["digital_output"] = "digital_output"
+    output: int = key(
+        "digital output that drives the gripper",
+        low=0,
+        high=17,
+        note="0 to 7 standard, 8 to 15 configurable, 16 and 17 at the tool",
+        example=0,
+    )
+    open_level: bool = key("level of the output that opens the gripper", False)
+
+
+def _with_kind(value: Any) -> Any:
+    return {"kind": "none", **value} if isinstance(value, Mapping) else value
+
+
+Gripper = Annotated[
+    Annotated[NoGripper | RobotiqSocket | DigitalGripper, Field(discriminator="kind")], BeforeValidator(_with_kind)
+]
+
+
+class Servoj(Table):
+    """Arguments of servoj."""
+
+    lookahead_s: float = key(
+        "lookahead time", ServojProfile.lookahead_s, low=LOOKAHEAD_RANGE_S[0], high=LOOKAHEAD_RANGE_S[1]
+    )
+    gain: float = key("gain, in 1/s²", ServojProfile.gain, low=GAIN_RANGE[0], high=GAIN_RANGE[1])
+
+
+class Measured(Table):
+    """Results of `fit` on a recorded run of this arm; a missing key was not measured."""
+
+    lookahead_s: float | None = key(
+        "lookahead with which the law of servoj moves as the arm does",
+        None,
+        low=MEASURED_LOOKAHEAD_S[0],
+        high=MEASURED_LOOKAHEAD_S[1],
+        example=0.03,
+    )
+    latency_s: float | None = key(
+        "time from sending a target until it acts", None, low=0, high=MAX_LATENCY_S, example=0.004
+    )
+
+
+class ArmLimits(Table):
+    """Limits on the targets of this arm; where a key is missing, the hard limit holds."""
+
+    speed_rad_s: float | None = key(
+        "joint speed",
+        None,
+        low=0.01,
+        high=float(ur10.HARD_SPEED_RAD_S.min()),
+        note=f"{_LIMIT} of joints 1 and 2; that of the others is {ur10.HARD_SPEED_RAD_S.max():g} and holds if the key "
+        "is missing",
+        example=0.5,
+    )
+    acceleration_rad_s2: float | None = key(
+        "joint acceleration", None, low=0.1, high=ur10.HARD_ACCELERATION_RAD_S2, note=_LIMIT, example=4.0
+    )
+    jerk_rad_s3: float | None = key("joint jerk", None, low=1.0, high=ur10.HARD_JERK_RAD_S3, note=_LIMIT, example=200.0)
+    tcp_speed_m_s: float | None = key(
+        "speed of flange, elbow and tool centre point",
+        None,
+        low=0.01,
+        high=ur10.HARD_TCP_SPEED_M_S,
+        note=_LIMIT,
+        example=0.25,
+    )
+
+
+class Calibration(Table):
+    """Kinematics as the controller's calibration reports them; the nominal UR10 where a key is missing."""
+
+    a_m: Joints[Annotated[float, Field(ge=-2, le=2)]] = key("DH link lengths", tuple(DH_A_M.tolist()))
+    # Offsets of parallel joints shift freely against each other.
+    d_m: Joints[Annotated[float, Field(ge=-1000, le=1000)]] = key("DH link offsets", tuple(DH_D_M.tolist()))
+    alpha_rad: Joints[Angle] = key("DH link twists", tuple(DH_ALPHA_RAD.tolist()))
+    theta_rad: Joints[Angle] = key("DH joint offsets", (0.0,) * 6)
+    checksum: Joints[Checksum] | None = key(
+        "the controller's checksum of each joint; another calibration is refused", None, example=(0,) * 6
+    )
+
+
+class ArmEntry(Table):
+    """One arm and its controller."""
+
+    host: Address = key("address of the controller", example="192.168.1.10")
+    family: Family = key("controller family", "cb3", if_real=True)
+    base_position_m: Vector[Place] | None = key(
+        "position of the base in the cell frame", None, if_real=True, example=(-0.75, 0.6, 0.0)
+    )
+    base_yaw_rad: Angle = key("rotation of the base about the vertical; 0 faces +x", 0.0, if_real=True)
+    base_uncertainty_m: float = key("uncertainty of that position", 0.0, low=0, high=0.1)
+    base_uncertainty_rad: float = key("uncertainty of that rotation, about any axis", 0.0, low=0, high=0.2)
+    tcp_position_m: Vector[Offset] | None = key(
+        "tool centre point in the flange frame, as set on the controller", None, if_real=True, example=ZERO
+    )
+    tcp_rotation_rad: Vector[Angle] | None = key(
+        "orientation of the tool centre point, a rotation vector", None, if_real=True, example=ZERO
+    )
+    payload_kg: float | None = key(
+        "payload, as set on the controller", None, low=0, high=ur10.PAYLOAD_KG, if_real=True, example=0.0
+    )
+    payload_cog_m: Vector[Offset] | None = key(
+        "the payload's centre of gravity in the flange frame", None, if_real=True, example=ZERO
+    )
+    serial_number: Serial | None = key(
+        "serial number of the robot; another robot is refused", None, example="2010300001"
+    )
+    safety_checksum: Checksum | None = key(
+        "checksum of the safety settings; other settings are refused",
+        None,
+        note="the number that `doctor` shows, not what the pendant shows",
+        example=0x57F4285B,
+    )
+    gripper: Gripper = Field(NoGripper(), description="how the gripper is driven")
+    servoj: Servoj = Servoj()
+    measured: Measured = Measured()
+    limits: ArmLimits = ArmLimits()
+    calibration: Calibration = Calibration()
+
+    @property
+    def profile(self) -> ServojProfile:
+        """Controller family and servoj settings."""
+        return ServojProfile(self.family, self.servoj.lookahead_s, self.servoj.gain)
+
+    @property
+    def mount(self) -> ArmMount:
+        """Pose and kinematics of the arm.
+
+        Raises:
+            SettingsError: The calibration is not that of a UR10, or the base is under the floor.
+        """
+        dh = self.calibration
+        parameters = DHParameters(dh.a_m, dh.d_m, dh.alpha_rad, dh.theta_rad)
+        return ArmMount(self.base_position_m or ZERO, self.base_yaw_rad, parameters)
+
+    @property
+    def tcp(self) -> tuple[float, ...] | None:
+        """(6,) tool centre point as UR's controllers have it: x, y, z in m, rotation vector in rad; None: unknown."""
+        if self.tcp_position_m is None and self.tcp_rotation_rad is None:
+            return None
+        return (*(self.tcp_position_m or ZERO), *(self.tcp_rotation_rad or ZERO))
+
+
+class EmulatorEntry(Table):
+    """The process that emulates the cell; it writes this table."""
+
+    port: int = key("port of its fault injection, at the left host", low=1, high=65535, example=40000)
+    task: Task | None = key("environment whose scene it simulates", None, example=ENV_IDS[0])
+    pid: int | None = key("its process id", None, low=1, high=2**31 - 1, example=1234)
+
+
+class AttachedTrackerEntry(Table):
+    """Object held by an arm."""
+
+    kind: Literal["attached"] = "attached"
+    arm: Literal["left", "right"] = key("arm whose gripper holds the object", "left")
+    position_m: Vector[Offset] = key("position of the object in the frame of that flange", ZERO)
+    rotation_rad: Vector[Angle] = key("orientation of the object there, a rotation vector", ZERO)
+
+
+class GivenTrackerEntry(Table):
+    """Object at a fixed pose in the cell frame."""
+
+    kind: Literal["given"] = "given"
+    position_m: Vector[Place] = key("position of the object in the cell frame", example=ZERO)
+    rotation_rad: Vector[Angle] = key("orientation of the object, a rotation vector", example=ZERO)
+
+
+class EmulatedTrackerEntry(Table):
+    """Camera of the emulated cell."""
+
+    kind: Literal["emulated"] = "emulated"
+    noise_m: float = key("standard deviation of measured positions", 0.0, low=0, high=0.1)
+    noise_rad: float = key("standard deviation of measured orientations", 0.0, low=0, high=0.5)
+    delay_s: float = key("age of a measured pose", 0.0, low=0, high=0.499)
+
+
+Tracker = Annotated[AttachedTrackerEntry | GivenTrackerEntry | EmulatedTrackerEntry, Field(discriminator="kind")]
+
+
+_OBSTACLES: Final[dict[str, type[obstacles.Obstacle]]] = {
+    "box": obstacles.Box,
+    "capsule": obstacles.Capsule,
+    "plane": obstacles.Plane,
+}
+
+
+class _ObstacleEntry(Table):
+    kind: str
+    name: Name = key("name of the obstacle", example="wall")
+
+    @property
+    def obstacle(self) -> obstacles.Obstacle:
+        """The obstacle as scenes take it."""
+        return _OBSTACLES[self.kind](**self.model_dump(exclude={"kind"}))
+
+
+class BoxEntry(_ObstacleEntry):
+    """Box."""
+
+    kind: Literal["box"] = "box"
+    position_m: Vector[Coordinate] = key("position of the centre", example=ZERO)
+    size_m: Vector[Annotated[float, Field(ge=obstacles.THINNEST_M, le=_ROOM_M)]] = key(
+        "length of the edges", example=(1, 1, 1)
+    )
+    rotation_rad: Vector[Angle] = key("orientation, a rotation vector", ZERO)
+
+
+class CapsuleEntry(_ObstacleEntry):
+    """Capsule; a ball if both ends are one point."""
+
+    kind: Literal["capsule"] = "capsule"
+    from_m: Vector[Coordinate] = key("one end of the axis", example=ZERO)
+    to_m: Vector[Coordinate] = key("other end of the axis", example=(0, 0, 1))
+    radius_m: float = key("radius", low=obstacles.THINNEST_M, high=_ROOM_M / 2, example=0.1)
+
+
+class PlaneEntry(_ObstacleEntry):
+    """Wall without end."""
+
+    kind: Literal["plane"] = "plane"
+    point_m: Vector[Coordinate] = key("a point of the plane", example=(1, 0, 0))
+    normal: Vector[Annotated[float, Field(ge=-1.001, le=1.001)]] = key(
+        "direction towards the arms", note="of length 1", example=(-1, 0, 0)
+    )
+
+
+ObstacleEntry = Annotated[BoxEntry | CapsuleEntry | PlaneEntry, Field(discriminator="kind")]

@@ -41,16 +41,16 @@ def main() -> None:
             continue
         for name in shipped_names(env_id):
             folder = shipped_folder(name, env_id)
-            target = read_manifest(folder).target
+            signature = read_manifest(folder).signature
             for preset in args.randomization.split(","):
-                own = {key: value for key, value in target.kwargs.items() if key != "randomization"}
+                own = {key: value for key, value in signature.kwargs.items() if key != "randomization"}
                 begin = time.monotonic()
                 found = evaluate(
                     env_id,
                     str(folder),
                     episodes=args.episodes,
                     num_envs=64,
-                    env_kwargs={**own, "action_latency_ticks": target.rate.latency_ticks, "randomization": preset},
+                    env_kwargs={**own, "action_latency_ticks": signature.rate.latency_ticks, "randomization": preset},
                 )
                 low, high = found.interval
                 row: dict[str, object] = {

@@ -45,7 +45,7 @@ def test_it_runs(name, tmp_path):
     if name == "train_with_sb3":
         from dual_ur10.policies.learned.checkpoint import read_manifest
 
-        assert read_manifest(tmp_path / "sine_ppo").target.env_id == "DualUR10/SineTracking-v0"
+        assert read_manifest(tmp_path / "sine_ppo").signature.env_id == "DualUR10/SineTracking-v0"
     if name == "collect_dataset":
         assert "2 episodes" in text
 

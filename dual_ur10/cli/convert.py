@@ -37,18 +37,18 @@ def convert(
 ) -> None:
     """Convert a model of Stable-Baselines3 to a checkpoint. This runs the code that the file holds."""
     from dual_ur10.policies.learned.checkpoint import check_new, save
-    from dual_ur10.policies.learned.from_sb3 import Algorithm, from_sb3, glance
-    from dual_ur10.policies.learned.signature import described
+    from dual_ur10.policies.learned.from_sb3 import Algorithm, from_sb3, inspect_model
+    from dual_ur10.policies.learned.signature import view_of
 
     env_id, keywords = env_id_of(env), keywords_of(settings, False)
     if algo is not None and algo not in get_args(Algorithm):
         raise UnknownNameError("algorithm", algo, list(get_args(Algorithm)))
-    place = described(env_id, keywords)
-    sizes: dict[str, int] = {"joint": place.target.observation.shape[0], "shared": place.agent_size}
+    view = view_of(env_id, keywords)
+    sizes: dict[str, int] = {"joint": view.signature.observation.shape[0], "shared": view.agent_size}
     if agents is not None and agents not in sizes:
         raise UnknownNameError("agents", agents, list(sizes))
     check_new(out)
-    specified, size = glance(model)
+    specified, size = inspect_model(model)
     if algo is None and specified is None:
         raise CheckpointError(
             f"{model} does not specify PPO or SAC, and no other can be converted: name one with --algo"

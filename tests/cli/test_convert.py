@@ -22,8 +22,8 @@ from dual_ur10 import policies
 from dual_ur10.cli.main import app
 from dual_ur10.errors import CheckpointError, SettingsError, UnknownNameError
 from dual_ur10.policies.learned import checkpoint, from_sb3
-from dual_ur10.policies.learned.from_sb3 import glance
-from dual_ur10.policies.learned.policy import LearnedPolicy
+from dual_ur10.policies.learned.from_sb3 import inspect_model
+from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 
 SINE, CARRY, _ = dual_ur10.ENV_IDS
 LATENCY = ("--set", "action_latency_ticks=5")
@@ -170,7 +170,7 @@ def test_observations_are_normalised_as_in_training(sb3: Any, made: Any, tmp_pat
         ("other.pkl", "other.pkl holds dict, and no VecNormalize"),
         ("damaged.pkl", "damaged.pkl cannot be read"),
         ("image.pkl", "or of images: observation must be 'state'"),
-        ("small.pkl", "a normaliser has 41 means for 68 numbers"),
+        ("small.pkl", "a normaliser has 41 means for 68 inputs"),
     ):
         refused(run(*arguments, tmp_path / "new", "--vec-normalize", tmp_path / name), said)
         assert not (tmp_path / "new").exists()
@@ -220,7 +220,7 @@ def test_models_of_other_algorithms(kind: str, sb3: Any, tmp_path: Path) -> None
 
     own: dict[str, Any] = {"buffer_size": 10} if kind == "TD3" else {}
     getattr(sb3, kind)("MlpPolicy", Spaces(68, 12), device="cpu", **own).save(tmp_path / "model.zip")
-    assert glance(tmp_path / "model.zip") == (None, 68)
+    assert inspect_model(tmp_path / "model.zip") == (None, 68)
     arguments = ("convert", tmp_path / "model.zip", "SineTracking", "--out", tmp_path / "x", "--trust-pickle")
     refused(run(*arguments), "does not specify PPO or SAC")
     assert not (tmp_path / "x").exists()
@@ -268,7 +268,7 @@ def test_nothing_is_unpickled_without_trust(tmp_path: Path, monkeypatch: pytest.
     model.write_bytes(hostile(sentinel))
     for options in ((), ("--algo", "ppo"), ("--agents", "joint"), ("--vec-normalize", around)):
         refused(run("convert", model, "SineTracking", "--out", out, *options), "--trust-pickle")
-    assert glance(model) == ("ppo", 68)
+    assert inspect_model(model) == ("ppo", 68)
     for data in (around.read_bytes(), b"\x80\x04", json.dumps({"py/reduce": [{"py/function": "os.mkdir"}]}).encode()):
         model.write_bytes(hostile(sentinel, data))
         for trusted in ((), ("--trust-pickle",), ("--algo", "ppo", "--trust-pickle")):
@@ -370,7 +370,7 @@ def test_what_is_no_regular_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize("space", [None, [68], {}, {"_shape": None}, {"_shape": [3, 4]}, {"_shape": [True]}])
 def test_a_model_that_does_not_say_what_it_observes(space: Any, tmp_path: Path) -> None:
     (tmp_path / "x.zip").write_bytes(zipped(data=described(target_entropy=-12.0, observation_space=space)))
-    assert glance(tmp_path / "x.zip") == ("sac", None)
+    assert inspect_model(tmp_path / "x.zip") == ("sac", None)
     result = run("convert", tmp_path / "x.zip", "SineTracking", "--out", tmp_path / "x")
     refused(result, "--trust-pickle")
 
@@ -379,10 +379,10 @@ def test_data_of_many_bytes_is_not_read(tmp_path: Path, monkeypatch: pytest.Monk
     text = described(clip_range=1)
     (tmp_path / "x.zip").write_bytes(zipped(data=text))
     monkeypatch.setattr(from_sb3, "_MOST_DATA", len(text))
-    assert glance(tmp_path / "x.zip") == ("ppo", 68)
+    assert inspect_model(tmp_path / "x.zip") == ("ppo", 68)
     monkeypatch.setattr(from_sb3, "_MOST_DATA", 10)
     with pytest.raises(CheckpointError, match="no model needs so many"):
-        glance(tmp_path / "x.zip")
+        inspect_model(tmp_path / "x.zip")
 
 
 # What is said of files in place of checkpoints.

@@ -1,12 +1,12 @@
-"""Checkpoints: learned policies as a folder with numbers and text in it, from which no code is ever run.
+"""Checkpoints: learned policies as a folder of numbers and text, from which no code is ever run.
 
     policy.safetensors   the weights, float32, "policy.0.weight", "policy.0.bias", "policy.1.weight", ...;
                          "left. ..." and "right. ..." where each arm has a network of its own
     manifest.json        everything else; see `dual_ur10.policies.learned.manifest.Manifest`
 
-Both are read at once and in full, with nothing but the layout that the manifest promises: no link is followed, nothing
-is allocated that the manifest does not account for, and what is not as it was saved is refused. A checksum shows damage
-and carelessness. It does not show who made a checkpoint: a policy moves arms, so know whose you let move yours.
+Both files are read once and in full. No link is followed, nothing is allocated that the manifest does not account for,
+and a changed file is refused. A checksum shows damage and carelessness. It does not show who made a checkpoint: a
+policy moves arms, so know whose policy moves yours.
 """
 
 from __future__ import annotations
@@ -31,11 +31,18 @@ from safetensors.numpy import save as _serialised
 
 from dual_ur10 import __version__
 from dual_ur10.errors import CheckpointError
+from dual_ur10.ids import env_id_of
 from dual_ur10.policies.learned import schema
+from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.learned.manifest import Manifest, parse
 from dual_ur10.policies.learned.network import Layer
-from dual_ur10.policies.learned.policy import LearnedPolicy
-from dual_ur10.policies.learned.signature import Described, Target, described, described_env, described_target
+from dual_ur10.policies.learned.signature import (
+    EnvironmentSignature,
+    EnvironmentView,
+    view_of,
+    view_of_env,
+    view_of_signature,
+)
 
 log = logging.getLogger(__name__)
 
@@ -50,108 +57,102 @@ Networks = Sequence[Sequence[tuple[NDArray[Any], NDArray[Any]]]]
 
 
 def save(folder: str | os.PathLike[str], networks: Networks, manifest: Manifest) -> Manifest:
-    """Write a checkpoint: all of it or nothing. What exists is never written over.
+    """Write a checkpoint: all of it or nothing. Nothing that exists is overwritten.
 
     Args:
-        folder: To be made, in a folder that exists: letters, digits and _ . -, at most 64.
+        folder: New folder in one that exists. Its name has at most 64 letters, digits and _ . -.
         networks: Weights of float32, one network for each of `Manifest.names`.
-        manifest: What it says of itself; the weights' checksum is filled in.
+        manifest: Manifest; the weights' checksum is filled in.
 
     Returns:
         The manifest as it was written.
 
     Raises:
-        CheckpointError: The folder exists, cannot be written (a full disk), or has no legal name; or the weights are
-            not those of the manifest. There is no such folder then, unless there was one.
+        CheckpointError: The folder exists, cannot be written (a full disk), or has no legal name; or the weights do
+            not fit the manifest. Nothing is left behind then.
     """
-    target = check_new(folder)
+    path = check_new(folder)
     weights = _serialised(_tensors(networks, manifest))
     written = dataclasses.replace(manifest, weights_sha256=hashlib.sha256(weights).hexdigest())
     text = written.text().encode()
-    part = target.with_name(f".{target.name}.{os.urandom(4).hex()}.part")
+    part = path.with_name(f".{path.name}.{os.urandom(4).hex()}.part")
     try:
         os.mkdir(part)
     except OSError as error:
-        raise CheckpointError(f"cannot write {target}: {_reason(error)}") from error
+        raise CheckpointError(f"cannot write {path}: {_reason(error)}") from error
     try:
         _write(part / WEIGHTS, weights)
         _write(part / MANIFEST, text)
         _sync(part)
-        # Fails where something is by now; an empty folder alone is replaced.
-        os.rename(part, target)
-        _sync(target.parent)
+        # Fails if something else is there by now; only an empty folder is replaced.
+        os.rename(part, path)
+        _sync(path.parent)
     except OSError as error:
-        raise CheckpointError(f"cannot write {target}: {_reason(error)}. What was saved before is as it was") from error
+        raise CheckpointError(f"cannot write {path}: {_reason(error)}. What was saved before is as it was") from error
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return written
 
 
 def check_new(folder: str | os.PathLike[str]) -> Path:
-    """Make sure that a checkpoint could be saved here: before, not after, the work that it is to hold.
-
-    Args:
-        folder: Of the checkpoint.
-
-    Returns:
-        Its absolute path.
+    """Check that a checkpoint can be saved here, before the work that it is to hold. Return its absolute path.
 
     Raises:
         CheckpointError: It exists, or has no legal name.
     """
-    target = Path(os.path.abspath(folder))
-    if not _NAME.fullmatch(target.name):
+    path = Path(os.path.abspath(folder))
+    if not _NAME.fullmatch(path.name):
         raise CheckpointError(
-            f"{target.name!r:.80} is no name of a checkpoint: use at most 64 letters, digits and _ . -, first of "
+            f"{path.name!r:.80} is no name of a checkpoint: use at most 64 letters, digits and _ . -, first of "
             "all a letter, a digit or _"
         )
-    if os.path.lexists(target):
-        raise CheckpointError(f"{target} exists, and nothing is written over: choose another name, or move it away")
-    return target
+    if os.path.lexists(path):
+        raise CheckpointError(f"{path} exists, and nothing is written over: choose another name, or move it away")
+    return path
 
 
 def load(folder: str | os.PathLike[str], env: Any = None, **keywords: Any) -> LearnedPolicy:
-    """The policy of a checkpoint, once it has been found to be one of this environment.
+    """Load the policy of a checkpoint, after a check that it was made for this environment.
 
     Args:
-        folder: Of the checkpoint.
-        env: An environment, with any of the interfaces, or the id of one; None: that of the checkpoint.
-        **keywords: As given to `gym.make`, where `env` is an id or None. With neither, those of the checkpoint.
+        folder: Folder of the checkpoint.
+        env: An environment with any of the interfaces, or the id of one; None: that of the checkpoint.
+        **keywords: As for `gym.make`, where `env` is an id or None. With neither, those of the checkpoint.
 
     Raises:
-        CheckpointError: It cannot be read, is not as it was saved, or is of another task, rate, latency, action, robot
-            or version.
+        CheckpointError: It cannot be read, was changed since it was saved, or is of another task, rate, latency,
+            action, robot or version.
         DualUR10Error: The keywords make no environment.
     """
     path = Path(os.path.abspath(folder))
     manifest, weights = _read(path)
     if env is None and not keywords:
-        place = described_target(manifest.target)
+        view = view_of_signature(manifest.signature)
     elif env is None or isinstance(env, str):
         _check_id(path, manifest, env)
-        place = described(manifest.target.env_id, keywords)
+        view = view_of(manifest.signature.env_id, keywords)
     elif keywords:
         raise CheckpointError("keywords were given beside an environment that has its own: pass its id, or no keywords")
     else:
-        place = described_env(env)
-    _check(path, manifest, place)
-    return LearnedPolicy(manifest, weights, place)
+        view = view_of_env(env)
+    _check(path, manifest, view)
+    return LearnedPolicy(manifest, weights, view)
 
 
 def read_manifest(folder: str | os.PathLike[str]) -> Manifest:
-    """What a checkpoint says of itself. Its weights are checked as well.
+    """Return the manifest of a checkpoint, after a check of the weights as well.
 
     Raises:
-        CheckpointError: It cannot be read, or is not as it was saved.
+        CheckpointError: It cannot be read, or was changed since it was saved.
     """
     return _read(Path(os.path.abspath(folder)))[0]
 
 
 def sha256_of(folder: str | os.PathLike[str]) -> str:
-    """The hash of a checkpoint's manifest, which holds that of its weights, after both were checked.
+    """Return the hash of a checkpoint's manifest, which holds that of its weights, after a check of both.
 
     Raises:
-        CheckpointError: It cannot be read, or is not as it was saved.
+        CheckpointError: It cannot be read, or was changed since it was saved.
     """
     path = Path(os.path.abspath(folder))
     read_manifest(path)
@@ -162,21 +163,21 @@ def sha256_of(folder: str | os.PathLike[str]) -> str:
         os.close(number)
 
 
-def target_of(env: Any, **keywords: Any) -> Target:
-    """What a manifest says of an environment that a policy is made for.
+def signature_of(env: Any, **keywords: Any) -> EnvironmentSignature:
+    """Return the signature of an environment, for the manifest of a policy that is made for it.
 
     Args:
-        env: An environment, with any of the interfaces, or the id of one.
-        **keywords: As given to `gym.make`, where it is an id.
+        env: An environment with any of the interfaces, or the id of one.
+        **keywords: As for `gym.make`, where `env` is an id.
 
     Raises:
         CheckpointError: It is no environment.
     """
-    return (described(env, keywords) if isinstance(env, str) else described_env(env)).target
+    return (view_of(env, keywords) if isinstance(env, str) else view_of_env(env)).signature
 
 
 def _tensors(networks: Networks, manifest: Manifest) -> dict[str, NDArray[np.float32]]:
-    """Arrays by their names in the file, once they are what the manifest says."""
+    """Return the arrays by their names in the file, after a check against the manifest."""
     names, pairs = manifest.names, manifest.network.pairs
     if len(networks) != len(names) or any(len(layers) != len(pairs) for layers in networks):
         raise CheckpointError(
@@ -207,7 +208,7 @@ def _write(path: Path, content: bytes) -> None:
 
 
 def _sync(folder: Path) -> None:
-    """Let what was renamed or made in a folder be so after a power cut, too."""
+    """Make new names in a folder survive a power cut."""
     number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(number)
@@ -220,9 +221,8 @@ def _reason(error: OSError) -> str:
 
 
 def _read(path: Path) -> tuple[Manifest, list[list[Layer]]]:
-    """Manifest and weights of a checkpoint."""
     try:
-        # All through one handle of the folder: what is exchanged meanwhile does not matter.
+        # Everything through one handle: exchanging the folder meanwhile has no effect.
         folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
     except (OSError, ValueError) as error:
         found = "it is a file" if path.is_file() else str(error)
@@ -248,7 +248,7 @@ def _read(path: Path) -> tuple[Manifest, list[list[Layer]]]:
 
 
 def _remedy_of(path: Path) -> str:
-    """What to do with a file in place of a checkpoint. Nothing in it is read but whether it is a zip."""
+    """Return advice for a file in place of a checkpoint; only its type is read."""
     if not (path.is_file() and zipfile.is_zipfile(path)):
         return ""
     return (
@@ -259,9 +259,9 @@ def _remedy_of(path: Path) -> str:
 
 
 def _content(folder: int, name: str, most: int, where: str) -> bytes:
-    """A regular file's content, if it is not larger than it may be."""
+    """Return a regular file's content if it is not larger than `most` bytes."""
     try:
-        # A pipe would let the opening wait for somebody who writes, hence not to wait.
+        # Without O_NONBLOCK, opening a pipe would wait for a writer.
         file = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=folder)
     except OSError as error:
         raise CheckpointError(f"{where} cannot be read: {_reason(error)}; links are not followed") from None
@@ -283,11 +283,11 @@ def _content(folder: int, name: str, most: int, where: str) -> bytes:
 
 
 def _layers(content: bytes, manifest: Manifest, where: str) -> list[list[Layer]]:
-    """The weights in a file's content, for each network."""
+    """Return the weights in a file's content, for each network."""
     try:
         parts = safetensors.deserialize(content)  # type: ignore[no-untyped-call]  # has no types
         found = {name: (value["dtype"], value["shape"], value["data"]) for name, value in parts}
-    except Exception as error:  # whatever its reader raises
+    except Exception as error:  # its reader raises many kinds
         raise CheckpointError(f"{where} cannot be read as safetensors: {error!s:.200}") from None
     expected = [
         f"{name}.{k}.{kind}"
@@ -314,9 +314,7 @@ def _layers(content: bytes, manifest: Manifest, where: str) -> list[list[Layer]]
 
 
 def _check_id(path: Path, manifest: Manifest, env: str | None) -> None:
-    from dual_ur10.ids import env_id_of
-
-    made = manifest.target.env_id
+    made = manifest.signature.env_id
     if env is not None and env_id_of(env) != made:
         raise CheckpointError(
             f"{path} is of {made}, the environment is {env_id_of(env)}: load one that was made for it"
@@ -330,29 +328,25 @@ _REMEDIES: Final = {
     "rate.latency_ticks": "set action_latency_ticks to what it was in training, or train with what it will be",
     "actions.mode": "set action_mode as it was in training",
     "actions.compensate_lag": "set compensate_lag as it was in training",
-    "actions.joint_step_rad": "train with the speed caps of this cell: they are there for a reason",
+    "actions.joint_step_rad": "train with the speed caps of this cell: they protect it",
     "robot.family": "use controllers of that family, or train with it",
     "robot.lookahead_s": "set servoj's lookahead_s as it was in training",
     "robot.gain": "set servoj's gain as it was in training",
 }
 
 
-def _check(path: Path, manifest: Manifest, place: Described) -> None:
-    """Compare what it was made for with where it is to act.
-
-    Raises:
-        CheckpointError: They are not the same.
-    """
-    made, version = manifest.target, manifest.versions["dual_ur10"]
+def _check(path: Path, manifest: Manifest, view: EnvironmentView) -> None:
+    """Compare the environment that a policy was made for with the one to act in."""
+    made, version = manifest.signature, manifest.versions["dual_ur10"]
     if version.split(".")[:2] != __version__.split(".")[:2]:
         raise CheckpointError(
             f"{path} was made with dual_ur10 {version}, this is {__version__}: install a version "
             f"{'.'.join(version.split('.')[:2])}, or train it anew"
         )
-    here = place.target
-    if made.env_id == here.env_id and manifest.agents != "joint" and manifest.network.layers[0] != place.agent_size:
+    here = view.signature
+    if made.env_id == here.env_id and manifest.agents != "joint" and manifest.network.layers[0] != view.agent_size:
         raise CheckpointError(
-            f"{path}: {manifest.network.layers[0]} numbers go into the network, each agent observes {place.agent_size}"
+            f"{path}: the network has {manifest.network.layers[0]} inputs, each agent observes {view.agent_size}"
         )
     left, right = _flat(made), _flat(here)
     for name in ("env_id", *_REMEDIES, *left):
@@ -360,7 +354,7 @@ def _check(path: Path, manifest: Manifest, place: Described) -> None:
             continue
         if not _same(left[name], right[name]):
             raise CheckpointError(
-                f"{path} was made for {name} {_said(left[name])}, the environment has {_said(right[name])}: "
+                f"{path} was made for {name} {_shown(left[name])}, the environment has {_shown(right[name])}: "
                 f"{_REMEDIES.get(name, 'make the environment with the keywords of the training')}"
             )
     if made.robot.nominal_dh != here.robot.nominal_dh:
@@ -371,13 +365,13 @@ def _check(path: Path, manifest: Manifest, place: Described) -> None:
         if made.kwargs.get(name) != here.kwargs.get(name)
     )
     if differ:
-        log.warning("%s was made with other values of %s: it may do less well", path, ", ".join(differ))
+        log.warning("%s was made with other values of %s: it may perform worse", path, ", ".join(differ))
 
 
-def _flat(target: Target) -> dict[str, Any]:
-    """A target's values by their dotted names."""
+def _flat(signature: EnvironmentSignature) -> dict[str, Any]:
+    """Return a signature's values by their dotted names."""
     result: dict[str, Any] = {}
-    for name, value in dataclasses.asdict(target).items():
+    for name, value in dataclasses.asdict(signature).items():
         if isinstance(value, Mapping) and name != "kwargs":
             result.update({f"{name}.{inner}": each for inner, each in value.items()})
         else:
@@ -386,7 +380,7 @@ def _flat(target: Target) -> dict[str, Any]:
 
 
 def _same(made: Any, here: Any) -> bool:
-    """Whether two values are equal; numbers but for rounding."""
+    """Return True if two values are equal, numbers up to rounding."""
     if isinstance(made, tuple) and isinstance(here, tuple):
         return len(made) == len(here) and all(map(_same, made, here))
     if isinstance(made, float) and isinstance(here, float):
@@ -394,5 +388,5 @@ def _same(made: Any, here: Any) -> bool:
     return type(made) is type(here) and bool(made == here)
 
 
-def _said(value: Any) -> str:
+def _shown(value: Any) -> str:
     return f"{value!r:.120}"

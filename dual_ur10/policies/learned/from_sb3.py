@@ -1,7 +1,7 @@
-"""From Stable-Baselines3's models to checkpoints: the actor's network, and what its observations are normalised by.
+"""Conversion of Stable-Baselines3's models to checkpoints: the actor's network and the normaliser of its observations.
 
-Stable-Baselines3 keeps models as zip files with pickles in them, which run whatever code they hold when they are read.
-Beside them is JSON, which says what a model is without that.
+Stable-Baselines3 saves models as zip files with pickles, which run whatever code they hold when they are read. JSON
+beside the pickles describes the model without running any.
 """
 
 from __future__ import annotations
@@ -20,30 +20,33 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from dual_ur10.errors import CheckpointError, MissingExtraError, UnknownNameError
-from dual_ur10.policies.learned.checkpoint import target_of
+from dual_ur10.policies.learned.checkpoint import signature_of
+from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.learned.manifest import AgentsKind, Manifest
 from dual_ur10.policies.learned.network import Activation, Layer, NetworkShape, Normaliser
-from dual_ur10.policies.learned.policy import LearnedPolicy
-from dual_ur10.policies.learned.signature import described, described_env
+from dual_ur10.policies.learned.signature import view_of, view_of_env
 
 log = logging.getLogger(__name__)
 
 Algorithm = Literal["ppo", "sac"]
 
 _CLASSES: Final = {"ppo": "PPO", "sac": "SAC"}
-_SETTINGS: Final[dict[str, Algorithm]] = {"clip_range": "ppo", "target_entropy": "sac"}  # that no other one has
-_MOST_DATA: Final = 64 * 1024 * 1024  # of a model's JSON, with the last observations of some thousand cells
+_SETTINGS: Final[dict[str, Algorithm]] = {
+    "clip_range": "ppo",
+    "target_entropy": "sac",
+}  # unique to each
+_MOST_DATA: Final = 64 * 1024 * 1024  # bytes of a model's JSON, with the last observations of thousands of cells
 _ACTIVATIONS: Final[dict[str, Activation]] = {"Tanh": "tanh", "ReLU": "relu"}
 
 
-def glance(path: str | os.PathLike[str]) -> tuple[Algorithm | None, int | None]:
-    """What the file of a model says of itself. Only JSON in it is read: no code in it is run.
+def inspect_model(path: str | os.PathLike[str]) -> tuple[Algorithm | None, int | None]:
+    """Return the algorithm and the observation size of a model's file. Only its JSON is read: no code is run.
 
     Args:
-        path: Of the zip file.
+        path: Path of the zip file.
 
     Returns:
-        What trained it, and how many numbers it observes; None: the file does not say it, or it is another algorithm.
+        Algorithm and observation size; None for what the file does not state, or for another algorithm.
 
     Raises:
         CheckpointError: It cannot be read, or is no file of Stable-Baselines3.
@@ -65,7 +68,7 @@ def glance(path: str | os.PathLike[str]) -> tuple[Algorithm | None, int | None]:
     if len(content) > _MOST_DATA:
         raise CheckpointError(f"{where} has more than {_MOST_DATA} bytes of 'data' in it: no model needs so many")
     if not isinstance(data, dict) or not {"policy_class", "observation_space"} <= data.keys():
-        raise CheckpointError(f"{where} is no file of Stable-Baselines3: its 'data' speaks of no model")
+        raise CheckpointError(f"{where} is no file of Stable-Baselines3: its 'data' describes no model")
     algorithms = {algorithm for name, algorithm in _SETTINGS.items() if name in data}
     space = data["observation_space"]
     shape: Any = space.get("_shape") if isinstance(space, dict) else None
@@ -83,19 +86,19 @@ def from_sb3(
     trust_pickle: bool = False,
     **keywords: Any,
 ) -> LearnedPolicy:
-    """The policy of a model that Stable-Baselines3 has saved. Which environment it is for, the caller must say.
+    """Load the policy of a model that Stable-Baselines3 has saved. The file does not name its environment.
 
     Args:
-        path: Of the zip file.
-        env: The environment that it was trained in, or the id of that.
-        algorithm: That trained it.
-        agents: "joint" or "shared": for whom the model acts.
-        vec_normalize: Path of the `VecNormalize` that was saved with it, a pickle, too; None: there is none.
-        trust_pickle: The caller knows who made these files, and lets them run code.
-        **keywords: As given to `gym.make`, where `env` is an id.
+        path: Path of the zip file.
+        env: Environment that it was trained in, or the id of that.
+        algorithm: Algorithm that trained it.
+        agents: "joint" or "shared": the arms that the model moves.
+        vec_normalize: Path of the `VecNormalize` that was saved with it, also a pickle; None: there is none.
+        trust_pickle: True if you know who made these files and allow them to run code.
+        **keywords: As for `gym.make`, where `env` is an id.
 
     Raises:
-        CheckpointError: They are not to be trusted, cannot be read, or hold a network of another kind.
+        CheckpointError: The files are not trusted, cannot be read, or hold a network of another kind.
         MissingExtraError: Stable-Baselines3 is not installed.
         UnknownNameError: No such algorithm.
         DualUR10Error: The keywords make no environment.
@@ -115,7 +118,7 @@ def from_sb3(
         around = importlib.import_module("stable_baselines3.common.vec_env").VecNormalize
     except ImportError:
         raise MissingExtraError("stable-baselines3", "train", "reading one of its files") from None
-    place = described(env, keywords) if isinstance(env, str) else described_env(env)
+    view = view_of(env, keywords) if isinstance(env, str) else view_of_env(env)
     for each in (path, vec_normalize):
         if each is not None and not os.path.isfile(each):
             raise CheckpointError(f"{os.fspath(each)} cannot be read: there is no such file")
@@ -130,12 +133,12 @@ def from_sb3(
     networks, manifest = converted(
         model, env, agents=agents, vec_normalize=normaliser, training={"sb3_sha256": sha256}, **keywords
     )
-    if agents == "shared" and manifest.network.layers[0] != place.agent_size:
+    if agents == "shared" and manifest.network.layers[0] != view.agent_size:
         raise CheckpointError(
-            f"{manifest.network.layers[0]} numbers go into the network: each agent of {place.target.env_id} observes "
-            f"{place.agent_size}"
+            f"the network has {manifest.network.layers[0]} inputs: each agent of {view.signature.env_id} observes "
+            f"{view.agent_size} numbers"
         )
-    return LearnedPolicy(manifest, networks, place)
+    return LearnedPolicy(manifest, networks, view)
 
 
 def converted(
@@ -149,20 +152,20 @@ def converted(
     evaluation: dict[str, object] | None = None,
     **keywords: Any,
 ) -> tuple[list[list[Layer]], Manifest]:
-    """What `dual_ur10.policies.learned.checkpoint.save` takes, of models of PPO or SAC.
+    """Convert models of PPO or SAC to the arguments of `dual_ur10.policies.learned.checkpoint.save`.
 
     Args:
         models: A model; with "independent", those of left and right.
-        env: The environment that it was trained in, or the id of that.
-        agents: For whom it acts.
-        vec_normalize: The `VecNormalize` around its environment, or one for each model; None: there is none.
+        env: Environment that it was trained in, or the id of that.
+        agents: Arms that a model moves.
+        vec_normalize: `VecNormalize` around its environment, or one for each model; None: there is none.
         training: Settings of the training.
-        seed: Of the training.
-        evaluation: What an evaluation has found.
-        **keywords: As given to `gym.make`, where `env` is an id.
+        seed: Seed of the training.
+        evaluation: Results of an evaluation.
+        **keywords: As for `gym.make`, where `env` is an id.
 
     Raises:
-        CheckpointError: A network is of another kind, or they do not fit the environment.
+        CheckpointError: A network is of another kind, or does not fit the environment.
     """
     each = list(models) if isinstance(models, list | tuple) else [models]
     around = list(vec_normalize) if isinstance(vec_normalize, list | tuple) else [vec_normalize]
@@ -171,7 +174,7 @@ def converted(
         raise CheckpointError("the two networks look different: train them with the same settings")
     normalisers = [normaliser for one in around if (normaliser := normaliser_of(one)) is not None]
     manifest = Manifest(
-        target=target_of(env, **keywords),
+        signature=signature_of(env, **keywords),
         agents=agents,
         network=found[0][1],
         normalisers=tuple(normalisers),
@@ -185,7 +188,7 @@ def converted(
 
 
 def network_of(model: Any) -> tuple[list[Layer], NetworkShape]:
-    """The network by which a model of PPO or SAC acts without exploring.
+    """Return the network by which a model of PPO or SAC acts without exploring.
 
     Raises:
         CheckpointError: It is of another kind.
@@ -197,11 +200,11 @@ def network_of(model: Any) -> tuple[list[Layer], NetworkShape]:
     elif hasattr(policy, "mlp_extractor") and hasattr(policy, "action_net"):
         modules, squash = [*policy.mlp_extractor.policy_net, policy.action_net], bool(policy.squash_output)
     else:
-        raise CheckpointError(f"{type(model).__name__} has no network that is known here: use PPO or SAC, MlpPolicy")
+        raise CheckpointError(f"{type(model).__name__} has an unknown kind of network: use PPO or SAC, MlpPolicy")
     extractor = type((actor or policy).features_extractor).__name__
     kinds = [type(each).__name__ for each in modules]
     between = set(kinds[1::2])
-    # One layer at least, and one activation, always the same.
+    # At least one layer, and the same activation after each.
     regular = kinds == [*["Linear", kinds[1] if between else ""] * (len(kinds) // 2), "Linear"] and len(kinds) % 2 == 1
     if extractor != "FlattenExtractor" or not regular or not between <= _ACTIVATIONS.keys():
         raise CheckpointError(
@@ -219,7 +222,7 @@ def network_of(model: Any) -> tuple[list[Layer], NetworkShape]:
 
 
 def normaliser_of(vec_normalize: Any) -> Normaliser | None:
-    """What a `VecNormalize` does to observations; None: nothing.
+    """Return the normaliser of observations of a `VecNormalize`; None: it leaves them as they are.
 
     Raises:
         CheckpointError: Its observations are no plain arrays.
@@ -240,7 +243,7 @@ def normaliser_of(vec_normalize: Any) -> Normaliser | None:
 def _read(path: str | os.PathLike[str], read: Callable[[], Any]) -> Any:
     try:
         return read()
-    except Exception as error:  # a pickle raises what it likes
+    except Exception as error:  # a pickle may raise anything
         raise CheckpointError(f"{os.fspath(path)} cannot be read: {type(error).__name__}: {error!s:.200}") from error
 
 

@@ -1,4 +1,4 @@
-"""What a checkpoint says of itself: what it was made for, what its network looks like and where it comes from."""
+"""Manifest of a checkpoint: its environment, its networks and its origin."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import hashlib
 import json
 import re
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from dual_ur10.errors import CheckpointError, DualUR10Error
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.learned import schema
 from dual_ur10.policies.learned.network import NetworkShape, Normaliser
-from dual_ur10.policies.learned.signature import Target
+from dual_ur10.policies.learned.schema import JsonList, Object, StrictJson, Text, Whole
+from dual_ur10.policies.learned.signature import EnvironmentSignature
 from dual_ur10.sim2real.recording.describe import plain
 from dual_ur10.sim2real.recording.describe import versions as installed
 
@@ -23,43 +24,42 @@ AgentsKind = Literal["joint", "shared", "independent"]
 """One network for both arms together; the same one for each arm by itself; or one of its own for each arm."""
 
 _PACKAGES: Final = ("numpy", "gymnasium", "mujoco", "safetensors", "torch", "stable_baselines3")
-_HASH: Final = re.compile(r"[0-9a-f]{64}", re.ASCII)
-_VERSION: Final = re.compile(r"(0|[1-9][0-9]{0,5})\.(0|[1-9][0-9]{0,5})[0-9A-Za-z.+-]{0,40}", re.ASCII)
+_VERSION: Final = r"^(0|[1-9][0-9]{0,5})\.(0|[1-9][0-9]{0,5})[0-9A-Za-z.+-]{0,40}$"
 
 
 def versions() -> dict[str, str]:
-    """Versions of this package and of those that a policy is made with, as far as they are installed."""
+    """Return the versions of this package and of those that a policy is made with, as far as they are installed."""
     return installed(*_PACKAGES)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Manifest:
-    """What a checkpoint says of itself.
+class Manifest(StrictJson):
+    """Everything in a checkpoint but the weights.
 
     Attributes:
-        target: The environment that it was made for.
-        agents: How many networks there are, and whose.
-        network: What they look like.
-        normalisers: One for each network, or () if observations go in as they are.
-        training: Settings of the training, anything that JSON holds.
-        seed: Of the training; None: it had none.
-        evaluation: What an evaluation has found, anything that JSON holds; None: there was none.
-        versions: Of this package and others.
-        weights_sha256: Of the file of the weights; "" until it is saved.
+        signature: Environment that the policy was made for.
+        agents: Number of networks, and the arms that each one moves.
+        network: Shape of each network.
+        normalisers: One for each network, or () if observations enter as they are.
+        training: Settings of the training, any JSON object.
+        seed: Seed of the training; None: it had none.
+        evaluation: Results of an evaluation, any JSON object; None: there was none.
+        versions: Versions of this package and others.
+        weights_sha256: Hash of the file of the weights; "" until it is saved.
 
     Raises:
         CheckpointError: The parts do not fit each other.
     """
 
-    target: Target
+    signature: EnvironmentSignature
     agents: AgentsKind
     network: NetworkShape
-    normalisers: tuple[Normaliser, ...] = ()
-    training: dict[str, object] = dataclasses.field(default_factory=dict)
-    seed: int | None = None
-    evaluation: dict[str, object] | None = None
-    versions: dict[str, str] = dataclasses.field(default_factory=versions)
-    weights_sha256: str = ""
+    normalisers: Annotated[tuple[Normaliser, ...], JsonList] = ()
+    training: Object = dataclasses.field(default_factory=dict)
+    seed: Whole | None = None
+    evaluation: Object | None = None
+    versions: dict[Text, Text] = dataclasses.field(default_factory=versions)
+    weights_sha256: Text = ""
 
     def __post_init__(self) -> None:
         inputs, outputs = self.network.layers[0], self.network.layers[-1]
@@ -69,18 +69,20 @@ class Manifest:
             )
         for each in self.normalisers:
             if len(each.mean) != inputs:
-                raise CheckpointError(f"a normaliser has {len(each.mean)} means for {inputs} numbers that go in")
-        wanted = self.target.action.shape[0] // (1 if self.agents == "joint" else 2)
+                raise CheckpointError(f"a normaliser has {len(each.mean)} means for {inputs} inputs of the network")
+        wanted = self.signature.action.shape[0] // (1 if self.agents == "joint" else 2)
         if outputs != wanted:
-            raise CheckpointError(f"{outputs} numbers come out of the network: {self.agents} actions have {wanted}")
-        if self.agents == "joint" and inputs != self.target.observation.shape[0]:
+            raise CheckpointError(f"the network has {outputs} outputs: {self.agents} actions have {wanted} numbers")
+        if self.agents == "joint" and inputs != self.signature.observation.shape[0]:
             raise CheckpointError(
-                f"{inputs} numbers go into the network: observations have {self.target.observation.shape[0]}"
+                f"the network has {inputs} inputs: observations have {self.signature.observation.shape[0]} numbers"
             )
-        if not _VERSION.fullmatch(self.versions.get("dual_ur10", "")):
-            raise CheckpointError(f"versions has dual_ur10 {self.versions.get('dual_ur10')!r:.60}: it must be as 1.2.3")
-        if self.weights_sha256 and not _HASH.fullmatch(self.weights_sha256):
-            raise CheckpointError(f"weights_sha256 is {self.weights_sha256!r:.80}: it must be 64 digits, 0 to f")
+        for name, value, pattern, allowed in (
+            ("dual_ur10 in versions", self.versions.get("dual_ur10", ""), _VERSION, "a version such as 1.2.3"),
+            ("weights_sha256", self.weights_sha256, r"^([0-9a-f]{64})?$", "64 digits, 0 to f"),
+        ):
+            if not re.fullmatch(pattern, value, re.ASCII):
+                raise CheckpointError(f"{name} is {value!r:.80}: it must be {allowed}")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -88,28 +90,27 @@ class Manifest:
         return ARMS if self.agents == "independent" else ("policy",)
 
     def text(self) -> str:
-        """As the file says it, with a checksum over all of it.
+        """Return the content of the file, with a checksum over all of it.
 
         Raises:
-            CheckpointError: Something in it cannot be said in JSON.
+            CheckpointError: A value in it cannot be written as JSON, or would be refused when it is read.
         """
         try:
-            given = plain(dataclasses.asdict(self))  # turns arrays of numpy into lists, too
+            value = {"format": FORMAT, **plain(dataclasses.asdict(self))}  # NumPy's arrays become lists, too
+            text = json.dumps({**value, "sha256": _checksum(value)}, indent=1, ensure_ascii=False)
         except DualUR10Error as error:
             raise CheckpointError(f"the manifest cannot be written: {error}") from None
-        value = schema.plain({"format": FORMAT, **given}, "manifest")
-        text = json.dumps({**value, "sha256": _checksum(value)}, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-        parse(text.encode())  # what could not be read is refused now and not later
-        return text
+        parse(text.encode(), "manifest")
+        return text + "\n"
 
 
 def parse(text: bytes, where: str = "manifest.json") -> Manifest:
-    """What a manifest's text says.
+    """Return the manifest in a text.
 
     Raises:
         CheckpointError: It is not as this version writes it, or was changed since.
     """
-    value = schema.parsed(text, where)
+    value = schema.loads(text, where)
     if not isinstance(value, dict):
         raise CheckpointError(f"{where} is no JSON object")
     if value.pop("format", None) != FORMAT:
@@ -121,7 +122,7 @@ def parse(text: bytes, where: str = "manifest.json") -> Manifest:
 
 
 def _checksum(value: dict[str, Any]) -> str:
-    """Of the content, not of its layout."""
+    """Return the hash of the content, whatever its layout."""
     try:
         text = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
     except (ValueError, RecursionError) as error:

@@ -1,4 +1,4 @@
-"""A small fully connected network on numpy alone."""
+"""Small fully connected networks on NumPy alone."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Final, Literal
 import numpy as np
 
 from dual_ur10.errors import CheckpointError
+from dual_ur10.policies.learned.schema import Numbers, StrictJson, Wholes
 from dual_ur10.types import Array, Single
 
 Layer = tuple[Single, Single]
@@ -20,28 +21,28 @@ Squashing = Literal["clip", "tanh"]
 MOST_WIDTH: Final = 4096
 MOST_LAYERS: Final = 8
 MOST_PARAMETERS: Final = 4_000_000
-"""What a network may have at most."""
+"""Bounds of a network's size."""
 
-# Products with a larger matrix are given by OpenBLAS to several threads: they then would have to be waited for, beside
-# processes that send to two controllers, and the order of additions would be that of the machine.
+# OpenBLAS computes products with a larger matrix on several threads. Waiting for them would delay the processes that
+# send to two controllers, and the order of additions would depend on the machine.
 _MOST_BLOCK: Final = 8192
 
 
 @dataclass(frozen=True)
-class Normaliser:
-    """Mean and variance of observations, which networks are given as deviations from the mean.
+class Normaliser(StrictJson):
+    """Mean and variance by which observations are normalised.
 
     Attributes:
-        mean, var: (size,) of each number.
-        clip: Largest deviation, in standard deviations.
-        epsilon: Added to the variance.
+        mean, var: (size,) mean and variance of each number.
+        clip: Largest normalised deviation.
+        epsilon: Constant added to the variance.
 
     Raises:
         CheckpointError: A value is not possible.
     """
 
-    mean: tuple[float, ...]
-    var: tuple[float, ...]
+    mean: Numbers
+    var: Numbers
     clip: float = 10.0
     epsilon: float = 1e-8
 
@@ -55,20 +56,20 @@ class Normaliser:
 
 
 @dataclass(frozen=True)
-class NetworkShape:
-    """What a network looks like.
+class NetworkShape(StrictJson):
+    """Sizes and functions of a network.
 
     Attributes:
-        layers: Numbers that go in, units of each hidden layer, numbers that come out.
-        activation: Of the hidden layers.
-        squashing: "clip": what comes out is the action, clipped to its bounds. "tanh": its hyperbolic tangent is the
-            action in shares of the way from the lower to the upper bound, from -1 to 1.
+        layers: Number of inputs, units of each hidden layer, number of outputs.
+        activation: Activation of the hidden layers.
+        squashing: "clip": the output is the action, clipped to its bounds. "tanh": the output's hyperbolic tangent
+            maps from [-1, 1] to the bounds of the action.
 
     Raises:
         CheckpointError: A size is not possible.
     """
 
-    layers: tuple[int, ...]
+    layers: Wholes
     activation: Activation
     squashing: Squashing
 
@@ -82,23 +83,23 @@ class NetworkShape:
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
-        """Of each layer, how many numbers go in and come out."""
+        """Numbers of inputs and outputs of each layer."""
         return list(zip(self.layers[:-1], self.layers[1:], strict=True))
 
     @property
     def parameters(self) -> int:
-        """How many numbers it has."""
+        """Number of parameters."""
         return sum((inputs + 1) * outputs for inputs, outputs in self.pairs)
 
 
 class Network:
-    """Observations in, actions out. A row of a batch gives what it gives alone, to the last bit.
+    """Function from observations to actions. A row of a batch gives the same bits as a single observation.
 
     Args:
-        shape: What it looks like.
+        shape: Sizes and functions.
         layers: Weight and bias of each layer.
         low, high: (out,) bounds of the action.
-        normaliser: Of observations; None: they go in as they are.
+        normaliser: Normaliser of observations; None: they enter as they are.
     """
 
     def __init__(
@@ -117,7 +118,7 @@ class Network:
             self._clip = normaliser.clip
 
     def __call__(self, observation: Array) -> Single:
-        """Actions, (n, out), for observations, (n, in)."""
+        """Return actions, (n, out), for observations, (n, in)."""
         if self._mean is not None:
             observation = (observation - self._mean) / self._deviation
             np.clip(observation, -self._clip, self._clip, out=observation)
@@ -141,7 +142,7 @@ def _relu(x: Single) -> Single:
 
 
 def _blocks(weight: Single, bias: Single) -> tuple[Single, Single]:
-    """A layer's weight as (blocks, in, width) of as many outputs as can be computed on one thread, and its bias."""
+    """Return a layer's weight as (blocks, in, width), each block small enough for one thread, and its bias."""
     outputs, inputs = weight.shape
     width = min(outputs, max(1, _MOST_BLOCK // inputs))
     count = -(-outputs // width)

@@ -1,6 +1,6 @@
-"""Reads JSON that somebody else may have written into dataclasses, and refuses whatever they do not provide for.
+"""Strict reading of JSON that others may have written, into dataclasses.
 
-Nothing in it names a class or a function: what a value becomes is said by the dataclass alone.
+Nothing in a file names a class or a function: the dataclass alone determines what a value becomes.
 """
 
 from __future__ import annotations
@@ -9,154 +9,129 @@ import dataclasses
 import json
 import math
 import re
-import types
-import typing
-from collections.abc import Mapping
-from typing import Any, Final, TypeVar
+from collections.abc import Iterator
+from typing import Annotated, Any, ClassVar, Final, TypeVar
 
-from dual_ur10.errors import CheckpointError
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
+
+from dual_ur10.errors import CheckpointError, DualUR10Error
 
 MOST_BYTES: Final = 1 << 20
-"""Size of a text beyond which it is not read."""
+"""Size of a text above which it is not read."""
 
-_MOST_TEXT, _MOST_ITEMS, _DEEPEST = 2000, 8192, 8
+_MOST_TEXT, _MOST_ITEMS, _DEEPEST, _MOST_FINDINGS = 2000, 8192, 8, 8
 _KEY: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_ ./+-]{0,63}", re.ASCII)
 
 T = TypeVar("T")
 
 
-def parsed(text: bytes, where: str) -> Any:
-    """The value of a JSON text.
+class StrictJson:
+    """Base of dataclasses that are read from JSON: exactly their fields, of exactly their types."""
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+
+
+def _bounded(value: dict[str, object]) -> dict[str, object]:
+    if found := list(_beyond(value, "", 0)):
+        raise ValueError("\n".join(found[:_MOST_FINDINGS]))
+    return value
+
+
+def _beyond(value: object, path: str, depth: int) -> Iterator[str]:
+    if depth > _DEEPEST:
+        yield f"{path} is nested deeper than {_DEEPEST}: use plain values"
+    elif isinstance(value, dict | list):
+        if len(value) > _MOST_ITEMS:
+            yield f"{path} has {len(value)} values: at most {_MOST_ITEMS} are allowed"
+            return
+        for key, each in value.items() if isinstance(value, dict) else enumerate(value):
+            if isinstance(key, str) and not _KEY.fullmatch(key):
+                yield f"{path} has the key {key!r:.80}: keys are letters, digits and _ ./+-, at most 64"
+            yield from _beyond(each, f"{path}.{key}" if isinstance(key, str) else f"{path}[{key}]", depth + 1)
+    elif isinstance(value, str) and len(value) > _MOST_TEXT:
+        yield f"{path} has {len(value)} characters: at most {_MOST_TEXT} are allowed"
+    elif isinstance(value, int) and abs(value) > 2**63:
+        yield f"{path} is {value!r:.80}: it must be a whole number of 64 bits"
+    elif isinstance(value, float) and not math.isfinite(value):
+        yield f"{path} is {value!r}: it must be a finite number"
+    elif value is not None and not isinstance(value, str | int | float):
+        yield f"{path} is {value!r:.80}: it must be a value of JSON"
+
+
+Text = Annotated[str, Field(max_length=_MOST_TEXT)]
+Whole = Annotated[int, Field(ge=-(2**63), le=2**63)]
+JsonList = Field(max_length=_MOST_ITEMS)
+Numbers = Annotated[tuple[float, ...], JsonList]
+Wholes = Annotated[tuple[Whole, ...], JsonList]
+Object = Annotated[dict[str, Any], AfterValidator(_bounded)]
+"""Any JSON object whose sizes are within the bounds of this module."""
+
+
+def loads(text: bytes, where: str, error: type[DualUR10Error] = CheckpointError) -> Any:
+    """Return the value of a JSON text.
 
     Raises:
-        CheckpointError: It is too long or no JSON, holds NaN or infinity, or a key twice.
+        DualUR10Error: As `error`: it is too long or no JSON, or holds NaN, infinity or the same key twice.
     """
     if len(text) > MOST_BYTES:
-        raise CheckpointError(f"{where} has {len(text)} bytes: at most {MOST_BYTES} are read")
+        raise error(f"{where} has {len(text)} bytes: at most {MOST_BYTES} are read")
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         result = dict(pairs)
         if len(result) < len(pairs):
-            raise CheckpointError(f"{where} holds a key twice, of {sorted(result)[:8]}: which one counts is unclear")
+            raise error(f"{where} holds a key twice, of {sorted(result)[:8]}: which one counts is unclear")
         return result
 
     def refuse(constant: str) -> Any:
-        raise CheckpointError(f"{where} holds {constant}: numbers must be finite")
+        raise error(f"{where} holds {constant}: numbers must be finite")
 
     try:
         return json.loads(text.decode("utf-8"), object_pairs_hook=once, parse_constant=refuse)
-    except CheckpointError:
+    except error:
         raise
-    except (ValueError, RecursionError) as error:  # the latter: brackets within brackets
-        raise CheckpointError(f"{where} cannot be read as JSON: {error!s:.200}") from None
+    except (ValueError, RecursionError) as reason:  # the latter: brackets within brackets
+        raise error(f"{where} cannot be read as JSON: {reason!s:.200}") from None
 
 
-def read(kind: type[T], value: Any, where: str) -> T:
-    """A dataclass from a JSON object with exactly its fields.
-
-    Raises:
-        CheckpointError: A field is missing, unknown, or of another type; or the dataclass refuses it.
-    """
-    result: T = _read(kind, value, where)
-    return result
-
-
-def _read(kind: Any, value: Any, where: str) -> Any:
-    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-        return _fields(kind, value, where)
-    origin, parts = typing.get_origin(kind), typing.get_args(kind)
-    if origin is types.UnionType:
-        return None if value is None and type(None) in parts else _read(parts[0], value, where)
-    if origin is tuple:
-        return _items(parts, value, where)
-    if origin is typing.Literal:
-        if not isinstance(value, str) or value not in parts:
-            raise _wrong(value, where, f"one of {', '.join(map(repr, parts))}")
-        return value
-    if kind is float:
-        return number(value, where)
-    if kind is int or kind is bool:
-        # What is True is an int for Python.
-        if type(value) is not kind or (kind is int and abs(value) > 2**63):
-            raise _wrong(value, where, "a whole number of 64 bits" if kind is int else "true or false")
-        return value
-    if kind is str:
-        if not isinstance(value, str) or len(value) > _MOST_TEXT:
-            raise _wrong(value, where, f"a text of at most {_MOST_TEXT} characters")
-        return value
-    if origin is dict:
-        if not isinstance(value, dict):
-            raise _wrong(value, where, "an object")
-        return {_key(name, where): _read(parts[1], each, f"{where}.{name}") for name, each in value.items()}
-    return plain(value, where)
-
-
-def _fields(kind: Any, value: Any, where: str) -> Any:
-    if not isinstance(value, dict):
-        raise _wrong(value, where, "an object")
-    hints = typing.get_type_hints(kind)
-    for what, names in (("no", hints.keys() - value.keys()), ("an unknown", value.keys() - hints.keys())):
-        if names:
-            allowed = ", ".join(hints)
-            raise CheckpointError(f"{where} has {what} {min(names)!r:.80}: it must have exactly {allowed}")
-    return kind(**{name: _read(hint, value[name], f"{where}.{name}") for name, hint in hints.items()})
-
-
-def _items(parts: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
-    if not isinstance(value, list | tuple) or len(value) > _MOST_ITEMS:
-        raise _wrong(value, where, f"a list of at most {_MOST_ITEMS} values")
-    if parts[-1] is Ellipsis:
-        parts = (parts[0],) * len(value)
-    if len(value) != len(parts):
-        raise _wrong(value, where, f"a list of {len(parts)} values")
-    return tuple(_read(kind, each, f"{where}[{k}]") for k, (kind, each) in enumerate(zip(parts, value, strict=True)))
-
-
-def number(value: Any, where: str) -> float:
-    """A finite number.
+def read(kind: type[T], value: Any, where: str, error: type[DualUR10Error] = CheckpointError) -> T:
+    """Return a dataclass from the JSON object that holds its fields.
 
     Raises:
-        CheckpointError: It is none.
+        DualUR10Error: As `error`, with all findings and their paths: a field is missing, unknown or of another type,
+            or the dataclass refuses it.
     """
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise _wrong(value, where, "a number")
     try:
-        result = float(value)
-    except OverflowError:
-        result = math.inf
-    if not math.isfinite(result):
-        raise _wrong(value, where, "a finite number")
+        # As text again: only there does strictness take a list for a tuple and an object for a dataclass.
+        result = TypeAdapter(kind).validate_json(json.dumps(value))
+        found = list(_absent(dataclasses.asdict(result), value, where))  # type: ignore[call-overload]  # a dataclass
+    except ValidationError as reason:
+        found = [_finding(each, where) for each in reason.errors(include_url=False)]
+    if found:
+        more = [f"and {len(found) - _MOST_FINDINGS} more"] if len(found) > _MOST_FINDINGS else []
+        raise error("; ".join(found[:_MOST_FINDINGS] + more))
     return result
 
 
-def plain(value: Any, where: str, depth: int = 0) -> Any:
-    """A copy of a value of which the schema says no more than that it is JSON: lists, and objects with names as keys.
-
-    Raises:
-        CheckpointError: It holds something else, is too deep, or holds too much.
-    """
-    if depth > _DEEPEST:
-        raise CheckpointError(f"{where} is nested deeper than {_DEEPEST}: use plain values")
-    if value is None or isinstance(value, bool):
-        return value
-    if isinstance(value, str):
-        return _read(str, value, where)
-    if isinstance(value, int) and not isinstance(value, bool):
-        return _read(int, int(value), where)
-    if isinstance(value, float):
-        return number(value, where)
-    if isinstance(value, list | tuple) and len(value) <= _MOST_ITEMS:
-        return [plain(each, f"{where}[{k}]", depth + 1) for k, each in enumerate(value)]
-    if isinstance(value, Mapping) and len(value) <= _MOST_ITEMS:
-        return {_key(name, where): plain(each, f"{where}.{name}", depth + 1) for name, each in value.items()}
-    raise _wrong(value, where, "a text, a number, true, false, null, or a list or object of at most 8192 of them")
+def _absent(filled: Any, value: Any, path: str) -> Iterator[str]:
+    """Yield the fields that took a default because the JSON has none."""
+    if isinstance(filled, dict):
+        for key, each in filled.items():
+            if key in value:
+                yield from _absent(each, value[key], f"{path}.{key}")
+            else:
+                yield f"{path}.{key} is missing: write it down"
+    elif isinstance(filled, tuple):
+        for k, each in enumerate(filled):
+            yield from _absent(each, value[k], f"{path}[{k}]")
 
 
-def _key(name: Any, where: str) -> str:
-    if not isinstance(name, str) or not _KEY.fullmatch(name):
-        raise CheckpointError(f"{where} has the key {name!r:.80}: keys are letters, digits and _ ./+-, at most 64")
-    return name
-
-
-def _wrong(value: Any, where: str, allowed: str) -> CheckpointError:
-    return CheckpointError(f"{where} is {value!r:.80}: it must be {allowed}")
+def _finding(finding: Any, where: str) -> str:
+    path = where + "".join(f"[{key}]" if isinstance(key, int) else f".{key!s:.80}" for key in finding["loc"])
+    text, value = str(finding["msg"]), finding["input"]
+    if finding["type"] == "value_error":
+        lines = text.removeprefix("Value error, ").split("\n")
+        return "; ".join(f"{path}{line}" if line.startswith((".", "[", " ")) else f"{path}: {line}" for line in lines)
+    if finding["type"] in ("unexpected_keyword_argument", "missing"):
+        return f"{path} is {'missing: write it down' if finding['type'] == 'missing' else 'unknown: remove it'}"
+    allowed = text.replace("Input should be", "it must be").replace("String should have", "it must have")
+    return f"{path} is {value!r:.80}: {allowed}"

@@ -1,11 +1,14 @@
-"""What an environment is, as far as a policy made for it depends on it. Neither physics nor controllers are needed."""
+"""Environment signature stored in a checkpoint: spaces, rates, action mode and robot.
+
+It is computed from the keywords of an environment. Neither physics nor controllers are needed.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 
@@ -15,7 +18,7 @@ from dual_ur10.envs.core.setup import EnvSetup, load_task
 from dual_ur10.envs.tasks.task import Task
 from dual_ur10.errors import CheckpointError
 from dual_ur10.ids import ENV_IDS, env_id_of, task_name
-from dual_ur10.policies.learned import schema
+from dual_ur10.policies.learned.schema import JsonList, Numbers, Object, StrictJson, Text, Whole
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.adapter import ActionMode, ServojAdapter
 from dual_ur10.sim2real.control.servoj import Family, ServojProfile
@@ -23,28 +26,28 @@ from dual_ur10.sim2real.recording.describe import plain
 from dual_ur10.types import Array
 
 OPTIONS: Final = ("policy_rate_hz", "action_mode", "action_latency_ticks", "compensate_lag", "randomization")
-"""Keywords of every environment that are kept. Where things are (cells, records) is nobody else's business."""
+"""Options of the environment that a signature keeps. Paths of cells and records are private."""
 
 _MOST_SIZE: Final = 4096
 
 
 @dataclass(frozen=True)
-class Space:
+class Space(StrictJson):
     """A `gymnasium.spaces.Box` of one axis.
 
     Attributes:
         shape: (size,).
-        dtype: Of its numbers.
+        dtype: Type of its numbers.
         low, high: (size,) bounds.
 
     Raises:
         CheckpointError: The bounds do not fit the shape.
     """
 
-    shape: tuple[int]
+    shape: Annotated[tuple[Whole], JsonList]
     dtype: Literal["float32", "float64"]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
+    low: Numbers
+    high: Numbers
 
     def __post_init__(self) -> None:
         size = self.shape[0]
@@ -58,73 +61,73 @@ class Space:
 
 
 @dataclass(frozen=True)
-class Rate:
-    """When actions are taken.
+class Rate(StrictJson):
+    """Timing of actions.
 
     Attributes:
-        tick_s: Control period of the controllers.
-        period_ticks: Ticks of an action.
+        tick_s: Control period of the controllers, in s.
+        period_ticks: Ticks per action.
         latency_ticks: Ticks from an observation to the first target of its action.
     """
 
     tick_s: float
-    period_ticks: int
-    latency_ticks: int
+    period_ticks: Whole
+    latency_ticks: Whole
 
 
 @dataclass(frozen=True)
-class Actions:
-    """What actions mean.
+class Actions(StrictJson):
+    """Meaning of actions.
 
     Attributes:
         mode: See `dual_ur10.sim2real.control.adapter.ServojAdapter`.
-        gripper: Whether each arm's action ends with a gripper's opening.
-        compensate_lag: Whether the adapter takes the lag of `servoj` out.
-        joint_step_rad: What 1 is for each joint where they are steps of joints, else (); speed caps change it.
+        gripper: Each arm's action ends with a gripper width.
+        compensate_lag: The adapter compensates the lag of `servoj`.
+        joint_step_rad: Step of each joint for an action of 1 with "joint_delta", else (); speed caps change it.
     """
 
     mode: ActionMode
     gripper: bool
     compensate_lag: bool
-    joint_step_rad: tuple[float, ...]
+    joint_step_rad: Numbers
 
 
 @dataclass(frozen=True)
-class Robot:
-    """The arms.
+class Robot(StrictJson):
+    """Arms and their controllers.
 
     Attributes:
         model: Always "UR10".
-        family: Of their controllers.
+        family: Family of the controllers.
         lookahead_s, gain: Settings of `servoj`.
-        nominal_dh: Whether left and right have the kinematics of the data sheet; else they are calibrated.
+        nominal_dh: For left and right, True for the kinematics of the data sheet, False for calibrated ones.
     """
 
     model: Literal["UR10"]
     family: Family
     lookahead_s: float
     gain: float
-    nominal_dh: tuple[bool, bool]
+    nominal_dh: Annotated[tuple[bool, bool], JsonList]
 
 
 @dataclass(frozen=True)
-class Target:
-    """An environment, as far as a policy depends on it.
+class EnvironmentSignature(StrictJson):
+    """Properties of an environment that a policy depends on.
 
     Attributes:
-        env_id: Its id.
-        kwargs: Keywords that differ from their defaults: the task's, and of `OPTIONS`.
-        observation, action: Its spaces.
-        rate: When actions are taken.
-        actions: What they mean.
-        robot: The arms.
+        env_id: Id of the environment.
+        kwargs: Keywords of the task and of `OPTIONS` that differ from their defaults.
+        observation, action: Spaces of both arms together.
+        rate: Timing of actions.
+        actions: Meaning of actions.
+        robot: Arms and their controllers.
 
     Raises:
-        CheckpointError: There is no such environment.
+        CheckpointError: No such environment.
     """
 
-    env_id: str
-    kwargs: dict[str, object]
+    env_id: Text
+    kwargs: Object
     observation: Space
     action: Space
     rate: Rate
@@ -138,17 +141,17 @@ class Target:
             raise CheckpointError("observations and actions of two arms have an even number of numbers each")
 
 
-class Described:
-    """An environment and what it says of itself.
+class EnvironmentView:
+    """Signature of an environment, and the split of its observations into agents.
 
     Args:
-        setup: Of the environment.
-        task: Its task, for any number of cells.
-        adapter: Likewise.
+        setup: Resolved keywords of the environment.
+        task: Task of any number of cells.
+        adapter: Adapter of any number of cells.
 
     Attributes:
-        setup: As given.
-        target: What a policy depends on.
+        setup: Resolved keywords of the environment.
+        signature: Properties that a policy depends on.
     """
 
     def __init__(self, setup: EnvSetup, task: Task[Any, Any], adapter: ServojAdapter) -> None:
@@ -158,7 +161,7 @@ class Described:
         steps = adapter.mode == "joint_delta"
         step_rad = tuple((np.asarray(task.limits.speed_rad_s) * adapter.period_s).tolist()) if steps else ()
         mounts = (config.left, config.right)
-        self.target = Target(
+        self.signature = EnvironmentSignature(
             env_id=env_id_of(task.name),
             kwargs=_kwargs(setup),
             observation=Space((2 * layout.size,), "float64", tuple(layout.low.tolist()), tuple(layout.high.tolist())),
@@ -176,54 +179,53 @@ class Described:
 
     @property
     def agent_size(self) -> int:
-        """Number of values that each agent observes."""
+        """Size of each agent's observation."""
         return self.setup.task_type.agent_layout_for(self.setup.settings).size
 
     def split(self, observation: Array) -> Array:
-        """Each agent's own observation, (n, 2, size), from those of both, (n, size)."""
+        """Return each agent's own observation, (n, 2, agent_size), from observations of both, (n, size)."""
         return self._task.observe_agents(observation)
 
 
-def described(env_id: str, keywords: Mapping[str, Any]) -> Described:
-    """The environment with these keywords, which is not made.
+def view_of(env_id: str, keywords: Mapping[str, Any]) -> EnvironmentView:
+    """Return the view of an environment with these keywords, without making it.
 
     Raises:
-        UnknownNameError: There is no such environment, or keyword.
-        SettingsError: Or one of its kinds: a value is not legal.
+        UnknownNameError: No such environment, or keyword.
+        SettingsError: A value is not legal; or a subclass.
     """
     setup = EnvSetup.resolve(task_name(env_id_of(env_id)), keywords)
-    adapter = setup.make_adapter()
-    return Described(setup, setup.make_task(), adapter)
+    return EnvironmentView(setup, setup.make_task(), setup.make_adapter())
 
 
-def described_env(env: Any) -> Described:
-    """An environment of any of the interfaces.
+def view_of_env(env: Any) -> EnvironmentView:
+    """Return the view of an environment of any interface.
 
     Raises:
-        CheckpointError: It is none.
+        CheckpointError: It is no environment of this package.
     """
     core = getattr(getattr(env, "unwrapped", env), "core", None)
     core = getattr(getattr(env, "cells", None), "core", None) if core is None else core
     if core is None:
         raise CheckpointError(f"{type(env).__name__} is no environment of dual_ur10: pass one, or its id and keywords")
-    return Described(core.setup, core.task, core.pipeline.adapter)
+    return EnvironmentView(core.setup, core.task, core.pipeline.adapter)
 
 
-def described_target(target: Target) -> Described:
-    """The environment that somebody's target speaks of, in simulation.
+def view_of_signature(signature: EnvironmentSignature) -> EnvironmentView:
+    """Return the view of the simulated environment that a checkpoint's signature describes.
 
     Raises:
-        CheckpointError: Its keywords do not make one.
+        CheckpointError: Its keywords make no environment.
     """
-    kind = load_task(task_name(target.env_id))
+    kind = load_task(task_name(signature.env_id))
     known = [*OPTIONS, *(each.name for each in dataclasses.fields(kind.settings_type))]
-    for name in target.kwargs:
+    for name in signature.kwargs:
         if name not in known:
             raise CheckpointError(f"kwargs has an unknown {name!r:.80}: allowed are {', '.join(known)}")
-    robot = target.robot
+    robot = signature.robot
     try:
         cell = CellConfig(servoj=ServojProfile(robot.family, robot.lookahead_s, robot.gain))
-        return described(target.env_id, {**target.kwargs, "cell": cell})
+        return view_of(signature.env_id, {**signature.kwargs, "cell": cell})
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
         raise CheckpointError(f"its kwargs make no environment: {error!s:.300}") from error
 
@@ -241,5 +243,5 @@ def _kwargs(setup: EnvSetup) -> dict[str, object]:
         value = getattr(settings, each.name)
         if plain(value) != plain(getattr(default, each.name)):
             result[each.name] = value
-    checked: dict[str, object] = schema.plain(plain(result), "kwargs")
-    return checked
+    kept: dict[str, object] = plain(result)
+    return kept

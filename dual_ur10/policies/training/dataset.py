@@ -13,7 +13,7 @@ from dual_ur10.ids import env_id_of, task_name
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.evaluation.evaluate import actor_of
 from dual_ur10.policies.evaluation.minari_export import to_minari
-from dual_ur10.policies.learned.signature import Described, described
+from dual_ur10.policies.learned.signature import EnvironmentView, view_of
 from dual_ur10.policies.policy import EpisodeAware
 from dual_ur10.policies.training.settings import check_simulated
 from dual_ur10.sim2real.recording.describe import describe
@@ -168,12 +168,12 @@ def _episode(own: dict[str, list[Any]], seed: int, number: int, success: bool, e
     )
 
 
-def read_dataset(dataset_id: str, place: Described) -> tuple[Single, Single]:
+def read_dataset(dataset_id: str, view: EnvironmentView) -> tuple[Single, Single]:
     """Observations, (k, O), and actions, (k, A), of the successful episodes of a dataset; of all, if none says.
 
     Args:
         dataset_id: Of Minari, on this machine.
-        place: The environment that is to be learned.
+        view: Environment to learn.
 
     Raises:
         DatasetError: There is none, or it is of another environment, rate, latency or kind of action.
@@ -185,15 +185,15 @@ def read_dataset(dataset_id: str, place: Described) -> tuple[Single, Single]:
         spec = dataset.storage.metadata.get("env_spec")
     except Exception as error:  # Minari raises what its storage does
         raise DatasetError(f"the dataset {dataset_id!r:.120} cannot be read: {error!s:.200}") from error
-    _check(dataset_id, spec, place)
-    size = place.target.observation.shape[0] // 2
+    _check(dataset_id, spec, view)
+    size = view.signature.observation.shape[0] // 2
     observations, actions = [], []
     try:
         for episode in dataset.iterate_episodes(_chosen(dataset_id, dataset)):
             arms = np.stack([episode.observations[arm] for arm in ARMS], axis=1)[:-1]
             # Each agent's numbers begin with its half of what both observe.
             joint = arms[..., :size].reshape(len(arms), -1)
-            if not np.allclose(place.split(joint), arms, atol=1e-6):
+            if not np.allclose(view.split(joint), arms, atol=1e-6):
                 raise DatasetError(f"{dataset_id}: an agent's observation is not its part of what both observe")
             observations.append(joint.astype(np.float32))
             actions.append(np.concatenate([episode.actions[arm] for arm in ARMS], axis=1).astype(np.float32))
@@ -204,7 +204,7 @@ def read_dataset(dataset_id: str, place: Described) -> tuple[Single, Single]:
     if not observations:
         raise DatasetError(f"{dataset_id} has no episodes")
     observation, action = np.concatenate(observations), np.concatenate(actions)
-    if action.shape[1] != place.target.action.shape[0] or not (
+    if action.shape[1] != view.signature.action.shape[0] or not (
         np.isfinite(observation).all() and np.isfinite(action).all()
     ):
         raise DatasetError(f"{dataset_id} has actions of another size, or numbers that are not finite")
@@ -225,17 +225,17 @@ def _chosen(dataset_id: str, dataset: Any) -> list[int]:
     raise DatasetError(f"{dataset_id} has {len(every)} episodes, of which none succeeded: there is nothing to learn")
 
 
-def _check(dataset_id: str, spec: Any, place: Described) -> None:
+def _check(dataset_id: str, spec: Any, view: EnvironmentView) -> None:
     import gymnasium as gym
 
     try:
         found = gym.envs.registration.EnvSpec.from_json(spec)
         keywords = {name: value for name, value in found.kwargs.items() if name != "task"}  # the id names it
-        target = described(str(found.id), keywords).target
+        signature = view_of(str(found.id), keywords).signature
     except Exception as error:  # whatever a text can be that says what environment it is
         raise DatasetError(f"{dataset_id} does not say what environment it is of: {error!s:.200}") from error
     for name in _SAME:
-        theirs, ours = getattr(target, name), getattr(place.target, name)
+        theirs, ours = getattr(signature, name), getattr(view.signature, name)
         if theirs != ours:
             raise DatasetError(
                 f"{dataset_id} is of an environment with {name} {theirs!r:.200}, this one has {ours!r:.200}: collect "

@@ -27,9 +27,9 @@ from dual_ur10.policies.evaluation.evaluate import evaluate
 from dual_ur10.policies.evaluation.results import Evaluation
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.learned.checkpoint import Networks
+from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.learned.manifest import Manifest
-from dual_ur10.policies.learned.policy import LearnedPolicy
-from dual_ur10.policies.learned.signature import described
+from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.training import seeds, state
 from dual_ur10.policies.training.progress import Check, draw_curve
 from dual_ur10.policies.training.settings import Imitation, Reinforcement, Training
@@ -172,9 +172,9 @@ class TrainingFolder:
 
     def policy_of(self, networks: Networks, manifest: Manifest) -> LearnedPolicy:
         """The policy of these weights, in the environment of the training."""
-        place = described(self.training.env_id, self.training.keywords)
+        view = view_of(self.training.env_id, self.training.keywords)
         layers = [[(np.asarray(w, np.float32), np.asarray(b, np.float32)) for w, b in each] for each in networks]
-        return LearnedPolicy(manifest, layers, place)
+        return LearnedPolicy(manifest, layers, view)
 
     def _look(self, policy: LearnedPolicy) -> Evaluation:
         """Evaluate a policy on episodes that nothing is learned from."""

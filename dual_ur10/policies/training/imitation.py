@@ -16,9 +16,9 @@ import numpy as np
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.errors import TrainingError
 from dual_ur10.ids import task_name
+from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.learned.manifest import Manifest
-from dual_ur10.policies.learned.policy import LearnedPolicy
-from dual_ur10.policies.learned.signature import Described, described
+from dual_ur10.policies.learned.signature import EnvironmentView, view_of
 from dual_ur10.policies.training import seeds, state
 from dual_ur10.policies.training.dataset import read_dataset
 from dual_ur10.policies.training.expert import Expert
@@ -57,7 +57,7 @@ class Imitator:
             raise TrainingError(f"{self._asked.algorithm} does not imitate")
         self._settings: Imitation = self._asked.settings
         self._threads = threads
-        self._place: Described = described(self._asked.env_id, self._asked.keywords)
+        self._view: EnvironmentView = view_of(self._asked.env_id, self._asked.keywords)
         self._blind = self._unseen()
         self._told, self._shown_s = on_progress, 0.0
         self._progress = Progress(0, self._asked.steps)
@@ -82,7 +82,7 @@ class Imitator:
         """
         begun = time.monotonic() - self._folder.seconds
         if self._asked.dataset and not self._samples:
-            self._add(read_dataset(self._asked.dataset, self._place), begun)
+            self._add(read_dataset(self._asked.dataset, self._view), begun)
         env = None
         try:
             while not self._has_all:
@@ -159,7 +159,7 @@ class Imitator:
 
     def _load_samples(self, number: int) -> tuple[Single, Single]:
         found = state.load_tensors(self._path(number))
-        sizes = (self._place.target.observation.shape[0], self._place.target.action.shape[0])
+        sizes = (self._view.signature.observation.shape[0], self._view.signature.action.shape[0])
         try:
             samples = found["observation"], found["action"]
         except KeyError as error:
@@ -202,7 +202,7 @@ class Imitator:
         """Samples for each network."""
         if self._asked.agents == "joint":
             return [(observation, action)]
-        own = self._place.split(observation.astype(np.float64)).astype(np.float32)
+        own = self._view.split(observation.astype(np.float64)).astype(np.float32)
         arms = action.reshape(len(action), 2, -1)
         if self._asked.agents == "shared":
             return [(own.reshape(2 * len(own), -1), arms.reshape(2 * len(arms), -1))]
@@ -214,7 +214,7 @@ class Imitator:
         Raises:
             UnknownNameError: The task has no such field.
         """
-        task, settings = self._place.setup.task_type, self._place.setup.settings
+        task, settings = self._view.setup.task_type, self._view.setup.settings
         joint = self._asked.agents == "joint"
         layout = task.layout_for(settings) if joint else task.agent_layout_for(settings)
         absent = {*task.layout.names} - {*layout.names}  # with these settings of the task
@@ -229,13 +229,13 @@ class Imitator:
         """Layers and normaliser to begin with, for each network."""
         if not self._asked.init:
             return [(None, None)] * count
-        policy = beginning(self._asked, self._place)
+        policy = beginning(self._asked, self._view)
         normalisers = policy.manifest.normalisers or (None,) * count
         return list(zip(policy.layers, normalisers, strict=True))
 
     def _manifest(self, fits: list[Fit], evaluation: dict[str, object] | None = None) -> Manifest:
         return Manifest(
-            target=self._place.target,
+            signature=self._view.signature,
             agents=self._asked.agents,  # type: ignore[arg-type]  # checked
             network=fits[0].shape(),
             normalisers=tuple(fit.normaliser for fit in fits if fit.normaliser is not None),

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dual_ur10.errors import CheckpointError, TrainingError
 from dual_ur10.policies.learned import checkpoint
+from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.learned.network import NetworkShape
-from dual_ur10.policies.learned.policy import LearnedPolicy
-from dual_ur10.policies.learned.signature import Described, described
+from dual_ur10.policies.learned.signature import EnvironmentView, view_of
 from dual_ur10.policies.training.dataset import read_dataset
 from dual_ur10.policies.training.settings import Imitation, Training
 
@@ -19,23 +19,23 @@ def check_given(training: Training) -> None:
         CheckpointError: The checkpoint cannot be read, or is of another environment.
         DatasetError: The dataset cannot be read, or is of another environment.
     """
-    place = described(training.env_id, training.keywords)
-    shape_of(training, place)
+    view = view_of(training.env_id, training.keywords)
+    shape_of(training, view)
     if training.init:
-        beginning(training, place)
+        beginning(training, view)
     if training.dataset:
-        read_dataset(training.dataset, place)
+        read_dataset(training.dataset, view)
 
 
-def shape_of(training: Training, place: Described) -> NetworkShape:
+def shape_of(training: Training, view: EnvironmentView) -> NetworkShape:
     """The network that is trained.
 
     Raises:
         TrainingError: It is too large.
     """
-    sees, acts = place.target.observation.shape[0], place.target.action.shape[0]
+    sees, acts = view.signature.observation.shape[0], view.signature.action.shape[0]
     if training.agents != "joint":
-        sees, acts = place.agent_size, acts // 2
+        sees, acts = view.agent_size, acts // 2
     settings = training.settings
     activation = settings.activation if isinstance(settings, Imitation) else "tanh"
     try:
@@ -44,7 +44,7 @@ def shape_of(training: Training, place: Described) -> NetworkShape:
         raise TrainingError(f"hidden is {settings.hidden}: {error}") from error
 
 
-def beginning(training: Training, place: Described) -> LearnedPolicy:
+def beginning(training: Training, view: EnvironmentView) -> LearnedPolicy:
     """The checkpoint to begin with.
 
     Raises:
@@ -52,7 +52,7 @@ def beginning(training: Training, place: Described) -> LearnedPolicy:
         CheckpointError: It cannot be read, or is of another environment.
     """
     policy = checkpoint.load(training.init, training.env_id, **training.keywords)
-    wanted, found = shape_of(training, place), policy.manifest.network
+    wanted, found = shape_of(training, view), policy.manifest.network
     if (policy.manifest.agents, found) != (training.agents, wanted):
         raise TrainingError(
             f"{training.init} is {policy.manifest.agents}, {_text(found)}; this training makes {training.agents}, "

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.errors import MissingExtraError, TrainingError
-from dual_ur10.policies.learned.policy import LearnedPolicy
+from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.training.settings import Reinforcement
 from dual_ur10.policies.training.state import Tensors
 

@@ -14,7 +14,7 @@ from dual_ur10.errors import MissingExtraError, TrainingError
 from dual_ur10.ids import task_name
 from dual_ur10.policies.learned.from_sb3 import converted
 from dual_ur10.policies.learned.manifest import Manifest
-from dual_ur10.policies.learned.signature import described
+from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.training import models, seeds
 from dual_ur10.policies.training.alternating_learners import Turns
 from dual_ur10.policies.training.folder import TrainingFolder
@@ -98,7 +98,7 @@ class Reinforcer:
             for k, (model, around) in enumerate(self._models):
                 models.restore(model, around, f"{k}.", self._state[0])
         elif asked.init:
-            models.begin_with(self._models, beginning(asked, described(asked.env_id, asked.keywords)))
+            models.begin_with(self._models, beginning(asked, view_of(asked.env_id, asked.keywords)))
         for k, (model, _) in enumerate(self._models):
             model.set_logger(self._folder.logger if k == 0 else _silent())
         per_step = 1 if asked.agents == "joint" or turns is not None else 2

@@ -1,4 +1,4 @@
-"""Settings of trainings, for every task in one place. Shipped policies were made with these."""
+"""Settings of trainings, for every task in one view. Shipped policies were made with these."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.ids import env_id_of, task_name
 from dual_ur10.policies.learned.manifest import AgentsKind
 from dual_ur10.policies.learned.network import Activation
-from dual_ur10.policies.learned.signature import described
+from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.training import seeds
 from dual_ur10.sim2real.config.cell_file import resolve_cell
 
@@ -326,7 +326,7 @@ def defaults(
         raise SettingsError("randomization is set twice: by its option and by a keyword")
     given.setdefault("randomization", own.randomization if randomization is None else randomization)
     given.setdefault("action_latency_ticks", LATENCY_TICKS)
-    described(env_id, given)  # before anything is made, for keywords that make no environment
+    view_of(env_id, given)  # before anything is made, for keywords that make no environment
     return Training(
         env_id=env_id,
         algorithm=algorithm,

@@ -32,10 +32,10 @@ from dual_ur10.cli import main as cli
 from dual_ur10.envs import parallel_env
 from dual_ur10.errors import ActionError, CheckpointError, SettingsError, UnknownNameError
 from dual_ur10.policies.evaluation.evaluate import evaluate
-from dual_ur10.policies.learned import checkpoint, manifest
+from dual_ur10.policies.learned import checkpoint, schema
 from dual_ur10.policies.learned.manifest import Manifest
 from dual_ur10.policies.learned.network import NetworkShape, Normaliser
-from dual_ur10.policies.learned.signature import described
+from dual_ur10.policies.learned.signature import view_of
 from tests.soak import SOAK
 
 SINE, CARRY, HANDOVER = dual_ur10.ENV_IDS
@@ -44,10 +44,10 @@ KINDS = ("joint", "shared", "independent")
 
 def parts(env_id: str = SINE, agents: str = "joint", hidden: int = 4, **keywords: Any) -> tuple[list[Any], Manifest]:
     rng = np.random.default_rng(KINDS.index(agents))
-    place = described(env_id, keywords)
-    target = place.target
-    size = target.observation.shape[0] if agents == "joint" else place.agent_size
-    shape = NetworkShape((size, hidden, target.action.shape[0] // (1 if agents == "joint" else 2)), "tanh", "clip")
+    view = view_of(env_id, keywords)
+    signature = view.signature
+    size = signature.observation.shape[0] if agents == "joint" else view.agent_size
+    shape = NetworkShape((size, hidden, signature.action.shape[0] // (1 if agents == "joint" else 2)), "tanh", "clip")
     count = 2 if agents == "independent" else 1
     networks = [
         [
@@ -57,7 +57,7 @@ def parts(env_id: str = SINE, agents: str = "joint", hidden: int = 4, **keywords
         for _ in range(count)
     ]
     made = Manifest(
-        target=target,
+        signature=signature,
         agents=agents,  # type: ignore[arg-type]  # one of KINDS
         network=shape,
         normalisers=tuple(
@@ -159,7 +159,7 @@ def test_two_agents_act_on_their_own_observations(env_id: str, agents: str, tmp_
     own, _ = env.reset(seed=1)
     both = env.state()
     action = policy(both)
-    assert action.shape == (made.target.action.shape[0],)
+    assert action.shape == (made.signature.action.shape[0],)
     assert action.dtype == np.float32
     if agents == "joint":
         with pytest.raises(UnknownNameError):
@@ -381,9 +381,9 @@ def test_manifests_that_could_not_be_read_are_not_written(changes: Any, said: st
     [
         ({"normalisers": (Normaliser((0.0,), (1.0,)),)}, "means for"),
         ({"normalisers": (Normaliser((0.0,) * 68, (1.0,) * 68),) * 2}, "normalisers for"),
-        ({"network": NetworkShape((67, 12), "tanh", "clip"), "normalisers": ()}, "go into"),
-        ({"network": NetworkShape((68, 13), "tanh", "clip")}, "come out"),
-        ({"agents": "shared"}, "come out"),
+        ({"network": NetworkShape((67, 12), "tanh", "clip"), "normalisers": ()}, "67 inputs"),
+        ({"network": NetworkShape((68, 13), "tanh", "clip")}, "outputs"),
+        ({"agents": "shared"}, "outputs"),
         ({"versions": {}}, "versions"),
         ({"versions": {"dual_ur10": "one"}}, "versions"),
         ({"weights_sha256": "x"}, "64 digits"),
@@ -478,6 +478,35 @@ def test_any_value_missing_or_more_of_them(saved: Path) -> None:
             checkpoint.load(saved)
 
 
+def test_all_findings_are_reported_with_their_paths(saved: Path) -> None:
+    def change(value: dict[str, Any]) -> None:
+        value["signature"]["rate"]["tick_s"] = "fast"
+        value["network"]["activation"] = "gelu"
+        value["normalisers"][0]["mean"][3] = None
+        value["training"]["text"] = "x" * 3000
+        value["training"]["steps"] = 2**70
+        del value["seed"], value["evaluation"]
+        value["surprise"] = 1
+
+    edit(saved, change)
+    with pytest.raises(CheckpointError) as found:
+        checkpoint.load(saved)
+    for text in (
+        "manifest.json.signature.rate.tick_s is 'fast': it must be a valid number",
+        "manifest.json.network.activation is 'gelu': it must be 'tanh' or 'relu'",
+        "manifest.json.normalisers[0].mean[3] is None",
+        "manifest.json.training.text has 3000 characters: at most 2000 are allowed",
+        "manifest.json.training.steps is 1180591620717411303424: it must be a whole number of 64 bits",
+        "manifest.json.surprise is unknown: remove it",
+    ):
+        assert text in str(found.value)
+    shutil.rmtree(saved)
+    checkpoint.save(saved, *parts())
+    edit(saved, lambda value: (value.pop("seed"), value["normalisers"][0].pop("clip")))
+    with pytest.raises(CheckpointError, match=r"normalisers\[0\].clip is missing.*; .*seed is missing: write it down"):
+        checkpoint.load(saved)
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -517,7 +546,7 @@ def test_numbers_that_are_not_finite(number: str, saved: Path) -> None:
     with pytest.raises(CheckpointError):
         checkpoint.load(saved)
     with pytest.raises(CheckpointError, match="finite"):
-        manifest.schema.number(float("inf"), "x")
+        schema.read(Normaliser, {"mean": [1.0], "var": [1.0], "clip": float("inf"), "epsilon": 1.0}, "x")
 
 
 def test_weights_of_another_layout(saved: Path) -> None:
@@ -715,7 +744,7 @@ def test_keywords_from_the_file_open_nothing(saved: Path, tmp_path: Path) -> Non
         ("task", "x"),
         ("arm", "left"),
     ):
-        edit(saved, lambda value, name=name, new=new: value["target"].update(kwargs={name: new}))
+        edit(saved, lambda value, name=name, new=new: value["signature"].update(kwargs={name: new}))
         with pytest.raises(CheckpointError, match="unknown"):
             checkpoint.load(saved)
     assert sorted(os.listdir(tmp_path)) == ["copy", "lab.toml"]
@@ -727,7 +756,7 @@ def test_keywords_from_the_file_open_nothing(saved: Path, tmp_path: Path) -> Non
         {"randomization": "x"},
         {"center_m": {}},
     ):
-        edit(saved, lambda value, kwargs=kwargs: value["target"].update(kwargs=kwargs))
+        edit(saved, lambda value, kwargs=kwargs: value["signature"].update(kwargs=kwargs))
         with pytest.raises(CheckpointError):
             checkpoint.load(saved)
 
@@ -806,7 +835,7 @@ def test_a_checkpoint_of_another_version(version: str, saved: Path) -> None:
 )
 def test_what_it_says_of_its_environment_must_be_true(path: tuple[Any, ...], new: Any, saved: Path) -> None:
     """Also when everything else in it fits."""
-    (saved / "manifest.json").write_bytes(sealed(put(content(saved), ("target", *path), new)))
+    (saved / "manifest.json").write_bytes(sealed(put(content(saved), ("signature", *path), new)))
     with pytest.raises(CheckpointError):
         policies.load(saved, SINE, action_latency_ticks=5, amplitude_m=0.08)
     if path[-1] not in ("lookahead_s", "gain"):  # of which an environment of its own can be made
@@ -857,4 +886,4 @@ def test_another_family_loads_by_itself(tmp_path: Path) -> None:
     profile = dual_ur10.ServojProfile("e-series", gain=1800.0)
     networks, made = parts(HANDOVER, "shared", cell=dual_ur10.CellConfig(servoj=profile), action_latency_ticks=20)
     checkpoint.save(tmp_path / "x", networks, made)
-    assert checkpoint.load(tmp_path / "x").manifest.target.robot.gain == 1800.0
+    assert checkpoint.load(tmp_path / "x").manifest.signature.robot.gain == 1800.0

@@ -79,7 +79,7 @@ def test_observations_are_normalised_as_in_training() -> None:
     around.obs_rms.mean, around.obs_rms.var = rng.normal(size=68), rng.uniform(0.1, 3, size=68)
     model = model_of("ppo")
     networks, manifest = converted(model, SINE, vec_normalize=around, **KEYWORDS)
-    loaded = checkpoint.LearnedPolicy(manifest, networks, checkpoint.described(SINE, KEYWORDS))
+    loaded = checkpoint.LearnedPolicy(manifest, networks, checkpoint.view_of(SINE, KEYWORDS))
     observation = rng.normal(size=(50, 68)) * 3
     expected, _ = model.predict(around.normalize_obs(observation), deterministic=True)
     np.testing.assert_allclose(loaded(observation), expected, atol=1e-5)
@@ -90,7 +90,7 @@ def test_observations_are_normalised_as_in_training() -> None:
 def test_two_models_of_two_arms() -> None:
     models = [model_of("sac", 56, 7, seed) for seed in range(2)]
     networks, manifest = converted(models, HANDOVER, agents="independent", **KEYWORDS)
-    loaded = checkpoint.LearnedPolicy(manifest, networks, checkpoint.described(HANDOVER, KEYWORDS))
+    loaded = checkpoint.LearnedPolicy(manifest, networks, checkpoint.view_of(HANDOVER, KEYWORDS))
     observation = np.random.default_rng(0).normal(size=112)
     for half, model, own in zip(np.split(loaded(observation), 2), models, np.split(observation, 2), strict=True):
         np.testing.assert_allclose(half, model.predict(own, deterministic=True)[0], atol=1e-5)
@@ -147,5 +147,5 @@ def test_networks_of_another_kind_are_refused() -> None:
             network_of(model)
     with pytest.raises(CheckpointError, match="PPO or SAC"):
         network_of(sb3.TD3("MlpPolicy", Spaces(3, 2), buffer_size=10))
-    with pytest.raises(CheckpointError, match="come out"):
+    with pytest.raises(CheckpointError, match="outputs"):
         converted(model_of("ppo", 68, 11), SINE)

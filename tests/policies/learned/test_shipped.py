@@ -30,8 +30,8 @@ def test_there_are_some_for_one_agent_and_for_two():
 def test_its_card_says_what_its_manifest_says(name, env_id):
     folder = shipped_folder(name, env_id)
     manifest, card = checkpoint.read_manifest(folder), (folder / "card.md").read_text()
-    assert manifest.target.env_id == env_id
-    assert manifest.target.rate.latency_ticks > 0
+    assert manifest.signature.env_id == env_id
+    assert manifest.signature.rate.latency_ticks > 0
     assert manifest.weights_sha256 in card
     assert f"--seed {manifest.seed}" in card
     assert re.search(r"python -m dual_ur10 train \w+", card)
@@ -57,7 +57,7 @@ def test_it_is_loaded_by_name_and_acts(name, env_id):
 @pytest.mark.parametrize(("name", "env_id"), ALL)
 def test_it_succeeds(name, env_id):
     episodes = 300 if SOAK else 4 if "SyncCarry" in env_id else 8  # its physics is the slowest
-    keywords = checkpoint.read_manifest(shipped_folder(name, env_id)).target.kwargs  # what it was trained for
+    keywords = checkpoint.read_manifest(shipped_folder(name, env_id)).signature.kwargs  # what it was trained for
     found = evaluate(env_id, name, episodes=episodes, num_envs=64, env_kwargs=dict(keywords))
     assert found.successes >= (0.9 if SOAK else 0.75) * episodes
 

@@ -10,7 +10,7 @@ import pytest
 from dual_ur10 import policies
 from dual_ur10.errors import DatasetError, SettingsError
 from dual_ur10.policies.evaluation.evaluate import evaluate
-from dual_ur10.policies.learned.signature import described
+from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.training.dataset import collect, read_dataset
 from dual_ur10.sim2real.config.cell_file_reference import starting_text
 
@@ -54,7 +54,7 @@ def test_anyone_with_minari_can_use_it():
 
 def test_what_is_read_is_what_was_seen_and_done():
     made(episodes=1)
-    observation, action = read_dataset("ur10/sine/scripted-v0", described(SINE, KEYWORDS))
+    observation, action = read_dataset("ur10/sine/scripted-v0", view_of(SINE, KEYWORDS))
     policy = policies.load("scripted", SINE, **KEYWORDS)
     assert observation.shape == (50, 68)
     said = np.array([policy(row) for row in observation.astype(np.float64)])
@@ -63,11 +63,11 @@ def test_what_is_read_is_what_was_seen_and_done():
 
 def test_only_what_went_well_is_learned_from():
     made("ur10/other-v0", policy="scripted", episodes=2)
-    place = described(SINE, KEYWORDS)
-    whole, _ = read_dataset("ur10/other-v0", place)
+    view = view_of(SINE, KEYWORDS)
+    whole, _ = read_dataset("ur10/other-v0", view)
     dataset = minari.load_dataset("ur10/other-v0")
     dataset.storage.update_episode_metadata([{"success": "false"}], [0])
-    half, _ = read_dataset("ur10/other-v0", place)
+    half, _ = read_dataset("ur10/other-v0", view)
     assert (len(whole), len(half)) == (100, 50)
     np.testing.assert_array_equal(half, whole[50:])
 
@@ -75,25 +75,25 @@ def test_only_what_went_well_is_learned_from():
 def test_nothing_is_learned_where_nothing_went_well():
     made(episodes=2)
     storage = minari.load_dataset("ur10/sine/scripted-v0").storage
-    place = described(SINE, KEYWORDS)
+    view = view_of(SINE, KEYWORDS)
     storage.update_episode_metadata([{"success": "false"}] * 2, [0, 1])
     with pytest.raises(DatasetError, match="2 episodes, of which none succeeded"):
-        read_dataset("ur10/sine/scripted-v0", place)
+        read_dataset("ur10/sine/scripted-v0", view)
     storage.update_episode_metadata([{"success": "unknown"}] * 2, [0, 1])
-    assert len(read_dataset("ur10/sine/scripted-v0", place)[0]) == 100
+    assert len(read_dataset("ur10/sine/scripted-v0", view)[0]) == 100
 
 
 def test_a_damaged_one_is_named(tmp_path):
     made(episodes=2)
     path = minari.load_dataset("ur10/sine/scripted-v0").storage.data_path / "main_data.hdf5"
-    place, whole = described(SINE, KEYWORDS), path.read_bytes()
+    view, whole = view_of(SINE, KEYWORDS), path.read_bytes()
     with h5py.File(path, "a") as file:
         del file["episode_1"]
     with pytest.raises(DatasetError, match=r"ur10/sine/scripted-v0 .*cannot be read"):
-        read_dataset("ur10/sine/scripted-v0", place)
+        read_dataset("ur10/sine/scripted-v0", view)
     path.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(DatasetError, match=r"ur10/sine/scripted-v0.* cannot be read"):
-        read_dataset("ur10/sine/scripted-v0", place)
+        read_dataset("ur10/sine/scripted-v0", view)
 
 
 @pytest.mark.parametrize("policy", ["zero", "random"])
@@ -129,7 +129,7 @@ def test_one_of_another_environment_is_refused(other, match):
     env_id = other.pop("env_id", SINE)
     keywords = {name: value for name, value in {**KEYWORDS, **other}.items() if value is not None}
     with pytest.raises(DatasetError, match=f"with {match}"):
-        read_dataset("ur10/sine/scripted-v0", described(env_id, keywords))
+        read_dataset("ur10/sine/scripted-v0", view_of(env_id, keywords))
 
 
 def test_nothing_is_written_over():
@@ -149,7 +149,7 @@ def test_names_that_are_none_are_refused_before_anything_runs(name, monkeypatch)
 @pytest.mark.parametrize("name", ["no/such-v0", "nonsense"])
 def test_one_that_is_not_there_is_refused(name):
     with pytest.raises(DatasetError, match="cannot be read"):
-        read_dataset(name, described(SINE, KEYWORDS))
+        read_dataset(name, view_of(SINE, KEYWORDS))
 
 
 def test_one_that_does_not_say_what_it_is_of_is_refused():
@@ -159,7 +159,7 @@ def test_one_that_does_not_say_what_it_is_of_is_refused():
     for spec in (None, "", "{}", '{"id": "CartPole-v1"}'):
         path.write_text(json.dumps({**told, "env_spec": spec}))
         with pytest.raises(DatasetError, match=r"does not say|cannot be read"):
-            read_dataset("ur10/sine/scripted-v0", described(SINE, KEYWORDS))
+            read_dataset("ur10/sine/scripted-v0", view_of(SINE, KEYWORDS))
 
 
 def test_cloning_learns_from_one_and_from_nothing_else(tmp_path, monkeypatch):

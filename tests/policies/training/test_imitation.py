@@ -53,8 +53,8 @@ def test_its_folder_has_all_that_it_says(whole):
 
 def test_what_comes_of_it_says_where_it_is_from(whole):
     manifest = checkpoint.read_manifest(whole)
-    assert manifest.target.env_id == SINE
-    assert manifest.target.rate.latency_ticks == 5
+    assert manifest.signature.env_id == SINE
+    assert manifest.signature.rate.latency_ticks == 5
     assert manifest.training["algorithm"] == "dagger"
     assert manifest.training["steps"] in (2 * STEPS, 2 * 2 * STEPS, 3 * 2 * STEPS)
     assert manifest.training["settings"]["hidden"] == [16]

@@ -1,4 +1,4 @@
-"""A policy that was learned: networks, and what each of them observes."""
+"""Learned policies: networks, and the part of the observation that each of them receives."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from dual_ur10.errors import ActionError, UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.learned.manifest import Manifest
 from dual_ur10.policies.learned.network import Layer, Network
-from dual_ur10.policies.learned.signature import Described
+from dual_ur10.policies.learned.signature import EnvironmentView
 from dual_ur10.types import Array
 
 Actions = NDArray[Any]
 
 
 class LearnedPolicy:
-    """Acts for both arms, as a scripted policy does. It keeps nothing from one observation to the next.
+    """Policy for both arms. It has no state: an action depends on one observation alone.
 
     Args:
-        manifest: What it says of itself.
+        manifest: Manifest of the checkpoint.
         networks: Layers of each network, in the order of `Manifest.names`.
-        described: The environment that it acts in; that of the manifest, as has been checked.
+        view: Environment to act in, already checked against the manifest.
 
     Attributes:
-        manifest: What it says of itself.
-        layers: Those of each network.
+        manifest: Manifest of the checkpoint.
+        layers: Layers of each network.
     """
 
-    def __init__(self, manifest: Manifest, networks: Sequence[Sequence[Layer]], described: Described) -> None:
+    def __init__(self, manifest: Manifest, networks: Sequence[Sequence[Layer]], view: EnvironmentView) -> None:
         self.manifest, self.layers = manifest, networks
-        self._described, self._joint = described, manifest.agents == "joint"
-        self._size = manifest.target.observation.shape[0]
-        space = manifest.target.action
+        self._view, self._joint = view, manifest.agents == "joint"
+        self._size = manifest.signature.observation.shape[0]
+        space = manifest.signature.action
         low, high = np.array(space.low, dtype=np.float32), np.array(space.high, dtype=np.float32)
         # Bounds of each agent's action are its half.
         sides = [slice(None)] if self._joint else [slice(0, len(low) // 2), slice(len(low) // 2, None)]
@@ -47,39 +47,39 @@ class LearnedPolicy:
         ]
 
     def __repr__(self) -> str:
-        return f"LearnedPolicy({self.manifest.target.env_id}, {self.manifest.agents}, {self.sha256[:12]})"
+        return f"LearnedPolicy({self.manifest.signature.env_id}, {self.manifest.agents}, {self.sha256[:12]})"
 
     @property
     def sha256(self) -> str:
-        """Of the file of its weights: the same training gives the same one."""
+        """Hash of the file of the weights: the same training gives the same one."""
         return self.manifest.weights_sha256
 
     def reset(self) -> None:
-        """There is nothing to forget."""
+        """Do nothing: there is no state."""
 
     def begin(self, rows: Any, seeds: Sequence[int]) -> None:
-        """Begin episodes in these rows of the batch; see `dual_ur10.policies.policy.EpisodeAware`."""
+        """Do nothing; see `dual_ur10.policies.policy.EpisodeAware`."""
 
     def __call__(self, observation: Array) -> Actions:
-        """Action of float32 for an observation, or one for each row of a batch of observations.
+        """Return an action of float32 for an observation, or one for each row of a batch of observations.
 
         Raises:
             ActionError: Not an observation of its environment.
         """
-        given = _checked(observation, self._size, self.manifest.target.env_id)
+        given = _checked(observation, self._size, self.manifest.signature.env_id)
         batch = given.reshape(-1, self._size)
         if self._joint:
             action = self._networks[0](batch)
         else:
-            own = self._described.split(batch)
+            own = self._view.split(batch)
             action = np.concatenate([network(own[:, side]) for side, network in enumerate(self._networks)], axis=1)
         return action.reshape(*given.shape[:-1], -1)
 
     def agent(self, arm: str) -> AgentPolicy:
-        """What acts for one arm from its own observation, as PettingZoo's interface gives it.
+        """Return the policy of one arm, which receives that arm's own observation as in PettingZoo's interface.
 
         Raises:
-            UnknownNameError: There is no such arm, or one network acts for both together.
+            UnknownNameError: No such arm, or one network acts for both together.
         """
         if self._joint or arm not in ARMS:
             raise UnknownNameError("agent of this policy", str(arm), [] if self._joint else list(ARMS))
@@ -87,20 +87,16 @@ class LearnedPolicy:
 
 
 class AgentPolicy:
-    """Acts for one arm, from its own observation.
-
-    Args:
-        network: That acts.
-    """
+    """Policy for one arm, from its own observation."""
 
     def __init__(self, network: Network) -> None:
         self._network = network
 
     def reset(self) -> None:
-        """There is nothing to forget."""
+        """Do nothing: there is no state."""
 
     def __call__(self, observation: Array) -> Actions:
-        """Action of float32 for an observation of this arm, or one for each row of a batch.
+        """Return an action of float32 for an observation of this arm, or one for each row of a batch.
 
         Raises:
             ActionError: Not an observation of one arm.

@@ -183,8 +183,8 @@ def test_observations_are_normalised_as_in_training(sb3: Any, made: Any, tmp_pat
         ("sac", (68, 12), "SyncCarry", (), "observes 68 numbers; in DualUR10/SyncCarry-v0 both arms together (joint)"),
         ("ppo", (68, 12), "SineTracking", ("--agents", "shared"), "(shared) 41: name the environment"),
         ("ppo", (41, 6), "SineTracking", ("--agents", "joint"), "observes 41 numbers"),
-        ("ppo", (68, 11), "SineTracking", (), "11 numbers come out of the network"),
-        ("ppo", (41, 7), "SineTracking", (), "7 numbers come out of the network"),
+        ("ppo", (68, 11), "SineTracking", (), "the network has 11 outputs"),
+        ("ppo", (41, 7), "SineTracking", (), "the network has 7 outputs"),
         ("ppo", (68, 12), "SineTracking", ("--algo", "sac"), "is a model of ppo, but --algo is sac"),
         ("sac", (68, 12), "SineTracking", ("--algo", "ppo"), "is a model of sac, but --algo is ppo"),
     ],
@@ -200,7 +200,7 @@ def test_a_model_of_something_else(
 def test_a_file_that_lies_of_what_it_observes(made: Any, tmp_path: Path) -> None:
     """What counts in the end is the network."""
     made("ppo", 50, 6).save(tmp_path / "true.zip")
-    for size, said in ((68, "6 numbers come out of the network: joint"), (41, "50 numbers go into the network")):
+    for size, said in ((68, "the network has 6 outputs: joint"), (41, "the network has 50 inputs")):
         with zipfile.ZipFile(tmp_path / "true.zip") as old, zipfile.ZipFile(tmp_path / "lie.zip", "w") as new:
             for name in old.namelist():
                 data = old.read(name)
@@ -344,9 +344,9 @@ def test_it_needs_stable_baselines3(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         (zipped(data="hello"), "JSONDecodeError"),
         (zipped(data="\udcff".encode("utf-8", "surrogatepass").decode("latin-1")), "is no file of Stable-Baselines3"),
         (zipped(data="[" * 100_000), "is no file of Stable-Baselines3"),
-        (zipped(data="null"), "speaks of no model"),
-        (zipped(data="[1]"), "speaks of no model"),
-        (zipped(data='{"clip_range": 1}'), "speaks of no model"),
+        (zipped(data="null"), "describes no model"),
+        (zipped(data="[1]"), "describes no model"),
+        (zipped(data='{"clip_range": 1}'), "describes no model"),
         (zipped(data=described()), "does not specify PPO or SAC"),
         (zipped(data=described(clip_range=1, target_entropy=1)), "does not specify PPO or SAC"),
         (zipped(data=described(clip_range=1, observation_space={"_shape": [10**30]})), "observes 1000000000"),

@@ -15,39 +15,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import UnknownNameError
-from dual_ur10.kinematics import flange_pose, try_nearest
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
 from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
 from dual_ur10.sim2real.control import path
+from dual_ur10.sim2real.control.cartesian_step import goal_of_step
 from dual_ur10.sim2real.control.limiter import Limiter
 from dual_ur10.sim2real.control.limits import HISTORY, Envelope, MotionLimits
 from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
-from dual_ur10.sim2real.control.singularity import share_of_step
 from dual_ur10.sim2real.control.time_scaling import interpolate
 from dual_ur10.types import Array, Rows
 
 ActionMode = Literal["joint_delta", "joint_position", "tcp_delta"]
 
 JOINT_MARGIN_RAD = 0.01
-"""The adapter brakes this far inside the range that the gate enforces."""
+"""Margin inside the joint range of the gate at which the adapter brakes."""
 
 GRIPPER_OPENING_M = 0.085
-"""Full opening of the gripper, Robotiq 2F-85 data sheet."""
+"""Full gripper width, Robotiq 2F-85 data sheet."""
 
 TCP_STEP_M_S = 0.25
 """Speed of the flange at action 1 of `tcp_delta`: the reduced speed of ISO 10218-1."""
 
-TCP_TURN_RAD_S = 0.5
-"""Turning speed of the flange at action 1 of `tcp_delta`: the first speed that is safe to try on a real arm."""
+TCP_ROTATION_RAD_S = 0.5
+"""Angular speed of the flange at action 1 of `tcp_delta`: the first speed that is safe to try on a real arm."""
 
-_MANY_TICKS = 5  # from so many targets per period on, they show what the path does
+_MANY_TICKS = 5  # targets per period from which on they sample the path densely enough
 
-_STIFF = 2.5  # gain times a tick squared, from which on targets show the arm's acceleration better than the law does
-_PARTS = 8  # of a tick, in which the law is looked at where time is slowed down
+_STIFF = 2.5  # gain times a tick squared above which targets show the arm's acceleration better than the law does
+_PARTS = 8  # sub-steps of a tick for the law under time scaling
 
 _GOAL_MARGIN_RAD = 1e-3  # goals stay this far inside the range that the limiter enforces
 
-# Rows of the adapter's state, (n, rows, 12): the last three targets, then what a path is made of.
+# Rows of the adapter's state, (n, rows, 12): the last three targets, then the state of a path.
 _GOALS = slice(HISTORY + path.GOALS.start, HISTORY + path.GOALS.stop)
 _GOAL, _NOW, _SPEED, _ACCELERATION = (
     HISTORY + row for row in (path.GOAL, path.POSITION, path.SPEED, path.ACCELERATION)
@@ -56,13 +55,13 @@ _PATH = slice(HISTORY + path.STATE.start, HISTORY + path.STATE.stop)
 
 
 class Command(NamedTuple):
-    """What one control period sends to the arms.
+    """Commands of one policy period.
 
     Attributes:
         targets_rad: (n, ticks, 2, 6) servoj targets.
-        gripper_m: (n, ticks, 2) opening of each gripper, or None where there is none.
-        payload_kg: (n, 2) mass that each gripper holds at the end of the period, as told to the controller, which
-            goes from the mass before to this one evenly; None: nothing is told.
+        gripper_m: (n, ticks, 2) width of each gripper; None: there are no grippers.
+        payload_kg: (n, 2) mass in each gripper at the end of the period, as set in the controller, which ramps to it
+            linearly; None: unchanged.
     """
 
     targets_rad: Array
@@ -71,28 +70,28 @@ class Command(NamedTuple):
 
 
 class ServojAdapter:
-    """Turns one action per cell into the servoj targets of one control period.
+    """Converts one action per cell into the servoj targets of one policy period.
 
-    The adapter goes on from its own last command, never from measured joints: the same actions give the same targets
+    The adapter continues from its own last command, never from measured joints: the same actions give the same targets
     in simulation and on a robot. It has no clock and does no I/O.
 
     Args:
-        profile: The controllers' family and servoj settings; their lag is what is compensated.
+        profile: The controllers' family and servoj settings, whose lag is compensated.
         limits: Limits of motion; the joint range is narrowed by `JOINT_MARGIN_RAD`.
         ticks: Controller ticks per action.
         n: Number of cells.
         mode: Meaning of an action's six numbers per arm. "joint_delta": steps of the six joints from the last
-            command, in shares of the speed limit times the period, -1 to 1. "joint_position": six positions, rad.
-            "tcp_delta": step and turn (rotation vector) of the flange from its last command, along the axes of the
-            cell frame, in shares of 0.25 m/s and 0.5 rad/s; a step out of reach leaves that arm where it is, and steps
-            towards a singularity become smaller until there are none (`singularity`).
-        gripper: Whether an action has a seventh number per arm, the gripper's opening: -1 closed, 1 open.
+            command, as fractions of the speed limit times the period, -1 to 1. "joint_position": six positions, rad.
+            "tcp_delta": translation and rotation vector of the flange from its last command, along the axes of the
+            cell frame, as fractions of 0.25 m/s and 0.5 rad/s; a step out of reach leaves that arm where it is, and
+            steps towards a singularity shrink to zero (`cartesian_step`).
+        gripper: An action has a seventh number per arm, the gripper's width: -1 closed, 1 open.
         compensate_lag: Send targets ahead by the law's inverse, so that the arms do not lag.
         dh: The arms' kinematics, for "tcp_delta".
-        yaw_rad: Turn of each base about the vertical, for "tcp_delta".
-        speed_factor: How fast the time of targets passes in real time. At 0.25 a second of the task takes four, in
-            which the controllers' law does four times as much.
-        lookahead_s: Of the law that the arms are found to follow; None: what the controllers are told.
+        yaw_rad: Rotation of each base about the vertical, for "tcp_delta".
+        speed_factor: Rate of task time in real time. At 0.25 a second of the task takes four, in which the controllers'
+            law does four times as much.
+        lookahead_s: Measured lookahead of the law that the arms follow; None: that of `profile`.
     """
 
     def __init__(
@@ -120,39 +119,38 @@ class ServojAdapter:
         self.profile, self.limits, self.ticks, self.n = profile, limits.narrowed(JOINT_MARGIN_RAD), ticks, n
         self.mode, self.gripper, self.compensate_lag, self.dh = mode, gripper, compensate_lag, tuple(dh)
         self.period_s, self.speed_factor = ticks * profile.tick_s, speed_factor
-        # The law as it is in the time of the targets.
+        # The law in task time.
         lookahead_s = profile.lookahead_s if lookahead_s is None else lookahead_s
         self._law = ServojLaw(lookahead_s * speed_factor, profile.gain / speed_factor**2)
         self._lead_s = profile.tick_s * speed_factor / 2 if compensate_lag else 0.0
         self.envelope = Envelope(self.limits, profile.tick_s, ticks)
         self._limiter = Limiter(self.envelope)
         self._goal = goals[mode]
-        # Towards a joint's limit an action may go a share of the way that is left: an approach that the brake can
+        # Towards a joint's limit a goal may cover a fraction of the remaining distance: an approach that the brake can
         # always follow, so that one joint at its limit does not hold the other eleven.
         self._approach = min(0.3, self.envelope.brake_rate * self.period_s / 10)
         self._lower = self._approach * (np.tile(self.limits.lower_rad, 2) + _GOAL_MARGIN_RAD)
         self._upper = self._approach * (np.tile(self.limits.upper_rad, 2) - _GOAL_MARGIN_RAD)
         speed = np.tile(self.limits.speed_rad_s, 2)
-        self._going_on = np.stack([speed, np.full(12, self.limits.acceleration_rad_s2)])
+        self._continuation_limits = np.stack([speed, np.full(12, self.limits.acceleration_rad_s2)])
         self._leash = speed * (speed / (2 * self.limits.acceleration_rad_s2) + self.period_s)
         self._steps_to_rest = 2.0 / (self.envelope.brake_rate * self.period_s)  # along a critically damped decay
         self._joint_step = np.tile(self.limits.speed_rad_s, 2) * self.period_s
-        # Turns vectors of the cell frame into each arm's `base`, which is half a turn from base_link.
-        turns = np.array([[0.0, 0.0, -np.pi - yaw] for yaw in yaw_rad])
-        self._to_base = quat_to_matrix(quat_from_rotvec(turns))
+        # Rotates vectors of the cell frame into each arm's `base`, which is rotated by π from base_link.
+        rotations = np.array([[0.0, 0.0, -np.pi - yaw] for yaw in yaw_rad])
+        self._to_base = quat_to_matrix(quat_from_rotvec(rotations))
         meetings = path.meetings(self.period_s)
         self._plans = [self._plan(meeting) for meeting in meetings]
-        # A cubic that no arm could follow says nothing of where the commands go: through some that jumped, it may lead
-        # far the wrong way.
+        # A cubic that no arm could follow does not predict the commands: after a jump it may lead far off.
         self._cubics = {k: self._continuation(each) for k, each in enumerate(meetings) if each.points > 2}
-        # A few targets per period can look legal on a path that is not.
+        # With few targets per period, legal targets can lie on an illegal path.
         self._between = [self._acceleration(meeting) for meeting in meetings] if ticks < _MANY_TICKS else []
         self._resume = self._resume_matrix()
         self._state: Array = np.zeros((n, HISTORY + path.VALUES, 12))
         self._commanded: Array = self._state[:, _GOAL].copy()
 
     def _plan(self, meeting: path.Meeting) -> Array:
-        """A period as a matrix on the state: targets, where the path then is, and the limited quantities."""
+        """Return a period as a matrix on the state: targets, final state of the path, limited quantities."""
         ticks, tick_s = self.ticks, self.profile.tick_s
         # Held for a tick, a target acts half a tick late on average: it is taken half a tick ahead.
         times_s = np.arange(ticks, dtype=np.float64) * tick_s + self._lead_s
@@ -168,13 +166,13 @@ class ServojAdapter:
         return np.vstack([window[HISTORY:], end, self.envelope.rows @ window])
 
     def _continuation(self, meeting: path.Meeting) -> Array:
-        """Speed and acceleration, (2, state), that the commands have where the path meets them again."""
+        """Return the commands' speed and acceleration, (2, state), where the path meets them again."""
         rows = np.zeros((2, HISTORY + path.VALUES))
         rows[:, HISTORY:] = path.continuation(self.period_s, meeting)[1:]
         return rows
 
     def _acceleration(self, meeting: path.Meeting) -> Array:
-        """Share of the acceleration limit that the path itself uses between targets, as a matrix on the state."""
+        """Return the fraction of the acceleration limit used between targets, as a matrix on the state."""
         lookahead_s = self._law.lookahead_s if self.compensate_lag else 0.0
         step_s = self.period_s / 8
         times: Array = np.arange(9.0) * step_s
@@ -185,10 +183,10 @@ class ServojAdapter:
         return result
 
     def _resume_matrix(self) -> Array:
-        """Where the path is after a limited period: (4, ...) on the window of targets, and position and speed before.
+        """Return the path's state after a limited period, (4, ...), on the targets and the arm's state before.
 
-        With compensation that is where the law leads the arm, without it where the next target would be. Acceleration
-        and jerk are those with which the next targets continue the last ones.
+        With compensation that is where the law takes the arm, without it the next target. Acceleration and jerk
+        continue those of the last targets.
         """
         law, ticks, tick_s = self._law, self.ticks, self.profile.tick_s
         width = HISTORY + ticks
@@ -197,11 +195,11 @@ class ServojAdapter:
             seen = self._seen_by_the_law()
             response = law.response(tick_s * ticks / len(seen), len(seen), 1)[-1]
             reached[:2, :width], reached[:2, width:] = response[:, 2:] @ seen, response[:, :2]
-            # The last target was taken so many ticks before the end of its tick: go on from it by a parabola.
+            # The last target was sampled `after` ticks before the end of its tick: extrapolate it by a parabola.
             after = 1.0 - self._lead_s / tick_s
             last = slice(width - 3, width)
             if law.gain * tick_s**2 > _STIFF:
-                # What the law makes of a target is at it within a tick: its acceleration cannot be told from that.
+                # The law reaches a target within a tick, which hides its acceleration.
                 reached[2, last] = np.array([1.0, -2.0, 1.0]) / tick_s**2
                 return reached
             reached[2, last] = _parabola(after) * law.gain
@@ -209,7 +207,7 @@ class ServojAdapter:
             reached[3, last] = np.array([after + 0.5, -2.0 * after - 2.0, after + 1.5]) * (law.gain / tick_s)
             reached[3] -= law.gain * (reached[1] + law.lookahead_s * reached[2])
         else:
-            # The last target was taken a whole tick before the end of the period: go on from it by a parabola.
+            # The last target was sampled a whole tick before the end of the period: extrapolate it by a parabola.
             last = slice(width - 3, width)
             reached[0, last] = 1.0, -3.0, 3.0
             reached[1, last] = np.array([1.5, -4.0, 2.5]) / tick_s
@@ -217,14 +215,14 @@ class ServojAdapter:
         return reached
 
     def _seen_by_the_law(self) -> Array:
-        """What the law is given in equal parts of a period, (parts, width), as a matrix on the window of targets.
+        """Return the law's inputs in equal parts of a period, (parts, width), as a matrix on the window of targets.
 
-        At full speed that is each target for a tick. Slowed down, it is a curve through them, held for a control period
-        each time: that is late by half of it.
+        At full speed each target is held for a tick. Under time scaling the inputs lie on a curve through the targets,
+        held for a control period each, which delays them by half of one.
         """
         ticks, width = self.ticks, HISTORY + self.ticks
         rows = np.eye(width + 2, width)
-        rows[width:, -3:] = _parabola(1.0), _parabola(2.0)  # the next targets are not known yet
+        rows[width:, -3:] = _parabola(1.0), _parabola(2.0)  # the next targets are unknown yet
         late = self._lead_s / self.profile.tick_s
         parts = 1 if self.speed_factor == 1.0 else _PARTS
         times = HISTORY + (np.arange(ticks * parts) + 0.5) / parts - late
@@ -237,7 +235,7 @@ class ServojAdapter:
 
     @property
     def action_size(self) -> int:
-        """Numbers of an action per arm."""
+        """Size of an action per arm."""
         return 7 if self.gripper else 6
 
     @property
@@ -250,9 +248,9 @@ class ServojAdapter:
 
     @property
     def commanded_q_rad(self) -> Array:
-        """(n, 2, 6) joint positions that were commanded last: where the steps of the next action start from.
+        """Joint positions commanded last, (n, 2, 6), from which the next action's steps start.
 
-        Where a limit keeps the arms from following, it stays within a braking distance of where they are led.
+        Where a limit keeps the arms from following, they stay within a braking distance of the targets.
         """
         return self._commanded.reshape(self.n, 2, 6)
 
@@ -264,7 +262,7 @@ class ServojAdapter:
         self._commanded[index] = self._state[index, _GOAL]
 
     def __call__(self, action: Array) -> Command:
-        """Targets of the next period.
+        """Return the targets of the next period.
 
         Args:
             action: (n, 2, action_size), finite. Values outside the bounds are clipped to them.
@@ -287,10 +285,10 @@ class ServojAdapter:
         state[:, keep:HISTORY] = targets[:, -HISTORY:]
         led = state[:, _NOW]
         self._commanded = np.minimum(np.maximum(state[:, _GOAL], led - self._leash), led + self._leash)
-        return Command(targets.reshape(self.n, ticks, 2, 6), self._opening(action))
+        return Command(targets.reshape(self.n, ticks, 2, 6), self._gripper_width(action))
 
     def _limited(self, state: Array) -> Array:
-        """Targets of a period and where the path then is, (rows, ticks + 4, 12), for cells whose plan is not legal."""
+        """Return targets and final path state, (rows, ticks + 4, 12), of cells whose plan is not legal."""
         ticks, past = self.ticks, state[:, :HISTORY]
         result = np.empty((len(state), ticks + 4, 12))
         left = np.arange(len(state))
@@ -298,7 +296,7 @@ class ServojAdapter:
             plan = later @ (state if len(left) == len(state) else state[left])
             targets = plan[:, :ticks]
             use = self.envelope.signed_use(plan[:, ticks + 4 :])
-            legal = self._limiter.is_legal(use, past[left], targets) & self._can_go_on(k, state[left])
+            legal = self._limiter.is_legal(use, past[left], targets) & self._continuation_is_legal(k, state[left])
             if self._between:
                 legal &= np.abs(self._between[k] @ state[left]).max(axis=(1, 2)) <= 1.0
             result[left[legal]] = plan[legal, : ticks + 4]
@@ -310,14 +308,14 @@ class ServojAdapter:
         result[left] = np.concatenate([limited, self._resume @ window], axis=1)
         return result
 
-    def _can_go_on(self, number: int, state: Array) -> NDArray[np.bool_]:
-        """(rows,) whether the commands' continuation, where a path meets it, keeps the limits of all joints.
+    def _continuation_is_legal(self, number: int, state: Array) -> NDArray[np.bool_]:
+        """Return a (rows,) mask of cells whose commands' continuation keeps all limits where a path meets it.
 
-        A line through the last two goes on as they do.
+        A line through the last two commands always does.
         """
         if number not in self._cubics:
             return np.ones(len(state), dtype=bool)
-        use = np.abs(self._cubics[number] @ state) / self._going_on
+        use = np.abs(self._cubics[number] @ state) / self._continuation_limits
         result: NDArray[np.bool_] = use.max(axis=(1, 2)) <= 1.0 + 1e-6
         return result
 
@@ -337,37 +335,21 @@ class ServojAdapter:
         asked = np.clip(action, -1.0, 1.0)
         goal = now.copy()
         for arm, dh in enumerate(self.dh):
-            position, rotation = flange_pose(now[:, arm], dh)
             # One small product per cell, so that its last bit does not depend on how many others there are.
             vectors = asked[:, arm].reshape(-1, 2, 3) @ self._to_base[arm].T
             step = vectors[:, 0] * (TCP_STEP_M_S * self.period_s)
-            turn = vectors[:, 1] * (TCP_TURN_RAD_S * self.period_s)
-            here = now[:, arm]
-            goal[:, arm] = _moved(position, rotation, step, turn, here, dh)
-            share = share_of_step(here, goal[:, arm] - here, self._steps_to_rest, dh)[:, None]
-            slow = np.flatnonzero(share < 1.0)
-            if slow.size:
-                part = share[slow]
-                goal[slow, arm] = _moved(
-                    position[slow], rotation[slow], part * step[slow], part * turn[slow], here[slow], dh
-                )
+            rotation = vectors[:, 1] * (TCP_ROTATION_RAD_S * self.period_s)
+            goal[:, arm] = goal_of_step(now[:, arm], step, rotation, self._steps_to_rest, dh)
         return self._inside(goal.reshape(self.n, 12))
 
-    def _opening(self, action: Array) -> Array | None:
-        """Opening of each gripper in every tick, (n, ticks, 2), in m."""
+    def _gripper_width(self, action: Array) -> Array | None:
+        """Return the width of each gripper in every tick, (n, ticks, 2), in m."""
         if not self.gripper:
             return None
         opening = (np.clip(action[..., 6], -1.0, 1.0) + 1.0) * (GRIPPER_OPENING_M / 2)
         return np.repeat(opening[:, None], self.ticks, axis=1)
 
 
-def _moved(position: Array, rotation: Array, step: Array, turn: Array, here: Array, dh: DHParameters) -> Array:
-    """(n, 6) joint angles of flanges that have gone a step, (n, 3), and turned, (n, 3); `here` where out of reach."""
-    wanted = quat_to_matrix(quat_from_rotvec(turn[:, None]))[:, 0] @ rotation
-    q, reached = try_nearest(position + step, wanted, here, dh)
-    return np.where(reached[:, None], q, here)
-
-
 def _parabola(after: float) -> Array:
-    """(3,) weights of three values, with which a parabola through them is so many steps after the last."""
+    """Return the weights, (3,), that extrapolate a parabola through three values by `after` steps."""
     return np.array([after * (after + 1.0) / 2, -after * (after + 2.0), (after + 1.0) * (after + 2.0) / 2])

@@ -1,6 +1,6 @@
-"""Distances between the arms, themselves and all that stands around them at a posture, for the safety gate.
+"""Distances of the arms from themselves, each other and all obstacles, for the safety gate.
 
-MuJoCo computes them, in a batch of their own that holds the collision geometry only: no contacts, no dynamics.
+MuJoCo computes them on a collision model of its own: no contacts, no dynamics.
 """
 
 from __future__ import annotations
@@ -34,24 +34,23 @@ KNOWN: Final = ((0.0, 0.0), (0.0, 0.0))
 
 
 class Clearance:
-    """Measures distances at postures of n cells.
+    """Computes distances at configurations of n cells.
 
     Args:
         settings: The scene.
         n: Number of cells.
         threads: Threads to compute on.
         minimum_m: Smallest legal distance of any pair.
-        closer: Smallest legal distance in m of those pairs of `assets.scene.clearance_pairs(settings)` that have one of
-            their own in this task; frozen at construction.
-        uncertainty: How well the place of each base is known, for left and right: how far in m it may stand, and by how
-            many rad it may be turned about whatever axis, from where it is believed to be. What a part of an arm can be
-            off by it is added to its smallest legal distances from the other arm, for which both count, and from all
-            that stands in the cell; not from its own arm.
+        closer: Smallest legal distance in m of those pairs of `assets.scene.clearance_pairs(settings)` for which the
+            task sets its own; frozen at construction.
+        uncertainty: Largest error of each base pose, left and right: m of position, and rad of rotation about any axis.
+            The resulting error of a part of an arm is added to its smallest legal distances from the other arm (with
+            the errors of both) and from all obstacles; not from its own arm.
 
     Raises:
-        UnknownNameError: A pair in `closer` is none of this scene.
+        UnknownNameError: A pair in `closer` is not one of this scene.
         SettingsError: A distance in `closer` or a value of `uncertainty` is not finite or below 0, or they demand
-            distances so large that they are not measured.
+            distances beyond those that are measured.
     """
 
     def __init__(
@@ -81,12 +80,12 @@ class Clearance:
         self._levers = (levers_m(model) * (1.0 + self._uncertainty.per_m[:, None])).T.copy()
         self._allowed = self._known + self._uncertainty.most_m
         self._geoms = model.sensor_objid.copy(), model.sensor_refid.copy()
-        radius = np.where(model.geom_rbound > 0.0, model.geom_rbound, np.inf)  # that of a plane is told as 0
-        self._balls: Array = radius[self._geoms[0]] + radius[self._geoms[1]] + self._allowed
+        radius = np.where(model.geom_rbound > 0.0, model.geom_rbound, np.inf)  # MuJoCo gives planes a radius of 0
+        self._spheres: Array = radius[self._geoms[0]] + radius[self._geoms[1]] + self._allowed
         for row in np.flatnonzero((self._allowed >= CLEARANCE_CUTOFF_M) & (self._allowed > self._known))[:1]:
             raise SettingsError(
                 f"{' and '.join(self.pairs[row])} must stay {self._known[row]:.4g} m apart, and up to "
-                f"{self._uncertainty.most_m[row]:.4g} m more for how little is known of where the bases stand: "
+                f"{self._uncertainty.most_m[row]:.4g} m more for the uncertainty of the base poses: "
                 f"together that must be below {CLEARANCE_CUTOFF_M} m, beyond which distances are not measured. Measure "
                 "where the bases stand, and write smaller uncertainties"
             )
@@ -116,49 +115,46 @@ class Clearance:
 
     @property
     def most_m(self) -> Array:
-        """(pairs,) smallest legal distances at whatever posture: more is demanded nowhere."""
+        """Largest legal minimum distance of each pair at any configuration, (pairs,)."""
         return self._allowed.copy()
 
     def _allowed_here(self) -> Array:
-        """Smallest legal distances, (n, pairs) or (pairs,), at the postures that were measured last."""
-        return self._known + self._uncertainty.at(self._center) if self._uncertainty.turns else self._allowed
+        """Return the smallest legal distances, (n, pairs) or (pairs,), at the configurations measured last."""
+        return self._known + self._uncertainty.at(self._center) if self._uncertainty.varies else self._allowed
 
     def allowed_m(self, q_rad: Array) -> Array:
-        """(n, pairs) smallest legal distances at the postures `q_rad`, (n, 12), with what the uncertainty adds."""
+        """Return the smallest legal distances, (n, pairs), at configurations (n, 12), with the uncertainty added."""
         self.distances_m(q_rad)
         return np.broadcast_to(self._allowed_here(), self._distance.shape).copy()
 
     def distances_m(self, q_rad: Array) -> Array:
-        """(n, pairs) distances at the postures `q_rad`, (n, 12); those beyond 0.2 m are given as 0.2 m.
+        """Return distances, (n, pairs), at configurations (n, 12); those beyond 0.2 m as 0.2 m.
 
-        The array is this object's own and changes with its next call.
+        The array belongs to this object and changes with its next call.
         """
         self._qpos[:] = q_rad
         self._batch.forward(stage=self._stage)
         return self._distance
 
     def spare_m(self, q_rad: Array) -> Array:
-        """(n, pairs) by how much each pair is at least farther apart than it must be at the postures, (n, 12).
-
-        It is below 0 where a pair is closer than allowed.
-        """
+        """Return the distance above the legal minimum, (n, pairs), at configurations (n, 12); negative: too close."""
         spare: Array = self.distances_m(q_rad) - self._allowed_here()
         return spare
 
-    def spare_of_balls_m(self) -> Array:
-        """The same at the postures that were measured last, for the balls around bodies: less, and without an end."""
+    def spare_of_spheres_m(self) -> Array:
+        """Return a lower bound of `spare_m` at the last configurations, from bounding spheres and without cutoff."""
         first, second = self._geoms
-        between = self._center[:, first] - self._center[:, second]
-        spare: Array = np.sqrt(np.einsum("npk,npk->np", between, between)) - self._balls
+        apart = self._center[:, first] - self._center[:, second]
+        spare: Array = np.sqrt(np.einsum("npk,npk->np", apart, apart)) - self._spheres
         return spare
 
-    def travel_m(self, way_rad: Array) -> Array:
-        """(n, pairs) by how much that can shrink at most, where the joints move by (n, 12) in all, none below 0."""
-        travel: Array = way_rad @ self._levers
+    def travel_m(self, path_rad: Array) -> Array:
+        """Return the largest decrease of `spare_m`, (n, pairs), over joint travel (n, 12), not negative."""
+        travel: Array = path_rad @ self._levers
         return travel
 
     def alone(self) -> Clearance:
-        """The same for one posture at a time."""
+        """Return the same model for one configuration at a time."""
         settings, n, _ = self._arguments
         if n == 1:
             return self
@@ -168,22 +164,22 @@ class Clearance:
         return self._alone
 
     def is_clear(self, q_rad: Array) -> NDArray[np.bool_]:
-        """(n,) mask of the postures, (n, 12), at which no pair is closer than allowed."""
+        """Return an (n,) mask of the configurations, (n, 12), at which no pair is closer than allowed."""
         clear: NDArray[np.bool_] = np.all(self.spare_m(q_rad) >= 0.0, axis=1)
         return clear
 
     def shortfall_m(self, q_rad: Array) -> Array:
-        """(pairs,) by how much each pair is closer than allowed at a posture, (12,); below 0 where it is not."""
-        postures = np.broadcast_to(q_rad, self._qpos.shape)
-        shortfall: Array = (self.allowed_m(postures) - self._distance)[0]
+        """Return the missing distance of each pair, (pairs,), at a configuration, (12,); negative where legal."""
+        configurations = np.broadcast_to(q_rad, self._qpos.shape)
+        shortfall: Array = (self.allowed_m(configurations) - self._distance)[0]
         return shortfall
 
     def worst(self, q_rad: Array, granted_m: Array | float = 0.0) -> tuple[str, float, float]:
-        """The pair that is nearest to its limit or furthest beyond it, its distance and the smallest legal one.
+        """Return the pair with the smallest margin to its limit, its distance and the smallest legal one.
 
         Args:
-            q_rad: (12,) posture.
-            granted_m: (pairs,) by how much pairs may be closer than allowed.
+            q_rad: (12,) configuration.
+            granted_m: (pairs,) distance by which pairs may be closer than allowed.
         """
         allowed = self.allowed_m(np.broadcast_to(q_rad, self._qpos.shape))[0]
         distance = self._distance[0]
@@ -191,30 +187,30 @@ class Clearance:
         return " and ".join(self.pairs[pair]), float(distance[pair]), float(allowed[pair])
 
     def check_start(self, q_rad: Array, rows: NDArray[np.intp]) -> None:
-        """Refuse postures, (len(rows), 2, 6), that episodes in `rows` must not start from.
+        """Refuse configurations, (len(rows), 2, 6), from which episodes in `rows` must not start.
 
         Raises:
-            SettingsError: A posture is not finite; MuJoCo would measure the distances at another one.
+            SettingsError: A configuration is not finite; MuJoCo would measure the distances at another one.
             CollisionAtStartError: A pair is closer than allowed.
         """
         if not np.isfinite(q_rad).all():
-            raise SettingsError(f"a start posture must be finite, found {np.asarray(q_rad).tolist()}")
-        postures = self._qpos.copy()
-        postures[rows] = np.asarray(q_rad).reshape(-1, 12)
-        for row in rows[~self.is_clear(postures)[rows]]:
-            pair, distance, allowed = self.worst(postures[row])
-            away = "move the bases apart, turn them"
+            raise SettingsError(f"a start configuration must be finite, found {np.asarray(q_rad).tolist()}")
+        configurations = self._qpos.copy()
+        configurations[rows] = np.asarray(q_rad).reshape(-1, 12)
+        for row in rows[~self.is_clear(configurations)[rows]]:
+            pair, distance, allowed = self.worst(configurations[row])
+            away = "move the bases apart, rotate them"
             for each in self._arguments[0].obstacles:
                 if pair.endswith(f" and {geom_name(each)}"):
                     away = f"move the obstacle {each.name!r} or the bases"
             raise CollisionAtStartError(
-                f"in the start posture {pair} are {distance * 1e3:.1f} mm apart, allowed are {allowed * 1e3:.1f} mm or "
-                f"more: {away}, or choose another start posture"
+                f"in the start configuration {pair} are {distance * 1e3:.1f} mm apart, allowed are "
+                f"{allowed * 1e3:.1f} mm or more: {away}, or choose another start configuration"
             )
 
 
 def checked_base_uncertainty(uncertainty: Uncertainty) -> Array:
-    """(2, 2) of left and right: m by which a base may be shifted, rad by which it may be turned.
+    """Return the largest errors of both base poses as an array, (2, 2): m of position and rad of rotation.
 
     Raises:
         SettingsError: They are not four finite numbers of 0 or more.
@@ -232,17 +228,16 @@ def checked_base_uncertainty(uncertainty: Uncertainty) -> Array:
 
 
 class BaseUncertainty:
-    """What the distances of a model may be off by.
+    """Extra clearance required by the uncertainty of the base poses.
 
-    A base that is shifted by m, and turned by rad about whatever axis, moves a point of its arm that is r away from it
-    by m + r rad at most. For r stands the distance of a geom's centre at the posture in question, and the radius of the
-    ball around the geom.
+    A base shifted by m and rotated by rad about any axis moves a point of its arm at distance r by at most m + r rad.
+    For r stands the distance of a geom's centre at the given configuration plus the radius of its bounding sphere.
 
     Args:
-        uncertainty: m and rad of the left and of the right base.
-        settings: The cell.
-        model: Its twin that measures distances.
-        exempt: (pairs,) of which pairs nothing is to be said: those that a task brings together on purpose.
+        uncertainty: Largest errors, m and rad, of the left and of the right base pose.
+        settings: The scene.
+        model: Its collision model.
+        exempt: (pairs,) mask of pairs without extra clearance: those that a task brings together on purpose.
 
     Raises:
         SettingsError: A value is not finite or below 0.
@@ -257,24 +252,24 @@ class BaseUncertainty:
         self._base = np.array([mount.position_m for mount in settings.mounts] + [(0.0, 0.0, 0.0)])[arms]
         self._radius: Array = model.geom_rbound.copy()
         self._pairs = np.stack([model.sensor_objid, model.sensor_refid])
-        # Both of one arm are moved together.
+        # Both geoms of one arm move together.
         counts = arms[self._pairs[0]] != arms[self._pairs[1]]
         if exempt:
             counts &= ~np.asarray(exempt)
-        shift, self._turn = (values[arms[self._pairs], k] * counts for k in (0, 1))
+        shift, self._rotation = (values[arms[self._pairs], k] * counts for k in (0, 1))
         self._shift: Array = shift.sum(axis=0)
         furthest = np.array([reach for _, reach in reaches])
-        self.most_m: Array = self._shift + (furthest[self._pairs] * self._turn).sum(axis=0)
-        """(pairs,) what it is at most, at any posture."""
-        self.per_m: Array = self._turn.sum(axis=0)
-        """(pairs,) how much it changes at most where the geoms of a pair move by a metre in all."""
-        self.turns = bool(self._turn.any())
-        """Whether it depends on the posture."""
+        self.most_m: Array = self._shift + (furthest[self._pairs] * self._rotation).sum(axis=0)
+        """(pairs,) largest extra clearance at any configuration."""
+        self.per_m: Array = self._rotation.sum(axis=0)
+        """(pairs,) largest change of it per metre of motion of both geoms of a pair."""
+        self.varies = bool(self._rotation.any())
+        """True if it depends on the configuration."""
 
     def at(self, center_m: Array) -> Array:
-        """What it is at the postures at which the geoms' centres are `center_m`, (n, geoms, 3): (n, pairs)."""
+        """Return the extra clearance, (n, pairs), with the geoms' centres at `center_m`, (n, geoms, 3)."""
         away = center_m - self._base
         reach = np.sqrt(np.einsum("ngk,ngk->ng", away, away)) + self._radius
         first, second = self._pairs
-        allowance: Array = self._shift + reach[:, first] * self._turn[0] + reach[:, second] * self._turn[1]
+        allowance: Array = self._shift + reach[:, first] * self._rotation[0] + reach[:, second] * self._rotation[1]
         return allowance

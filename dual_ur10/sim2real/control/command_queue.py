@@ -1,4 +1,4 @@
-"""What holds commands back by the action's latency: the same in front of simulated and real arms."""
+"""Delay of commands by the action's latency, the same in front of simulated and real arms."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ MAX_LATENCY_TICKS = 125
 
 
 def checked_latency(ticks: object) -> int:
-    """A latency of actions, in control periods.
+    """Return a valid action latency in control periods.
 
     Raises:
-        SettingsError: It is none.
+        SettingsError: It is no whole number from 0 to `MAX_LATENCY_TICKS`.
     """
     if isinstance(ticks, int | np.integer) and not isinstance(ticks, bool) and 0 <= ticks <= MAX_LATENCY_TICKS:
         return int(ticks)
@@ -23,17 +23,17 @@ def checked_latency(ticks: object) -> int:
 
 
 class CommandQueue:
-    """Commands of [t_k + L, t_k + L + period) come in at t_k; those of [t_k, t_k + period) go out.
+    """Queue that takes the commands of [t_k + L, t_k + L + period) at t_k and returns those of [t_k, t_k + period).
 
     On real arms the first L ticks of a period are known before the period begins, so that the arms need not wait for
     the policy.
 
     Args:
         n: Number of cells.
-        latency_ticks: L.
+        latency_ticks: Latency L.
 
     Raises:
-        SettingsError: L is no whole number, or not within 0 to `MAX_LATENCY_TICKS`.
+        SettingsError: See `checked_latency`.
     """
 
     def __init__(self, n: int, latency_ticks: int) -> None:
@@ -42,12 +42,12 @@ class CommandQueue:
         self._openings: Array = np.full((n, self.latency_ticks, 2), GRIPPER_OPENING_M)
 
     def reset(self, q_rad: Array, rows: Rows, gripper_m: Array | None = None) -> None:
-        """Start `rows` at rest at `q_rad`, (len(rows), 2, 6), with grippers at (len(rows), 2), or open."""
+        """Start `rows` at rest at `q_rad`, (len(rows), 2, 6), with gripper widths (len(rows), 2), or open grippers."""
         self._targets[rows] = q_rad[:, None]
         self._openings[rows] = GRIPPER_OPENING_M if gripper_m is None else np.asarray(gripper_m)[:, None]
 
     def __call__(self, command: Command) -> Command:
-        """Take a command in, and give the one that acts now."""
+        """Queue a command and return the one that acts now."""
         if not self.latency_ticks:
             return command
         ticks = command.targets_rad.shape[1]

@@ -1,9 +1,9 @@
 """The safety gate: the last function before a target leaves for the arms, in simulation and on a robot.
 
-It trusts nobody: it keeps its own record of what it let out, and checks every window of targets against all limits,
-against the brake that would follow, and against the distances at the posture where that brake would end and on the way
-there. There is no switch to turn it off. A period that fails is replaced by the brake from the last target that left;
-that this brake is legal was part of accepting that target.
+It trusts no caller: it keeps its own record of released targets, and checks every window of targets against all limits,
+against the brake that would follow, and against the distances at the end of that brake and along the path there. There
+is no switch to turn it off. A period that fails is replaced by the brake from the last released target, which was found
+legal when that target was accepted.
 """
 
 from __future__ import annotations
@@ -26,21 +26,22 @@ _UNITS = {
     "joint speed": "rad/s",
     "joint acceleration": "rad/s²",
     "joint jerk": "rad/s³",
-    "tip speed": "m/s",
+    "Cartesian speed": "m/s",
     "distance": "m",
 }
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Why the gate refused a period.
+    """Reason why the gate refused a period.
 
     Attributes:
-        kind: "joint position", "joint speed", "joint acceleration", "joint jerk", "tip speed" or "distance".
+        kind: "joint position", "joint speed", "joint acceleration", "joint jerk", "Cartesian speed" or
+            "distance".
         subject: The joint, point or pair of bodies, with its arm: "left/elbow_joint", "left/forearm_link and table".
-        found: What the targets would have done.
-        allowed: What they may do.
-        tick: Ticks that this row had sent since its reset when the refused period would have begun.
+        found: Value that the targets would have reached.
+        allowed: Limit.
+        tick: Ticks sent by this row since its reset, at the beginning of the refused period.
     """
 
     kind: str
@@ -59,11 +60,11 @@ class Verdict:
 
 
 class GateResult(NamedTuple):
-    """What may leave, and why not all of it.
+    """Released targets, and the reasons for refused ones.
 
     Attributes:
-        targets_rad: (n, ticks, 2, 6) targets; braking in refused rows.
-        verdicts: A verdict for each row that is refused or was refused since its reset; empty if all is well.
+        targets_rad: (n, ticks, 2, 6) targets; the brake in refused rows.
+        verdicts: Verdict of each row refused now or earlier since its reset; empty if there is none.
     """
 
     targets_rad: Array
@@ -71,13 +72,13 @@ class GateResult(NamedTuple):
 
 
 class SafetyGate:
-    """Checks every target that leaves.
+    """Checks every target before it is released.
 
     Args:
-        limits: The limits of motion.
+        limits: Limits of motion.
         tick_s: Time between two targets.
         ticks: Targets per call.
-        clearance: Measures distances at a posture.
+        clearance: Computes distances.
         n: Number of cells.
     """
 
@@ -88,12 +89,12 @@ class SafetyGate:
         self._past: Array = np.zeros((n, HISTORY, 12))
         self._sent = np.zeros(n, dtype=np.int64)
         self._verdicts: dict[int, Verdict] = {}
-        self._between = SweptClearance(clearance, self.envelope.whole_brake(), ticks)
-        self._postures: dict[int, Array] = {}  # by row: where on its way something is too close
+        self._swept = SweptClearance(clearance, self.envelope.whole_brake(), ticks)
+        self._too_close_q: dict[int, Array] = {}  # by row: configuration on its path where a pair is too close
 
     @property
     def last_targets_rad(self) -> Array:
-        """(n, 2, 6) targets that left last."""
+        """Targets released last, (n, 2, 6)."""
         return self._past[:, -1].reshape(self.n, 2, 6).copy()
 
     def reset(self, q_rad: Array, rows: Rows | None = None) -> None:
@@ -101,13 +102,13 @@ class SafetyGate:
         index = np.arange(self.n) if rows is None else rows
         self._past[index] = np.asarray(q_rad).reshape(-1, 1, 12)
         self._sent[index] = 0
-        self._between.reset(index)
+        self._swept.reset(index)
         for row in index.tolist():
             self._verdicts.pop(row, None)
 
-    @np.errstate(over="ignore", invalid="ignore")  # huge and infinite targets are for the checks to find
+    @np.errstate(over="ignore", invalid="ignore")  # the checks find huge and infinite targets
     def __call__(self, targets_rad: Array) -> GateResult:
-        """Let targets pass, or replace them by the brake.
+        """Release targets, or replace them by the brake.
 
         Args:
             targets_rad: (n, ticks, 2, 6).
@@ -124,44 +125,44 @@ class SafetyGate:
         window = np.concatenate([self._past, targets_rad.reshape(n, ticks, 12)], axis=1)
         quantities = envelope.rows @ window
         share = envelope.use(quantities)
-        # Every check asks "is it within", which NaN and infinity are not.
+        # Every check is of the form "within the limit", which NaN and infinity never are.
         kept = envelope.within(share, _TOLERANCE, 1.0)
         if not kept and not np.isfinite(targets_rad).all():
             raise ActionError(_not_finite(targets_rad))
-        turning, rest = quantities[:, envelope.rest_row - 1], quantities[:, envelope.rest_row]
+        first_order, rest = quantities[:, envelope.rest_row - 1], quantities[:, envelope.rest_row]
         spare = self._clearance.spare_m(rest)
         legal = np.logical_and.reduce(spare >= 0.0, axis=1)
         if not kept:
             legal = legal & self._in_detail(window, share)
         going = legal.copy()
         going[list(self._verdicts)] = False
-        self._postures = self._between(window, turning, rest, spare, going)
-        legal[list(self._postures)] = False
+        self._too_close_q = self._swept(window, first_order, rest, spare, going)
+        legal[list(self._too_close_q)] = False
         if self._verdicts or not np.logical_and.reduce(legal):
             self._refuse(np.flatnonzero(~legal), window, quantities, share)
         self._past = window[:, -HISTORY:]
         self._sent += ticks
-        # Copies: what leaves is what was checked, and nobody outside holds the gate's own record.
+        # Copies: the released targets are the checked ones, and no caller holds the gate's own record.
         leaving = window[:, HISTORY:].copy().reshape(n, ticks, 2, 6)
         return GateResult(leaving, dict(self._verdicts))
 
     def _in_detail(self, window: Array, share: Array) -> Mask:
-        """(n,) mask of rows within all limits, with the tip speed computed where its bound is not enough."""
+        """Return an (n,) mask of rows within all limits, with the Cartesian speed itself where its bound fails."""
         legal: Mask = share.reshape(self.n, -1).max(axis=1) <= _TOLERANCE
-        rows = np.flatnonzero(legal & (self.envelope.tip_bound(share) > 1.0))
+        rows = np.flatnonzero(legal & (self.envelope.cartesian_bound(share) > 1.0))
         if rows.size:
-            fastest, _ = self.envelope.tip_share(window[rows])
+            fastest, _ = self.envelope.cartesian_use(window[rows])
             legal[rows] = fastest.max(axis=1) <= _TOLERANCE
         return legal
 
     def _refuse(self, rows: Rows, window: Array, quantities: Array, share: Array) -> None:
-        """Write the brake into the refused rows of `window`, and note why."""
+        """Write the brake into the refused rows of `window`, and keep the reason."""
         for row in rows.tolist():
             if row not in self._verdicts:
                 self._verdicts[row] = self._explain(row, window, quantities, share)
         stopping = np.array(sorted(self._verdicts), dtype=np.intp)
         past = self._past[stopping]
-        # Relative to the last target: rounding of the brake is then far below that of a third difference.
+        # Relative to the last target, rounding of the brake is far below that of a third difference.
         last = past[:, -1:]
         brake = last + self.envelope.brake @ (past - last)
         speed = np.abs(np.diff(past, axis=1)).max(axis=(1, 2)) / self.envelope.tick_s
@@ -169,7 +170,7 @@ class SafetyGate:
         window[stopping, HISTORY:] = np.where(resting[:, None, None], last, brake)
 
     def _explain(self, row: int, window: Array, quantities: Array, share: Array) -> Verdict:
-        """The worst violation of one row."""
+        """Return the worst violation of one row."""
         tick, envelope = int(self._sent[row]), self.envelope
         worst, column = np.unravel_index(share[row].argmax(), share[row].shape)
         if not share[row, worst, column] <= _TOLERANCE:
@@ -181,14 +182,14 @@ class SafetyGate:
                 found, allowed = abs(found), half
             subject = f"{ARMS[column // 6]}/{JOINTS[column % 6]}"
             return Verdict(kind, subject, float(found), float(allowed), tick)
-        (fastest,), (point,) = envelope.tip_share(window[[row]])
+        (fastest,), (point,) = envelope.cartesian_use(window[[row]])
         arm = int(fastest.argmax())
         if fastest[arm] > _TOLERANCE:
             subject = f"{ARMS[arm]}/{POINTS[point[arm]]}"
             limit = self.limits.tcp_speed_m_s
-            return Verdict("tip speed", subject, float(fastest[arm] * limit), limit, tick)
-        posture = self._postures.get(row, quantities[row, envelope.rest_row])
-        pair, distance, allowed = self._clearance.worst(posture)
+            return Verdict("Cartesian speed", subject, float(fastest[arm] * limit), limit, tick)
+        q_rad = self._too_close_q.get(row, quantities[row, envelope.rest_row])
+        pair, distance, allowed = self._clearance.worst(q_rad)
         return Verdict("distance", pair, distance, allowed, tick)
 
 

@@ -5,9 +5,8 @@ The brake is a linear law: without a new target, the speed of each joint goes on
     v[k+1] = 2 r v[k] - r² v[k-1],    r = exp(-w T)
 
 which is a critically damped decay. Because it is linear and the same for every tick, "this motion can be stopped within
-all limits, from here to rest" is a fixed set of linear inequalities on the last three targets, and a state that
-satisfies them still does one brake tick later. That is what makes braking always possible, for the adapter's limiter
-and for the safety gate alike.
+all limits" is a fixed set of linear inequalities on the last three targets, and a state that satisfies them still does
+one brake tick later. Braking is therefore always possible, for the adapter's limiter and for the safety gate alike.
 """
 
 from __future__ import annotations
@@ -32,20 +31,20 @@ POINTS = ("elbow", "flange", "TCP")
 """Points of an arm whose speed is limited."""
 
 HISTORY = 3
-"""Targets that stand before the first one of a window: a third difference reaches back that far."""
+"""Past targets before the first new one of a window: a third difference reaches back that far."""
 
 REST_SPEED_RAD_S = 1e-4
 """Below this speed the brake holds its position, unless tight limits ask for less."""
 
 _BRAKE_GAP, _BRAKE_PEAK, _BRAKE_LAST = 0.2, 2.0, 3.0
-"""Instants along the brake, in units of 1 / w, at which the tip speed is looked at: the gap between two, and the last.
-It can rise at first, where the joints were still accelerating, and is over its peak before 2 / w."""
+"""Instants along the brake, in units of 1 / w, at which the Cartesian speed is checked: gap, peak and last. The speed
+can rise at first, where the joints were still accelerating, and is over its peak before 2 / w."""
 
 _BRAKE_TIMES = 14.0
-"""The same for the whole brake: what is left of any speed then is less than counts as rest."""
+"""Duration of the whole brake in the same units: any remaining speed then counts as rest."""
 
-_BETWEEN_INSTANTS = 1.006
-"""By how much a peak between two of them can be higher: its curvature is at most w², half a gap is 0.1 / w."""
+_PEAK_BETWEEN_INSTANTS = 1.006
+"""Factor by which a peak between two instants can be higher: its curvature is at most w², half a gap is 0.1 / w."""
 
 # Largest distance of the flange from each joint's axis, by the lengths between them; the elbow is always nearer.
 _ARM_M = abs(ur10.DH_A_M[1]) + abs(ur10.DH_A_M[2]) + ur10.DH_D_M[4] + ur10.DH_D_M[5]
@@ -62,7 +61,7 @@ REACH_FROM_JOINT_M: Array = np.array(
 
 
 def checked_tcp(values: Any) -> tuple[Three, Three]:
-    """Tool centre points of both arms as plain numbers.
+    """Return the tool centre points of both arms as plain numbers.
 
     Raises:
         SettingsError: They are not three finite numbers for each arm.
@@ -93,15 +92,16 @@ _UPPER_RAD = _six(ur10.JOINT_RANGE_RAD)
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What the targets of one arm may do, on the wire. Both arms share one block.
+    """Limits of the targets of one arm, on the wire. Both arms share them.
 
     Attributes:
         speed_rad_s: Six joint speeds, or one for all.
-        acceleration_rad_s2: Second difference of the targets.
-        jerk_rad_s3: Third difference of the targets.
-        tcp_speed_m_s: Speed of flange, elbow and tool centre point of a nominal arm; a calibrated one differs by its
-            deviation in length.
-        lower_rad, upper_rad: Joint positions; the arm must also be able to stop inside them.
+        acceleration_rad_s2: Joint acceleration, the second difference of the targets.
+        jerk_rad_s3: Joint jerk, the third difference of the targets.
+        tcp_speed_m_s: Cartesian speed of flange, elbow and tool centre point of a nominal arm; a calibrated one differs
+            by its deviation in length.
+        lower_rad: Smallest joint positions; the arm must also be able to stop inside the range.
+        upper_rad: Largest joint positions.
         tcp_m: Tool centre point of the left and the right arm in its flange's frame; zeros: at the flange.
 
     Raises:
@@ -136,7 +136,7 @@ class MotionLimits:
             )
 
     def narrowed(self, margin_rad: float) -> MotionLimits:
-        """The same limits with a joint range smaller by `margin_rad` on both sides."""
+        """Return these limits with a joint range smaller by `margin_rad` on both sides."""
         return replace(
             self,
             lower_rad=_six(np.asarray(self.lower_rad) + margin_rad),
@@ -144,7 +144,7 @@ class MotionLimits:
         )
 
     def brake_rate(self) -> float:
-        """Decay rate w of the brake (1/s), for which no joint exceeds its acceleration or jerk from full speed."""
+        """Return the brake's decay rate w (1/s), at which no joint at full speed exceeds its other limits."""
         speed = max(self.speed_rad_s)
         # A critically damped decay from v0 peaks at w v0 / e in acceleration and w² v0 in jerk; the 10 % are room for
         # stopping while still accelerating.
@@ -152,20 +152,20 @@ class MotionLimits:
 
 
 class Envelope:
-    """The limits as inequalities on a window of targets: three past ones and `ticks` new ones.
+    """Limits as inequalities on a window of targets: three past ones and `ticks` new ones.
 
     A row of `rows` (m, 3 + ticks) maps the window of one joint to one limited quantity: speed, acceleration, jerk and
-    position at each new target, the same along the brake that would follow, and the position where it comes to rest.
+    position at each new target, the same along the brake that would follow, and the position where it stops.
     With `q = rows @ window`, the window is legal if |q - middle| <= half for every row and joint.
 
     Arrays are (n, rows, 12): one small matrix product per cell, so that a cell's numbers do not depend, to the last
     bit, on how many others are computed beside it.
 
     Args:
-        limits: The limits of each arm.
+        limits: Limits of each arm.
         tick_s: Time between two targets.
         ticks: Number of new targets in a window, at least 1.
-        stops: After which of the new targets a stop must be possible; None: after the last one.
+        stops: New targets after which a stop must be possible; None: the last one.
     """
 
     def __init__(self, limits: MotionLimits, tick_s: float, ticks: int, stops: Collection[int] | None = None) -> None:
@@ -194,8 +194,8 @@ class Envelope:
             speeds = speed[[last - 1, last - 2]]
             for kind, rows in ahead.items():
                 blocks[kind].append(rows @ speeds)
-            # Where a first-order decay, and where the brake itself, would come to rest: under the brake, the position
-            # runs after the first, which runs after the second, which stays. All three inside the range: so is the way.
+            # End of a first-order decay, and end of the brake itself: under the brake the position follows the first,
+            # which follows the second, which stays. With all three inside the range, so is the path.
             first_order = identity[last] + tick_s * r / (1 - r) * speeds[0]
             rest = identity[last] + tick_s * ((2 * r - r * r) * speeds[0] - r * r * speeds[1]) / (1 - r) ** 2
             blocks["joint position"].append(np.stack([first_order, rest]))
@@ -208,20 +208,19 @@ class Envelope:
         self.brake: Array = self._brake(ticks)
         self.coast: Array = self._coast(ticks)
         self._centred = not self.middle.any()
-        # Speeds come first.
         self._speed_rows = slice(0, self.kinds.count("joint speed"))
-        # Share of the tip speed limit that each joint uses at its own full speed, at most.
+        # Largest fraction of the Cartesian speed limit that each joint uses at its own full speed.
         self._lever = np.zeros((12, 2))
         for arm, tcp_m in enumerate(limits.tcp_m):
             reach = REACH_FROM_JOINT_M + math.hypot(*tcp_m)
-            lever = np.asarray(limits.speed_rad_s) * reach * (_BETWEEN_INSTANTS / limits.tcp_speed_m_s)
+            lever = np.asarray(limits.speed_rad_s) * reach * (_PEAK_BETWEEN_INSTANTS / limits.tcp_speed_m_s)
             self._lever[6 * arm : 6 * arm + 6, arm] = lever
         self._brake_samples = self._sampled_brake()
         self._middle = np.tile(self.middle, 2)
         self.scale: Array = 1.0 / np.tile(self.half, 2)
 
     def _brake_derivatives(self) -> dict[str, Array]:
-        """Rows (m, 2) on (last speed, the one before) of the brake's ticks that bound all others."""
+        """Return rows (m, 2) on (last speed, the one before) of the brake's ticks that bound all others."""
         r, horizon = self.ratio, math.ceil(6.0 / (-math.log(self.ratio))) + 3
         speed = [np.array([0.0, 1.0]), np.array([1.0, 0.0])]
         for _ in range(horizon):
@@ -238,23 +237,23 @@ class Envelope:
             owner = [(kind, i) for kind, rows in scaled.items() for i in range(len(rows))]
             for corner in _hull_corners(np.vstack(list(scaled.values()))):
                 keep[owner[corner][0]].add(owner[corner][1])
-        # The bound of the tip speed takes the brake's speeds from these rows, so none of its peaks may be missing.
+        # The bound of the Cartesian speed takes the brake's speeds from these rows: none of its peaks may be missing.
         keep["joint speed"].update(self._brake_ticks().tolist())
         return {kind: ahead[kind][sorted(keep[kind])].reshape(-1, 2) for kind in ahead}
 
     def _brake(self, ticks: int) -> Array:
-        """Rows (ticks, 3) that continue three past targets with the brake."""
+        """Return rows (ticks, 3) that continue three past targets with the brake."""
         r, rows = self.ratio, list(np.eye(HISTORY))
         for _ in range(ticks):
             rows.append(rows[-1] + 2 * r * (rows[-1] - rows[-2]) - r * r * (rows[-2] - rows[-3]))
         return np.array(rows[HISTORY:])
 
     def whole_brake(self) -> Array:
-        """Rows (k, 3) that continue three past targets with the brake until it is at rest."""
+        """Return rows (k, 3) that continue three past targets with the brake until it is at rest."""
         return self._brake(math.ceil(_BRAKE_TIMES / (self.brake_rate * self.tick_s)))
 
     def _coast(self, ticks: int) -> Array:
-        """Rows (ticks, 3) that continue three past targets at their speed, while the acceleration dies away."""
+        """Return rows (ticks, 3) that continue three past targets at their speed, while the acceleration decays."""
         rows = list(np.eye(HISTORY))
         for _ in range(ticks):
             speed, before = rows[-1] - rows[-2], rows[-2] - rows[-3]
@@ -262,19 +261,19 @@ class Envelope:
         return np.array(rows[HISTORY:])
 
     def _brake_ticks(self) -> NDArray[np.intp]:
-        """Ticks along the brake, 0 the first, at which the tip speed is looked at."""
+        """Return the ticks along the brake, 0 the first, at which the Cartesian speed is checked."""
         tick = self.brake_rate * self.tick_s
         gap, peak, last = max(int(_BRAKE_GAP / tick), 1), math.ceil(_BRAKE_PEAK / tick), math.ceil(_BRAKE_LAST / tick)
         return np.append(np.arange(0, peak + 1, gap), max(last, peak + 1))
 
     def _sampled_brake(self) -> Array:
-        """Rows (2 samples, 3): targets before some ticks of the brake, then those at these ticks."""
+        """Return rows (2 samples, 3): targets before the sampled ticks of the brake, then those at these ticks."""
         at = self._brake_ticks()
         positions = np.vstack([np.eye(HISTORY)[-1:], self._brake(int(at[-1]) + 1)])
         return np.concatenate([positions[at], positions[at + 1]])
 
     def _bounds(self) -> tuple[Array, Array]:
-        """Middle and half width of every row's range, (m, 6) each."""
+        """Return middle and half width of every row's range, (m, 6) each."""
         limits = self.limits
         lower, upper = np.asarray(limits.lower_rad), np.asarray(limits.upper_rad)
         half = {
@@ -287,7 +286,7 @@ class Envelope:
         return middle, np.array([half[kind] for kind in self.kinds])
 
     def use(self, quantities: Array) -> Array:
-        """Used share of each limit: above 1 is a violation.
+        """Return the used fraction of each limit: above 1 is a violation.
 
         Args:
             quantities: (n, m, 12), `rows` times the windows.
@@ -295,48 +294,46 @@ class Envelope:
         Returns:
             (n, m, 12), not negative.
         """
-        share = self.signed_use(quantities)
-        return np.abs(share, out=share)
+        fraction = self.signed_use(quantities)
+        return np.abs(fraction, out=fraction)
 
     def signed_use(self, quantities: Array) -> Array:
-        """As `use`, with the sign of the quantity."""
+        """Return `use` with the sign of the quantity."""
         if not self._centred:
             quantities = quantities - self._middle
         return quantities * self.scale
 
-    def within(self, share: Array, full: float, tip_full: float) -> bool:
-        """Whether all cells use at most `full` of each limit, and by its bound `tip_full` of the tip speed; quickly.
-
-        False for NaN.
+    def within(self, fraction: Array, full: float, cartesian_full: float) -> bool:
+        """Check quickly, by a bound of the Cartesian speed, that all cells are within their limits; False for NaN.
 
         Args:
-            share: (n, m, 12) as `use` gives it.
-            full: Largest share of a limit of the joints.
-            tip_full: Largest share of the tip speed limit.
+            fraction: (n, m, 12) result of `use`.
+            full: Largest legal fraction of a joint limit.
+            cartesian_full: Largest legal fraction of the Cartesian speed limit.
         """
-        if not np.maximum.reduce(share, axis=None) <= full:
+        if not np.maximum.reduce(fraction, axis=None) <= full:
             return False
-        peak = np.maximum.reduce(share[:, self._speed_rows], axis=1, keepdims=True)
-        return bool(np.maximum.reduce(peak @ self._lever, axis=None) <= tip_full)
+        peak = np.maximum.reduce(fraction[:, self._speed_rows], axis=1, keepdims=True)
+        return bool(np.maximum.reduce(peak @ self._lever, axis=None) <= cartesian_full)
 
-    def tip_bound(self, share: Array) -> Array:
-        """Upper bound of the used share of the tip speed limit, (n,), from the joint speeds alone.
+    def cartesian_bound(self, fraction: Array) -> Array:
+        """Return an upper bound of the used fraction of the Cartesian speed limit, (n,), from the joint speeds alone.
 
         Args:
-            share: (n, m, 12) as `use` gives it.
+            fraction: (n, m, 12) result of `use`.
         """
-        peak = share[:, self._speed_rows].max(axis=1, keepdims=True)
+        peak = fraction[:, self._speed_rows].max(axis=1, keepdims=True)
         bound: Array = (peak @ self._lever).max(axis=(1, 2))
         return bound
 
-    def tip_share(self, window: Array) -> tuple[Array, Array]:
-        """Used share of the speed limit of elbow, flange and TCP, in the window and along the brake after it.
+    def cartesian_use(self, window: Array) -> tuple[Array, Array]:
+        """Return the used fraction of the Cartesian speed limit in the window and along the brake after it.
 
         Args:
             window: (n, 3 + ticks, 12) targets.
 
         Returns:
-            (n, 2) share of each arm, and (n, 2) which of `POINTS` is its fastest.
+            (n, 2) fraction of each arm, and (n, 2) index of its fastest point in `POINTS`.
         """
         n, half = len(window), len(self._brake_samples) // 2
         starts, ends = [window[:, HISTORY - 1 : -1]], [window[:, HISTORY:]]
@@ -344,10 +341,10 @@ class Envelope:
             brake = self._brake_samples @ window[:, stop : stop + HISTORY]
             start = brake[:, :half]
             starts.append(start)
-            ends.append(start + _BETWEEN_INSTANTS * (brake[:, half:] - start))
-        postures = np.concatenate(starts + ends, axis=1)
+            ends.append(start + _PEAK_BETWEEN_INSTANTS * (brake[:, half:] - start))
+        q_rad = np.concatenate(starts + ends, axis=1)
         # Start or end, instant, arm, point, x y z.
-        positions = tips(postures.reshape(n, -1, 2, 6), self.limits.tcp_m)
+        positions = tips(q_rad.reshape(n, -1, 2, 6), self.limits.tcp_m)
         positions = positions.reshape(n, 2, -1, *positions.shape[-3:])
         moved = positions[:, 1] - positions[:, 0]
         fastest = np.sqrt(np.add.reduce(moved * moved, axis=-1).max(axis=1)) / (self.tick_s * self.limits.tcp_speed_m_s)
@@ -355,7 +352,7 @@ class Envelope:
 
 
 def _hull_corners(points: Array) -> list[int]:
-    """Indices of the corners of the convex hull of `points` and their mirror images, both counted as one."""
+    """Return the corners of the convex hull of `points` and their mirror images, as indices of points."""
     n = len(points)
     both = np.vstack([points, -points])
     order = sorted(range(2 * n), key=lambda i: (both[i, 0], both[i, 1]))

@@ -1,9 +1,9 @@
-"""The smooth path towards a commanded joint position, as a matrix.
+"""Smooth path towards commanded joint positions, as a matrix.
 
 A policy commands positions at its own rate. Between them the path is a quintic polynomial, twice continuously
-differentiable over the joins: it starts with the position, speed and acceleration it has now, and meets the commanded
+differentiable at the joins: it starts with the current position, speed and acceleration, and meets the commanded
 positions again, with the speed and acceleration of a polynomial through the last of them, at the end of the period.
-When that is more than the limits allow, because a command jumped or a limit kept the arm from its path, it meets their
+When that exceeds the limits, because a command jumped or a limit kept the arm from its path, it meets their
 continuation some periods later. Everything is linear in these values, so one matrix product gives the path of all
 cells, arms and joints.
 """
@@ -17,8 +17,8 @@ from numpy.polynomial import polynomial
 
 from dual_ur10.types import Array
 
-# Order of the values that a path is made of: the last three commanded positions, what is commanded now, and the
-# path's position, speed, acceleration and jerk at this moment.
+# Order of the values that define a path: the last three commanded positions, the one commanded now, and the path's
+# current position, speed, acceleration and jerk.
 GOALS = slice(0, 4)
 GOAL = 3
 POSITION, SPEED, ACCELERATION, JERK = 4, 5, 6, 7
@@ -27,11 +27,11 @@ VALUES = 8
 
 
 class Meeting(NamedTuple):
-    """When a path meets the commanded positions again.
+    """Instant at which a path meets the commanded positions again.
 
     Attributes:
-        periods: After how many periods.
-        points: Through how many of the last commanded positions their continuation is drawn.
+        periods: Number of periods until then.
+        points: Number of last commanded positions that their continuation passes through.
     """
 
     periods: int
@@ -39,14 +39,14 @@ class Meeting(NamedTuple):
 
 
 def meetings(period_s: float) -> tuple[Meeting, ...]:
-    """When a path may meet the commands again, in the order in which it is tried.
+    """Return the meetings in the order in which they are tried.
 
-    The first follows a smooth motion within micrometres; the later ones take larger jumps for the same acceleration. At
-    25 Hz they are 5 and 10 periods; what counts is the time that the limits leave, so it is as long at other rates.
-    Chosen so that a disturbance dies away under each of them (0.91, 0.85 and 0.96 per period at 25 Hz when every
-    command is the path's own position, 0.61, 0.61 and 0.79 when it is a fixed one), and so that the following error
-    that the last leaves is small enough for the second, and likewise for the first. The second draws the commands on by
-    a cubic, which follows a smooth motion, but leads anywhere after commands that jumped: the third is for those.
+    The first follows a smooth motion within micrometres; the later ones take larger jumps at the same acceleration.
+    At 25 Hz they are 5 and 10 periods; other rates keep the same time. Disturbances decay under each of them (0.91,
+    0.85 and 0.96 per period at 25 Hz when every command is the path's own position; 0.61, 0.61 and 0.79 when it is a
+    fixed one), and the following error that the last one leaves is small enough for the second, and likewise for the
+    first. The second continues the commands by a cubic, which follows a smooth motion but may lead far off after
+    discontinuous commands: the third is for those.
     """
     soon, late = max(5, round(0.2 / period_s)), max(10, round(0.4 / period_s))
     return (Meeting(1, 4), Meeting(soon, 4), Meeting(soon, 2), Meeting(late, 2))
@@ -56,7 +56,9 @@ class PathRows(NamedTuple):
     """Weights of a path on the values in the order of this module's constants.
 
     Attributes:
-        position, speed, acceleration: (k, 8) at the instants asked for.
+        position: (k, 8) positions at the requested instants.
+        speed: (k, 8) speeds there.
+        acceleration: (k, 8) accelerations there.
         end: (4, 8) position, speed, acceleration and jerk at the end of the period.
     """
 
@@ -67,20 +69,20 @@ class PathRows(NamedTuple):
 
 
 def path(period_s: float, times_s: Array, meeting: Meeting) -> PathRows:
-    """The path that meets the commands as `meeting` says.
+    """Return the path with a given meeting.
 
     Args:
         period_s: Time until the position commanded now is due.
         times_s: (k,) instants from now, 0 to `period_s`.
-        meeting: When to meet the commands.
+        meeting: Instant of meeting the commands.
     """
     horizon = meeting.periods * period_s
     unit = np.eye(VALUES)
     conditions = [(0.0, 0, unit[POSITION]), (0.0, 1, unit[SPEED]), (0.0, 2, unit[ACCELERATION])]
     conditions += [(1.0, order, row) for order, row in enumerate(continuation(period_s, meeting))]
     if meeting.periods > 1:
-        # The jerk goes on without a jump, too. Where the path would end with the period, that would ring for ever:
-        # what is left of the jerk at the start returns at the end with the other sign.
+        # The jerk is continuous, too. With a path that ends with the period that would ring for ever: the initial jerk
+        # returns at the end with the other sign.
         conditions.append((0.0, 3, unit[JERK]))
     powers = np.eye(len(conditions))
     equations = np.array([_derivative(powers, x, order) for x, order, _ in conditions])
@@ -93,7 +95,7 @@ def path(period_s: float, times_s: Array, meeting: Meeting) -> PathRows:
 
 
 def continuation(period_s: float, meeting: Meeting) -> Array:
-    """(3, 8) position, speed and acceleration of the commands' continuation at the meeting."""
+    """Return position, speed and acceleration, (3, 8), of the commands' continuation at the meeting."""
     times = -period_s * np.arange(meeting.points)[::-1]
     fit = np.linalg.inv(np.vander(times, increasing=True))
     ahead = (meeting.periods - 1) * period_s

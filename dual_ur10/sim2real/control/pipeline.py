@@ -1,4 +1,4 @@
-"""The way of an action: adapter, gate. The same object in front of every kind of cell."""
+"""Action pipeline: adapter, then safety gate. The same object in front of every kind of cell."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ _ROUNDING = 1e-6  # bounds are float32 where a policy sees them
 
 
 class ServojPipeline:
-    """Checks an action, turns it into targets, and lets the gate decide.
+    """Validates an action, converts it into targets, and passes these through the gate.
 
-    What comes out for action k is for [t_k + L, t_k + L + period), with L the action's latency: the cell holds it back.
+    The command of action k is for [t_k + L, t_k + L + period), with L the action's latency: the cell delays it.
 
     Args:
-        adapter: Turns actions into targets.
-        gate: Decides what leaves.
-        held: Number of an arm that stays where it is, whatever the actions are; None: none.
+        adapter: Converts actions into targets.
+        gate: Releases or replaces targets.
+        held: Index of an arm that stays where it is, whatever the actions are; None: neither.
 
     Attributes:
-        clipped_actions: How many actions so far were beyond the action space, so that they were clipped to it.
+        clipped_actions: Number of actions so far that were clipped to the action space.
     """
 
     def __init__(self, adapter: ServojAdapter, gate: SafetyGate, *, held: int | None = None) -> None:
@@ -33,7 +33,7 @@ class ServojPipeline:
         low, high = adapter.action_bounds
         self._lowest, self._highest = low - _ROUNDING, high + _ROUNDING
         self.clipped_actions = 0
-        self._openings: Array = np.zeros((adapter.n, 2))  # let out last: where the gripper of a stopped arm is held
+        self._openings: Array = np.zeros((adapter.n, 2))  # released last: where the gripper of a stopped arm is held
 
     def reset(self, q_rad: Array, rows: Rows | None = None, gripper_m: Array | None = None) -> None:
         """Start from rest.
@@ -41,7 +41,7 @@ class ServojPipeline:
         Args:
             q_rad: (n, 2, 6), or (len(rows), 2, 6).
             rows: The cells to start; None: all.
-            gripper_m: (n, 2) or (len(rows), 2) opening of the grippers; None: open.
+            gripper_m: (n, 2) or (len(rows), 2) gripper widths; None: open.
         """
         self.adapter.reset(q_rad, rows)
         self.gate.reset(q_rad, rows)
@@ -49,13 +49,13 @@ class ServojPipeline:
         self._openings[index] = GRIPPER_OPENING_M if gripper_m is None else gripper_m
 
     def __call__(self, action: object) -> tuple[Command, dict[int, Verdict]]:
-        """What the action asks of the arms, as far as the gate lets it.
+        """Return the command of an action as far as the gate releases it.
 
         Args:
             action: Numbers that fit (n, 2, action_size); copied.
 
         Returns:
-            The command, and a verdict for each row that the gate refused.
+            The command, and the verdict of each row that the gate refused.
 
         Raises:
             ActionError: Not numbers, the wrong shape, NaN or infinity. Nothing is sent and nothing changes.
@@ -75,7 +75,7 @@ class ServojPipeline:
         return Command(result.targets_rad, gripper), result.verdicts
 
     def check(self, action: object) -> Array:
-        """The action as float64 of shape (n, 2, action_size).
+        """Return the action as float64 of shape (n, 2, action_size).
 
         Raises:
             ActionError: See `__call__`.

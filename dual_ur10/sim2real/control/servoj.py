@@ -1,4 +1,4 @@
-"""UR's `servoj`: its settings, and the control law that stands for it here.
+"""UR's `servoj`: its settings, and the control law that models it here.
 
 UR does not publish the law. Its manual describes `gain` as the P-term of a controller and `lookahead_time` as the time
 by which the current position is projected forward. Read literally, that is
@@ -28,11 +28,11 @@ TICK_S: Final[dict[str, float]] = {"cb3": 0.008, "e-series": 0.002}
 """Control period of each controller family: UR's real-time client guide."""
 
 MAX_PERIOD_S: Final = 2.0
-"""Longest policy period: what is too close is found once in it."""
+"""Longest policy period: the gate checks distances once in it."""
 
 # Ranges of the arguments of servoj: UR's article "Servoj command", and the argument checks of ur_rtde 1.6.5.
 MEASURED_LOOKAHEAD_S: Final = (0.005, 0.5)
-"""Lookaheads that an arm may be found to follow."""
+"""Range of a measured lookahead."""
 
 LOOKAHEAD_RANGE_S: Final = (0.03, 0.2)
 GAIN_RANGE: Final = (100.0, 2000.0)
@@ -40,7 +40,7 @@ GAIN_RANGE: Final = (100.0, 2000.0)
 
 @dataclass(frozen=True)
 class ServojProfile:
-    """How `servoj` is called on one controller family.
+    """Settings of `servoj` on one controller family.
 
     Attributes:
         family: "cb3" (8 ms) or "e-series" (2 ms).
@@ -72,11 +72,11 @@ class ServojProfile:
 
     @property
     def damping(self) -> float:
-        """Damping ratio of the law: 1 returns without overshoot."""
+        """Damping ratio of the law; 1: no overshoot."""
         return math.sqrt(self.gain) * self.lookahead_s / 2
 
     def ticks_per_action(self, policy_rate_hz: float) -> int:
-        """Ticks of one policy period.
+        """Return the ticks of one policy period.
 
         Raises:
             RateError: The period is no whole number of ticks; the message names the nearest rates that are.
@@ -109,7 +109,7 @@ class ServojLaw:
         self.lookahead_s, self.gain = lookahead_s, gain
 
     def transition(self, dt_s: float) -> Array:
-        """(2, 2) map of (q - target, qd) over `dt_s`."""
+        """Return the (2, 2) map of (q - target, qd) over `dt_s`."""
         alpha = self.gain * self.lookahead_s / 2
         root = cmath.sqrt(alpha * alpha - self.gain)
         # exp(A t) = exp(-alpha t) (cosh(root t) I + sinh(root t) / root (A + alpha I)), by Cayley-Hamilton.
@@ -121,11 +121,11 @@ class ServojLaw:
         return result
 
     def response(self, dt_s: float, steps: int, hold: int) -> Array:
-        """States at every step, as a matrix on (q0, qd0, target 1, target 2, ...).
+        """Return the states at every step as a matrix on (q0, qd0, target 1, target 2, ...).
 
         Args:
             dt_s: Time between two rows.
-            steps: Number of rows' instants.
+            steps: Number of steps.
             hold: Steps for which each target is held.
 
         Returns:

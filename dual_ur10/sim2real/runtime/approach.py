@@ -89,13 +89,13 @@ class RetreatClearance:
         spare: Array = self._short - self._clearance.shortfall_m(q_rad[0])
         return spare[None]
 
-    def spare_of_balls_m(self) -> Array:
-        """As `Clearance.spare_of_balls_m`: no more may be needed than there."""
-        return self._clearance.spare_of_balls_m()
+    def spare_of_spheres_m(self) -> Array:
+        """As `Clearance.spare_of_spheres_m`: no more may be needed than there."""
+        return self._clearance.spare_of_spheres_m()
 
-    def travel_m(self, way_rad: Array) -> Array:
+    def travel_m(self, path_rad: Array) -> Array:
         """As `Clearance.travel_m`."""
-        return self._clearance.travel_m(way_rad)
+        return self._clearance.travel_m(path_rad)
 
     def alone(self) -> RetreatClearance:
         """Itself: there is one posture at a time."""

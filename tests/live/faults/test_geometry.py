@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dual_ur10.kinematics.ur10 import NOMINAL_DH
-from dual_ur10.sim2real.control.singularity import HALT_CONDITION, SLOW_CONDITION, condition
+from dual_ur10.sim2real.control.cartesian_step import HALT_CONDITION, SLOW_CONDITION, condition
 from tests import soak
 from tests.live.faults.lab import ARMS
 

@@ -31,11 +31,11 @@ class AlwaysClear:
     def spare_m(self, q_rad: np.ndarray) -> np.ndarray:
         return np.ones((len(q_rad), 1))
 
-    def spare_of_balls_m(self) -> np.ndarray:
+    def spare_of_spheres_m(self) -> np.ndarray:
         return np.ones((1, 1))
 
-    def travel_m(self, way_rad: np.ndarray) -> np.ndarray:
-        return np.zeros((len(way_rad), 1))
+    def travel_m(self, path_rad: np.ndarray) -> np.ndarray:
+        return np.zeros((len(path_rad), 1))
 
 
 def adversarial_action(kind: str, period: int, rng: np.random.Generator, size: tuple[int, ...]) -> np.ndarray:

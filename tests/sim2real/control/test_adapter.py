@@ -16,8 +16,8 @@ from dual_ur10.sim2real.control.adapter import (
     _NOW,
     GRIPPER_OPENING_M,
     JOINT_MARGIN_RAD,
+    TCP_ROTATION_RAD_S,
     TCP_STEP_M_S,
-    TCP_TURN_RAD_S,
     ServojAdapter,
 )
 from dual_ur10.sim2real.control.limiter import Limiter
@@ -308,7 +308,7 @@ def test_tcp_delta_turns_about_the_axes_of_the_cell(axis: int) -> None:
     cos, sin = np.cos(0.7 + np.pi), np.sin(0.7 + np.pi)
     in_cell = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ vector
     assert np.argmax(np.abs(in_cell)) == axis
-    assert in_cell[axis] == pytest.approx(0.5 * TCP_TURN_RAD_S, abs=0.05)
+    assert in_cell[axis] == pytest.approx(0.5 * TCP_ROTATION_RAD_S, abs=0.05)
 
 
 def test_tcp_delta_out_of_reach_stops_that_arm_only() -> None:
@@ -443,7 +443,7 @@ def test_a_limited_step_keeps_the_direction_of_all_twelve_joints(
     assert ("coast", True) in found
     window = np.concatenate([past, limited], axis=1)
     assert envelope.use(envelope.rows @ window).max() <= 1.0
-    assert envelope.tip_share(window)[0].max() <= 1.0
+    assert envelope.cartesian_use(window)[0].max() <= 1.0
 
 
 def test_a_share_is_as_large_as_the_limits_allow() -> None:

@@ -241,7 +241,7 @@ def test_a_tip_that_is_too_fast_is_named() -> None:
     for _ in range(30):
         motion = gate(adapter(action).targets_rad)
     verdict = motion.verdicts[0]
-    assert (verdict.kind, verdict.subject) == ("tip speed", "right/flange")
+    assert (verdict.kind, verdict.subject) == ("Cartesian speed", "right/flange")
     assert verdict.allowed == 0.1 < verdict.found < 0.3
     assert "m/s" in str(verdict)
 

@@ -172,28 +172,28 @@ def test_the_tip_speed_of_window_and_brake_is_never_underestimated(
         axis=1,
     ).reshape(len(windows), -1, 2, 6)
     peak = tip_speed(motion, tick_s, limits.tcp_m).max(axis=1) / limits.tcp_speed_m_s
-    share = envelope.tip_share(windows)[0].max(axis=1)
+    share = envelope.cartesian_use(windows)[0].max(axis=1)
     assert len(windows) > 20
     assert (share >= peak * (1 - 1e-9)).all()
     assert (share <= peak * 1.0061).all()
-    assert (envelope.tip_bound(use) >= peak * (1 - 1e-9)).all()
+    assert (envelope.cartesian_bound(use) >= peak * (1 - 1e-9)).all()
 
 
-def test_the_tip_share_says_which_point_is_faster() -> None:
+def test_the_cartesian_use_says_which_point_is_faster() -> None:
     envelope = Envelope(HARD, 0.008, 1)
     pan = np.zeros((1, 4, 12))
     pan[0, :, 0] = np.arange(4) * 0.001  # stretched: the flange is further out
     pan[0, :, 7] = np.arange(4) * 0.001
     pan[0, :, 8] = -np.arange(4) * 0.004  # folds while it lifts
     pan[0, :, 8] -= 2.6
-    share, point = envelope.tip_share(pan)
+    share, point = envelope.cartesian_use(pan)
     assert share.shape == point.shape == (1, 2)
     assert POINTS[point[0, 0]] == "flange"
     turn = np.zeros((1, 4, 12))
     turn[0, :, 5] = np.arange(4) * 0.001  # the last joint moves no flange, but a tool beside its axis
     turn[0, :, 11] = np.arange(4) * 0.001
     beside = Envelope(MotionLimits(tcp_speed_m_s=0.25, tcp_m=((0.2, 0.0, 0.1), (0.0, 0.0, 0.1))), 0.008, 1)
-    (share,), (point,) = beside.tip_share(turn)
+    (share,), (point,) = beside.cartesian_use(turn)
     np.testing.assert_allclose(share, [0.2 * 0.001 / 0.008 / 0.25, 0.0], rtol=1e-2, atol=1e-9)
     assert POINTS[point[0]] == "TCP"
 
@@ -218,7 +218,7 @@ def test_no_posture_puts_the_flange_further_from_an_axis_than_assumed() -> None:
 @pytest.mark.parametrize("tick_s", TICKS_S)
 def test_very_slow_limits_work_too(speed: float, tick_s: float) -> None:
     envelope = Envelope(MotionLimits(speed_rad_s=speed, tcp_speed_m_s=0.001), tick_s, 2)
-    share, _ = envelope.tip_share(np.zeros((1, 5, 12)))
+    share, _ = envelope.cartesian_use(np.zeros((1, 5, 12)))
     assert share.max() == 0.0
     assert envelope.rest_speed_rad_s <= 1e-4
 
@@ -230,12 +230,12 @@ def test_stops_within_a_window_are_checked_as_its_end_is() -> None:
     use_both = both.use(both.rows @ windows).max(axis=(1, 2))
     use_short = short.use(short.rows @ windows[:, :5]).max(axis=(1, 2))
     assert (use_both >= use_short * (1 - 1e-9)).all()
-    tips, tips_short = both.tip_share(windows)[0], short.tip_share(windows[:, :5])[0]
+    tips, tips_short = both.cartesian_use(windows)[0], short.cartesian_use(windows[:, :5])[0]
     assert (tips >= tips_short * (1 - 1e-9)).all()
 
 
 def test_flange_pose_of_the_checks_is_the_one_of_the_package() -> None:
-    # The checks of these tests would pass on anything if their own tip speed were wrong.
+    # The checks of these tests would pass on anything if their own Cartesian speed were wrong.
     q = np.zeros((1, 2, 2, 6))
     q[0, 1, 0, 0] = 0.001
     moved = np.linalg.norm(flange_pose(q[0, 1, 0])[0] - flange_pose(q[0, 0, 0])[0])

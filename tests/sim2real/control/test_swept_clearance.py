@@ -40,11 +40,11 @@ class Post(AlwaysClear):
         assert q_rad.shape == (self.n, 12)
         return np.stack([np.abs(q_rad[:, 0] - self.at_rad) - WIDE_M, np.full(self.n, 5.0)], axis=1)
 
-    def spare_of_balls_m(self):
+    def spare_of_spheres_m(self):
         return np.full((self.n, 2), -1.0)
 
-    def travel_m(self, way_rad):
-        return np.stack([way_rad[:, 0], way_rad[:, 1]], axis=1)
+    def travel_m(self, path_rad):
+        return np.stack([path_rad[:, 0], path_rad[:, 1]], axis=1)
 
     def alone(self):
         return self if self.n == 1 else Post(self.at_rad)
@@ -151,7 +151,7 @@ def test_balls_are_nearer_than_what_they_are_around(settings, keywords):
     settings = dataclasses.replace(settings, obstacles=(*settings.obstacles, wall))
     clearance = Clearance(settings, n=400, **keywords)
     spare = clearance.spare_m(random_q(np.random.default_rng(3), 400).reshape(400, 12)).copy()
-    balls = clearance.spare_of_balls_m()
+    balls = clearance.spare_of_spheres_m()
     measured = clearance.distances_m(random_q(np.random.default_rng(3), 400).reshape(400, 12)) < CLEARANCE_CUTOFF_M
     assert (balls <= spare + 1e-9)[measured].all()
     assert balls.max() > 0.5  # they tell what is not measured
@@ -219,11 +219,11 @@ class Corridor(Post):
         self.looks += 1
         return np.full((1, 1), 1e-4)
 
-    def spare_of_balls_m(self):
+    def spare_of_spheres_m(self):
         return np.full((1, 1), -1.0)
 
-    def travel_m(self, way_rad):
-        return 10.0 * way_rad.sum(axis=1, keepdims=True)
+    def travel_m(self, path_rad):
+        return 10.0 * path_rad.sum(axis=1, keepdims=True)
 
 
 def test_looks_are_bounded():
@@ -244,11 +244,11 @@ class Scripted:
         thin = np.abs(q_rad[:, 0]) + np.abs(q_rad[:, 1] - 0.03) - 0.002
         return np.where(q_rad[:, 3] > 0.0, 0.001, thin)[:, None]
 
-    def spare_of_balls_m(self):
+    def spare_of_spheres_m(self):
         return np.full((self.n, 1), -1.0)
 
-    def travel_m(self, way_rad):
-        return way_rad[:, :3].sum(axis=1)[:, None]
+    def travel_m(self, path_rad):
+        return path_rad[:, :3].sum(axis=1)[:, None]
 
     def alone(self):
         return self if self.n == 1 else Scripted(1)

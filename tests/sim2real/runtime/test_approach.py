@@ -375,7 +375,7 @@ def test_looking_at_many_windows_before_the_first_target_takes_its_time(monkeypa
     clearance = SimpleNamespace(
         shortfall_m=lambda q_rad: np.zeros(1),
         alone=lambda: clearance,
-        **{name: getattr(AlwaysClear(), name) for name in ("spare_of_balls_m", "travel_m")},
+        **{name: getattr(AlwaysClear(), name) for name in ("spare_of_spheres_m", "travel_m")},
     )
     way = PathToStart(MotionLimits(), clearance, tick_s, ticks, 1.0, targets)
     led = Approach([HOME, HOME + np.eye(12)[5]]).targets(tick_s)

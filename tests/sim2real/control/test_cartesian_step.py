@@ -9,9 +9,9 @@ from hypothesis.extra.numpy import arrays
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.kinematics.forward import pose_and_jacobian
 from dual_ur10.kinematics.ur10 import NOMINAL_DH
-from dual_ur10.sim2real.control.adapter import TCP_STEP_M_S, TCP_TURN_RAD_S, ServojAdapter
+from dual_ur10.sim2real.control.adapter import TCP_ROTATION_RAD_S, TCP_STEP_M_S, ServojAdapter
+from dual_ur10.sim2real.control.cartesian_step import HALT_CONDITION, SLOW_CONDITION, condition, fraction_of_step
 from dual_ur10.sim2real.control.servoj import ServojProfile
-from dual_ur10.sim2real.control.singularity import HALT_CONDITION, SLOW_CONDITION, condition, share_of_step
 from tests.sim2real.control.test_adapter import HARD
 
 # Which joint leads an arm at home, or near it, into a singularity, and which way.
@@ -34,7 +34,7 @@ def test_the_condition_is_that_of_the_jacobian(q):
 @settings(max_examples=300)
 @given(POSTURES, arrays(np.float64, (4, 6), elements=st.floats(-0.2, 0.2)), st.floats(1.0, 10.0))
 def test_a_step_is_made_smaller_only_towards_a_singularity(q, step, ahead):
-    share = share_of_step(q, step, ahead, NOMINAL_DH)
+    share = fraction_of_step(q, step, ahead, NOMINAL_DH)
     assert set(share * 8) <= set(range(9))
     for row in range(len(q)):
         on_way = condition(q[row] + np.arange(9)[:, None] / 8 * ahead * step[row], NOMINAL_DH)
@@ -55,8 +55,8 @@ def test_a_step_is_made_smaller_only_towards_a_singularity(q, step, ahead):
 @given(POSTURES)
 def test_rows_do_not_depend_on_each_other(q):
     step = 0.1 * np.roll(q, 1, axis=0)
-    together = share_of_step(q, step, 5.0, NOMINAL_DH)
-    alone = [share_of_step(q[k : k + 1], step[k : k + 1], 5.0, NOMINAL_DH)[0] for k in range(len(q))]
+    together = fraction_of_step(q, step, 5.0, NOMINAL_DH)
+    alone = [fraction_of_step(q[k : k + 1], step[k : k + 1], 5.0, NOMINAL_DH)[0] for k in range(len(q))]
     np.testing.assert_array_equal(together, alone)
 
 
@@ -65,7 +65,7 @@ def along(adapter, joint, way):
     q = adapter.commanded_q_rad[0, 0]
     twist = jacobian(q)[:, joint] * way
     twist[[0, 1, 3, 4]] *= -1.0  # `base` is half a turn from the cell's frame
-    share = np.concatenate([twist[:3] / TCP_STEP_M_S, twist[3:] / TCP_TURN_RAD_S])
+    share = np.concatenate([twist[:3] / TCP_STEP_M_S, twist[3:] / TCP_ROTATION_RAD_S])
     action = np.zeros((1, 2, 6))
     action[0, 0] = 0.9 * share / np.abs(share).max()
     return action
@@ -100,7 +100,7 @@ def test_turning_the_base_near_a_singularity_is_not_held_back():
     assert condition(q, NOMINAL_DH)[0] > SLOW_CONDITION
     for turn in np.linspace(-0.1, 0.1, 201):
         step = np.array([[turn, 0.0, 0.0, 0.0, 0.0, 0.0]])
-        assert share_of_step(q, step, 5.0, NOMINAL_DH)[0] == 1.0
+        assert fraction_of_step(q, step, 5.0, NOMINAL_DH)[0] == 1.0
 
 
 @pytest.mark.parametrize("period_ticks", [1, 5, 12])

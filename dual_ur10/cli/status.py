@@ -105,19 +105,19 @@ def _joints(arms: Sequence[Any]) -> Table:
 
 
 def _mode(arm: Any) -> str:
-    from dual_ur10.sim2real.links.arm_status import name_of
+    from dual_ur10.sim2real.links.arm_status import mode_name
     from dual_ur10.sim2real.protocol.modes import RobotMode
 
     mode = arm.status.robot_mode
-    return _coloured(name_of(RobotMode, mode), mode == RobotMode.RUNNING)
+    return _coloured(mode_name(RobotMode, mode), mode == RobotMode.RUNNING)
 
 
 def _safety(arm: Any) -> str:
-    from dual_ur10.sim2real.links.arm_status import name_of
+    from dual_ur10.sim2real.links.arm_status import mode_name
     from dual_ur10.sim2real.protocol.modes import SafetyMode
 
     mode = arm.status.safety_mode
-    return _coloured(name_of(SafetyMode, mode), mode == SafetyMode.NORMAL)
+    return _coloured(mode_name(SafetyMode, mode), mode == SafetyMode.NORMAL)
 
 
 def _may_move(arm: Any) -> str:
@@ -137,10 +137,10 @@ def _power(arm: Any) -> str:
 
 
 def _runs(arm: Any) -> str:
-    from dual_ur10.sim2real.links.arm_status import name_of
+    from dual_ur10.sim2real.links.arm_status import mode_name
     from dual_ur10.sim2real.protocol.modes import RuntimeState
 
-    return escape(name_of(RuntimeState, arm.status.runtime_state))
+    return escape(mode_name(RuntimeState, arm.status.runtime_state))
 
 
 def _slider(arm: Any) -> str:

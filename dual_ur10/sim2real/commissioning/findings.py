@@ -15,8 +15,8 @@ from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
 from dual_ur10.sim2real.config.cell_file_tables import ArmEntry
 from dual_ur10.sim2real.control.servoj import Family
 from dual_ur10.sim2real.control.time_scaling import FULL
-from dual_ur10.sim2real.links.arm_status import ArmStatus, name_of, stop_reason
-from dual_ur10.sim2real.links.link_socket import checked_host
+from dual_ur10.sim2real.links.arm_status import ArmStatus, mode_name, stop_reason
+from dual_ur10.sim2real.links.link_socket import check_host
 from dual_ur10.sim2real.links.primary_link import PrimaryFacts
 from dual_ur10.sim2real.links.rtde_stream import Sample
 from dual_ur10.sim2real.protocol.modes import RobotMode, RuntimeState, SafetyMode
@@ -130,7 +130,7 @@ class ExpectedArm:
     serial_number: str | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "host", checked_host(self.host))
+        object.__setattr__(self, "host", check_host(self.host))
         if self.family not in get_args(Family):
             raise UnknownNameError("controller family", str(self.family), get_args(Family))
         for name, value, count in (
@@ -194,7 +194,7 @@ def state_findings(arm: str, status: ArmStatus) -> Iterator[Finding]:
         arm,
         "robot mode",
         status.robot_mode == RobotMode.RUNNING,
-        name_of(RobotMode, status.robot_mode),
+        mode_name(RobotMode, status.robot_mode),
         "7 (RUNNING)",
         "power the arm on and release its brakes at the pendant",
     )
@@ -202,7 +202,7 @@ def state_findings(arm: str, status: ArmStatus) -> Iterator[Finding]:
         arm,
         "safety mode",
         status.safety_mode == SafetyMode.NORMAL,
-        name_of(SafetyMode, status.safety_mode),
+        mode_name(SafetyMode, status.safety_mode),
         "1 (NORMAL)",
         "find the cause, and clear it at the pendant or at the button or gate",
     )
@@ -216,7 +216,7 @@ def state_findings(arm: str, status: ArmStatus) -> Iterator[Finding]:
         arm,
         "program",
         status.runtime_state == RuntimeState.STOPPED,
-        name_of(RuntimeState, status.runtime_state),
+        mode_name(RuntimeState, status.runtime_state),
         "1 (STOPPED)",
         "stop the program at the pendant, and end other programs that use this arm",
     )

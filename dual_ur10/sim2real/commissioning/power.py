@@ -1,8 +1,7 @@
-"""Power for both arms, and their brakes released: the only things here that change the state of a controller.
+"""Power and brake release of both arms: the only functions here that change the state of a controller.
 
-A person has to have asked for it, and confirms it. Nothing else is put right: a controller in a stop, with a program
-running or in local mode is left as it is, and so is the other one. Nothing here unlocks a stop or restarts a safety
-system.
+The operator requests it and confirms it. Nothing else is corrected: a controller in a stop, with a running program or
+in local mode is left as it is, and so is the other one. Nothing here unlocks a stop or restarts a safety system.
 """
 
 from __future__ import annotations
@@ -19,10 +18,10 @@ from dual_ur10.sim2real.links.dashboard_link import DashboardLink
 from dual_ur10.sim2real.protocol.modes import RobotMode, SafetyMode
 
 POWER_S: Final = 60.0
-"""Within how long an arm must have power."""
+"""Time limit of powering an arm."""
 
 BRAKES_S: Final = 30.0
-"""And its brakes be released, after that."""
+"""Time limit of releasing its brakes, after that."""
 
 _POLL_S: Final = 0.1
 _OFF, _IDLE, _RUNNING = (each.name for each in (RobotMode.POWER_OFF, RobotMode.IDLE, RobotMode.RUNNING))
@@ -33,14 +32,14 @@ _STOPPED: Final = "STOPPED"  # of the program
 
 
 class _Arm:
-    """One arm, and the connection to its dashboard."""
+    """Arm with the connection to its dashboard."""
 
     def __init__(self, name: str, link: DashboardLink) -> None:
         self.name, self.link = name, link
         self.mode = ""
 
-    def look(self, modes: Sequence[str] = _STANDING) -> list[str]:
-        """What is wrong with it, but that it has no power. Sets its mode, which is to be one of these."""
+    def faults(self, modes: Sequence[str] = _STANDING) -> list[str]:
+        """Return its faults other than missing power, and store its mode, which must be one of `modes`."""
         found = []
         self.mode = self.link.robot_mode()
         if self.mode not in modes:
@@ -51,7 +50,7 @@ class _Arm:
         safety = self.link.safety()
         if safety != _NORMAL:
             found.append(
-                f"{self.link.where}: safety {safety}, expected is {_NORMAL}: look at the cause, and clear it at the "
+                f"{self.link.where}: safety {safety}, expected is {_NORMAL}: find the cause, and clear it at the "
                 "pendant"
             )
         state = self.link.program_state()
@@ -70,26 +69,25 @@ class _Arm:
         answer = self.link.ask(command)
         if answer != expected:
             raise OperationRefusedError(
-                f"{self.link.where}: answers {answer[:120]!r} to {command!r}, expected is {expected!r}: see what the "
-                "pendant says, and do it there"
+                f"{self.link.where}: answers {answer[:120]!r} to {command!r}, expected is {expected!r}: check "
+                "the message on the pendant, and do it there"
             )
 
 
 def power_on(cell_file: CellFile, confirm: Callable[[str], bool]) -> bool:
-    """Give both arms power and release their brakes, if a person agrees. It waits until both are ready.
+    """Power both arms and release their brakes, with the operator's confirmation. It waits until both are ready.
 
     Args:
-        cell_file: Of the cell.
-        confirm: Shows the question to a person, and says whether the answer was yes. It is not called if both arms are
-            ready already.
+        cell_file: Cell file.
+        confirm: Asks the operator, and returns True for yes. It is not called if both arms are ready.
 
     Returns:
-        Whether anything had to be done.
+        True if anything had to be done.
 
     Raises:
-        LinkError: A controller cannot be reached, or does not get there in time.
-        OperationRefusedError: Something else is wrong with an arm, and nothing was sent to either; or the person did
-            not agree; or a controller refuses, or something went wrong meanwhile: what has power then keeps it.
+        LinkError: A controller cannot be reached, or is not ready in time.
+        OperationRefusedError: An arm has another fault, and nothing was sent to either; or the operator did not confirm
+            it; or a controller refuses, or a fault came up meanwhile: an arm that has power then keeps it.
     """
     with _connected(cell_file) as arms:
         _check(arms)
@@ -110,15 +108,15 @@ def power_on(cell_file: CellFile, confirm: Callable[[str], bool]) -> bool:
         raise OperationRefusedError(
             "power was not confirmed: nothing was switched. Confirm it, or do it at the pendant"
         )
-    # A person may have taken minutes: what was true then need not be true now.
+    # The answer may have taken minutes, so both arms are checked again.
     with _connected(cell_file) as arms:
         _check(arms)
         asked = [arm.name for arm in waiting]
         for arm in arms:
             if arm.mode != _RUNNING and arm.name not in asked:
                 raise OperationRefusedError(
-                    f"{arm.link.where}: robot mode {arm.mode}, and {_RUNNING} when a person was asked: nothing was "
-                    "switched. See why, and ask again"
+                    f"{arm.link.where}: robot mode {arm.mode}, and {_RUNNING} before the question: nothing was "
+                    "switched. Find the cause, and start again"
                 )
         for arm in arms:
             if arm.mode == _OFF:
@@ -133,7 +131,7 @@ def power_on(cell_file: CellFile, confirm: Callable[[str], bool]) -> bool:
 
 @contextlib.contextmanager
 def _connected(cell_file: CellFile) -> Iterator[list[_Arm]]:
-    """Both arms' dashboards, as long as the `with` block lasts."""
+    """Connect to the dashboards of both arms."""
     with contextlib.ExitStack() as stack:
         yield [
             _Arm(name, stack.enter_context(DashboardLink(arm.host, name=name)))
@@ -142,7 +140,7 @@ def _connected(cell_file: CellFile) -> Iterator[list[_Arm]]:
 
 
 def _check(arms: Sequence[_Arm]) -> None:
-    found = [text for arm in arms for text in arm.look()]
+    found = [text for arm in arms for text in arm.faults()]
     if found:
         raise OperationRefusedError("no arm was given power: " + "; ".join(found))
 
@@ -151,12 +149,12 @@ def _wait(arms: Sequence[_Arm], modes: Sequence[str], within_s: float) -> None:
     """Wait until both are in one of the modes.
 
     Raises:
-        LinkError: They are not within the time, or a connection was lost.
-        OperationRefusedError: Something else is wrong meanwhile.
+        LinkError: They are not in time, or a connection was lost.
+        OperationRefusedError: Another fault came up.
     """
     end_s = time.monotonic() + within_s
     while True:
-        found = [text for arm in arms for text in arm.look(_ON_THE_WAY)]
+        found = [text for arm in arms for text in arm.faults(_ON_THE_WAY)]
         if found:
             raise OperationRefusedError("; ".join(found))
         late = [arm for arm in arms if arm.mode not in modes]
@@ -164,7 +162,7 @@ def _wait(arms: Sequence[_Arm], modes: Sequence[str], within_s: float) -> None:
             return
         if time.monotonic() >= end_s:
             raise LinkError(
-                f"{late[0].link.where}: robot mode {late[0].mode} after {within_s:g} s, expected is {modes[0]}: see "
-                "what the pendant says"
+                f"{late[0].link.where}: robot mode {late[0].mode} after {within_s:g} s, expected is {modes[0]}: check "
+                "the message on the pendant"
             )
         time.sleep(_POLL_S)

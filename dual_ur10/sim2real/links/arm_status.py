@@ -199,19 +199,19 @@ def stop_reason(status: ArmStatus, *, allow_reduced: bool = False, playing: bool
     """
     mode = status.safety_mode
     if mode != SafetyMode.NORMAL and not (mode == SafetyMode.REDUCED and allow_reduced):
-        return f"safety mode {name_of(SafetyMode, mode)}"
+        return f"safety mode {mode_name(SafetyMode, mode)}"
     bits = status.safety_bits
     if bits not in (_FINE_REDUCED if allow_reduced else _FINE):
         return f"safety status bits 0x{bits:x}: {_describe(bits)}"
     if status.robot_mode != RobotMode.RUNNING:
-        return f"robot mode {name_of(RobotMode, status.robot_mode)}"
+        return f"robot mode {mode_name(RobotMode, status.robot_mode)}"
     if not status.robot_bits & _POWER_ON:
         return f"robot status bits 0x{status.robot_bits:x}: no power"
     # The bit of the power button is not checked: its effect shows in the modes.
     if status.robot_bits & _TEACH_BUTTON:
         return f"robot status bits 0x{status.robot_bits:x}: freedrive button pressed"
     if playing and status.runtime_state != RuntimeState.PLAYING:
-        return f"program state {name_of(RuntimeState, status.runtime_state)}"
+        return f"program state {mode_name(RuntimeState, status.runtime_state)}"
     if not all(map(math.isfinite, (*status.q_rad, *status.qd_rad_s, status.slider, status.speed_scaling))):
         return "joint angles, joint speeds, slider or speed scaling that are not finite numbers"
     return None
@@ -228,7 +228,7 @@ def _describe(bits: int) -> str:
     return ", ".join(found)
 
 
-def name_of(kind: type[SafetyMode] | type[RobotMode] | type[RuntimeState], number: int) -> str:
+def mode_name(kind: type[SafetyMode] | type[RobotMode] | type[RuntimeState], number: int) -> str:
     """Return a number with UR's name for it, such as "7 (RUNNING)" or "21 (unknown)"."""
     known = {int(each): each.name for each in kind}
     return f"{number} ({known.get(number, 'unknown')})"

@@ -10,7 +10,7 @@ import time
 from typing import Final
 
 from dual_ur10.errors import OperationRefusedError, ProtocolError, SettingsError
-from dual_ur10.sim2real.links.link_socket import LinkSocket, checked_timeout
+from dual_ur10.sim2real.links.link_socket import LinkSocket, check_timeout
 from dual_ur10.sim2real.protocol.text_lines import LineReader
 from dual_ur10.types import Closing
 
@@ -40,7 +40,7 @@ class DashboardLink(Closing):
     """
 
     def __init__(self, host: str, timeout_s: float = 2.0, port: int = PORT, *, name: str = "") -> None:
-        self._timeout_s = checked_timeout(timeout_s)
+        self._timeout_s = check_timeout(timeout_s)
         self._version: tuple[int, ...] | None = None
         deadline_s = time.monotonic() + timeout_s
         self._socket = LinkSocket(name, "dashboard", host, port, deadline_s)

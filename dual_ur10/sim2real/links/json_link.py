@@ -9,7 +9,7 @@ from typing import Any, Final
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from dual_ur10.errors import LinkError, OperationRefusedError
-from dual_ur10.sim2real.links.link_socket import LinkSocket, checked_timeout
+from dual_ur10.sim2real.links.link_socket import LinkSocket, check_timeout
 from dual_ur10.types import Closing
 
 ANSWER_S: Final = 10.0
@@ -44,7 +44,7 @@ class JsonLink(Closing):
 
     def __init__(self, what: str, host: str, port: int, timeout_s: float = ANSWER_S) -> None:
         self.where = f"{what} at {host}:{port}"
-        self.timeout_s = checked_timeout(timeout_s)
+        self.timeout_s = check_timeout(timeout_s)
         self._address = (what, host, port)
         self._socket: LinkSocket | None = None
         self._rest = b""

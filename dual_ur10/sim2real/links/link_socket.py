@@ -15,7 +15,7 @@ from dual_ur10.types import Closing
 _RECEIVE_BYTES: Final = 65_536
 
 
-def checked_host(host: str) -> str:
+def check_host(host: str) -> str:
     """Return an address in canonical form.
 
     Raises:
@@ -30,7 +30,7 @@ def checked_host(host: str) -> str:
         ) from None
 
 
-def checked_timeout(timeout_s: float) -> float:
+def check_timeout(timeout_s: float) -> float:
     """Return a time limit.
 
     Raises:
@@ -60,7 +60,7 @@ class LinkSocket(Closing):
     """
 
     def __init__(self, name: str, service: str, host: str, port: int, deadline_s: float) -> None:
-        host = checked_host(host)
+        host = check_host(host)
         self.where = f"{name + ' arm, ' if name else ''}{service} at {host}:{port}"
         self._socket: socket.socket | None = None
         try:

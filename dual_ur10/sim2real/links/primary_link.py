@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 from dual_ur10.errors import ProtocolError
 from dual_ur10.kinematics.ur10 import DHParameters
-from dual_ur10.sim2real.links.link_socket import LinkSocket, checked_timeout
+from dual_ur10.sim2real.links.link_socket import LinkSocket, check_timeout
 from dual_ur10.sim2real.protocol.primary_messages import ROBOT_MESSAGE
 from dual_ur10.sim2real.protocol.primary_packet import ROBOT_STATE
 
@@ -69,7 +69,7 @@ def read_primary(host: str, timeout_s: float = 2.0, port: int = PORT, *, name: s
         SettingsError: An argument is not legal.
         LinkError: There is no primary interface, or its data are incomplete in time or not valid.
     """
-    deadline_s = time.monotonic() + checked_timeout(timeout_s)
+    deadline_s = time.monotonic() + check_timeout(timeout_s)
     with LinkSocket(name, "primary interface", host, port, deadline_s) as socket:
         reader = _Reader()
         while reader.facts is None:

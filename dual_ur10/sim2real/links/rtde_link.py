@@ -16,7 +16,7 @@ from typing import Final, NoReturn
 
 from dual_ur10.errors import LinkError, ProtocolError, SettingsError
 from dual_ur10.sim2real.control.servoj import TICK_S
-from dual_ur10.sim2real.links.link_socket import LinkSocket, checked_timeout
+from dual_ur10.sim2real.links.link_socket import LinkSocket, check_timeout
 from dual_ur10.sim2real.links.rtde_stream import TIMESTAMP, RtdeStream, Sample
 from dual_ur10.sim2real.protocol.rtde import TYPES, DataType, Frames, Kind, frame, split_names
 from dual_ur10.types import Closing
@@ -165,7 +165,7 @@ class RtdeLink(Closing):
         name: str = "",
     ) -> None:
         wanted, optional = _check_names(variables, frequency_hz), _check_names(optional, None)[1:]
-        deadline_s = time.monotonic() + checked_timeout(timeout_s)
+        deadline_s = time.monotonic() + check_timeout(timeout_s)
         client = RtdeClient(name, host, port, deadline_s)
         self._socket = client.socket
         self._fault = ""

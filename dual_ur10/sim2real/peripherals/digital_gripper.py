@@ -12,7 +12,7 @@ from typing import Final
 
 from dual_ur10.assets.gripper import OPENING_M
 from dual_ur10.sim2real.config.cell_file_tables import DigitalGripper
-from dual_ur10.sim2real.links.link_socket import checked_timeout
+from dual_ur10.sim2real.links.link_socket import check_timeout
 from dual_ur10.sim2real.links.rtde_link import PORT, RtdeClient, RtdeLink
 from dual_ur10.sim2real.peripherals.gripper_link import GripperReading
 from dual_ur10.sim2real.protocol.rtde import Kind, frame
@@ -58,7 +58,7 @@ class DigitalGripperLink(Closing):
         self._mask, self._gripper = 1 << gripper.output, gripper
         self._commanded: bool | None = None
         self._due_s = 0.0
-        deadline_s = time.monotonic() + checked_timeout(timeout_s)
+        deadline_s = time.monotonic() + check_timeout(timeout_s)
         with ExitStack() as stack:
             self._reader = stack.enter_context(RtdeLink(host, [OUTPUTS], _RATE_HZ, port, timeout_s, name=name))
             self._sender = RtdeClient(name, host, port, deadline_s)

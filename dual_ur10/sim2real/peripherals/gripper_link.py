@@ -11,7 +11,7 @@ from typing import Final, NamedTuple, Protocol
 
 from dual_ur10.assets.gripper import FORCE_N, OPENING_M
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.links.link_socket import LinkSocket, checked_timeout
+from dual_ur10.sim2real.links.link_socket import LinkSocket, check_timeout
 from dual_ur10.types import Closing
 
 COUNTS: Final = 255
@@ -151,7 +151,7 @@ class RobotiqLink(Closing):
         self, host: str, port: int, force_n: float = FORCE_N[0], timeout_s: float = 2.0, *, name: str = ""
     ) -> None:
         self._force = force_counts(force_n)
-        deadline_s = time.monotonic() + checked_timeout(timeout_s)
+        deadline_s = time.monotonic() + check_timeout(timeout_s)
         self._socket = LinkSocket(name, "Robotiq gripper", host, port, deadline_s)
         self._rest = b""
         self._commanded: int | None = None

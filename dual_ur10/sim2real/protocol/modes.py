@@ -1,4 +1,4 @@
-"""The numbers by which a UR controller tells of its state.
+"""Mode codes and status bits of UR controllers.
 
 Values: UR's RTDE guide, and `datatypes.h` of Universal Robots' client library.
 """
@@ -24,7 +24,7 @@ class RobotMode(IntEnum):
 
 
 class SafetyMode(IntEnum):
-    """RTDE `safety_mode`. A controller may send other numbers, too."""
+    """RTDE `safety_mode`. A controller may send other numbers as well."""
 
     NORMAL = 1
     REDUCED = 2
@@ -68,7 +68,7 @@ class RobotBits(IntFlag):
 
 
 class RuntimeState(IntEnum):
-    """RTDE `runtime_state`: what the program does."""
+    """RTDE `runtime_state`: state of the program."""
 
     STOPPING = 0
     STOPPED = 1

@@ -1,4 +1,4 @@
-"""Messages of the primary interface (ports 30001 and 30011) that are sent when something happens.
+"""Event messages of the primary interface, ports 30001 and 30011.
 
 Each is a packet of type 20: INT32 size, UINT8 20, UINT64 timestamp in µs, INT8 source, UINT8 kind, then its own fields;
 all big-endian, texts without an end mark. Layouts: UR's client interface article, and the parsers of Universal Robots'
@@ -19,7 +19,7 @@ ROBOT_MESSAGE: Final = 20
 
 SOURCE_CONTROLLER: Final = -2
 SOURCE_PROGRAM: Final = -3
-"""Who speaks: the controller, or the program it runs. As in packets recorded from URSim."""
+"""Sources of messages: the controller, and the program it runs. Values: packets recorded from URSim."""
 
 _TEXT, _POPUP, _VERSION, _SAFETY_MODE, _ERROR_CODE, _KEY, _RUNTIME_EXCEPTION = 0, 2, 3, 5, 6, 7, 10
 
@@ -72,56 +72,56 @@ def version_message(identity: ControllerIdentity) -> bytes:
 
 
 def text_message(timestamp_s: float, text: str) -> bytes:
-    """What a program says with `textmsg`."""
+    """Return the message of `textmsg` in a program."""
     return _message(timestamp_s, SOURCE_PROGRAM, _TEXT, _bytes(text))
 
 
 def key_message(timestamp_s: float, title: str, text: str, *, code: int = 0, argument: int = 0) -> bytes:
-    """An event with a title, as "PROGRAM_XXX_STARTED" with the program's name."""
+    """Return an event with a title, such as "PROGRAM_XXX_STARTED" with the program's name."""
     body = struct.pack(">iiB", code, argument, len(_short(title))) + _short(title) + _bytes(text)
     return _message(timestamp_s, SOURCE_CONTROLLER, _KEY, body)
 
 
 def runtime_exception_message(timestamp_s: float, line: int, column: int, text: str) -> bytes:
-    """Why a program ended.
+    """Return the error that ended a program.
 
     Args:
         timestamp_s: Controller time, s.
         line: Line of the program, from 1.
         column: Column, from 1.
-        text: What is wrong.
+        text: Description of the error.
     """
     return _message(timestamp_s, SOURCE_PROGRAM, _RUNTIME_EXCEPTION, struct.pack(">ii", line, column) + _bytes(text))
 
 
 def script_error_message(timestamp_s: float, error: ScriptError) -> bytes:
-    """The same of an error of the script interpreter, which knows no column."""
+    """Return the same for an error of the script interpreter, which reports no column."""
     return runtime_exception_message(timestamp_s, error.line, 1, f"{error.reason}: {error.word}")
 
 
 def error_code_message(
     timestamp_s: float, code: str, text: str = "", *, level: ReportLevel = ReportLevel.VIOLATION
 ) -> bytes:
-    """An error code, as the log on the pendant shows it.
+    """Return an error code, as the log on the pendant shows it.
 
     Args:
         timestamp_s: Controller time, s.
-        code: As UR writes it: "C153A0".
-        text: Its explanation.
-        level: How grave it is.
+        code: Code in UR's notation: "C153A0".
+        text: Explanation.
+        level: Severity.
 
     Raises:
-        SettingsError: The code is not written so.
+        SettingsError: The code is not in that notation.
     """
     body = struct.pack(">iiiII", *split_code(code), level, 0, 0) + _bytes(text)
     return _message(timestamp_s, SOURCE_CONTROLLER, _ERROR_CODE, body)
 
 
 def safety_mode_message(timestamp_s: float, safety_mode: int, code: str = "C0A0") -> bytes:
-    """A change of the safety mode, and the code of what caused it.
+    """Return a change of the safety mode, with the code of its cause.
 
     Raises:
-        SettingsError: The code is not written as "C204A1".
+        SettingsError: The code is not in the notation "C204A1".
     """
     body = struct.pack(">iiBII", *split_code(code), safety_mode & 0xFF, 0, 0)
     return _message(timestamp_s, SOURCE_CONTROLLER, _SAFETY_MODE, body)
@@ -137,27 +137,27 @@ def popup_message(
     blocking: bool = False,
     request: int = 0,
 ) -> bytes:
-    """A message on the pendant, as `popup` in a program or on the dashboard shows it.
+    """Return a message on the pendant, as `popup` in a program or on the dashboard shows it.
 
     Args:
         timestamp_s: Controller time, s.
         title: At most 255 bytes of it are sent.
         text: The message.
-        warning: Whether it looks like a warning.
-        error: Whether it looks like an error.
-        blocking: Whether the program waits for it.
-        request: Number by which it can be answered.
+        warning: True for the style of a warning.
+        error: True for the style of an error.
+        blocking: True if the program waits for it.
+        request: Number under which it can be answered.
     """
-    # Assumption: kind of the request 0; no document at hand tells it for a message that asks nothing.
+    # Assumption: request type 0. No document at hand gives it for a message without a question.
     body = struct.pack(">IB???B", request, 0, warning, error, blocking, len(_short(title)))
     return _message(timestamp_s, SOURCE_PROGRAM, _POPUP, body + _short(title) + _bytes(text))
 
 
 def split_code(code: str) -> tuple[int, int]:
-    """Code and argument of an error code: (153, 0) of "C153A0", (50, 0) of "C50".
+    """Return number and argument of an error code: (153, 0) for "C153A0", (50, 0) for "C50".
 
     Raises:
-        SettingsError: It is not written so.
+        SettingsError: It is not in that notation.
     """
     found = re.fullmatch(r"C(\d{1,9})(?:A(\d{1,9}))?", code, re.ASCII)
     if found is None:
@@ -175,5 +175,5 @@ def _bytes(text: str) -> bytes:
 
 
 def _short(text: str) -> bytes:
-    """Text whose length is told in one byte."""
+    """Return a text whose length fits into one byte."""
     return _bytes(text)[:255]

@@ -1,4 +1,4 @@
-"""The state of a robot as the primary and secondary interfaces (ports 30001, 30002, 30011, 30012) send it.
+"""Robot state packets of the primary and secondary interfaces, ports 30001, 30002, 30011 and 30012.
 
 A packet of type 16 is a list of sub-packages, each an INT32 size, a UINT8 type and its fields, all big-endian. Layouts:
 UR's client interface article, the parsers of Universal Robots' client library, and the sizes in a packet recorded from
@@ -20,11 +20,11 @@ ROBOT_STATE: Final = 16
 """Type of the packet."""
 
 RATE_HZ: Final = 10
-"""How often it is sent."""
+"""Rate at which it is sent."""
 
 Values = Mapping[str, Any]
 
-_CALIBRATED: Final = 2  # assumption: "calibration status" of a calibrated arm; 0 says it is the nominal one
+_CALIBRATED: Final = 2  # assumption: "calibration status" of a calibrated arm; 0 is that of a nominal one
 _EMERGENCY: Final = SafetyBits.SYSTEM_EMERGENCY_STOPPED | SafetyBits.ROBOT_EMERGENCY_STOPPED
 
 # Defaults of the pendant for movej and movel: URScript manual, a=1.4, v=1.05, a=1.2, v=0.25.
@@ -33,11 +33,11 @@ _EQUIVALENT_RADIUS_M: Final = 0.25
 
 
 class PrimaryPacket:
-    """Packs the state of one controller.
+    """Packer of the state of one controller.
 
     Args:
         identity: Version, robot type and safety settings of the controller.
-        kinematics: The arm's kinematics as calibrated.
+        kinematics: Calibrated kinematics of the arm.
     """
 
     def __init__(self, identity: ControllerIdentity, kinematics: DHParameters) -> None:
@@ -46,7 +46,7 @@ class PrimaryPacket:
         self._version = version_message(identity)
         self._kinematics = _package(5, _kinematics(kinematics))
         self._configuration = _package(6, _configuration(identity, kinematics))
-        # Assumption: a CB3 has no data of the tool's connector.
+        # Assumption: a CB3 sends no data of the tool's connector.
         packers: tuple[Callable[[Values], bytes], ...] = (
             self._robot_mode,
             _joints,
@@ -63,14 +63,14 @@ class PrimaryPacket:
         self._packers = (*packers, _tool_connector, _tool_mode) if self._e_series else packers
 
     def version_message(self) -> bytes:
-        """What is sent first on every connection."""
+        """Return the first message of every connection."""
         return self._version
 
     def state(self, values: Values) -> bytes:
-        """The packet.
+        """Return a packet.
 
         Args:
-            values: By name of the RTDE output variable; `control_mode` besides, if it is not 0 (position).
+            values: Values by name of the RTDE output variable; also `control_mode`, if it is not 0 (position).
 
         Raises:
             KeyError: A variable of `NAMES` is missing.
@@ -83,7 +83,7 @@ class PrimaryPacket:
         fields = struct.pack(
             ">Q7?BBddd",
             round(values["timestamp"] * 1e6),
-            True,  # a real robot is connected: clients refuse to work with one in simulation
+            True,  # real robot connected: clients refuse to work with a simulated one
             True,
             mode >= RobotMode.POWER_ON,
             bool(bits & (_EMERGENCY | SafetyBits.EMERGENCY_STOPPED)),
@@ -96,7 +96,7 @@ class PrimaryPacket:
             values["speed_scaling"],
             1.0,
         )
-        # A CB3 has no reserved byte here, and a client of those, urx, tells the versions by this size.
+        # A CB3 has no reserved byte here; urx, a client of CB3s, distinguishes versions by this size.
         return _package(0, fields + b"\0" if self._e_series else fields)
 
     def _masterboard(self, values: Values) -> bytes:
@@ -133,7 +133,7 @@ class PrimaryPacket:
         return _package(8, fields + b"\1" if self._e_series else fields)
 
     def _safety(self, values: Values) -> bytes:
-        """Not documented but for the first number, the checksum; then come the elbow's position and a radius."""
+        """Layout not documented. It begins with the checksum, and holds the elbow's position and a radius."""
         return _package(10, self._safety_checksum + struct.pack(">2B4d", 1, 1, *values["elbow_position"], 0.13))
 
 
@@ -174,16 +174,16 @@ NAMES: Final = (
     "tool_temperature",
     "tool_mode",
 )
-"""RTDE output variables that the packet is made of."""
+"""RTDE output variables that a packet needs."""
 
 
 def kinematics_checksums(kinematics: DHParameters) -> tuple[int, ...]:
-    """(6,) checksums, one per joint: CRC-32 of its theta, a, d and alpha as big-endian doubles.
+    """Return (6,) checksums, one per joint: CRC-32 of its theta, a, d and alpha as big-endian doubles.
 
     UR does not publish its own rule; clients only compare.
     """
     rows = zip(kinematics.theta_rad, kinematics.a_m, kinematics.d_m, kinematics.alpha_rad, strict=True)
-    # Adding zero turns -0.0 into 0.0, the same arm.
+    # Adding zero makes -0.0 equal to 0.0: it is the same arm.
     return tuple(zlib.crc32(struct.pack(">4d", *(value + 0.0 for value in row))) for row in rows)
 
 
@@ -203,7 +203,7 @@ def _joints(values: Values) -> bytes:
         values["actual_current"],
         values["actual_joint_voltage"],
         temperatures,
-        temperatures,  # of the processor: there is no other
+        temperatures,  # that of the processor is not known
         values["joint_mode"],
         strict=True,
     )
@@ -247,12 +247,12 @@ def _configuration(identity: ControllerIdentity, kinematics: DHParameters) -> by
 
 
 def _force_mode(values: Values) -> bytes:
-    """The force at the tool, and how far the arm is from singular, which is not computed here."""
+    # The last number, the distance from a singularity, is not computed.
     return _package(7, struct.pack(">7d", *values["actual_TCP_force"], 0.0))
 
 
 def _calibration(_: Values) -> bytes:
-    """Numbers that UR keeps to itself."""
+    # The layout is not published.
     return _package(9, bytes(48))
 
 
@@ -274,10 +274,10 @@ def _tool(values: Values) -> bytes:
 
 
 def _tool_connector(_: Values) -> bytes:
-    """The serial connection in the tool's connector: off, with UR's defaults."""
+    # Serial connection in the tool's connector: off, with UR's defaults.
     return _package(11, struct.pack(">?iiiff", False, 115200, 0, 1, 1.5, 3.5))
 
 
 def _tool_mode(_: Values) -> bytes:
-    """The tool's digital outputs: UR's defaults."""
+    # Digital outputs of the tool: UR's defaults.
     return _package(12, struct.pack(">3B", 0, 1, 1))

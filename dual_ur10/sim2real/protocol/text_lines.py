@@ -1,4 +1,4 @@
-"""Bytes from a socket into lines of text, with a bound on what a client can make us keep."""
+"""Lines of text from a byte stream, with a bound on the memory that a peer can take."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Final
 from dual_ur10.errors import ProtocolError
 
 MAX_LINE_BYTES: Final = 4096
-"""Longest line. The longest that a client needs, the text of a popup, is far shorter."""
+"""Longest line. The text of a popup, the longest that a client needs, is far shorter."""
 
 
 class LineReader:
-    r"""Splits a byte stream at `\n`.
+    r"""Splitter of a byte stream at `\n`.
 
     Args:
-        limit: Longest line, bytes, without its end.
+        limit: Longest line without its end, bytes.
     """
 
     def __init__(self, limit: int = MAX_LINE_BYTES) -> None:
@@ -22,7 +22,7 @@ class LineReader:
         self._rest = b""
 
     def feed(self, data: bytes) -> list[str]:
-        r"""The lines that `data` completes, without their `\n` or `\r\n`; bytes that are not UTF-8 are replaced.
+        r"""Return the lines that `data` completes, without `\n` or `\r\n`. Bytes that are not UTF-8 are replaced.
 
         Raises:
             ProtocolError: A line is longer than the limit. The stream cannot be read on.
@@ -30,7 +30,7 @@ class LineReader:
         *lines, rest = (self._rest + data).split(b"\n")
         longest = max(map(len, [*lines, rest]))
         if longest > self.limit:
-            self._rest = b"?" * (self.limit + 1)  # whatever comes next is refused, too
+            self._rest = b"?" * (self.limit + 1)  # refuses all further data as well
             raise ProtocolError(
                 f"a line of {longest} bytes or more: lines of this protocol have at most {self.limit} and end with "
                 "a newline; the connection is closed"

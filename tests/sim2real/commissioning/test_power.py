@@ -1,4 +1,4 @@
-"""Power on: only where nothing else is wrong, only if a person agrees, and nothing but power and brakes."""
+"""Power on: only without other faults, only with confirmation, and nothing but power and brakes."""
 
 import time
 
@@ -23,7 +23,7 @@ def made(request, tmp_path_factory):
 
 @pytest.fixture
 def cell(made):
-    """Both arms without power."""
+    """Cell whose arms have no power."""
     cell, _ = made
     yield cell
     for arm in ARMS:
@@ -47,12 +47,12 @@ def file(made):
 
 @pytest.fixture
 def sent(monkeypatch):
-    """All that is sent to dashboards but questions."""
+    """Commands that are sent to dashboards, without queries."""
     found = []
     ask = DashboardLink.ask
 
     def listen(link, command):
-        if command not in QUESTIONS:
+        if command not in QUERIES:
             found.append((link.where.split()[0], command))
         return ask(link, command)
 
@@ -60,7 +60,7 @@ def sent(monkeypatch):
     return found
 
 
-QUESTIONS = ("PolyscopeVersion", "robotmode", "safetystatus", "safetymode", "programState", "is in remote control")
+QUERIES = ("PolyscopeVersion", "robotmode", "safetystatus", "safetymode", "programState", "is in remote control")
 
 
 def modes(cell):
@@ -86,7 +86,7 @@ def test_both_arms_are_powered_and_their_brakes_released(cell, file, sent):
         ("right", "brake release"),
     ]
     sent.clear()
-    assert not power_on(file, never)  # there is nothing to do, and nothing to ask
+    assert not power_on(file, never)  # nothing to do, and no question
     assert sent == []
 
 
@@ -104,7 +104,7 @@ def test_only_the_arm_that_needs_it(cell, file, sent):
 
 
 @pytest.mark.parametrize("answer", [False, None, "yes", 1])
-def test_nothing_without_a_yes(cell, file, sent, answer):
+def test_nothing_is_sent_without_confirmation(cell, file, sent, answer):
     with pytest.raises(OperationRefusedError, match="not confirmed: nothing was switched"):
         power_on(file, lambda question: answer)
     assert sent == []
@@ -128,7 +128,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("do", "values", "text"), WRONG)
-def test_anything_else_that_is_wrong_with_one_arm_keeps_both_off(cell, file, sent, do, values, text):
+def test_any_other_fault_of_one_arm_keeps_both_off(cell, file, sent, do, values, text):
     cell.ask(do, arm="right", **values)
     with pytest.raises(OperationRefusedError, match=f"no arm was given power: .*{text}"):
         power_on(file, never)
@@ -136,7 +136,7 @@ def test_anything_else_that_is_wrong_with_one_arm_keeps_both_off(cell, file, sen
     assert modes(cell)[0] == 3
 
 
-def test_all_that_is_wrong_is_named(cell, file):
+def test_all_faults_are_named(cell, file):
     cell.ask("stop", arm="left", mode=3)
     cell.ask("stop", arm="right", mode=5)
     with pytest.raises(OperationRefusedError, match=r"left arm.*PROTECTIVE_STOP.*right arm.*SAFEGUARD_STOP"):
@@ -152,32 +152,32 @@ def test_local_mode(cell, file, sent):
     assert sent == []
 
 
-def test_what_goes_wrong_while_the_person_thinks(cell, file, sent):
-    def think(question):
+def test_a_fault_during_the_question(cell, file, sent):
+    def answer(question):
         cell.ask("stop", arm="left", mode=7)
         return True
 
     with pytest.raises(OperationRefusedError, match=r"no arm was given power: left arm.*ROBOT_EMERGENCY_STOP"):
-        power_on(file, think)
+        power_on(file, answer)
     assert sent == []
     assert modes(cell) == [3, 3]
 
 
-def test_an_arm_that_nobody_was_asked_about_is_left_alone(cell, file, sent):
+def test_an_arm_that_was_not_in_the_question_is_left_alone(cell, file, sent):
     cell.ask("press", arm="right", button="release_brakes")
     cell.wait_until("right", "robot_mode", 7)
 
-    def think(question):
+    def answer(question):
         assert "right" not in question.split("?")[0]
         cell.ask("press", arm="right", button="power_off")
         return True
 
-    with pytest.raises(OperationRefusedError, match=r"right arm.*POWER_OFF, and RUNNING when a person was asked"):
-        power_on(file, think)
+    with pytest.raises(OperationRefusedError, match=r"right arm.*POWER_OFF, and RUNNING before the question"):
+        power_on(file, answer)
     assert sent == []
 
 
-def test_what_goes_wrong_meanwhile_releases_no_brakes(cell, file, sent, monkeypatch):
+def test_a_fault_after_power_on_releases_no_brakes(cell, file, sent, monkeypatch):
     wait = time.sleep
 
     def stopped(seconds):
@@ -192,7 +192,7 @@ def test_what_goes_wrong_meanwhile_releases_no_brakes(cell, file, sent, monkeypa
     cell.wait_until("right", "robot_mode", 5)
 
 
-def test_an_arm_that_boots_on_the_way(cell, file, monkeypatch):
+def test_an_arm_that_boots_meanwhile(cell, file, monkeypatch):
     wait, modes_shown = time.sleep, [2, None]
 
     def boot(seconds):
@@ -208,7 +208,7 @@ def test_an_arm_that_boots_on_the_way(cell, file, monkeypatch):
 
 
 @pytest.mark.parametrize("limit", ["POWER_S", "BRAKES_S"])
-def test_an_arm_that_does_not_get_there(cell, file, monkeypatch, limit):
+def test_an_arm_that_is_not_ready_in_time(cell, file, monkeypatch, limit):
     monkeypatch.setattr(power, limit, 0.0)
     expected = "IDLE" if limit == "POWER_S" else "RUNNING"
     with pytest.raises(LinkError, match=rf"robot mode \w+ after 0 s, expected is {expected}"):

@@ -52,7 +52,7 @@ VALUES = {
 
 
 def split(packet: bytes) -> dict[int, bytes]:
-    """Sub-packages of a robot state by type, headers included, as a client finds them."""
+    """Return the sub-packages of a robot state by type, with headers, as a client finds them."""
     size, kind = struct.unpack_from(">iB", packet)
     assert (size, kind) == (len(packet), 16)
     found, at = {}, 5
@@ -71,7 +71,7 @@ def state(profile=E_SERIES, kinematics=NOMINAL_DH, **changes) -> dict[int, bytes
 
 
 def test_sizes_of_an_e_series():
-    # Those of a packet recorded from URSim 5.8.
+    # Sizes of a packet recorded from URSim 5.8.
     sizes = {0: 47, 1: 251, 4: 101, 5: 225, 9: 53, 3: 75, 2: 37, 6: 445, 7: 61, 8: 9, 10: 43, 11: 26, 12: 8}
     found = state()
     assert {kind: len(part) for kind, part in found.items()} == sizes
@@ -80,7 +80,7 @@ def test_sizes_of_an_e_series():
 
 
 def test_sizes_of_a_cb3():
-    # 46 is a size by which clients of a CB3 read the robot mode.
+    # Clients of a CB3 recognise the robot mode by the size 46.
     sizes = {0: 46, 1: 251, 4: 101, 5: 225, 9: 53, 3: 72, 2: 37, 6: 445, 7: 61, 8: 8, 10: 43}
     assert {kind: len(part) for kind, part in state(CB3).items()} == sizes
 
@@ -186,7 +186,7 @@ def test_kinematics_and_configuration():
     assert nominal_status == 0
 
 
-def test_checksums_tell_calibrations_apart():
+def test_checksums_distinguish_calibrations():
     nominal = kinematics_checksums(NOMINAL_DH)
     assert kinematics_checksums(DHParameters()) == nominal
     for i in range(6):
@@ -201,7 +201,7 @@ def test_checksums_tell_calibrations_apart():
 
 
 def opened(packet: bytes) -> tuple[int, int, int, bytes]:
-    """Timestamp in µs, source, kind and fields of a robot message."""
+    """Return timestamp in µs, source, kind and fields of a robot message."""
     size, package, timestamp, source, kind = struct.unpack_from(">iBQbB", packet)
     assert (size, package) == (len(packet), 20)
     return timestamp, source, kind, packet[15:]

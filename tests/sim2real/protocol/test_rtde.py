@@ -108,6 +108,6 @@ def test_nan_passes_in_doubles():
 @pytest.mark.parametrize(
     ("kind", "value"), [("VECTOR6D", (1.0,) * 5), ("VECTOR6D", 1.0), ("DOUBLE", "?"), ("INT32", None)]
 )
-def test_what_is_no_value_of_the_type_is_refused_by_name(kind, value):
+def test_other_values_are_refused_by_name(kind, value):
     with pytest.raises(SettingsError, match="actual_q"):
         TYPES[kind].fit("actual_q", value)

@@ -15,7 +15,7 @@ def test_lines_end_with_or_without_a_carriage_return():
 
 @given(st.lists(st.binary(max_size=40), max_size=30))
 @settings(max_examples=scaled(2000), deadline=None)
-def test_lines_do_not_depend_on_how_the_bytes_arrive(chunks):
+def test_lines_do_not_depend_on_the_cuts_between_bytes(chunks):
     reader, whole = LineReader(60), b"".join(chunks)
     got: list[str] = []
     try:
@@ -29,7 +29,7 @@ def test_lines_do_not_depend_on_how_the_bytes_arrive(chunks):
         assert got == [line.removesuffix(b"\r").decode("utf-8", "replace") for line in expected[:-1]]
 
 
-def test_a_line_without_end_is_refused_and_not_kept():
+def test_a_line_without_end_is_refused_and_dropped():
     reader = LineReader()
     assert reader.feed(b"x" * 4096) == []
     with pytest.raises(ProtocolError, match="4096"):

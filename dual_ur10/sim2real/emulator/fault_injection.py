@@ -25,8 +25,8 @@ from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply
 from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.emulator.arm_server import ArmServer, RtdePeer
+from dual_ur10.sim2real.emulator.link_faults import MOST_LATE_S, LinkFaults
 from dual_ur10.sim2real.emulator.mujoco_world import EmulatedWorld
-from dual_ur10.sim2real.emulator.sockets import MOST_LATE_S, LinkFaults
 
 _MOST_DELAY_S: Final = 2.0
 _FARTHEST_M: Final = 10.0

@@ -69,12 +69,12 @@ def test_the_default_plant_differs_and_stays_near():
 
 def test_latency_of_the_plant_is_whole_steps_before_the_law_acts():
     late = world_of("SyncCarry", seed=1)
-    steps = [len(line._waiting) for line in late._lines]
+    steps = [len(delay._waiting) for delay in late._delays]
     assert steps == np.rint(late.drawn["latency_s"][0] / 0.001).astype(int).tolist()
     assert max(steps) > 0
     plan = np.arange(late.substeps * 18, dtype=float).reshape(late.substeps, 3, 6)
-    line = late._lines[int(np.argmax(steps))]
-    first, second = line(plan), line(plan + 1000.0)
+    delay = late._delays[int(np.argmax(steps))]
+    first, second = delay(plan), delay(plan + 1000.0)
     passed = np.concatenate([first, second])[max(steps) :]
     assert np.array_equal(passed[: len(plan)], plan)
 

@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.sim2real.emulator.link_faults import LinkFaults
 from dual_ur10.sim2real.emulator.script import parse
-from dual_ur10.sim2real.emulator.sockets import LinkFaults
 from dual_ur10.sim2real.protocol.modes import RobotMode
 from tests.sim2real.emulator import rtde_bytes
 from tests.sim2real.emulator.ticking import Cell, program

@@ -8,7 +8,8 @@ import pytest
 
 from dual_ur10.errors import AddressError, ProtocolError
 from dual_ur10.sim2real.emulator.addresses import check_loopback, listening
-from dual_ur10.sim2real.emulator.sockets import MOST_CONNECTIONS, Hub, LinkFaults
+from dual_ur10.sim2real.emulator.link_faults import LinkFaults
+from dual_ur10.sim2real.emulator.sockets import MOST_CONNECTIONS, Hub
 from dual_ur10.sim2real.protocol.rtde import Frames, Kind
 from tests.sim2real.emulator import rtde_bytes
 

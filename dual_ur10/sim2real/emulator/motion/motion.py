@@ -44,24 +44,20 @@ class Motion(ToolMotion):
     A command takes effect in the next `plan` and replaces the previous one, from the present position and speed. Every
     command returns a [Handle][dual_ur10.sim2real.emulator.motion.Handle].
 
-    Poses are those of the TCP in UR's `base`: x, y, z in m and a rotation vector in rad.
+    Poses are those of the TCP in UR's `base`: x, y, z in m and a rotation vector in rad. Arguments have the meaning of
+    UR's script manual: `a` and `v` are acceleration and speed, in rad/s² and rad/s of the joint that moves farthest, or
+    for poses in m/s² and m/s, and as the same numbers in rad/s² and rad/s. Joint accelerations are at most 40 rad/s².
+    `t`, s, if above 0, is the duration of a move and overrides `a` and `v`; of a stream it is the time until the
+    command returns. `r` is the blend radius, m.
+
+    Raises:
+        MotionError: An argument of a command is invalid.
     """
 
     # Moves.
 
     def move_joints(self, q: Iterable[Any], a: float, v: float, t: float = 0.0, r: float = 0.0) -> Handle:
-        """`movej`: move to joint positions, on a line in joint space.
-
-        Args:
-            q: (6,) target.
-            a: Acceleration of the joint that moves farthest, rad/s²; at most 40.
-            v: Its speed, rad/s; reduced where a joint would exceed its limit.
-            t: Duration, s; overrides `a` and `v` if above 0.
-            r: Blend radius in m.
-
-        Raises:
-            MotionError: An argument is invalid.
-        """
+        """`movej`: move to joint positions (6,) on a line in joint space. Joint speed limits reduce `v`."""
         target = np.array(six(q, "the target of movej"))
         a, v, t, r = _move_arguments("movej", a, v, t, r)
         if not self._may_go_to(target):
@@ -74,62 +70,32 @@ class Motion(ToolMotion):
         return self._begin(move if ending is None else Superposed(move, ending, start), target, ending)
 
     def move_linear(self, pose: Iterable[Any], a: float, v: float, t: float = 0.0, r: float = 0.0) -> Handle:
-        """`movel`: move to a pose, on a line in space, with an even rotation of the tool.
+        """`movel`: move to a pose (6,) on a line in space, with an even rotation of the tool.
 
         The move slows down where a joint would exceed its speed limit.
-
-        Args:
-            pose: (6,) target.
-            a: Acceleration, m/s² and rad/s².
-            v: Speed, m/s and rad/s.
-            t: Duration, s; overrides `a` and `v` if above 0.
-            r: Blend radius in m.
-
-        Raises:
-            MotionError: An argument is invalid.
         """
         target = checked_frame(pose, "the target of movel")
         return self._move_tcp(None, target, *_move_arguments("movel", a, v, t, r))
 
     def move_process(self, pose: Iterable[Any], a: float, v: float, r: float = 0.0) -> Handle:
-        """`movep`: like `movel`. UR blends with circles at constant speed; here blends are those of `movel`.
-
-        Args:
-            pose: (6,) target.
-            a: Acceleration, m/s² and rad/s².
-            v: Speed, m/s and rad/s.
-            r: Blend radius in m.
-
-        Raises:
-            MotionError: An argument is invalid.
-        """
+        """`movep`: like `movel`. UR blends with circles at constant speed; here blends are those of `movel`."""
         target = checked_frame(pose, "the target of movep")
         return self._move_tcp(None, target, *_move_arguments("movep", a, v, 0.0, r))
 
     def servo_circular(self, pose: Iterable[Any], a: float, v: float, r: float = 0.0) -> Handle:
-        """`servoc`: like `movep`.
-
-        Args:
-            pose: (6,) target.
-            a: Acceleration, m/s² and rad/s².
-            v: Speed, m/s and rad/s.
-            r: Blend radius in m.
-
-        Raises:
-            MotionError: An argument makes no sense.
-        """
+        """`servoc`: like `movep`."""
         target = checked_frame(pose, "the target of servoc")
         return self._move_tcp(None, target, *_move_arguments("servoc", a, v, 0.0, r))
 
     def move_circular(self, via: Iterable[Any], to: Iterable[Any], a: float, v: float, r: float = 0.0) -> Handle:
-        """`movec`: move to a pose on a circle through another position, with an even rotation of the tool.
+        """`movec`: move to a pose (6,) on a circle, with an even rotation of the tool.
 
         Args:
             via: (6,) pose on the circle, of which only the position is used.
             to: (6,) target.
-            a: Acceleration, m/s² and rad/s².
-            v: Speed, m/s and rad/s.
-            r: Blend radius in m.
+            a: Acceleration.
+            v: Speed.
+            r: Blend radius.
 
         Raises:
             MotionError: An argument is invalid, or no circle passes through the three points.
@@ -221,9 +187,6 @@ class Motion(ToolMotion):
             t: Time for which it controls the arm, s; rounded up to whole control periods, at least one.
             lookahead_s: Clipped to 0.03 to 0.2 s.
             gain: Clipped to 100 to 2000.
-
-        Raises:
-            MotionError: An argument is invalid.
         """
         target = np.array(six(q, "the target of servoj"))
         ticks = self._ticks(t, "t of servoj")
@@ -249,17 +212,10 @@ class Motion(ToolMotion):
         return self._begin(servo, target, servo if servo is self._trajectory else None)
 
     def speed_joints(self, qd: Iterable[Any], a: float, t: float = 0.0) -> Handle:
-        """`speedj`: accelerate to joint speeds and hold them.
+        """`speedj`: accelerate to joint speeds (6,) and hold them. At `t` 0 it returns when they are reached.
 
-        If the program commands nothing after the return, the arm decelerates as at the end of a program.
-
-        Args:
-            qd: (6,) speeds, rad/s; all scaled by one factor if a joint would exceed its limit.
-            a: Acceleration of the joint whose speed changes most, rad/s²; at most 40.
-            t: Time after which it returns, s; at 0 it returns when the speed is reached.
-
-        Raises:
-            MotionError: An argument is invalid.
+        One factor scales all speeds if a joint would exceed its limit. If the program commands nothing after the
+        return, the arm decelerates as at the end of a program.
         """
         speed = np.array(six(qd, "the speed of speedj"))
         a = min(positive(a, "a of speedj"), ACCELERATION_LIMIT_RAD_S2)
@@ -271,19 +227,11 @@ class Motion(ToolMotion):
         return self._begin(SpeedJoints(self.q, self._rate, speed, a, ticks), self.q, None)
 
     def speed_linear(self, xd: Iterable[Any], a: float, t: float = 0.0, a_rot: float | None = None) -> Handle:
-        """`speedl`: accelerate to a speed of the TCP and hold it.
+        """`speedl`: accelerate to a speed (6,) of the TCP in base and hold it. At `t` 0 it returns when it is reached.
 
         It slows down where a joint would exceed its limit; near a singularity it ends with a fault. If the program
-        commands nothing after the return, the arm decelerates as at the end of a program.
-
-        Args:
-            xd: (6,) m/s and rad/s, in base.
-            a: Acceleration, m/s².
-            t: Time after which it returns, s; at 0 it returns when the speed is reached.
-            a_rot: Acceleration of rotation, rad/s²; the number `a` if None.
-
-        Raises:
-            MotionError: An argument is invalid.
+        commands nothing after the return, the arm decelerates as at the end of a program. `a_rot` is the acceleration
+        of rotation, rad/s²; the number `a` if None.
         """
         twist = np.array(six(xd, "the speed of speedl"))
         a, a_rot = _accelerations("speedl", a, a_rot)
@@ -302,14 +250,7 @@ class Motion(ToolMotion):
     # Stops.
 
     def stop_joints(self, a: float) -> Handle:
-        """`stopj`: stop all joints together.
-
-        Args:
-            a: Deceleration of the fastest joint, rad/s²; at most 40.
-
-        Raises:
-            MotionError: It is not greater than zero.
-        """
+        """`stopj`: stop all joints together."""
         a = min(positive(a, "a of stopj"), ACCELERATION_LIMIT_RAD_S2)
         if self.fault is not None:
             return self._refuse()
@@ -317,15 +258,7 @@ class Motion(ToolMotion):
         return self._begin(JointBrake.together(self.q, self._rate, time), self.q, None)
 
     def stop_linear(self, a: float, a_rot: float | None = None) -> Handle:
-        """`stopl`: stop the TCP on its present line.
-
-        Args:
-            a: Deceleration, m/s².
-            a_rot: Deceleration of rotation, rad/s²; the number `a` if None.
-
-        Raises:
-            MotionError: One is not greater than zero.
-        """
+        """`stopl`: stop the TCP on its present line. `a_rot` is the deceleration of rotation, by default `a`."""
         a, a_rot = _accelerations("stopl", a, a_rot)
         if self.fault is not None:
             return self._refuse()

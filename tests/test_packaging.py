@@ -1,7 +1,9 @@
 import ast
 import pathlib
+import re
 import subprocess
 import sys
+import sysconfig
 import zipfile
 
 import pytest
@@ -64,6 +66,40 @@ def test_the_installed_wheel_works(wheel, tmp_path):
     )
     environment = {"PYTHONPATH": str(target), "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120, cwd=tmp_path, env=environment)
+
+
+CONSUMER = """
+from dual_ur10 import ArmMount, CellConfig
+from dual_ur10.policies import Policy, load
+
+cell = CellConfig(left=ArmMount((-0.75, 0.6, 0.0)))
+policy: Policy = load("scripted", "DualUR10/SineTracking-v0", cell=cell)
+wrong: int = cell.left
+"""
+
+
+def test_the_types_of_the_wheel_reach_its_users(wheel, tmp_path):
+    pytest.importorskip("mypy")
+    home = tmp_path / "venv"
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(home)], check=True, timeout=120)
+    (packages,) = home.glob("lib/python*/site-packages")
+    zipfile.ZipFile(wheel).extractall(packages)
+    (packages / "others.pth").write_text(sysconfig.get_paths()["purelib"])
+    consumer = tmp_path / "consumer.py"
+    consumer.write_text(CONSUMER)
+    command = [sys.executable, "-m", "mypy", "--strict", "--python-executable", str(home / "bin" / "python")]
+    found = subprocess.run(
+        [*command, "--cache-dir", str(tmp_path / "cache"), str(consumer)],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)},
+    )
+    assert re.findall(r"consumer\.py:(\d+): error: (.*)  \[assignment\]", found.stdout) == [
+        ("7", 'Incompatible types in assignment (expression has type "ArmMount", variable has type "int")')
+    ], found.stdout
+    assert "Found 1 error in 1 file" in found.stdout
 
 
 def test_readme_and_module_say_the_same_version():

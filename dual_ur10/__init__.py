@@ -8,9 +8,8 @@ Importing the package registers the environments with Gymnasium and PettingZoo a
     env = gym.make("DualUR10/SineTracking-v0")
 """
 
+from dual_ur10.ids import __version__
 from dual_ur10.sim2real.processes import interrupts  # first, so that Ctrl-C during what follows gives one line
-
-__version__ = "0.1.0"
 
 if not interrupts.is_child():  # the processes that move, stop or record arms start faster without the rest
     from dual_ur10 import registration  # noqa: F401  # registers

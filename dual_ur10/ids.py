@@ -1,10 +1,12 @@
-"""Ids of the registered environments, and the shorter names that mean the same."""
+"""Version of the package, ids of the registered environments, and their shorter names."""
 
 from __future__ import annotations
 
 from typing import Final
 
 from dual_ur10.errors import UnknownNameError
+
+__version__ = "0.1.0"
 
 ENV_IDS: Final = ("DualUR10/SineTracking-v0", "DualUR10/SyncCarry-v0", "DualUR10/Handover-v0")
 """All registered ids. An id is a promise: any change of results gets a new version."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.types import numbers
+from dual_ur10.kinematics.frames import finite_floats
 
 Three = tuple[float, float, float]
 
@@ -64,7 +64,7 @@ class Capsule:
     def __post_init__(self) -> None:
         _take(self, ROOM_M, "from_m")
         _take(self, ROOM_M, "to_m")
-        (radius,) = numbers(_path(self, "radius_m"), (self.radius_m,), 1)
+        (radius,) = finite_floats(_path(self, "radius_m"), (self.radius_m,), 1)
         _check(self, "radius_m", (radius,), ROOM_M / 2, THINNEST_M)
         object.__setattr__(self, "radius_m", radius)
 
@@ -112,7 +112,7 @@ def _path(obstacle: Any, key: str) -> str:
 
 def _take(obstacle: Any, highest: float, key: str, lowest: float | None = None) -> None:
     """Check three numbers of an obstacle, and keep them as plain floats."""
-    values = numbers(_path(obstacle, key), getattr(obstacle, key), 3)
+    values = finite_floats(_path(obstacle, key), getattr(obstacle, key), 3)
     _check(obstacle, key, values, highest, -highest if lowest is None else lowest)
     object.__setattr__(obstacle, key, values)
 

@@ -8,9 +8,9 @@ from typing import Final
 
 from dual_ur10.assets.obstacles import Obstacle, checked
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics.frames import MAX_MOUNT_M, ArmMount
+from dual_ur10.kinematics.frames import MAX_MOUNT_M, ArmMount, finite_floats
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.types import constant, numbers
+from dual_ur10.types import constant
 
 GAINS: Final[dict[str, tuple[tuple[float, ...], tuple[float, ...]]]] = {
     "stiff": ((20000.0, 20000.0, 10000.0, 3000.0, 3000.0, 3000.0), (1000.0, 1000.0, 500.0, 60.0, 60.0, 60.0)),
@@ -69,7 +69,7 @@ class Equipment:
                 f"welded=True with grippers={self.grippers} and prop={self.prop!r}: only grippers that hold the bar "
                 "can be welded, so set grippers=True and prop='bar'"
             )
-        (force,) = numbers("grip_force_n", (self.grip_force_n,), 1)
+        (force,) = finite_floats("grip_force_n", (self.grip_force_n,), 1)
         if not GRIP_FORCE_N[0] <= force <= GRIP_FORCE_N[1]:
             raise SettingsError(
                 f"grip_force_n is {force:.6g}: must be within {GRIP_FORCE_N[0]:.0f} to {GRIP_FORCE_N[1]:.0f} N"
@@ -109,13 +109,13 @@ class SceneSettings:
     obstacles: tuple[Obstacle, ...] = ()
 
     def __post_init__(self) -> None:
-        (timestep,) = numbers("timestep_s", (self.timestep_s,), 1)
+        (timestep,) = finite_floats("timestep_s", (self.timestep_s,), 1)
         if not 0.0 < timestep <= 0.02:
             raise SettingsError(f"timestep_s is {timestep:.6g}: must be above 0 and at most 0.02 s")
         if self.gains not in tuple(GAINS):
             raise UnknownNameError("gains", str(self.gains), tuple(GAINS))
-        center = numbers("table_center_m", self.table_center_m, 2)
-        size = numbers("table_size_m", self.table_size_m, 2)
+        center = finite_floats("table_center_m", self.table_center_m, 2)
+        size = finite_floats("table_size_m", self.table_size_m, 2)
         if min(size) < 0.1 or max(size) > 2 * MAX_MOUNT_M or max(map(abs, center)) > MAX_MOUNT_M:
             raise SettingsError(
                 f"table of {size} m at {center} m: sides must be 0.1 to {2 * MAX_MOUNT_M} m long and the centre "

@@ -8,7 +8,7 @@ import gymnasium as gym
 import typer
 from rich.markup import escape
 
-from dual_ur10 import __version__
+from dual_ur10.ids import __version__
 from dual_ur10.cli import cell
 from dual_ur10.cli.collect import collect
 from dual_ur10.cli.compare import compare

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,23 @@ from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, quat_to_matrix
 from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
-from dual_ur10.types import Array, constant, numbers
+from dual_ur10.types import Array, constant
+
+
+def finite_floats(name: str, values: Any, length: int) -> tuple[Any, ...]:
+    """Return plain finite floats, so that equal settings hash alike.
+
+    Raises:
+        SettingsError: They are not `length` finite numbers.
+    """
+    try:
+        found = tuple(float(value) for value in values)
+    except (TypeError, ValueError):
+        found = ()
+    if len(found) != length or not all(map(math.isfinite, found)):
+        raise SettingsError(f"{name} must be {length} finite number{'s' * (length > 1)}, found {values!r}")
+    return found
+
 
 BASE_TO_BASE_LINK: Final = constant([[-1, 0, 0], [0, -1, 0], [0, 0, 1]])
 """Rotation from coordinates in ``base`` to coordinates in ``base_link``; it is its own inverse. No offset."""
@@ -68,8 +84,8 @@ class ArmMount:
     dh: DHParameters = NOMINAL_DH
 
     def __post_init__(self) -> None:
-        position = numbers("mount position_m", self.position_m, 3)
-        (yaw,) = numbers("mount yaw_rad", (self.yaw_rad,), 1)
+        position = finite_floats("mount position_m", self.position_m, 3)
+        (yaw,) = finite_floats("mount yaw_rad", (self.yaw_rad,), 1)
         if max(map(abs, position)) > MAX_MOUNT_M or position[2] < FLOOR_Z_M:
             raise SettingsError(
                 f"mount position_m is {position}: each coordinate must be within ±{MAX_MOUNT_M} m and z not below "

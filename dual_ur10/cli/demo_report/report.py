@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dual_ur10 import __version__
 from dual_ur10.cli.demo_report import carry, handover, sine
 from dual_ur10.cli.demo_report.case import Result
 from dual_ur10.cli.demo_report.emulated import (
@@ -23,6 +22,7 @@ from dual_ur10.cli.demo_report.emulated import (
 )
 from dual_ur10.cli.demo_report.film import Film
 from dual_ur10.errors import DualUR10Error
+from dual_ur10.ids import __version__
 from dual_ur10.sim2real.analysis.page import Table, render, video_source
 
 TASKS = (sine.TASK, carry.TASK, handover.TASK)

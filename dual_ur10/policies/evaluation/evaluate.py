@@ -14,10 +14,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from dual_ur10 import __version__
 from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
-from dual_ur10.ids import ENV_IDS
+from dual_ur10.ids import ENV_IDS, __version__
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.baselines import BASELINES, RandomPolicy, ZeroPolicy
 from dual_ur10.policies.evaluation.results import Episode, Evaluation

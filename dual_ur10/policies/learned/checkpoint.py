@@ -29,7 +29,6 @@ import safetensors
 from numpy.typing import NDArray
 from safetensors.numpy import save as _serialised
 
-from dual_ur10 import __version__
 from dual_ur10.errors import CheckpointError
 from dual_ur10.ids import env_id_of
 from dual_ur10.policies.learned import schema

@@ -10,9 +10,9 @@ from typing import Final
 
 import numpy as np
 
-from dual_ur10 import __version__
 from dual_ur10.errors import MissingExtraError
 from dual_ur10.files import write_text
+from dual_ur10.ids import __version__
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.analysis.compare import ArmComparison, Comparison, Differences
 from dual_ur10.sim2real.analysis.page import Column, Item, Table, number, render

@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10 import __version__
 from dual_ur10.errors import RecordingError
+from dual_ur10.ids import __version__
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.recording.run import Header
 

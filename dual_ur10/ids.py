@@ -8,8 +8,15 @@ from dual_ur10.errors import UnknownNameError
 
 __version__ = "0.1.0"
 
-ENV_IDS: Final = ("DualUR10/SineTracking-v0", "DualUR10/SyncCarry-v0", "DualUR10/Handover-v0")
-"""All registered ids. An id is a promise: any change of results gets a new version."""
+ENTRY_POINTS: Final = {
+    "DualUR10/SineTracking-v0": "dual_ur10.envs.tasks.sine_tracking.task:SineTracking",
+    "DualUR10/SyncCarry-v0": "dual_ur10.envs.tasks.sync_carry.task:SyncCarry",
+    "DualUR10/Handover-v0": "dual_ur10.envs.tasks.handover.task:Handover",
+}
+"""Task class of each id, as "module:class"; `dual_ur10.registration.register_task` adds to them."""
+
+ENV_IDS: Final = tuple(ENTRY_POINTS)
+"""Ids of this package. An id is a promise: any change of results gets a new version."""
 
 
 def env_id_of(name: str) -> str:
@@ -20,9 +27,9 @@ def env_id_of(name: str) -> str:
     Raises:
         UnknownNameError: There is no such environment.
     """
-    known = {short: env_id for env_id in ENV_IDS for short in (env_id, env_id.split("/")[1], task_name(env_id))}
+    known = {short: env_id for env_id in ENTRY_POINTS for short in (env_id, env_id.split("/")[1], task_name(env_id))}
     if name not in known:
-        raise UnknownNameError("environment", str(name), list(ENV_IDS))
+        raise UnknownNameError("environment", str(name), list(ENTRY_POINTS))
     return known[name]
 
 

@@ -14,6 +14,7 @@ ARGUMENTS = {
     "train_with_sb3": (("2048", "sine_ppo"), "stable_baselines3"),
     "pettingzoo_loop": (("20",), "pettingzoo"),
     "evaluate_checkpoint": (("learned", "2"), "numpy"),
+    "own_task": (("2",), "gymnasium"),
     "collect_dataset": (("2", "ur10/example-v0"), "minari"),
 }
 ELSEWHERE = {"rllib_two_agents"}  # `make test-dist` runs it, in an environment of its own

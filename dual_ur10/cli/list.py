@@ -6,7 +6,7 @@ import gymnasium as gym
 from rich.table import Table
 
 from dual_ur10.cli.options import console
-from dual_ur10.ids import ENV_IDS
+from dual_ur10.ids import ENTRY_POINTS
 from dual_ur10.policies.baselines import BASELINES
 from dual_ur10.policies.registry import shipped_names
 
@@ -18,8 +18,8 @@ def list_environments() -> None:
         # An id must stay whole, to be copied.
         table.add_column(header, justify=justify, no_wrap=True, min_width=len(header))  # type: ignore[arg-type]  # rich wants literals
     table.add_column("policies")
-    table.columns[0].min_width = max(map(len, ENV_IDS))
-    for env_id in ENV_IDS:
+    table.columns[0].min_width = max(map(len, ENTRY_POINTS))
+    for env_id in ENTRY_POINTS:
         env = gym.make(env_id)
         try:
             core = env.unwrapped.core  # type: ignore[attr-defined]  # Gymnasium knows only Env

@@ -8,7 +8,6 @@ import gymnasium as gym
 import typer
 from rich.markup import escape
 
-from dual_ur10.ids import __version__
 from dual_ur10.cli import cell
 from dual_ur10.cli.collect import collect
 from dual_ur10.cli.compare import compare
@@ -26,6 +25,7 @@ from dual_ur10.cli.status import status
 from dual_ur10.cli.train import train
 from dual_ur10.cli.view import view
 from dual_ur10.errors import DualUR10Error
+from dual_ur10.ids import __version__
 from dual_ur10.sim2real.processes.interrupts import begin_program, end_interrupted
 
 USAGE_ERROR = 2

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.ids import ENV_IDS, env_id_of, task_name
+from dual_ur10.ids import ENTRY_POINTS, env_id_of, task_name
 from dual_ur10.policies.policy import Policy
 
 _SCRIPTED: Final = {
@@ -87,7 +87,7 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
         raise UnknownNameError("policy", str(name), [*NAMES, "the path of a checkpoint"])
     if env_id is None:
         raise SettingsError(
-            f"policy {str(name)!r} needs an environment: name one of {', '.join(ENV_IDS)}; only the path of a "
+            f"policy {str(name)!r} needs an environment: name one of {', '.join(ENTRY_POINTS)}; only the path of a "
             "checkpoint does without"
         )
     return _scripted(env_id, keywords)

@@ -5,34 +5,29 @@ from __future__ import annotations
 import dataclasses
 import importlib
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any
 
 from dual_ur10.envs.core.options import MOVE_TO_START, OPTION_NAMES, EnvOptions
 from dual_ur10.envs.core.randomization import Randomization, resolve_randomization
 from dual_ur10.envs.tasks.task import SceneRequirements, Task, Timing
 from dual_ur10.errors import ResetRefusedError, SettingsError, UnknownNameError
+from dual_ur10.ids import ENTRY_POINTS, task_name
 from dual_ur10.sim2real.config.cell import CellConfig, Perturbation
 from dual_ur10.sim2real.config.cell_file import resolve_cell
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.limits import MotionLimits
 
-TASKS: Final = {
-    "SineTracking": "dual_ur10.envs.tasks.sine_tracking.task:SineTracking",
-    "SyncCarry": "dual_ur10.envs.tasks.sync_carry.task:SyncCarry",
-    "Handover": "dual_ur10.envs.tasks.handover.task:Handover",
-}
-"""Module and name of each task's class, by the task's name."""
-
 
 def load_task(name: str) -> type[Task[Any, Any]]:
-    """Return the class of a task.
+    """Return the class of a task by the task's name.
 
     Raises:
         UnknownNameError: No task has this name.
     """
-    if name not in TASKS:
-        raise UnknownNameError("task", str(name), list(TASKS))
-    module, attribute = TASKS[name].split(":")
+    known = {task_name(env_id): entry_point for env_id, entry_point in ENTRY_POINTS.items()}
+    if name not in known:
+        raise UnknownNameError("task", str(name), list(known))
+    module, attribute = known[name].split(":")
     task: type[Task[Any, Any]] = getattr(importlib.import_module(module), attribute)
     return task
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
-from dual_ur10.ids import ENV_IDS, __version__
+from dual_ur10.ids import ENTRY_POINTS, __version__
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.baselines import BASELINES, RandomPolicy, ZeroPolicy
 from dual_ur10.policies.evaluation.results import Episode, Evaluation
@@ -259,7 +259,7 @@ def _bound(core: Any, max_steps: int | None) -> int:
 def _make(env_id: str, num_envs: int, keywords: Mapping[str, Any]) -> Any:
     """The vector environment, which waits with its rows to be reset."""
     if env_id not in gym.registry:
-        raise UnknownNameError("environment", str(env_id), list(ENV_IDS))
+        raise UnknownNameError("environment", str(env_id), list(ENTRY_POINTS))
     for name in _OWN:
         if name in keywords:
             raise SettingsError(f"the keyword {name} is not one of an evaluated environment's: the evaluation sets it")

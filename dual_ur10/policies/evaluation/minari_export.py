@@ -106,12 +106,11 @@ def to_minari(
 
 def _core(header: Header) -> Core:
     """A simulation of the same task, which knows what each agent observes."""
-    import dual_ur10
     from dual_ur10.envs.core.core import Core
-    from dual_ur10.ids import task_name
+    from dual_ur10.ids import ENTRY_POINTS, task_name
 
-    if header.env_id not in dual_ur10.ENV_IDS:
-        raise RecordingError(f"it was recorded in {header.env_id!r:.80}: allowed are {', '.join(dual_ur10.ENV_IDS)}")
+    if header.env_id not in ENTRY_POINTS:
+        raise RecordingError(f"it was recorded in {header.env_id!r:.80}: allowed are {', '.join(ENTRY_POINTS)}")
     left, right = (_mount(mount) for mount in header.mounts)
     profile = ServojProfile(family=header.family, **header.servoj[0])  # type: ignore[arg-type]  # checked there
     keywords = {name: value for name, value in header.kwargs.items() if name not in _NOT_OF_TASK}

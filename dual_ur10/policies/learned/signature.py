@@ -17,7 +17,7 @@ from dual_ur10.envs.core.randomization import Randomization, resolve_randomizati
 from dual_ur10.envs.core.setup import EnvSetup, load_task
 from dual_ur10.envs.tasks.task import Task
 from dual_ur10.errors import CheckpointError
-from dual_ur10.ids import ENV_IDS, env_id_of, task_name
+from dual_ur10.ids import ENTRY_POINTS, env_id_of, task_name
 from dual_ur10.policies.learned.schema import JsonList, Numbers, Object, StrictJson, Text, Whole
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.adapter import ActionMode, ServojAdapter
@@ -135,8 +135,8 @@ class EnvironmentSignature(StrictJson):
     robot: Robot
 
     def __post_init__(self) -> None:
-        if self.env_id not in ENV_IDS:
-            raise CheckpointError(f"there is no environment {self.env_id!r:.80}: there are {', '.join(ENV_IDS)}")
+        if self.env_id not in ENTRY_POINTS:
+            raise CheckpointError(f"there is no environment {self.env_id!r:.80}: there are {', '.join(ENTRY_POINTS)}")
         if self.observation.shape[0] % 2 or self.action.shape[0] % 2:
             raise CheckpointError("observations and actions of two arms have an even number of numbers each")
 

@@ -13,7 +13,7 @@ import numpy as np
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
 from dual_ur10.assets.settings import Equipment
 from dual_ur10.errors import CellFileError, RecordingError, SettingsError, UnknownNameError
-from dual_ur10.ids import ENV_IDS
+from dual_ur10.ids import ENTRY_POINTS
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.analysis.tracks import mounts_of
@@ -70,9 +70,9 @@ def keywords_of(header: Header, cell: str | Path | CellConfig | None = None) -> 
     Raises:
         RecordingError: The recording does not say what is needed, or what it says is not legal.
     """
-    if header.env_id not in ENV_IDS:
+    if header.env_id not in ENTRY_POINTS:
         raise RecordingError(
-            f"the recording is of {header.env_id!r}: this version has {', '.join(ENV_IDS)}. Use the version that "
+            f"the recording is of {header.env_id!r}: this version has {', '.join(ENTRY_POINTS)}. Use the version that "
             "recorded it"
         )
     left_out = _SEEN if cell is None and header.source == "mujoco" else _SIMULATED

@@ -15,7 +15,8 @@ from gymnasium.wrappers import FrameStackObservation, RecordVideo, RescaleAction
 
 import dual_ur10
 from dual_ur10 import errors, policies
-from dual_ur10.envs.core.setup import TASKS, load_task
+from dual_ur10.envs.core.setup import load_task
+from dual_ur10.ids import task_name
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import JOINTS
@@ -227,7 +228,7 @@ def table_rows(task, heading):
     ]
 
 
-@pytest.mark.parametrize("name", list(TASKS))
+@pytest.mark.parametrize("name", [task_name(each) for each in IDS])
 def test_docstring_tables_tell_the_spaces(name):
     env, task = gym.make(f"DualUR10/{name}-v0").unwrapped, load_task(name)
     model, _ = env.core.cell_data(0)

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Final, Literal, Self, TypeVar
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from dual_ur10.assets import obstacles
-from dual_ur10.ids import ENV_IDS
+from dual_ur10.ids import ENTRY_POINTS, ENV_IDS
 from dual_ur10.kinematics import ur10
 from dual_ur10.kinematics.frames import MAX_MOUNT_M, ArmMount
 from dual_ur10.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, DHParameters
@@ -88,7 +88,7 @@ def _checked_address(text: str) -> str:
 
 
 def _checked_id(text: str) -> str:
-    if text not in ENV_IDS:
+    if text not in ENTRY_POINTS:
         raise ValueError(text)
     return text
 

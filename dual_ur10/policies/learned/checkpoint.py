@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from safetensors.numpy import save as _serialised
 
 from dual_ur10.errors import CheckpointError
-from dual_ur10.ids import env_id_of
+from dual_ur10.ids import __version__, env_id_of
 from dual_ur10.policies.learned import schema
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.learned.manifest import Manifest, parse

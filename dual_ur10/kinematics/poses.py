@@ -1,4 +1,7 @@
-"""Poses of a batch, and how they follow each other. Every product is one small one per pose."""
+"""Batches of poses: composition, relative poses and angles.
+
+Every product is one small one per pose, so that the numbers of a row do not depend on the number of rows.
+"""
 
 from __future__ import annotations
 
@@ -11,38 +14,38 @@ from dual_ur10.types import Array
 
 
 class Poses(NamedTuple):
-    """Positions in the cell frame, (..., 3), and orientations (w, x, y, z), (..., 4)."""
+    """Positions (..., 3) in m and orientations (w, x, y, z), (..., 4), in one frame; mostly the cell frame."""
 
     position_m: Array
     quat: Array
 
 
-def after(first: Poses, second: Poses) -> Poses:
-    """`second`, given in the frame of `first`, in the frame that `first` is given in."""
-    return Poses(first.position_m + rotate(first.quat, second.position_m), quat_multiply(first.quat, second.quat))
+def compose(frame: Poses, pose: Poses) -> Poses:
+    """Return `pose`, given in the frame `frame`, in the frame in which `frame` is given."""
+    return Poses(frame.position_m + rotate(frame.quat, pose.position_m), quat_multiply(frame.quat, pose.quat))
 
 
-def seen_from(frame: Poses, pose: Poses) -> Poses:
-    """`pose` in the frame of `frame`, both given in one frame."""
+def relative_to(frame: Poses, pose: Poses) -> Poses:
+    """Return `pose` in the frame `frame`; both are given in the same frame."""
     back = quat_conjugate(frame.quat)
     return Poses(rotate(back, pose.position_m - frame.position_m), quat_multiply(back, pose.quat))
 
 
-def angle(quat: Array) -> Array:
-    """Angle in rad, (...), of quaternions, (..., 4), accurate near zero."""
+def rotation_angle(quat: Array) -> Array:
+    """Return the angles (...) in rad of quaternions (..., 4), accurate near zero."""
     vector = quat[..., 1:]
     result: Array = 2 * np.arctan2(np.sqrt(np.add.reduce(vector * vector, axis=-1)), np.abs(quat[..., 0]))
     return result
 
 
 def length(vector: Array) -> Array:
-    """Lengths, (...), of vectors, (..., 3)."""
+    """Return the lengths (...) of vectors (..., 3)."""
     result: Array = np.sqrt(np.add.reduce(vector * vector, axis=-1))
     return result
 
 
-def yawed(yaw_rad: Array) -> Array:
-    """Quaternions, (..., 4), of turns about the vertical."""
+def yaw_quat(yaw_rad: Array) -> Array:
+    """Return the quaternions (..., 4) of rotations about the vertical."""
     quat = np.zeros((*np.shape(yaw_rad), 4))
     quat[..., 0], quat[..., 3] = np.cos(yaw_rad / 2), np.sin(yaw_rad / 2)
     return quat

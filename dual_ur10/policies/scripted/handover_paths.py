@@ -13,7 +13,7 @@ from dual_ur10.envs.tasks.handover.settings import APPROACH_M, GRIPS, MEETING_M,
 from dual_ur10.envs.tasks.holding import flanges_of
 from dual_ur10.kinematics import nearest
 from dual_ur10.kinematics.frames import ArmMount, Frames
-from dual_ur10.kinematics.poses import Poses, after, seen_from
+from dual_ur10.kinematics.poses import Poses, compose, relative_to
 from dual_ur10.kinematics.rotations import quat_to_matrix, rotate
 from dual_ur10.policies.scripted.free_motion import FreeMotion, Waypoint
 from dual_ur10.types import Array
@@ -82,7 +82,7 @@ class Ways:
 
     def pick(self, q_rad: Array, giver: int, block: Poses) -> FreeMotion:
         """The giver goes down to its grip of a block on the table."""
-        grip = Hand(after(block, self._grip(giver, giver)))
+        grip = Hand(compose(block, self._grip(giver, giver)))
         return self._motion(
             q_rad, [Stop({giver: grip.back(_ABOVE_M, _PASS_M_S)}), Stop({giver: grip}, _ABOVE_M, _DOWN)]
         )
@@ -90,7 +90,7 @@ class Ways:
     def meet(self, q_rad: Array, giver: int, tool: Poses) -> FreeMotion:
         """The giver, whose tool holds the block on the table, lifts and presents it, and the receiver comes to it."""
         receiver, block = 1 - giver, Poses(MEETING_M, presented_quat(giver))
-        shown, grip = (Hand(after(block, self._grip(giver, arm))) for arm in (giver, receiver))
+        shown, grip = (Hand(compose(block, self._grip(giver, arm))) for arm in (giver, receiver))
         stops = [
             Stop({giver: Hand(tool).back(_ABOVE_M, -_PASS_M_S)}, _ABOVE_M),
             Stop({giver: shown, receiver: grip.back(APPROACH_M, _PASS_M_S)}),
@@ -112,11 +112,11 @@ class Ways:
         hands = [Hand(Poses(tools.position_m[arm], tools.quat[arm])) for arm in (0, 1)]
         grip = self._grip(giver, receiver)
         # Where along the block the hand is, is seen; the fingers know the rest.
-        seen = seen_from(block, hands[receiver].pose).position_m[0]
+        seen = relative_to(block, hands[receiver].pose).position_m[0]
         grip.position_m[0] += np.clip(seen - grip.position_m[0], -_SLIPPED_M, _SLIPPED_M)
         yaw = 2 * np.arctan2(target.quat[3], target.quat[0])
         lower = np.array([*target.position_m[:2], BLOCK_SIZE_M[2] / 2 + _DROP_M])
-        down = Hand(after(Poses(lower, laid_quat(yaw)), grip))
+        down = Hand(compose(Poses(lower, laid_quat(yaw)), grip))
         stops = [
             Stop({arm: hand.back(_APART_M, -_PASS_M_S) for arm, hand in enumerate(hands)}, _APART_M),
             Stop({giver: HOME_Q_RAD[giver], receiver: down.back(_ABOVE_M, _PASS_M_S)}),

@@ -16,7 +16,7 @@ from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.envs.tasks.task import Timing, slower
 from dual_ur10.errors import ActionError, SettingsError
 from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.poses import Poses, after, seen_from
+from dual_ur10.kinematics.poses import Poses, compose, relative_to
 from dual_ur10.policies.scripted.carrying import TAUGHT_HIGHER_M, lying, postures
 from dual_ur10.policies.scripted.free_motion import FreeMotion, Waypoint
 from dual_ur10.policies.scripted.recovery import Rejoin
@@ -115,7 +115,7 @@ class SyncCarryPolicy:
             reference = Poses(*(part[row] for part in now))
             seen = reference if self._teaches else Poses(*(part[row] for part in bar))
             self._plan(row, commanded[row], Poses(*(part[row] for part in flange)), seen, reference)
-        goal = postures(after(ahead, self._offset), commanded, self.dh)
+        goal = postures(compose(ahead, self._offset), commanded, self.dh)
         closed = np.full(n, -1.0)
         for row, motion in enumerate(self._motion):
             if motion is None:
@@ -141,7 +141,7 @@ class SyncCarryPolicy:
         """Plan the path of one cell to the grips, and the poses of the flanges in the reference, (2, ...) each."""
         self._time_s[row] = 0.0
         if not self.settings.rigid:
-            flange = flanges_of(after(lying(bar, self.mounts, BAR_WIDTH_M / 2 + self._higher_m), self.settings.grip))
+            flange = flanges_of(compose(lying(bar, self.mounts, BAR_WIDTH_M / 2 + self._higher_m), self.settings.grip))
             above = Poses(flange.position_m + np.array([0.0, 0.0, _ABOVE_M]), flange.quat)
             lower = Poses(above.position_m - np.array([0.0, 0.0, 1e-3]), flange.quat)
             ways = np.concatenate(
@@ -160,5 +160,5 @@ class SyncCarryPolicy:
                 _JERK_RAD_S3,
                 max(_SMOOTH_S, 3 * self.timing.period_s),
             )
-        offset = seen_from(reference, flange)
+        offset = relative_to(reference, flange)
         self._offset.position_m[row], self._offset.quat[row] = offset

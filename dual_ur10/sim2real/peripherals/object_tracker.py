@@ -12,7 +12,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dual_ur10.errors import CellFileError, DualUR10Error, LinkError
-from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, rotate
+from dual_ur10.kinematics.poses import Poses, compose
+from dual_ur10.kinematics.rotations import quat_from_rotvec
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config import cell_file_tables as entries
 from dual_ur10.sim2real.config.cell_file import CellFile
@@ -87,8 +88,8 @@ class FlangeTracker:
 
     def pose(self, now_s: float, flanges: Flanges) -> ObjectPose:
         """See `ObjectTracker`. The pose is as new as those of the flanges."""
-        position_m, quat = flanges.position_m[self._arm], flanges.quat[self._arm]
-        return ObjectPose(position_m + rotate(quat, self._position_m), quat_multiply(quat, self._quat), now_s)
+        flange = Poses(flanges.position_m[self._arm], flanges.quat[self._arm])
+        return ObjectPose(*compose(flange, Poses(self._position_m, self._quat)), now_s)
 
     def close(self) -> None:
         """There is nothing to release."""

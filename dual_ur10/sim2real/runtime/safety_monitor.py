@@ -10,7 +10,8 @@ import numpy as np
 
 from dual_ur10.kinematics.forward import flange_pose_quat
 from dual_ur10.kinematics.frames import ArmMount, Frames
-from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec, rotate
+from dual_ur10.kinematics.poses import Poses, relative_to
+from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.protocol.modes import RuntimeState, SafetyMode
@@ -190,5 +191,5 @@ def _seen(q_rad: Sequence[Sequence[float] | Array], mounts: Sequence[ArmMount], 
     poses = [flange_pose_quat(q, mount.dh) for q, mount in zip(q_rad, mounts, strict=True)]
     position = frames.position_to_cell(np.array([each[0] for each in poses]))
     quat = frames.quat_to_cell(np.array([each[1] for each in poses]))
-    back = quat_conjugate(quat[0])
-    return rotate(back, position[1] - position[0]), quat_multiply(back, quat[1])
+    left, right = (Poses(position[arm], quat[arm]) for arm in (0, 1))
+    return relative_to(left, right)

@@ -8,7 +8,7 @@ from dual_ur10.envs.tasks.handover.stages import STAGES, WIDTH_M, Facts, Hand, a
 from dual_ur10.envs.tasks.handover.task import SETTLED_S, Handover, _between_long_axes
 from dual_ur10.kinematics import flange_pose_quat
 from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.poses import yawed
+from dual_ur10.kinematics.poses import yaw_quat
 from dual_ur10.kinematics.rotations import quat_to_matrix, rotate
 from dual_ur10.sim2real.config.cell import CellConfig
 from tests.soak import scaled
@@ -157,7 +157,7 @@ def test_after_all_stages_it_must_lie_there_for_a_while():
 
 def test_the_end_where_the_front_belongs_matters_and_the_upper_side_does_not():
     quat = laid_quat(np.array([[0.3], [np.pi + 0.3]]))
-    angle = _between_long_axes(quat, yawed(np.full((2, 1), 0.3)))
+    angle = _between_long_axes(quat, yaw_quat(np.full((2, 1), 0.3)))
     assert np.allclose(angle[:, 0], [0.0, np.pi])
 
 
@@ -252,7 +252,7 @@ def test_observation_is_what_the_table_says():
     assert np.allclose(np.abs((arms[:, 21:25] * quat).sum(axis=1)), 1.0)
     assert arms[:, 25].tolist() == state.gripper_m[0].tolist() == arms[::-1, 53].tolist()
     for k, mount in enumerate((cell.left, cell.right)):
-        turn = quat_to_matrix(yawed(np.array(mount.yaw_rad + np.pi)))
+        turn = quat_to_matrix(yaw_quat(np.array(mount.yaw_rad + np.pi)))
         for first, there in ((32, state.object_m[0]), (39, state.target_m[0])):
             assert np.allclose(turn @ arms[k, first : first + 3] + mount.position_m, there)
     relative = arms[0, 46:49]

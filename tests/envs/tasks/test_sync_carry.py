@@ -8,7 +8,7 @@ from dual_ur10 import CellConfig, ServojProfile, errors, policies
 from dual_ur10.assets.props import BAR_MASS_KG
 from dual_ur10.envs.tasks.sync_carry.path import MOVES, CarryPath
 from dual_ur10.envs.tasks.sync_carry.settings import bar_pose
-from dual_ur10.kinematics.poses import Poses, after, angle, seen_from
+from dual_ur10.kinematics.poses import Poses, compose, relative_to, rotation_angle
 from dual_ur10.kinematics.rotations import quat_from_rotvec, rotate
 from tests.soak import SOAK, scaled
 
@@ -65,11 +65,11 @@ def test_the_path_is_smooth_and_as_fast_as_promised(duration_s):
 def test_poses_compose():
     rng = np.random.default_rng(0)
     one, other = (Poses(rng.normal(size=(4, 3)), quat_from_rotvec(rng.normal(size=(4, 3)))) for _ in range(2))
-    again = seen_from(one, after(one, other))
+    again = relative_to(one, compose(one, other))
     assert np.allclose(again.position_m, other.position_m, atol=1e-12)
     assert np.allclose(np.abs((again.quat * other.quat).sum(axis=1)), 1.0, atol=1e-12)
     vectors = np.array([[0.3, 0, 0], [0, -1e-9, 0]])
-    assert np.allclose(angle(quat_from_rotvec(vectors)), [0.3, 1e-9], rtol=1e-9)
+    assert np.allclose(rotation_angle(quat_from_rotvec(vectors)), [0.3, 1e-9], rtol=1e-9)
 
 
 @pytest.mark.parametrize(

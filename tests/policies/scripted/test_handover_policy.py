@@ -6,7 +6,7 @@ from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.tasks.handover.settings import GRIPS, lying
 from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.poses import Poses, after
+from dual_ur10.kinematics.poses import Poses, compose
 from dual_ur10.policies.policy import Policy
 from dual_ur10.policies.scripted.free_motion import FreeMotion, Waypoint
 from dual_ur10.policies.scripted.handover import HandoverPolicy
@@ -116,7 +116,7 @@ def test_the_hands_meet_in_one_posture_whichever_way_the_block_lay(giver):
         block = lying(np.array([[0.0, 0.0, yaw]]), np.array([giver]))
         block = Poses(block.position_m[0], block.quat[0])
         pick = ways.pick(HOME_Q_RAD, giver, block)
-        tool = after(block, Poses(GRIPS[giver].position_m[giver], GRIPS[giver].quat[giver]))
+        tool = compose(block, Poses(GRIPS[giver].position_m[giver], GRIPS[giver].quat[giver]))
         meet = ways.meet(pick.at(pick.duration_s).reshape(2, 6), giver, tool)
         postures.append(meet.at(meet.duration_s))
     assert np.abs(np.array(postures) - postures[0]).max() < 1e-6

@@ -17,7 +17,7 @@ from dual_ur10.envs.tasks.task import check_numbers
 from dual_ur10.errors import UnknownNameError, WorkspaceError
 from dual_ur10.kinematics import try_nearest
 from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses, after, yawed
+from dual_ur10.kinematics.poses import Poses, compose, yaw_quat
 from dual_ur10.kinematics.rotations import quat_multiply, quat_to_matrix
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.types import Array
@@ -109,18 +109,18 @@ def lying(where: Array, side: Array) -> Poses:
     position = np.empty((len(where), 3))
     position[:, 0], position[:, 2] = where[:, 0], BLOCK_SIZE_M[2] / 2
     position[:, 1] = where[:, 1] + SIDE_M * (1 - 2 * side)
-    return Poses(position, yawed(where[:, 2]))
+    return Poses(position, yaw_quat(where[:, 2]))
 
 
 def presented_quat(giver: int) -> Array:
     """Orientation, (4,), of the block as it is handed over, where the cell's y leads from the right arm to the left."""
     tilt = np.array([_HALF, -_HALF if giver == 0 else _HALF, 0.0, 0.0])
-    return quat_multiply(yawed(np.array(MEETING_YAW_RAD)), tilt)
+    return quat_multiply(yaw_quat(np.array(MEETING_YAW_RAD)), tilt)
 
 
 def laid_quat(yaw_rad: Array) -> Array:
     """Orientations, (..., 4), of blocks that the receiver lays down: upside down, for it holds them from below."""
-    return quat_multiply(yawed(yaw_rad), np.broadcast_to([0.0, 1.0, 0.0, 0.0], (*np.shape(yaw_rad), 4)))
+    return quat_multiply(yaw_quat(yaw_rad), np.broadcast_to([0.0, 1.0, 0.0, 0.0], (*np.shape(yaw_rad), 4)))
 
 
 @lru_cache(maxsize=64)
@@ -164,8 +164,8 @@ def _unreached(scene: SceneSettings, giver: int, arm: int, blocks: Poses) -> lis
     grip, frames, mount = GRIPS[giver], Frames(scene.mounts), scene.mounts[arm]
     missed: set[int] = set()
     for back in (APPROACH_M, 0.0):
-        offset = after(Poses(grip.position_m[arm], grip.quat[arm]), Poses(np.array([0.0, 0.0, -back]), np.eye(4)[0]))
-        flange = flanges_of(after(blocks, offset))
+        offset = compose(Poses(grip.position_m[arm], grip.quat[arm]), Poses(np.array([0.0, 0.0, -back]), np.eye(4)[0]))
+        flange = flanges_of(compose(blocks, offset))
         both = [np.repeat(part[:, None], 2, axis=1) for part in flange]
         position, quat = frames.position_to_base(both[0])[:, arm], frames.quat_to_base(both[1])[:, arm]
         near = np.broadcast_to(HOME_Q_RAD[arm], (len(position), 6))

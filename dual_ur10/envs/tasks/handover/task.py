@@ -29,7 +29,7 @@ from dual_ur10.envs.tasks.observation_layout import (
 )
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, slower
 from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses, length, seen_from
+from dual_ur10.kinematics.poses import Poses, length, relative_to
 from dual_ur10.kinematics.rotations import cross, rotate
 from dual_ur10.kinematics.ur10 import DH_D_M
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
@@ -284,9 +284,9 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         target = Poses(given(state.target_m)[:, None], given(state.target_quat)[:, None])
         tool = tools(state)
         flange = Poses(state.flange_m, tool.quat)
-        relative = seen_from(flange, Poses(flange.position_m[:, ::-1], flange.quat[:, ::-1]))
+        relative = relative_to(flange, Poses(flange.position_m[:, ::-1], flange.quat[:, ::-1]))
         grip = Poses(block.position_m + rotate(block.quat, self._grip_m), block.quat)
-        grip_in_tool_m = seen_from(tool, grip).position_m
+        grip_in_tool_m = relative_to(tool, grip).position_m
         holding = holds(state, grip_in_tool_m, WIDTH_M)
         return HandoverMeasured(block, target, relative, grip_in_tool_m, between(grip_in_tool_m), holding)
 

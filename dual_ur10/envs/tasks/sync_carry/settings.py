@@ -18,8 +18,8 @@ from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError
 from dual_ur10.kinematics import try_nearest
 from dual_ur10.kinematics.forward import tips
 from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses, after, yawed
-from dual_ur10.kinematics.rotations import quat_conjugate, quat_to_matrix, rotate
+from dual_ur10.kinematics.poses import Poses, compose, relative_to, yaw_quat
+from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array
@@ -93,7 +93,7 @@ def path_rate(settings: CarrySettings, scene: SceneSettings, limits: MotionLimit
     times = np.arange(0.0, path.duration_s + _STEP_S, _STEP_S)
     start = bar_pose(np.array(starts))
     bars = path(np.broadcast_to(times, (len(starts), len(times))), start)
-    tools = after(Poses(bars.position_m[:, :, None], bars.quat[:, :, None]), settings.grip)
+    tools = compose(Poses(bars.position_m[:, :, None], bars.quat[:, :, None]), settings.grip)
     flanges = flanges_of(tools)
     position, quat = frames.position_to_base(flanges.position_m), frames.quat_to_base(flanges.quat)
     rotation = quat_to_matrix(quat)
@@ -122,10 +122,10 @@ def bar_pose(where: Array) -> Poses:
     n = len(where)
     position = np.zeros((n, 3))
     position[:, :2], position[:, 2] = where[:, :2], BAR_WIDTH_M / 2
-    return Poses(position, yawed(where[:, 2]))
+    return Poses(position, yaw_quat(where[:, 2]))
 
 
 def ideal_relative(grip: Poses) -> Poses:
     """Pose of the right flange in the left flange's frame while both grip the bar as they should, (3,) and (4,)."""
-    back = quat_conjugate(grip.quat[0])
-    return Poses(rotate(back, grip.position_m[1] - grip.position_m[0]), np.array([1.0, 0.0, 0.0, 0.0]))
+    left, right = (Poses(grip.position_m[arm], grip.quat[arm]) for arm in (0, 1))
+    return Poses(relative_to(left, right).position_m, np.array([1.0, 0.0, 0.0, 0.0]))

@@ -30,7 +30,7 @@ from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings, bar_pose, id
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, gaussian
 from dual_ur10.kinematics import nearest
 from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses, after, angle, length, seen_from
+from dual_ur10.kinematics.poses import Poses, compose, length, relative_to, rotation_angle
 from dual_ur10.kinematics.rotations import quat_to_matrix, rotate
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits
@@ -263,7 +263,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         bar = bar_pose(where)
         self._bar.position_m[rows], self._bar.quat[rows] = bar
         at = bar if settings.rigid else bar_pose(np.zeros((len(rows), 3)))
-        tool = after(Poses(at.position_m[:, None], at.quat[:, None]), self._grip)
+        tool = compose(Poses(at.position_m[:, None], at.quat[:, None]), self._grip)
         if not settings.rigid:
             tool.position_m[..., 2] += APPROACH_M
         flange = flanges_of(tool)
@@ -284,9 +284,9 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         bar = Poses(given(state.object_m)[:, None], given(state.object_quat)[:, None])
         tool = tools(state)
         flange = Poses(state.flange_m, tool.quat)
-        relative = seen_from(flange, Poses(flange.position_m[:, ::-1], flange.quat[:, ::-1]))
+        relative = relative_to(flange, Poses(flange.position_m[:, ::-1], flange.quat[:, ::-1]))
         grip = Poses(bar.position_m + rotate(bar.quat, self._grip.position_m), bar.quat)
-        grip_in_tool = seen_from(tool, grip)
+        grip_in_tool = relative_to(tool, grip)
         if self.settings.rigid:
             holding = np.ones((self.n, 2), dtype=bool)
         else:
@@ -317,10 +317,10 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         """Reward terms; success at the end."""
         clock, grip = measured.clock_s, measured.grip_in_tool.position_m
         now = Poses(measured.references.position_m[:, 0], measured.references.quat[:, 0])
-        error = seen_from(now, Poses(measured.bar.position_m[:, 0], measured.bar.quat[:, 0]))
-        bar_m, bar_rad = length(error.position_m), angle(error.quat)
+        error = relative_to(now, Poses(measured.bar.position_m[:, 0], measured.bar.quat[:, 0]))
+        bar_m, bar_rad = length(error.position_m), rotation_angle(error.quat)
         relative_m = length(measured.relative.position_m[:, 0] - self._ideal.position_m)
-        relative_rad = angle(measured.relative.quat[:, 0])
+        relative_rad = rotation_angle(measured.relative.quat[:, 0])
         # What both arms press against each other is half the difference of their forces, along the bar and across it.
         along = quat_to_matrix(measured.bar.quat[:, 0])[:, :, 1]
         inner = (measured.force_n[:, 0] - measured.force_n[:, 1]) / 2

@@ -89,7 +89,7 @@ dist: $(VENV)/.dev  ## build wheel and sdist into out/dist, and check the sdist 
 	@$(VENV)/bin/python -m build --outdir out/dist
 
 docs: $(VENV)/.dev  ## build the documentation site into out/site, strictly
-	@PYTHONPATH=. $(VENV)/bin/mkdocs build --quiet --strict --site-dir out/site
+	@PYTHONPATH=. NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --quiet --strict --site-dir out/site
 
 test-dist: $(DIST)/.dev  ## training on Ray RLlib with two workers on this machine
 	@$(DIST)/bin/python -m pytest tests/distributed

@@ -1,4 +1,4 @@
-"""How much of a processor an emulated cell takes, how late its control periods are, and what becomes of set-points.
+"""Processor time of an emulated cell, lateness of its control periods, and lost or repeated servoj targets.
 
     python benchmarks/emulator.py [--family cb3] [--seconds 20] [--json FILE]
 
@@ -55,7 +55,7 @@ os._exit(0)
 
 
 def stream(cell: EmulatedCell, tick_s: float, seconds: float) -> dict[str, float]:
-    """Stream to both arms and count what was executed."""
+    """Stream to both arms and count the executed targets."""
     emulator = psutil.Process(cell.process.pid)
     arguments = json.dumps([[cell.left, cell.right], tick_s, seconds])
     client = subprocess.Popen([sys.executable, "-c", CLIENT, arguments], stdout=subprocess.PIPE, text=True)

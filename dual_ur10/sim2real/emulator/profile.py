@@ -14,7 +14,7 @@ class Assumptions:
     """Behaviour of a controller that no public document specifies.
 
     Each is a switch, so that code can be tested both ways, and corrected after a measurement on a real controller or
-    URSim. `docs/emulated_cell.md` lists them with the test that would settle each.
+    URSim. `docs/reference/emulator.md` lists them with the test that would settle each.
 
     Attributes:
         unlock_wait_s: Time after a protective stop for which the dashboard refuses to unlock it.

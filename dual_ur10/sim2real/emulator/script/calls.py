@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import inspect
 
+from dual_ur10.sim2real.emulator.script import syntax
 from dual_ur10.sim2real.emulator.script.scopes import Function, Names
-from dual_ur10.sim2real.emulator.script.syntax import Call, If, Kill, Statement, While, syntax_error
 from dual_ur10.sim2real.emulator.script.values import Builtins
 
 
@@ -48,13 +48,13 @@ class Calls:
                     blocking.append(caller)
         _mark_recursive(names, callers, callees)
 
-    def _builtin(self, call: Call) -> bool:
+    def _builtin(self, call: syntax.Call) -> bool:
         """Check the call of a builtin and return whether it blocks."""
         name = str(call.at)
         if name not in self._builtins:
-            raise syntax_error(call.at, "there is no such function")
+            raise syntax.error(call.at, "there is no such function")
         if call.runs:
-            raise syntax_error(call.at, "only a thread can be run")
+            raise syntax.error(call.at, "only a thread can be run")
         if name not in self.used:
             function = self._builtins[name]
             self.used[name] = inspect.isgeneratorfunction(function)
@@ -62,42 +62,42 @@ class Calls:
         try:
             self._signatures[name].bind(*call.arguments, **{str(key): None for key, _ in call.keywords})
         except TypeError as error:
-            raise syntax_error(call.at, str(error)) from None
+            raise syntax.error(call.at, str(error)) from None
         return self.used[name]
 
 
-def _joins(body: list[Statement]) -> bool:
+def _joins(body: list[syntax.Statement]) -> bool:
     for node in body:
         match node:
-            case Kill():
+            case syntax.Kill():
                 if node.at == "join":
                     return True
-            case If():
+            case syntax.If():
                 if _joins(node.otherwise) or any(_joins(block) for _, _, block in node.branches):
                     return True
-            case While():
+            case syntax.While():
                 if _joins(node.body):
                     return True
     return False
 
 
-def _fit(call: Call, function: Function) -> None:
+def _fit(call: syntax.Call, function: Function) -> None:
     is_thread = function.define.kind == "thread"
     if call.runs != is_thread:
-        raise syntax_error(call.at, "a thread is started with run" if is_thread else "only a thread can be run")
+        raise syntax.error(call.at, "a thread is started with run" if is_thread else "only a thread can be run")
     parameters = [str(name) for name, _ in function.define.parameters]
     if len(call.arguments) > len(parameters):
-        raise syntax_error(call.at, f"it takes {len(parameters)} arguments, found {len(call.arguments)}")
+        raise syntax.error(call.at, f"it takes {len(parameters)} arguments, found {len(call.arguments)}")
     given = set(parameters[: len(call.arguments)])
     for word, _ in call.keywords:
         if word not in function.parameters:
-            raise syntax_error(word, f"{call.at} has no such argument: use one of {', '.join(parameters) or '(none)'}")
+            raise syntax.error(word, f"{call.at} has no such argument: use one of {', '.join(parameters) or '(none)'}")
         if word in given:
-            raise syntax_error(word, f"the argument is given twice to {call.at}")
+            raise syntax.error(word, f"the argument is given twice to {call.at}")
         given.add(str(word))
     for name, default in function.define.parameters:
         if default is None and name not in given:
-            raise syntax_error(call.at, f"its argument {name} is missing")
+            raise syntax.error(call.at, f"its argument {name} is missing")
 
 
 def _mark_recursive(names: Names, callers: dict[int, list[Function]], callees: dict[int, list[Function]]) -> None:

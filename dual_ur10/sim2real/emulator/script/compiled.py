@@ -14,11 +14,11 @@ from typing import Final
 from lark import Token
 
 from dual_ur10.errors import ScriptError, ScriptSyntaxError, SettingsError
+from dual_ur10.sim2real.emulator.script import syntax
 from dual_ur10.sim2real.emulator.script.calls import Calls
 from dual_ur10.sim2real.emulator.script.compiler import generate
 from dual_ur10.sim2real.emulator.script.parser import parse_text
 from dual_ur10.sim2real.emulator.script.scopes import Names
-from dual_ur10.sim2real.emulator.script.syntax import Define, syntax_error
 from dual_ur10.sim2real.emulator.script.values import Builtins
 
 UNNAMED: Final = "unnamed"
@@ -91,18 +91,18 @@ def parse(text: str, builtins: Builtins) -> Program:
 def _read(text: str, builtins: Builtins) -> Program:
     statements = parse_text(text)
     first = statements[0] if statements else None
-    if isinstance(first, Define) and first.kind != "thread":
+    if isinstance(first, syntax.Define) and first.kind != "thread":
         if len(statements) > 1:
             after = statements[1].at
-            raise syntax_error(after, f"the program {first.at} ended before it")
+            raise syntax.error(after, f"the program {first.at} ended before it")
         for word, default in first.parameters:
             if default is None:
-                raise syntax_error(word, "a program has no arguments")
+                raise syntax.error(word, "a program has no arguments")
         main, name = first, str(first.at)
-        main = Define(first.at, first.kind, [], first.body)
+        main = syntax.Define(first.at, first.kind, [], first.body)
     else:
         name = UNNAMED
-        main = Define(Token("NAME", UNNAMED, line=1, column=1), "def", [], statements)
+        main = syntax.Define(Token("NAME", UNNAMED, line=1, column=1), "def", [], statements)
     try:
         names = Names(main)
         calls = Calls(names, builtins)

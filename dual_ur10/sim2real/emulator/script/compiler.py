@@ -19,29 +19,10 @@ from typing import Any, Final
 
 from lark import Token
 
+from dual_ur10.sim2real.emulator.script import syntax
 from dual_ur10.sim2real.emulator.script.calls import Calls
 from dual_ur10.sim2real.emulator.script.operations import OPERATIONS
 from dual_ur10.sim2real.emulator.script.scopes import Function, Names
-from dual_ur10.sim2real.emulator.script.syntax import (
-    Assign,
-    Binary,
-    Call,
-    Define,
-    Expression,
-    If,
-    Index,
-    Kill,
-    ListOf,
-    Name,
-    Number,
-    Return,
-    Simple,
-    Statement,
-    Text,
-    Unary,
-    While,
-    syntax_error,
-)
 from dual_ur10.sim2real.emulator.script.values import Builtins
 
 FILE: Final = "<URScript>"
@@ -64,7 +45,7 @@ _LOAD: Final = ast.Load()
 _STORE: Final = ast.Store()
 
 
-def generate(program: Define, names: Names, calls: Calls, builtins: Builtins) -> CodeType:
+def generate(program: syntax.Define, names: Names, calls: Calls, builtins: Builtins) -> CodeType:
     """Return the code of a program: a module that defines its main function, `MAIN`.
 
     Raises:
@@ -116,13 +97,13 @@ class _FunctionCompiler:
             ast.If(spent, [_do(where, "n_endless")], [], **where),
         ]
 
-    def _block(self, body: list[Statement]) -> list[ast.stmt]:
+    def _block(self, body: list[syntax.Statement]) -> list[ast.stmt]:
         code: list[ast.stmt] = []
         for statement in body:
             code += _STATEMENTS[type(statement)](self, statement)
         return code or [ast.Pass(lineno=1, col_offset=0, end_lineno=1, end_col_offset=0)]
 
-    def _assign(self, node: Assign) -> list[ast.stmt]:
+    def _assign(self, node: syntax.Assign) -> list[ast.stmt]:
         where, name = _where(node.at), str(node.at)
         place = self._place(name)
         value = self._expression(node.value)
@@ -140,47 +121,47 @@ class _FunctionCompiler:
             self._rebinds[place or ""].add(target.id)
         return [ast.Assign([target], value, **where)]
 
-    def _output(self, node: Assign, value: ast.expr) -> ast.expr:
+    def _output(self, node: syntax.Assign, value: ast.expr) -> ast.expr:
         # digital_out[n] = value: the syntax of old programs.
         builtin = f"set_{node.at}"
         if node.at != "digital_out" or builtin not in self._builtins or len(node.items) != 1:
-            raise syntax_error(node.at, "nothing assigns this variable")
+            raise syntax.error(node.at, "nothing assigns this variable")
         self._calls.used.setdefault(builtin, False)
         where = _where(node.at)
         return ast.Call(ast.Name("b_" + builtin, _LOAD, **where), [self._expression(node.items[0]), value], [], **where)
 
-    def _if(self, node: If) -> list[ast.stmt]:
+    def _if(self, node: syntax.If) -> list[ast.stmt]:
         code = self._block(node.otherwise) if node.otherwise else []
         for word, condition, body in reversed(node.branches):
             code = [ast.If(self._condition(condition), self._block(body), code, **_where(word))]
         return code
 
-    def _while(self, node: While) -> list[ast.stmt]:
+    def _while(self, node: syntax.While) -> list[ast.stmt]:
         self._loops += 1
         body = self._step(node.at, 1 + _size(node.body)) + self._block(node.body)
         self._loops -= 1
         return [ast.While(self._condition(node.condition), body, [], **_where(node.at))]
 
-    def _simple(self, node: Simple) -> list[ast.stmt]:
+    def _simple(self, node: syntax.Simple) -> list[ast.stmt]:
         where = _where(node.at)
         if node.at in _SIMPLE:
             return [_do(where, _SIMPLE[node.at])]
         if node.at == "pass":
             return [ast.Pass(**where)]
         if not self._loops:
-            raise syntax_error(node.at, "it stands in no loop")
+            raise syntax.error(node.at, "it stands in no loop")
         return [ast.Break(**where) if node.at == "break" else ast.Continue(**where)]
 
-    def _return(self, node: Return) -> list[ast.stmt]:
+    def _return(self, node: syntax.Return) -> list[ast.stmt]:
         value = None if node.value is None else self._expression(node.value)
         return [ast.Return(value, **_where(node.at))]
 
-    def _kill(self, node: Kill) -> list[ast.stmt]:
+    def _kill(self, node: syntax.Kill) -> list[ast.stmt]:
         where = _where(node.at)
         call = ast.Call(ast.Name(f"n_{node.at}", _LOAD, **where), [self._expression(node.value)], [], **where)
         return [ast.Expr(ast.YieldFrom(call, **where) if node.at == "join" else call, **where)]
 
-    def _define(self, node: Define) -> list[ast.stmt]:
+    def _define(self, node: syntax.Define) -> list[ast.stmt]:
         body = _FunctionCompiler(self._names, self._calls, self._builtins, self._names.functions[id(node)])
         parameters = [_mangled(str(name), "own") for name, _ in node.parameters]
         defaults: list[ast.expr] = []
@@ -188,39 +169,39 @@ class _FunctionCompiler:
             if default is not None:
                 defaults.append(self._expression(default))
             elif defaults:
-                raise syntax_error(name, "parameters without a default stand before those with one")
+                raise syntax.error(name, "parameters without a default stand before those with one")
         return [body.function(f"f_{node.at}", parameters, defaults)]
 
-    def _do_call(self, node: Call) -> list[ast.stmt]:
+    def _do_call(self, node: syntax.Call) -> list[ast.stmt]:
         return [ast.Expr(self._call(node), **_where(node.at))]
 
-    def _expression(self, node: Expression) -> ast.expr:
+    def _expression(self, node: syntax.Expression) -> ast.expr:
         return _EXPRESSIONS[type(node)](self, node)
 
-    def _condition(self, node: Expression) -> ast.expr:
+    def _condition(self, node: syntax.Expression) -> ast.expr:
         value = self._expression(node)
         match node:
-            case Binary():
+            case syntax.Binary():
                 if node.at not in "+-*/%":
                     return value
-            case Unary():
+            case syntax.Unary():
                 if node.at == "not":
                     return value
-            case Number():
+            case syntax.Number():
                 if isinstance(node.value, bool):
                     return value
         return _operation(_where(node.at), "truth", [value])
 
-    def _constant(self, node: Number | Text) -> ast.expr:
+    def _constant(self, node: syntax.Number | syntax.Text) -> ast.expr:
         return ast.Constant(node.value, **_where(node.at))
 
-    def _name(self, node: Name) -> ast.expr:
+    def _name(self, node: syntax.Name) -> ast.expr:
         return self._variable(node.at)
 
     def _variable(self, word: Token) -> ast.expr:
         place = self._place(str(word))
         if place is None:
-            raise syntax_error(word, "nothing assigns this variable")
+            raise syntax.error(word, "nothing assigns this variable")
         return ast.Name(_mangled(str(word), place), _LOAD, **_where(word))
 
     def _place(self, name: str) -> str | None:
@@ -228,7 +209,7 @@ class _FunctionCompiler:
             self._places[name] = self._names.place(name, self._function)
         return self._places[name]
 
-    def _call(self, node: Call) -> ast.expr:
+    def _call(self, node: syntax.Call) -> ast.expr:
         where, name = _where(node.at), str(node.at)
         target = self._function.find(name)
         arguments = [self._expression(each) for each in node.arguments]
@@ -243,21 +224,21 @@ class _FunctionCompiler:
         blocks = self._calls.used[name] if target is None else target.blocks
         return ast.YieldFrom(call, **where) if blocks else call
 
-    def _index(self, node: Index) -> ast.expr:
+    def _index(self, node: syntax.Index) -> ast.expr:
         arguments = [self._expression(node.base), *map(self._expression, node.items)]
         return _operation(_where(node.at), "get" if len(node.items) == 1 else "get_cell", arguments)
 
-    def _list(self, node: ListOf) -> ast.expr:
+    def _list(self, node: syntax.ListOf) -> ast.expr:
         items = [self._expression(item) for item in node.items]
         return _operation(_where(node.at), "pose" if node.is_pose else "list", items)
 
-    def _unary(self, node: Unary) -> ast.expr:
+    def _unary(self, node: syntax.Unary) -> ast.expr:
         where = _where(node.at)
         if node.at == "not":
             return ast.UnaryOp(ast.Not(), self._condition(node.operand), **where)
         return _operation(where, "negative", [self._expression(node.operand)])
 
-    def _binary(self, node: Binary) -> ast.expr:
+    def _binary(self, node: syntax.Binary) -> ast.expr:
         where, operator = _where(node.at), str(node.at)
         if operator in _LOGIC:
             return ast.BoolOp(_LOGIC[operator](), [self._condition(node.left), self._condition(node.right)], **where)
@@ -271,24 +252,24 @@ class _FunctionCompiler:
 
 
 _STATEMENTS: Final[dict[type, Callable[[_FunctionCompiler, Any], list[ast.stmt]]]] = {
-    Assign: _FunctionCompiler._assign,
-    Call: _FunctionCompiler._do_call,
-    Define: _FunctionCompiler._define,
-    If: _FunctionCompiler._if,
-    Kill: _FunctionCompiler._kill,
-    Return: _FunctionCompiler._return,
-    Simple: _FunctionCompiler._simple,
-    While: _FunctionCompiler._while,
+    syntax.Assign: _FunctionCompiler._assign,
+    syntax.Call: _FunctionCompiler._do_call,
+    syntax.Define: _FunctionCompiler._define,
+    syntax.If: _FunctionCompiler._if,
+    syntax.Kill: _FunctionCompiler._kill,
+    syntax.Return: _FunctionCompiler._return,
+    syntax.Simple: _FunctionCompiler._simple,
+    syntax.While: _FunctionCompiler._while,
 }
 _EXPRESSIONS: Final[dict[type, Callable[[_FunctionCompiler, Any], ast.expr]]] = {
-    Binary: _FunctionCompiler._binary,
-    Call: _FunctionCompiler._call,
-    Index: _FunctionCompiler._index,
-    ListOf: _FunctionCompiler._list,
-    Name: _FunctionCompiler._name,
-    Number: _FunctionCompiler._constant,
-    Text: _FunctionCompiler._constant,
-    Unary: _FunctionCompiler._unary,
+    syntax.Binary: _FunctionCompiler._binary,
+    syntax.Call: _FunctionCompiler._call,
+    syntax.Index: _FunctionCompiler._index,
+    syntax.ListOf: _FunctionCompiler._list,
+    syntax.Name: _FunctionCompiler._name,
+    syntax.Number: _FunctionCompiler._constant,
+    syntax.Text: _FunctionCompiler._constant,
+    syntax.Unary: _FunctionCompiler._unary,
 }
 
 
@@ -309,10 +290,10 @@ def _mangled(name: str, place: str) -> str:
     return ("g_" if place == "global" else "v_") + name
 
 
-def _size(body: list[Statement]) -> int:
+def _size(body: list[syntax.Statement]) -> int:
     """Count the statements of a block, without those of nested loops, which count for themselves."""
     count = len(body)
     for node in body:
-        if isinstance(node, If):
+        if isinstance(node, syntax.If):
             count += max([_size(block) for _, _, block in node.branches] + [_size(node.otherwise)])
     return count

@@ -13,25 +13,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from dual_ur10.errors import ScriptSyntaxError
-from dual_ur10.sim2real.emulator.script.syntax import (
-    Assign,
-    Binary,
-    Call,
-    Define,
-    Expression,
-    If,
-    Index,
-    Kill,
-    ListOf,
-    Name,
-    Number,
-    Return,
-    Statement,
-    Text,
-    Unary,
-    While,
-    syntax_error,
-)
+from dual_ur10.sim2real.emulator.script import syntax
 
 DEPTH_MAX: Final = 60
 """Greatest nesting depth of expressions and blocks."""
@@ -60,14 +42,14 @@ class Function:
         recursive: Whether it may call itself, directly or not.
     """
 
-    define: Define
+    define: syntax.Define
     parent: Function | None
     parameters: set[str] = field(default_factory=set)
     local: set[str] = field(default_factory=set)
     free: set[str] = field(default_factory=set)
     declared: set[str] = field(default_factory=set)
     functions: dict[str, Function] = field(default_factory=dict)
-    calls: list[Call] = field(default_factory=list)
+    calls: list[syntax.Call] = field(default_factory=list)
     blocks: bool = False
     recursive: bool = False
 
@@ -96,7 +78,7 @@ class Names:
         ScriptSyntaxError: A name is declared in two ways, or the nesting is too deep.
     """
 
-    def __init__(self, program: Define) -> None:
+    def __init__(self, program: syntax.Define) -> None:
         self.functions: dict[int, Function] = {}
         self.shared: set[str] = set()
         self._define(program, None, 0)
@@ -118,56 +100,56 @@ class Names:
             outer = outer.parent
         return "own" if name in function.free else None
 
-    def _define(self, node: Define, parent: Function | None, depth: int) -> None:
+    def _define(self, node: syntax.Define, parent: Function | None, depth: int) -> None:
         function = Function(node, parent)
         self.functions[id(node)] = function
         if parent is not None:
             if node.kind == "sec":
-                raise syntax_error(node.at, "a secondary program cannot be defined within another")
+                raise syntax.error(node.at, "a secondary program cannot be defined within another")
             if node.at in parent.functions:
-                raise syntax_error(node.at, "it is defined twice")
+                raise syntax.error(node.at, "it is defined twice")
             parent.functions[str(node.at)] = function
         for name, default in node.parameters:
             if name in function.parameters:
-                raise syntax_error(name, "two parameters have this name")
+                raise syntax.error(name, "two parameters have this name")
             function.parameters.add(str(name))
             if default is not None and parent is not None:
                 self._expressions((default,), parent, depth + 1)
         self._block(node.body, function, depth + 1, 0)
 
-    def _block(self, body: list[Statement], function: Function, depth: int, loops: int) -> None:
+    def _block(self, body: list[syntax.Statement], function: Function, depth: int, loops: int) -> None:
         for statement in body:
             if depth > DEPTH_MAX:
-                raise syntax_error(statement.at, f"blocks are nested more than {DEPTH_MAX} deep")
+                raise syntax.error(statement.at, f"blocks are nested more than {DEPTH_MAX} deep")
             self._statement(statement, function, depth, loops)
 
-    def _statement(self, node: Statement, function: Function, depth: int, loops: int) -> None:
+    def _statement(self, node: syntax.Statement, function: Function, depth: int, loops: int) -> None:
         match node:
-            case Assign():
+            case syntax.Assign():
                 if not node.items:
                     self._assigned(node, function)
                 self._expressions((*node.items, node.value), function, depth)
-            case Call():
+            case syntax.Call():
                 self._expressions((node,), function, depth)
-            case If():
+            case syntax.If():
                 if len(node.branches) > BRANCHES_MAX:
-                    raise syntax_error(node.at, f"it has more than {BRANCHES_MAX} branches")
+                    raise syntax.error(node.at, f"it has more than {BRANCHES_MAX} branches")
                 for _, condition, body in node.branches:
                     self._expressions((condition,), function, depth)
                     self._block(body, function, depth + 1, loops)
                 self._block(node.otherwise, function, depth + 1, loops)
-            case While():
+            case syntax.While():
                 if loops >= LOOPS_MAX:
-                    raise syntax_error(node.at, f"loops are nested more than {LOOPS_MAX} deep")
+                    raise syntax.error(node.at, f"loops are nested more than {LOOPS_MAX} deep")
                 self._expressions((node.condition,), function, depth)
                 self._block(node.body, function, depth + 1, loops + 1)
-            case Return() | Kill():
+            case syntax.Return() | syntax.Kill():
                 if node.value is not None:
                     self._expressions((node.value,), function, depth)
-            case Define():
+            case syntax.Define():
                 self._define(node, function, depth)
 
-    def _assigned(self, node: Assign, function: Function) -> None:
+    def _assigned(self, node: syntax.Assign, function: Function) -> None:
         name = str(node.at)
         if node.qualifier == "global":
             self.shared.add(name)
@@ -177,23 +159,23 @@ class Names:
         else:
             function.free.add(name)
 
-    def _expressions(self, nodes: Iterable[Expression], function: Function, depth: int) -> None:
+    def _expressions(self, nodes: Iterable[syntax.Expression], function: Function, depth: int) -> None:
         for node in nodes:
-            if isinstance(node, (Number, Text, Name)):
+            if isinstance(node, (syntax.Number, syntax.Text, syntax.Name)):
                 continue
             if depth > DEPTH_MAX:
-                raise syntax_error(node.at, f"expressions are nested more than {DEPTH_MAX} deep")
-            inner: Iterable[Expression]
+                raise syntax.error(node.at, f"expressions are nested more than {DEPTH_MAX} deep")
+            inner: Iterable[syntax.Expression]
             match node:
-                case Call():
+                case syntax.Call():
                     function.calls.append(node)
                     inner = [*node.arguments, *(value for _, value in node.keywords)]
-                case Index():
+                case syntax.Index():
                     inner = [node.base, *node.items]
-                case ListOf():
+                case syntax.ListOf():
                     inner = node.items
-                case Unary():
+                case syntax.Unary():
                     inner = (node.operand,)
-                case Binary():
+                case syntax.Binary():
                     inner = (node.left, node.right)
             self._expressions(inner, function, depth + 1)

@@ -147,6 +147,6 @@ class Define:
 Statement = Assign | If | While | Simple | Return | Kill | Define | Call
 
 
-def syntax_error(word: Token, reason: str) -> ScriptSyntaxError:
+def error(word: Token, reason: str) -> ScriptSyntaxError:
     """Return the error that a word of a program causes, with its line."""
     return ScriptSyntaxError(word.line or 1, str(word), reason)

@@ -144,7 +144,7 @@ def test_no_cell_there(file):
         tracker_of(file.replace(emulator=entry), "block")
 
 
-def test_a_cell_that_ends_is_named_at_once(tmp_path):
+def test_a_cell_that_ends_is_reported_at_once(tmp_path):
     path = tmp_path / "cell.toml"
     with EmulatedCell(task="Handover", cell=str(path)) as cell, tracker_of(load_cell_file(path), "block") as tracker:
         tracker.pose(time.monotonic(), FLANGES)

@@ -1,4 +1,4 @@
-"""Functions in processes of their own, whatever program starts them."""
+"""Child processes, whatever program starts them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ assert child.wait(30.0)
 print(child.code, flush=True)
 """
 
-# A program that is interrupted at hundreds of instants, in what asks for the end of its children.
+# Program that is interrupted at hundreds of instants, while it queries the end of its children.
 INTERRUPTED = """
 import random
 import signal
@@ -73,20 +73,20 @@ def write(path: pathlib.Path, values: object) -> None:
     path.write_bytes(pickle.dumps((values, os.getpid(), os.getppid(), os.getsid(0), sys.stdin.read())))
 
 
-def told(path: pathlib.Path, values: object = None, **more: object) -> tuple:
+def written(path: pathlib.Path, values: object = None, **more: object) -> tuple:
     child = Child(write, path, values)
     assert child.wait(WITHIN_S)
     assert (child.code, child.is_alive) == (0, False)
     return pickle.loads(path.read_bytes()), child
 
 
-def test_it_runs_a_function_with_its_arguments_in_a_session_of_its_own(tmp_path):
-    (values, pid, parent, session, rest), child = told(tmp_path / "out", {"a": (1, 2.5)})
+def test_it_runs_a_function_in_a_session_of_its_own(tmp_path):
+    (values, pid, parent, session, rest), child = written(tmp_path / "out", {"a": (1, 2.5)})
     assert values == {"a": (1, 2.5)}
     assert pid == child.pid == session
     assert session != os.getsid(0)
     assert parent == os.getpid()
-    assert rest == ""  # it waits for nobody to type
+    assert rest == ""  # it does not read the terminal
 
 
 def modules(path: pathlib.Path) -> None:
@@ -97,8 +97,8 @@ def modules(path: pathlib.Path) -> None:
     path.write_text(" ".join(sys.modules))
 
 
-def test_an_arm_a_supervisor_and_a_recorder_wait_for_nothing_of_the_environments(tmp_path):
-    """Each of them is a process that starts whenever an environment is made on arms."""
+def test_processes_of_a_cell_import_nothing_of_the_environments(tmp_path):
+    """Arm processes, supervisor and recorder start with every environment on controllers, and must start fast."""
     out = tmp_path / "modules"
     assert Child(modules, out).wait(WITHIN_S)
     loaded = {each.partition(".")[0] for each in out.read_text().split()}
@@ -108,10 +108,10 @@ def test_an_arm_a_supervisor_and_a_recorder_wait_for_nothing_of_the_environments
 
 def test_arguments_may_be_larger_than_a_pipe(tmp_path):
     values = bytes(range(256)) * 20_000
-    assert told(tmp_path / "out", values)[0][0] == values
+    assert written(tmp_path / "out", values)[0][0] == values
 
 
-def test_what_cannot_be_told_starts_no_process(monkeypatch):
+def test_arguments_that_cannot_be_pickled_start_no_process(monkeypatch):
     monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a process was started"))
     with pytest.raises((TypeError, pickle.PicklingError, AttributeError)):
         Child(write, lambda: None)
@@ -130,8 +130,8 @@ def test_the_program_needs_no_guard_and_no_file(tmp_path, how):
     assert out.is_dir()
 
 
-def test_it_finds_what_the_program_finds_in_the_folder_it_is_in(tmp_path):
-    """As in a terminal's Python, whose path begins with "", the folder it is in."""
+def test_it_imports_modules_beside_the_program(tmp_path):
+    """As in an interactive Python, whose path begins with "", the present folder."""
     (tmp_path / "beside.py").write_text("import pathlib\ndef work(name):\n    pathlib.Path(name).write_text('done')\n")
     code = (
         "import sys\nsys.path.insert(0, '')\nimport beside\n"
@@ -142,11 +142,11 @@ def test_it_finds_what_the_program_finds_in_the_folder_it_is_in(tmp_path):
     assert (tmp_path / "out").read_text() == "done"
 
 
-def test_it_is_killed_and_waited_for():
+def test_kill_waits_for_the_end():
     child = Child(time.sleep, 60.0, name="left")
     end = time.monotonic() + WITHIN_S
     while not (shown := pathlib.Path(f"/proc/{child.pid}/cmdline").read_bytes()) and time.monotonic() < end:
-        time.sleep(0.01)  # it is about to begin
+        time.sleep(0.01)  # it is starting
     assert shown.split(b"\0")[-2:] == [b"left", b""]
     assert child.is_alive
     assert child.code is None
@@ -158,12 +158,12 @@ def test_it_is_killed_and_waited_for():
     child.kill()  # it has ended already
 
 
-def test_no_interrupt_at_any_instant_keeps_it_from_being_asked_and_ended():
+def test_interrupts_at_any_instant_spoil_neither_query_nor_kill():
     done = subprocess.run([sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, timeout=60, check=False)
     assert (done.stdout.split(), done.stderr) == (["interrupted", "901"], "")
 
 
-def test_one_that_is_interrupted_while_it_is_started_leaves_no_process():
+def test_an_interrupt_during_the_start_leaves_no_process():
     started = []
 
     class Noted(subprocess.Popen):
@@ -181,14 +181,14 @@ def test_one_that_is_interrupted_while_it_is_started_leaves_no_process():
         os.kill(pid, 0)
 
 
-def test_one_whose_end_somebody_else_has_noted_is_over():
+def test_a_process_whose_end_somebody_else_has_collected():
     child = Child(time.sleep, 0.0)
     os.waitpid(child.pid, 0)
     assert (child.wait(WITHIN_S), child.code) == (True, LOST)
     child.kill()
 
 
-def test_one_that_does_not_end_when_killed_is_not_waited_for_for_ever(monkeypatch, caplog):
+def test_the_wait_for_a_killed_process_is_bounded(monkeypatch, caplog):
     child = Child(time.sleep, 60.0)
     with monkeypatch.context() as patch:
         patch.setattr(os, "kill", lambda *_: None)
@@ -200,20 +200,20 @@ def test_one_that_does_not_end_when_killed_is_not_waited_for_for_ever(monkeypatc
 
 
 @pytest.mark.parametrize(("function", "argument", "code"), [(sys.exit, 3, 3), (os._exit, 7, 7), (sys.exit, 0, 0)])
-def test_its_code_is_told(function, argument, code):
+def test_exit_codes(function, argument, code):
     child = Child(function, argument)
     assert child.wait(WITHIN_S)
     assert child.code == code
 
 
-def test_an_error_is_a_code_and_said(capfd):
+def test_an_error_is_a_code_and_a_traceback(capfd):
     child = Child(os.listdir, "/nowhere/at/all")
     assert child.wait(WITHIN_S)
     assert child.code == 1
     assert "/nowhere/at/all" in capfd.readouterr().err
 
 
-def test_one_that_ends_before_it_has_read_is_dead_and_no_error(tmp_path, monkeypatch):
+def test_a_process_that_ends_before_it_reads_is_no_error(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "executable", "/bin/false")
     child = Child(write, tmp_path / "out", bytes(1 << 20))
     assert child.wait(WITHIN_S)
@@ -221,7 +221,7 @@ def test_one_that_ends_before_it_has_read_is_dead_and_no_error(tmp_path, monkeyp
 
 
 def test_an_orphan_does_nothing(tmp_path):
-    """The program has ended before its child has come to read what to do."""
+    """The parent has ended before its child has read the function."""
     out = tmp_path / "out"
     work = pickle.dumps(("tests.sim2real.processes.test_child_process", "write", os.getpid() + 1, (out, None)))
     command = [sys.executable, "-m", "dual_ur10.sim2real.processes.child_process"]

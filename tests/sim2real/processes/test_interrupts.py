@@ -1,4 +1,4 @@
-"""What must not be left half done is not interrupted."""
+"""Deferral of interrupts around critical sections."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import pytest
 from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
 
 
-def test_an_interrupt_comes_right_behind():
+def test_an_interrupt_comes_after_the_block():
     done = []
-    with pytest.raises(KeyboardInterrupt):  # noqa: PT012  # what comes when is what is tested
+    with pytest.raises(KeyboardInterrupt):  # noqa: PT012  # the order is what is tested
         with interrupts_deferred():
             signal.raise_signal(signal.SIGINT)
             signal.raise_signal(signal.SIGINT)
@@ -25,7 +25,7 @@ def test_an_interrupt_comes_right_behind():
         signal.raise_signal(signal.SIGINT)
 
 
-def test_one_inside_another_holds_back_until_the_end_of_the_outer_one():
+def test_nested_blocks_defer_to_the_end_of_the_outer_one():
     done = []
     with pytest.raises(KeyboardInterrupt), interrupts_deferred():  # noqa: PT012
         with interrupts_deferred():
@@ -34,7 +34,7 @@ def test_one_inside_another_holds_back_until_the_end_of_the_outer_one():
     assert done == ["whole"]
 
 
-def test_an_error_goes_through_and_interrupts_are_heard_again():
+def test_an_error_passes_and_restores_the_handler():
     with pytest.raises(ValueError, match="inside"), interrupts_deferred():
         raise ValueError("inside")
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -53,7 +53,7 @@ def test_in_another_thread_it_does_nothing():
     assert found == [signal.default_int_handler]
 
 
-def test_where_an_interrupt_ends_the_program_it_still_does():
+def test_the_default_action_of_a_signal_is_kept():
     program = (
         "import signal\nfrom dual_ur10.sim2real.processes.interrupts import interrupts_deferred\n"
         "signal.signal(signal.SIGINT, signal.SIG_DFL)\n"

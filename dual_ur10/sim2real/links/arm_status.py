@@ -3,53 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import Any, Final, Self
+from dataclasses import dataclass
+from typing import Annotated, Any, Final, Self, get_type_hints
 
 from dual_ur10.sim2real.links.rtde_stream import Sample
 from dual_ur10.sim2real.protocol.modes import RobotBits, RobotMode, RuntimeState, SafetyBits, SafetyMode
 
 Row = tuple[float, ...]
 
-_FIELDS: Final = {
-    "timestamp": "timestamp_s",
-    "robot_mode": "robot_mode",
-    "safety_mode": "safety_mode",
-    "robot_status_bits": "robot_bits",
-    "safety_status_bits": "safety_bits",
-    "runtime_state": "runtime_state",
-    "target_speed_fraction": "slider",
-    "speed_scaling": "speed_scaling",
-    "actual_q": "q_rad",
-    "actual_qd": "qd_rad_s",
-    "target_q": "target_q_rad",
-    "actual_TCP_pose": "tcp_pose",
-    "actual_TCP_speed": "tcp_speed",
-    "actual_TCP_force": "tcp_force",
-    "actual_current": "current_a",
-    "joint_temperatures": "temperature_c",
-    "actual_joint_voltage": "joint_voltage_v",
-    "actual_main_voltage": "main_voltage_v",
-    "actual_robot_voltage": "robot_voltage_v",
-    "actual_robot_current": "robot_current_a",
-    "actual_digital_input_bits": "digital_inputs",
-    "actual_digital_output_bits": "digital_outputs",
-    "standard_analog_input0": "analog_input0",
-    "standard_analog_input1": "analog_input1",
-}
-
-_OPTIONAL_FIELDS: Final = {"payload": "payload_kg", "payload_cog": "payload_cog_m", "tcp_offset": "tcp_offset"}
-
-STATUS_VARIABLES: Final = tuple(_FIELDS)
-"""RTDE variables that a status needs. Every software version has them."""
-
-OPTIONAL_VARIABLES: Final = tuple(_OPTIONAL_FIELDS)
-"""RTDE variables since software 3.11, 3.12 and 5.5.1: UR's RTDE guide."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class ArmStatus:
-    """Status of one arm, as its controller reports it.
+    """Status of one arm, as its controller reports it. Annotations hold the RTDE variable, and the size of a row.
 
     Attributes:
         arrival_s: Time of reading, on the clock of `time.monotonic`.
@@ -82,33 +47,33 @@ class ArmStatus:
     """
 
     arrival_s: float
-    timestamp_s: float
-    robot_mode: int
-    safety_mode: int
-    robot_bits: int
-    safety_bits: int
-    runtime_state: int
-    slider: float
-    speed_scaling: float
-    q_rad: Row
-    qd_rad_s: Row
-    target_q_rad: Row
-    tcp_pose: Row
-    tcp_speed: Row
-    tcp_force: Row
-    current_a: Row
-    temperature_c: Row
-    joint_voltage_v: Row
-    main_voltage_v: float
-    robot_voltage_v: float
-    robot_current_a: float
-    digital_inputs: int
-    digital_outputs: int
-    analog_input0: float
-    analog_input1: float
-    payload_kg: float | None = None
-    payload_cog_m: Row | None = None
-    tcp_offset: Row | None = None
+    timestamp_s: Annotated[float, "timestamp"]
+    robot_mode: Annotated[int, "robot_mode"]
+    safety_mode: Annotated[int, "safety_mode"]
+    robot_bits: Annotated[int, "robot_status_bits"]
+    safety_bits: Annotated[int, "safety_status_bits"]
+    runtime_state: Annotated[int, "runtime_state"]
+    slider: Annotated[float, "target_speed_fraction"]
+    speed_scaling: Annotated[float, "speed_scaling"]
+    q_rad: Annotated[Row, "actual_q", 6]
+    qd_rad_s: Annotated[Row, "actual_qd", 6]
+    target_q_rad: Annotated[Row, "target_q", 6]
+    tcp_pose: Annotated[Row, "actual_TCP_pose", 6]
+    tcp_speed: Annotated[Row, "actual_TCP_speed", 6]
+    tcp_force: Annotated[Row, "actual_TCP_force", 6]
+    current_a: Annotated[Row, "actual_current", 6]
+    temperature_c: Annotated[Row, "joint_temperatures", 6]
+    joint_voltage_v: Annotated[Row, "actual_joint_voltage", 6]
+    main_voltage_v: Annotated[float, "actual_main_voltage"]
+    robot_voltage_v: Annotated[float, "actual_robot_voltage"]
+    robot_current_a: Annotated[float, "actual_robot_current"]
+    digital_inputs: Annotated[int, "actual_digital_input_bits"]
+    digital_outputs: Annotated[int, "actual_digital_output_bits"]
+    analog_input0: Annotated[float, "standard_analog_input0"]
+    analog_input1: Annotated[float, "standard_analog_input1"]
+    payload_kg: Annotated[float | None, "payload"] = None
+    payload_cog_m: Annotated[Row | None, "payload_cog", 3] = None
+    tcp_offset: Annotated[Row | None, "tcp_offset", 6] = None
 
     @classmethod
     def from_sample(cls, sample: Sample) -> Self:
@@ -148,17 +113,21 @@ class ArmStatus:
         return cls(**found)
 
 
-_SIX: Final = (
-    *("q_rad", "qd_rad_s", "target_q_rad", "tcp_pose", "tcp_speed", "tcp_force"),
-    *("current_a", "temperature_c", "joint_voltage_v", "tcp_offset"),
-)
-_WHOLE: Final = frozenset(
-    ["robot_mode", "safety_mode", "robot_bits", "safety_bits", "runtime_state", "digital_inputs", "digital_outputs"]
-)
+_HINTS: Final = get_type_hints(ArmStatus, include_extras=True)
+_METADATA: Final[dict[str, tuple[Any, ...]]] = {
+    name: getattr(hint, "__metadata__", ()) for name, hint in _HINTS.items()
+}
+_WHOLE: Final = frozenset(name for name, hint in _HINTS.items() if getattr(hint, "__origin__", None) is int)
+_FIELDS: Final = {data[0]: name for name, data in _METADATA.items() if data and not hasattr(ArmStatus, name)}
+_OPTIONAL_FIELDS: Final = {data[0]: name for name, data in _METADATA.items() if hasattr(ArmStatus, name)}
 
-ROW: Final = tuple(
-    (each.name, 6 if each.name in _SIX else 3 if each.name == "payload_cog_m" else 1) for each in fields(ArmStatus)
-)
+STATUS_VARIABLES: Final = tuple(_FIELDS)
+"""RTDE variables that a status needs. Every software version has them."""
+
+OPTIONAL_VARIABLES: Final = tuple(_OPTIONAL_FIELDS)
+"""RTDE variables since software 3.11, 3.12 and 5.5.1: UR's RTDE guide."""
+
+ROW: Final = tuple((name, data[1] if len(data) > 1 else 1) for name, data in _METADATA.items())
 """Names and sizes of the values of a status."""
 
 ROW_SIZE: Final = sum(size for _, size in ROW)

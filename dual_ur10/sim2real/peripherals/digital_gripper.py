@@ -89,12 +89,7 @@ class DigitalGripperLink(Closing):
         return f"{self._sender.socket.where}, gripper at output {self._gripper.output}"
 
     def read(self) -> GripperReading:
-        """Return the opening that belongs to the state of the output.
-
-        Raises:
-            LinkError: The controller was lost, or its time stalls.
-            ClosedError: The link was closed.
-        """
+        """See `GripperLink`. The opening is that of the output; it is lost if the controller's time stalls."""
         self._check()
         is_open = self._is_open()
         fault = ""
@@ -112,11 +107,6 @@ class DigitalGripperLink(Closing):
         return bool(int(bits) & self._mask) == self._gripper.open_level  # type: ignore[arg-type]  # a number, by its type
 
     def _check(self) -> None:
-        """Read both connections.
-
-        Raises:
-            LinkError: One was lost.
-        """
         self._reader.poll()
         age_s = self._reader.age_s(time.monotonic())
         if age_s > STALE_S:
@@ -128,12 +118,7 @@ class DigitalGripperLink(Closing):
             raise self._sender.socket.ended()
 
     def command(self, opening_m: float) -> bool:
-        """Set the output, if its state differs from the last command.
-
-        Raises:
-            LinkError: The controller was lost.
-            ClosedError: The link was closed.
-        """
+        """See `GripperLink`. The output is set if its state differs from the last command."""
         if _CLOSED_BELOW_M <= opening_m <= _OPEN_ABOVE_M:
             return False
         wanted = opening_m > _OPEN_ABOVE_M

@@ -69,6 +69,7 @@ class GripperLink(Protocol):
 
         Raises:
             LinkError: It was lost.
+            ClosedError: It was closed; so in all methods.
         """
         ...
 
@@ -167,12 +168,7 @@ class RobotiqLink(Closing):
         return self._socket.where
 
     def read(self) -> GripperReading:
-        """Return its present reading, from POS, STA, FLT and OBJ.
-
-        Raises:
-            LinkError: It was lost.
-            ClosedError: It was closed.
-        """
+        """See `GripperLink`. It asks for POS, STA, FLT and OBJ."""
         deadline_s = time.monotonic() + ANSWER_S
         position, state, fault, stopped = (self._get(name, deadline_s) for name in ("POS", "STA", "FLT", "OBJ"))
         opening_m = None if position is None else opening_of(position)
@@ -188,12 +184,7 @@ class RobotiqLink(Closing):
         return GripperReading(opening_m, text, stopped in _STOPPED)
 
     def command(self, opening_m: float) -> bool:
-        """Send an opening with the grip force and full speed, if POS differs from the last command.
-
-        Raises:
-            LinkError: It was lost, or does not accept the command.
-            ClosedError: It was closed.
-        """
+        """See `GripperLink`. A command is sent with full speed, if POS differs from the last one."""
         counts = counts_of(opening_m)
         if counts == self._commanded:
             return False
@@ -206,22 +197,12 @@ class RobotiqLink(Closing):
         self._commanded = None
 
     def needs_activation(self) -> bool:
-        """Return True if it is not active, or has a fault that only activation clears.
-
-        Raises:
-            LinkError: It was lost.
-            ClosedError: It was closed.
-        """
+        """Return True if it is not active, or has a fault that only activation clears."""
         deadline_s = time.monotonic() + ANSWER_S
         return self._get("STA", deadline_s) != _ACTIVE or (self._get("FLT", deadline_s) or 0) & 15 > _ACTIVATION_FIRST
 
     def activate(self, within_s: float) -> None:
-        """Reset it, then activate it, and wait until it is active.
-
-        Raises:
-            LinkError: It was lost, or has not become active within the time.
-            ClosedError: It was closed.
-        """
+        """See `GripperLink`. A reset precedes the activation."""
         end_s = time.monotonic() + within_s
         self._commanded = None
         for active, state in ((0, _RESET), (1, _ACTIVE)):

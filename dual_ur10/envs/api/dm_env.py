@@ -1,4 +1,4 @@
-"""The dm_env environment: one agent for both arms. A view on the Gymnasium environment."""
+"""The dm_env environment: a view on the Gymnasium environment, one agent for both arms."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has
     `dual_ur10.envs.api.dual_arm_env.DualArmEnv` bit for bit.
 
     Attributes:
-        env: The Gymnasium environment behind it.
-        info: Its `info` of the last step or reset.
+        env: The Gymnasium environment.
+        info: `info` of its last step or reset.
 
     Args:
-        task: Name of the task, or an id.
-        seed: Seed of all episodes; None: from the machine's entropy.
-        **keywords: Those of `DualArmEnv`.
+        task: Name of the task, or id.
+        seed: Seed of all episodes; None: from entropy of the machine.
+        **keywords: Keywords of `DualArmEnv`.
 
     Raises:
-        SettingsError: Or one of its kinds: a value is not legal.
-        UnknownNameError: A name (task, keyword, ...) is none that exists.
+        SettingsError: A value is not legal; or one of its subclasses.
+        UnknownNameError: A task, keyword or other name does not exist.
     """
 
     def __init__(self, task: str, *, seed: int | None = None, **keywords: Any) -> None:
@@ -59,13 +59,13 @@ class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has
         Raises:
             ResetRefusedError: On two controllers, a later reset was called without consent. Nothing has moved.
         """
-        self._over = True  # should anything fail from here on, the episode must be begun again
+        self._over = True  # after a failure from here on, the episode must begin again
         observation, self.info = self.env.reset(seed=self._seed, options={MOVE_TO_START: move_to_start})
         self._seed, self._over = None, False
         return restart(observation)
 
     def step(self, action: NDArray[Any]) -> TimeStep:
-        """One control period, or the beginning of an episode where none is running.
+        """Advance one control period, or begin an episode where none is running.
 
         Raises:
             ActionError: The action is malformed. Nothing has moved.
@@ -84,11 +84,11 @@ class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has
         return truncation(reward, observation) if truncated else transition(reward, observation)
 
     def observation_spec(self) -> Any:
-        """A `BoundedArray`, or a dict of them by name where pixels are observed."""
+        """Return a `BoundedArray`, or a dict of them by name where pixels are observed."""
         return _spec(self.env.observation_space, "observation")
 
     def action_spec(self) -> Any:
-        """A `BoundedArray`: the numbers of the left arm, then those of the right one."""
+        """Return a `BoundedArray`: the numbers of the left arm, then those of the right one."""
         return _spec(self.env.action_space, "action")
 
     def close(self) -> None:
@@ -104,11 +104,11 @@ def _spec(space: spaces.Space[Any], name: str) -> Any:
 
 
 def dm_env(task: str, **keywords: Any) -> DualArmDmEnv:
-    """An environment behind dm_env's interface.
+    """Return an environment behind dm_env's interface.
 
     Args:
         task: Name of the task, or an id: "Handover", "Handover-v0" or "DualUR10/Handover-v0".
-        **keywords: Those of `DualArmDmEnv`.
+        **keywords: Keywords of `DualArmDmEnv`.
 
     Raises:
         UnknownNameError: There is no such environment, or no such keyword.

@@ -8,7 +8,6 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.envs.api.infos import of_row
 from dual_ur10.envs.core.core import PHYSICS_ERROR, Core
 from dual_ur10.envs.core.options import DEFAULT_RATE_HZ, MOVE_TO_START, take_consent
 from dual_ur10.envs.rendering.images import RENDER_MODES
@@ -17,7 +16,7 @@ from dual_ur10.envs.rendering.viewer import Viewer
 from dual_ur10.errors import ResetNeededError, SettingsError, UnknownNameError
 from dual_ur10.types import Array
 
-_ROW = np.zeros(1, dtype=np.intp)  # the only one
+_ROW = np.zeros(1, dtype=np.intp)  # the only row
 
 
 class DualArmEnv(gym.Env[Any, Array]):
@@ -28,18 +27,18 @@ class DualArmEnv(gym.Env[Any, Array]):
     Args:
         task: Name of the task; set by the id.
         render_mode: None, "rgb_array" or "human". Without it, and with `observation="state"`, no OpenGL is needed.
-        **keywords: Those of every environment, `dual_ur10.envs.core.options.EnvOptions`, and the task's own.
+        **keywords: Keywords of every environment, `dual_ur10.envs.core.options.EnvOptions`, and of the task.
 
-    What is observed: with `observation="state"` (the default) the task's numbers, (size,); with "pixels" a dict of
+    Observations: with `observation="state"` (the default) the numbers of the task, (size,); with "pixels" a dict of
     images, (height, width, 3) uint8, by the names in `cameras`; with "both" `{"state": ..., "pixels": {...}}`.
 
     `reset` takes one option, `move_to_start`. On a cell of two controllers a reset moves both arms to where the episode
     begins. The first one needs the confirmation of an operator on real arms (`confirm`, or a question at the terminal);
     every later one needs `options={"move_to_start": True}` as well, unless `confirm` is given. A wrapper that resets by
-    itself passes no options and is refused with `ResetRefusedError`. In simulation the option means nothing.
+    itself passes no options and is refused with `ResetRefusedError`. In simulation the option has no effect.
 
-    `info` of `reset` and `step` holds `q_rad` (2, 6) and `flange_m` (2, 3); that of `step`
-    also the task's values, `is_success`, `reward/<term>`, and, when an episode was ended by them, `safety` (a
+    `info` of `reset` and `step` holds `q_rad` (2, 6) and `flange_m` (2, 3); that of `step` also the
+    task's values, `is_success`, `reward/<term>`, and the cause of an early end of the episode: `safety` (a
     `dual_ur10.sim2real.control.gate.Verdict`) or `physics_error` (a message).
     """
 
@@ -67,12 +66,12 @@ class DualArmEnv(gym.Env[Any, Array]):
 
     @property
     def task(self) -> Any:
-        """The task object."""
+        """Task object."""
         return self.core.task
 
     @property
     def viewer(self) -> Viewer:
-        """What `render_mode="human"` shows: a window, or a page at `viewer.url` where there is no display."""
+        """Viewer of `render_mode="human"`: a window, or a page at `viewer.url` where there is no display."""
         return self._renderer.viewer
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -95,23 +94,21 @@ class DualArmEnv(gym.Env[Any, Array]):
         observation = self._observer.begin(state, _ROW)
         if self.render_mode == "human":
             self.render()
-        return row_of(observation, 0), of_row(info, 0)
+        return row_of(observation, 0), row_of(info, 0)
 
     def step(self, action: Array) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """One control period; see `gymnasium.Env.step`.
+        """Advance one control period; see `gymnasium.Env.step`.
 
         Raises:
             ActionError: The action has the wrong shape or type, or holds NaN or infinity. Nothing has moved.
             ResetNeededError: There was no reset yet, or the episode was terminated.
         """
         if self._terminated:
-            raise ResetNeededError(
-                "step was called after `terminated`: nothing more can come of this episode, call reset()"
-            )
+            raise ResetNeededError("step was called after `terminated`: the episode is over, call reset()")
         step = self.core.step(action)
         self._terminated = bool(step.terminated[0])
         observation = row_of(self._observer.advance(step.observation), 0)
-        info: dict[str, Any] = of_row(step.info, 0)
+        info: dict[str, Any] = row_of(step.info, 0)
         info["is_success"] = bool(info["is_success"])
         if step.verdicts:
             info["safety"] = step.verdicts[0]
@@ -122,7 +119,7 @@ class DualArmEnv(gym.Env[Any, Array]):
         return observation, float(step.reward[0]), bool(step.terminated[0]), bool(step.truncated[0]), info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """An image, (height, width, 3), with "rgb_array"; None with "human", which shows a viewer.
+        """Return an image, (height, width, 3), with "rgb_array"; show the viewer with "human" and return None.
 
         Raises:
             RenderError: No OpenGL backend was found, or for "human" neither a display nor MuJoCo's web viewer.

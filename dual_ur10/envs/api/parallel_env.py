@@ -1,4 +1,4 @@
-"""The PettingZoo environments: each arm is an agent. A view on the Gymnasium environment."""
+"""The PettingZoo environments: views on the Gymnasium environment in which each arm is an agent."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]  # ha
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper  # type: ignore[import-untyped]  # as above
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper  # type: ignore[import-untyped]  # as above
 
-from dual_ur10.envs.api.two_agents import Share, agent_spaces, check_count, check_options
-from dual_ur10.envs.core.options import MOVE_TO_START, take_consent
+from dual_ur10.envs.api.two_agents import AgentSplitter, agent_spaces, check_options
+from dual_ur10.envs.core.options import MOVE_TO_START, check_count, take_consent
 from dual_ur10.errors import ActionError, ResetNeededError
 from dual_ur10.ids import env_id_of, task_name
 from dual_ur10.kinematics.ur10 import ARMS
@@ -29,24 +29,24 @@ _LEFT, _RIGHT = ARMS
 class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore[misc]  # PettingZoo has no types
     """Two UR10s and a task, for two agents, `left` and `right`, that act at the same time.
 
-    Each agent observes its own arm, and of the other what the task's `observe_agents` gives it; it acts with the 6
-    numbers of its arm, 7 where there are grippers. Both agents' episodes end together. The same seed and the same
-    actions give what `dual_ur10.envs.api.dual_arm_env.DualArmEnv` gives, bit for bit.
+    Each agent observes its own arm, and of the other the part that `observe_agents` of the task selects. Its action
+    has 6 numbers, 7 where there are grippers. Both agents' episodes end together. The same seed and the same actions
+    give the results of `dual_ur10.envs.api.dual_arm_env.DualArmEnv`, in every bit.
 
     Each agent's info is that of `DualArmEnv`; of an array with a leading axis of two arms (`q_rad`, `flange_m`, ...) it
-    is the agent's own part. `reward/<term>` are the terms of the reward that the agent gets.
+    is the agent's own part. `reward/<term>` are the terms of the agent's reward.
 
     Args:
-        task: Name of the task, or an id.
+        task: Name of the task, or id.
         render_mode: None, "rgb_array" or "human".
-        reward: "shared": both get the reward of both together; "individual": each its own, whose mean that is.
-        max_cycles: Truncate episodes after so many steps; None: only where the task ends.
-        **keywords: Those of every environment, `dual_ur10.envs.core.options.EnvOptions`, and the task's own. Pixels are
+        reward: "shared": the reward of both together; "individual": each agent's own, whose mean that is.
+        max_cycles: Steps after which episodes are truncated; None: only the task ends them.
+        **keywords: Keywords of every environment, `dual_ur10.envs.core.options.EnvOptions`, and of the task. Pixels are
             not observed.
 
     Raises:
-        SettingsError: Or one of its kinds: a value is not legal.
-        UnknownNameError: A name (task, keyword, reward, ...) is none that exists.
+        SettingsError: A value is not legal; or one of its subclasses.
+        UnknownNameError: A task, keyword, reward or other name does not exist.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # as PettingZoo declares it
@@ -81,31 +81,31 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         self.action_spaces: dict[str, spaces.Space[NDArray[Any]]] = dict(zip(ARMS, action, strict=True))
         self.state_space: spaces.Box = core.observation_space
         self._shape = action[0].shape
-        self._share = Share(core, reward)
+        self._splitter = AgentSplitter(core, reward)
         self._state: Array | None = None
         self._cycles = 0
 
     @property
     def core(self) -> Core:
-        """The stepping core."""
+        """Stepping core."""
         return self._env.core
 
     @property
     def task(self) -> Any:
-        """The task object."""
+        """Task object."""
         return self._env.task
 
     @property
     def viewer(self) -> Any:
-        """What `render_mode="human"` shows; see `dual_ur10.envs.api.dual_arm_env.DualArmEnv.viewer`."""
+        """Viewer of `render_mode="human"`; see `dual_ur10.envs.api.dual_arm_env.DualArmEnv.viewer`."""
         return self._env.viewer
 
     def observation_space(self, agent: str) -> spaces.Space[Array]:
-        """The space of an agent's observations, `Box((size,), float64)`."""
+        """Return the space of an agent's observations, `Box((size,), float64)`."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[NDArray[Any]]:
-        """The space of an agent's actions, `Box((6,), float32)`, or (7,) with a gripper."""
+        """Return the space of an agent's actions, `Box((6,), float32)`, or (7,) with a gripper."""
         return self.action_spaces[agent]
 
     def reset(
@@ -114,7 +114,7 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         """Begin an episode; see `pettingzoo.ParallelEnv.reset`.
 
         Args:
-            seed: Seed of this and all following episodes; None: go on with the generator as it is.
+            seed: Seed of this and all following episodes; None: the generator continues.
             options: `{"move_to_start": True}` as for `DualArmEnv`. PettingZoo's own checks pass another one, hence only
                 a warning of unknown ones.
 
@@ -128,11 +128,11 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
                 f"reset takes the option {MOVE_TO_START!r} alone, {sorted(others)} is ignored: set keywords "
                 "when making the environment"
             )
-        self.agents = []  # should the reset fail, the episode must be begun again
+        self.agents = []  # after a failed reset, the episode must begin again
         _, info = self._env.reset(seed=seed, options={MOVE_TO_START: consent})
         self._cycles = 0
         self.agents = list(ARMS)
-        left, right = self._share.infos(info)
+        left, right = self._splitter.infos(info)
         return self._observations(), {_LEFT: left, _RIGHT: right}
 
     def _observations(self) -> dict[str, Array]:
@@ -144,18 +144,18 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
     def step(
         self, actions: Mapping[str, NDArray[Any]]
     ) -> tuple[dict[str, Array], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """One control period; see `pettingzoo.ParallelEnv.step`.
+        """Advance one control period; see `pettingzoo.ParallelEnv.step`.
 
         Args:
             actions: The action of each agent, in any order.
 
         Returns:
-            Observation, reward, termination, truncation and info of each agent. Where the episode ended, `agents` is
-            empty then.
+            Observation, reward, termination, truncation and info of each agent. After the end of an
+            episode `agents` is empty.
 
         Raises:
-            ActionError: An agent's action is missing, too many, of the wrong shape or type, or holds NaN or infinity.
-                Nothing has moved.
+            ActionError: An action is missing, belongs to no agent, is malformed, or holds NaN or infinity. Nothing has
+                moved.
             ResetNeededError: There was no reset yet, or the episode has ended.
         """
         if not self.agents:
@@ -175,11 +175,11 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         if terminated or truncated:
             self.agents = []
         agents = self._env.core.agents
-        if self._share.individual:
-            left, right = self._share.infos(info, cast("Array", agents.terms)[0])
+        if self._splitter.individual:
+            left, right = self._splitter.infos(info, cast("Array", agents.terms)[0])
             first, second = agents.rewards[0].tolist()
         else:
-            left, right = self._share.infos(info)
+            left, right = self._splitter.infos(info)
             first = second = reward
         return (
             self._observations(),
@@ -190,7 +190,6 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         )
 
     def _joint(self, actions: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
-        """The action of both arms."""
         if type(actions) is not dict and not isinstance(actions, Mapping):
             raise ActionError(
                 f"actions must be a dict with an action for each of {list(ARMS)}, found {type(actions).__name__}"
@@ -205,10 +204,10 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         return np.concatenate((self.check(_LEFT, actions[_LEFT]), self.check(_RIGHT, actions[_RIGHT])))
 
     def check(self, arm: str, action: object) -> NDArray[Any]:
-        """An agent's action as an array.
+        """Return an agent's action as an array.
 
         Raises:
-            ActionError: It has the wrong shape, or holds no numbers. Whether they are finite, `step` finds out.
+            ActionError: It has the wrong shape, or holds no numbers. `step` checks that they are finite.
         """
         try:
             array = np.asarray(action)
@@ -222,17 +221,17 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         return array
 
     def state(self) -> Array:
-        """What a centralised critic may see: the observation of both arms together, in `state_space`.
+        """Return the state for a centralised critic: the observation of both arms together, in `state_space`.
 
         Raises:
             ResetNeededError: There was no reset yet.
         """
         if self._state is None:
-            raise ResetNeededError("state was asked for before the first reset: call reset() first")
+            raise ResetNeededError("state was called before the first reset: call reset() first")
         return self._state.copy()
 
     def render(self) -> NDArray[np.uint8] | None:
-        """As `dual_ur10.envs.api.dual_arm_env.DualArmEnv.render`.
+        """Render the scene; see `dual_ur10.envs.api.dual_arm_env.DualArmEnv.render`.
 
         Raises:
             RenderError: No OpenGL backend was found, or for "human" neither a display nor MuJoCo's web viewer.
@@ -244,11 +243,11 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         self._env.close()
 
 
-class _Turns(parallel_to_aec_wrapper[str, Array, NDArray[Any]]):  # type: ignore[misc]  # PettingZoo has no types
-    """PettingZoo's conversion, in which a malformed action is refused at its agent's own turn, which it keeps."""
+class _CheckedAec(parallel_to_aec_wrapper[str, Array, NDArray[Any]]):  # type: ignore[misc]  # PettingZoo has no types
+    """PettingZoo's conversion that refuses a malformed action when its agent acts; the agent may act again."""
 
     def step(self, action: NDArray[Any] | None) -> None:
-        """Take the action of the agent whose turn it is, None where its episode has ended."""
+        """Take the action of the selected agent, None where its episode has ended."""
         agent = self.agent_selection
         over = self.terminations[agent] or self.truncations[agent]
         if not over and not np.isfinite(self.env.check(agent, action)).all():
@@ -257,11 +256,11 @@ class _Turns(parallel_to_aec_wrapper[str, Array, NDArray[Any]]):  # type: ignore
 
 
 def parallel_env(task: str, **keywords: Any) -> DualArmParallelEnv:
-    """A PettingZoo environment in which both agents act at the same time.
+    """Return a PettingZoo environment in which both agents act at the same time.
 
     Args:
         task: Name of the task, or an id: "Handover", "Handover-v0" or "DualUR10/Handover-v0".
-        **keywords: Those of `DualArmParallelEnv`.
+        **keywords: Keywords of `DualArmParallelEnv`.
 
     Raises:
         UnknownNameError: There is no such environment, or no such keyword.
@@ -270,13 +269,13 @@ def parallel_env(task: str, **keywords: Any) -> DualArmParallelEnv:
 
 
 def aec_env(task: str, **keywords: Any) -> AECEnv[str, Array, NDArray[Any] | None]:
-    """A PettingZoo environment in which the agents act in turn, `left` first; the arms move once both have.
+    """Return a PettingZoo environment in which the agents alternate, `left` first; the arms move once both have acted.
 
     Args:
         task: As for `parallel_env`.
-        **keywords: Those of `DualArmParallelEnv`.
+        **keywords: Keywords of `DualArmParallelEnv`.
 
     Raises:
         UnknownNameError: There is no such environment, or no such keyword.
     """
-    return OrderEnforcingWrapper(_Turns(parallel_env(task, **keywords)))
+    return OrderEnforcingWrapper(_CheckedAec(parallel_env(task, **keywords)))

@@ -1,4 +1,4 @@
-"""Views on the vector environment for Stable-Baselines3: a row for each cell, or one for each arm."""
+"""Stable-Baselines3 views on the vector environment: a row for each cell, or one for each arm."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.envs.api.two_agents import Share, agent_spaces, check_count, check_options
+from dual_ur10.envs.api.two_agents import AgentSplitter, agent_spaces, check_options
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
-from dual_ur10.envs.core.options import EnvOptions
+from dual_ur10.envs.core.options import EnvOptions, check_count
 from dual_ur10.envs.core.setup import check_for_controllers
 from dual_ur10.errors import ActionError, MissingExtraError, SettingsError
 from dual_ur10.ids import env_id_of, task_name
@@ -29,22 +29,22 @@ Indices = None | int | Iterable[int]
 class CellsVecEnv(VecEnv):
     """n cells as n rows or more, stepped together as in `dual_ur10.envs.api.vector_env.DualArmVectorEnv`.
 
-    The rows of a cell end together and begin anew at once, so a cell of two controllers is refused. Infos have
-    `TimeLimit.truncated`, and at an end `terminal_observation`.
+    The rows of a cell end together and begin again at once, so a cell of two controllers is refused. Infos hold
+    `TimeLimit.truncated`, and at the end of an episode `terminal_observation`.
 
     Args:
-        task: Name of the task, or an id.
-        num_cells: n.
-        rows: Rows of each cell.
-        max_episode_steps: Truncate episodes after so many steps; None: only where the task ends.
-        threads: Threads to step on; None: as many as there are processors.
+        task: Name of the task, or id.
+        num_cells: Number of cells, n.
+        rows: Number of rows of each cell.
+        max_episode_steps: Steps after which episodes are truncated; None: only the task ends them.
+        threads: Number of threads; None: one for each processor.
         render_mode: None or "rgb_array": one image per cell.
-        **keywords: Those of every environment, `dual_ur10.envs.core.options.EnvOptions`, and the task's own. Pixels are
+        **keywords: Keywords of every environment, `dual_ur10.envs.core.options.EnvOptions`, and of the task. Pixels are
             not observed.
 
     Raises:
-        SettingsError: Or one of its kinds: a value is not legal.
-        UnknownNameError: A name (task, keyword, ...) is none that exists.
+        SettingsError: A value is not legal; or one of its subclasses.
+        UnknownNameError: A task, keyword or other name does not exist.
     """
 
     def __init__(
@@ -82,33 +82,33 @@ class CellsVecEnv(VecEnv):
         super().__init__(rows * num_cells, observation, action)
 
     def _spaces(self) -> tuple[Any, Any]:
-        """What a row observes, and its actions."""
+        """Return observation space and action space of a row."""
         raise NotImplementedError
 
     def _observations(self) -> Array:
-        """(rows of all cells, size)."""
+        """Return the observations, (rows of all cells, size)."""
         raise NotImplementedError
 
     def _rewards(self, reward: Array) -> Array:
-        """(rows of all cells,) from that of the cells, (n,)."""
+        """Return the rewards, (rows of all cells,), from those of the cells, (n,)."""
         raise NotImplementedError
 
     def _infos_of(self, info: dict[str, Any], terms: Array | None) -> list[dict[str, Any]]:
-        """Infos of the rows of one cell."""
+        """Return the infos of the rows of one cell."""
         raise NotImplementedError
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Seeds for the next reset: s gives cell k, and so all its rows, the seed s + k. Returned by row."""
+        """Set the seeds of the next reset and return them by row: s gives all rows of cell k the seed s + k."""
         if seed is None:
             seed = int(np.random.default_rng().integers(2**32))
         self._seeds = [seed + row // self._rows_of_a_cell for row in range(self.num_envs)]
         return self._seeds
 
     def reset(self) -> Array:
-        """Begin new episodes in all cells. Returns the observations, (rows, size).
+        """Begin new episodes in all cells and return the observations, (rows, size).
 
         Raises:
-            SettingsError: There are options, and none are taken.
+            SettingsError: There are options.
         """
         options = [key for each in self._options for key in each]
         if options:
@@ -119,7 +119,7 @@ class CellsVecEnv(VecEnv):
         return self._observations()
 
     def _infos(self, info: dict[str, Any], cells: Iterable[int], terms: Array | None) -> list[dict[str, Any]]:
-        """Infos of the rows of each of the cells, from Gymnasium's form for vectors."""
+        """Return the infos of the rows of some cells, from Gymnasium's form for vectors."""
         everyone = np.ones(self.cells.num_envs, dtype=bool)
         columns = [
             (name, value, info.get("_" + name, everyone)) for name, value in info.items() if not name.startswith("_")
@@ -134,7 +134,7 @@ class CellsVecEnv(VecEnv):
         """Take the actions of all rows, (rows, size); the arms move with `step_wait`.
 
         Raises:
-            ActionError: They have the wrong shape.
+            ActionError: The actions have the wrong shape.
         """
         if np.shape(actions) != self._actions.shape:
             raise ActionError(
@@ -143,10 +143,10 @@ class CellsVecEnv(VecEnv):
         self._actions = np.array(actions)
 
     def step_wait(self) -> tuple[Array, Array, NDArray[np.bool_], list[dict[str, Any]]]:
-        """One control period of all cells.
+        """Advance all cells by one control period.
 
         Returns:
-            Observations (rows, size), rewards (rows,), whether an episode ended (rows,), and infos.
+            Observations (rows, size), rewards (rows,), mask of ended episodes (rows,), and infos.
 
         Raises:
             ActionError: An action holds NaN, infinity or no numbers. Nothing has moved.
@@ -175,7 +175,7 @@ class CellsVecEnv(VecEnv):
         self.cells.close()
 
     def get_images(self) -> list[NDArray[np.uint8] | None]:
-        """One image per cell, (height, width, 3) each; none without a render mode.
+        """Return one image per cell, (height, width, 3) each; none without a render mode.
 
         Raises:
             RenderError: No OpenGL backend was found.
@@ -183,14 +183,14 @@ class CellsVecEnv(VecEnv):
         return list(self.cells.render() or ())
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """An attribute of the vector environment that all rows share, once for each row asked for."""
+        """Return an attribute of the vector environment, which all rows share, once for each row in `indices`."""
         return [getattr(self.cells, attr_name)] * len(self._rows(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Set an attribute of the vector environment that all rows share.
+        """Set an attribute of the vector environment, which all rows share.
 
         Raises:
-            SettingsError: It is to be set for some rows only.
+            SettingsError: `indices` are not all rows.
         """
         self._all_rows(f"attribute {attr_name!r}", indices)
         setattr(self.cells, attr_name, value)
@@ -198,10 +198,10 @@ class CellsVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call a method of the vector environment that all rows share, once. Returns its result for each row.
+        """Call a method of the vector environment, which all rows share, once; return its result for each row.
 
         Raises:
-            SettingsError: It is to be called for some rows only.
+            SettingsError: `indices` are not all rows.
         """
         self._all_rows(f"method {method_name!r}", indices)
         return [getattr(self.cells, method_name)(*method_args, **method_kwargs)] * self.num_envs
@@ -209,7 +209,7 @@ class CellsVecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Indices = None
     ) -> list[bool]:
-        """Rows are never wrapped one by one."""
+        """Return False for each row: rows are never wrapped one by one."""
         return [False] * len(self._rows(indices))
 
     def _rows(self, indices: Indices) -> list[int]:
@@ -217,22 +217,22 @@ class CellsVecEnv(VecEnv):
 
     def _all_rows(self, what: str, indices: Indices) -> None:
         if sorted(self._rows(indices)) != list(range(self.num_envs)):
-            raise SettingsError(f"{what} is one for all rows, for they share one core: pass indices=None")
+            raise SettingsError(f"{what} belongs to all rows, which share one core: pass indices=None")
 
 
 class JointVecEnv(CellsVecEnv):
     """n cells as n rows, each with the observations and actions of both arms: the Gymnasium environment, n times.
 
-    Row k with seed s is, bit for bit, the single environment with seed s + k.
+    Row k with seed s equals, in every bit, the single environment with seed s + k.
 
     Args:
-        task: Name of the task, or an id.
-        num_cells: n.
-        **keywords: As of `CellsVecEnv`.
+        task: Name of the task, or id.
+        num_cells: Number of cells, n.
+        **keywords: Keywords of `CellsVecEnv`.
 
     Raises:
-        SettingsError: Or one of its kinds: a value is not legal.
-        UnknownNameError: A name (task, keyword, ...) is none that exists.
+        SettingsError: A value is not legal; or one of its subclasses.
+        UnknownNameError: A task, keyword or other name does not exist.
     """
 
     def __init__(self, task: str, num_cells: int = 1, **keywords: Any) -> None:
@@ -254,29 +254,29 @@ class JointVecEnv(CellsVecEnv):
 class TwoAgentVecEnv(CellsVecEnv):
     """n cells as 2n rows: row 2k is the left arm of cell k, row 2k + 1 its right arm.
 
-    The rows of a cell are, bit for bit, the agents of a `dual_ur10.envs.api.parallel_env.DualArmParallelEnv` with the
-    cell's seed. Infos are the agents'.
+    The rows of a cell equal, in every bit, the agents of a `dual_ur10.envs.api.parallel_env.DualArmParallelEnv` with
+    the seed of the cell. Infos are the agents'.
 
     Args:
-        task: Name of the task, or an id.
-        num_cells: n.
+        task: Name of the task, or id.
+        num_cells: Number of cells, n.
         reward: "shared" or "individual", as for `DualArmParallelEnv`.
-        **keywords: As of `CellsVecEnv`.
+        **keywords: Keywords of `CellsVecEnv`.
 
     Raises:
-        SettingsError: Or one of its kinds: a value is not legal.
-        UnknownNameError: A name (task, keyword, reward, ...) is none that exists.
+        SettingsError: A value is not legal; or one of its subclasses.
+        UnknownNameError: A task, keyword, reward or other name does not exist.
     """
 
     def __init__(self, task: str, num_cells: int = 1, *, reward: str = "shared", **keywords: Any) -> None:
         check_options(reward, keywords)
         super().__init__(task, num_cells, 2, **keywords)
-        self._share = Share(self.cells.core, reward)
+        self._splitter = AgentSplitter(self.cells.core, reward)
 
     def _spaces(self) -> tuple[Any, Any]:
         (observation, other), (action, _) = agent_spaces(self.cells.core)
         if observation != other:
-            raise SettingsError("the two agents observe differently, one policy cannot act for both")
+            raise SettingsError("the agents have different observation spaces: one policy cannot act for both")
         return observation, action
 
     def _observations(self) -> Array:
@@ -284,14 +284,14 @@ class TwoAgentVecEnv(CellsVecEnv):
         return agents.reshape(self.num_envs, agents.shape[-1])
 
     def _rewards(self, reward: Array) -> Array:
-        return self.cells.core.agents.rewards.reshape(-1) if self._share.individual else np.repeat(reward, 2)
+        return self.cells.core.agents.rewards.reshape(-1) if self._splitter.individual else np.repeat(reward, 2)
 
     def _infos_of(self, info: dict[str, Any], terms: Array | None) -> list[dict[str, Any]]:
-        return list(self._share.infos(info, terms))
+        return list(self._splitter.infos(info, terms))
 
 
 def _row(value: Any, row: int) -> Any:
-    """One row of a value of Gymnasium's infos for vectors, which may hold others by name."""
+    """Return one row of a value of Gymnasium's infos for vectors, which may be a nested dict."""
     if isinstance(value, dict):
         return {
             name: _row(each, row)

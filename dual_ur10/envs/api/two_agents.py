@@ -1,4 +1,4 @@
-"""What the interfaces for two agents share: their names, spaces, rewards and infos, all of them views on the core."""
+"""Common parts of the interfaces for two agents: spaces, rewards and infos as views on the core."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from dual_ur10.envs.core.core import Core
 
 RewardKind = Literal["shared", "individual"]
-"""Of whom an agent's reward is: "shared", that of both together; "individual", its own. Their mean is the former."""
+"""Reward of an agent: "shared", that of both together; "individual", its own. The mean of both is the shared one."""
 
 
 def check_options(reward: str, keywords: Mapping[str, Any]) -> None:
-    """Refuse what an environment of two agents cannot have.
+    """Check the options of an environment of two agents.
 
     Raises:
         UnknownNameError: `reward` is no `RewardKind`.
@@ -30,26 +30,12 @@ def check_options(reward: str, keywords: Mapping[str, Any]) -> None:
     if keywords.get("observation") in ("pixels", "both"):
         raise SettingsError(
             f"observation is {keywords['observation']!r}: two agents observe numbers only, observation='state'. For "
-            "pixels use gym.make, for pictures to look at render_mode='rgb_array'"
-        )
-
-
-def check_count(name: str, value: object, *, optional: bool = False) -> None:
-    """Refuse what is not a whole number of 1 or more.
-
-    Raises:
-        SettingsError: It is not.
-    """
-    if optional and value is None:
-        return
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        raise SettingsError(
-            f"{name} is {value!r}: it must be a whole number, 1 or more{', or None' if optional else ''}"
+            "pixel observations use gym.make, for images of the scene render_mode='rgb_array'"
         )
 
 
 def agent_spaces(core: Core) -> tuple[list[Any], list[Any]]:
-    """Observation space and action space of each agent, `gymnasium.spaces.Box` all."""
+    """Return the observation spaces and the action spaces of the agents, each a `gymnasium.spaces.Box`."""
     layout = core.task.agent_layout_for(core.setup.settings)
     bounds = zip(layout.low.reshape(2, -1), layout.high.reshape(2, -1), strict=True)
     low, high = (each.reshape(2, -1) for each in (core.action_space.low, core.action_space.high))
@@ -57,30 +43,30 @@ def agent_spaces(core: Core) -> tuple[list[Any], list[Any]]:
     return observation, [spaces.Box(low[arm], high[arm], dtype=np.float32) for arm in range(2)]
 
 
-class Share:
-    """Divides reward and info of a cell among its two agents.
+class AgentSplitter:
+    """Splitter of a cell's reward and info into those of its two agents.
 
     Args:
-        core: The core behind the environment.
-        reward: Of whom an agent's reward is.
+        core: Core of the environment.
+        reward: A `RewardKind`.
     """
 
     def __init__(self, core: Core, reward: str) -> None:
         self.individual = reward == "individual"
         self._terms = [f"reward/{name}" for name in core.task.weights]
-        # Names met so far, and which of them are of the two arms: that never changes.
+        # Names seen so far, and those with an axis of the two arms: that never changes.
         self._known: set[str] = set()
         self._per_arm: list[str] = []
 
     def infos(self, info: Mapping[str, Any], terms: Array | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Each agent's info, from that of its cell.
+        """Return each agent's info, from that of its cell.
 
-        Of an array with a leading axis of the two arms, each gets its own; the rest both get.
+        Of an array with a leading axis of the two arms, each agent gets its own part; other values go to both.
 
         Args:
             info: As `dual_ur10.envs.api.dual_arm_env.DualArmEnv` returns it.
-            terms: (2, terms) each agent's own reward terms: with "individual" they replace those of both together, so
-                that `reward/<term>` are always the terms of the reward that the agent gets. None: there was no step.
+            terms: (2, terms) reward terms of each agent: with "individual" they replace those of both together, so
+                that `reward/<term>` are always the terms of the agent's reward. None: there was no step.
         """
         left, right = dict(info), dict(info)
         if not info.keys() <= self._known:
@@ -97,5 +83,4 @@ class Share:
 
 
 def _is_per_arm(value: object) -> bool:
-    """Whether a value of `info` has a leading axis of the two arms."""
     return type(value) is np.ndarray and value.ndim > 0 and len(value) == 2

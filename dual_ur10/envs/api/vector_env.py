@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from typing import Any
 
@@ -12,29 +12,28 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from dual_ur10.envs.api.infos import masked, restarted
 from dual_ur10.envs.core.core import PHYSICS_ERROR, Core, Step
-from dual_ur10.envs.core.options import DEFAULT_RATE_HZ, MOVE_TO_START, take_consent
+from dual_ur10.envs.core.options import DEFAULT_RATE_HZ, MOVE_TO_START, check_count, take_consent
 from dual_ur10.envs.rendering.pixels import Observer, row_of
 from dual_ur10.errors import ResetNeededError, SettingsError, UnknownNameError
 from dual_ur10.types import Array, Mask, Rows
 
 
 class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
-    """n cells behind Gymnasium's vector interface. Row k with seed s is bit for bit the single env with seed s + k.
+    """n cells behind Gymnasium's vector interface. Row k with seed s equals the single env with seed s + k in every bit.
 
-    What is observed: as with `dual_ur10.envs.api.dual_arm_env.DualArmEnv`, each array with a leading axis of n cells.
+    Observations are those of `dual_ur10.envs.api.dual_arm_env.DualArmEnv`, each array with a leading axis of n cells.
 
-    `gym.make_vec` forbids `vector_kwargs` and wrappers with an environment of this kind: everything is a keyword.
+    `gym.make_vec` forbids `vector_kwargs` and wrappers with an environment of this kind: pass keywords.
 
     Args:
         num_envs: Number of cells.
         task: Name of the task; set by the id.
         autoreset_mode: `gymnasium.vector.AutoresetMode` or its value: "NextStep" (default), "SameStep", "Disabled".
-        max_episode_steps: Truncate episodes after so many steps; None: only where the task ends.
-        threads: Threads to step on; None: as many as there are processors.
+        max_episode_steps: Steps after which episodes are truncated; None: only the task ends them.
+        threads: Number of threads; None: one for each processor.
         render_mode: None or "rgb_array": one image per cell.
-        **keywords: Those of every environment, `dual_ur10.envs.core.options.EnvOptions`, and the task's own.
+        **keywords: Keywords of every environment, `dual_ur10.envs.core.options.EnvOptions`, and of the task.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # as Gymnasium declares it
@@ -54,12 +53,10 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
         render_mode: str | None = None,
         **keywords: Any,
     ) -> None:
-        self.closed = True  # until there is something to close: Gymnasium closes what a failed construction left
-        if not (isinstance(num_envs, int | np.integer) and not isinstance(num_envs, bool) and num_envs >= 1):
-            raise SettingsError(f"num_envs is {num_envs!r}: it must be a whole number, 1 or more")
-        for name, value in (("max_episode_steps", max_episode_steps), ("threads", threads)):
-            if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
-                raise SettingsError(f"{name} is {value!r}: it must be a whole number, 1 or more, or None")
+        self.closed = True  # Gymnasium closes the remains of a failed construction
+        check_count("num_envs", num_envs)
+        check_count("max_episode_steps", max_episode_steps, optional=True)
+        check_count("threads", threads, optional=True)
         if render_mode not in (None, "rgb_array"):
             raise UnknownNameError("render mode of a vector env", str(render_mode), ["rgb_array", "None"])
         values = [mode.value for mode in AutoresetMode]
@@ -124,7 +121,7 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
         observation, info = self._begin(rows, seeds[0], move_to_start=consent)
         mask = np.zeros(self.num_envs, dtype=bool)
         mask[rows] = True
-        return observation, masked(info, mask)
+        return observation, _masked(info, mask)
 
     def _masked_rows(self, options: dict[str, Any]) -> Rows:
         mask = options.pop("reset_mask", None)
@@ -141,7 +138,7 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
     def _begin(
         self, rows: Rows, seed: int | None = None, *, move_to_start: bool = False
     ) -> tuple[Any, dict[str, NDArray[Any]]]:
-        """Begin episodes; the seed is that of the first row, which is recorded where there is no other."""
+        """Begin episodes in some rows. The seed is that of the first row, for the record."""
         rngs = [self._rngs[row] for row in rows.tolist()]
         state, info = self.core.reset(rngs, rows, seed=seed, move_to_start=move_to_start)
         self._steps[rows] = 0
@@ -151,7 +148,7 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
     def step(  # type: ignore[override]  # Gymnasium types the flags as it types rewards
         self, actions: Array
     ) -> tuple[Any, Array, Mask, Mask, dict[str, Any]]:
-        """One control period of all cells; see `gymnasium.vector.VectorEnv.step`.
+        """Advance all cells by one control period; see `gymnasium.vector.VectorEnv.step`.
 
         Raises:
             ActionError: The actions are malformed. Nothing has moved.
@@ -163,7 +160,7 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
         if self._done.any() and self.autoreset_mode is AutoresetMode.NEXT_STEP:
             actions = np.array(actions)
             if actions.shape[:1] == (self.num_envs,):
-                actions[self._done] = 0  # these rows begin anew, whatever their action says
+                actions[self._done] = 0  # these rows begin new episodes and ignore their actions
         step = self.core.step(actions)
         self._steps += 1
         reward, terminated, truncated = step.reward, step.terminated, step.truncated
@@ -177,7 +174,7 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
             self._observer.advance(step.observation, np.flatnonzero(~fresh))
             observation, begun = self._begin(np.flatnonzero(fresh))
             reward[fresh], terminated[fresh], truncated[fresh] = 0.0, False, False
-            info = restarted(info, fresh, begun)
+            info = _restarted(info, fresh, begun)
         else:
             observation = self._observer.advance(step.observation)
         self._done = terminated | truncated
@@ -188,7 +185,7 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
                 final[row] = deepcopy(row_of(observation, row))
             final_info = {name: value & ended if name.startswith("_") else value for name, value in info.items()}
             observation, begun = self._begin(np.flatnonzero(ended))
-            info = restarted(info, ended, begun)
+            info = _restarted(info, ended, begun)
             info.update(
                 {"final_obs": final, "_final_obs": ended, "final_info": final_info, "_final_info": ended.copy()}
             )
@@ -197,7 +194,7 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
 
     def _info(self, step: Step) -> dict[str, Any]:
         everyone = np.ones(self.num_envs, dtype=bool)
-        info = masked(step.info, everyone)
+        info = _masked(step.info, everyone)
         for name, rows, values in (
             ("safety", sorted(step.verdicts), step.verdicts),
             ("physics_error", np.flatnonzero(step.diverged).tolist(), None),
@@ -211,7 +208,7 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
         return info
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """One image per cell, (height, width, 3) each, or None without a render mode.
+        """Return one image per cell, (height, width, 3) each, or None without a render mode.
 
         Raises:
             RenderError: No OpenGL backend was found.
@@ -224,3 +221,32 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
         """Release simulation and images."""
         self._observer.close()
         self.core.close()
+
+
+def _masked(info: Mapping[str, Any], mask: Mask) -> dict[str, Any]:
+    """Return `info` as Gymnasium's vector environments do: each array with a mask of its rows under "_" + name."""
+    result: dict[str, Any] = {}
+    masks = np.tile(mask, (len(info), 1))  # one allocation for all
+    for (name, value), own in zip(info.items(), masks, strict=True):
+        result[name] = _masked(value, mask) if isinstance(value, dict) else value
+        result["_" + name] = own
+    return result
+
+
+def _restarted(info: Mapping[str, Any], rows: Mask, begun: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the masked `info` of a step, with that of a reset in some rows; values of no row are left out.
+
+    Args:
+        info: Masked `info` of the step.
+        rows: (n,) rows that were reset.
+        begun: `info` of the reset, not masked; arrays that both have are those of all rows.
+    """
+    result: dict[str, Any] = {}
+    for name, value in info.items():
+        if name.startswith("_"):
+            continue
+        mask = info["_" + name] if name in begun else info["_" + name] & ~rows
+        if mask.any():
+            result[name], result["_" + name] = begun.get(name, value), mask
+    result.update(_masked({name: value for name, value in begun.items() if name not in info}, rows))
+    return result

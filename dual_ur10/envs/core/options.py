@@ -154,3 +154,17 @@ def take_consent(options: dict[str, Any]) -> bool:
     if not isinstance(consent, bool):
         raise SettingsError(f"the reset option {MOVE_TO_START} is {consent!r}: it must be True or False")
     return consent
+
+
+def check_count(name: str, value: object, *, optional: bool = False) -> None:
+    """Check that a setting is a whole number of 1 or more.
+
+    Raises:
+        SettingsError: It is not.
+    """
+    if optional and value is None:
+        return
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        raise SettingsError(
+            f"{name} is {value!r}: it must be a whole number, 1 or more{', or None' if optional else ''}"
+        )

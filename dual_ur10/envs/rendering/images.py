@@ -1,4 +1,4 @@
-"""Drawing a cell: images, and a viewer. OpenGL is loaded with the first picture, never before."""
+"""Images of a cell. OpenGL is loaded with the first image, never before."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dual_ur10.errors import RenderError, SettingsError, UnknownNameError
 
 RENDER_MODES = ("rgb_array", "human")
 
-_MAX_PIXELS = (1920, 1080)  # the offscreen buffer of the scene
+_MAX_PIXELS = (1920, 1080)  # size of the offscreen buffer of the scene
 
 _BACKENDS = ("egl", "osmesa")  # without a display, in this order
 
@@ -28,16 +28,16 @@ _NO_GL = (
 
 
 class Renderer:
-    """Draws MuJoCo's model and data.
+    """Renderer of MuJoCo's model and data, to images or to a viewer.
 
     Args:
-        camera: The camera that draws, unless another is asked for.
+        camera: Default camera.
         width, height: Size of images in pixels, at most 1920 × 1080.
-        shadows: Shadows and reflections; without a GPU they cost five to seven times the rest of a picture.
+        shadows: Shadows and reflections; without a GPU they cost five to seven times the rest of an image.
         cameras: Names of the scene's cameras.
 
     Raises:
-        UnknownNameError: No such camera.
+        UnknownNameError: There is no such camera.
         SettingsError: A size is not possible.
     """
 
@@ -60,7 +60,7 @@ class Renderer:
         self._offscreen: Any = None
 
     def draw(self, mode: str, model: Any, data: Any) -> NDArray[np.uint8] | None:
-        """An image with "rgb_array"; with "human", None, and the viewer shows the data."""
+        """Return an image with "rgb_array"; show the data in the viewer with "human" and return None."""
         if mode == "rgb_array":
             return self.image(model, data)
         self.viewer.show(model, data)
@@ -69,16 +69,16 @@ class Renderer:
     def image(
         self, model: Any, data: Any, camera: str | None = None, out: NDArray[np.uint8] | None = None
     ) -> NDArray[np.uint8]:
-        """An image, (height, width, 3).
+        """Return an image, (height, width, 3).
 
         Args:
             model: The same object at every call.
             data: Its data.
-            camera: Another camera than that of `render`.
-            out: Where to write the image, contiguous; None: into a new array.
+            camera: Camera; None: the default.
+            out: Contiguous array for the image; None: a new one.
 
         Raises:
-            RenderError: No OpenGL backend was found; the message says which package to install.
+            RenderError: No OpenGL backend was found; the message names the package to install.
         """
         if self._offscreen is None:
             self._offscreen = _offscreen(model, self.height, self.width)
@@ -103,7 +103,7 @@ class Renderer:
 
 
 def _offscreen(model: Any, height: int, width: int) -> Any:
-    """MuJoCo's offscreen renderer; on Linux without a display by EGL, else OSMesa, unless MUJOCO_GL says otherwise."""
+    """Return MuJoCo's offscreen renderer; on Linux without a display by EGL, else OSMesa, unless MUJOCO_GL is set."""
     import mujoco
 
     named = has_display() or os.environ.get("MUJOCO_GL")
@@ -116,24 +116,24 @@ def _offscreen(model: Any, height: int, width: int) -> Any:
         except Exception as error:  # each backend fails in its own way: ImportError, AttributeError, FatalError, ...
             reasons.append(f"{backend}: {error}" if backend else str(error))
             last = error
-    raise RenderError(f"{_NO_GL}. MuJoCo said: {'; '.join(reasons)}") from last
+    raise RenderError(f"{_NO_GL}. MuJoCo reports: {'; '.join(reasons)}") from last
 
 
 def _offscreen_by(backend: str, model: Any, height: int, width: int) -> Any:
-    """MuJoCo's offscreen renderer by one backend. What fails leaves nothing behind that would hinder the next one."""
+    """Return MuJoCo's offscreen renderer by one backend. A failure leaves nothing behind that hinders the next one."""
     import mujoco
     from mujoco.rendering.classic import gl_context
 
-    # MuJoCo chose a backend that needs a display when it was imported, before anything was to be drawn.
+    # When it was imported, MuJoCo chose a backend that needs a display.
     chosen, loaded = gl_context.GLContext, set(sys.modules)
     named = {name: os.environ.get(name) for name in ("PYOPENGL_PLATFORM", "MUJOCO_GL")}
     try:
         gl_context.GLContext = importlib.import_module(f"mujoco.{backend}").GLContext
-        os.environ["MUJOCO_GL"] = backend  # MuJoCo's own library looks there, and else takes what else is loaded
+        os.environ["MUJOCO_GL"] = backend  # MuJoCo's own library reads it, and otherwise takes another loaded backend
         return mujoco.Renderer(model, height, width)
     except Exception:
         gl_context.GLContext = chosen
-        # PyOpenGL is bound to one backend for good when it is first imported, and finds which in the environment.
+        # PyOpenGL binds to one backend, named in the environment, when it is first imported.
         _restore("PYOPENGL_PLATFORM", named)
         for name in set(sys.modules) - loaded:
             if name.split(".")[0] in ("OpenGL", "OpenGL_accelerate") or name.startswith(f"mujoco.{backend}"):

@@ -1,4 +1,4 @@
-"""What is observed of n cells: numbers, images, or both."""
+"""Observations of n cells: numbers, images, or both."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ Images = dict[str, NDArray[np.uint8]]
 
 
 class Observer:
-    """Makes observations of a core's numbers, as its options `observation`, `cameras` and `pixels_rate_hz` say.
+    """Observer of n cells, by the options `observation`, `cameras` and `pixels_rate_hz` of their core.
 
-    Images are drawn with the first observation, never before; those of "state" never are.
+    Images are drawn with the first observation, never before; with "state" they never are.
 
     Attributes:
-        renderer: Draws the images, and those of `render`.
-        space: Space of one cell's observation.
+        renderer: Renderer of the images, and of those of `render`.
+        space: Observation space of one cell.
 
     Args:
         core: Task, pipeline and cell.
@@ -56,15 +56,15 @@ class Observer:
             self.space = pixels if self._kind == "pixels" else both
 
     def begin(self, state: Array, rows: Rows) -> Any:
-        """The observation after a reset of `rows`, which get new images; the others keep theirs.
+        """Return the observation after a reset of `rows`, which get new images; the others keep theirs.
 
         Args:
-            state: (n, size) the core's numbers.
-            rows: The cells that were reset.
+            state: (n, size) numbers of the core.
+            rows: Cells that were reset.
 
         Returns:
             `state` itself; a dict of images, (n, height, width, 3), by camera; or `{"state": state, "pixels": images}`.
-            Images are the caller's own.
+            Images are copies.
 
         Raises:
             RenderError: Images are observed, and no OpenGL backend was found.
@@ -73,11 +73,11 @@ class Observer:
         return self._observe(state, rows)
 
     def advance(self, state: Array, rows: Rows | None = None) -> Any:
-        """The observation after a control period of `rows`, which get new images where it is time for them.
+        """Return the observation after a control period of `rows`, which get new images where they are due.
 
         Args:
-            state: (n, size) the core's numbers.
-            rows: The cells that went on; None: all.
+            state: (n, size) numbers of the core.
+            rows: Cells that were stepped; None: all.
 
         Returns:
             As `begin`.
@@ -114,17 +114,17 @@ class Observer:
 
 
 def row_of(observation: Any, row: int) -> Any:
-    """One cell's part of an observation of n cells: views of its arrays."""
+    """Return one cell's part of an observation or info of n cells, as views of its arrays."""
     if isinstance(observation, dict):
         return {name: row_of(value, row) for name, value in observation.items()}
     return observation[row]
 
 
 def _periods(policy_rate_hz: float, pixels_rate_hz: object) -> int:
-    """Control periods from one image to the next.
+    """Return the number of control periods from one image to the next.
 
     Raises:
-        RateError: They are no whole number; the message names the nearest rates that are.
+        RateError: It is not whole; the message names the nearest legal rates.
     """
     if pixels_rate_hz is None:
         return 1

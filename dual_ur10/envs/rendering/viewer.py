@@ -1,4 +1,4 @@
-"""A viewer of a running simulation: MuJoCo's window, or its web viewer where there is no display."""
+"""Viewer of a running simulation: MuJoCo's window, or its web viewer where there is no display."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ logger = logging.getLogger(__name__)
 
 
 def has_display() -> bool:
-    """Whether a window can be expected to open: on Linux, whether a display is named."""
+    """Return True if a window can be expected to open: on Linux, if a display is named."""
     if not sys.platform.startswith("linux"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 class Viewer:
-    """Shows MuJoCo's model and data while they change. It opens with the first `show`.
+    """Live view of MuJoCo's model and data. It opens with the first `show`.
 
     Args:
-        web: Whether to show them in the web viewer even where there is a display.
+        web: Use the web viewer even where there is a display.
 
     Attributes:
         url: Address of the web viewer, for a browser on this machine; None with a window, or before the first `show`.
@@ -43,7 +43,7 @@ class Viewer:
         self._shown: Any = None  # MuJoCo's window or `_WebViewer`
 
     def show(self, model: Any, data: Any) -> None:
-        """Show the data as they are now. Does nothing once the viewer was closed by hand.
+        """Show the current data. Do nothing once the user has closed the viewer.
 
         Args:
             model: The same object at every call.
@@ -62,14 +62,14 @@ class Viewer:
             try:
                 self._shown = _window(model, data)
                 return
-            except Exception as error:  # a display that is named may still be out of reach, and each system says so
+            except Exception as error:  # a named display may be unreachable, and each system reports that differently
                 logger.info("no window could be opened (%s): using the web viewer", error)
         self._shown = _WebViewer(model, data)
         self.url = self._shown.url
         logger.info("the viewer is at %s", self.url)
 
     def is_running(self) -> bool:
-        """Whether the viewer is open. False before the first `show`, and after it was closed by hand."""
+        """Return True while the viewer is open: not before the first `show`, nor after the user has closed it."""
         return self._shown is not None and bool(self._shown.is_running())
 
     def close(self) -> None:
@@ -90,7 +90,7 @@ def _window(model: Any, data: Any) -> Any:
 
 
 class _WebViewer:
-    """The process of `dual_ur10.envs.rendering.web_viewer`, and what it is to show."""
+    """Process of `dual_ur10.envs.rendering.web_viewer`, and the model and data that it shows."""
 
     def __init__(self, model: Any, data: Any) -> None:
         import mujoco
@@ -104,7 +104,7 @@ class _WebViewer:
             [sys.executable, "-P", "-m", "dual_ur10.envs.rendering.web_viewer"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            # It finds what this program finds, and Ctrl-C is for this program alone.
+            # It has the same import path, and Ctrl-C is for this program alone.
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             start_new_session=True,
         )
@@ -121,7 +121,7 @@ class _WebViewer:
     def _send(self, frame: bytes) -> None:
         if self.process.stdin is None:
             return
-        # It may have been closed by hand at this moment, which `is_running` tells.
+        # The user may just have closed it, which `is_running` reports.
         with contextlib.suppress(BrokenPipeError):
             self.process.stdin.write(LENGTH.pack(len(frame)) + frame)
             self.process.stdin.flush()

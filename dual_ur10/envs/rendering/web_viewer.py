@@ -1,9 +1,9 @@
 """MuJoCo's web viewer in a process of its own: `python -m dual_ur10.envs.rendering.web_viewer`, started by `Viewer`.
 
-A second one in the same process crashes MuJoCo 4.0, and one that is alive hooks into the logging and the exceptions of
-its program. Here it does neither to anybody. It reads frames from its input, each a length of eight bytes and so many
-bytes: first the model, then states of the simulation. It writes one line of JSON, its address or why it has none, and
-ends with its input, so that it never outlives the program that started it.
+A second viewer in the same process crashes MuJoCo 4.0, and a running one hooks into the logging and the exceptions of
+its program: hence a process of its own. It reads frames from its input, each a length of eight bytes and its content:
+first the model, then states of the simulation. It writes one line of JSON, with its address or an error, and ends with
+its input, so that it never outlives the program that started it.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ import numpy as np
 from dual_ur10.errors import RenderError
 
 LOOPBACK = "127.0.0.1"
-"""The only address that the web viewer listens on: it has neither passwords nor encryption."""
+"""Only address of the web viewer: it has neither passwords nor encryption."""
 
 LENGTH = struct.Struct("<Q")
 
 AZIMUTH_DEG, ELEVATION_DEG = 136.0, -24.0
-"""Where the viewer looks from at first: as the camera "perspective" of `dual_ur10.assets.scene`."""
+"""Initial viewpoint: that of the camera "perspective" of `dual_ur10.assets.scene`."""
 
 _STUDIOS = (("mujoco.studio", "app", "App", "Config"), ("mujoco.experimental.studio", "viewer_app", "ViewerApp", ""))
-"""Where MuJoCo keeps its web viewer since 4.0, and where it was in 3.17."""
+"""Packages of MuJoCo's web viewer: since 4.0, and in 3.17."""
 
 _START_S = 30.0
 _FRAME_S = 1 / 60
 
 
 def studio() -> tuple[dict[str, Any], Any]:
-    """The modules of MuJoCo's web viewer, and its user interface.
+    """Return the modules of MuJoCo's web viewer, and its user interface.
 
     Raises:
         RenderError: This MuJoCo has none.
@@ -52,7 +52,7 @@ def studio() -> tuple[dict[str, Any], Any]:
             app = importlib.import_module(f"{package}.{app_module}")
         except ImportError:
             continue
-        # Panels of a model's innards start closed: here a motion is looked at.
+        # The panels of the model start closed, as the motion matters here.
         settings = [getattr(app, config_class)(show_options=False, show_inspector=False)] if config_class else []
         return modules, getattr(app, app_class)(*settings)
     raise RenderError(
@@ -62,10 +62,10 @@ def studio() -> tuple[dict[str, Any], Any]:
 
 
 def on_loopback(web_viewer: Any) -> Any:
-    """MuJoCo's web viewer, kept to the loopback interface.
+    """Return MuJoCo's web viewer, restricted to the loopback interface.
 
-    MuJoCo listens on all interfaces and offers no setting for it. This narrows the host that it takes its socket
-    from, looks at the socket before anything listens on it, and refuses to go on if a later MuJoCo does otherwise.
+    MuJoCo listens on all interfaces and offers no setting for it. The returned class overrides the host of the socket,
+    checks the socket before it listens, and raises an error if a later MuJoCo chooses another address.
 
     Args:
         web_viewer: The class `WebViewer` of MuJoCo.
@@ -80,7 +80,7 @@ def on_loopback(web_viewer: Any) -> Any:
 
         @_host.setter
         def _host(self, host: str) -> None:
-            """MuJoCo sets "::" here."""
+            """Ignore "::", which MuJoCo sets here."""
 
         def _start_server(self) -> None:
             self._check()
@@ -109,7 +109,7 @@ def on_loopback(web_viewer: Any) -> Any:
 
 
 def open_viewer(model: Any) -> tuple[Any, str]:
-    """Start the web viewer in a thread. Returns MuJoCo's handle of it, and its address.
+    """Start the web viewer in a thread, and return MuJoCo's handle of it and its address.
 
     Raises:
         RenderError: It did not start.
@@ -121,7 +121,7 @@ def open_viewer(model: Any) -> tuple[Any, str]:
 
     def target(endpoint: Any) -> None:
         try:
-            # With the model from the start: told of a new one later, every browser would load its page again.
+            # With the model from the start: after a later change of model, every browser would load its page again.
             viewer = kind(config, endpoint, model=model, plugins=[app])
             address.append(viewer.loopback_url)
         except Exception as error:
@@ -140,10 +140,10 @@ def open_viewer(model: Any) -> tuple[Any, str]:
 
 
 class Latest:
-    """Reads frames in a thread and keeps the last one.
+    """Last frame of an input, read in a thread.
 
     Attributes:
-        ended: Whether the input has come to its end.
+        ended: True once the input has ended.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
@@ -158,13 +158,13 @@ class Latest:
         self.ended = True
 
     def take(self) -> bytes | None:
-        """The last frame since the last call, if there was one."""
+        """Return the last frame since the last call, if there was one."""
         frame, self._frame = self._frame, None
         return frame
 
 
 def read_frame(stream: BinaryIO) -> bytes | None:
-    """The next frame, or None at the end of the input."""
+    """Return the next frame, or None at the end of the input."""
     head = stream.read(LENGTH.size)
     if len(head) < LENGTH.size:
         return None
@@ -174,7 +174,7 @@ def read_frame(stream: BinaryIO) -> bytes | None:
 
 
 def serve(stream: BinaryIO, answer: io.TextIOBase) -> None:
-    """Serve what comes from `stream`, until it ends or the viewer is closed by hand."""
+    """Show the model and the states from `stream`, until it ends or the user closes the viewer."""
     import mujoco
 
     binary = read_frame(stream)
@@ -196,7 +196,7 @@ def serve(stream: BinaryIO, answer: io.TextIOBase) -> None:
     answer.flush()
     if "error" in reply:
         return
-    # These are the model and data that the viewer began with: it needs not be told of them.
+    # The viewer started with this model and these data, so no change is announced.
     handle.model, handle.data = model, data
     latest = Latest(stream)
     while not latest.ended and handle.is_running():
@@ -210,12 +210,12 @@ def serve(stream: BinaryIO, answer: io.TextIOBase) -> None:
 
 def main() -> None:
     """Run the process."""
-    # MuJoCo prints a banner with an address for everybody, and logs its visitors: the output is for the answer alone.
+    # MuJoCo prints a banner and logs its visitors, but the output is for the answer alone.
     answer = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     logging.getLogger().setLevel(logging.ERROR)
     serve(sys.stdin.buffer, answer)
-    os._exit(0)  # threads of the viewer may be at work in MuJoCo, which does not outlive its modules
+    os._exit(0)  # threads of the viewer may still use MuJoCo, whose modules would be unloaded
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from dual_ur10.types import Array, Mask, Rows
 
 
 class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
-    """n cells behind Gymnasium's vector interface. Row k with seed s equals the single env with seed s + k in every bit.
+    """n cells behind Gymnasium's vector interface. Row k with seed s equals a single env with seed s + k in every bit.
 
     Observations are those of `dual_ur10.envs.api.dual_arm_env.DualArmEnv`, each array with a leading axis of n cells.
 

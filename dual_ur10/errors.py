@@ -1,23 +1,29 @@
-"""Every exception this package raises on purpose.
+"""Exceptions of the package.
 
-All derive from [DualUR10Error][dual_ur10.errors.DualUR10Error]. A message says what was found, what is allowed and
-what to do. Each also derives from the built-in exception a caller would expect (``ValueError`` for a bad value, ...),
-so that generic handlers work too.
+All derive from [DualUR10Error][dual_ur10.errors.DualUR10Error], and most also from the built-in exception that a
+generic handler expects (``ValueError`` for a bad value, ...). A message says what was found, what is allowed and what
+to do.
 """
 
 from __future__ import annotations
 
 
 class DualUR10Error(Exception):
-    """Base of all errors of this package."""
+    """Base class of all errors of this package; raised itself when a file cannot be written."""
 
 
 class SettingsError(DualUR10Error, ValueError):
-    """A setting (keyword, cell, profile or limit) is not legal."""
+    """Raised when a setting (keyword, cell, profile, limit or option) is not legal, or does not fit another one."""
 
 
 class UnknownNameError(DualUR10Error, ValueError):
-    """A name (keyword, id, policy, camera, ...) is not one of those that exist."""
+    """Raised when a name (keyword, id, policy, camera, ...) does not exist.
+
+    Attributes:
+        kind: Kind of name, such as "camera".
+        found: The unknown name.
+        allowed: Names that exist.
+    """
 
     def __init__(self, kind: str, found: str, allowed: tuple[str, ...] | list[str]) -> None:
         super().__init__(f"unknown {kind} {found!r}: use one of {', '.join(map(repr, allowed))}")
@@ -28,59 +34,59 @@ class UnknownNameError(DualUR10Error, ValueError):
 
 
 class ActionError(DualUR10Error, ValueError):
-    """An action has the wrong shape or type, or holds NaN or infinity."""
+    """Raised when an action has the wrong shape or type, or holds NaN or infinity. Nothing has moved then."""
 
 
 class RateError(SettingsError):
-    """A policy rate is no whole number of controller ticks, or a timestep does not divide the tick."""
+    """Raised when a period is not a whole number of controller ticks, or a timestep does not divide the tick."""
 
 
 class WorkspaceError(SettingsError):
-    """A task asks for poses or speeds that the arms cannot reach."""
+    """Raised when the settings of a task demand poses or speeds that the arms cannot reach."""
 
 
 class CollisionAtStartError(SettingsError):
-    """The arms are in contact, or closer than the safety gate allows, in the posture they would start from."""
+    """Raised when the arms are in contact, or closer than the safety gate allows, in their start configuration."""
 
 
 class UnreachableError(DualUR10Error, ValueError):
-    """A flange pose has no inverse kinematics solution inside the joint range."""
+    """Raised when a flange pose has no inverse kinematics solution inside the joint range."""
 
 
 class LostError(DualUR10Error, RuntimeError):
-    """A scripted policy that teaches does not know how to go on from where its pupil has led the arms."""
+    """Raised when a scripted expert cannot continue from the state to which its learner has brought the arms."""
 
 
 class ClosedError(DualUR10Error, RuntimeError):
-    """The object was closed and cannot be used any more."""
+    """Raised when an object is used after `close()`."""
 
 
 class ResetNeededError(DualUR10Error, RuntimeError):
-    """A step was asked for before the first reset."""
+    """Raised when `step` is called before the first reset, or after the end of an episode."""
 
 
 class ResetRefusedError(SettingsError):
-    """A reset would move the arms of two controllers, and nobody has consented to that."""
+    """Raised when a reset would move the arms of two controllers without the consent of its caller."""
 
 
 class MissingExtraError(DualUR10Error, ImportError):
-    """An optional dependency is not installed."""
+    """Raised when an optional dependency is not installed; the message names the extra to install."""
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
         super().__init__(f'{purpose} needs {package}: pip install "dual-ur10[{extra}]"')
 
 
 class RenderError(DualUR10Error, RuntimeError):
-    """No OpenGL backend was found for drawing."""
+    """Raised when no OpenGL backend was found, or a viewer cannot be shown."""
 
 
 class ScriptError(DualUR10Error, ValueError):
-    """A URScript program cannot be read, or failed while it ran.
+    """Base class of the errors of a URScript program.
 
     Attributes:
         line: Line of the program text, from 1.
-        word: What the controller stopped at.
-        reason: What is wrong with it.
+        word: Word at which the controller stopped.
+        reason: Description of the error.
     """
 
     def __init__(self, line: int, word: str, reason: str) -> None:
@@ -92,68 +98,68 @@ class ScriptError(DualUR10Error, ValueError):
 
 
 class ScriptSyntaxError(ScriptError):
-    """A URScript program does not follow the grammar, or uses a name that does not exist."""
+    """Raised when a URScript program violates the grammar, or uses a name that does not exist."""
 
 
 class ScriptRuntimeError(ScriptError):
-    """A URScript program did something that a controller stops it for."""
+    """Raised when a URScript program does something for which a controller stops it."""
 
 
 class MotionError(DualUR10Error, ValueError):
-    """A motion command's arguments make no sense: a wrong length, NaN, a negative time."""
+    """Raised when the arguments of a motion command are invalid: a wrong length, NaN, a negative time."""
 
 
 class ProtocolError(DualUR10Error, ValueError):
-    """A client sent what no client of this protocol sends: its connection is closed."""
+    """Raised when a peer violates a protocol; the connection is closed."""
 
 
 class OperationRefusedError(DualUR10Error, RuntimeError):
-    """A controller refuses what it was asked to do in the state it is in."""
+    """Raised when a controller or gripper refuses a command in its present state."""
 
 
 class AddressError(DualUR10Error, OSError):
-    """An address cannot be used: it is taken, does not exist on this machine, or is not of the loopback interface."""
+    """Raised when an emulated controller cannot use an address: it is taken, unknown, or not a loopback address."""
 
 
 class EmulatorError(DualUR10Error, RuntimeError):
-    """The emulated cell did not start, or ended."""
+    """Raised when an emulated cell did not start, or has ended."""
 
 
 class CellFileError(SettingsError):
-    """A cell file cannot be read, or says something that is not legal."""
+    """Raised when a cell file cannot be read, or holds a value that is not legal."""
 
 
 class LinkError(DualUR10Error, ConnectionError):
-    """A controller cannot be reached, does not answer as one, or has fallen silent."""
+    """Raised when a controller, gripper or tracker cannot be reached, gives a wrong answer, or has fallen silent."""
 
 
 class RecordingError(DualUR10Error, ValueError):
-    """A recording cannot be written or read, or is not of this robot, rate or task."""
+    """Raised when a recording cannot be written or read, or belongs to another robot, rate or task."""
 
 
-class CellFaulted(DualUR10Error, RuntimeError):  # noqa: N818  # the name by which the project's users know it
-    """Both arms were stopped, and stay so until a person has looked and has said `cell clear`."""
+class CellFaulted(DualUR10Error, RuntimeError):  # noqa: N818  # the established name
+    """Raised when both arms have a latched stop, until an operator has checked them and run `cell clear`."""
 
 
 class CellBusyError(DualUR10Error, RuntimeError):
-    """Another program moves these arms."""
+    """Raised when another program controls these arms."""
 
 
 class StartError(DualUR10Error, RuntimeError):
-    """The arms are not ready to begin, cannot be brought to where a task begins, or nobody has confirmed it."""
+    """Raised when the arms are not ready, cannot move to the start of a task, or the operator has not confirmed it."""
 
 
 class PolicyError(DualUR10Error, ValueError):
-    """A policy does what no policy may do, as `dual_ur10.testing.check_policy` has found."""
+    """Raised by `dual_ur10.testing.check_policy` when a policy violates the contract of a policy."""
 
 
 class CheckpointError(DualUR10Error, ValueError):
-    """A checkpoint cannot be written or read, is not as it was saved, or was made for another environment."""
+    """Raised when a checkpoint cannot be written or read, was altered, or belongs to another environment."""
 
 
 class TrainingError(DualUR10Error, RuntimeError):
-    """A training cannot be begun, gone on with or saved. What it has saved before is as it was."""
+    """Raised when a training cannot be started, resumed or saved. Earlier saved states are intact."""
 
 
 class DatasetError(DualUR10Error, ValueError):
-    """A dataset cannot be made or read, or is not of this environment."""
+    """Raised when a dataset cannot be made or read, or belongs to another environment."""

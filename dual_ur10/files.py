@@ -1,4 +1,4 @@
-"""Files that are written at once or not at all."""
+"""Atomic writing of files."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from dual_ur10.errors import DualUR10Error
 
 
 def check_target(path: str | Path) -> Path:
-    """Make sure that a file could be written: before, not after, the work whose result it is to hold.
+    """Check that a file can be written, before the work whose result it will hold.
 
     Args:
-        path: The file. Where it is a link, what it points to.
+        path: The file. Links are followed.
 
     Returns:
         The path without links.
@@ -24,7 +24,7 @@ def check_target(path: str | Path) -> Path:
     try:
         target = Path(path).resolve()
         folder, other = target.parent.is_dir(), target.exists() and not target.is_file()
-    except (OSError, RuntimeError) as error:  # the latter: links that point to each other
+    except (OSError, RuntimeError) as error:  # RuntimeError: links that point to each other
         raise DualUR10Error(f"cannot write {path}: {error}") from error
     if not folder:
         raise DualUR10Error(f"cannot write {path}: the folder {target.parent} does not exist: make it first")
@@ -36,13 +36,13 @@ def check_target(path: str | Path) -> Path:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a text file, in UTF-8, in one instant: readers see what was there before, or all of the new.
+    """Write a text file in UTF-8 atomically: readers see either the old or the new content.
 
     Raises:
-        DualUR10Error: It cannot be written. A file that was there is as it was.
+        DualUR10Error: The file cannot be written. An old file is unchanged.
     """
     target = check_target(path)
-    # In the same folder, for a file can only be renamed within a file system.
+    # In the same folder: a file can be renamed within one file system only.
     part = target.with_name(f".{target.name[:100]}.{os.getpid()}.part")
     try:
         with part.open("x", encoding="utf-8", newline="") as file:
@@ -50,7 +50,7 @@ def write_text(path: str | Path, text: str) -> None:
             file.flush()
             os.fsync(file.fileno())
         if target.exists():
-            part.chmod(stat.S_IMODE(target.stat().st_mode))  # who may read it does not change
+            part.chmod(stat.S_IMODE(target.stat().st_mode))  # permissions stay
         part.replace(target)
     except OSError as error:
         raise DualUR10Error(f"cannot write {path}: {error}") from error

@@ -8,7 +8,7 @@ These three take the name of a task or an id, load MuJoCo only when called, and 
 the classes from those (`from dual_ur10.envs.api.parallel_env import DualArmParallelEnv`).
 """
 
-# Bound here and now, not when first asked for: a module imported later would take its function's place.
+# Bound at import: a module imported later would otherwise replace the function of the same name.
 from dual_ur10.envs.api.dm_env import dm_env
 from dual_ur10.envs.api.parallel_env import aec_env, parallel_env
 

@@ -64,9 +64,7 @@ def worst(keywords: dict[str, Any], seeds: int) -> dict[str, float]:
 def mild(episodes: int) -> dict[str, Any]:
     """Successes on plants that differ from episode to episode."""
     keywords = {"randomization": "mild"}
-    policy = SpeedWatch(
-        policies.load("scripted", CARRY_ID, **keywords), 1 / DEFAULT_RATE_HZ, SyncCarry.limits.speed_rad_s
-    )
+    policy = SpeedWatch(policies.load("scripted", CARRY_ID, **keywords), 1 / DEFAULT_RATE_HZ, SyncCarry)
     found = evaluate(CARRY_ID, policy, episodes=episodes, env_kwargs=keywords)
     return {
         "successes": found.successes,

@@ -34,9 +34,7 @@ EPISODES = 300
 
 def measure(case: Case, episodes: int) -> dict[str, Any]:
     """Return successes of a case, and figures of the successful episodes."""
-    policy = SpeedWatch(
-        policies.load("scripted", HANDOVER_ID, **case.keywords), 1 / DEFAULT_RATE_HZ, Handover.limits.speed_rad_s
-    )
+    policy = SpeedWatch(policies.load("scripted", HANDOVER_ID, **case.keywords), 1 / DEFAULT_RATE_HZ, Handover)
     found = evaluate(HANDOVER_ID, policy, episodes=episodes, env_kwargs=case.keywords)
     placed = [1e3 * (each.last["object_error_m"] or 0.0) for each in found.episodes if each.success]
     return {

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from dual_ur10.envs.tasks.task import Task
 from dual_ur10.types import Rows
 
 
@@ -19,11 +20,11 @@ class SpeedWatch:
     Args:
         policy: What acts, told of episodes as `EpisodeAware` says.
         period_s: Control period.
-        speed_rad_s: (6,) limits of the joints' speeds.
+        task: Class of the task: its speed limits, and the layout of its observations.
     """
 
-    def __init__(self, policy: Any, period_s: float, speed_rad_s: Sequence[float]) -> None:
-        self._policy, self._period_s, self._limits = policy, period_s, np.asarray(speed_rad_s)
+    def __init__(self, policy: Any, period_s: float, task: type[Task[Any, Any]]) -> None:
+        self._policy, self._period_s, self._task = policy, period_s, task
         self._last: np.ndarray | None = None
         self.share = 0.0
 
@@ -40,9 +41,9 @@ class SpeedWatch:
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """The policy's actions."""
-        q = observation.reshape(len(observation), 2, -1)[..., :6].copy()
+        q = self._task.layout.split(observation)["q_rad"].copy()
         if self._last is not None:
-            share = np.abs(q - self._last) / self._period_s / self._limits
+            share = np.abs(q - self._last) / self._period_s / np.asarray(self._task.limits.speed_rad_s)
             self.share = max(self.share, float(np.nanmax(share, initial=0.0)))
         self._last = q
         return self._policy(observation)

@@ -215,7 +215,7 @@ def test_starts_are_drawn_within_their_ranges_on_the_givers_side():
 def test_who_gives_can_be_chosen_and_is_observed(giver):
     core, observation = begun(giver=giver)
     role = 1.0 if giver == "left" else -1.0
-    assert observation.reshape(2, 56)[:, 54].tolist() == [role, -role]
+    assert core.task.layout.split(observation)["role"].ravel().tolist() == [role, -role]
     assert core.step(STAY).info["giver"][0] == ("left", "right").index(giver)
 
 
@@ -246,18 +246,19 @@ def test_observation_is_what_the_table_says():
         action = rng.uniform(-0.3, 0.3, 14)
         action[[6, 13]] = 0.0, 0.5
         step = core.step(action.astype(np.float32))
-    arms, state = step.observation.reshape(2, 56), core._state
+    arms, state = core.task.layout.split(step.observation[0]), core._state
     position, quat = flange_pose_quat(state.q_rad[0])
-    assert np.allclose(arms[:, 18:21], position, atol=1e-6)
-    assert np.allclose(np.abs((arms[:, 21:25] * quat).sum(axis=1)), 1.0)
-    assert arms[:, 25].tolist() == state.gripper_m[0].tolist() == arms[::-1, 53].tolist()
+    assert np.allclose(arms["flange_base_m"], position, atol=1e-6)
+    assert np.allclose(np.abs((arms["flange_base_quat"] * quat).sum(axis=1)), 1.0)
+    assert arms["gripper_m"].ravel().tolist() == state.gripper_m[0].tolist()
+    assert arms["other_gripper_m"].ravel().tolist() == state.gripper_m[0, ::-1].tolist()
     for k, mount in enumerate((cell.left, cell.right)):
         turn = quat_to_matrix(yaw_quat(np.array(mount.yaw_rad + np.pi)))
-        for first, there in ((32, state.object_m[0]), (39, state.target_m[0])):
-            assert np.allclose(turn @ arms[k, first : first + 3] + mount.position_m, there)
-    relative = arms[0, 46:49]
+        for name, there in (("block_base_m", state.object_m[0]), ("target_base_m", state.target_m[0])):
+            assert np.allclose(turn @ arms[name][k] + mount.position_m, there)
+    relative = arms["other_flange_m"][0]
     assert np.allclose(rotate(state.flange_quat[0, 0], relative) + state.flange_m[0, 0], state.flange_m[0, 1])
-    assert np.allclose(arms[:, 55], 0.4 / 20.0)
+    assert np.allclose(arms["progress"], 0.4 / 20.0)
     assert core.observation_space.contains(step.observation[0])
 
 

@@ -6,8 +6,10 @@ import pytest
 
 from dual_ur10 import CellConfig, ServojProfile, errors, policies
 from dual_ur10.assets.props import BAR_MASS_KG
+from dual_ur10.envs.tasks.observation_layout import pose_of
 from dual_ur10.envs.tasks.sync_carry.path import MOVES, CarryPath
 from dual_ur10.envs.tasks.sync_carry.settings import bar_pose
+from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.kinematics.poses import Poses, compose, relative_to, rotation_angle
 from dual_ur10.kinematics.rotations import quat_from_rotvec, rotate
 from tests.soak import SOAK, scaled
@@ -131,16 +133,17 @@ def test_tight_caps_slow_both_arms_and_keep_the_grasp():
 
 def test_what_is_felt_is_the_load():
     infos, task = run(steps=SHORT + 40)
-    wrench = np.hstack([task.layout.split(infos[-1]["observation"])[name] for name in ("force_n", "torque_nm")])
+    force = task.layout.split(infos[-1]["observation"])["force_n"]
     # Half the bar's weight on each, with the noise of a CB3's estimate.
-    assert np.allclose(wrench[:, 2], -9.81 * BAR_MASS_KG / 2, atol=12.0)
+    assert np.allclose(force[:, 2], -9.81 * BAR_MASS_KG / 2, atol=12.0)
     quiet, _ = run(steps=SHORT + 40, cell=CellConfig(wrench_noise=(0.0, 0.0)))
-    calm = quiet[-1]["observation"].reshape(2, -1)[:, 26:32]
+    calm = task.layout.split(quiet[-1]["observation"])["force_n"]
     assert np.allclose(calm[:, 2], -9.81 * BAR_MASS_KG / 2, atol=1.5)
     assert np.abs(calm[:, :2]).max() < 6.0  # it accelerates
-    assert not np.array_equal(wrench, calm)
-    before = quiet[5]["observation"].reshape(2, -1)[:, 26:32]
-    assert np.abs(before).max() < 1.0  # the gripper's own weight is taken off
+    assert not np.array_equal(force, calm)
+    before = task.layout.split(quiet[5]["observation"])
+    # The gripper's own weight is taken off.
+    assert max(np.abs(before[name]).max() for name in ("force_n", "torque_nm")) < 1.0
 
 
 def test_an_unknown_load_sags():
@@ -239,10 +242,11 @@ class Cheat:
         self.policy = policies.load("scripted", CARRY, **keywords)
 
     def __call__(self, observation):
-        arms = observation.reshape(2, 61).copy()
-        for first in (38, 45):  # reference now and ahead
-            self.change(arms[:, first : first + 3], arms[:, first + 3 : first + 7])
-        return self.policy(arms.reshape(-1))
+        changed = observation.copy()
+        fields = SyncCarry.layout.without("gripper_m").split(changed)
+        for name in ("reference_base", "ahead_base"):
+            self.change(*pose_of(fields, name))
+        return self.policy(changed)
 
 
 class NeverTurns(Cheat):

@@ -149,13 +149,14 @@ def test_measurements_that_were_late_spoil_little(late, steps):
     settings = {"action_latency_ticks": 10}
     env, policy = gym.make(SINE, **settings), policies.load("scripted", SINE, **settings)
     observation, _ = env.reset(seed=0)
-    before, trace = [observation], []
+    before, trace, layout = [observation], [], SineTracking.layout
     for step in range(120):
-        seen = observation.copy().reshape(2, 34)
+        seen = observation.copy()
         if late <= step < late + steps:
-            seen[:, :12] = before[-1 - steps].reshape(2, 34)[:, :12]  # joints and their speeds
-            assert np.abs(seen - observation.reshape(2, 34)).max() > 1e-3
-        observation, *_, info = env.step(policy(seen.reshape(68)))
+            for name in ("q_rad", "qd_rad_s"):
+                layout.split(seen)[name][:] = layout.split(before[-1 - steps])[name]
+            assert np.abs(seen - observation).max() > 1e-3
+        observation, *_, info = env.step(policy(seen))
         before.append(observation)
         trace.append(1e3 * info["flange_error_m"])
     assert np.max(trace) < 6.0

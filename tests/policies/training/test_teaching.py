@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 
 from dual_ur10 import policies
+from dual_ur10.envs.tasks.handover.task import Handover
+from dual_ur10.envs.tasks.observation_layout import pose_of
+from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.errors import LostError
 from dual_ur10.policies.scripted import handover
-from dual_ur10.policies.scripted.carrying import TAUGHT_HIGHER_M, poses_at
+from dual_ur10.policies.scripted.carrying import TAUGHT_HIGHER_M
 
 CARRY, HANDOVER = "DualUR10/SyncCarry-v0", "DualUR10/Handover-v0"
 KEYWORDS = {"action_latency_ticks": 5}
-COMMANDED, HEIGHT = slice(12, 18), 20
-OPENING, BLOCK, BLOCK_HEIGHT = 25, 32, 34
 
 
 def pair(env_id):
@@ -35,7 +36,7 @@ def test_a_teacher_grips_higher_and_succeeds(env_id):
         while not over:
             observation, _, terminated, truncated, info = env.step(policy(observation))
             over = terminated or truncated
-            height = min(height, observation.reshape(2, -1)[:, HEIGHT].min())
+            height = min(height, env.unwrapped.task.layout.split(observation)["flange_base_m"][:, 2].min())
         assert info["is_success"]
         lowest.append(height)
     env.close()
@@ -80,7 +81,8 @@ def test_a_motion_is_over_near_its_end():
     for policy in both:
         seen = descended(policy, env)
         motion = policy._episodes[0].motion
-        off.append(np.abs(seen[-1].reshape(2, -1)[:, COMMANDED].reshape(12) - motion.at(motion.duration_s)).max())
+        commanded = Handover.layout.split(seen[-1])["commanded_q_rad"].reshape(12)
+        off.append(np.abs(commanded - motion.at(motion.duration_s)).max())
     env.close()
     assert off[0] < 1e-6
     assert 1e-3 < off[1] < 4e-3
@@ -90,7 +92,7 @@ def test_a_pupil_beside_the_way_is_told_to_come_back_before_it_goes_on():
     env, _, policy = pair(HANDOVER)
     seen = [each.copy() for each in descended(policy, env)]
     env.close()
-    seen[-1].reshape(2, -1)[1, COMMANDED] += 0.03  # an arm that has nothing to do now
+    Handover.layout.split(seen[-1])["commanded_q_rad"][1] += 0.03  # an arm that has nothing to do now
     policy.reset()
     for observation in seen[:-1]:
         policy(observation)
@@ -128,7 +130,7 @@ def test_a_block_that_was_let_go_is_lost(phase, opening_m):
     seen = until(env, policy, phase)
     env.close()
     last = seen[-1].copy()
-    last.reshape(2, -1)[0 if phase == handover._MEET else 1, OPENING] = opening_m
+    Handover.layout.split(last)["gripper_m"][0 if phase == handover._MEET else 1] = opening_m
     with pytest.raises(LostError, match="has left the hand"):
         told(policy, seen, last)
     told(acting, seen, last)  # on its own it goes on: fingers that are measured wrongly for a moment are no reason
@@ -139,14 +141,15 @@ def test_a_block_that_was_let_go_on_the_table_is_left_there():
     seen = until(env, policy, handover._PLACE)
     env.close()
     last = seen[-1].copy()
-    arms = last.reshape(2, -1)
+    fields = Handover.layout.split(last)
     assert told(policy, seen, last)[1, 6] == -1.0  # still carried
-    arms[1, OPENING] = 0.085
-    arms[1, BLOCK_HEIGHT] -= policy._ways.to_cell(poses_at(arms, BLOCK)).position_m[1, 2] - 0.021
+    fields["gripper_m"][1] = 0.085
+    height_m = policy._ways.to_cell(pose_of(fields, "block_base")).position_m[1, 2]
+    fields["block_base_m"][1, 2] -= height_m - 0.021
     assert told(policy, seen, last)[1, 6] == 1.0
     episode = policy._episodes[0]
     assert episode.phase == handover._LEAVE
-    assert episode.motion.at(episode.motion.duration_s)[6:] == pytest.approx(arms[1, COMMANDED], abs=0.4)
+    assert episode.motion.at(episode.motion.duration_s)[6:] == pytest.approx(fields["commanded_q_rad"][1], abs=0.4)
 
 
 def test_a_pupil_takes_the_bar_where_its_path_begins():
@@ -155,7 +158,7 @@ def test_a_pupil_takes_the_bar_where_its_path_begins():
     observation, _ = env.reset(seed=2)
     env.close()
     wrong = observation.copy()
-    wrong.reshape(2, -1)[:, 32:34] += 0.004
+    SyncCarry.layout.split(wrong)["bar_base_m"][:, :2] += 0.004
     for policy, apart in zip(both, (True, False), strict=True):
         ends = []
         for each in (observation, wrong):

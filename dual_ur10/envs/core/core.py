@@ -221,7 +221,7 @@ class Core:
         self._state, self._begun = state, True
         self.agents = Agents(self.task, self._observation, None, self._weights)
         info: dict[str, Any] = self._measurements(state)
-        randomized = {**start.drawn, **drawn}
+        randomized = {**start.sampled, **drawn}
         if randomized:
             info["randomization"] = {name: _spread(value, rows, self.n) for name, value in randomized.items()}
         if self._hook is not None:

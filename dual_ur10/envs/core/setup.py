@@ -84,7 +84,7 @@ class EnvSetup:
         randomization = resolve_randomization(options.randomization)
         settings = randomization.spread(task_type.settings_type(**own), own)
         requirements = task_type.requirements(settings)
-        config = resolve_cell(options.cell).furnished(
+        config = resolve_cell(options.cell).equipped(
             requirements.equipment, requirements.timestep_s, requirements.gains
         )
         tick_s, latency_ticks = config.servoj.tick_s, options.latency_ticks(config)

@@ -1,6 +1,7 @@
-"""What a cell is: two arms, and what stands between them. It takes targets tick by tick and gives a state.
+"""Interface of a cell of two arms, its state, its configuration and its perturbation.
 
-A cell knows nothing of tasks. The simulated cell is `dual_ur10.envs.sim.mujoco_cell.MujocoCell`.
+A cell executes joint targets tick by tick and returns its state; it knows nothing of tasks. The simulated cell is
+`dual_ur10.envs.sim.mujoco_cell.MujocoCell`.
 """
 
 from __future__ import annotations
@@ -33,23 +34,23 @@ Numbers = float | Array | tuple[Any, ...]
 CellKind = Literal["mujoco", "emulated", "real"]
 
 LEAST_DAMPING = 0.3
-"""Damping of the servoj law below which the arms swing beyond what the gate checks of their targets.
+"""Smallest damping ratio of the servoj law: below it the arms swing beyond the targets that the gate checks.
 
-Measured with random actions: with 0.34 and more, true distances stay above 19.7 mm where 20 mm are demanded of the
-targets; with 0.15 arms touch, and one is three times as fast as its targets.
+Measured with random actions: with 0.34 and more, true distances stay above 19.7 mm where the targets keep 20 mm; with
+0.15 the arms touch, and one is three times as fast as its targets.
 """
 
 LATENCY_S = 0.04
-"""Action latency on two controllers where none is said: enough for a policy of 25 ms in Python on a busy machine."""
+"""Default action latency on two controllers: enough for a policy of 25 ms in Python on a busy machine."""
 
 LEAST_CAP = 0.01
 """Smallest speed cap of a cell, rad/s or m/s."""
 
 
 class CellState(NamedTuple):
-    """What can be measured of n cells at one instant. Only what a real cell can measure, too.
+    """Measurements of n cells at one instant, limited to those of a real cell.
 
-    The arrays are the cell's own and change with its next call: copy what is to be kept.
+    The arrays belong to the cell and change with its next call: copy those to be kept.
 
     Attributes:
         time_s: (n,) time since the reset, a whole number of ticks.
@@ -58,11 +59,11 @@ class CellState(NamedTuple):
         flange_base_m: (n, 2, 3) flange position in each arm's own `base` frame, as UR's controller reports it.
         flange_base_quat: (n, 2, 4) flange orientation in that frame, (w, x, y, z).
         flange_m: (n, 2, 3) flange position in the cell frame.
-        failed: (n,) whether the physics diverged; the other values of such a row are those of its last good instant.
+        failed: (n,) true if the physics diverged; the other values of such a row are those of its last valid instant.
         flange_quat: (n, 2, 4) flange orientation in the cell frame, (w, x, y, z).
-        gripper_m: (n, 2) opening of each gripper; None where there is none, like all that follow.
-        wrench: (n, 2, 6) force (N) and torque about the flange (N·m) that what is gripped exerts on each gripper, in
-            the arm's `base` frame; the gripper's own weight is taken off, as a controller does that was told of it.
+        gripper_m: (n, 2) opening of each gripper; None without grippers, like all that follow.
+        wrench: (n, 2, 6) force (N) and torque about the flange (N·m) of the gripped object on each gripper, in the
+            arm's `base` frame; the gripper's own weight is subtracted, as by a controller that knows its payload.
         object_m: (n, 3) position of the object's centre in the cell frame.
         object_quat: (n, 4) its orientation.
         target_m: (n, 3) position of the target in the cell frame.
@@ -86,21 +87,21 @@ class CellState(NamedTuple):
 
 
 class Start(NamedTuple):
-    """How an episode begins in k cells.
+    """Initial state of an episode in k cells.
 
     Attributes:
         q_rad: (k, 2, 6) joint positions, at rest.
-        gripper_m: (k, 2) opening of each gripper; None where there is none.
+        gripper_m: (k, 2) opening of each gripper; None without grippers.
         object_pose: (k, 7) position of the object in the cell frame and its orientation (w, x, y, z), or None.
         target_pose: (k, 7) the same of the target, or None.
-        drawn: What was drawn by chance, by name, (k, ...) each.
+        sampled: Random values of the episode by name, (k, ...) each.
     """
 
     q_rad: Array
     gripper_m: Array | None = None
     object_pose: Array | None = None
     target_pose: Array | None = None
-    drawn: Mapping[str, Array] = MappingProxyType({})
+    sampled: Mapping[str, Array] = MappingProxyType({})
 
 
 class TickTrace(NamedTuple):
@@ -162,13 +163,13 @@ class Cell(Protocol):
         """Send the targets of one control period, and return the state at its end."""
 
     def finish(self) -> None:
-        """An episode has ended: no more targets come. Arms that do not stand come to rest."""
+        """End the episode: no more targets follow, and arms that still move stop."""
 
     def stop(self, reason: str) -> None:
-        """Stop both arms for good, because of who commands them."""
+        """Stop both arms, latched, for a reason that lies with the commanding program."""
 
     def model_and_data(self, row: int) -> tuple[Any, Any]:
-        """MuJoCo's model and data of one cell, to be drawn."""
+        """Return MuJoCo's model and data of one cell, for rendering."""
 
     def close(self) -> None:
         """Release everything. May be called twice."""
@@ -176,7 +177,7 @@ class Cell(Protocol):
 
 @dataclass(frozen=True)
 class Perturbation:
-    """How a simulated plant differs from what the adapter and the controller believe of it.
+    """Deviation of a simulated plant from the nominal model of adapter and controller.
 
     Each value is one number for all, or an array that broadcasts to the shape given; arrays are kept as nested tuples,
     so that equal perturbations are equal and hash alike. The defaults change nothing.
@@ -190,10 +191,10 @@ class Perturbation:
         jitter_s: (n, 2) largest additional delay, uniform, per tick; targets keep their order.
         loss: (n, 2) probability that a target is lost; the one before is held.
         payload_kg: (n, 2) mass at the flange.
-        declared_payload_kg: (n, 2) what the controller was told of it, as with `set_payload`.
-        base_shift_m: (n, 2, 3) how far a base stands, in the cell frame, from where it is believed to stand. The safety
-            gate measures distances where it is believed to stand, as it does on a robot.
-        base_turn_rad: (n, 2) by how much it is turned about the vertical beyond what is believed.
+        declared_payload_kg: (n, 2) payload set on the controller, as with `set_payload`.
+        base_shift_m: (n, 2, 3) displacement of a base, in the cell frame, from its nominal position. The safety gate
+            measures distances at the nominal position, as it does on a robot.
+        base_turn_rad: (n, 2) rotation of a base about the vertical from its nominal orientation.
         object_mass_scale: (n,) factor on the mass and inertia of the object.
         grip_friction_scale: (n, 2) factor on the friction of the pads.
     """
@@ -248,7 +249,7 @@ class Perturbation:
         return cls(**values)
 
     def expanded(self, n: int) -> dict[str, Array]:
-        """All values as arrays of their full shape."""
+        """Return all values as arrays of their full shape."""
         shapes: dict[str, tuple[int, ...]] = {"friction_nm": (2, 6), "base_shift_m": (2, 3), "object_mass_scale": ()}
         result = {}
         for each in fields(self):
@@ -263,7 +264,7 @@ class Perturbation:
 
 
 def _plain(values: Any) -> Any:
-    """Numbers as they are, nested lists as nested tuples."""
+    """Convert nested lists to nested tuples."""
     return tuple(map(_plain, values)) if isinstance(values, list) else values
 
 
@@ -274,7 +275,7 @@ TYPICAL_PERTURBATION = Perturbation(
     latency_s=0.002,
 )
 """The plant that accuracy figures called "perturbed" are measured on: masses +5 %, joint friction, lookahead +5 %,
-2 ms of latency that nobody compensates."""
+2 ms of latency that is not compensated."""
 
 
 @dataclass(frozen=True)
@@ -282,31 +283,32 @@ class CellConfig:
     """A cell, as given to `gym.make(..., cell=...)`.
 
     Attributes:
-        kind: "mujoco", the simulated cell; "emulated" or "real", two controllers of which a cell file says all.
-        left, right: Where each arm stands, and its kinematics.
+        kind: "mujoco", the simulated cell; "emulated" or "real", two controllers that a cell file describes.
+        left, right: Mount and kinematics of each arm.
         servoj: Controller family and servoj settings of both arms.
         timestep_s: Physics step; it must divide the controller's tick. None: what the task needs.
         gains: Joint servos, a name of `dual_ur10.assets.settings.GAINS`. None: what the task needs.
-        minimum_clearance_m: Smallest distance between two bodies that the safety gate lets the arms come to.
-        perturbation: How the simulated plant differs from what is believed of it.
+        minimum_clearance_m: Smallest distance between two bodies that the safety gate allows.
+        perturbation: Deviation of the simulated plant from the nominal model.
         meshes: Draw real meshes, if the package example-robot-data is installed.
-        speed_rad_s: Joint speed that no task's targets may exceed here; None: as the task says.
-        tcp_speed_m_s: Speed of flange, elbow and tool centre point that no task's targets may exceed here; None: as the
-            task says.
-        tcp_m: Tool centre point of the left and the right arm in its flange's frame, whose speed is limited, too;
-            zeros: at the flange.
-        acceleration_rad_s2, jerk_rad_s3: Likewise of the joints.
-        measured_lookahead_s: Lookahead with which the law of `servoj` moves as both arms do, which the lag compensation
-            takes out; None: that of `servoj`.
-        speed_factor: How fast the time of a task passes on two controllers, above 0 and at most 1. What targets may
-            not exceed, they may not exceed in real time.
-        obstacles: What stands in the workspace; see `dual_ur10.assets.obstacles`.
-        uncertainty: How well the place of each base is known, (m, rad) for left and right: all distances that depend on
-            it are kept the larger.
+        speed_rad_s: Cap on the joint speed of any task's targets; None: the task's own limit.
+        tcp_speed_m_s: Cap on the speed of flange, elbow and tool centre point of any task's targets; None: the task's
+            own limit.
+        tcp_m: Tool centre point of the left and the right arm in the flange frame; its speed is limited, too. Zeros:
+            at the flange.
+        acceleration_rad_s2, jerk_rad_s3: Likewise for the joints.
+        measured_lookahead_s: Lookahead with which the law of `servoj` moves as both arms do, for the lag compensation;
+            None: that of `servoj`.
+        speed_factor: Speed of a task's clock on two controllers relative to real time, above 0 and at most 1. Limits
+            hold in real time.
+        obstacles: Obstacles in the workspace; see `dual_ur10.assets.obstacles`.
+        uncertainty: Uncertainty of the pose of each base, (m, rad) for left and right; the clearances that depend on it
+            are larger by it.
         file: The cell file of two controllers; None in simulation.
-        wrench_noise: Standard deviation of the force (N) and torque (N·m) that simulated controllers report. A CB3
-            reads them from its motors' currents. To what two controllers measure, nothing is added.
-        hands: Whether grippers are mounted, also where a task has no use for them: distances are measured with them.
+        wrench_noise: Standard deviation of the force (N) and torque (N·m) that simulated controllers report: a CB3
+            estimates them from motor currents. Nothing is added to the measurements of two controllers.
+        grippers_mounted: True if grippers are mounted even though the task does not use them: the safety gate measures
+            distances with them.
         equipment: Grippers and what they handle; set by the task.
 
     Raises:
@@ -334,7 +336,7 @@ class CellConfig:
     uncertainty: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
     file: CellFile | None = None
     wrench_noise: tuple[float, float] = (2.0, 0.2)
-    hands: bool = False
+    grippers_mounted: bool = False
     equipment: Equipment = field(default_factory=Equipment)
 
     def __post_init__(self) -> None:
@@ -370,7 +372,7 @@ class CellConfig:
         if not 0.0 < _number("speed_factor", self.speed_factor) <= 1.0:
             raise SettingsError(f"speed_factor of the cell is {self.speed_factor!r}: it must be above 0 and at most 1")
         if (self.kind == "mujoco") is not (self.file is None):
-            raise SettingsError(f"a cell of kind {self.kind!r} is made of a cell file: pass its path as `cell`")
+            raise SettingsError(f"a cell of kind {self.kind!r} needs a cell file: pass its path as `cell`")
         checked_base_uncertainty(self.uncertainty)
         object.__setattr__(self, "tcp_m", checked_tcp(self.tcp_m))
         noise = self.wrench_noise
@@ -396,12 +398,12 @@ class CellConfig:
 
     @property
     def measured_scene(self) -> SceneSettings:
-        """The scene in which distances are measured: with the hands that are there, whatever the task needs."""
+        """The scene of the collision model, with the mounted grippers even if the task does not use them."""
         scene = self.scene
-        return replace(scene, equipment=replace(scene.equipment, grippers=True)) if self.hands else scene
+        return replace(scene, equipment=replace(scene.equipment, grippers=True)) if self.grippers_mounted else scene
 
-    def furnished(self, equipment: Equipment, timestep_s: float, gains: str) -> CellConfig:
-        """This cell with a task's equipment, and its physics step and servos where the cell leaves them open."""
+    def equipped(self, equipment: Equipment, timestep_s: float, gains: str) -> CellConfig:
+        """Return this cell with a task's equipment, and its physics step and servo gains unless the cell sets them."""
         return replace(
             self,
             equipment=equipment,
@@ -410,7 +412,7 @@ class CellConfig:
         )
 
     def capped(self, limits: MotionLimits) -> MotionLimits:
-        """A task's limits, in its own time, as far as this cell allows them."""
+        """Return a task's limits, on the task's clock, tightened to those of this cell."""
         slow = self.speed_factor
 
         def cap(value: float, own: float | None, power: int) -> float:
@@ -428,7 +430,7 @@ class CellConfig:
 
     @property
     def latency_ticks(self) -> int:
-        """Action latency where none is said: what two controllers take, none in simulation."""
+        """Default action latency in ticks: that of two controllers, none in simulation."""
         return 0 if self.kind == "mujoco" else math.ceil(LATENCY_S / self.servoj.tick_s - 1e-9)
 
     @property
@@ -446,7 +448,7 @@ class CellConfig:
         return whole
 
     def with_perturbation(self, **values: Any) -> CellConfig:
-        """The same cell with some values of its perturbation changed."""
+        """Return this cell with some values of its perturbation changed."""
         changed = Perturbation.from_mapping({**self._perturbation_values(), **values})
         return replace(self, perturbation=changed)
 
@@ -455,7 +457,7 @@ class CellConfig:
 
 
 def _number(name: str, value: object) -> float:
-    """A setting as a float; NaN is not refused here.
+    """Return a setting as a float; NaN passes.
 
     Raises:
         SettingsError: It is no number.

@@ -110,7 +110,7 @@ class CellFile(Table):
         """Return this cell with some keys changed, checked again.
 
         Raises:
-            CellFileError: As of `read`.
+            CellFileError: As for `read`.
         """
         return cast(Self, self.read(super().replace(**changes).mapping(), self.source))
 
@@ -166,7 +166,7 @@ class CellFile(Table):
         return hashlib.sha256(self.text().encode()).hexdigest()
 
     def config(self) -> CellConfig:
-        """The cell as adapter, gate and simulation know it: mounts, servoj settings, caps on speeds.
+        """Return the configuration for adapter, gate and simulation: mounts, servoj settings, speed caps.
 
         Raises:
             CellFileError: The arms' families or servoj settings differ.
@@ -192,7 +192,7 @@ class CellFile(Table):
                     (self.left.base_uncertainty_m, self.left.base_uncertainty_rad),
                     (self.right.base_uncertainty_m, self.right.base_uncertainty_rad),
                 ),
-                hands=any(not isinstance(arm.gripper, NoGripper) for arm in self.arms),
+                grippers_mounted=any(not isinstance(arm.gripper, NoGripper) for arm in self.arms),
                 file=self,
                 measured_lookahead_s=self._lookahead_s(),
                 tcp_m=(self.left.tcp_position_m or ZERO, self.right.tcp_position_m or ZERO),
@@ -202,10 +202,10 @@ class CellFile(Table):
             raise _error(self.source, [str(error)]) from error
 
     def simulated(self) -> CellConfig:
-        """The simulated cell that is like this one, with the lookahead and latency that were measured of its arms.
+        """Return the simulated cell of the same configuration, with the measured lookahead and latency of its arms.
 
         Raises:
-            CellFileError: As of `config`.
+            CellFileError: As for `config`.
         """
         scales, latencies = [], []
         for arm in self.arms:
@@ -220,7 +220,7 @@ class CellFile(Table):
         return replace(self.config(), kind="mujoco", file=None, perturbation=known)
 
     def _lookahead_s(self) -> float | None:
-        """Mean of both arms, which one adapter leads; None: nothing was measured."""
+        """Mean of both arms, as one adapter serves both; None: nothing was measured."""
         if all(arm.measured.lookahead_s is None for arm in self.arms):
             return None
         return math.fsum(arm.measured.lookahead_s or arm.servoj.lookahead_s for arm in self.arms) / len(self.arms)
@@ -232,7 +232,7 @@ class CellFile(Table):
         return min(said, default=None)
 
     def notes(self) -> list[str]:
-        """What is legal and deserves a look before real arms move, a line each."""
+        """Return what is legal and deserves attention before real arms move, a line each."""
         if self.kind == "emulated":
             return []
         notes = []
@@ -240,22 +240,22 @@ class CellFile(Table):
             if arm.mount.dh.is_nominal:
                 notes.append(f"{name}.calibration is the nominal UR10's: flange poses may be off by some millimetres")
             if arm.calibration.checksum is None:
-                notes.append(f"{name}.calibration.checksum is not said: another calibration would not be noticed")
+                notes.append(f"{name}.calibration.checksum is missing: another calibration would not be noticed")
             if arm.serial_number is None:
-                notes.append(f"{name}.serial_number is not said: swapped arms may not be noticed")
+                notes.append(f"{name}.serial_number is missing: swapped arms may not be noticed")
             if arm.safety_checksum is None:
-                notes.append(f"{name}.safety_checksum is not said: other safety settings would not be noticed")
+                notes.append(f"{name}.safety_checksum is missing: other safety settings would not be noticed")
             if not (arm.base_uncertainty_m and arm.base_uncertainty_rad):
-                notes.append(f"{name}.base_uncertainty_m or _rad is 0: no base is where it is believed to be")
+                notes.append(f"{name}.base_uncertainty_m or _rad is 0: no base stands exactly at its nominal pose")
             if isinstance(arm.gripper, NoGripper) and any(arm.tcp_position_m or ZERO):
                 notes.append(
-                    f"{name}.tcp_position_m is not at the flange and {name}.gripper is none: what is mounted "
-                    "there does not exist for the safety gate"
+                    f"{name}.tcp_position_m is not at the flange and {name}.gripper is none: the safety gate "
+                    "does not know of a tool that is mounted there"
                 )
             for limited, (first, unit) in _FIRST.items():
                 limit = getattr(arm.limits, limited)
                 if limit is None:
-                    notes.append(f"{name}.limits.{limited} is not said: first runs are made at {first:g} {unit}")
+                    notes.append(f"{name}.limits.{limited} is missing: first runs are made at {first:g} {unit}")
                 elif limit > first:
                     notes.append(f"{name}.limits.{limited} is {limit:g}: first runs are made at {first:g} {unit}")
         if not self.commissioned:
@@ -282,19 +282,19 @@ class Examination(NamedTuple):
 
 
 def examine(path: str | Path) -> Examination:
-    """Read a cell file and find all that is wrong with it.
+    """Read a cell file and collect all its errors.
 
     Raises:
-        CellFileError: It cannot be read at all.
+        CellFileError: The file cannot be read at all.
     """
     return examine_text(_text_of(path), str(path))
 
 
 def examine_text(text: str, source: str = "the cell file") -> Examination:
-    """The same of a text.
+    """Examine the text of a cell file.
 
     Raises:
-        CellFileError: It is no TOML.
+        CellFileError: The text is no TOML.
     """
     for row, line in enumerate(text.split("\n"), start=1):
         # Python's reader takes half a minute for a key of thirty thousand parts.
@@ -313,8 +313,8 @@ def load_cell_file(path: str | Path) -> CellFile:
     """Read a cell file.
 
     Raises:
-        CellFileError: It cannot be read, or says something that is not legal. The message names the file, the key,
-            what was found, what is allowed and what to do.
+        CellFileError: The file cannot be read or is not legal. The message names the file, the key, what was found,
+            what is allowed and what to do.
     """
     cell, findings = examine(path)
     if cell is None:

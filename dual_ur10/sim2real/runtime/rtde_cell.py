@@ -88,7 +88,7 @@ class RtdeCell:
         only: str | None = None,
     ) -> None:
         if config.file is None:
-            raise SettingsError("a cell of two controllers is made of a cell file: pass its path as `cell`")
+            raise SettingsError("a cell of two controllers needs a cell file: pass its path as `cell`")
         least = margin_ticks(config.servoj.tick_s) + 1
         if not (isinstance(latency_ticks, int | np.integer) and least <= latency_ticks <= MAX_LATENCY_TICKS):
             raise SettingsError(

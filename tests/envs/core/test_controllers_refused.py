@@ -216,7 +216,7 @@ def test_two_agents_are_not_refused(path):
 def test_nothing_is_added_to_what_controllers_measure(path):
     config = load_cell_file(path).config()
     core = DualArmEnv("Handover").core
-    config = config.furnished(core.config.equipment, 0.001, "compliant")
+    config = config.equipped(core.config.equipment, 0.001, "compliant")
     assert config.equipment.grippers
     assert Sensing(config, Randomization(), 0.04, 1).is_exact
     assert not Sensing(core.config, Randomization(), 0.04, 1).is_exact

@@ -230,9 +230,9 @@ def test_a_path_is_told_from_a_name(path: Path, monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.parametrize("kind", ["emulated", "real"])
 def test_a_kind_without_its_file_is_refused(kind: Any, path: Path) -> None:
-    with pytest.raises(SettingsError, match="made of a cell file"):
+    with pytest.raises(SettingsError, match="needs a cell file"):
         CellConfig(kind=kind)
-    with pytest.raises(SettingsError, match="made of a cell file"):
+    with pytest.raises(SettingsError, match="needs a cell file"):
         dataclasses.replace(resolve_cell(path), kind="mujoco")
 
 

@@ -601,9 +601,9 @@ def test_its_configuration_has_mounts_servoj_and_caps(tmp_path: Path) -> None:
 def test_hands_that_are_mounted_are_measured_whatever_the_task_needs(tmp_path: Path) -> None:
     hand = {"right__gripper": {"kind": "digital_output", "output": 16}}
     bare, handy = (loaded(tmp_path, edited(GOOD, **edits)) for edits in ({}, hand))
-    assert not bare.config().hands
-    assert handy.config().hands
-    assert handy.simulated().hands
+    assert not bare.config().grippers_mounted
+    assert handy.config().grippers_mounted
+    assert handy.simulated().grippers_mounted
     looked_at = []
     for cell in (bare, handy):
         env = DualArmEnv("SineTracking", cell=cell.simulated())
@@ -638,8 +638,8 @@ def test_notes_name_limits_that_are_not_those_of_first_runs(tmp_path: Path) -> N
     notes = [each for each in loaded(tmp_path, edited(GOOD, **edits)).notes() if "limits" in each]
     assert notes == [
         "left.limits.speed_rad_s is 0.6: first runs are made at 0.5 rad/s",
-        "right.limits.speed_rad_s is not said: first runs are made at 0.5 rad/s",
-        "right.limits.tcp_speed_m_s is not said: first runs are made at 0.25 m/s",
+        "right.limits.speed_rad_s is missing: first runs are made at 0.5 rad/s",
+        "right.limits.tcp_speed_m_s is missing: first runs are made at 0.25 m/s",
     ]
     text = "\n".join(loaded(tmp_path, GOOD).notes())
     assert "commissioned is false: no arm exceeds 0.5 rad/s and 0.25 m/s" in text

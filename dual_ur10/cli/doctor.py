@@ -19,7 +19,7 @@ _MARKS = {"ok": "[green]ok[/]", "warn": "[yellow]warn[/]", "fail": "[bold red]fa
 
 def doctor(
     file: Annotated[
-        Path | None, typer.Argument(metavar="[FILE]", help="A cell file; without one, name both addresses.")
+        Path | None, typer.Argument(metavar="FILE", help="A cell file; without one, name both addresses.")
     ] = None,
     left: Left = None,
     right: Right = None,

@@ -177,8 +177,8 @@ def _bits(name: str) -> Callable[[Any], str]:
 def _analog(arm: Any) -> str:
     known = arm.status
     outputs = [arm.values.get(f"standard_analog_output{number}") for number in range(2)]
-    told = _NONE if None in outputs else _numbers(outputs, 3)
-    return f"in {_numbers((known.analog_input0, known.analog_input1), 3)}, out {told}"
+    output = _NONE if None in outputs else _numbers(outputs, 3)
+    return f"in {_numbers((known.analog_input0, known.analog_input1), 3)}, out {output}"
 
 
 def _program(arm: Any) -> str:

@@ -108,7 +108,14 @@ def context(results: Sequence[Result]) -> dict[str, Any]:
 
 
 # Motions of the bar in the order of `MOVES`.
-_MOVED = ("moved forward", "moved sideways", "lifted", "tilted", "turned about its length", "turned about the vertical")
+_MOVED = (
+    "moved forward",
+    "moved sideways",
+    "lifted",
+    "tilted",
+    "rotated about its length",
+    "rotated about the vertical",
+)
 
 
 def instants(duration_s: float) -> list[tuple[float, str]]:
@@ -153,14 +160,14 @@ _AXES = (("x", "#D55E00"), ("y", "#009E73"), ("z", "#0072B2"))
 
 
 def carry_path(result: Result) -> str:
-    """Where the bar is, and how far from its reference, over time."""
+    """Plot position of the bar, and its distance to its reference, over time."""
     with figure(1, 2, 3.2, width_ratios=(1.15, 1)) as (_, axes, address):
         left, right = axes[0]
         position = result.trace["object_m"]
         for k, (name, color) in enumerate(_AXES):
             left.plot(result.record.time_s, 1e3 * position[:, k], color=color, label=name)
         left.set(xlabel="time (s)", ylabel="middle of the bar (mm)")
-        left.set_title("The way of the bar")
+        left.set_title("Path of the bar")
         error = 1e3 * result.trace["object_error_m"]
         begun = result.trace["clock_s"] > 0.0
         right.plot(result.record.time_s[begun], error[begun], color=INK)
@@ -175,7 +182,7 @@ def carry_path(result: Result) -> str:
 
 
 def relative_pose(results: Sequence[Result]) -> str:
-    """Error of the right flange's pose in the left one's frame, in all runs, on logarithmic scales."""
+    """Plot the error of the right flange's pose in the left one's frame, in all runs, on logarithmic scales."""
     with figure(1, 2, 3.6) as (_, axes, address):
         for axis, name, scale, unit, title in (
             (axes[0, 0], "relative_error_m", 1e3, "mm", "Position of one flange in the other's frame"),
@@ -195,7 +202,7 @@ def relative_pose(results: Sequence[Result]) -> str:
 
 
 def inner_forces(results: Sequence[Result]) -> str:
-    """What the arms do against each other, along the bar and across it."""
+    """Plot the internal forces along the bar and across it."""
     with figure(1, 2, 3.4) as (_, axes, address):
         for axis, name, title in (
             (axes[0, 0], "squeeze_n", "Along the bar: positive if they press towards each other"),
@@ -221,18 +228,18 @@ def inner_forces(results: Sequence[Result]) -> str:
 
 
 def load_and_slip(results: Sequence[Result]) -> str:
-    """How the arms share the load of the last run, and how far the bar slips in the grippers."""
+    """Plot the load ratio of both arms in the last run, and the slip of the bar in the grippers."""
     with figure(1, 2, 3.4) as (_, axes, address):
         left, right = axes[0]
         result = results[-1]
         clock = result.trace["clock_s"]
         shown = clock > 0.0
         for arm, label in enumerate(ARMS):
-            share = 100 * result.trace["load_share"][shown, arm]
-            left.plot(clock[shown], share, color=ARM_COLORS[arm], label=label, linewidth=1)
+            ratio = 100 * result.trace["load_share"][shown, arm]
+            left.plot(clock[shown], ratio, color=ARM_COLORS[arm], label=label, linewidth=1)
         left.axhline(50, color=SOFT, linewidth=0.8)
-        left.set(xlabel="time on the path (s)", ylabel="share of the load (%)", ylim=(0, 110))
-        left.set_title(f"{capital(result.case.title)}: who carries")
+        left.set(xlabel="time on the path (s)", ylabel="load ratio (%)", ylim=(0, 110))
+        left.set_title(f"{capital(result.case.title)}: load of each arm")
         left.legend(ncols=2, loc="upper right")
         for result in results:
             if result.case.name != "rigid":
@@ -251,13 +258,13 @@ def load_and_slip(results: Sequence[Result]) -> str:
 
 
 def _headroom(axis: Any, factor: float = 1.3) -> None:
-    """Room for a legend above the curves."""
+    """Make room for a legend above the curves."""
     low, high = axis.get_ylim()
     axis.set_ylim(low, high * factor if axis.get_yscale() == "log" else low + (high - low) * factor)
 
 
 def _mark_begin(axis: Any, result: Result) -> None:
-    """A line where the path begins."""
+    """Mark the beginning of the path."""
     begin = float(result.record.time_s[np.argmax(result.trace["clock_s"] > 0.0)])
     axis.axvline(begin, color=SOFT, linestyle="--", linewidth=1)
 

@@ -26,14 +26,14 @@ OnStep = Callable[[int], None]
 
 @dataclass(frozen=True)
 class Case:
-    """One way to run a task with its scripted policy.
+    """A task with its scripted policy, and keywords of its environment.
 
     Attributes:
         name: Short name.
         title: Title of its row.
         env_id: Id of the environment.
         keywords: Keywords of the environment.
-        learn: Whether the policy of SineTracking learns the arms' deviation.
+        learn: False: the policy of SineTracking does not learn the arms' deviation.
     """
 
     name: str
@@ -44,7 +44,7 @@ class Case:
 
     @property
     def nominal(self) -> bool:
-        """Whether plant and measurements are exactly those of the nominal model."""
+        """True if plant and measurements are exactly those of the nominal model."""
         cell = self.keywords.get("cell")
         return "randomization" not in self.keywords and (cell is None or cell.perturbation == Perturbation())
 
@@ -111,8 +111,8 @@ class Task:
         script: Contents of the video, from its environment.
         video: File name of the video.
         view: Keywords of the filmed environment.
-        replayed: Whether emulated controllers replay the actions of the simulation; else the policy acts there, too.
-        many: Whether a case has several episodes, of which some may be cut short. The others must be complete.
+        replayed: True: emulated controllers replay the actions of the simulation; False: the policy acts there, too.
+        many: True: a case has several episodes, which may be cut short; False: one, which must be complete.
     """
 
     name: str

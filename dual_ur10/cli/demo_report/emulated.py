@@ -1,4 +1,4 @@
-"""The tasks of the demonstration in simulation and on two emulated controllers, through `ur_rtde`.
+"""Tasks of the demonstration in simulation and on two emulated controllers, through `ur_rtde`.
 
 SineTracking is replayed on the controllers: the recorded actions of the simulated episode, whatever is measured. Where
 a gripper has to close on an object, the same policy acts on what it observes there.

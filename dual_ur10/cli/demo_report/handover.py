@@ -128,7 +128,7 @@ STAGE_COLORS = ("#CFD8DC", "#56B4E9", "#0072B2", "#009E73", "#F0E442", "#E69F00"
 
 
 def stages_over_time(results: Sequence[Result]) -> str:
-    """When each stage was under way, a bar for each episode."""
+    """Plot the stages over time, a bar for each episode."""
     with figure(1, 1, 1.5 + 0.27 * len(results)) as (_, axes, address):
         axis = axes[0, 0]
         stages = Handover.stages
@@ -157,7 +157,7 @@ def stages_over_time(results: Sequence[Result]) -> str:
 
 
 def one_handover(result: Result) -> str:
-    """Height of the block, its distance to the target and its slip over time, in one episode."""
+    """Plot height of the block, its distance to the target and its slip over time, in one episode."""
     with figure(1, 2, 3.4) as (_, axes, address):
         left, right = axes[0]
         time_s = result.record.time_s
@@ -176,7 +176,7 @@ def one_handover(result: Result) -> str:
         for arm, label in enumerate(ARMS):
             right.plot(time_s, slip[:, arm], color=ARM_COLORS[arm], label=f"{label} gripper")
         right.set(xlabel="time (s)", ylabel="slip (mm)", ylim=(0, max(0.01, 1.3 * slip.max())))
-        right.set_title("Way of the block in the gripper that holds it")
+        right.set_title("Slip of the block in the gripper that holds it")
         right.legend(ncols=2, loc="upper right")
         for axis in (left, right):
             axis.set_xlim(0, time_s[-1])

@@ -139,7 +139,7 @@ AXIS_COLORS = ("#D55E00", "#009E73", "#0072B2")
 
 
 def overview(results: Results) -> str:
-    """Flange error of the worse arm in all runs of both arms, on a logarithmic scale."""
+    """Plot the flange error of the worse arm in all runs of both arms, on a logarithmic scale."""
     with figure(1, 1, 3.8) as (_, axes, address):
         axis = axes[0, 0]
         for name, color in RUN_COLORS.items():
@@ -154,7 +154,7 @@ def overview(results: Results) -> str:
 
 
 def flange_error(results: Results) -> str:
-    """Flange error of each arm over time."""
+    """Plot the flange error of each arm over time."""
     names = ("perturbed", "perturbed_fixed", "nominal")
     with figure(len(names), 1, 6.6, sharex=True) as (_, axes, address):
         for axis, name in zip(axes[:, 0], names, strict=True):
@@ -173,7 +173,7 @@ def flange_error(results: Results) -> str:
 
 
 def distance_and_vector(results: Results) -> str:
-    """Distance between the flanges around its reference, and the error of the vector between them."""
+    """Plot the distance between the flanges around its reference, and the error of the vector between them."""
     with figure(2, 2, 5.6, sharex=True) as (_, axes, address):
         for column, name in enumerate(("perturbed", "lagging")):
             result = results[name]
@@ -196,14 +196,14 @@ def distance_and_vector(results: Results) -> str:
 
 
 def joint_speeds(results: Results, limit_rad_s: float) -> str:
-    """Joint speeds of both arms against the task's limit, in the perturbed run."""
+    """Plot joint speeds of both arms against the task's limit, in the perturbed run."""
     with figure(1, 2, 3.6, sharey=True) as (_, axes, address):
         record = results["perturbed"].record
         speed = np.gradient(record.q_rad, record.period_s, axis=0)
         for arm, axis in enumerate(axes[0]):
             for joint, name in enumerate(JOINTS):
                 label = name.removesuffix("_joint").replace("_", " ")
-                # The last wrist turns as the pan does, to keep the tool's heading: both are to be seen.
+                # The last wrist rotates as the pan does, to keep the tool's heading: dashes show both curves.
                 line = (0, (4, 4)) if joint == 5 else "-"
                 color = JOINT_COLORS[joint]
                 axis.plot(record.time_s, speed[:, arm, joint], color=color, label=label, linestyle=line)
@@ -220,7 +220,7 @@ def joint_speeds(results: Results, limit_rad_s: float) -> str:
 
 
 def skew(results: Results) -> str:
-    """Time skew between the arms, by cross-correlation of their displacements."""
+    """Plot the time skew between the arms, by cross-correlation of their displacements."""
     with figure(1, 2, 3.4, width_ratios=(1, 1.25)) as (_, axes, address):
         left, right = axes[0]
         record = results["perturbed"].record
@@ -244,7 +244,7 @@ def skew(results: Results) -> str:
 
 
 def ripple(results: Results) -> str:
-    """Difference of each flange's speed to that of its reference."""
+    """Plot the difference of each flange's speed to that of its reference."""
     with figure(1, 2, 3.2) as (_, axes, address):
         for axis, name in zip(axes[0], ("perturbed", "nominal"), strict=True):
             result = results[name]
@@ -259,7 +259,7 @@ def ripple(results: Results) -> str:
 
 
 def lag(results: Results) -> str:
-    """One period of the sine with and without compensation of the lag of `servoj`."""
+    """Plot one period of the sine with and without compensation of the lag of `servoj`."""
     with figure(1, 2, 3.4) as (_, axes, address):
         left, right = axes[0]
         time_s = results["nominal"].record.time_s
@@ -281,7 +281,7 @@ def lag(results: Results) -> str:
         left.legend(loc="upper right")
         right.set(xlabel="time (s)", ylabel="behind the reference (mm)")
         right.set_ylim(-13, 17)
-        right.set_title("What the lag costs along the axis")
+        right.set_title("Error along the axis, caused by the lag")
         right.legend(ncols=2, loc="upper right")
     return address[0]
 

@@ -26,7 +26,7 @@ class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has
 
     An episode that the safety gate, the physics or the task ends has discount 0 at its last step; one whose time runs
     out keeps 1. A step after the last one begins the next episode, whatever its action; on two controllers it is an
-    error, for arms move to where an episode begins when somebody resets them. Steps equal those of
+    error, because a reset moves the arms and needs the consent of its caller. Steps equal those of
     `dual_ur10.envs.api.dual_arm_env.DualArmEnv` bit for bit.
 
     Attributes:
@@ -51,7 +51,7 @@ class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has
         self._seed, self._over = seed, True
 
     def reset(self, *, move_to_start: bool = False) -> TimeStep:
-        """Begin an episode. The first one is drawn from the seed, each further one from where the last left off.
+        """Begin an episode. The first one is sampled from the seed, and later ones with the same generator.
 
         Args:
             move_to_start: Consent to the motion of the arms on two controllers, as for `DualArmEnv`.

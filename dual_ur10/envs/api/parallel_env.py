@@ -197,9 +197,9 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         if len(actions) != 2 or _LEFT not in actions or _RIGHT not in actions:
             missing = [arm for arm in ARMS if arm not in actions]
             extra = [agent for agent in actions if agent not in ARMS]
-            said = [f"{what} {names}" for what, names in (("without", missing), ("with unknown", extra)) if names]
+            faults = [f"{what} {names}" for what, names in (("without", missing), ("with unknown", extra)) if names]
             raise ActionError(
-                f"actions must hold one for each of {list(ARMS)}, found them {' and '.join(said)}. Nothing was sent"
+                f"actions must hold one for each of {list(ARMS)}, found them {' and '.join(faults)}. Nothing was sent"
             )
         return np.concatenate((self.check(_LEFT, actions[_LEFT]), self.check(_RIGHT, actions[_RIGHT])))
 

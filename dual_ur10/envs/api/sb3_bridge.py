@@ -60,7 +60,7 @@ class CellsVecEnv(VecEnv):
     ) -> None:
         check_options("shared", keywords)
         check_count("num_cells", num_cells)
-        # Its steps reset the cells, which are told that they will not by themselves.
+        # Steps of this class reset the cells: for two controllers that is autoreset.
         config = resolve_cell(keywords.get("cell", EnvOptions.cell))
         check_for_controllers(config, num_cells, autoreset=True, randomized=False)
         self.cells = DualArmVectorEnv(

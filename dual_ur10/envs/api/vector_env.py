@@ -116,8 +116,8 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
                 raise ResetNeededError("the first reset must be of all rows: call reset() without a reset_mask first")
             self._rngs = [seeding.np_random(each)[0] for each in seeds]
         else:
-            drawn = {row: seeding.np_random(seeds[row])[0] for row in rows.tolist() if seeds[row] is not None}
-            self._rngs = [drawn.get(row, rng) for row, rng in enumerate(self._rngs)]
+            seeded = {row: seeding.np_random(seeds[row])[0] for row in rows.tolist() if seeds[row] is not None}
+            self._rngs = [seeded.get(row, rng) for row, rng in enumerate(self._rngs)]
         observation, info = self._begin(rows, seeds[0], move_to_start=consent)
         mask = np.zeros(self.num_envs, dtype=bool)
         mask[rows] = True

@@ -17,8 +17,10 @@ from typing import Final
 from dual_ur10.errors import LinkError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.findings import (
+    NOT_REPORTED,
     ExpectedArm,
     Finding,
+    Level,
     calibration_findings,
     family_findings,
     judge,
@@ -114,14 +116,10 @@ def _distinct(left: _Arm, right: _Arm) -> Iterator[Finding]:
         found = f"{hosts}; serial numbers could not be compared"
         yield Finding("cell", "two controllers", "ok", found, "two addresses and serial numbers")
         return
-    yield judge(
-        "cell",
-        "two controllers",
-        left.serial_number != right.serial_number,
-        f"{hosts}, serial numbers {left.serial_number} and {right.serial_number}",
-        "two addresses and serial numbers",
-        "both addresses lead to one controller: give each arm the address of its own",
-    )
+    found = f"{hosts}, serial numbers {left.serial_number} and {right.serial_number}"
+    remedy = "both addresses lead to one controller: give each arm the address of its own"
+    two = left.serial_number != right.serial_number
+    yield judge("cell", "two controllers", two, found, "two addresses and serial numbers", remedy)
 
 
 def _examine(arm: _Arm) -> list[Finding]:
@@ -185,27 +183,15 @@ def _dashboard(arm: _Arm) -> Iterator[Finding]:
     with DashboardLink(arm.expected.host, arm.timeout_s, name=arm.name) as link:
         remote = link.remote_control()
         if remote is not None:
-            yield judge(
-                arm.name,
-                "remote control",
-                remote,
-                "remote" if remote else "local",
-                "remote",
-                f"switch {arm.name} to Remote Control on its pendant",
-            )
+            remedy = f"switch {arm.name} to Remote Control on its pendant"
+            yield judge(arm.name, "remote control", remote, "remote" if remote else "local", "remote", remedy)
         arm.model = link.model()
         arm.serial_number = link.serial_number()
     wanted, found = arm.expected.serial_number, arm.serial_number
     if wanted is not None:
-        yield judge(
-            arm.name,
-            "serial number",
-            found == wanted,
-            "not reported by this software" if found is None else found,
-            wanted,
-            "the arms may be swapped: correct the address or the serial number in the cell file",
-            otherwise="warn" if found is None else "fail",
-        )
+        remedy = "the arms may be swapped: correct the address or the serial number in the cell file"
+        level: Level = "warn" if found is None else "fail"
+        yield judge(arm.name, "serial number", found == wanted, found or NOT_REPORTED, wanted, remedy, otherwise=level)
 
 
 def _primary(arm: _Arm) -> Iterator[Finding]:
@@ -237,7 +223,7 @@ def _observe(link: RtdeLink, arm: _Arm) -> list[Sample]:
             return samples
         if select.select([link], [], [], 0.05)[0]:
             came = link.poll()
-            if came and not samples:
+            if came and not samples:  # these may have waited: the time counts from here
                 begin = time.monotonic()
             samples += came
 
@@ -255,15 +241,9 @@ def _registers(arm: _Arm) -> Iterator[Finding]:
     taken = [name for name, kind in zip(REGISTERS, types, strict=True) if kind == _IN_USE]
     missing = [name for name, kind in zip(REGISTERS, types, strict=True) if kind not in ("INT32", "DOUBLE", _IN_USE)]
     if missing:
-        yield Finding(
-            arm.name, "registers", "fail", f"{missing[0]} does not exist", "free", "update the controller's software"
-        )
+        found, remedy = f"{missing[0]} does not exist", "update the controller's software"
+        yield Finding(arm.name, "registers", "fail", found, "free", remedy)
         return
-    yield judge(
-        arm.name,
-        "registers",
-        not taken and number > 0,
-        f"in use: {taken[0]} and {len(taken) - 1} more" if taken else f"{len(REGISTERS)} free",
-        "free",
-        "end other programs that command this arm, and switch off EtherNet/IP, PROFINET and Modbus on the pendant",
-    )
+    found = f"in use: {taken[0]} and {len(taken) - 1} more" if taken else f"{len(REGISTERS)} free"
+    remedy = "end other programs that command this arm, and switch off EtherNet/IP, PROFINET and Modbus on the pendant"
+    yield judge(arm.name, "registers", not taken and number > 0, found, "free", remedy)

@@ -50,6 +50,7 @@ _CONFIGURATIONS_RAD = (
     (2.5, -0.2, 0.3, 0.4, 0.8, 2.0),
 )
 
+NOT_REPORTED = "not reported by this software"
 _GIVE = "add it to the cell file, so that it is compared"
 _TO_PENDANT = "correct it in the installation on the pendant, or in the cell file, whichever is wrong"
 
@@ -159,15 +160,10 @@ def expected_of(arm: ArmEntry) -> ExpectedArm:
 
 def family_findings(arm: str, expected: ExpectedArm, version: Version) -> Iterator[Finding]:
     """Check that the software is that of the family."""
-    found = "cb3" if version[0] <= 3 else "e-series"
-    yield judge(
-        arm,
-        "family",
-        found == expected.family,
-        f"{found}, software {'.'.join(map(str, version))}",
-        expected.family,
-        "correct the address or the family in the cell file",
-    )
+    family = "cb3" if version[0] <= 3 else "e-series"
+    found = f"{family}, software {'.'.join(map(str, version))}"
+    remedy = "correct the address or the family in the cell file"
+    yield judge(arm, "family", family == expected.family, found, expected.family, remedy)
 
 
 def model_findings(arm: str, expected: ExpectedArm, model: str | None, robot_type: int | None) -> Iterator[Finding]:
@@ -190,69 +186,38 @@ def model_findings(arm: str, expected: ExpectedArm, model: str | None, robot_typ
 
 def state_findings(arm: str, status: ArmStatus) -> Iterator[Finding]:
     """Check that a program could move the arm, and that none does yet."""
-    yield judge(
-        arm,
-        "robot mode",
-        status.robot_mode == RobotMode.RUNNING,
-        mode_name(RobotMode, status.robot_mode),
-        "7 (RUNNING)",
-        "power the arm on and release its brakes at the pendant",
-    )
-    yield judge(
-        arm,
-        "safety mode",
-        status.safety_mode == SafetyMode.NORMAL,
-        mode_name(SafetyMode, status.safety_mode),
-        "1 (NORMAL)",
-        "find the cause, and clear it at the pendant or at the button or gate",
-    )
+    running, normal = status.robot_mode == RobotMode.RUNNING, status.safety_mode == SafetyMode.NORMAL
+    remedy = "power the arm on and release its brakes at the pendant"
+    yield judge(arm, "robot mode", running, mode_name(RobotMode, status.robot_mode), "7 (RUNNING)", remedy)
+    remedy = "find the cause, and clear it at the pendant or at the button or gate"
+    yield judge(arm, "safety mode", normal, mode_name(SafetyMode, status.safety_mode), "1 (NORMAL)", remedy)
     reason = stop_reason(status, playing=False)
-    known = status.robot_mode != RobotMode.RUNNING or status.safety_mode != SafetyMode.NORMAL
-    if reason is not None and not known:
-        yield Finding(
-            arm, "status bits", "fail", reason, "none of a stop", "find the cause, and clear it at the pendant"
-        )
-    yield judge(
-        arm,
-        "program",
-        status.runtime_state == RuntimeState.STOPPED,
-        mode_name(RuntimeState, status.runtime_state),
-        "1 (STOPPED)",
-        "stop the program at the pendant, and end other programs that use this arm",
-    )
-    yield judge(
-        arm,
-        "speed slider",
-        status.slider >= FULL,
-        f"{100 * status.slider:.0f} %",
-        "100 %",
-        "move the slider on the pendant to 100 %; speed_factor in the cell file makes both arms slower together",
-    )
+    if reason is not None and running and normal:
+        remedy = "find the cause, and clear it at the pendant"
+        yield Finding(arm, "status bits", "fail", reason, "none of a stop", remedy)
+    stopped, found = status.runtime_state == RuntimeState.STOPPED, mode_name(RuntimeState, status.runtime_state)
+    remedy = "stop the program at the pendant, and end other programs that use this arm"
+    yield judge(arm, "program", stopped, found, "1 (STOPPED)", remedy)
+    remedy = "move the slider on the pendant to 100 %; speed_factor in the cell file makes both arms slower together"
+    yield judge(arm, "speed slider", status.slider >= FULL, f"{100 * status.slider:.0f} %", "100 %", remedy)
     fastest = max(map(abs, status.qd_rad_s))
-    yield judge(
-        arm,
-        "at rest",
-        fastest < REST_RAD_S,
-        f"{fastest:.4f} rad/s",
-        f"less than {REST_RAD_S:g} rad/s",
-        "wait until it stops; check what moves it",
-    )
+    found, wanted = f"{fastest:.4f} rad/s", f"less than {REST_RAD_S:g} rad/s"
+    yield judge(arm, "at rest", fastest < REST_RAD_S, found, wanted, "wait until it stops; check what moves it")
 
 
 def tool_findings(arm: str, expected: ExpectedArm, status: ArmStatus) -> Iterator[Finding]:
     """Check that the controller is set to the same tool and payload."""
     found = status.tcp_offset
-    text = "not reported by this software" if found is None else _row(found, "m, rad")
+    text = NOT_REPORTED if found is None else _row(found, "m, rad")
     if expected.tcp is None or found is None:
         yield Finding(arm, "TCP", "warn", text, "", _GIVE if found is not None else "check it at the pendant")
     else:
         off_m = float(np.linalg.norm(np.subtract(found[:3], expected.tcp[:3])))
         off_rad = _angle(found[3:], expected.tcp[3:])
-        yield judge(
-            arm, "TCP", off_m <= _TCP_M and off_rad <= _TCP_RAD, text, _row(expected.tcp, "m, rad"), _TO_PENDANT
-        )
+        good = off_m <= _TCP_M and off_rad <= _TCP_RAD
+        yield judge(arm, "TCP", good, text, _row(expected.tcp, "m, rad"), _TO_PENDANT)
     mass, cog = status.payload_kg, status.payload_cog_m
-    text = "not reported by this software" if mass is None or cog is None else f"{mass:.3f} kg at {_row(cog, 'm')}"
+    text = NOT_REPORTED if mass is None or cog is None else f"{mass:.3f} kg at {_row(cog, 'm')}"
     if expected.payload_kg is None or mass is None or cog is None:
         yield Finding(arm, "payload", "warn", text, "", _GIVE if mass is not None else "check it at the pendant")
         return
@@ -278,45 +243,28 @@ def calibration_findings(arm: str, expected: ExpectedArm, facts: PrimaryFacts) -
         yield Finding(arm, "calibration", "warn", f"{text} the nominal UR10's", "", _GIVE)
     else:
         of = "the nominal UR10's, which the cell file uses" if expected.dh.is_nominal else "that of the cell file"
-        yield judge(
-            arm,
-            "calibration",
-            error_m <= OTHER_CALIBRATION_M,
-            f"{text} {of}",
-            f"at most {1e3 * OTHER_CALIBRATION_M:g} mm",
-            remedy,
-            otherwise="fail" if error_m > WRONG_CALIBRATION_M else "warn",
-        )
+        good, most = error_m <= OTHER_CALIBRATION_M, f"at most {1e3 * OTHER_CALIBRATION_M:g} mm"
+        level: Level = "fail" if error_m > WRONG_CALIBRATION_M else "warn"
+        yield judge(arm, "calibration", good, f"{text} {of}", most, remedy, otherwise=level)
     if expected.checksums is not None:
-        yield judge(
-            arm,
-            "calibration checksums",
-            facts.checksums == tuple(expected.checksums),
-            " ".join(f"{each:08x}" for each in facts.checksums),
-            " ".join(f"{each:08x}" for each in expected.checksums),
-            remedy,
-        )
+        same = facts.checksums == tuple(expected.checksums)
+        found, wanted = (" ".join(f"{each:08x}" for each in row) for row in (facts.checksums, expected.checksums))
+        yield judge(arm, "calibration checksums", same, found, wanted, remedy)
 
 
 def safety_findings(arm: str, expected: ExpectedArm, facts: PrimaryFacts) -> Iterator[Finding]:
     """Check that the safety settings are those of the risk assessment."""
     found, wanted = facts.safety_checksum, expected.safety_checksum
-    text = "not reported by this software" if found is None else f"0x{found:08x}"
+    text = NOT_REPORTED if found is None else f"0x{found:08x}"
     compare = "compare the checksum that the pendant shows with the one in your risk assessment"
     changed = "they were changed: check them at the pendant, assess the risk again, then correct the cell file"
     if wanted is None:
         remedy = compare if found is None else f"{compare}, then write safety_checksum = {text} in the cell file"
         yield Finding(arm, "safety checksum", "warn", text, "", remedy)
         return
-    yield judge(
-        arm,
-        "safety checksum",
-        found == wanted,
-        text,
-        f"0x{wanted:08x}",
-        compare if found is None else changed,
-        otherwise="warn" if found is None else "fail",
-    )
+    level: Level = "warn" if found is None else "fail"
+    remedy = compare if found is None else changed
+    yield judge(arm, "safety checksum", found == wanted, text, f"0x{wanted:08x}", remedy, otherwise=level)
 
 
 def flange_error_m(found: DHParameters, expected: DHParameters) -> float:
@@ -335,33 +283,19 @@ def stream_findings(arm: str, samples: Sequence[Sample], rate_hz: float) -> Iter
     """
     remedy = "use a wired network of its own, and check what else loads the controller and this computer"
     if len(samples) < 2 or samples[-1].timestamp_s <= samples[0].timestamp_s:
-        yield Finding(
-            arm, "RTDE rate", "fail", f"{len(samples)} samples, whose time does not advance", f"{rate_hz:g} Hz", remedy
-        )
+        found = f"{len(samples)} samples, whose time does not advance"
+        yield Finding(arm, "RTDE rate", "fail", found, f"{rate_hz:g} Hz", remedy)
         return
     times = np.array([each.timestamp_s for each in samples])
     delays = np.array([each.arrival_s for each in samples]) - times
     found_hz = (len(samples) - 1) / (times[-1] - times[0])
-    yield judge(
-        arm,
-        "RTDE rate",
-        found_hz >= 0.99 * rate_hz,
-        f"{found_hz:.1f} Hz",
-        f"{rate_hz:g} Hz",
-        remedy,
-        otherwise="fail" if found_hz < 0.9 * rate_hz else "warn",
-    )
-    jitter_s = float(delays.max() - delays.min())
-    most_s = 1.0 / rate_hz
-    yield judge(
-        arm,
-        "RTDE jitter",
-        jitter_s <= most_s,
-        f"{1e3 * jitter_s:.1f} ms",
-        f"at most {1e3 * most_s:g} ms",
-        remedy,
-        otherwise="fail" if jitter_s > _MOST_JITTER_S else "warn",
-    )
+    good, found = found_hz >= 0.99 * rate_hz, f"{found_hz:.1f} Hz"
+    level: Level = "fail" if found_hz < 0.9 * rate_hz else "warn"
+    yield judge(arm, "RTDE rate", good, found, f"{rate_hz:g} Hz", remedy, otherwise=level)
+    jitter_s, most_s = float(delays.max() - delays.min()), 1.0 / rate_hz
+    found, most = f"{1e3 * jitter_s:.1f} ms", f"at most {1e3 * most_s:g} ms"
+    level = "fail" if jitter_s > _MOST_JITTER_S else "warn"
+    yield judge(arm, "RTDE jitter", jitter_s <= most_s, found, most, remedy, otherwise=level)
 
 
 def round_trip_findings(arm: str, round_trips_s: Sequence[float]) -> Iterator[Finding]:
@@ -372,15 +306,10 @@ def round_trip_findings(arm: str, round_trips_s: Sequence[float]) -> Iterator[Fi
         round_trips_s: Measured times, at least one.
     """
     median, worst = float(np.median(round_trips_s)), max(round_trips_s)
-    yield judge(
-        arm,
-        "round trip",
-        worst <= MOST_ROUND_TRIP_S,
-        f"{1e3 * median:.2f} ms, at worst {1e3 * worst:.2f} ms of {len(round_trips_s)}",
-        f"at most {1e3 * MOST_ROUND_TRIP_S:g} ms",
-        "use a wired network of its own, without routers",
-        otherwise="fail" if median > MOST_ROUND_TRIP_S else "warn",
-    )
+    found = f"{1e3 * median:.2f} ms, at worst {1e3 * worst:.2f} ms of {len(round_trips_s)}"
+    most, remedy = f"at most {1e3 * MOST_ROUND_TRIP_S:g} ms", "use a wired network of its own, without routers"
+    level: Level = "fail" if median > MOST_ROUND_TRIP_S else "warn"
+    yield judge(arm, "round trip", worst <= MOST_ROUND_TRIP_S, found, most, remedy, otherwise=level)
 
 
 def _angle(first: Sequence[float], second: Sequence[float]) -> float:

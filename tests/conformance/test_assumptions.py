@@ -35,7 +35,7 @@ def test_every_assumption_has_a_test_or_a_reason_why_not():
 
 
 @pytest.mark.assumption("output_registers_persist")
-def test_output_registers_keep_their_values_when_a_program_ends(controller, token):
+def test_output_registers_outlast_a_program(controller, token):
     with controller.rtde(TRACE) as rtde:
         controller.call(
             f"write_output_integer_register(10, {token})\nwrite_output_float_register(10, {token} / 2)\n"
@@ -81,7 +81,7 @@ def test_a_watchdog_that_is_not_fed_acts(controller, action, state):
     assert ended - begin > 0.9 / WATCHED_HZ
 
 
-def test_a_program_without_a_watchdog_goes_on(controller):
+def test_a_program_without_a_watchdog_continues(controller):
     with controller.rtde(TRACE) as rtde:
         controller.call(WATCHDOG.format(action="ignore"))
         begin = rtde.until(lambda now: now["runtime_state"] == 2, "the program to run")[-1]["timestamp"]
@@ -91,7 +91,7 @@ def test_a_program_without_a_watchdog_goes_on(controller):
 
 @pytest.mark.assumption("infinite_loop_steps")
 @pytest.mark.parametrize("share", [0.9, 3.0])
-def test_a_program_may_run_so_many_statements_in_a_control_period(controller, token, share):
+def test_a_control_period_has_a_budget_of_statements(controller, token, share):
     # Two statements of a turn count: the assignment, and the turn itself.
     turns = int(share * controller.assumed.infinite_loop_steps / 2)
     with controller.rtde(TRACE) as rtde:

@@ -66,7 +66,7 @@ def test_a_greeting_comes_first(controller):
 
 
 @pytest.mark.parametrize(("command", "answer", "e_series", "cb3"), COMMANDS, ids=[each[0] for each in COMMANDS])
-def test_a_command_is_answered_by_its_line_where_it_exists(controller, command, answer, e_series, cb3):
+def test_a_command_is_answered_where_it_exists(controller, command, answer, e_series, cb3):
     with Dashboard(controller.host) as dashboard:
         line = dashboard.ask(command)
         assert dashboard.silent
@@ -77,7 +77,7 @@ def test_a_command_is_answered_by_its_line_where_it_exists(controller, command, 
 
 
 @pytest.mark.parametrize("family", list(PROFILES))
-def test_every_command_of_the_emulated_dashboard_is_tried_or_left_out_for_a_reason(family):
+def test_every_dashboard_command_is_tested_or_excluded(family):
     known = command_server.Dashboard(PROFILES[family], MagicMock()).commands
     tried = " ".join(each[0].lower() for each in COMMANDS)
     assert {each for each in known if each not in tried} == {
@@ -87,13 +87,13 @@ def test_every_command_of_the_emulated_dashboard_is_tried_or_left_out_for_a_reas
 
 
 @pytest.mark.parametrize("line", ["dance", "robotmodes", "safety mode", "power", "42", "unlock"])
-def test_what_is_no_command_is_not_understood(controller, line):
+def test_unknown_commands_are_not_understood(controller, line):
     with Dashboard(controller.host) as dashboard:
         assert dashboard.ask(line).startswith("could not understand")
         assert dashboard.ask("robotmode") == "Robotmode: RUNNING"
 
 
-def test_commands_are_answered_in_their_order_however_they_arrive(controller):
+def test_commands_are_answered_in_order(controller):
     with Dashboard(controller.host) as dashboard:
         dashboard.send(b"robotmode\nrunning\nsafetymode\nrobot")
         assert dashboard.line() == "Robotmode: RUNNING"
@@ -111,7 +111,7 @@ def test_quit_ends_the_connection_and_no_other(controller):
         assert other.ask("robotmode") == "Robotmode: RUNNING"
 
 
-def test_it_tells_of_the_same_program_as_rtde(controller):
+def test_the_dashboard_reports_the_same_program_as_rtde(controller):
     controller.call("while True:\n sync()\nend")
     with Dashboard(controller.host) as dashboard, controller.rtde() as rtde:
         rtde.until(lambda now: now["runtime_state"] == 2, "the program to run")
@@ -132,7 +132,7 @@ def test_it_tells_of_the_same_program_as_rtde(controller):
 @pytest.mark.moves
 @pytest.mark.assumption("power_on_s")
 @pytest.mark.assumption("brake_release_s")
-def test_power_comes_in_steps_that_take_at_least_as_long_as_assumed(controller):
+def test_powering_up_takes_at_least_the_assumed_time(controller):
     with Dashboard(controller.host) as dashboard, Rtde(controller.host) as rtde:
         rtde.outputs("timestamp,robot_mode,robot_status_bits")
         rtde.start()
@@ -159,7 +159,7 @@ def test_power_comes_in_steps_that_take_at_least_as_long_as_assumed(controller):
         assert power_s < controller.assumed.power_on_s + 2 * controller.tick_s
 
 
-def test_many_connections_are_served_beside_each_other(controller):
+def test_many_connections_are_served_concurrently(controller):
     clients = [Dashboard(controller.host) for _ in range(8)]
     try:
         for client in clients:

@@ -52,7 +52,7 @@ def test_the_version_comes_first(controller, port):
 
 
 @PORTS
-def test_every_state_is_made_of_known_sub_packages_of_the_right_sizes(controller, port):
+def test_every_state_has_known_sub_packages(controller, port):
     with Primary(controller.host, port) as primary:
         states = [primary.state() for _ in range(3)]
     for state in states:
@@ -86,7 +86,7 @@ def state_with_rtde(controller, names):
     return state, package
 
 
-def test_the_robot_mode_data_agree_with_rtde_at_rest_and_while_a_program_runs(controller):
+def test_the_robot_mode_data_agree_with_rtde(controller):
     names = "robot_mode,runtime_state,safety_mode,target_speed_fraction,speed_scaling"
     for running in (False, True):
         if running:

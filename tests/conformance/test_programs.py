@@ -10,7 +10,7 @@ INT, OTHER_INT, DOUBLE = TRACE.split(",")[2:]
 
 
 @pytest.mark.parametrize("port", [PRIMARY, SECONDARY, REALTIME])
-def test_a_program_writes_output_registers_that_rtde_tells(controller, token, port):
+def test_programs_write_output_registers_for_rtde(controller, token, port):
     text = (
         f"def conformance():\n  write_output_integer_register(10, {-token})\n"
         f"  write_output_float_register(10, {token} / 8)\n  write_output_integer_register(11, {token})\nend\n"
@@ -28,7 +28,7 @@ def test_a_line_is_a_program(controller, token):
         rtde.until(lambda now: now[INT] == token, "the line to be run")
 
 
-def test_a_program_reads_the_inputs_that_rtde_writes(controller, token):
+def test_programs_read_inputs_from_rtde(controller, token):
     with controller.rtde(TRACE) as rtde:
         recipe, _ = rtde.inputs("input_int_register_20,input_double_register_20")
         rtde.write(recipe, token, token / 4)
@@ -50,7 +50,7 @@ def test_a_program_reads_the_inputs_that_rtde_writes(controller, token):
     ],
     ids=["no expression", "a bracket that stays open", "an unknown function"],
 )
-def test_a_program_that_cannot_be_read_does_not_run_and_the_next_one_does(controller, token, wrong):
+def test_an_invalid_program_does_not_run_but_the_next_one_does(controller, token, wrong):
     with controller.rtde(TRACE) as rtde:
         controller.call(wrong.format(bad=-token))
         controller.call(f"write_output_integer_register(11, {token})")
@@ -85,7 +85,7 @@ def test_textmsg_arrives_on_the_primary_interface(controller, token):
     pytest.fail(f"only {texts} came")
 
 
-def test_a_secondary_program_runs_beside_and_ends_nothing(controller, token):
+def test_a_secondary_program_runs_concurrently(controller, token):
     with controller.rtde(TRACE) as rtde:
         controller.call("i = 0\nwhile True:\n i = i + 1\n write_output_integer_register(10, i)\n sync()\nend")
         rtde.until(lambda now: now["runtime_state"] == 2, "the program to run")
@@ -128,7 +128,7 @@ def test_a_program_plays_and_then_has_stopped(controller, token):
     assert [state for state in states(seen) if state != 0] == [1, 2, 1]
 
 
-def test_robot_bits_tell_whether_a_program_runs(controller):
+def test_robot_bits_report_a_running_program(controller):
     with controller.rtde("runtime_state,robot_status_bits") as rtde:
         assert rtde.data()["robot_status_bits"] & 0b11 == 0b01
         controller.call("while True:\n sync()\nend")
@@ -146,7 +146,7 @@ def test_sync_is_one_control_period(controller):
     assert ticks > 90
 
 
-def test_sleep_is_as_long_as_it_says(controller):
+def test_sleep_has_its_duration(controller):
     with controller.rtde(TRACE) as rtde:
         controller.call(
             "write_output_integer_register(10, -1)\nsleep(0.2)\nwrite_output_integer_register(10, -2)\nsync()"
@@ -156,7 +156,7 @@ def test_sleep_is_as_long_as_it_says(controller):
     assert last - first == pytest.approx(0.2, abs=1.5 * controller.tick_s)
 
 
-def test_threads_run_beside_each_other(controller, token):
+def test_threads_run_concurrently(controller, token):
     with controller.rtde(TRACE) as rtde:
         controller.call(
             "thread other():\n  j = 0\n  while True:\n    j = j + 1\n    write_output_integer_register(11, j)\n"
@@ -187,7 +187,7 @@ def test_a_program_that_never_ended_is_not_run(controller, token):
     assert -token not in [each[INT] for each in seen]
 
 
-def test_the_program_knows_what_rtde_tells(controller):
+def test_programs_and_rtde_report_the_same_values(controller):
     names = "timestamp,runtime_state,actual_q,actual_TCP_pose," + ",".join(
         f"output_double_register_{i}" for i in range(12)
     )

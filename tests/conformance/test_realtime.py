@@ -48,7 +48,7 @@ def test_a_packet_comes_every_control_period(controller):
     assert sum(round(each) == 1 for each in periods) >= 54
 
 
-def test_it_tells_what_rtde_tells(controller):
+def test_packets_agree_with_rtde(controller):
     for packet, package in matched(controller, SHARED):
         assert max(pose_distance(packet["actual_TCP_pose"], package["actual_TCP_pose"])) < 2e-3
         for name in set(SHARED) - {"actual_TCP_pose"}:
@@ -56,7 +56,7 @@ def test_it_tells_what_rtde_tells(controller):
             assert packet[name] == pytest.approx(package[name], abs=1e-3), name
 
 
-def test_it_tells_of_a_running_program(controller):
+def test_packets_report_a_running_program(controller):
     controller.call("while True:\n sync()\nend")
     with Realtime(controller.host) as realtime:
         for _ in range(1000):
@@ -65,7 +65,7 @@ def test_it_tells_of_a_running_program(controller):
     pytest.fail("no packet said that the program runs")
 
 
-def test_a_client_that_does_not_read_harms_nobody(controller):
+def test_a_client_that_does_not_read_disturbs_no_other(controller):
     with Realtime(controller.host), controller.rtde("timestamp") as rtde:
         first = rtde.data()["timestamp"]
         rtde.until(lambda now: now["timestamp"] > first + 100 * controller.tick_s, "time to pass")

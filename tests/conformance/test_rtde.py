@@ -33,7 +33,7 @@ def test_the_controllers_version_is_that_of_its_dashboard(controller):
     assert version[0] == 3 if controller.family == "cb3" else version[0] >= 5
 
 
-def test_version_1_has_neither_a_frequency_nor_numbers_of_output_recipes(controller):
+def test_version_1_has_no_frequency_and_no_recipe_number(controller):
     with Rtde(controller.host, version=1) as rtde:
         assert rtde.outputs("timestamp,robot_mode,actual_q") == (None, ["DOUBLE", "INT32", "VECTOR6D"])
         assert rtde.start()
@@ -42,7 +42,7 @@ def test_version_1_has_neither_a_frequency_nor_numbers_of_output_recipes(control
     assert first["robot_mode"] == 7
 
 
-def test_unknown_outputs_are_named_and_the_connection_goes_on(controller):
+def test_unknown_outputs_are_named(controller):
     with Rtde(controller.host) as rtde:
         assert rtde.outputs("timestamp,no_such_thing,actual_q")[1] == ["DOUBLE", "NOT_FOUND", "VECTOR6D"]
         assert rtde.outputs("timestamp") == (1, ["DOUBLE"])
@@ -50,7 +50,7 @@ def test_unknown_outputs_are_named_and_the_connection_goes_on(controller):
         assert rtde.data()["timestamp"] > 0
 
 
-def test_unknown_inputs_are_named_and_take_nothing_into_use(controller):
+def test_unknown_inputs_are_named_and_claim_nothing(controller):
     with Rtde(controller.host) as one, Rtde(controller.host) as other:
         number, types = one.inputs(f"{INPUT},no_such_thing")
         assert number == 0
@@ -58,7 +58,7 @@ def test_unknown_inputs_are_named_and_take_nothing_into_use(controller):
         assert other.inputs(INPUT)[1] == ["INT32"]
 
 
-def test_an_input_belongs_to_one_connection_until_that_ends(controller):
+def test_an_input_belongs_to_one_connection(controller):
     with Rtde(controller.host) as one:
         number, types = one.inputs(f"{INPUT},{OTHERS[1]}")
         assert (number, types) == (1, ["INT32", "DOUBLE"])
@@ -74,7 +74,7 @@ def test_an_input_belongs_to_one_connection_until_that_ends(controller):
         assert number > 0
 
 
-def test_a_comma_at_the_end_of_a_list_names_nothing(controller):
+def test_a_trailing_comma_names_nothing(controller):
     with Rtde(controller.host) as rtde:
         assert rtde.outputs("timestamp,robot_mode,") == (1, ["DOUBLE", "INT32"])
         assert rtde.inputs(f"{INPUT},") == (1, ["INT32"])
@@ -106,7 +106,7 @@ def test_a_package_comes_every_control_period(controller):
 
 
 @pytest.mark.parametrize("hz", [25.0, 12.5, 1e6])
-def test_packages_come_as_seldom_as_asked_for(controller, hz):
+def test_packages_have_the_requested_frequency(controller, hz):
     period = max(1 / hz, controller.tick_s)
     with controller.rtde("timestamp", hz=hz) as rtde:
         times = [rtde.data()["timestamp"] for _ in range(6)]
@@ -115,7 +115,7 @@ def test_packages_come_as_seldom_as_asked_for(controller, hz):
     assert periods[0] > period - 1e-6
 
 
-def test_short_and_long_packages_are_taken_as_far_as_they_go(controller, token):
+def test_short_and_long_packages_are_applied_partly(controller, token):
     with controller.rtde(f"{INPUT},{OTHERS[0]}") as rtde:
         recipe, _ = rtde.inputs(f"{INPUT},{OTHERS[0]}")
         rtde.write(recipe, token, -token)
@@ -126,14 +126,14 @@ def test_short_and_long_packages_are_taken_as_far_as_they_go(controller, token):
         rtde.until(lambda now: now == {INPUT: token + 2, OTHERS[0]: token + 3}, "both registers to be written")
 
 
-def test_inputs_are_taken_from_a_connection_that_was_not_started(controller, token):
+def test_inputs_need_no_start(controller, token):
     with Rtde(controller.host) as writer, controller.rtde(INPUT) as reader:
         recipe, _ = writer.inputs(INPUT)
         writer.write(recipe, token)
         reader.until(lambda now: now[INPUT] == token, "a register to be written")
 
 
-def test_requests_may_come_in_pieces_and_many_at_once(controller):
+def test_requests_arrive_in_any_pieces(controller):
     with Rtde(controller.host) as rtde:
         request = struct.pack(">HB", 3, wire.URCONTROL)
         answers = [rtde.request(wire.URCONTROL)]
@@ -147,7 +147,7 @@ def test_requests_may_come_in_pieces_and_many_at_once(controller):
     assert len(set(answers)) == 1
 
 
-def test_a_package_for_a_recipe_that_was_not_set_up_harms_no_other_client(controller):
+def test_a_package_of_an_unknown_recipe_disturbs_no_other_client(controller):
     with controller.rtde("timestamp") as other, Rtde(controller.host) as rtde:
         rtde.frame(wire.DATA, struct.pack(">Bi", 77, 1))
         before = other.data()["timestamp"]

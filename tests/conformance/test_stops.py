@@ -52,7 +52,7 @@ def stopped(rtde):
 
 @pytest.mark.assumption("protective_stop_pauses")
 @pytest.mark.assumption("unlock_wait_s")
-def test_a_protective_stop_cannot_be_unlocked_at_once_and_then_the_program_can_go_on(controller, token):
+def test_a_protective_stop_can_be_unlocked_only_later(controller, token):
     registers = "output_int_register_10,output_int_register_11"
     with (
         controller.rtde(f"{TRACE},{registers}") as rtde,
@@ -98,7 +98,7 @@ def test_a_protective_stop_cannot_be_unlocked_at_once_and_then_the_program_can_g
 
 
 @pytest.mark.assumption("starved_ticks")
-def test_a_program_that_leaves_a_moving_arm_alone_stops_it_protectively(controller, token):
+def test_a_program_must_not_abandon_a_moving_arm(controller, token):
     register = "output_int_register_10"
     with controller.rtde(f"{TRACE},{register}") as rtde:
         wait = f"write_output_integer_register(10, {token})\nn = 0\nwhile n < 30:\n sync()\n n = n + 1\nend\nstopj(4)\n"
@@ -138,7 +138,7 @@ def test_a_program_may_be_late_by_a_control_period(controller):
 
 @pytest.mark.assumption("servoj_jump_factor")
 @pytest.mark.parametrize("share", [0.9, 1.15])
-def test_a_servoj_target_may_be_so_far_away(controller, share):
+def test_servoj_targets_have_the_assumed_largest_jump(controller, share):
     lookahead_s = 0.03
     reach = controller.assumed.servoj_jump_factor * 3.1416 * (lookahead_s + controller.tick_s)
     with controller.rtde(TRACE) as rtde:

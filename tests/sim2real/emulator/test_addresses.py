@@ -71,7 +71,7 @@ def test_taken_addresses_are_not_found(monkeypatch):
         free_address()
 
 
-def test_where_loopback_has_one_address_the_search_says_so(monkeypatch):
+def test_the_search_reports_a_single_loopback_address(monkeypatch):
     def none(host):
         raise AddressError(f"{host} does not exist on this machine")
 
@@ -88,7 +88,7 @@ def test_a_cell_that_does_not_start_holds_no_address():
         assert is_free(left)
 
 
-def test_a_cell_has_the_addresses_that_it_is_given_and_frees_them():
+def test_a_cell_uses_and_frees_its_addresses():
     left, right = free_address(), free_address()
     cell = Cell(left=left, right=right)
     try:

@@ -100,7 +100,7 @@ def happen(bench, name, *values):
 @pytest.mark.parametrize("family", ["cb3", "e-series"])
 @settings(max_examples=scaled(1200), deadline=None)
 @given(events=st.lists(EVENTS, max_size=40), powered=st.booleans(), resumes=st.booleans(), pauses=st.booleans())
-def test_whatever_happens_what_is_told_agrees_and_nothing_moves_that_must_not(family, events, powered, resumes, pauses):
+def test_any_events_keep_reports_consistent_and_arms_safe(family, events, powered, resumes, pauses):
     bench = Bench(family, powered=powered, safeguard_resumes=resumes, emergency_stop_pauses=pauses, unlock_wait_s=0.5)
     for event in events:
         happen(bench, *event)
@@ -159,7 +159,7 @@ def test_a_stop_pauses_and_the_arm_stands_until_play(mode):
     assert counts[0] > count
 
 
-def test_after_an_unlocked_protective_stop_a_new_program_runs():
+def test_a_new_program_runs_after_unlocking():
     bench = Bench(unlock_wait_s=0.2)
     moving(bench)
     bench.controller.safety.stop(3)
@@ -172,7 +172,7 @@ def test_after_an_unlocked_protective_stop_a_new_program_runs():
     stands(bench)  # what the old one wanted is gone
 
 
-def test_a_stop_takes_its_time_and_not_longer():
+def test_a_stop_takes_the_assumed_time():
     bench = Bench()
     moving(bench)
     bench.controller.safety.stop(3)
@@ -212,7 +212,7 @@ def test_a_grave_stop_ends_the_program_and_takes_power(mode):
     stands(bench)
 
 
-def test_a_safeguard_stop_pauses_and_goes_on():
+def test_a_safeguard_stop_pauses_and_resumes():
     bench = Bench()
     moving(bench)
     bench.controller.safety.stop(5)
@@ -232,7 +232,7 @@ def test_a_safeguard_stop_pauses_and_goes_on():
     assert off.state == RuntimeState.PAUSED
 
 
-def test_a_program_paused_by_hand_does_not_go_on_after_a_safeguard_stop():
+def test_a_manual_pause_outlasts_a_safeguard_stop():
     bench = Bench()
     moving(bench)
     bench.pendant.pause()
@@ -245,7 +245,7 @@ def test_a_program_paused_by_hand_does_not_go_on_after_a_safeguard_stop():
 
 
 @pytest.mark.parametrize("graver", [3, 99])
-def test_a_safeguard_stop_with_another_stop_does_not_go_on(graver):
+def test_a_safeguard_stop_with_another_stop_does_not_resume(graver):
     bench = Bench(unlock_wait_s=0.1)
     moving(bench)
     bench.controller.safety.stop(5)
@@ -274,7 +274,7 @@ def test_a_program_that_is_sent_during_a_stop_is_not_started(mode):
     assert bench.controller.registers.output_int[0] == 0
 
 
-def test_a_program_that_is_sent_in_the_same_period_as_a_stop_runs_no_line():
+def test_a_program_in_the_period_of_a_stop_runs_no_line():
     bench = Bench()
     bench.tick()
     bench.controller.safety.stop(3)
@@ -346,7 +346,7 @@ def test_pause_and_play_keep_the_path():
 
 
 @pytest.mark.parametrize("what", ["stop", "load", "safeguard"])
-def test_what_is_left_of_a_paused_programs_motion_is_given_up_with_it(what):
+def test_stopping_a_paused_program_drops_its_motion(what):
     bench = Bench()
     moving(bench)
     bench.pendant.pause()
@@ -416,7 +416,7 @@ def test_reduced_mode_is_half_as_fast_and_no_stop():
     assert bench.moved > 0.9 * full or np.allclose(bench.q, FAR, atol=0.05)
 
 
-def test_a_slider_at_zero_stands_and_plays():
+def test_at_slider_zero_the_arm_stands_and_the_program_plays():
     bench = Bench()
     counts = moving(bench)
     bench.controller.io.set_slider(0.0)
@@ -458,7 +458,7 @@ def test_a_jump_of_servoj_is_stopped_protectively():
 # A watchdog.
 
 
-def test_a_watchdog_that_is_not_fed_stops_the_program_after_its_period():
+def test_an_unfed_watchdog_stops_the_program():
     bench = Bench()
     bench.run(program('rtde_set_watchdog("input_int_register_0", 10, "stop")\n' + COUNT + MOVE))
     for _ in range(10):
@@ -512,7 +512,7 @@ def test_an_e_series_in_local_mode_refuses_programs():
     moving(cb3)
 
 
-def test_payload_and_tcp_change_what_is_told():
+def test_payload_and_tcp_change_reported_values():
     bench = Bench()
     bench.tick()
     before = dict(bench.controller.values)

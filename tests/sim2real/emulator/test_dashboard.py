@@ -112,7 +112,7 @@ def older(profile: ControllerProfile, minor: int) -> ControllerProfile:
         ("shutdown", "Shutting down", "shutdown"),
     ],
 )
-def test_commands_act_and_say_so(profile, line, answer, told):
+def test_commands_act_and_answer(profile, line, answer, told):
     dashboard, robot = connect(profile)
     assert dashboard.answer(line) == answer
     assert robot.told == [told]
@@ -284,7 +284,7 @@ LOCAL = {"play", "stop", "pause", "load", "load installation", "shutdown", "powe
 }
 
 
-def test_local_mode_refuses_what_moves_the_arm_and_tells_the_rest():
+def test_local_mode_refuses_commands_that_move_the_arm():
     robot = Robot()
     robot.remote_control = False
     for name in Dashboard(E_SERIES, robot).commands:
@@ -294,7 +294,7 @@ def test_local_mode_refuses_what_moves_the_arm_and_tells_the_rest():
     assert Dashboard(E_SERIES, robot).answer("is in remote control") == "false"
 
 
-def test_a_client_from_before_a_switch_to_remote_control_has_to_connect_again():
+def test_remote_control_needs_a_new_connection():
     robot = Robot()
     robot.remote_control = False
     dashboard = Dashboard(E_SERIES, robot)
@@ -321,7 +321,7 @@ def test_unknown_commands(line):
     assert robot.told == []
 
 
-def test_what_is_not_emulated_says_so():
+def test_commands_not_emulated_are_reported():
     for profile in (CB3, E_SERIES):
         dashboard, _ = connect(profile)
         assert dashboard.answer("generate flight report system") == "Error: not emulated"

@@ -77,7 +77,7 @@ def test_a_cell_ends_when_its_block_fails():
     assert gone(pids[0])
 
 
-def test_a_cell_ends_when_it_is_asked_to_and_says_so():
+def test_shutdown_ends_a_cell_and_is_reported():
     with EmulatedCell() as cell:
         cell.ask("shutdown")
         assert cell.process.wait(10.0) == 0
@@ -112,7 +112,7 @@ def test_a_cell_ends_with_the_program_that_started_it():
         starter.stdout.close()
 
 
-def test_a_cell_that_stands_still_is_named_and_goes_on(tmp_path):
+def test_a_stalled_cell_is_reported_and_continues(tmp_path):
     with EmulatedCell(log=tmp_path / "log") as cell:
         cell.ask("info")
         os.kill(cell.process.pid, signal.SIGSTOP)
@@ -160,7 +160,7 @@ def test_two_cells_at_once_are_apart(tmp_path):
         ({"left": 127}, AddressError, "127"),
     ],
 )
-def test_what_is_no_option_is_named(options, kind, text):
+def test_unknown_options_are_named(options, kind, text):
     children = len(psutil.Process().children())
     with pytest.raises(kind, match=text) as caught:
         EmulatedCell(**options)
@@ -177,7 +177,7 @@ def test_a_taken_address_is_named():
 # The cell file.
 
 
-def test_the_cell_file_says_where_the_cell_is(tmp_path):
+def test_the_cell_file_describes_the_cell(tmp_path):
     path = tmp_path / "cell.toml"
     cell = Cell(cell=str(path), family="e-series", task="Handover")
     try:
@@ -208,7 +208,7 @@ def test_other_files_are_left_alone(tmp_path, text):
     assert is_free(host)
 
 
-def test_a_place_that_cannot_be_written_to_is_named(tmp_path):
+def test_an_unwritable_path_is_named(tmp_path):
     with pytest.raises(DualUR10Error, match="none"):
         Cell(cell=str(tmp_path / "none" / "cell.toml"))
     with pytest.raises(DualUR10Error):
@@ -274,7 +274,7 @@ def test_ctrl_c_ends_it_well(tmp_path):
         (("--seed", "-1"), "seed is -1"),
     ],
 )
-def test_what_cannot_be_is_one_line_and_exit_code_2(arguments, word):
+def test_errors_are_one_line_with_exit_code_2(arguments, word):
     code, text = run("emulate", *arguments)
     assert code == 2, text
     assert word in text
@@ -282,7 +282,7 @@ def test_what_cannot_be_is_one_line_and_exit_code_2(arguments, word):
     assert len(text.strip().splitlines()) == 1
 
 
-def test_that_line_is_red():
+def test_error_lines_are_red():
     process = subprocess.run(
         [sys.executable, "-m", "dual_ur10", "emulate", "--left", "192.168.0.1"],
         env={**ENVIRONMENT, "FORCE_COLOR": "1"}, capture_output=True, text=True, timeout=60.0, check=False,

@@ -79,7 +79,7 @@ def test_latency_of_the_plant_is_whole_steps_before_the_law_acts():
     assert np.array_equal(passed[: len(plan)], plan)
 
 
-def test_wrong_kinematics_show_in_where_the_flange_is():
+def test_kinematic_errors_displace_the_flange():
     right, wrong = world_of(plant="nominal"), world_of(plant="nominal", dh_error_m=0.005)
     offsets = []
     for world in (right, wrong):
@@ -90,7 +90,7 @@ def test_wrong_kinematics_show_in_where_the_flange_is():
     assert abs(offsets[0] - offsets[1]) > 5e-4
 
 
-def test_an_object_is_put_somewhere_at_rest():
+def test_an_object_is_placed_at_rest():
     world = world_of("Handover", plant="nominal")
     position, quat = world.pose("block")
     lifted = np.add(position, [0.05, -0.02, 0.1])
@@ -104,7 +104,7 @@ def test_an_object_is_put_somewhere_at_rest():
         world_of().place(np.array([0, 0, 0, 1, 0, 0, 0]))
 
 
-def test_a_payload_that_is_not_declared_makes_an_arm_sag():
+def test_an_undeclared_payload_makes_an_arm_sag():
     declared, silent = world_of("Handover", plant="nominal"), world_of("Handover", plant="nominal")
     for _ in range(125):
         declared.advance(standing(declared), openings(declared), [declared.gripper_kg] * 2)
@@ -123,7 +123,7 @@ def test_bad_names_and_values_are_refused():
         world_of().pose("moon")
 
 
-def test_a_simulation_that_diverges_is_told():
+def test_a_diverging_simulation_is_reported():
     world = world_of(plant="nominal")
     plans = standing(world)
     plans[0, :, 0] = np.nan

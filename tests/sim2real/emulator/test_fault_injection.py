@@ -83,7 +83,7 @@ def packets(stream):
     return found
 
 
-def test_the_documentation_lists_what_there_is():
+def test_the_documentation_lists_all_requests():
     text = DOCS.read_text().split("## Fault injection")[1].split("## What is assumed")[0]
     listed = [row.split() for row in re.findall(r"^\| `([^`]+)` \|", text, re.MULTILINE)]
     cell = Cell()
@@ -135,7 +135,7 @@ def test_state(cell):
         ("pretend", {"arm": "left", "version": [1, 2, "3", 4]}, "version is '3': it must be a valid integer"),
     ],
 )
-def test_refusals_name_what_was_found_and_what_is_allowed(cell, do, values, text):
+def test_refusals_name_found_and_allowed_values(cell, do, values, text):
     assert re.search(text, cell.refused(do, **values))
 
 
@@ -210,7 +210,7 @@ def test_setpoints_are_numbered(cell):
         cell.refused("setpoints", arm="left", since=bad)
 
 
-def test_what_moves_an_arm_is_counted_whoever_sent_it(cell):
+def test_motion_commands_of_all_clients_are_counted(cell):
     doubles = [f"input_double_register_{k}" for k in range(6)]
     with Client(cell, 0, "rtde") as rtde:
         rtde.answer(
@@ -428,7 +428,7 @@ def test_drop_and_refuse(cell, reset):
         assert client.read()
 
 
-def test_a_port_that_was_taken_meanwhile_is_named(cell):
+def test_a_port_taken_meanwhile_is_named(cell):
     cell.get("refuse", arm="left", port="realtime")
     with socket.create_server((cell.emulator.servers[0].host, 30003)):
         assert "taken" in cell.refused("heal", arm="left")
@@ -472,7 +472,7 @@ def test_values_are_overridden_until_null(cell):
         {"robot_mode": 5, "safety_mode": "x"},
     ],
 )
-def test_what_clients_cannot_be_told_is_refused(cell, values):
+def test_values_that_cannot_be_encoded_are_refused(cell, values):
     cell.refused("override", arm="left", **values)
     with Client(cell, 0, "realtime"), Client(cell, 0, "primary"):
         cell.serve(15)
@@ -493,7 +493,7 @@ def test_programs_start_late(cell):
         cell.refused("script_delay", arm="left", seconds=bad)
 
 
-def test_clients_are_told_of_another_controller(cell):
+def test_another_controller_is_reported_to_clients(cell):
     cell.get("pretend", arm="left", version=[5, 9, 4, 77], model="UR5", serial_number="12345", robot_type=1)
 
     def versions(arm):
@@ -532,7 +532,7 @@ def test_clients_are_told_of_another_controller(cell):
         assert b"could not understand" in dashboard.answer(b"get robot model\n")
 
 
-def test_clients_are_told_of_another_calibration(cell):
+def test_another_calibration_is_reported_to_clients(cell):
     def checksums(arm):
         with Client(cell, arm, "primary") as primary:
             body = packets(primary.read(30))[16][0]
@@ -580,7 +580,7 @@ def test_requests_come_over_a_socket(cell):
     assert [each["ok"] for each in answers] == [True, False, False, False]
 
 
-def test_text_that_is_no_unicode_ends_nothing(cell):
+def test_invalid_unicode_disturbs_nothing(cell):
     cell.get("pretend", arm="left", model="\ud800")
     with Client(cell, 0, "dashboard") as client:
         client.read()
@@ -636,7 +636,7 @@ def fuzzed():
 
 @settings(max_examples=scaled(1500), deadline=None)
 @given(st.lists(requests(), min_size=1, max_size=8))
-def test_bad_requests_are_refused_and_disturb_nothing(fuzzed, asked):
+def test_bad_requests_disturb_nothing(fuzzed, asked):
     cell = fuzzed
     ticks = cell.emulator.ticks
     controllers = [server.controller for server in cell.emulator.servers]

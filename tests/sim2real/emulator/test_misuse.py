@@ -27,7 +27,7 @@ def built_ins(bench):
 
 
 @pytest.mark.parametrize("family", ["cb3", "e-series"])
-def test_no_function_ends_the_controller_whatever_it_is_given(family):
+def test_no_argument_of_a_function_ends_the_controller(family):
     bench = Bench(family)
     controller = bench.controller
     packets = RealtimePacket(controller.profile), PrimaryPacket(controller.profile, NOMINAL_DH)
@@ -56,7 +56,7 @@ def test_no_function_ends_the_controller_whatever_it_is_given(family):
         "thread t():\n  i = 0\n  while i < 4000:\n    i = i + 1\n  end\n  sync()\nend\n" + "run t()\n" * 40 + "sync()",
     ],
 )
-def test_a_program_has_one_budget_for_all_that_it_does_in_a_period(text):
+def test_a_program_has_one_budget_per_control_period(text):
     bench = Bench()
     bench.run(program(text))
     bench.tick(3)
@@ -80,7 +80,7 @@ def moving(bench, speed=1.0):
 
 
 @pytest.mark.parametrize("pausing", [1, 5, 12, 17])
-def test_stopping_what_is_pausing_makes_no_arm_faster(pausing):
+def test_a_stop_during_a_pause_makes_no_arm_faster(pausing):
     bench = Bench()
     moving(bench)
     bench.pendant.pause()
@@ -96,7 +96,7 @@ def test_stopping_what_is_pausing_makes_no_arm_faster(pausing):
     assert before == 0.0
 
 
-def test_what_has_stopped_stays_where_it_is_when_the_slider_comes_back():
+def test_a_stopped_arm_stays_when_the_slider_returns():
     bench = Bench()
     moving(bench)
     bench.controller.io.set_slider(0.0)
@@ -110,7 +110,7 @@ def test_what_has_stopped_stays_where_it_is_when_the_slider_comes_back():
     assert np.array_equal(bench.controller.motion.q, q)
 
 
-def test_an_arm_that_does_not_follow_is_stopped():
+def test_a_deviating_arm_is_stopped():
     bench = Bench()
     controller = bench.controller
     stuck = ArmReading(np.array(HOME, dtype=float), np.zeros(6), np.zeros(6), np.zeros(6), None)
@@ -138,7 +138,7 @@ def test_refused_targets_are_not_listed_as_executed():
     assert not bench.controller.setpoints
 
 
-def test_a_pause_by_hand_is_not_ended_by_a_safeguard():
+def test_a_safeguard_does_not_end_a_manual_pause():
     bench = Bench()
     moving(bench)
     bench.controller.safety.stop(SafetyMode.SAFEGUARD_STOP)
@@ -150,7 +150,7 @@ def test_a_pause_by_hand_is_not_ended_by_a_safeguard():
 
 
 @pytest.mark.parametrize("ticks", [0, 1, 3])
-def test_a_short_emergency_stop_is_one(ticks):
+def test_a_short_emergency_stop_takes_effect(ticks):
     bench = Bench()
     moving(bench)
     bench.controller.safety.stop(SafetyMode.ROBOT_EMERGENCY_STOP)
@@ -164,7 +164,7 @@ def test_a_short_emergency_stop_is_one(ticks):
 @pytest.mark.parametrize("call", ["teach_mode()", "freedrive_mode()", f"movej({HOME})", "force_mode(p[0,0,0,0,0,0],"
                                   " [0,0,1,0,0,0], [0,0,9,0,0,0], 2, [1,1,1,1,1,1])"])  # fmt: skip
 @pytest.mark.parametrize("beside", [False, True])
-def test_secondary_programs_move_nothing_and_make_nothing_soft(call, beside):
+def test_secondary_programs_neither_move_nor_free_the_arm(call, beside):
     bench = Bench()
     if beside:
         bench.run(program("while True:\n  sync()\nend"))
@@ -199,7 +199,7 @@ def test_an_unreadable_secondary_program_ends_nothing():
     assert bench.state == RuntimeState.PLAYING
 
 
-def test_a_program_sees_what_is_true_and_not_what_clients_are_told():
+def test_programs_see_true_values_despite_overrides():
     bench = Bench()
     bench.controller.override("actual_q", (9.0,) * 6)
     bench.run(program("q = get_actual_joint_positions()\nwrite_output_float_register(0, q[0])"))
@@ -208,7 +208,7 @@ def test_a_program_sees_what_is_true_and_not_what_clients_are_told():
     assert bench.controller.registers.output_double[0] == pytest.approx(HOME[0])
 
 
-def test_a_declared_payload_is_not_felt():
+def test_a_declared_payload_adds_no_force():
     bench = Bench()
     controller = bench.controller
     bench.run(program("set_payload(2.0, [0.1, 0.0, 0.2])\nwhile True:\n  sync()\nend"))
@@ -222,7 +222,7 @@ def test_a_declared_payload_is_not_felt():
 
 
 @pytest.mark.parametrize("persist", [True, False])
-def test_what_is_left_in_output_registers_is_assumed(persist):
+def test_persistence_of_output_registers_is_assumed(persist):
     bench = Bench(output_registers_persist=persist)
     bench.run(program("write_output_integer_register(5, 7)\nsync()"))
     bench.tick(5)
@@ -231,7 +231,7 @@ def test_what_is_left_in_output_registers_is_assumed(persist):
 
 
 @pytest.mark.parametrize("unchanged", [True, False])
-def test_whether_an_unchanged_value_feeds_a_watchdog_is_assumed(unchanged):
+def test_feeding_by_an_unchanged_value_is_assumed(unchanged):
     bench = Bench(watchdog_counts_unchanged=unchanged)
     loop = "while True:\n  sync()\nend"
     bench.run(program(f'rtde_set_watchdog("input_int_register_0", 10, "stop")\n{loop}'))
@@ -252,7 +252,7 @@ def test_a_blocking_popup_blocks_until_it_is_closed():
     assert bench.controller.io.outputs == 2
 
 
-def test_an_emergency_stop_from_full_speed_takes_no_longer_than_any_stop():
+def test_an_emergency_stop_from_full_speed_is_as_short_as_others():
     bench = Bench()
     moving(bench, 2.0)
     bench.controller.safety.stop(SafetyMode.ROBOT_EMERGENCY_STOP)

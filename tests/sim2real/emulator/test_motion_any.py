@@ -73,7 +73,7 @@ def _command(arm: Motion, name: str, x: np.ndarray, a: float, v: float, blends: 
     wrench=SIX,
     scalings=st.lists(st.sampled_from([0.0, 0.3, 1.0]), min_size=8, max_size=8),
 )
-def test_any_sequence_of_commands_moves_without_jumps(commands, wrench, scalings):
+def test_any_commands_move_without_jumps(commands, wrench, scalings):
     arm = motion()
     q, speed, scaling, law = arm.q.copy(), np.zeros(6), 1.0, 0.0
     for (name, x, a, v, ticks, blends), wanted in zip(commands, scalings, strict=False):
@@ -112,7 +112,7 @@ def test_any_sequence_of_commands_moves_without_jumps(commands, wrench, scalings
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, "1", None])
 @pytest.mark.parametrize("place", range(6))
-def test_what_is_no_number_is_an_error_and_moves_nothing(bad, place):
+def test_arguments_that_are_no_numbers_move_nothing(bad, place):
     arm = motion()
     values = list(Q0)
     values[place] = bad

@@ -38,7 +38,7 @@ def test_force_mode_keeps_its_speed_limit():
 
 
 @pytest.mark.parametrize("stiffness", [500.0, 20_000.0])
-def test_force_mode_comes_to_the_wanted_force_on_a_spring(stiffness):
+def test_force_mode_reaches_its_force_on_a_spring(stiffness):
     arm = motion()
     floor = positions(arm.q)[2] - 0.005
 
@@ -51,7 +51,7 @@ def test_force_mode_comes_to_the_wanted_force_on_a_spring(stiffness):
     assert np.abs(arm.qd).max() < 1e-3
 
 
-def test_force_mode_goes_on_beside_a_move():
+def test_force_mode_continues_during_a_move():
     arm = motion()
     start = positions(arm.q)
     goal = pose(arm, 0.0, 0.1)
@@ -63,7 +63,7 @@ def test_force_mode_goes_on_beside_a_move():
 
 
 @pytest.mark.parametrize("kind", ["move", "servo"])
-def test_a_motion_goes_on_smoothly_after_force_mode(kind):
+def test_a_motion_continues_smoothly_after_force_mode(kind):
     arm = motion()
     if kind == "move":
         arm.move_linear(pose(arm, 0.0, 0.2), 1.0, 0.1)
@@ -81,7 +81,7 @@ def test_a_motion_goes_on_smoothly_after_force_mode(kind):
         assert np.abs(arm.q - Q0).max() < 1e-3
 
 
-def test_the_end_of_force_mode_is_rest():
+def test_the_arm_stops_at_the_end_of_force_mode():
     arm = motion()
     arm.force_mode(*DOWN)
     run(arm, 100)
@@ -107,7 +107,7 @@ def test_a_higher_gain_is_faster_and_damping_slower():
     assert ways[3] < 1e-4
 
 
-def test_type_1_turns_the_frame_towards_its_origin():
+def test_type_1_rotates_the_frame_towards_its_origin():
     arm = motion()
     start = positions(arm.q)
     origin = start + np.array([0.0, 0.3, 0.4])
@@ -130,7 +130,7 @@ def test_type_3_follows_the_speed_of_the_tcp():
     assert np.abs(way[[0, 2]]).max() < 2e-3
 
 
-def test_free_drive_follows_the_hand_and_stands_without():
+def test_freedrive_follows_a_force_and_stands_without_one():
     arm = motion()
     arm.freedrive()
     assert arm.free
@@ -180,7 +180,7 @@ def test_nobody_pushes_a_joint_through_its_limit():
     assert (np.abs(arm.q) <= JOINT_RANGE_RAD).all()
 
 
-def test_nothing_gives_way_at_scaling_zero():
+def test_the_tcp_does_not_yield_at_scaling_zero():
     arm = motion()
     arm.force_mode(*DOWN)
     for _ in range(20):

@@ -30,7 +30,7 @@ def test_targets_that_cannot_be_reached(call, code):
     assert np.array_equal(arm.q, Q0)
 
 
-def test_a_line_through_what_the_arm_cannot_reach():
+def test_a_line_through_an_unreachable_region():
     arm = motion(np.array([0.0, -1.0, 1.4, -2.0, -1.57, 0.0]))
     there = np.array(arm.tcp_pose(np.array([3.0, -1.0, 1.4, -2.0, -1.57, 0.0])))  # the base is on the line
     handle = arm.move_linear(there, 1.0, 0.5)
@@ -45,7 +45,7 @@ def test_a_line_through_what_the_arm_cannot_reach():
     at_rest(arm, 40)
 
 
-def test_commands_are_refused_until_the_fault_is_taken_back():
+def test_commands_are_refused_until_the_fault_is_cleared():
     arm = motion()
     arm.move_joints([7.0, 0, 0, 0, 0, 0], 1.0, 1.0)
     for command in (

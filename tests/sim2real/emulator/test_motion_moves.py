@@ -85,7 +85,7 @@ def test_a_time_that_is_too_short_is_not_kept():
     assert np.abs(np.diff(speed, axis=0)).max() <= 40.0 * DT * (1 + 1e-6)
 
 
-def test_movel_is_straight_and_turns_evenly():
+def test_movel_is_straight_and_rotates_evenly():
     arm = motion()
     arm.set_tcp([0.02, -0.01, 0.15, 0.3, -0.2, 0.1])
     start = np.array(arm.tcp_pose(arm.q)[:3])
@@ -145,7 +145,7 @@ def test_movec_is_a_circle_through_its_points():
     assert np.abs(at[:, 2] - start[2]).max() < 1e-9
 
 
-def test_movec_may_go_most_of_the_way_round():
+def test_movec_covers_most_of_a_circle():
     arm = motion()
     start = np.array(arm.tcp_pose(arm.q))
     centre = start[:3] + np.array([0.0, 0.08, 0.0])
@@ -303,7 +303,7 @@ def test_a_path_of_many_blends_arrives():
 
 
 @pytest.mark.parametrize("to", ["joints", "linear"])
-def test_a_move_that_starts_while_the_arm_moves_goes_on_smoothly(to):
+def test_a_move_from_motion_is_smooth(to):
     arm = motion()
     arm.speed_joints([0.6, -0.4, 0.5, 0.3, -0.6, 0.9], 2.0, 0.4)
     before = run(arm, 50)

@@ -45,7 +45,7 @@ def test_servoj_is_the_servoj_law(seed, lookahead, gain, scale):
 
 
 @pytest.mark.parametrize("family", ["cb3", "e-series"])
-def test_servoj_is_what_the_simulation_does(family):
+def test_servoj_matches_the_simulation(family):
     profile = ServojProfile(family, 0.05, 800.0)
     substeps = 4 if family == "cb3" else 1
     simulated = ServojReference(profile, 1, substeps, 1)
@@ -81,7 +81,7 @@ def test_t_is_rounded_up_to_control_periods():
         assert taken == ticks
 
 
-def test_servoj_goes_on_from_another_motion_without_a_jump():
+def test_servoj_follows_another_motion_without_a_jump():
     arm = motion()
     arm.speed_joints([0.5, -0.5, 0.4, 0.3, 0.2, 1.0], 5.0, 0.4)
     before = run(arm, 50)
@@ -152,7 +152,7 @@ def test_a_late_program_is_stopped_while_the_arm_moves(late):
         at_rest(arm)
 
 
-def test_a_program_that_stops_commanding_at_rest_is_left_alone():
+def test_a_program_may_stop_commanding_at_rest():
     arm = motion()
     for _ in range(100):
         arm.servo_joints(Q0 + 0.001, TICK_S, 0.1, 300)

@@ -26,7 +26,7 @@ from tests.sim2real.emulator.motion_runs import (
 from tests.soak import scaled
 
 
-def test_speedj_accelerates_to_its_speed_and_returns_then():
+def test_speedj_returns_at_its_speed():
     arm = motion()
     speed = np.array([0.4, -0.2, 0.1, 0.0, 0.3, -0.4])
     path, ticks = until_done(arm, arm.speed_joints(speed, 2.0))
@@ -40,7 +40,7 @@ def test_speedj_accelerates_to_its_speed_and_returns_then():
     assert np.abs(path - Q0 - np.outer(share, speed)).max() < 1e-12
 
 
-def test_speedj_returns_after_t_whatever_the_speed():
+def test_speedj_returns_after_t_at_any_speed():
     arm = motion()
     _, ticks = until_done(arm, arm.speed_joints([2.0] * 6, 0.5, 10 * TICK_S))
     assert ticks == 10
@@ -65,7 +65,7 @@ def test_speedj_is_reduced_to_the_limits_in_its_direction():
 
 
 @pytest.mark.parametrize("kind", ["joints", "linear"])
-def test_a_speed_that_nobody_renews_slows_down(kind):
+def test_a_speed_without_renewal_decays(kind):
     arm = motion()
     if kind == "joints":
         until_done(arm, arm.speed_joints([0.5] * 6, 5.0))
@@ -114,7 +114,7 @@ def test_speedl_moves_the_tcp_straight_at_its_speed():
     assert np.abs(np.array(arm.tcp_speed(arm.q, arm.qd)) - twist).max() < 1e-3
 
 
-def test_speedl_turns_the_tool_by_more_than_half_a_turn():
+def test_speedl_rotates_the_tool_by_more_than_180_degrees():
     arm = motion()
     axis = arm.arm.tcp(arm.q, arm.tool).rotation[:, 2]
     arm.speed_linear([0.0, 0.0, 0.0, *axis], 5.0, 10.0)
@@ -173,7 +173,7 @@ def test_stopl_keeps_the_direction_of_the_tcp(before):
     assert not arm.moving
 
 
-def test_a_program_that_ends_leaves_an_arm_that_comes_to_rest():
+def test_the_arm_stops_at_the_end_of_a_program():
     arm = motion()
     handle = arm.move_joints(Q0 + 1.0, 2.0, 1.0)
     run(arm, 80)
@@ -186,7 +186,7 @@ def test_a_program_that_ends_leaves_an_arm_that_comes_to_rest():
     assert np.abs(np.diff(path, 2, axis=0)).max() / DT**2 <= 8.0 * (1 + 1e-6)
 
 
-def test_brakes_hold_the_arm_where_it_is():
+def test_brakes_hold_the_arm_in_place():
     arm = motion()
     handle = arm.move_joints(Q0 + 1.0, 2.0, 1.0)
     run(arm, 30)

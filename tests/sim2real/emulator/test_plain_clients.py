@@ -256,7 +256,7 @@ def test_speedj_and_stopj(arm):
 
 @BOTH
 @pytest.mark.parametrize("port", [SECONDARY, REALTIME])
-def test_digital_outputs_are_set_in_both_ways(arm, port):
+def test_digital_outputs_are_set_by_both_functions(arm, port):
     left = arm("left", port)
     for line, bits in (
         ("set_digital_out(2, True)", 0b00100),
@@ -269,7 +269,7 @@ def test_digital_outputs_are_set_in_both_ways(arm, port):
 
 
 @BOTH
-def test_the_streams_of_both_ports_tell_of_the_motion(arm, cell):
+def test_the_streams_of_both_ports_report_the_motion(arm, cell):
     left = arm("left", SECONDARY)
     goal = moved(left.start, 0.4)
     with Realtime(cell.left) as realtime, Primary(cell.left, SECONDARY) as secondary:

@@ -59,7 +59,7 @@ def test_a_program_that_cannot_be_read_ends_the_one_that_runs(bench):
         assert word in heard(bench)
 
 
-def test_an_error_ends_the_program_and_the_arm_comes_to_rest(bench):
+def test_an_error_ends_the_program_and_stops_the_arm(bench):
     bench.run(program(f"def go():\n  {MOVE}\nend\nthread t():\n  go()\nend\nh = run t()\nsleep(0.4)\nx = 1 / 0"))
     bench.until(lambda: bench.state == RuntimeState.STOPPING)
     assert bench.moved > 0.0
@@ -75,7 +75,7 @@ def test_an_infinite_loop_ends_the_program(bench):
     assert b"infinite loop" in heard(bench)
 
 
-def test_at_its_end_the_arm_slows_down_within_its_acceleration(bench):
+def test_the_final_deceleration_is_within_its_limit(bench):
     bench.run(program("speedj([0.8, 0, 0, 0, 0, 0], 5, 0.3)"))
     bench.until(lambda: bench.state == RuntimeState.STOPPING)
     speeds = [bench.qd[0]]
@@ -109,7 +109,7 @@ def test_another_program_ends_the_motion_of_the_one_before(bench):
     assert bench.state == RuntimeState.PLAYING
 
 
-def test_secondary_programs_run_beside_it_and_move_nothing(bench):
+def test_secondary_programs_move_nothing(bench):
     bench.run(program(COUNT + IDLE))
     bench.tick(5)
     bench.run("sec s():\n  set_standard_digital_out(2, True)\nend\n")
@@ -153,7 +153,7 @@ def test_play_starts_the_last_program_anew(bench):
     assert count(bench) == 13
 
 
-def test_pause_holds_the_program_and_play_goes_on(bench):
+def test_pause_holds_the_program_and_play_resumes(bench):
     bench.run(program(COUNT + IDLE))
     bench.tick(5)
     assert bench.ask("pause") == "Pausing program"
@@ -172,7 +172,7 @@ def test_pause_holds_the_program_and_play_goes_on(bench):
     assert count(bench) == 46
 
 
-def test_what_does_not_play_is_not_paused(bench):
+def test_pause_needs_a_playing_program(bench):
     assert bench.ask("pause") == "Failed to execute: pause"
     bench.pendant.stop()
     bench.tick(3)
@@ -223,7 +223,7 @@ def test_a_program_that_cannot_be_read_is_not_kept(bench):
     assert not bench.pendant.programs
 
 
-def test_play_plays_what_the_dashboard_says_is_loaded(bench):
+def test_play_starts_the_program_that_the_dashboard_reports(bench):
     bench.pendant.keep("a.urp", program("write_output_integer_register(9, 1)\n" + IDLE))
     bench.pendant.load("a.urp")
     assert bench.ask("get loaded program") == "Loaded program: a.urp"

@@ -1,7 +1,7 @@
 from dual_ur10.sim2real.emulator.registers import Registers
 
 
-def test_there_are_48_numbers_and_128_bits_each_way_and_all_are_zero():
+def test_all_registers_are_zero_at_first():
     registers = Registers()
     assert registers.input_int == registers.output_int == [0] * 48
     assert registers.input_double == registers.output_double == [0.0] * 48
@@ -50,7 +50,7 @@ def test_other_names_are_no_registers():
         assert Registers().find(name) is None
 
 
-def test_clearing_outputs_keeps_the_lists_and_leaves_inputs_alone():
+def test_clearing_outputs_keeps_lists_and_inputs():
     registers = Registers()
     lists = registers.output_int, registers.output_double, registers.output_bits
     for cells in (*lists, registers.input_int):

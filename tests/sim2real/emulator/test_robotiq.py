@@ -133,7 +133,7 @@ def test_grip_stops_at_the_object_and_presses_with_the_force(force):
     assert get(gripper, "OBJ") == STOPPED_CLOSING
 
 
-def test_fingers_count_as_stopped_once_they_press_with_the_force_for_a_while():
+def test_fingers_that_press_for_a_while_count_as_blocked():
     gripper, fingers = active()
     fingers.least_m = OPENING_M - 0.002
     gripper.answer("SET POS 255 SPE 0 FOR 255 GTO 1")
@@ -168,7 +168,7 @@ def test_fingers_that_push_something_along_are_not_stopped():
 
 
 @pytest.mark.parametrize("force", [0, 255])
-def test_late_fingers_are_as_fast_and_not_taken_for_stopped(force):
+def test_late_fingers_do_not_count_as_blocked(force):
     gripper, fingers = active(latency_s=LATENCY_S)
     gripper.answer(f"SET POS 255 SPE 255 FOR {force} GTO 1")
     fingers.run(0.25)
@@ -189,7 +189,7 @@ def test_late_fingers_are_as_fast_and_not_taken_for_stopped(force):
     assert pressed_n == pytest.approx(FORCE_N[0] if force == 0 else FORCE_N[1], rel=1e-6)
 
 
-def test_what_is_known_before_anything_is_set():
+def test_initial_values_of_the_gripper():
     gripper = RobotiqGripper()
     names = ("ACT", "GTO", "ATR", "ARD", "POS", "PRE", "SPE", "FOR", "STA", "OBJ", "FLT", "SID")
     assert [get(gripper, name) for name in names] == [0, 0, 0, 0, 0, 0, 255, 255, 0, 0, 0, 9]
@@ -204,7 +204,7 @@ def test_contact_while_opening():
     fingers.run_until("OBJ", STOPPED_OPENING)
 
 
-def test_closing_goes_on_when_the_object_is_lost():
+def test_closing_resumes_when_the_object_is_lost():
     gripper, fingers = active()
     fingers.least_m = 0.05
     gripper.answer("SET POS 255 GTO 1")
@@ -216,7 +216,7 @@ def test_closing_goes_on_when_the_object_is_lost():
     assert get(gripper, "POS") == pytest.approx(255, abs=3)
 
 
-def test_slow_fingers_are_not_taken_for_stopped():
+def test_slow_fingers_do_not_count_as_blocked():
     gripper, fingers = active()
     gripper.answer("SET POS 255 SPE 0 FOR 0 GTO 1")
     while get(gripper, "OBJ") == MOVING:
@@ -285,7 +285,7 @@ def test_without_power_nothing_is_known_and_activation_is_lost():
         *("", "GET", "GET POS PRE", "FOO"),
     ],
 )
-def test_what_is_not_understood_changes_nothing(line):
+def test_unknown_commands_change_nothing(line):
     gripper = RobotiqGripper()
     assert gripper.answer(line) == "?\n"
     assert [get(gripper, name) for name in ("ACT", "POS", "STA", "PRE", "SPE")] == [0, 0, 0, 0, 255]

@@ -369,7 +369,7 @@ end
 
 
 @pytest.mark.usefixtures("undisturbed")
-def test_a_client_that_is_killed_while_it_streams_frees_its_inputs_at_once(cell):
+def test_a_killed_streaming_client_frees_its_inputs_at_once(cell):
     with client(cell, 30002) as scripts:
         scripts.sendall(LISTENER.encode())
         cell.wait_until("left", "runtime_state", RuntimeState.PLAYING)

@@ -68,7 +68,7 @@ def test_packages_follow_the_values():
     assert recipe.package()[-4:] == b"\x80\x00\x00\x02"
 
 
-def test_numbers_that_do_not_fit_are_masked_and_the_others_stay():
+def test_numbers_that_do_not_fit_are_masked():
     values = zero_values(PROFILE)
     values.update(
         timestamp=math.nan,
@@ -91,7 +91,7 @@ def test_a_vector_of_another_length_is_an_error_by_name(names, wrong):
         output_recipe(names, values).package()
 
 
-def test_inputs_go_where_they_belong():
+def test_inputs_reach_their_registers():
     registers = Registers()
     names = ["input_int_register_47", "speed_slider_fraction", "input_bit_registers0_to_31", "input_double_register_3"]
     names += ["external_force_torque", "input_bit_register_64"]
@@ -109,7 +109,7 @@ def test_inputs_go_where_they_belong():
     assert registers.writes == dict.fromkeys(names, 2)
 
 
-def test_of_a_short_package_the_variables_are_taken_that_are_there_in_full():
+def test_complete_variables_of_a_short_package_are_applied():
     names = ["input_int_register_0", "external_force_torque", "input_bit_registers0_to_31", "input_double_register_0"]
     whole = struct.pack(">i6dId", 7, 1, 2, 3, 4, 5, 6, 1, 8.5)
     ends = {"input_int_register_0": 4, "external_force_torque": 52, "input_bit_registers0_to_31": 56}

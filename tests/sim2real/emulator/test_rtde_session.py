@@ -39,7 +39,7 @@ def test_a_refused_version_leaves_the_one_before():
         ("e-series", "0013 76 00000005 0000000c 00000005 0000044d"),
     ],
 )
-def test_the_controller_tells_its_version(family, answer):
+def test_the_controller_reports_its_version(family, answer):
     assert Controller(family).port.open().receive(b"\x00\x03v") == bytes.fromhex(answer)
 
 
@@ -49,7 +49,7 @@ def test_output_setup(names):
     assert Controller().session().receive(request) == b"\x00\x13O\x01DOUBLE,VECTOR6D"
 
 
-def test_unknown_outputs_are_named_in_their_place_and_nothing_can_start():
+def test_unknown_outputs_are_named_and_prevent_a_start():
     session = Controller().session()
     assert session.receive(outputs(["timestamp", "nothing", "robot_mode"])) == b"\x00\x1aO\x00DOUBLE,NOT_FOUND,INT32"
     assert session.receive(START) == b"\x00\x04S\x00"
@@ -71,7 +71,7 @@ def test_input_setup_numbers_recipes_from_1():
     assert both == b"\x00\x10I\x03INT32,DOUBLE"
 
 
-def test_inputs_that_are_not_found_take_no_number_and_no_variable():
+def test_unknown_inputs_claim_neither_number_nor_variable():
     controller = Controller()
     session = controller.session()
     assert session.receive(inputs(["input_int_register_0", "actual_q"])) == b"\x00\x13I\x00INT32,NOT_FOUND"
@@ -90,7 +90,7 @@ def test_inputs_in_use_by_another_connection():
     assert b"IN_USE" in first.receive(inputs(["speed_slider_mask"]))
 
 
-def test_inputs_are_free_at_once_when_their_connection_closes():
+def test_inputs_are_released_with_their_connection():
     controller = Controller()
     first, second = controller.session(inputs(["input_int_register_0"])), controller.session()
     second.receive(inputs(["input_int_register_1"]))
@@ -124,7 +124,7 @@ def test_start_is_refused_without_outputs():
     assert Controller().session(inputs(["input_int_register_0"])).receive(START) == b"\x00\x04S\x00"
 
 
-def test_an_empty_output_recipe_is_none():
+def test_an_empty_output_recipe_is_refused():
     session = Controller().session()
     assert session.receive(outputs([])) == b"\x00\x04O\x00"
     assert session.receive(START) == b"\x00\x04S\x00"
@@ -143,7 +143,7 @@ def test_text_messages_go_to_started_sessions_only():
 # Version 1.
 
 
-def test_version_1_has_no_frequency_and_no_number_of_the_output_recipe():
+def test_version_1_has_no_frequency_and_output_recipe_number():
     controller = Controller("cb3")
     session = controller.port.open()
     assert session.receive(message("O", b"timestamp,robot_mode")) == b"\x00\x0fODOUBLE,INT32"
@@ -172,7 +172,7 @@ def test_packages_follow_a_change_of_version():
 # Data to the client.
 
 
-def test_a_package_holds_the_values_in_the_order_asked_for():
+def test_a_package_holds_values_in_the_requested_order():
     controller = Controller()
     session = controller.session(
         outputs([*RECEIVED, "payload_cog", "output_int_register_2", "output_double_register_12"])
@@ -236,13 +236,13 @@ def test_frequencies_are_whole_parts_of_the_rate(family, frequency_hz, divider):
     assert due == list(range(1000, 1100, divider))
 
 
-def test_ticks_that_were_left_out_or_begin_anew_do_not_stop_the_stream():
+def test_skipped_or_restarted_ticks_keep_the_stream():
     session = Controller().session(outputs(["timestamp"], 125.0), START)
     ticks = [10, 11, 14, 15, 30, 31, 34, 35, 2, 3, 6]
     assert [tick for tick in ticks if session.publish(tick)] == [10, 14, 30, 34, 2, 6]
 
 
-def test_a_new_output_setup_replaces_the_one_before():
+def test_a_new_output_setup_replaces_the_previous_one():
     session = Controller().session(outputs(["timestamp"]), START, outputs(["robot_mode"]))
     assert session.started
     assert len(session.publish(0)) == 8
@@ -261,7 +261,7 @@ def test_sessions_have_their_own_recipes():
 # Data from the client.
 
 
-def test_inputs_are_taken_at_once_and_without_start():
+def test_inputs_take_effect_at_once_without_start():
     controller = Controller()
     session = controller.session(inputs(SERVOJ))
     assert session.receive(data(1, "i11d", 11, *range(11))) == b""
@@ -272,7 +272,7 @@ def test_inputs_are_taken_at_once_and_without_start():
     assert controller.told == []
 
 
-def test_of_two_packages_in_one_piece_the_last_wins_and_both_count():
+def test_of_two_packages_at_once_the_last_wins():
     controller = Controller()
     session = controller.session(inputs(["input_int_register_0"]))
     session.receive(data(1, "i", 1) + data(1, "i", 2))
@@ -288,7 +288,7 @@ def test_other_inputs_are_handed_on():
     assert controller.registers.input_int[23] == 5
 
 
-def test_short_and_long_packages_are_taken_as_far_as_they_go():
+def test_short_and_long_packages_are_applied_partly():
     controller = Controller()
     session = controller.session(inputs(["input_int_register_0", "input_double_register_0"]))
     session.receive(data(1, "i", 1))
@@ -317,7 +317,7 @@ def test_short_and_long_packages_are_taken_as_far_as_they_go():
         (message("O", bytes(8) + b"a," * 1025), "1025 variables"),
     ],
 )
-def test_what_no_client_sends_ends_the_session_and_frees_its_inputs(bad, reason):
+def test_protocol_errors_end_the_session_and_free_its_inputs(bad, reason):
     controller = Controller()
     session = controller.session(outputs(["timestamp"]), inputs(["input_int_register_0"]), START)
     with pytest.raises(ProtocolError, match=reason):
@@ -338,7 +338,7 @@ def test_the_largest_recipes_fit_into_a_frame():
     assert len(session.publish(0)) == 4 + 1024 * 48
 
 
-def test_unknown_kinds_and_texts_are_counted_and_not_answered():
+def test_unknown_kinds_and_texts_are_only_counted():
     session = Controller().session()
     assert session.receive(message("x", b"abc") + message("M", b"\x02hi\x00\x03") + message("M")) == b""
     assert (session.unknown_packages, session.text_messages) == (1, 2)
@@ -364,7 +364,7 @@ def test_a_port_needs_every_value():
 # As ur_rtde does it.
 
 
-def test_what_ur_rtde_asks_for_is_found_on_both_families():
+def test_both_families_have_the_variables_of_ur_rtde():
     registers = [f"output_int_register_{n}" for n in (2, *range(12, 20))]
     registers += [f"output_double_register_{n}" for n in range(12, 20)]
     for family, extra in (("cb3", []), ("e-series", ["ft_raw_wrench"])):

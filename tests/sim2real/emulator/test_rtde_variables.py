@@ -26,7 +26,7 @@ def of(profile, *version):
         ("safety_status", (3, 10), (5, 4)),
     ],
 )
-def test_variables_come_with_their_version(name, brought_cb3, brought_e_series):
+def test_variables_depend_on_the_version(name, brought_cb3, brought_e_series):
     for profile, brought, first, last in (
         (CB3, brought_cb3, (3, 0), (3, 99)),
         (E_SERIES, brought_e_series, (5, 0), (10, 9)),
@@ -64,7 +64,7 @@ def test_zero_values_are_all_outputs_but_registers():
         assert zeros["robot_mode"] == 0
 
 
-def test_what_is_handed_out_can_be_changed():
+def test_returned_dictionaries_are_copies():
     for function in (zero_values, output_types, input_types):
         function(CB3).clear()
         assert function(CB3)

@@ -123,7 +123,7 @@ def test_normal_is_no_stop():
             safety.stop(mode)
 
 
-def test_only_a_safeguard_stop_alone_lets_a_program_go_on_by_itself():
+def test_only_a_safeguard_stop_lets_programs_resume_by_themselves():
     safety = Safety(Assumptions())
     safety.stop(SafetyMode.SAFEGUARD_STOP)
     assert safety.resumes
@@ -134,7 +134,7 @@ def test_only_a_safeguard_stop_alone_lets_a_program_go_on_by_itself():
     assert not other.resumes
 
 
-def test_what_is_assumed_can_be_switched():
+def test_assumptions_can_be_switched():
     safety = Safety(Assumptions(protective_stop_pauses=False))
     safety.stop(SafetyMode.PROTECTIVE_STOP)
     assert safety.demand is Demand.STOP
@@ -179,7 +179,7 @@ def test_modes_and_bits_always_agree(events):
             assert safety.robot_mode == RobotMode.POWER_OFF
 
 
-def test_brakes_are_not_released_while_an_emergency_stop_takes_the_power():
+def test_brakes_stay_closed_during_an_emergency_stop():
     safety = Safety(Assumptions())
     safety.stop(SafetyMode.ROBOT_EMERGENCY_STOP)
     safety.release(SafetyMode.ROBOT_EMERGENCY_STOP)

@@ -67,7 +67,7 @@ def test_roll_pitch_yaw(rpy: list[float]) -> None:
 
 @pytest.mark.parametrize("pitch", [math.pi / 2, -math.pi / 2])
 @pytest.mark.parametrize("roll", [0.0, 0.4])
-def test_roll_pitch_yaw_at_a_quarter_turn(pitch: float, roll: float) -> None:
+def test_roll_pitch_yaw_at_90_degrees(pitch: float, roll: float) -> None:
     rotvec = F["rpy2rotvec"]([roll, pitch, 0.3])
     again = F["rpy2rotvec"](F["rotvec2rpy"](rotvec))
     np.testing.assert_allclose(

@@ -167,7 +167,7 @@ end
     assert values(text.replace("\n", "\r\n")) == expected
 
 
-def test_a_line_may_hold_more_than_a_statement_and_end_within_one() -> None:
+def test_statements_and_lines_are_independent() -> None:
     # A client puts a number in on the line after a comment, before the next statement.
     assert values(
         "def f():\n  global a = # offset\n24    global b = 2\n  say(a) say(b)\n if a == 24: say(3) end\nend"
@@ -198,7 +198,7 @@ def test_statements_without_a_program() -> None:
     assert values("") == []
 
 
-def test_a_variable_called_digital_out_is_one() -> None:
+def test_digital_out_may_be_a_variable() -> None:
     assert values("digital_out = [0]\ndigital_out[0] = 1\nsay(digital_out)") == [[1]]
 
 
@@ -255,7 +255,7 @@ def test_a_pose_stays_a_pose() -> None:
     assert type(found[2]) is float
 
 
-def test_a_name_that_is_global_somewhere_is_global_without_the_word() -> None:
+def test_a_global_name_is_global_everywhere() -> None:
     text = "def f():\n def g():\n  a = 2\n end\n def h():\n  global a = 1\n end\n h()\n g()\n say(a)\nend"
     assert values(text) == [2]
 
@@ -268,7 +268,7 @@ def test_parameters_and_locals_hide_globals() -> None:
     assert values(text) == [1]
 
 
-def test_variables_of_the_program_are_shared_with_its_functions_and_threads() -> None:
+def test_program_variables_are_shared_with_functions_and_threads() -> None:
     text = """
 def f():
   state = 0
@@ -366,7 +366,7 @@ end
     assert robot.said[4:] == [0, 3, 2]
 
 
-def test_the_program_ends_with_its_main_function_and_its_threads_with_it() -> None:
+def test_program_and_threads_end_with_the_main_function() -> None:
     robot = Robot()
     machine = robot.start('def f():\n thread t():\n  move(100, "t")\n end\n run t()\n sync()\nend')
     machine.tick()
@@ -413,7 +413,7 @@ def test_a_thread_may_kill_itself() -> None:
     assert values(text) == [2]
 
 
-def test_no_other_thread_runs_while_one_blocks_in_a_critical_section() -> None:
+def test_a_critical_section_blocks_other_threads() -> None:
     text = """
 def f():
   thread a():
@@ -545,7 +545,7 @@ def test_mistakes_in_builtins_end_the_program_and_are_logged(caplog: pytest.LogC
     assert "nothing" in caplog.text
 
 
-def test_an_endless_loop_that_waits_is_none() -> None:
+def test_an_endless_loop_with_sync_is_allowed() -> None:
     robot = Robot()
     machine = robot.start("while True:\n sync()\nend", steps=5)
     for _ in range(100):
@@ -553,7 +553,7 @@ def test_an_endless_loop_that_waits_is_none() -> None:
     assert not machine.finished
 
 
-def test_recursion_is_counted_for_each_thread_and_given_back() -> None:
+def test_recursion_depth_is_counted_per_thread() -> None:
     text = (
         "def f():\n def g(n):\n  if n > 0:\n   sync()\n   g(n - 1)\n  end\n end\n"
         " thread t():\n  g(60)\n end\n a = run t()\n g(60)\n g(90)\n join a\n say(1)\nend"
@@ -566,7 +566,7 @@ def test_strings_do_not_grow_without_bound() -> None:
         values('a = "xx"\nwhile True:\n a = str_cat(a, a)\nend')
 
 
-def test_a_program_runs_with_other_builtins_of_the_same_kind_only() -> None:
+def test_a_program_needs_builtins_of_the_same_kind() -> None:
     first, second = Robot(), Robot()
     text = "def f():\n move(1)\n say(1)\nend"
     parsed = parse(text, first.builtins)

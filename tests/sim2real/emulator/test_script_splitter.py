@@ -43,7 +43,7 @@ def test_a_whole_buffer() -> None:
     assert (splitter.feed(STREAM.encode()), splitter.rest) == (PROGRAMS, b"")
 
 
-def test_what_is_not_complete_is_left() -> None:
+def test_an_incomplete_program_is_left() -> None:
     splitter = Splitter()
     assert (splitter.feed(b"a()\ndef f():\n b()\nen"), splitter.rest) == (["a()\n"], b"def f():\n b()\nen")
 
@@ -57,7 +57,7 @@ def test_any_pieces_give_the_same_programs(cuts: list[int]) -> None:
     assert splitter.rest == b""
 
 
-def test_bytes_that_are_no_text_do_no_harm() -> None:
+def test_invalid_utf8_is_replaced() -> None:
     assert Splitter().feed(b"a() # \xff\n") == ["a() # \ufffd\n"]
 
 

@@ -112,7 +112,7 @@ def test_a_peer_that_is_finished_is_closed_after_its_answer(harness):
 
 
 @pytest.mark.parametrize("frozen", [False, True])
-def test_what_a_client_sent_is_taken_also_if_it_is_gone_when_something_is_sent_to_it(harness, frozen):
+def test_the_last_bytes_of_a_disconnected_client_take_effect(harness, frozen):
     """Many send a program and close at once, with the stream unread: the end arrives as a reset."""
     client = harness.client(greeted=False)
     harness.port.faults.frozen = frozen
@@ -124,7 +124,7 @@ def test_what_a_client_sent_is_taken_also_if_it_is_gone_when_something_is_sent_t
     assert harness.peers[0].ended == 1
 
 
-def test_a_client_that_never_reads_a_stream_loses_packets_and_memory_stays_flat(harness):
+def test_a_client_that_never_reads_loses_packets(harness):
     lazy, eager = harness.client(), harness.client()
     packet = bytes(1000)
     got = 0
@@ -168,7 +168,7 @@ def test_a_client_that_never_reads_its_answers_is_closed(harness, caplog):
     assert harness.answer(other, b"fine") == b"fine"
 
 
-def test_more_clients_than_allowed_are_refused_and_the_others_stay(harness):
+def test_excess_clients_are_refused(harness):
     clients = [harness.client() for _ in range(MOST_CONNECTIONS)]
     late = harness.client(greeted=False)
     assert harness.read(late) in (b"", None)
@@ -210,7 +210,7 @@ def test_a_frozen_port_reads_later(harness):
     assert harness.read(client) == b"later"
 
 
-def test_a_half_open_port_accepts_and_says_nothing(harness):
+def test_a_half_open_port_accepts_and_sends_nothing(harness):
     harness.port.faults.half_open = True
     client = harness.client(greeted=False)
     assert harness.answer(client, b"anyone?") is None
@@ -282,7 +282,7 @@ def test_other_addresses_than_loopback_are_refused(host):
         listening((host, 0))
 
 
-def test_a_taken_address_says_so(harness):
+def test_a_taken_address_is_reported(harness):
     with pytest.raises(AddressError, match="taken by another program"):
         listening((HOST, harness.port.number))
 
@@ -314,7 +314,7 @@ def test_an_error_of_ours_ends_one_connection_only(harness, monkeypatch, caplog)
     assert harness.answer(second, b"fine") == b"fine"
 
 
-def test_packages_that_are_damaged_keep_to_their_own_length():
+def test_damaged_packages_have_a_consistent_length():
     package = rtde_bytes.data(1, "3B", 1, 2, 3)
     for name, payload in (
         ("short", b"\x01\x01\x02"),

@@ -153,7 +153,7 @@ def test_streams_move_the_arm_and_end(host):
     assert done["back"]
 
 
-def test_what_the_controller_computes(cell, host):
+def test_kinematics_and_values_of_the_controller(cell, host):
     done = clients.run(clients.queries, host)
     e_series = cell.family == "e-series"
     q, pose = done["q"], done["pose"]
@@ -236,7 +236,7 @@ def test_inputs_outputs_and_registers(host):
     assert done["echo"] == [7, 2.5]
 
 
-def test_what_the_client_refuses_and_what_it_lets_through(host):
+def test_arguments_that_the_client_refuses_or_passes(host):
     done = clients.run(clients.arguments, host)
     for name in ("speed", "lookahead", "gain"):
         assert done[name][0] == "ValueError", name
@@ -274,7 +274,7 @@ def test_dashboard_client(cell, host):
     assert done["robotmode at the end"] == "Robotmode: RUNNING"
 
 
-def test_protective_stop_and_the_way_back(host):
+def test_recovery_from_a_protective_stop(host):
     done = clients.run(clients.protective_stop, host)
     assert done["stopped"] == [True, 3, "Safetymode: PROTECTIVE_STOP"]
     assert done["state"][0] == 4  # paused, as assumed
@@ -330,7 +330,7 @@ end
 
 
 @pytest.mark.parametrize("shift", [0.05, -0.1])
-def test_the_script_that_is_sent_is_the_one_that_runs(host, tmp_path, shift):
+def test_the_uploaded_script_runs(host, tmp_path, shift):
     """The same call of the client does what a constant in the script says."""
     path = tmp_path / "own.script"
     path.write_text(SCRIPT.replace("SHIFT", str(shift)))
@@ -339,7 +339,7 @@ def test_the_script_that_is_sent_is_the_one_that_runs(host, tmp_path, shift):
     assert done["end"][0] == pytest.approx(done["begin"][0] + shift, abs=1e-4)
 
 
-def test_remote_control_is_asked_of_an_e_series_only(cell, host):
+def test_only_an_e_series_has_remote_control(cell, host):
     cell.ask("remote", arm="left", on=False)
     try:
         if cell.family == "cb3":

@@ -67,10 +67,10 @@ def make_recorder(setup: EnvSetup, keywords: Mapping[str, Any], cell: Cell) -> R
         return None
     if cell.n > 1:
         raise SettingsError(f"{cell.n} cells are stepped together: only one alone can be recorded")
-    from dual_ur10.sim2real.recording.describe import describe
+    from dual_ur10.sim2real.recording.header import describe
     from dual_ur10.sim2real.recording.recorder import RecorderProcess
+    from dual_ur10.sim2real.recording.run_folder import new_folder
     from dual_ur10.sim2real.recording.simulation import SimulationRecord
-    from dual_ur10.sim2real.recording.writer import new_folder
     from dual_ur10.sim2real.runtime.latch import state_folder
     from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell
 

@@ -25,7 +25,7 @@ from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
 from dual_ur10.sim2real.control.pipeline import ServojPipeline
 from dual_ur10.sim2real.recording.hook import RecordHook
 from dual_ur10.sim2real.recording.rows import RunRecorder
-from dual_ur10.sim2real.recording.writer import prepare
+from dual_ur10.sim2real.recording.run_folder import prepare
 from dual_ur10.types import Array, Mask, Rows
 
 PHYSICS_ERROR = "the simulation diverged: the observation is that of the last good instant"

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from dual_ur10.errors import MissingExtraError, RecordingError
-from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import ARMS, DHParameters
+from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.servoj import ServojProfile
+from dual_ur10.sim2real.recording.header import mounts_of
 from dual_ur10.sim2real.recording.run import Episode, Header, Run
 
 if TYPE_CHECKING:
@@ -111,18 +111,13 @@ def _core(header: Header) -> Core:
 
     if header.env_id not in ENTRY_POINTS:
         raise RecordingError(f"it was recorded in {header.env_id!r:.80}: allowed are {', '.join(ENTRY_POINTS)}")
-    left, right = (_mount(mount) for mount in header.mounts)
-    profile = ServojProfile(family=header.family, **header.servoj[0])  # type: ignore[arg-type]  # checked there
+    left, right = mounts_of(header)
+    profile = ServojProfile(family=header.family, **header.servoj[0])
     keywords = {name: value for name, value in header.kwargs.items() if name not in _NOT_OF_TASK}
     return Core(task_name(header.env_id), keywords | {"cell": CellConfig(left=left, right=right, servoj=profile)})
 
 
 _NOT_OF_TASK: Final = ("cell", "arm", "confirm", "observation", "cameras", "pixels_rate_hz", "render_mode", "task")
-
-
-def _mount(mount: dict[str, Any]) -> ArmMount:
-    dh = {name: tuple(values) for name, values in mount.get("dh", {}).items()}
-    return ArmMount(tuple(mount["position_m"]), mount.get("yaw_rad", 0.0), DHParameters(**dh))
 
 
 def _spec(header: Header) -> Any:

@@ -15,8 +15,8 @@ from dual_ur10.policies.learned import schema
 from dual_ur10.policies.learned.network import NetworkShape, Normaliser
 from dual_ur10.policies.learned.schema import JsonList, Object, StrictJson, Text, Whole
 from dual_ur10.policies.learned.signature import EnvironmentSignature
-from dual_ur10.sim2real.recording.describe import plain
-from dual_ur10.sim2real.recording.describe import versions as installed
+from dual_ur10.sim2real.recording.header import plain
+from dual_ur10.sim2real.recording.header import versions as installed
 
 FORMAT: Final = "dual-ur10 policy 1"
 

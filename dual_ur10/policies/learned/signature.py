@@ -22,7 +22,7 @@ from dual_ur10.policies.learned.schema import JsonList, Numbers, Object, StrictJ
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.adapter import ActionMode, ServojAdapter
 from dual_ur10.sim2real.control.servoj import Family, ServojProfile
-from dual_ur10.sim2real.recording.describe import plain
+from dual_ur10.sim2real.recording.header import plain
 from dual_ur10.types import Array
 
 OPTIONS: Final = ("policy_rate_hz", "action_mode", "action_latency_ticks", "compensate_lag", "randomization")

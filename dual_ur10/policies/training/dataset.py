@@ -16,7 +16,7 @@ from dual_ur10.policies.evaluation.minari_export import to_minari
 from dual_ur10.policies.learned.signature import EnvironmentView, view_of
 from dual_ur10.policies.policy import EpisodeAware
 from dual_ur10.policies.training.settings import check_simulated
-from dual_ur10.sim2real.recording.describe import describe
+from dual_ur10.sim2real.recording.header import describe
 from dual_ur10.sim2real.recording.run import ArmLog, Episode, Run
 from dual_ur10.types import Single
 

@@ -34,7 +34,7 @@ from dual_ur10.policies.training import seeds, state
 from dual_ur10.policies.training.progress import Check, draw_curve
 from dual_ur10.policies.training.settings import Imitation, Reinforcement, Training
 from dual_ur10.policies.training.state import Tensors
-from dual_ur10.sim2real.recording.describe import plain
+from dual_ur10.sim2real.recording.header import plain
 
 _ASKED: Final = "training.json"
 

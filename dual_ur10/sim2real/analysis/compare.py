@@ -16,7 +16,8 @@ from dual_ur10.sim2real.analysis.reconstruction import replayed_keywords
 from dual_ur10.sim2real.analysis.series import NO_SPREAD, Spread, Value, at, lag, lengths, none, rising, spread
 from dual_ur10.sim2real.analysis.tick_map import late_actions
 from dual_ur10.sim2real.analysis.timing import Timing, timing
-from dual_ur10.sim2real.analysis.tracks import Track, flange_of, mounts_of, tracks, uneven_s
+from dual_ur10.sim2real.analysis.tracks import Track, flange_of, tracks, uneven_s
+from dual_ur10.sim2real.recording.header import mounts_of
 from dual_ur10.sim2real.recording.run import Header, Run
 from dual_ur10.types import Array
 

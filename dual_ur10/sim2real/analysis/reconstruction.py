@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
 from dual_ur10.assets.settings import Equipment
@@ -16,10 +16,10 @@ from dual_ur10.errors import CellFileError, RecordingError, SettingsError, Unkno
 from dual_ur10.ids import ENTRY_POINTS
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import ARMS, DHParameters
-from dual_ur10.sim2real.analysis.tracks import mounts_of
 from dual_ur10.sim2real.config.cell import CellConfig, Perturbation
 from dual_ur10.sim2real.config.cell_file import examine_text, resolve_cell
 from dual_ur10.sim2real.control.servoj import TICK_S, ServojProfile
+from dual_ur10.sim2real.recording.header import findings, mounts_of
 from dual_ur10.sim2real.recording.run import Episode, Header, Run
 
 BASE_M: Final = 0.05
@@ -108,7 +108,7 @@ def _simulated(header: Header) -> CellConfig:
         return cell.simulated()
     left, right = mounts_of(header)
     profile = header.servoj[0]
-    servoj = ServojProfile(header.family, profile["lookahead_s"], profile["gain"])  # type: ignore[arg-type]  # checked
+    servoj = ServojProfile(header.family, profile["lookahead_s"], profile["gain"])
     return CellConfig(left=left, right=right, servoj=servoj)
 
 
@@ -135,22 +135,33 @@ def _obstacle(values: Mapping[str, Any]) -> Any:
     raise UnknownNameError("obstacle with the values", ", ".join(map(str, values)), ["those of Box, Capsule, Plane"])
 
 
+class _BitGenerator(BaseModel):
+    """State of NumPy's default generator, as an event holds it."""
+
+    model_config = ConfigDict(strict=True, extra="forbid")
+    bit_generator: Literal["PCG64"]
+    state: dict[Literal["state", "inc"], int]
+    has_uint32: int
+    uinteger: int
+
+
 def generator_of(run: Run, number: int) -> np.random.Generator | None:
-    """What an episode's reset drew from, as it was before; None: it was not recorded.
+    """Return the generator of an episode's reset as it was before the reset; None: it was not recorded.
 
     Raises:
-        RecordingError: What was recorded is no generator.
+        RecordingError: The record holds no legal state of a generator.
     """
     texts = [each.text for each in run.events if each.kind == "generator"]
-    number -= bool(run.episodes and run.episodes[0].first_step)  # that of an episode whose beginning is gone is gone
+    number -= bool(run.episodes and run.episodes[0].first_step)  # a black box lacks the event of its first episode
     if not 0 <= number < len(texts):
         return None
     try:
         generator = np.random.default_rng(0)
-        generator.bit_generator.state = json.loads(texts[number])
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        generator.bit_generator.state = _BitGenerator.model_validate_json(texts[number]).model_dump()
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
+        reason = findings(error) if isinstance(error, ValidationError) else repr(error)
         raise RecordingError(
-            f"what episode {number} drew from cannot be read: {error!r:.200}. The recording is damaged; record it anew"
+            f"the generator of episode {number} cannot be read: {reason:.200}. The recording is damaged; record it anew"
         ) from error
     return generator
 

@@ -21,7 +21,8 @@ from dual_ur10.sim2real.analysis.series import (
     smoothed,
     spread,
 )
-from dual_ur10.sim2real.analysis.tracks import Track, flange_of, mounts_of, tracks
+from dual_ur10.sim2real.analysis.tracks import Track, flange_of, tracks
+from dual_ur10.sim2real.recording.header import mounts_of
 from dual_ur10.sim2real.recording.run import Run
 from dual_ur10.types import Array
 

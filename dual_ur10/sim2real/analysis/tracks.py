@@ -8,19 +8,19 @@ speeds are the same motion on the task's clock.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.errors import RecordingError, SettingsError
+from dual_ur10.errors import RecordingError
 from dual_ur10.kinematics import BASE_TO_BASE_LINK, flange_pose
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
-from dual_ur10.kinematics.ur10 import ARMS, DHParameters
+from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.analysis.series import rising
 from dual_ur10.sim2real.analysis.tick_map import TickMap, sent_around, tick_map
-from dual_ur10.sim2real.recording.run import ArmLog, Header, Run
+from dual_ur10.sim2real.recording.run import ArmLog, Run
 from dual_ur10.types import Array
 
 _MOST_APART: Final = 100.0  # ticks from state to state, on average
@@ -60,28 +60,6 @@ class Track:
     task_s: Array
     q_rad: Array
     reference_rad: Array | None
-
-
-def mounts_of(header: Header) -> tuple[ArmMount, ArmMount]:
-    """Where the arms of a run stood, and their kinematics.
-
-    Raises:
-        RecordingError: They are not those of two UR10s.
-    """
-    try:
-        left, right = (_mount(each) for each in header.mounts)
-    except (SettingsError, KeyError, TypeError, ValueError) as error:
-        raise RecordingError(
-            f"the recording's mounts are not those of two UR10s: {error}. It is of another robot, or damaged"
-        ) from error
-    return left, right
-
-
-def _mount(values: dict[str, Any]) -> ArmMount:
-    dh = values["dh"]
-    parameters = DHParameters(**{name: tuple(dh[name]) for name in ("a_m", "d_m", "alpha_rad", "theta_rad")})
-    x, y, z = values["position_m"]
-    return ArmMount((x, y, z), values["yaw_rad"], parameters)
 
 
 def flange_of(mount: ArmMount, q_rad: Array) -> tuple[Array, Array]:

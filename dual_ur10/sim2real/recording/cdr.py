@@ -1,14 +1,18 @@
-"""Messages as ROS 2 writes them: CDR, little endian, after a header of four bytes; and their definitions as text."""
+"""Messages in ROS 2's CDR encoding, little endian behind a header of four bytes, and their definitions as text.
+
+Encoding is written here, because recording needs no extra package. Decoding is that of `mcap-ros2-support`.
+"""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from dual_ur10.errors import RecordingError
+from dual_ur10.errors import MissingExtraError, RecordingError
 
 HEAD: Final = b"\x00\x01\x00\x00"
 """Encapsulation of plain CDR, little endian: OMG's DDS interoperability protocol, section 10.2."""
@@ -20,7 +24,7 @@ class Field(NamedTuple):
     """A field of a message.
 
     Attributes:
-        name: In lower case, as ROS wants it.
+        name: Name in lower case, as ROS requires.
         kind: "float64", "int64", "int8", "bool", "string", "float64[N]", "float64[]" or "uint8[]".
     """
 
@@ -29,17 +33,17 @@ class Field(NamedTuple):
 
     @property
     def size(self) -> int | None:
-        """Numbers of a fixed array, else None."""
+        """Length of a fixed array, else None."""
         inside = self.kind.partition("[")[2].rstrip("]")
         return int(inside) if inside else None
 
 
 class Schema(NamedTuple):
-    """A message without parts that are messages themselves.
+    """Definition of a message without nested messages.
 
     Attributes:
-        name: Such as "dual_ur10_msgs/msg/Event".
-        fields: In order.
+        name: Name such as "dual_ur10_msgs/msg/Event".
+        fields: Fields in order.
     """
 
     name: str
@@ -47,11 +51,11 @@ class Schema(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The definition, as a file `.msg` has it."""
+        """Definition as a file `.msg` has it."""
         return "".join(f"{field.kind} {field.name}\n" for field in self.fields)
 
     def encode(self, values: Mapping[str, Any]) -> bytes:
-        """The bytes of a message; arrays are flattened."""
+        """Return the bytes of a message; arrays are flattened."""
         out = bytearray()
         for field in self.fields:
             value = values[field.name]
@@ -79,56 +83,56 @@ class Schema(NamedTuple):
         return HEAD + bytes(out)
 
     def decode(self, data: bytes) -> dict[str, Any]:
-        """The values of a message; arrays are flat.
+        """Return the values of a message; arrays are flat.
 
         Raises:
-            RecordingError: These bytes are no such message.
+            RecordingError: The bytes are not those of such a message, to the last one.
+            MissingExtraError: `mcap-ros2-support` is not installed.
         """
         if data[:4] != HEAD:
             raise RecordingError(f"{self.name}: a message begins with {data[:4].hex()}, expected {HEAD.hex()}")
-        body, at = memoryview(data)[4:], 0
-        values: dict[str, Any] = {}
         try:
-            for field in self.fields:
-                if field.kind in _NUMBERS:
-                    code, size = _NUMBERS[field.kind]
-                    at += -at % size
-                    values[field.name] = struct.unpack_from(code, body, at)[0]
-                    at += size
-                    continue
-                if field.size is None:
-                    at += -at % 4
-                    count = struct.unpack_from("<I", body, at)[0]
-                    at += 4
-                else:
-                    count = field.size
-                if field.kind.startswith("float64"):
-                    at += -at % 8 if count else 0
-                    end = at + 8 * count
-                    _within(end, body)
-                    values[field.name] = np.frombuffer(body[at:end], "<f8").copy()
-                else:
-                    end = at + count
-                    _within(end, body)
-                    piece = bytes(body[at:end])
-                    values[field.name] = piece if field.kind == "uint8[]" else _string(piece)
-                at = end
-        except (struct.error, UnicodeDecodeError, ValueError) as error:
+            message = _decoder(self)(data)
+            values = {field.name: _value(field, getattr(message, field.name)) for field in self.fields}
+            again = self.encode(values)
+        except (struct.error, ValueError, OverflowError) as error:
             raise RecordingError(f"{self.name}: a message of {len(data)} bytes is malformed: {error}") from None
-        if at != len(body):
-            raise RecordingError(f"{self.name}: a message has {len(body) - at} bytes too many")
+        # The library checks neither the ends of strings and bytes nor that nothing is left over.
+        if again != data:
+            raise RecordingError(
+                f"{self.name}: a message of {len(data)} bytes is malformed: its values are {len(again)} bytes long, "
+                "or other ones"
+            )
         return values
 
 
-def _within(end: int, body: memoryview) -> None:
-    if end > len(body):
-        raise ValueError(f"it ends after {len(body)} bytes where {end} are needed")
+def check_extra() -> None:
+    """Make sure that messages can be decoded.
+
+    Raises:
+        MissingExtraError: `mcap-ros2-support` is not installed.
+    """
+    try:
+        import mcap_ros2.decoder  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("mcap-ros2-support", "records", "reading a record") from error
 
 
-def _string(piece: bytes) -> str:
-    if piece[-1:] != b"\0":
-        raise ValueError("a string without its end")
-    return piece[:-1].decode()
+@cache
+def _decoder(schema: Schema) -> Callable[[bytes], Any]:
+    check_extra()
+    from mcap.records import Schema as Definition
+    from mcap_ros2.decoder import DecoderFactory
+
+    definition = Definition(id=1, name=schema.name, encoding="ros2msg", data=schema.text.encode())
+    decoder = DecoderFactory().decoder_for("cdr", definition)
+    if decoder is None:
+        raise RecordingError(f"{schema.name} cannot be decoded by this version of mcap-ros2-support")
+    return decoder
+
+
+def _value(field: Field, value: Any) -> Any:
+    return np.array(value, dtype=np.float64) if field.kind.startswith("float64[") else value
 
 
 def _align(out: bytearray, size: int) -> None:

@@ -1,4 +1,4 @@
-"""Episodes, from the messages of a record."""
+"""Decoding and checks of the episodes of a record."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ _FINITE: Final = ("time_s", "reward", "q_rad", "flange_m", "action", "targets_ra
 
 
 def read_episodes(begins: list[bytes], steps: list[bytes], ticks: int, *, from_within: bool) -> list[Episode]:
-    """All episodes of a run.
+    """Return all episodes of a run.
 
     Args:
         begins: Messages of `EPISODE_TOPIC`.
         steps: Messages of `STEP_TOPIC`.
-        ticks: Control periods of a step.
-        from_within: Whether the first episode may lack its first steps, as in a black box.
+        ticks: Control periods per step.
+        from_within: Allow the first episode to lack its first steps, as in a black box.
 
     Raises:
-        RecordingError: A message makes no sense, or does not follow the one before.
+        RecordingError: A message is not legal, or does not follow the one before.
     """
     heads = [_begin(row, data, from_within=from_within) for row, data in enumerate(begins)]
     for row, (before, after) in enumerate(pairwise(heads), 1):
@@ -47,7 +47,7 @@ def _begin(row: int, data: bytes, *, from_within: bool) -> dict[str, Any]:
     head = BEGIN.decode(data)
     what = f"{EPISODE_TOPIC}, row {row}"
     if not (np.isfinite(head["q_rad"]).all() and np.isfinite(head["flange_m"]).all() and np.isfinite(head["begin_s"])):
-        raise RecordingError(f"{what}: there are numbers that are not finite")
+        raise RecordingError(f"{what}: some numbers are not finite")
     seed = head["seed"]
     if seed and not (seed.isascii() and seed.isdigit() and len(seed) <= _SEED_DIGITS):
         raise RecordingError(f"{what}: the seed {seed[:40]!r} is no whole number, 0 or above")
@@ -67,7 +67,7 @@ def _step(row: int, data: bytes, ticks: int) -> dict[str, Any]:
         )
     if step["gripper_m"].size not in (0, ticks * 2):
         raise RecordingError(
-            f"{what}: there are {step['gripper_m'].size} openings, {ticks * 2} belong to {ticks} ticks"
+            f"{what}: there are {step['gripper_m'].size} gripper widths, {ticks * 2} belong to {ticks} ticks"
         )
     if step["success"] not in (-1, 0, 1):
         raise RecordingError(f"{what}: success is {step['success']}")

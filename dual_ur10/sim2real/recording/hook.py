@@ -10,7 +10,7 @@ import numpy as np
 
 from dual_ur10.sim2real.config.cell import CellState, CellStep
 from dual_ur10.sim2real.control.adapter import Command
-from dual_ur10.sim2real.recording.describe import plain
+from dual_ur10.sim2real.recording.header import plain
 from dual_ur10.sim2real.recording.rows import BeginRow, RunRecorder, StepRow
 from dual_ur10.sim2real.recording.run import LATE
 from dual_ur10.types import Array

@@ -1,4 +1,4 @@
-"""Records of the MCAP format, as its specification (version 0) lays them out."""
+"""Encoding of MCAP records, by version 0 of the format's specification."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = 0x0B, 0x0C, 0x0
 
 
 class ChunkPlace(NamedTuple):
-    """Where a chunk is.
+    """Place of a chunk in its file.
 
     Attributes:
-        first_ns, last_ns: Times of its messages.
-        at: Byte of the file.
-        length: Of its record.
-        size: Of its messages.
-        indexes: Byte of the index of each channel's messages.
-        indexes_length: Of all these indexes.
+        first_ns, last_ns: Times of the first and the last message.
+        at: Offset of the record.
+        length: Length of the record.
+        size: Length of the messages.
+        indexes: Channel number -> offset of the index of its messages.
+        indexes_length: Length of all these indexes.
     """
 
     first_ns: int
@@ -35,29 +35,29 @@ class ChunkPlace(NamedTuple):
 
 
 def record(code: int, body: bytes) -> bytes:
-    """A record."""
+    """Return a record."""
     return struct.pack("<BQ", code, len(body)) + body
 
 
 def text(value: str) -> bytes:
-    """A string."""
+    """Return a string with its length."""
     line = value.encode()
     return struct.pack("<I", len(line)) + line
 
 
 def mapping(values: Mapping[str, str]) -> bytes:
-    """A map of strings."""
+    """Return a map of strings with its length."""
     body = b"".join(text(key) + text(value) for key, value in values.items())
     return struct.pack("<I", len(body)) + body
 
 
 def header(library: str) -> bytes:
-    """The first record of a file."""
+    """Return the first record of a file."""
     return record(HEADER, text("ros2") + text(library))
 
 
 def schema(number: int, name: str, definition: str) -> bytes:
-    """The definition of a message."""
+    """Return the definition of a message."""
     data = definition.encode()
     return record(
         SCHEMA, struct.pack("<H", number) + text(name) + text("ros2msg") + struct.pack("<I", len(data)) + data
@@ -65,28 +65,28 @@ def schema(number: int, name: str, definition: str) -> bytes:
 
 
 def channel(number: int, topic: str) -> bytes:
-    """A channel, whose messages have the schema of the same number."""
+    """Return a channel whose messages have the schema of the same number."""
     return record(CHANNEL, struct.pack("<HH", number, number) + text(topic) + text("cdr") + mapping({}))
 
 
 def metadata(name: str, values: Mapping[str, str]) -> bytes:
-    """Named strings."""
+    """Return metadata: named strings."""
     return record(METADATA, text(name) + mapping(values))
 
 
 def chunk(first_ns: int, last_ns: int, messages: bytes) -> bytes:
-    """Messages, not compressed: what of them is whole can be read where the file was cut off."""
+    """Return a chunk of messages, not compressed: whole messages can be read where the file was cut off."""
     head = struct.pack("<QQQIIQ", first_ns, last_ns, len(messages), zlib.crc32(messages), 0, len(messages))
     return record(CHUNK, head + messages)
 
 
 def message_index(number: int, entries: bytes) -> bytes:
-    """Times and places within their chunk of one channel's messages, eight bytes each."""
+    """Return the index of one channel's messages: times and offsets in their chunk, eight bytes each."""
     return record(MESSAGE_INDEX, struct.pack("<HI", number, len(entries)) + entries)
 
 
 def chunk_index(place: ChunkPlace) -> bytes:
-    """Where a chunk is."""
+    """Return the index of a chunk."""
     indexes = b"".join(struct.pack("<HQ", *each) for each in place.indexes.items())
     head = struct.pack("<QQQQI", place.first_ns, place.last_ns, place.at, place.length, len(indexes))
     tail = struct.pack("<QIQQ", place.indexes_length, 0, place.size, place.size)
@@ -94,12 +94,12 @@ def chunk_index(place: ChunkPlace) -> bytes:
 
 
 def metadata_index(at: int, length: int, name: str) -> bytes:
-    """Where metadata are."""
+    """Return the index of metadata."""
     return record(METADATA_INDEX, struct.pack("<QQ", at, length) + text(name))
 
 
 def statistics(counts: Mapping[int, int], chunks: int, first_ns: int, last_ns: int, channels: int) -> bytes:
-    """How much of what there is; one metadata record, no attachments."""
+    """Return the numbers of records; one of metadata, none of attachments."""
     counted = b"".join(struct.pack("<HQ", *each) for each in counts.items())
     total = sum(counts.values())
     head = struct.pack("<QHIIIIQQ", total, channels, channels, 0, 1, chunks, first_ns, last_ns)
@@ -107,12 +107,12 @@ def statistics(counts: Mapping[int, int], chunks: int, first_ns: int, last_ns: i
 
 
 def data_end(crc: int) -> bytes:
-    """The end of the data; `crc` of all that stands before it."""
+    """Return the end of the data, with the checksum of all that precedes it."""
     return record(DATA_END, struct.pack("<I", crc))
 
 
 def ending(at: int, groups: Sequence[tuple[int, bytes]]) -> bytes:
-    """Summary, footer and magic of a file whose summary begins at byte `at`, from its groups of records."""
+    """Return summary, footer and magic of a file whose summary of groups of records begins at offset `at`."""
     summary, offsets, place = b"", b"", at
     for code, records in groups:
         if records:

@@ -1,4 +1,4 @@
-"""Reading a record."""
+"""Reader of records."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import numpy as np
 from dual_ur10.errors import RecordingError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.recording.cdr import HEAD
-from dual_ur10.sim2real.recording.encoding import METADATA_NAME
 from dual_ur10.sim2real.recording.episodes import read_episodes
-from dual_ur10.sim2real.recording.header_text import header_of
+from dual_ur10.sim2real.recording.header import METADATA_NAME, from_metadata
 from dual_ur10.sim2real.recording.run import ArmLog, Event, Run
+from dual_ur10.sim2real.recording.run_folder import RUN_FILE
 from dual_ur10.sim2real.recording.scan import MOST_BYTES, Scanned, scan
 from dual_ur10.sim2real.recording.schemas import (
     EPISODE_TOPIC,
@@ -31,7 +31,6 @@ from dual_ur10.sim2real.recording.schemas import (
     sent_topic,
     state_topic,
 )
-from dual_ur10.sim2real.recording.writer import RUN_FILE
 from dual_ur10.types import Array
 
 _WANTED: Final = frozenset({*SINGLE, *map(state_topic, ARMS), *map(sent_topic, ARMS)})
@@ -45,11 +44,11 @@ def read_run(path: str | Path, *, allow_partial: bool = False, most_bytes: int =
     Args:
         path: The file, or the folder of the run.
         allow_partial: Also read what a kill or a fault left: a file without its end as far as it goes, and states that
-            a controller told as NaN.
+            a controller reported as NaN.
         most_bytes: Largest size of the file.
 
     Raises:
-        RecordingError: There is none, it is cut off, damaged or hostile. It names the row and the reason.
+        RecordingError: There is none, or it is cut off, damaged or hostile. The message names the row and the reason.
     """
     path = file_of(path)
     found = scan(path, wanted=_WANTED, most_bytes=most_bytes)
@@ -62,7 +61,7 @@ def read_run(path: str | Path, *, allow_partial: bool = False, most_bytes: int =
 
 
 def file_of(path: str | Path) -> Path:
-    """The file of a record, which is named itself, or by the folder of its run.
+    """Return the file of a record, given the file or the folder of its run.
 
     Raises:
         RecordingError: It is a link, or a folder without a run of its own.
@@ -85,9 +84,9 @@ def file_of(path: str | Path) -> Path:
 def _run(found: Scanned, allow_partial: bool) -> Run:
     if METADATA_NAME not in found.metadata:
         raise RecordingError(
-            found.reason if found.reason else "it holds no run of this package: its metadata say nothing of one"
+            found.reason if found.reason else "it holds no run of this package: its metadata name none"
         )
-    header = header_of(found.metadata[METADATA_NAME])
+    header = from_metadata(found.metadata[METADATA_NAME])
     for topic in _WANTED - found.schemas.keys():
         raise RecordingError(found.reason or f"it has no channel {topic}")
     for topic, schema in SINGLE.items():

@@ -17,8 +17,8 @@ from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
 from dual_ur10.sim2real.recording.recorder_process import BLACK_BOX, CLOSE, DONE, FAILED, FRAME, READY, WROTE, serve
 from dual_ur10.sim2real.recording.rows import BeginRow, StepRow
 from dual_ur10.sim2real.recording.run import Event, Header
+from dual_ur10.sim2real.recording.run_folder import LEAST_FREE_BYTES
 from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, EVENT, EVENT_TOPIC, STEP_TOPIC, TOPICS
-from dual_ur10.sim2real.recording.writer import LEAST_FREE_BYTES
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.config.cell import TickTrace

@@ -15,11 +15,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.errors import RecordingError
+from dual_ur10.errors import MissingExtraError, RecordingError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.recording.black_box import BlackBox
-from dual_ur10.sim2real.recording.log import RunLog
+from dual_ur10.sim2real.recording.cdr import check_extra
 from dual_ur10.sim2real.recording.run import Event, Header
+from dual_ur10.sim2real.recording.run_folder import RunLog
 from dual_ur10.sim2real.recording.schemas import EVENT, EVENT_TOPIC, TOPICS
 from dual_ur10.sim2real.recording.writer import RunWriter
 from dual_ur10.sim2real.runtime.arm_memory import RING, ArmMemory, Phase
@@ -212,9 +213,10 @@ def main(
     signal.signal(signal.SIGTERM, lambda *_: ending.set())
     pipe = _Pipe(connection)
     try:
+        check_extra()  # the black box decodes messages
         memories = ArmMemory(names[0]), ArmMemory(names[1])
         recorder = Recorder(memories, folder, header, black_boxes, begin_s, least_free_bytes)
-    except (RecordingError, OSError, ValueError) as error:
+    except (MissingExtraError, RecordingError, OSError, ValueError) as error:
         pipe.say(FAILED, f"nothing is recorded: {error}")
         return
     pipe.say(READY)

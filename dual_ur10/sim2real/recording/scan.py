@@ -1,7 +1,8 @@
-"""What is in a file of a record, message by message, whatever somebody may have put there.
+"""Structure of a record's file: metadata, schemas and the messages of each channel.
 
-Nothing of a file is believed: lengths are held against what is there before memory is taken, and nothing in it is ever
-carried out.
+`mcap` parses the records. This module frames them, because its stream reader skips unknown records, believes lengths
+within a record and drops the last chunk of a file that was cut off. Nothing in a file is trusted: lengths are checked
+against the size of the file before memory is taken, and nothing in it is ever executed.
 """
 
 from __future__ import annotations
@@ -10,12 +11,22 @@ import os
 import stat
 import struct
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, TypeVar
 
-from dual_ur10.errors import RecordingError
-from dual_ur10.sim2real.recording import mcap_records as mcap
+from dual_ur10.errors import MissingExtraError, RecordingError
+from dual_ur10.sim2real.recording.mcap_records import MAGIC
+
+try:
+    from mcap.data_stream import ReadDataStream
+    from mcap.exceptions import McapError
+    from mcap.opcode import Opcode
+    from mcap.records import Channel, Chunk, DataEnd, Footer, Message, Metadata, Schema
+except ImportError as error:
+    raise MissingExtraError("mcap", "records", "reading a record") from error
 
 MOST_BYTES: Final = 8 * 2**30
 """Largest file that is read: two hours of two arms at 500 Hz, seven at 125 Hz."""
@@ -23,24 +34,35 @@ MOST_BYTES: Final = 8 * 2**30
 _MOST_RECORD: Final = 64 * 2**20
 _MOST_CHANNELS: Final = 64
 _HEAD: Final = struct.Struct("<BQ")
-_MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
-_CHUNK_HEAD: Final = struct.Struct("<QQQII")
-_KNOWN: Final = frozenset({*range(0x01, 0x10)})
+_CHUNK_HEAD: Final = 40  # bytes before the messages of a chunk that is not compressed
+_MESSAGE_HEAD: Final = 22
+_FOOTER: Final = 20
+_KNOWN: Final = frozenset(map(int, Opcode))
+_SKIPPED: Final = frozenset({Opcode.HEADER, Opcode.MESSAGE_INDEX})
 _SUMMARY: Final = frozenset(
-    {mcap.SCHEMA, mcap.CHANNEL, mcap.STATISTICS, mcap.CHUNK_INDEX, mcap.METADATA_INDEX, mcap.SUMMARY_OFFSET, 0x0A}
+    {
+        Opcode.SCHEMA,
+        Opcode.CHANNEL,
+        Opcode.STATISTICS,
+        Opcode.CHUNK_INDEX,
+        Opcode.ATTACHMENT_INDEX,
+        Opcode.METADATA_INDEX,
+        Opcode.SUMMARY_OFFSET,
+    }
 )
+_Record = TypeVar("_Record")
 
 
 @dataclass
 class Scanned:
-    """What was found.
+    """Content of a file.
 
     Attributes:
-        metadata: By name.
-        schemas: Name and text, by channel's topic.
-        messages: Data of all messages, by topic, in the order of the file.
-        complete: Whether the file has its end.
-        reason: Why not.
+        metadata: Metadata by name.
+        schemas: Name and text of the schema of each topic.
+        messages: Data of all messages by topic, in the order of the file.
+        complete: True if the file has its end.
+        reason: Reason why it has not.
     """
 
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -55,7 +77,7 @@ class _CutOffError(Exception):
 
 
 def open_regular(path: Path) -> tuple[BinaryIO, int]:
-    """Open a file to be read, and its size. Links are not followed.
+    """Open a file for reading, and return it with its size. Links are not followed.
 
     Raises:
         RecordingError: There is none, or it is not a regular file.
@@ -73,7 +95,7 @@ def open_regular(path: Path) -> tuple[BinaryIO, int]:
 
 
 def scan(path: Path, *, wanted: frozenset[str], most_bytes: int = MOST_BYTES) -> Scanned:
-    """Read a file to its end, or to where it was cut off.
+    """Read a file to its end, or to the byte at which it was cut off.
 
     Args:
         path: The file.
@@ -99,24 +121,23 @@ def scan(path: Path, *, wanted: frozenset[str], most_bytes: int = MOST_BYTES) ->
 
 
 class _Scan:
-    """One reading of one file."""
+    """One pass through one file."""
 
     def __init__(self, file: BinaryIO, size: int, wanted: frozenset[str]) -> None:
         self._file, self._size, self._wanted = file, size, wanted
         self._at = self._crc = 0
         self._found = Scanned()
         self._schemas: dict[int, tuple[str, str]] = {}
-        self._channels: dict[int, tuple[int, str]] = {}
+        self._channels: dict[int, str] = {}
         self._next: dict[int, int] = {}
 
     def run(self) -> Scanned:
-        """Read all of it."""
-        if self._take(len(mcap.MAGIC), partly=True) != mcap.MAGIC:
+        if self._take(len(MAGIC), partly=True) != MAGIC:
             raise RecordingError("this is no MCAP file")
         try:
             while self._data_record():
                 pass
-            self._ending()
+            self._summary()
             self._found.complete = True
         except _CutOffError as cut:
             self._found.reason = str(cut)
@@ -150,167 +171,130 @@ class _Scan:
         return True
 
     def _data_record(self) -> bool:
-        """Read one record. Returns whether there may be more data."""
+        """Read one record. Return False at the end of the data."""
         before, start = self._crc, self._at
         code, length = self._head()
-        if code == mcap.CHUNK:
+        if code == Opcode.CHUNK:
             self._chunk(length, start)
             return True
-        body = _Body(self._take(length), start)
-        if code == mcap.DATA_END:
-            crc = body.number("<I")
-            body.end()
-            if crc != before:
+        body = self._take(length)
+        if code == Opcode.DATA_END:
+            if _parsed(DataEnd.read, body, start).data_section_crc != before:
                 raise RecordingError("the data are not as they were written: their checksum is wrong")
             return False
-        if code == mcap.METADATA:
-            self._metadata(body)
-        elif code == mcap.SCHEMA:
-            self._schema(body)
-        elif code == mcap.CHANNEL:
-            self._channel(body)
-        elif code not in (mcap.HEADER, mcap.MESSAGE_INDEX):
-            raise RecordingError(f"the record at byte {start} has code {code}, which has no place there")
+        if code == Opcode.METADATA:
+            self._metadata(_parsed(Metadata.read, body, start))
+        elif code == Opcode.SCHEMA:
+            self._schema(_parsed(Schema.read, body, start))
+        elif code == Opcode.CHANNEL:
+            self._channel(_parsed(Channel.read, body, start))
+        elif code not in _SKIPPED:
+            raise RecordingError(f"the record at byte {start} has code {code}, which is not allowed there")
         return True
 
-    def _metadata(self, body: _Body) -> None:
-        name, values = body.text(), body.mapping()
-        body.end()
-        if name in self._found.metadata or len(self._found.metadata) >= _MOST_CHANNELS:
-            raise RecordingError(f"metadata {name[:80]!r} come twice, or too many")
-        self._found.metadata[name] = values
+    def _metadata(self, record: Metadata) -> None:
+        if record.name in self._found.metadata or len(self._found.metadata) >= _MOST_CHANNELS:
+            raise RecordingError(f"metadata {record.name[:80]!r} come twice, or too many")
+        self._found.metadata[record.name] = record.metadata
 
-    def _schema(self, body: _Body) -> None:
-        number, name, kind, text = body.number("<H"), body.text(), body.text(), body.text()
-        body.end()
-        if kind != "ros2msg" or number in self._schemas or len(self._schemas) >= _MOST_CHANNELS:
-            raise RecordingError(f"the schema {name[:80]!r} is of kind {kind[:80]!r}, comes twice, or is one too many")
-        self._schemas[number] = name, text
+    def _schema(self, record: Schema) -> None:
+        if record.encoding != "ros2msg" or record.id in self._schemas or len(self._schemas) >= _MOST_CHANNELS:
+            raise RecordingError(
+                f"the schema {record.name[:80]!r} is of kind {record.encoding[:80]!r}, comes twice, or is one too many"
+            )
+        try:
+            self._schemas[record.id] = record.name, record.data.decode()
+        except UnicodeDecodeError:
+            raise RecordingError(f"the schema {record.name[:80]!r} is no text") from None
 
-    def _channel(self, body: _Body) -> None:
-        number, schema, topic, kind = body.number("<H"), body.number("<H"), body.text(), body.text()
-        body.mapping()
-        body.end()
-        if schema not in self._schemas or kind != "cdr":
-            raise RecordingError(f"the channel {topic[:80]!r} is of kind {kind[:80]!r} or has no schema")
-        if number in self._channels or topic in self._found.schemas:
+    def _channel(self, record: Channel) -> None:
+        topic = record.topic
+        if record.schema_id not in self._schemas or record.message_encoding != "cdr":
+            raise RecordingError(
+                f"the channel {topic[:80]!r} is of kind {record.message_encoding[:80]!r} or has no schema"
+            )
+        if record.id in self._channels or topic in self._found.schemas:
             raise RecordingError(f"the channel {topic[:80]!r} comes twice")
-        self._channels[number] = schema, topic
-        self._next[number] = 0
-        self._found.schemas[topic] = self._schemas[schema]
+        self._channels[record.id] = topic
+        self._next[record.id] = 0
+        self._found.schemas[topic] = self._schemas[record.schema_id]
         self._found.messages[topic] = []
 
     def _chunk(self, length: int, start: int) -> None:
         there = min(length, self._size - self._at)
-        data = self._take(there, partly=there < length)
-        if len(data) < _CHUNK_HEAD.size + 8:
-            if there == length:
-                raise RecordingError(f"the chunk at byte {start} is malformed")
-            raise _CutOffError(f"it is cut off at byte {self._size}, within the chunk at byte {start}")
-        _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(data)
-        if name_length:
+        body = self._take(there, partly=there < length)
+        cut = f"it is cut off at byte {self._size}, within the chunk at byte {start}"
+        if there < length and len(body) < _CHUNK_HEAD + 1:
+            raise _CutOffError(cut)
+        if length < _CHUNK_HEAD:
+            raise RecordingError(f"the chunk at byte {start} is malformed")
+        chunk = _parsed(Chunk.read, body, start)
+        if chunk.compression:
             raise RecordingError(f"the chunk at byte {start} is compressed: decompress the file with the mcap tool")
-        (again,) = struct.unpack_from("<Q", data, _CHUNK_HEAD.size)
-        if again != size or size != length - _CHUNK_HEAD.size - 8:
+        if chunk.uncompressed_size != length - _CHUNK_HEAD:
             raise RecordingError(f"the chunk at byte {start} is malformed: its lengths differ")
-        messages = memoryview(data)[_CHUNK_HEAD.size + 8 :]
-        if len(messages) == size:
-            if zlib.crc32(messages) != crc:
-                if self._at == self._size:  # a power cut leaves lengths without what belongs there
-                    raise _CutOffError(f"the last chunk, at byte {start}, is not as it was written")
-                raise RecordingError(f"the chunk at byte {start} is not as it was written: its checksum is wrong")
-            if self._messages(messages, start) != size:
-                raise RecordingError(f"the chunk at byte {start} ends within a message")
-            return
-        self._messages(messages, start)
-        raise _CutOffError(f"it is cut off at byte {self._size}, within the chunk at byte {start}")
+        if there < length:
+            self._messages(chunk.data, start)
+            raise _CutOffError(cut)
+        if zlib.crc32(chunk.data) != chunk.uncompressed_crc:
+            if self._at == self._size:  # a power cut leaves lengths without their content
+                raise _CutOffError(f"the last chunk, at byte {start}, is not as it was written")
+            raise RecordingError(f"the chunk at byte {start} is not as it was written: its checksum is wrong")
+        if not self._messages(chunk.data, start):
+            raise RecordingError(f"the chunk at byte {start} ends within a message")
 
-    def _messages(self, data: memoryview, start: int) -> int:
-        """Keep every whole message. Returns where the last of them ends."""
-        at, size = 0, len(data)
-        while size - at >= _MESSAGE_HEAD.size:
-            code, length, number, sequence, _, _ = _MESSAGE_HEAD.unpack_from(data, at)
-            if code != mcap.MESSAGE or length < 22:
+    def _messages(self, data: bytes, start: int) -> bool:
+        """Keep every whole message. Return True if the data end with the last of them."""
+        stream, size = ReadDataStream(BytesIO(data)), len(data)
+        while size - stream.count >= _HEAD.size + _MESSAGE_HEAD:
+            code, length = stream.read1(), stream.read8()
+            if code != Opcode.MESSAGE or length < _MESSAGE_HEAD:
                 raise RecordingError(f"there is something else than messages in the chunk at byte {start}")
-            end = at + 9 + length
-            if end > size:
-                break
-            channel = self._channels.get(number)
-            if channel is None:
+            if length > size - stream.count:
+                return False
+            message = Message.read(stream, length)
+            number = message.channel_id
+            topic = self._channels.get(number)
+            if topic is None:
                 raise RecordingError(f"a message in the chunk at byte {start} is of channel {number}: there is none")
-            topic = channel[1]
-            if sequence != self._next[number]:
-                raise RecordingError(f"{topic}: message {sequence} follows where {self._next[number]} is expected")
-            self._next[number] = sequence + 1
+            if message.sequence != self._next[number]:
+                raise RecordingError(
+                    f"{topic}: message {message.sequence} follows where {self._next[number]} is expected"
+                )
+            self._next[number] += 1
             if topic in self._wanted:
-                self._found.messages[topic].append(bytes(data[at + _MESSAGE_HEAD.size : end]))
-            at = end
-        return at
+                self._found.messages[topic].append(message.data)
+        return stream.count == size
 
-    def _ending(self) -> None:
-        """The summary is for others: what it says is known by now. But it must be whole."""
+    def _summary(self) -> None:
+        """Check that the summary is whole. Its content repeats that of the data."""
         start = self._at
         self._crc = 0
         while True:
             code, length = self._head()
-            if code == mcap.FOOTER:
+            if code == Opcode.FOOTER:
                 break
             if code not in _SUMMARY:
                 raise RecordingError(f"a record of code {code} has no place in the summary")
             self._take(length)
-        if length != 20:
+        if length != _FOOTER:
             raise RecordingError("the footer is malformed")
-        body = self._take(16)
-        expected, summary = self._crc, struct.unpack("<QQ", body)[0]
-        (crc,) = struct.unpack("<I", self._take(4))
-        if summary != start or crc != expected:
+        body = self._take(length - 4)
+        crc = self._crc
+        footer = _parsed(Footer.read, body + self._take(4), start)
+        if footer.summary_start != start or footer.summary_crc != crc:
             raise RecordingError("the summary is not as it was written")
-        if self._take(len(mcap.MAGIC)) != mcap.MAGIC or self._at != self._size:
+        if self._take(len(MAGIC)) != MAGIC or self._at != self._size:
             raise RecordingError("the file does not end where it should")
 
 
-class _Body:
-    """Reads the parts of a record."""
-
-    def __init__(self, data: bytes, start: int) -> None:
-        self._data, self._start, self._at = data, start, 0
-
-    def number(self, code: str) -> int:
-        """One number."""
-        try:
-            (value,) = struct.unpack_from(code, self._data, self._at)
-        except struct.error:
-            raise self._malformed() from None
-        self._at += struct.calcsize(code)
-        return int(value)
-
-    def text(self) -> str:
-        """A string."""
-        length = self.number("<I")
-        piece = self._data[self._at : self._at + length]
-        if len(piece) < length:
-            raise self._malformed()
-        self._at += length
-        try:
-            return piece.decode()
-        except UnicodeDecodeError:
-            raise self._malformed() from None
-
-    def mapping(self) -> dict[str, str]:
-        """A map of strings."""
-        end = self.number("<I") + self._at
-        values: dict[str, str] = {}
-        while self._at < end:
-            key = self.text()
-            values[key] = self.text()
-        if self._at != end:
-            raise self._malformed()
-        return values
-
-    def end(self) -> None:
-        """See that nothing is left."""
-        if self._at != len(self._data):
-            raise self._malformed()
-
-    def _malformed(self) -> RecordingError:
-        return RecordingError(f"the record at byte {self._start} is malformed")
+def _parsed(read: Callable[[ReadDataStream], _Record], body: bytes, start: int) -> _Record:
+    """Return the record that a body holds, and nothing else."""
+    stream = ReadDataStream(BytesIO(body))
+    try:
+        record = read(stream)
+    except (McapError, struct.error, ValueError):
+        raise RecordingError(f"the record at byte {start} is malformed") from None
+    if stream.count != len(body):
+        raise RecordingError(f"the record at byte {start} is malformed")
+    return record

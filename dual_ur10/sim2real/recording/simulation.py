@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from dual_ur10.errors import RecordingError, ResetNeededError
+from dual_ur10.errors import ResetNeededError
 from dual_ur10.kinematics import flange_pose_quat
 from dual_ur10.kinematics.rotations import quat_to_rotvec
-from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
 from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
-from dual_ur10.sim2real.recording.log import RunLog
+from dual_ur10.sim2real.recording.header import mounts_of
 from dual_ur10.sim2real.recording.rows import BeginRow, StepRow
 from dual_ur10.sim2real.recording.run import Event, Header
+from dual_ur10.sim2real.recording.run_folder import LEAST_FREE_BYTES, RunLog
 from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, SIMULATED_COLUMNS, STEP_TOPIC
-from dual_ur10.sim2real.recording.writer import LEAST_FREE_BYTES, RunWriter
+from dual_ur10.sim2real.recording.writer import RunWriter
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.config.cell import TickTrace
@@ -47,7 +47,7 @@ class SimulationRecord:
 
     def __init__(self, folder: Path, header: Header, *, least_free_bytes: int = LEAST_FREE_BYTES) -> None:
         self._tick_s, self._latency_ticks = header.tick_s, header.latency_ticks
-        self._dh = [_parameters(mount) for mount in header.mounts]
+        self._dh = [mount.dh for mount in mounts_of(header)]
         self._begin_s = 0.0
         self._ticks = self._step = 0
         self._episode = self._sent = -1
@@ -134,12 +134,3 @@ class SimulationRecord:
         """
         self._log.close()
         self.writer.close()
-
-
-def _parameters(mount: dict[str, Any]) -> DHParameters:
-    """The kinematics in a header's mount; nominal where it says nothing."""
-    try:
-        given: dict[str, Any] = {name: tuple(value) for name, value in mount["dh"].items()} if "dh" in mount else {}
-        return DHParameters(**given) if given else NOMINAL_DH
-    except (AttributeError, TypeError) as error:
-        raise RecordingError(f"the kinematics {mount['dh']!r:.200} cannot be understood: {error}") from error

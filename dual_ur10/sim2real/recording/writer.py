@@ -1,115 +1,41 @@
-"""Writing a record, so that nothing that was flushed is lost when the process is killed."""
+"""Writer of a record. Flushed data survive a kill of the process at any instant.
+
+MCAP's own writer is not used: it holds messages back until a chunk is full, and encodes them one by one.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import errno
 import os
-import re
-import shutil
 import zlib
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
 from dual_ur10.errors import ClosedError, RecordingError
 from dual_ur10.sim2real.recording import mcap_records as mcap
-from dual_ur10.sim2real.recording.encoding import METADATA_NAME, NUMBERS, Encoder, Messages
+from dual_ur10.sim2real.recording.encoding import NUMBERS, Encoder, Messages
+from dual_ur10.sim2real.recording.header import METADATA_NAME
 from dual_ur10.sim2real.recording.run import Event, Header
+from dual_ur10.sim2real.recording.run_folder import LEAST_FREE_BYTES, RUN_FILE, check_name, check_room
 from dual_ur10.sim2real.recording.schemas import STATE_COLUMNS, Columns
 from dual_ur10.types import Array, Closing
 
-RUN_FILE: Final = "run.mcap"
-LOG_FILE: Final = "run.log"
-
-LEAST_FREE_BYTES: Final = 256 * 2**20
-"""Room on the disk that a run wants when it begins: four minutes of two arms at 500 Hz, fifteen at 125 Hz."""
-
-_NAME: Final = re.compile(r"[A-Za-z0-9_.-]{1,128}\Z")
-_MOST_FOLDERS: Final = 99
-
-
-def check_name(name: str) -> str:
-    """A name of a file or folder of a record, as it is.
-
-    Raises:
-        RecordingError: It has other characters than letters, digits, "_", "." and "-", or begins with a dot.
-    """
-    if not _NAME.match(name) or name.startswith("."):
-        raise RecordingError(f"the name {name[:140]!r} cannot be used: letters, digits, '_', '.' and '-' are allowed")
-    return name
-
-
-def check_room(folder: Path, least_free_bytes: int) -> None:
-    """Make sure that there is room on the disk of a folder.
-
-    Raises:
-        RecordingError: There is not.
-        OSError: Nobody knows.
-    """
-    free = shutil.disk_usage(folder).free
-    if free < least_free_bytes:
-        raise RecordingError(
-            f"cannot record in {folder}: {free / 2**20:.0f} MiB are free, {least_free_bytes / 2**20:.0f} MiB "
-            "are needed: make room, or record elsewhere"
-        )
-
-
-def prepare(root: Path, *, least_free_bytes: int = LEAST_FREE_BYTES) -> None:
-    """See that runs can be recorded in a folder, which is made if it does not exist.
-
-    Raises:
-        RecordingError: They cannot, or there is too little room.
-    """
-    if root.exists() and not root.is_dir():
-        raise RecordingError(f"cannot make a folder for the run in {root}: it is no folder. Name one to record in")
-    try:
-        root.mkdir(parents=True, exist_ok=True)
-        check_room(root, least_free_bytes)
-    except OSError as error:
-        raise RecordingError(f"cannot make a folder for the run in {root}: {error}") from error
-
-
-def new_folder(root: Path, header: Header, *, least_free_bytes: int = LEAST_FREE_BYTES) -> Path:
-    """Make the folder of a new run, `<UTC time>-<task>-<source>`, within a folder that exists or is made.
-
-    Args:
-        root: That folder.
-        header: Of the run.
-        least_free_bytes: Room that there must be on the disk.
-
-    Raises:
-        RecordingError: It cannot be made, or there is too little room.
-    """
-    prepare(root, least_free_bytes=least_free_bytes)
-    time = re.sub(r"[^0-9T]", "", header.started_utc.split(".")[0].split("+")[0])
-    task = header.env_id.split("/")[-1]
-    name = check_name(f"{time}-{task}-{header.source}")
-    try:
-        for number in range(1, _MOST_FOLDERS + 1):
-            folder = root / (name if number == 1 else f"{name}-{number}")
-            with contextlib.suppress(FileExistsError):
-                folder.mkdir()
-                return folder
-    except OSError as error:
-        raise RecordingError(f"cannot make a folder for the run in {root}: {error}") from error
-    raise RecordingError(f"cannot make a folder for the run in {root}: {name} and {_MOST_FOLDERS - 1} others exist")
-
 
 class RunWriter(Closing):
-    """Writes a record. What it is given is in the file, as far as the system is concerned, after the next `flush`.
+    """Writer of one file. All that was added is handed to the system by the next `flush`.
 
-    The file ends with an index after `close`; without it, as after a kill, everything can be read all the same.
+    `close` writes an index at the end. A file without it, as after a kill, can be read all the same.
 
     Args:
-        folder: Of the run; it exists.
-        header: Of the run.
-        name: Of the file, which must not exist.
-        columns: Of the states that come.
-        least_free_bytes: Room that there must be on the disk.
+        folder: Existing folder of the run.
+        header: Header of the run.
+        name: Name of the file, which must not exist.
+        columns: Columns of the states.
+        least_free_bytes: Free space required on the disk.
 
     Attributes:
         path: The file.
@@ -149,30 +75,30 @@ class RunWriter(Closing):
             raise
 
     def states(self, arm: int, rows: Array) -> None:
-        """States of an arm, (k, numbers) in the writer's columns; the first is the time of the run."""
+        """Add states of an arm, (k, numbers) in the writer's columns; the first is the time of the run."""
         self.add(self.encoder.states(arm, rows))
 
     def sent(self, arm: int, rows: Array) -> None:
-        """Targets that were sent, (k, 10) in `SENT_COLUMNS`, with times of the run."""
+        """Add targets that were sent, (k, 10) in `SENT_COLUMNS`, with times of the run."""
         self.add(self.encoder.sent(arm, rows))
 
     def single(self, topic: str, time_s: float, data: bytes) -> None:
-        """One message of a channel, encoded."""
+        """Add one encoded message."""
         self.add(self.encoder.single(topic, time_s, data))
 
     def event(self, event: Event) -> None:
-        """An event."""
+        """Add an event."""
         self.add(self.encoder.event(event))
 
     def add(self, messages: Iterable[Messages]) -> None:
-        """Messages, which `flush` will write."""
+        """Add messages, which `flush` will write."""
         self._pending.extend(messages)
 
     def flush(self) -> None:
-        """Hand everything over to the system.
+        """Hand all that was added to the system.
 
         Raises:
-            RecordingError: It does not take it. The file can be read up to the last flush, and no more is written.
+            RecordingError: The system refuses. The file can be read up to the last flush, and nothing more is written.
             ClosedError: The record was closed.
         """
         if self._closed:
@@ -202,7 +128,7 @@ class RunWriter(Closing):
             self._written[each.channel] += len(each.log_ns)
 
     def sync(self) -> None:
-        """Wait until the disk has everything that was flushed. This may take long: not where others wait.
+        """Wait until the disk has all that was flushed. This may take long.
 
         Raises:
             RecordingError: The disk refuses.
@@ -214,7 +140,7 @@ class RunWriter(Closing):
                 raise RecordingError(f"cannot record in {self.path}: {error}") from error
 
     def close(self) -> None:
-        """Write what is left, and the index. May be called twice.
+        """Write the rest and the index, and close the file. May be called twice.
 
         Raises:
             RecordingError: It cannot be written. The file is closed all the same.
@@ -245,10 +171,10 @@ class RunWriter(Closing):
         self._write(end + mcap.ending(at, groups))
 
     def _write(self, data: bytes) -> None:
-        """Write all of it, or nothing.
+        """Write all of the data, or nothing.
 
         Raises:
-            RecordingError: It cannot be written, or something could not be before.
+            RecordingError: They cannot be written, or earlier ones could not.
         """
         if self._failure:
             raise RecordingError(self._failure)
@@ -268,7 +194,7 @@ class RunWriter(Closing):
 
 
 def _index(number: int, parts: list[Messages], starts: list[int]) -> bytes:
-    """The index of one channel's messages within their chunk."""
+    """Return the index of one channel's messages within their chunk."""
     body = []
     for part, start in zip(parts, starts, strict=True):
         count = len(part.log_ns)

@@ -11,7 +11,7 @@ import numpy as np
 
 import dual_ur10  # noqa: F401  # registers the environments
 from dual_ur10 import policies
-from dual_ur10.sim2real.recording.describe import describe
+from dual_ur10.sim2real.recording.header import describe
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.recording.run import Run
 from dual_ur10.sim2real.recording.simulation import SimulationRecord

@@ -14,7 +14,8 @@ from dual_ur10.sim2real.analysis.compare import compare
 from dual_ur10.sim2real.analysis.parity import parity
 from dual_ur10.sim2real.analysis.series import at, lag, smoothed, spread
 from dual_ur10.sim2real.analysis.timing import LATE_S, ripple_of, timing
-from dual_ur10.sim2real.analysis.tracks import flange_of, mounts_of, track, tracks
+from dual_ur10.sim2real.analysis.tracks import flange_of, track, tracks
+from dual_ur10.sim2real.recording.header import mounts_of
 from tests.sim2real.analysis.made import DH, header, rested, run, with_arm
 from tests.soak import scaled
 

@@ -20,7 +20,7 @@ from dual_ur10.policies.evaluation.evaluate import evaluate
 from dual_ur10.policies.registry import provenance, shipped_folder
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.recording.run import Run
-from dual_ur10.sim2real.recording.writer import new_folder
+from dual_ur10.sim2real.recording.run_folder import new_folder
 from tests.cli.command import run
 from tests.sim2real.recording.runs import header
 

@@ -18,7 +18,8 @@ from dual_ur10.sim2real.analysis.compare import compare
 from dual_ur10.sim2real.analysis.fit import fit
 from dual_ur10.sim2real.analysis.reconstruction import check_replayable, generator_of, keywords_of, resets_of
 from dual_ur10.sim2real.analysis.replay import RecordedPolicy, replay
-from dual_ur10.sim2real.analysis.tracks import flange_of, mounts_of
+from dual_ur10.sim2real.analysis.tracks import flange_of
+from dual_ur10.sim2real.recording.header import mounts_of
 from dual_ur10.sim2real.recording.run import Run
 from tests.sim2real.analysis.made import DH, header
 from tests.sim2real.analysis.recorded import record
@@ -242,7 +243,7 @@ def test_an_episode_that_is_not_there_is_refused(sine: Run, number: int) -> None
 )
 def test_a_damaged_generator_is_refused(sine: Run, text: str) -> None:
     events = [replace(each, text=text) if each.kind == "generator" else each for each in sine.events]
-    with pytest.raises(RecordingError, match="what episode 0 drew from cannot be read"):
+    with pytest.raises(RecordingError, match="the generator of episode 0 cannot be read"):
         replay(replace(sine, events=events))
 
 

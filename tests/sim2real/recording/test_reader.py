@@ -6,6 +6,8 @@ import json
 import math
 import os
 import struct
+import subprocess
+import sys
 import time
 import zlib
 from dataclasses import asdict
@@ -74,7 +76,7 @@ def test_times_that_go_back_are_refused_with_their_row(tmp_path, rng):
     ("changes", "message"),
     [
         ({"targets_rad": np.zeros((4, 2, 6))}, "48 numbers of targets, 60 belong to 5 ticks"),
-        ({"gripper_m": np.zeros((4, 2))}, "8 openings"),
+        ({"gripper_m": np.zeros((4, 2))}, "8 gripper widths"),
         ({"action": np.zeros(14)}, "action has 14 numbers"),
         ({"observation": np.zeros(7)}, "observation has 7 numbers"),
         ({"time_s": 0.04}, "time_s goes from 0.040000 to 0.040000"),
@@ -136,22 +138,24 @@ def test_an_episode_that_makes_no_sense_is_refused(tmp_path, rng, changes, messa
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"source": "dream"}, "source 'dream'"),
-        ({"family": "ur20"}, "family 'ur20'"),
-        ({"tick_s": 0.0}, "tick_s 0.0"),
-        ({"tick_s": 10**400}, "tick_s 1000"),
-        ({"tick_s": True}, "tick_s is bool"),
-        ({"tick_s": "0.008"}, "tick_s is str"),
-        ({"period_ticks": 0}, "period_ticks 0"),
-        ({"period_ticks": 10**9}, "period_ticks 1000000000"),
-        ({"speed_factor": 1.5}, "speed_factor 1.5"),
-        ({"mounts": [{}]}, "mounts"),
-        ({"servoj": [1, 2]}, "servoj"),
-        ({"servoj": [{}, {}]}, "servoj lookahead_s None"),
-        ({"servoj": [{"lookahead_s": 0.03, "gain": "x"}] * 2}, "servoj gain 'x'"),
-        ({"servoj": [{"lookahead_s": 0.03, "gain": 10**400}] * 2}, "servoj gain 1000"),
-        ({"versions": {"x": 1}}, "versions"),
-        ({"kwargs": []}, "kwargs"),
+        ({"source": "dream"}, "source is 'dream': it should be 'mujoco', 'emulated' or 'real'"),
+        ({"family": "ur20"}, "family is 'ur20'"),
+        ({"tick_s": 0.0}, "tick_s is 0.0"),
+        ({"tick_s": 10**400}, "tick_s is 1000"),
+        ({"tick_s": True}, "tick_s is True"),
+        ({"tick_s": "0.008"}, "tick_s is '0.008'"),
+        ({"period_ticks": 0}, "period_ticks is 0"),
+        ({"period_ticks": 10**9}, "period_ticks is 1000000000"),
+        ({"speed_factor": 1.5}, "speed_factor is 1.5"),
+        ({"mounts": [{}]}, "mounts is [{}]"),
+        ({"mounts": [{"position_m": [0.0], "x": 2}] * 2}, "mounts.1.x is 2"),
+        ({"mounts": [{"dh": {"a_m": [math.pi, "1"]}}] * 2}, "mounts.0.dh.a_m.1 is '1'"),
+        ({"servoj": [1, 2]}, "servoj.1 is 2"),
+        ({"servoj": [{}, {}]}, "servoj.1.lookahead_s: it is missing"),
+        ({"servoj": [{"lookahead_s": 0.03, "gain": "x"}] * 2}, "servoj.0.gain is 'x'"),
+        ({"servoj": [{"lookahead_s": 0.03, "gain": 10**400}] * 2}, "servoj.0.gain is 1000"),
+        ({"versions": {"x": 1}}, "versions.x is 1"),
+        ({"kwargs": []}, "kwargs is []"),
     ],
 )
 def test_a_header_that_makes_no_sense_is_refused(tmp_path, changes, message):
@@ -167,14 +171,22 @@ def preamble(line, **changes):
 @pytest.mark.parametrize(
     ("line", "changes", "message"),
     [
-        ("{", {}, "no JSON"),
-        ("[" * 100_000, {}, "no JSON"),
-        ("[]", {}, "other fields"),
-        ('{"a": NaN}', {}, "no JSON"),
-        ("1" * 5000, {}, "no JSON"),
+        ("{", {}, "Invalid JSON"),
+        ("[" * 100_000, {}, "recursion limit"),
+        ("[]", {}, "it should be an object"),
+        ('{"a": NaN}', {}, "env_id: it is missing"),
+        ("1" * 5000, {}, "out of range"),
         ("{}", {"crc32": "0"}, "checksum"),
         ("{}", {"format": "2"}, "format is '2'"),
-        (json.dumps(asdict(header()) | {"more": 1}), {}, "other fields"),
+        (json.dumps(asdict(header()) | {"more": 1}), {}, "more is 1"),
+        (json.dumps(asdict(header())).replace('"extra": {}', '"extra": {"x": [1e999]}'), {}, "inf is not finite"),
+        (json.dumps(asdict(header())).replace("0.008", "NaN"), {}, "tick_s is nan"),
+        (json.dumps(asdict(header())).replace("300.0", "Infinity"), {}, "servoj.1.gain is inf"),
+        (
+            json.dumps(asdict(header())).replace("[0.0, 0.5, 0.0]", "[0.0, NaN, 0.0]"),
+            {},
+            "mounts.0.position_m.1 is nan",
+        ),
         (json.dumps(asdict(header())), {}, "cut off"),
     ],
 )
@@ -305,7 +317,9 @@ def test_messages_that_are_missing_or_foreign_are_refused(tmp_path, rng, code):
     refused(tmp_path)
 
 
-FLAT = Schema("x", (Field("a", "float64[]"), Field("b", "string"), Field("c", "float64[3]"), Field("d", "uint8[]")))
+FLAT = Schema(
+    "x_msgs/msg/X", (Field("a", "float64[]"), Field("b", "string"), Field("c", "float64[3]"), Field("d", "uint8[]"))
+)
 
 
 @pytest.mark.parametrize("size", [0, 1, 3])
@@ -319,7 +333,7 @@ def test_messages_come_back_whatever_stands_before_what(size):
     for end in range(len(data)):
         with pytest.raises(RecordingError):
             FLAT.decode(data[:end])
-    with pytest.raises(RecordingError, match="too many"):
+    with pytest.raises(RecordingError, match="malformed"):
         FLAT.decode(data + b"\0")
 
 
@@ -388,3 +402,25 @@ def test_mutated_files_give_a_run_or_are_refused(tmp_path):
             counts["refused"] += 1
         assert time.process_time() - begun < 1.0, number
     assert min(counts.values()) > 0, counts
+
+
+@pytest.mark.parametrize("package", ["mcap", "mcap_ros2"])
+def test_without_the_libraries_the_extra_is_named_and_records_are_still_written(tmp_path, package):
+    code = (
+        "import sys, pathlib, numpy as np\n"
+        f"sys.modules[{package!r}] = None\n"
+        "from dual_ur10.errors import MissingExtraError\n"
+        "from dual_ur10.sim2real.recording.writer import RunWriter\n"
+        "from tests.sim2real.recording.runs import header, write\n"
+        f"with RunWriter(pathlib.Path({str(tmp_path)!r}), header()) as writer:\n"
+        "    write(writer, np.random.default_rng(0))\n"
+        "try:\n"
+        "    from dual_ur10.sim2real.recording.reader import read_run\n"
+        f"    read_run({str(tmp_path)!r})\n"
+        "except MissingExtraError as error:\n"
+        "    print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stderr == ""
+    assert 'pip install "dual-ur10[records]"' in done.stdout
+    assert read_run(tmp_path).complete

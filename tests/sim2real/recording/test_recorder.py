@@ -19,8 +19,8 @@ from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.recording.recorder import RecorderProcess
 from dual_ur10.sim2real.recording.recorder_process import Recorder
 from dual_ur10.sim2real.recording.run import Event
+from dual_ur10.sim2real.recording.run_folder import LOG_FILE
 from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, STEP_TOPIC
-from dual_ur10.sim2real.recording.writer import LOG_FILE
 from dual_ur10.sim2real.runtime.arm_memory import RING, ArmMemory, Phase
 from tests.sim2real.recording.runs import OBSERVATION, begin_row, feed, header, sent_rows, state_rows, status, step_row
 

@@ -14,10 +14,10 @@ import dual_ur10  # noqa: F401 - registers the ids
 from dual_ur10.errors import MissingExtraError, RecordingError, SettingsError
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.policies.evaluation.minari_export import to_minari
-from dual_ur10.sim2real.recording.describe import describe
+from dual_ur10.sim2real.recording.header import describe
 from dual_ur10.sim2real.recording.reader import read_run
+from dual_ur10.sim2real.recording.run_folder import LOG_FILE, new_folder
 from dual_ur10.sim2real.recording.simulation import SimulationRecord
-from dual_ur10.sim2real.recording.writer import LOG_FILE, new_folder
 from tests.soak import scaled
 
 TASKS = ("SineTracking", "Handover")

@@ -20,8 +20,9 @@ from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.recording import mcap_records as mcap
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.recording.run import Event
+from dual_ur10.sim2real.recording.run_folder import check_name, new_folder
 from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, STATE_COLUMNS, STEP_TOPIC
-from dual_ur10.sim2real.recording.writer import RunWriter, check_name, new_folder
+from dual_ur10.sim2real.recording.writer import RunWriter
 from tests.sim2real.recording.runs import TICKS, begin_row, header, step_row, write
 from tests.soak import scaled
 

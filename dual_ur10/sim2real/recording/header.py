@@ -1,0 +1,200 @@
+"""Header of a record: description of a run that begins, and its JSON in the metadata of the file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import reprlib
+import zlib
+from collections.abc import Mapping
+from dataclasses import asdict, fields, is_dataclass
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, Final
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from dual_ur10.errors import RecordingError, SettingsError
+from dual_ur10.ids import __version__
+from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
+from dual_ur10.sim2real.config.cell import CellConfig
+from dual_ur10.sim2real.recording.run import Header, Mount, Servoj, Source
+
+FORMAT: Final = "1"
+METADATA_NAME: Final = "dual_ur10"
+
+_PACKAGES: Final = ("numpy", "mujoco", "gymnasium", "ur-rtde")
+_MOST_TEXT: Final = 16 * 2**20
+_MOST_FINDINGS: Final = 10
+
+
+def describe(
+    env_id: str,
+    kwargs: Mapping[str, Any],
+    config: CellConfig,
+    *,
+    period_ticks: int,
+    latency_ticks: int,
+    source: Source = "mujoco",
+    seed: int | None = None,
+    speed_factor: float = 1.0,
+    policy: str = "",
+    policy_sha256: str | None = None,
+    cell_file: str | None = None,
+    extra: Mapping[str, Any] | None = None,
+) -> Header:
+    """Return the header of a run that begins now.
+
+    Args:
+        env_id: Id of the environment.
+        kwargs: Keywords of the environment. Of dataclasses, fields that differ from their defaults are kept; functions
+            are left out.
+        config: The cell.
+        period_ticks: Control periods per step.
+        latency_ticks: Control periods between an action's step and its first target.
+        source: "mujoco", "emulated" or "real".
+        seed: Seed of the first reset.
+        speed_factor: Fraction of the full speed.
+        policy: Name of the policy.
+        policy_sha256: Hash of the policy's file.
+        cell_file: Text of the cell file.
+        extra: Further entries.
+
+    Raises:
+        RecordingError: A keyword cannot be described in JSON.
+    """
+    servoj = Servoj(lookahead_s=config.servoj.lookahead_s, gain=config.servoj.gain)
+    return Header(
+        env_id=env_id,
+        kwargs=plain({name: value for name, value in kwargs.items() if not callable(value)}),
+        seed=None if seed is None else int(seed),
+        source=source,
+        family=config.servoj.family,
+        tick_s=config.servoj.tick_s,
+        period_ticks=period_ticks,
+        latency_ticks=latency_ticks,
+        speed_factor=float(speed_factor),
+        mounts=[plain(asdict(mount)) for mount in (config.left, config.right)],
+        servoj=[servoj, servoj.copy()],
+        versions=versions(*_PACKAGES),
+        started_utc=datetime.now(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z"),
+        policy=policy,
+        policy_sha256=policy_sha256,
+        cell_file=cell_file,
+        cell_sha256=None if cell_file is None else hashlib.sha256(cell_file.encode()).hexdigest(),
+        extra=plain(dict(extra or {})),
+    )
+
+
+def mounts_of(header: Header) -> tuple[ArmMount, ArmMount]:
+    """Return the base poses and the kinematics of both arms; nominal kinematics where the header holds none.
+
+    Raises:
+        RecordingError: They are not those of two UR10s.
+    """
+    try:
+        left, right = (_mount(each) for each in header.mounts)
+    except (SettingsError, AttributeError, KeyError, TypeError, ValueError) as error:
+        raise RecordingError(
+            f"the recording's mounts are not those of two UR10s: {error}. It is of another robot, or damaged"
+        ) from error
+    return left, right
+
+
+def _mount(values: Mount) -> ArmMount:
+    x, y, z = values["position_m"]
+    dh: dict[str, Any] = {name: tuple(each) for name, each in values.get("dh", {}).items()}
+    return ArmMount((x, y, z), values.get("yaw_rad", 0.0), DHParameters(**dh) if dh else NOMINAL_DH)
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON can hold it; a dataclass as a map of the fields that differ from their defaults.
+
+    Raises:
+        RecordingError: JSON cannot hold it.
+    """
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    if isinstance(value, float | np.floating):
+        return float(value)
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(key): plain(each) for key, each in value.items()}
+    if isinstance(value, tuple | list):
+        return [plain(each) for each in value]
+    if is_dataclass(value) and not isinstance(value, type):
+        default = _default(type(value))
+        pairs = ((field.name, getattr(value, field.name)) for field in fields(value))
+        return {name: plain(each) for name, each in pairs if default is None or each != getattr(default, name)}
+    raise RecordingError(f"{value!r:.200} of type {type(value).__name__} cannot be recorded: use plain values")
+
+
+def _default(kind: type[Any]) -> Any:
+    try:
+        return kind()
+    except TypeError:  # some fields have no default
+        return None
+
+
+def versions(*packages: str) -> dict[str, str]:
+    """Return the versions of this package and of others, as far as they are installed, by name."""
+    found = {"dual_ur10": __version__}
+    for name in packages:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def to_metadata(header: Header) -> dict[str, str]:
+    """Return the metadata of a file that hold a header.
+
+    Raises:
+        RecordingError: The header holds values that JSON cannot hold.
+    """
+    try:
+        line = json.dumps(asdict(header), allow_nan=False, sort_keys=True)
+    except (TypeError, ValueError) as error:
+        raise RecordingError(f"the run cannot be described in JSON: {error}") from error
+    return {"format": FORMAT, "header": line, "crc32": str(zlib.crc32(line.encode()))}
+
+
+def from_metadata(metadata: Mapping[str, str]) -> Header:
+    """Return the header that the metadata of a file hold.
+
+    Raises:
+        RecordingError: They hold none, one of another version, or an illegal one.
+    """
+    if metadata.get("format") != FORMAT:
+        raise RecordingError(f"its format is {metadata.get('format')!r:.80}: this version reads {FORMAT!r}")
+    line = metadata.get("header", "")
+    if str(zlib.crc32(line.encode())) != metadata.get("crc32"):
+        raise RecordingError("its header is not as it was written: the checksum is wrong")
+    if len(line) > _MOST_TEXT:
+        raise RecordingError(f"its header has {len(line)} characters: allowed are {_MOST_TEXT}")
+    try:
+        return _adapter().validate_json(line)
+    except ValidationError as error:
+        raise RecordingError(f"its header is not legal: {findings(error)}") from None
+
+
+@cache
+def _adapter() -> TypeAdapter[Header]:
+    return TypeAdapter(Header)
+
+
+def findings(error: ValidationError) -> str:
+    """Return all that was found wrong, each with its path."""
+    found = []
+    for each in error.errors(include_url=False, include_context=False)[:_MOST_FINDINGS]:
+        path = ".".join(map(str, each["loc"]))
+        value = f" is {reprlib.repr(each['input'])}" if path and each["type"] != "missing" else ""
+        text = each["msg"].replace("Input should", "it should").replace("Field required", "it is missing")
+        found.append(f"{path}{value}: {text}".removeprefix(": "))
+    more = error.error_count() - len(found)
+    return "; ".join(found) + (f"; and {more} more" if more > 0 else "")

@@ -31,7 +31,7 @@ def status(
     seconds: Annotated[float | None, typer.Option("--seconds", min=0.1, help="Stop after this time.")] = None,
 ) -> None:
     """Show both arms live: modes, power, currents, temperatures, joints, inputs and outputs. Read-only."""
-    from dual_ur10.sim2real.commissioning.status_view import StatusView
+    from dual_ur10.cli.status_view import StatusView
 
     cell = load_cell_file(file)
     arms = [StatusView(name, arm) for name, arm in zip(ARMS, cell.arms, strict=True)]

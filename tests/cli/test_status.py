@@ -8,7 +8,7 @@ import typer
 from typer.testing import CliRunner
 
 from dual_ur10.cli.status import status
-from dual_ur10.sim2real.commissioning.status_view import StatusView
+from dual_ur10.cli.status_view import StatusView
 from dual_ur10.sim2real.config.cell_file import load_cell_file
 from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.peripherals.gripper_link import RobotiqLink
@@ -182,7 +182,7 @@ def test_an_arm_that_falls_silent_is_dead_until_it_speaks_again(cell, made):
 
 
 def test_a_mistake_in_one_part_is_shown_and_the_others_go_on(cell, made, monkeypatch):
-    monkeypatch.setattr("dual_ur10.sim2real.commissioning.status_view.ArmStatus.from_sample", lambda sample: 1 / 0)
+    monkeypatch.setattr("dual_ur10.cli.status_view.ArmStatus.from_sample", lambda sample: 1 / 0)
     watch = StatusView("left", load_cell_file(made[1]).left)
     try:
         watch.wait(5.0)

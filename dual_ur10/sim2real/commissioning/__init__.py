@@ -1,4 +1,4 @@
-"""Checks and preparation of a cell by its operator: doctor, power, prompts and status view.
+"""Checks and preparation of a cell by its operator: doctor, power and prompts.
 
 Imports `sim2real.{config, links, protocol}`.
 """

@@ -60,7 +60,7 @@ _ROUND_TRIPS: Final = 20
 
 
 @dataclass
-class _Arm:
+class _ArmFacts:
     """Facts about an arm, as far as they were read."""
 
     name: str
@@ -89,7 +89,7 @@ def check_cell(
         same = Finding("cell", "two controllers", "fail", both, "two addresses", remedy)
         # A second check of the same controller at the same time would disturb the first.
         return [same, *check_arm(ARMS[0], left, timeout_s=timeout_s, observe_s=observe_s)]
-    arms = [_Arm(name, each, timeout_s, observe_s) for name, each in zip(ARMS, (left, right), strict=True)]
+    arms = [_ArmFacts(name, each, timeout_s, observe_s) for name, each in zip(ARMS, (left, right), strict=True)]
     with ThreadPoolExecutor(len(arms)) as threads:
         findings = list(threads.map(_examine, arms))
     return [*_distinct(*arms), *findings[0], *findings[1]]
@@ -107,10 +107,10 @@ def check_arm(name: str, expected: ExpectedArm, *, timeout_s: float = 1.5, obser
     Raises:
         SettingsError: A time is not legal.
     """
-    return _examine(_Arm(name, expected, timeout_s, observe_s))
+    return _examine(_ArmFacts(name, expected, timeout_s, observe_s))
 
 
-def _distinct(left: _Arm, right: _Arm) -> Iterator[Finding]:
+def _distinct(left: _ArmFacts, right: _ArmFacts) -> Iterator[Finding]:
     hosts = f"{left.expected.host} and {right.expected.host}"
     if left.serial_number is None or right.serial_number is None:
         found = f"{hosts}; serial numbers could not be compared"
@@ -122,11 +122,11 @@ def _distinct(left: _Arm, right: _Arm) -> Iterator[Finding]:
     yield judge("cell", "two controllers", two, found, "two addresses and serial numbers", remedy)
 
 
-def _examine(arm: _Arm) -> list[Finding]:
+def _examine(arm: _ArmFacts) -> list[Finding]:
     findings = list(_network(arm))
     ports, closed = _ports(arm)
     findings += ports
-    steps: tuple[tuple[str, str, Callable[[_Arm], Iterator[Finding]]], ...] = (
+    steps: tuple[tuple[str, str, Callable[[_ArmFacts], Iterator[Finding]]], ...] = (
         ("dashboard", "dashboard", _dashboard),
         ("primary", "primary interface", _primary),
         ("rtde", "RTDE", _rtde),
@@ -144,7 +144,7 @@ def _examine(arm: _Arm) -> list[Finding]:
     return findings
 
 
-def _network(arm: _Arm) -> Iterator[Finding]:
+def _network(arm: _ArmFacts) -> Iterator[Finding]:
     host = arm.expected.host
     if is_loopback(host):
         return
@@ -163,7 +163,7 @@ def _network(arm: _Arm) -> Iterator[Finding]:
         yield judge(arm.name, "route", route.gateway is None, path, expected, remedy, otherwise="warn")
 
 
-def _ports(arm: _Arm) -> tuple[list[Finding], set[str]]:
+def _ports(arm: _ArmFacts) -> tuple[list[Finding], set[str]]:
     """Return findings and closed ports. The ports share one time limit: a host that is silent is silent on all."""
     findings, closed = [], set()
     deadline_s = arm.deadline_s()
@@ -179,7 +179,7 @@ def _ports(arm: _Arm) -> tuple[list[Finding], set[str]]:
     return findings, closed
 
 
-def _dashboard(arm: _Arm) -> Iterator[Finding]:
+def _dashboard(arm: _ArmFacts) -> Iterator[Finding]:
     with DashboardLink(arm.expected.host, arm.timeout_s, name=arm.name) as link:
         remote = link.remote_control()
         if remote is not None:
@@ -194,13 +194,13 @@ def _dashboard(arm: _Arm) -> Iterator[Finding]:
         yield judge(arm.name, "serial number", found == wanted, found or NOT_REPORTED, wanted, remedy, otherwise=level)
 
 
-def _primary(arm: _Arm) -> Iterator[Finding]:
+def _primary(arm: _ArmFacts) -> Iterator[Finding]:
     arm.facts = read_primary(arm.expected.host, arm.timeout_s, name=arm.name)
     yield from calibration_findings(arm.name, arm.expected, arm.facts)
     yield from safety_findings(arm.name, arm.expected, arm.facts)
 
 
-def _rtde(arm: _Arm) -> Iterator[Finding]:
+def _rtde(arm: _ArmFacts) -> Iterator[Finding]:
     host = arm.expected.host
     with RtdeLink(host, STATUS_VARIABLES, timeout_s=arm.timeout_s, optional=OPTIONAL_VARIABLES, name=arm.name) as link:
         samples = _observe(link, arm)
@@ -213,7 +213,7 @@ def _rtde(arm: _Arm) -> Iterator[Finding]:
     yield from _registers(arm)
 
 
-def _observe(link: RtdeLink, arm: _Arm) -> list[Sample]:
+def _observe(link: RtdeLink, arm: _ArmFacts) -> list[Sample]:
     """Return the samples of `observe_s` from the first on, for which it waits `timeout_s`."""
     samples: list[Sample] = []
     begin = time.monotonic()
@@ -228,7 +228,7 @@ def _observe(link: RtdeLink, arm: _Arm) -> list[Sample]:
             samples += came
 
 
-def _registers(arm: _Arm) -> Iterator[Finding]:
+def _registers(arm: _ArmFacts) -> Iterator[Finding]:
     """Request the registers and release them at once; measure round trips on the same connection."""
     deadline_s = arm.deadline_s()
     client = RtdeClient(arm.name, arm.expected.host, PORTS["rtde"], deadline_s)

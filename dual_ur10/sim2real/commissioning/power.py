@@ -31,7 +31,7 @@ _NORMAL: Final = SafetyMode.NORMAL.name
 _STOPPED: Final = "STOPPED"  # of the program
 
 
-class _Arm:
+class _DashboardArm:
     """Arm with the connection to its dashboard."""
 
     def __init__(self, name: str, link: DashboardLink) -> None:
@@ -130,22 +130,22 @@ def power_on(cell_file: CellFile, confirm: Callable[[str], bool]) -> bool:
 
 
 @contextlib.contextmanager
-def _connected(cell_file: CellFile) -> Iterator[list[_Arm]]:
+def _connected(cell_file: CellFile) -> Iterator[list[_DashboardArm]]:
     """Connect to the dashboards of both arms."""
     with contextlib.ExitStack() as stack:
         yield [
-            _Arm(name, stack.enter_context(DashboardLink(arm.host, name=name)))
+            _DashboardArm(name, stack.enter_context(DashboardLink(arm.host, name=name)))
             for name, arm in zip(ARMS, cell_file.arms, strict=True)
         ]
 
 
-def _check(arms: Sequence[_Arm]) -> None:
+def _check(arms: Sequence[_DashboardArm]) -> None:
     found = [text for arm in arms for text in arm.faults()]
     if found:
         raise OperationRefusedError("no arm was given power: " + "; ".join(found))
 
 
-def _wait(arms: Sequence[_Arm], modes: Sequence[str], within_s: float) -> None:
+def _wait(arms: Sequence[_DashboardArm], modes: Sequence[str], within_s: float) -> None:
     """Wait until both are in one of the modes.
 
     Raises:

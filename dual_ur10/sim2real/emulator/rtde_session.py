@@ -21,7 +21,16 @@ from dual_ur10.sim2real.emulator.profile import ControllerProfile
 from dual_ur10.sim2real.emulator.registers import Registers
 from dual_ur10.sim2real.emulator.rtde_recipes import OUTPUT_RECIPE, InputRecipe, OutputRecipe
 from dual_ur10.sim2real.emulator.rtde_variables import input_types, output_types, zero_values
-from dual_ur10.sim2real.protocol.rtde import DataType, Frames, Kind, TextKind, Value, frame, split_names, text_payload
+from dual_ur10.sim2real.protocol.rtde import (
+    DataType,
+    FrameReader,
+    Kind,
+    TextKind,
+    Value,
+    frame,
+    split_names,
+    text_payload,
+)
 
 log = logging.getLogger(__name__)
 
@@ -98,7 +107,7 @@ class RtdeSession:
 
     def __init__(self, port: RtdePort) -> None:
         self._port = port
-        self._frames = Frames()
+        self._frames = FrameReader()
         self._closed = False
         self._outputs: OutputRecipe | None = None
         self._inputs: list[InputRecipe] = []

@@ -1,4 +1,5 @@
-"""Client connections to a UR controller that only read: RTDE, dashboard and primary interface.
+"""Client connections to a UR controller: RTDE (read-only), dashboard and primary interface; and to JSON services.
 
-Imports `sim2real.protocol`. Imported by `peripherals`, `commissioning` and `runtime`.
+Also the status of an arm and the estimate of its controller's clock. Imports `sim2real.{protocol, control}`; imported
+by `sim2real.{peripherals, commissioning, runtime, recording}`.
 """

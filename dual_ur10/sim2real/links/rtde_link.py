@@ -18,7 +18,7 @@ from dual_ur10.errors import LinkError, ProtocolError, SettingsError
 from dual_ur10.sim2real.control.servoj import TICK_S
 from dual_ur10.sim2real.links.link_socket import LinkSocket, check_timeout
 from dual_ur10.sim2real.links.rtde_stream import TIMESTAMP, RtdeStream, Sample
-from dual_ur10.sim2real.protocol.rtde import TYPES, DataType, Frames, Kind, frame, split_names
+from dual_ur10.sim2real.protocol.rtde import TYPES, DataType, FrameReader, Kind, frame, split_names
 from dual_ur10.types import Closing
 
 PORT: Final = 30004
@@ -48,7 +48,7 @@ class RtdeClient:
 
     def __init__(self, name: str, host: str, port: int, deadline_s: float) -> None:
         self.socket = LinkSocket(name, "RTDE", host, port, deadline_s)
-        self._frames = Frames()
+        self._frames = FrameReader()
         try:
             answer = self.request(Kind.REQUEST_PROTOCOL_VERSION, struct.pack(">H", _PROTOCOL), deadline_s)
             if answer != b"\1":

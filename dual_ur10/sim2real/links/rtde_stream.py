@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from dual_ur10.errors import ProtocolError
-from dual_ur10.sim2real.protocol.rtde import HEADER, DataType, Frames, Kind, Value
+from dual_ur10.sim2real.protocol.rtde import HEADER, DataType, FrameReader, Kind, Value
 
 log = logging.getLogger(__name__)
 
@@ -74,7 +74,7 @@ class RtdeStream:
                 self._vectors.append((name, slice(place, place + kind.count)))
             place += kind.count
         self.size = HEADER.size + 1 + self._struct.size
-        self._frames = Frames(max(self.size, _LARGEST_TEXT))
+        self._frames = FrameReader(max(self.size, _LARGEST_TEXT))
 
     def feed(self, data: bytes, arrival_s: float) -> list[Sample]:
         """Return the samples that `data` completes.
@@ -129,4 +129,4 @@ class RtdeStream:
         self._texts += 1
         if self._texts <= _MOST_TEXTS:
             text = payload[1 : 1 + payload[0]] if payload else b""
-            log.warning("%s says: %r", self._where, text.decode("utf-8", "replace"))
+            log.warning("%s sent: %r", self._where, text.decode("utf-8", "replace"))

@@ -1,4 +1,4 @@
-"""Grippers and object trackers beside the controllers of a cell.
+"""Grippers, object trackers and the object placer beside the controllers of a cell.
 
-Imports `sim2real.{config, links}`; imported by `sim2real.runtime`.
+Imports `assets`, `sim2real.{config, links, protocol}`; imported by `sim2real.{commissioning, runtime}`.
 """

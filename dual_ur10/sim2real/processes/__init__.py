@@ -1,4 +1,4 @@
 """Child processes, shared memory, scheduling priority and interrupts.
 
-Imports nothing of UR or MuJoCo.
+Imports no other room. Imported by `sim2real.{runtime, recording, emulator}`, `cli`, and first of all by the package.
 """

@@ -47,8 +47,8 @@ class TextKind(IntEnum):
     INFO = 3
 
 
-class Frames:
-    """Cutter of a byte stream into frames. It keeps less than one frame, so less than 64 KiB.
+class FrameReader:
+    """Reader of frames from a byte stream. It keeps less than one frame, so less than 64 KiB.
 
     Args:
         largest: Largest frame to accept, bytes.

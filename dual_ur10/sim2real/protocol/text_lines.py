@@ -11,7 +11,7 @@ MAX_LINE_BYTES: Final = 4096
 
 
 class LineReader:
-    r"""Splitter of a byte stream at `\n`.
+    r"""Reader of lines that end with `\n` from a byte stream.
 
     Args:
         limit: Longest line without its end, bytes.

@@ -340,7 +340,7 @@ def test_two_addresses_of_one_controller(cb3):
 )
 def test_findings_of_routes(monkeypatch, route, level, text):
     monkeypatch.setattr(doctor, "route_to", lambda host: route)
-    arm = doctor._Arm("left", ExpectedArm(host="192.168.1.11"), 1.0, 1.0)
+    arm = doctor._ArmFacts("left", ExpectedArm(host="192.168.1.11"), 1.0, 1.0)
     (finding,) = doctor._network(arm)
     assert finding.level == level
     assert text in finding.found

@@ -10,7 +10,7 @@ from dual_ur10.errors import AddressError, ProtocolError
 from dual_ur10.sim2real.emulator.addresses import check_loopback, listening
 from dual_ur10.sim2real.emulator.link_faults import LinkFaults
 from dual_ur10.sim2real.emulator.sockets import MOST_CONNECTIONS, Hub
-from dual_ur10.sim2real.protocol.rtde import Frames, Kind
+from dual_ur10.sim2real.protocol.rtde import FrameReader, Kind
 from tests.sim2real.emulator import rtde_bytes
 
 HOST = "127.0.0.1"
@@ -322,6 +322,6 @@ def test_damaged_packages_have_a_consistent_length():
         ("foreign", b"\xfe\x01\x02\x03"),
     ):
         faults = LinkFaults(**{name: 1})
-        assert list(Frames().feed(faults.damage(package))) == [(Kind.DATA_PACKAGE, payload)]
+        assert list(FrameReader().feed(faults.damage(package))) == [(Kind.DATA_PACKAGE, payload)]
         assert faults == LinkFaults()
         assert faults.damage(package) == package

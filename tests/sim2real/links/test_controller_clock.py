@@ -1,12 +1,14 @@
-"""Estimate of a controller's clock from packets that arrive late."""
+"""Estimate of a controller's clock from packets that arrive late, and compensation of its drift."""
 
 import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dual_ur10.errors import LinkError
-from dual_ur10.sim2real.links.controller_clock import ControllerClock
+from dual_ur10.sim2real.links.controller_clock import APART_S, ControllerClock, DriftCompensation
 
 
 def packets(tick_s, seconds, *, drift=0.0, latency_s=0.0002, jitter_s=0.001, stall=0.0, seed=0):
@@ -120,3 +122,66 @@ def test_a_round_trip_is_compensated():
     assert far.moment(number, 0.5) == pytest.approx(at - 0.0015, abs=1e-9)
     assert far.next_period(at - 0.0015 - 1e-6, 0.5)[0] == number
     assert far.next_period(at - 0.0015 + 1e-6, 0.5)[0] == number + 1
+
+
+# Compensation of drift.
+
+TICK_S = 0.008
+BACK_S = 0.0005
+MOST = 1e-3
+
+
+@given(st.floats(-1e6, 1e6), st.lists(st.floats(-0.999, 0.999), max_size=60))
+def test_errors_below_two_milliseconds_shift_nothing(offset_s, parts):
+    drift = DriftCompensation(TICK_S, offset_s)
+    assert [drift(offset_s + part * APART_S) for part in parts] == [0.0] * len(parts)
+
+
+@pytest.mark.parametrize("tick_s", [0.008, 0.002])
+@pytest.mark.parametrize("off_s", [-0.05, -0.0021, 0.0021, 0.004, 0.05])
+def test_a_step_is_corrected_slowly_and_then_the_shift_stays(tick_s, off_s):
+    drift, shifts = DriftCompensation(tick_s, 10.0), [0.0]
+    for _ in range(round(abs(off_s) / tick_s / MOST) + 100):
+        shifts.append(drift(10.0 + off_s))
+    steps = np.diff(shifts)
+    assert np.abs(steps).max() <= MOST * (1 + 1e-9)
+    assert (steps * np.sign(off_s) >= 0.0).all()
+    assert steps[0] == pytest.approx(np.sign(off_s) * MOST)
+    assert abs(shifts[-1] * tick_s - off_s) <= BACK_S * (1 + 1e-9)
+    assert abs(shifts[-1] * tick_s) <= abs(off_s)  # not beyond
+    assert not steps[-50:].any()
+    # Then a new shift begins only beyond the first bound.
+    assert drift(10.0 + off_s * (1 - 1e-9) + np.sign(off_s) * (APART_S - 2 * BACK_S)) == shifts[-1]
+
+
+def test_the_bound_is_per_period():
+    drift = DriftCompensation(TICK_S, 0.0)
+    assert drift(0.1, 7) == pytest.approx(7 * MOST)
+    assert drift(0.1) == pytest.approx(8 * MOST)
+    assert drift(-0.1, 3) == pytest.approx(5 * MOST)
+    assert drift(0.0001, 1) == pytest.approx(5 * MOST)  # it stops near the true offset
+
+
+@given(st.lists(st.tuples(st.floats(-1.0, 1.0), st.integers(1, 12)), max_size=60))
+def test_no_period_exceeds_the_bound(calls):
+    drift, before = DriftCompensation(TICK_S, 0.3), 0.0
+    for offset_s, periods in calls:
+        shift = drift(0.3 + offset_s, periods)
+        assert abs(shift - before) <= MOST * periods * (1 + 1e-9)
+        before = shift
+
+
+@pytest.mark.parametrize("ppm", [-100.0, 100.0, 20.0])
+@pytest.mark.parametrize("tick_s", [0.008, 0.002])
+def test_an_hour_with_a_drifting_clock(ppm, tick_s):
+    """Targets stay on this machine's time, although the controller's clock drifts."""
+    drift, rng = DriftCompensation(tick_s, 5.0), np.random.default_rng(0)
+    noise = rng.uniform(-0.0003, 0.0003, 1024)
+    every = 20  # periods per call, to shorten the test
+    worst, shifted = 0.0, 0.0
+    for k in range(0, round(3600.0 / tick_s), every):
+        true_s = ppm * 1e-6 * k * tick_s
+        shifted = drift(5.0 + true_s + noise[k // every % 1024], every)
+        worst = max(worst, abs(shifted * tick_s - true_s))
+    assert worst < APART_S + 0.0004
+    assert abs(shifted * tick_s) == pytest.approx(abs(ppm) * 1e-6 * 3600.0, abs=0.0025)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from dual_ur10.errors import ProtocolError, SettingsError
-from dual_ur10.sim2real.protocol.rtde import TYPES, Frames, frame, split_names, text_payload
+from dual_ur10.sim2real.protocol.rtde import TYPES, FrameReader, frame, split_names, text_payload
 
 
 def test_a_frame_is_size_kind_payload():
@@ -14,7 +14,7 @@ def test_a_frame_is_size_kind_payload():
 
 
 def test_frames_are_cut_out_of_pieces():
-    frames = Frames()
+    frames = FrameReader()
     assert list(frames.feed(b"\x00")) == []
     assert list(frames.feed(b"\x05U")) == []
     assert list(frames.feed(b"ab\x00\x03S\x00")) == [(ord("U"), b"ab"), (ord("S"), b"")]
@@ -22,7 +22,7 @@ def test_frames_are_cut_out_of_pieces():
 
 
 def test_the_largest_frame_passes():
-    frames = Frames()
+    frames = FrameReader()
     whole = b"\xff\xffU" + bytes(65532)
     assert list(frames.feed(whole[:-1])) == []
     assert list(frames.feed(whole[-1:])) == [(ord("U"), bytes(65532))]
@@ -30,7 +30,7 @@ def test_the_largest_frame_passes():
 
 @pytest.mark.parametrize("size", [0, 1, 2])
 def test_a_frame_smaller_than_its_header_is_an_error_after_those_before_it(size):
-    cut = Frames().feed(b"\x00\x03S" + bytes([0, size, ord("S")]))
+    cut = FrameReader().feed(b"\x00\x03S" + bytes([0, size, ord("S")]))
     assert next(cut) == (ord("S"), b"")
     with pytest.raises(ProtocolError, match=f"{size} bytes"):
         next(cut)

@@ -1,4 +1,4 @@
-"""Which controller the tests talk to."""
+"""Controller under test: emulated, or at a given host."""
 
 import itertools
 import struct
@@ -16,7 +16,7 @@ STATE = "timestamp,runtime_state,robot_mode,safety_mode,actual_q"
 
 @dataclass(frozen=True)
 class Controller:
-    """A controller, emulated or not."""
+    """Controller under test."""
 
     host: str
     family: str
@@ -33,16 +33,16 @@ class Controller:
 
     @property
     def assumed(self):
-        """What is assumed of controllers of this family."""
+        """Assumptions about controllers of this family."""
         return PROFILES[self.family].assumptions
 
     def has(self, e_series, cb3):
-        """Whether it has what came with these versions; None: never."""
+        """Return True from these versions on; None: never."""
         since = cb3 if self.family == "cb3" else e_series
         return since is not None and self.version >= since
 
     def rtde(self, names=STATE, version=2, hz=None):
-        """A started RTDE connection."""
+        """Return a started RTDE connection."""
         rtde = Rtde(self.host, version)
         _, types = rtde.outputs(names, hz)
         assert "NOT_FOUND" not in types, dict(zip(names.split(","), types, strict=True))
@@ -91,7 +91,7 @@ def _asked(host, family, cell=None):
 
 @pytest.fixture(autouse=True)
 def idle(request):
-    """Whatever a test left, the next one finds an arm that is ready, and no program."""
+    """Leave an arm that is ready, and no program, for the next test."""
     if "controller" not in request.fixturenames:
         return
     controller = request.getfixturevalue("controller")
@@ -116,5 +116,5 @@ _TOKENS = itertools.count(1000)
 
 @pytest.fixture
 def token():
-    """A number that no register holds yet."""
+    """Number that no register holds yet."""
     return next(_TOKENS)

@@ -1,4 +1,4 @@
-"""What is assumed of controllers, as far as it can be seen from outside and the arm stands."""
+"""Assumptions about controllers, as far as clients can test them with an arm that stands."""
 
 import ast
 import dataclasses

@@ -1,4 +1,4 @@
-"""The dashboard server, port 29999: UR's articles of its commands, and the answers that clients wait for."""
+"""Dashboard server, port 29999: commands of UR's articles, and the answers that clients expect."""
 
 import re
 from unittest.mock import MagicMock

@@ -1,4 +1,4 @@
-"""The primary and secondary interfaces, ports 30001 and 30002."""
+"""Primary and secondary interfaces, ports 30001 and 30002."""
 
 import itertools
 import struct
@@ -72,7 +72,7 @@ def test_states_come_ten_times_a_second(controller):
 
 
 def state_with_rtde(controller, names):
-    """A state, and the RTDE package nearest to its time."""
+    """Return a state, and the RTDE package nearest to its time."""
     with controller.rtde(f"timestamp,{names}") as rtde, Primary(controller.host) as primary:
         first = rtde.data()["timestamp"]
         for _ in wire.Bounded("a state since then"):

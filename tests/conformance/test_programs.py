@@ -111,7 +111,7 @@ def test_a_new_program_replaces_the_one_that_runs(controller, token):
 
 
 def states(packages):
-    """The program's states, each as often as it began."""
+    """Return the successive states of the program."""
     found = [each["runtime_state"] for each in packages]
     return [state for index, state in enumerate(found) if index == 0 or found[index - 1] != state]
 

@@ -1,4 +1,4 @@
-"""The real-time interface, port 30003."""
+"""Real-time interface, port 30003."""
 
 import itertools
 
@@ -16,7 +16,7 @@ SHARED = tuple(REALTIME_OFFSETS)
 
 
 def matched(controller, names):
-    """Packets of 30003 and RTDE packages of the same control periods."""
+    """Return packets of 30003 and RTDE packages of the same control periods."""
     with controller.rtde(",".join(names)) as rtde, Realtime(controller.host) as realtime:
         packets = [realtime.packet() for _ in range(20)]
         last = packets[-1]["timestamp"]

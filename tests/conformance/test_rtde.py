@@ -13,7 +13,7 @@ OTHERS = ("input_int_register_21", "input_double_register_20")
 
 
 def wait_for_ticks(controller, count):
-    """Let control periods pass, by another connection's timestamps."""
+    """Wait for control periods, by another connection's timestamps."""
     with controller.rtde("timestamp") as rtde:
         first = rtde.data()["timestamp"]
         rtde.until(lambda now: now["timestamp"] >= first + count * controller.tick_s, "time to pass")

@@ -1,4 +1,4 @@
-"""Every variable that UR's RTDE guide lists for a version, with its type."""
+"""Variables of UR's RTDE guide by version, with their types."""
 
 import math
 
@@ -56,7 +56,7 @@ INPUTS = {
 
 
 def listed(controller, table, prefix=""):
-    """Name, type, and whether the controller has it."""
+    """Return name, type, and whether the controller has it."""
     return [
         (prefix + name, kind, controller.has(e_series, cb3))
         for ((cb3, e_series), kind), names in table.items()
@@ -91,7 +91,7 @@ def test_all_outputs_at_once_unpack_to_finite_numbers(controller):
 
 @pytest.mark.parametrize("kind", ["DOUBLE", "INT32", "UINT32", "UINT64", "BOOL", "VECTOR6D", "VECTOR3D"])
 def test_outputs_do_not_depend_on_their_place_in_the_package(controller, kind):
-    """The same variable, first and last of a package, between all of a type."""
+    """The same variable first and last in a package, among all of a type."""
     names = [name for name, its, there in outputs_of(controller) if there and its == kind][:40]
     with controller.rtde(",".join(["target_q", *names, "robot_mode,standard_analog_output0"])) as rtde:
         packed = rtde.data()

@@ -1,4 +1,4 @@
-"""Stops: protective ones, and those at the end of a program. They all need `--moves` at a given host."""
+"""Protective stops, and stops at the end of a program. They need `--moves` at a given host."""
 
 import itertools
 
@@ -25,8 +25,8 @@ SPEED_RAD_S = 0.5
 STOPPED_BITS = 1 << 2 | 1 << 10
 
 
-def turning(extra):
-    """A program that turns the last joint evenly with servoj, for 0.3 s, and then does something else."""
+def rotating(extra):
+    """Return a program that rotates the last joint evenly with servoj for 0.3 s, and then goes on with `extra`."""
     return (
         "q = get_target_joint_positions()\nstep = get_steptime_here\nspeed = 0.0\nn = 0\nwhile n * step < 0.3:\n"
         f"  speed = speed + 2.0 * step\n  if speed > {SPEED_RAD_S}:\n    speed = {SPEED_RAD_S}\n  end\n"
@@ -44,7 +44,7 @@ def at_rest(state):
 
 
 def stopped(rtde):
-    """Packages until the arm has been stopped protectively, and the first of them."""
+    """Return the packages until the arm has stopped protectively, and the first of them."""
     seen = rtde.until(lambda now: now["safety_mode"] != 1, "a protective stop")
     assert seen[-1]["safety_mode"] == 3
     return seen, seen[-1]
@@ -102,7 +102,7 @@ def test_a_program_must_not_abandon_a_moving_arm(controller, token):
     register = "output_int_register_10"
     with controller.rtde(f"{TRACE},{register}") as rtde:
         wait = f"write_output_integer_register(10, {token})\nn = 0\nwhile n < 30:\n sync()\n n = n + 1\nend\nstopj(4)\n"
-        call(controller, turning(wait))
+        call(controller, rotating(wait))
         seen, first = stopped(rtde)
         rest = rtde.until(at_rest, "the arm to stand")
     assert seen[-2]["target_qd"][JOINT] > 0.2 * SPEED_RAD_S
@@ -130,7 +130,7 @@ def test_a_protective_stop_takes_as_long_as_assumed(controller):
 def test_a_program_may_be_late_by_a_control_period(controller):
     ticks = max(0, controller.assumed.starved_ticks - 1)
     with controller.rtde(TRACE) as rtde:
-        call(controller, turning("sync()\n" * ticks + "stopj(4)\n"))
+        call(controller, rotating("sync()\n" * ticks + "stopj(4)\n"))
         rtde.until(lambda now: not at_rest(now), "the arm to move")
         seen = rtde.until(lambda now: now["runtime_state"] == 1, "the program to end")
     assert {each["safety_mode"] for each in seen} == {1}

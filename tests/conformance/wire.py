@@ -1,7 +1,7 @@
-"""A small client of UR's protocols, of sockets and `struct` alone: it shares no code with what it is to test.
+"""Small client of UR's protocols, made of sockets and `struct`: it shares no code with the code under test.
 
-Every wait is bounded by `DEADLINE_S`, which is long, since machines may be slow. What a test says about time, it says
-by the controller's own timestamps.
+Every wait is bounded by `DEADLINE_S`, which is long, since machines may be slow. Tests measure time by the controller's
+own timestamps.
 """
 
 import contextlib
@@ -36,12 +36,12 @@ class Closed(AssertionError):
     """The controller closed the connection."""
 
 
-class TooLate(AssertionError):
-    """What was waited for did not come."""
+class DeadlineMissed(AssertionError):
+    """The expected data did not arrive in time."""
 
 
 class Bounded:
-    """An endless loop that ends with an error, after `DEADLINE_S`."""
+    """Endless loop that ends with an error after `DEADLINE_S`."""
 
     def __init__(self, what):
         self.what, self.end = what, time.monotonic() + DEADLINE_S
@@ -49,11 +49,11 @@ class Bounded:
     def __iter__(self):
         while time.monotonic() < self.end:
             yield
-        raise TooLate(f"waited {DEADLINE_S:g} s for {self.what}")
+        raise DeadlineMissed(f"waited {DEADLINE_S:g} s for {self.what}")
 
 
 class Client:
-    """A TCP connection that is read in exact amounts."""
+    """TCP connection with reads of exact length."""
 
     def __init__(self, host, port):
         self.sock = socket.create_connection((host, port), timeout=DEADLINE_S)
@@ -73,7 +73,7 @@ class Client:
         try:
             data = self.sock.recv(1 << 16)
         except TimeoutError:
-            raise TooLate(f"nothing came for {DEADLINE_S:g} s; there were {self.rest!r}") from None
+            raise DeadlineMissed(f"nothing came for {DEADLINE_S:g} s; there were {self.rest!r}") from None
         except ConnectionResetError:
             data = b""
         if not data:
@@ -94,18 +94,18 @@ class Client:
 
     @property
     def silent(self):
-        """Whether nothing has come."""
+        """True if nothing has arrived."""
         return not self.rest and not select.select([self.sock], [], [], 0)[0]
 
     def until_closed(self):
-        """Wait until the controller ends the connection; what it says before is dropped."""
+        """Wait until the controller closes the connection, and drop the data before."""
         with contextlib.suppress(Closed):
             for _ in Bounded("the end of a connection"):
                 self._more()
 
 
 class Rtde(Client):
-    """RTDE. In version 1 nothing is asked for, as it is the one that connections begin with."""
+    """RTDE connection. Version 1, with which connections begin, is not requested."""
 
     def __init__(self, host, version=2):
         super().__init__(host, RTDE)
@@ -122,7 +122,7 @@ class Rtde(Client):
         return kind, self.exactly(size - 3)
 
     def request(self, kind, payload=b""):
-        """The answer to a request; data that were on their way are dropped."""
+        """Return the answer to a request, and drop data packages before it."""
         self.frame(kind, payload)
         for _ in Bounded(f"the answer to {chr(kind)}"):
             got, answer = self.receive()
@@ -132,7 +132,7 @@ class Rtde(Client):
         return answer
 
     def outputs(self, text, hz=None):
-        """Number of the recipe (None in version 1) and types that the controller gives to a list of variables."""
+        """Return number of the recipe (None in version 1) and types of a list of variables."""
         payload = text.encode()
         if self.version > 1:
             payload = struct.pack(">d", 1e6 if hz is None else hz) + payload
@@ -146,7 +146,7 @@ class Rtde(Client):
         return number, types
 
     def inputs(self, text):
-        """Number and types of an input recipe."""
+        """Return number and types of an input recipe."""
         answer = self.request(INPUTS, text.encode())
         types = answer[1:].decode().split(",")
         self.recipes[answer[0]] = ">" + "".join(FORMATS.get(kind, "") for kind in types)
@@ -162,7 +162,7 @@ class Rtde(Client):
         self.frame(DATA, bytes([recipe]) + struct.pack(self.recipes[recipe], *values))
 
     def data(self):
-        """The next data package, by name."""
+        """Return the next data package, by name."""
         for _ in Bounded("an RTDE data package"):
             kind, payload = self.receive()
             if kind == DATA:
@@ -183,7 +183,7 @@ class Rtde(Client):
         return found
 
     def until(self, condition, what):
-        """All packages up to the first that fulfils a condition."""
+        """Return all packages up to the first that fulfils a condition."""
         seen = []
         for _ in Bounded(what):
             seen.append(self.data())
@@ -192,7 +192,7 @@ class Rtde(Client):
         return seen
 
     def latest(self):
-        """The newest package: what has piled up is dropped. Waits for one if there is none."""
+        """Return the newest package, and drop older ones. Waits for one if there is none."""
         newest = self.data()
         while not self.silent:
             newest = self.data()
@@ -262,7 +262,7 @@ class Primary(Client):
         return kind, self.exactly(size - 5)
 
     def message(self, kind):
-        """The next message of a kind: source and what follows the kind."""
+        """Return the next message of a kind: source and content."""
         for _ in Bounded(f"a message of kind {kind}"):
             packet, body = self.packet()
             if packet == ROBOT_MESSAGE and body[9] == kind:
@@ -270,7 +270,7 @@ class Primary(Client):
         return struct.unpack_from(">b", body, 8)[0], body[10:]
 
     def state(self):
-        """The next robot state: bytes of its sub-packages by type."""
+        """Return the next robot state: bytes of its sub-packages by type."""
         for _ in Bounded("a robot state"):
             packet, body = self.packet()
             if packet == ROBOT_STATE:
@@ -291,7 +291,7 @@ def sub_packages(body):
 
 
 def robot_mode_data(data):
-    """Fields of the robot mode data that all versions since 3.5 have."""
+    """Return the fields of the robot mode data that all versions since 3.5 have."""
     names = (
         "timestamp_us",
         "connected",
@@ -311,7 +311,7 @@ def robot_mode_data(data):
 
 
 def joint_data(data):
-    """Actual positions, targets and actual speeds of the joints."""
+    """Return actual positions, targets and actual speeds of the joints."""
     rows = [struct.unpack_from(">ddd", data, 41 * joint) for joint in range(6)]
     return tuple(zip(*rows, strict=True))
 
@@ -324,7 +324,7 @@ def quaternion(rotvec):
 
 
 def pose_distance(one, other):
-    """Distance in m, and angle in rad: a rotation by π has two rotation vectors."""
+    """Return distance in m, and angle in rad: a rotation by π has two rotation vectors."""
     p, q = quaternion(one[3:]), quaternion(other[3:])
     sign = math.copysign(1.0, sum(a * b for a, b in zip(p, q, strict=True)))
     chord = math.hypot(*(a - sign * b for a, b in zip(p, q, strict=True)))
@@ -332,7 +332,7 @@ def pose_distance(one, other):
 
 
 def version_of(text):
-    """Four numbers, as they stand in what `PolyscopeVersion` answers."""
+    """Return the four numbers in an answer of `PolyscopeVersion`."""
     return tuple(map(int, re.search(r"(\d+)\.(\d+)\.(\d+)\.(\d+)", text).groups()))
 
 

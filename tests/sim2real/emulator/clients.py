@@ -1,7 +1,7 @@
-"""What `ur_rtde`, unmodified, does with a controller: each function is run in a process of its own.
+"""Runs of the unmodified `ur_rtde` client, each in a process of its own.
 
-A client that does not get the answer it waits for may wait for ever, or end its process. The functions take a host and
-plain values, and return plain values. They know nothing of whether the controller is emulated.
+A client that does not receive an expected answer may wait forever, or end its process. The functions take a host and
+plain values, and return plain values. They do not depend on whether the controller is emulated.
 """
 
 import importlib
@@ -17,11 +17,11 @@ ROOT = Path(__file__).parents[3]
 
 
 class ClientFailed(AssertionError):
-    """The client's process ended badly or did not end."""
+    """The client's process failed or did not end."""
 
 
 def run(function, *args, timeout=60.0, module=None):
-    """Run a function of this module, or another, in a process of its own. Returns what it returns."""
+    """Run a function of this or another module in a process of its own, and return its result."""
     process = subprocess.run(
         [
             sys.executable,
@@ -62,7 +62,7 @@ def _shifted(values, shifts):
 
 
 def _for(control, seconds, call, *args):
-    """Call again and again, once a control period."""
+    """Call repeatedly, once per control period."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         start = control.initPeriod()
@@ -71,13 +71,13 @@ def _for(control, seconds, call, *args):
 
 
 def _settled(read):
-    """What is read once the receiving connection, which is not the commanding one, has caught up."""
+    """Return a reading once the receiving connection has caught up with the commanding one."""
     time.sleep(0.25)
     return read()
 
 
 def _error(call, *args):
-    """Name and text of the exception that a call raises; None if it does not."""
+    """Return name and text of the exception that a call raises, or None."""
     try:
         call(*args)
     except Exception as error:
@@ -86,7 +86,7 @@ def _error(call, *args):
 
 
 def moves(host):
-    """Every blocking and asynchronous move and stop. Returns what was asked for and where the arm was after it."""
+    """Run every blocking and asynchronous move and stop. Return the targets and the final positions."""
     control, receive = _interfaces(host)
     home = receive.getActualQ()
     done = {"home": home}
@@ -126,13 +126,13 @@ def moves(host):
 
 
 def _seen(receive):
-    """Time and q of one package; `None` where they were of two, as the values of two calls may be."""
+    """Return time and q of one package, or None if the two values are of different packages."""
     before, q = receive.getTimestamp(), receive.getActualQ()
     return [before, q] if receive.getTimestamp() == before else None
 
 
 def servo(host, count, period_s):
-    """Stream servoJ with a time of its own per call, and come to rest. Returns targets, and one q after them."""
+    """Stream servoJ with a distinct time per call, and stop. Return the targets, and one q after each."""
     control, receive = _interfaces(host)
     home = receive.getActualQ()
     targets, late = [], 0
@@ -158,7 +158,7 @@ def servo(host, count, period_s):
 
 
 def servo_both(hosts, count, period_s):
-    """Stream servoJ to two arms from one process. Returns per arm the targets, and what was measured and when."""
+    """Stream servoJ to two arms from one process. Return per arm the targets, and measurements with their times."""
     from rtde_control import RTDEControlInterface
     from rtde_receive import RTDEReceiveInterface
 
@@ -184,7 +184,7 @@ def servo_both(hosts, count, period_s):
 
 
 def streams(host):
-    """Speeds, servoing in space, jogging: how the arm moved."""
+    """Run speeds, servoing in space and jogging, and return the motion of the arm."""
     control, receive = _interfaces(host)
     home = receive.getActualQ()
     done = {}
@@ -236,7 +236,7 @@ def streams(host):
 
 
 def queries(host):
-    """What a controller computes and is told."""
+    """Query all values that a controller computes and reports."""
     control, receive = _interfaces(host)
     done = {}
     q, pose = receive.getActualQ(), receive.getActualTCPPose()
@@ -295,7 +295,7 @@ def queries(host):
 
 
 def compliance(host):
-    """Force mode, free drive, contact: the arm moves, and stands again."""
+    """Run force mode, freedrive and contact detection: the arm moves, and stands again."""
     control, receive = _interfaces(host)
     home = receive.getActualQ()
     done = {}
@@ -316,7 +316,7 @@ def compliance(host):
 
 
 def paths(host):
-    """Moves through several points, with progress; a program of one's own."""
+    """Move through several points with progress, and run an own program."""
     from rtde_control import Path as UrPath
     from rtde_control import PathEntry
 
@@ -355,7 +355,7 @@ def paths(host):
 
 
 def inputs_outputs(host):
-    """Outputs, the slider, and registers."""
+    """Set outputs, the slider, and registers."""
     control, receive, io = _interfaces(host, io=True)
     done = {"set": [], "cleared": []}
     for value, key in ((True, "set"), (False, "cleared")):
@@ -386,7 +386,7 @@ def inputs_outputs(host):
 
 
 def arguments(host):
-    """Values that `ur_rtde` refuses, and those that it does not look at."""
+    """Pass arguments that `ur_rtde` refuses, and some that it does not check."""
     control, receive = _interfaces(host)
     q = receive.getActualQ()
     done = {
@@ -404,7 +404,7 @@ def arguments(host):
 
 
 def watchdog(host):
-    """A client that arms a watchdog, and then falls silent."""
+    """Set a watchdog, then stop feeding it."""
     control, receive = _interfaces(host)
     done = {"set": control.setWatchdog(1.0)}
     for _ in range(20):
@@ -420,7 +420,7 @@ def watchdog(host):
 
 
 def dashboard(host):
-    """Every method of the dashboard client that does not end the controller."""
+    """Call every method of the dashboard client that does not end the controller."""
     from dashboard_client import DashboardClient
 
     client = DashboardClient(host)
@@ -451,7 +451,7 @@ def dashboard(host):
 
 
 def protective_stop(host):
-    """A protective stop, unlocked too early and in time, and the way back."""
+    """Stop protectively, unlock too early and in time, and recover."""
     from dashboard_client import DashboardClient
 
     control, receive = _interfaces(host)
@@ -484,7 +484,7 @@ def protective_stop(host):
 
 
 def constant_changed(host, path):
-    """Servo with a control script of one's own."""
+    """Servo with a modified control script."""
     from rtde_control import RTDEControlInterface
     from rtde_receive import RTDEReceiveInterface
 
@@ -502,7 +502,7 @@ def constant_changed(host, path):
 
 
 def second_control(host):
-    """A second client asks for the registers that the first has."""
+    """Request the registers of the first client with a second one."""
     from rtde_control import RTDEControlInterface
 
     first, _ = _interfaces(host)
@@ -512,7 +512,7 @@ def second_control(host):
 
 
 def hold(host, seconds):
-    """Connect, stream, and stay: to be killed."""
+    """Connect and stream until killed."""
     control, receive = _interfaces(host)
     q = receive.getActualQ()
     print("READY", flush=True)

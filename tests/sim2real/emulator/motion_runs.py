@@ -1,4 +1,4 @@
-"""Runs of a reference motion, and what holds of all of them."""
+"""Runs of a reference motion."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def motion(q: Array = Q0, tick_s: float = TICK_S, substeps: int = SUBSTEPS, **op
 
 
 def until_done(arm: Motion, handle: Handle, scaling: Callable[[int], float] = lambda _: 1.0) -> tuple[Array, int]:
-    """Positions (n, 6) of all physics steps until a handle is done, from where the arm is, and the ticks it took."""
+    """Run until a handle is done. Return positions (n, 6) of all physics steps, and the number of ticks."""
     path = [arm.q[None]]
     for tick in range(20_000):
         plan = arm.plan(scaling(tick))
@@ -34,7 +34,7 @@ def until_done(arm: Motion, handle: Handle, scaling: Callable[[int], float] = la
 
 
 def run(arm: Motion, ticks: int, scaling: float = 1.0) -> Array:
-    """Positions (n, 6) of all physics steps of some ticks, from where the arm is."""
+    """Run some ticks and return positions (n, 6) of all physics steps."""
     path = [arm.q[None]]
     for _ in range(ticks):
         plan = arm.plan(scaling)
@@ -43,7 +43,7 @@ def run(arm: Motion, ticks: int, scaling: float = 1.0) -> Array:
 
 
 def at_rest(arm: Motion, ticks: int = 3000) -> Array:
-    """Positions (n, 6) until the arm rests."""
+    """Run until the arm stops and return positions (n, 6)."""
     path = [arm.q[None]]
     for _ in range(ticks):
         plan = arm.plan()
@@ -54,10 +54,10 @@ def at_rest(arm: Motion, ticks: int = 3000) -> Array:
 
 
 def positions(q: Array) -> Array:
-    """(n, 3) of the flange."""
+    """Return flange positions (n, 3)."""
     return flange_pose(q)[0]
 
 
 def pose(arm: Motion, *offset: float) -> list[float]:
-    """The TCP's pose, displaced."""
+    """Return the TCP's pose, displaced."""
     return [a + b for a, b in zip(arm.tcp_pose(arm.q), [*offset, *[0.0] * (6 - len(offset))], strict=True)]

@@ -1,4 +1,4 @@
-"""What RTDE clients send, put together by hand."""
+"""Bytes of RTDE clients, composed by hand."""
 
 from __future__ import annotations
 
@@ -72,8 +72,8 @@ def data(recipe: int, layout: str, *values: Any) -> bytes:
     return message("U", struct.pack(">B" + layout, recipe, *values))
 
 
-class Controller:
-    """A port with all it needs, and what it was told."""
+class RtdeBench:
+    """RTDE port of a controller, with records of its input."""
 
     def __init__(self, family: str = "e-series") -> None:
         self.profile = profile_of(family)
@@ -86,13 +86,13 @@ class Controller:
         self.told.append(dict(others))
 
     def session(self, *requests: bytes) -> RtdeSession:
-        """A connection of version 2 that has sent `requests`."""
+        """Open a connection of version 2 that has sent `requests`."""
         session = self.port.open()
         session.receive(b"".join([VERSION_2, *requests]))
         return session
 
     def written(self) -> tuple[Any, ...]:
-        """A copy of everything that clients can write, and of what was handed on."""
+        """Return copies of everything that clients can write, and of the forwarded inputs."""
         registers = self.registers
         numbers = (registers.input_int, [repr(x) for x in registers.input_double], registers.input_bits)
         return *map(list, numbers), dict(registers.writes), repr(self.told)

@@ -1,4 +1,4 @@
-"""Addresses of emulated controllers: of the loopback interface, free, and one for each."""
+"""Addresses of emulated controllers: loopback only, free, and one per controller."""
 
 import socket
 

@@ -1,4 +1,4 @@
-"""Controller, program and safety together: whatever happens, what is told agrees, and nothing moves that must not."""
+"""Controller, program and safety together: for any events the reported values agree, and a stopped arm stays still."""
 
 import itertools
 import math

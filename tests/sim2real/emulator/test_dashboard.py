@@ -26,7 +26,7 @@ REFUSABLE = (
 
 
 class Robot:
-    """Notes what it is told, and refuses what it is asked to refuse."""
+    """Fake robot that records calls, and refuses them on request."""
 
     def __init__(self) -> None:
         self.robot_mode: int = RobotMode.RUNNING

@@ -1,4 +1,4 @@
-"""The process of an emulated cell: how it starts, what it refuses, and that it always ends."""
+"""Process of an emulated cell: start, refused options, and its end in all cases."""
 
 import os
 import re

@@ -43,7 +43,7 @@ def carry():
 
 
 class Client:
-    """A client in the same thread: the cell is served while it waits."""
+    """Client in the same thread: the cell is served while the client waits."""
 
     def __init__(self, cell, arm, port):
         server = cell.emulator.servers[arm]
@@ -74,7 +74,7 @@ class Client:
 
 
 def packets(stream):
-    """Packages of the primary interface by type."""
+    """Return the packages of the primary interface by type."""
     found = {}
     while len(stream) >= 5:
         size, kind = struct.unpack_from(">iB", stream)

@@ -1,4 +1,4 @@
-"""Two arms pick up a bar, by programs on port 30003 and the text protocol of their grippers, and a camera sees it."""
+"""Two arms lift a bar, by programs on port 30003 and the text protocol of their grippers, observed by a camera."""
 
 import socket
 import time
@@ -19,7 +19,7 @@ ARMS = ("left", "right")
 
 
 class Gripper:
-    """A client of the gripper's port."""
+    """Client of the gripper's port."""
 
     def __init__(self, host):
         self.socket = socket.create_connection((host, 63352), timeout=5.0)
@@ -74,7 +74,7 @@ def test_two_arms_lift_a_bar(cell):
     position, quat = np.array(bar["position_m"]), np.array(bar["quat"])
 
     def grips(height):
-        """Flanges of both arms that grip the bar, in their own base frames, that much above it."""
+        """Return the flange poses that grip the bar, in each arm's base frame, at a height above it."""
         along = rotate(quat, np.array([0.0, GRIP_DISTANCE_M / 2, 0.0]))
         points = np.add([position + along, position - along], [0.0, 0.0, height + TCP_M])
         turn = quat_multiply(quat, GRIP_QUAT)

@@ -1,4 +1,4 @@
-"""What programs must not be able to do: end the controller, keep it busy, or make it tell what is not so."""
+"""Programs cannot end the controller, keep it busy, or make it report wrong values."""
 
 import inspect
 import itertools
@@ -20,7 +20,7 @@ ODD = ("0", "-1", "7", "1e308", "-2147483647", "True", '"text"', '"123"', '"1234
 
 
 def built_ins(bench):
-    """Names, and how many arguments they take at least and at most."""
+    """Return the names of builtins with their least and greatest number of arguments."""
     for name, function in sorted(bench.controller.program.builtins.items()):
         parameters = inspect.signature(function).parameters.values()
         yield name, sum(each.default is each.empty for each in parameters), len(parameters)

@@ -1,4 +1,4 @@
-"""Whatever programs command in whatever order, the arm moves without jumps and within its limits."""
+"""Any sequence of commands moves the arm without jumps and within its limits."""
 
 from __future__ import annotations
 

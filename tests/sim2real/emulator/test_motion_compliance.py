@@ -1,4 +1,4 @@
-"""Force mode and free drive."""
+"""Force mode and freedrive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a controller stops protectively by itself."""
+"""Faults that make a controller stop protectively."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""movej, movel, movep and movec: where they lead, how long they take, how they blend."""
+"""movej, movel, movep and movec: targets, durations and blends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""servoj: the same law as in the simulation."""
+"""servoj: the same law as in simulation."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ def test_speedj_returns_after_t_at_any_speed():
 
 @pytest.mark.parametrize("tick_s", [0.008, 0.002])
 def test_a_stream_of_speedj_accelerates_as_one_does(tick_s):
-    """As the control script of ur_rtde does, which calls it in every control period."""
+    """The control script of ur_rtde calls it in every control period."""
     once, stream = motion(tick_s=tick_s, substeps=1), motion(tick_s=tick_s, substeps=1)
     once.speed_joints([0.5] * 6, 1.4, 1.0)
     for _ in range(50):

@@ -1,4 +1,4 @@
-"""Poses as UR writes them, and the arm's kinematics with a tool."""
+"""Poses in UR's notation, and the arm's kinematics with a tool."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The examples that come with `ur_rtde`, unmodified, on the emulated UR10e at 127.0.0.1."""
+"""Unmodified examples of `ur_rtde` on the emulated UR10e at 127.0.0.1."""
 
 import fcntl
 import os

@@ -1,4 +1,4 @@
-"""Clients of plain sockets that send URScript and read the streams, as many do that are not `ur_rtde`."""
+"""Clients of plain sockets that send URScript and read the streams."""
 
 import contextlib
 import itertools
@@ -42,7 +42,7 @@ def family(request):
 
 @pytest.fixture
 def cell(family):
-    """The cell, with no program and no motion left of the test before."""
+    """The cell, without program and motion of the previous test."""
     yield family
     for host in (family.left, family.right):
         with watch(host) as rtde:
@@ -51,7 +51,7 @@ def cell(family):
 
 
 class Arm:
-    """One arm, a socket that commands it, and RTDE that tells what it does."""
+    """One arm: a socket that commands it, and RTDE that reports its state."""
 
     def __init__(self, host, port, tick_s):
         self.socket, self.rtde, self.tick_s = Client(host, port), watch(host), tick_s
@@ -64,7 +64,7 @@ class Arm:
         return self.rtde.until(condition, what)
 
     def until_there(self, q):
-        """Packages until the arm stands at joint positions, and the program has ended."""
+        """Return the packages until the arm stands at joint positions, and the program has ended."""
         return self.until(lambda now: at_rest(now) and away(now, q) < CLOSE_RAD, f"the arm to be at {q}")
 
     def close(self):
@@ -74,7 +74,7 @@ class Arm:
 
 @pytest.fixture
 def arm(cell):
-    """Connects to an arm; its connections are closed in the end."""
+    """Factory of connections to an arm, which are closed at the end."""
     with contextlib.ExitStack() as stack:
 
         def connect(name, port):
@@ -109,7 +109,7 @@ def away(state, q):
 
 
 def moved(state, *by):
-    """Joint positions of a state, with the last joints moved."""
+    """Return the joint positions of a state, with the last joints moved."""
     q = list(state["actual_q"])
     for index, angle in enumerate(by):
         q[6 - len(by) + index] += angle
@@ -125,7 +125,7 @@ def highest_speed(seen):
 
 
 def seconds(seen):
-    """How long the arm moved."""
+    """Return the duration of the arm's motion."""
     moving = [each["timestamp"] for each in seen if max(map(abs, each["target_qd"])) > 1e-6]
     return moving[-1] - moving[0]
 
@@ -222,7 +222,7 @@ def test_a_program_with_a_servoj_loop_follows(arm):
 
 @CB3
 def test_a_stream_of_servoj_lines_moves_the_arm(arm):
-    """Every line is a program of its own that replaces the one before."""
+    """Every line is a program that replaces the previous one."""
     left = arm("left", REALTIME)
     begin, speed = left.start["target_q"], 0.2
     first = left.start["timestamp"]
@@ -322,7 +322,7 @@ def test_two_sockets_move_both_arms_at_the_same_time(arm):
 
 @BOTH
 def test_one_arm_is_not_disturbed_by_the_other(arm, cell):
-    """Neither by its motion, its stops, its outputs nor by what makes its program fail."""
+    """Motion, stops, outputs and failing programs of one arm do not affect the other."""
     left, right = arm("left", SECONDARY), arm("right", SECONDARY)
     right.send("speedj([0, 0, 0, 0, 0, 0.2], a=2.0, t=20)\n")
     right.until(lambda now: now["target_qd"][5] == pytest.approx(0.2), "the right arm to turn")
@@ -348,7 +348,7 @@ def test_one_arm_is_not_disturbed_by_the_other(arm, cell):
 
 @BOTH
 def test_two_clients_of_one_arm_take_it_from_each_other(arm):
-    """The last line wins, whichever port it comes from, and the arm has no jump."""
+    """The last line wins on any port, and the arm has no jump."""
     one, other = arm("left", SECONDARY), arm("left", REALTIME)
     there, back = moved(one.start, 0.5), moved(one.start, -0.1)
     one.send(f"movej({written(there)}, a=2, v=0.5)\n")

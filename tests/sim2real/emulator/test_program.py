@@ -1,4 +1,4 @@
-"""The program of a controller: how it is loaded, plays, pauses and ends."""
+"""Program of a controller: loading, playing, pausing and ending."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def count(bench):
 
 
 def heard(bench):
-    """What 30001 says since the last time."""
+    """Return the new messages on 30001."""
     messages = b"".join(bench.controller.messages)
     bench.controller.messages.clear()
     return messages

@@ -8,7 +8,7 @@ from dual_ur10.sim2real.emulator.realtime_packet import FIELDS, LENGTHS, Realtim
 
 
 def numbered() -> dict[str, float | tuple[float, ...]]:
-    """Every value another number."""
+    """Return values that are all different."""
     values: dict[str, float | tuple[float, ...]] = {}
     for i, field in enumerate(FIELDS):
         numbers = tuple(100.0 * i + k + 0.5 for k in range(field.doubles))

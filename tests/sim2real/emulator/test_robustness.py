@@ -1,4 +1,4 @@
-"""Clients that do not behave, at one arm of a cell in a process of its own: the other arm's client notices nothing."""
+"""Misbehaving clients of one arm do not affect the client of the other arm."""
 
 import contextlib
 import itertools
@@ -30,7 +30,7 @@ WATCHED = ["timestamp", "runtime_state", "output_int_register_0", "safety_mode"]
 
 
 class Watcher:
-    """A well-behaved client of the right arm, in a thread: it streams and keeps everything it gets."""
+    """Well-behaved client of the right arm, in a thread: it streams and records everything it receives."""
 
     def __init__(self, host):
         with socket.create_connection((host, 30002), timeout=5.0) as scripts:
@@ -56,7 +56,7 @@ class Watcher:
             self.ended = error
 
     def check(self, since):
-        """Nothing was missed since a number of packages, and the program went on. Returns how many there are now."""
+        """Check that no package was missed and the program went on. Return the present number of packages."""
         end = time.monotonic() + 5.0
         while len(self.seen) < since + 30 and time.monotonic() < end:
             time.sleep(0.01)
@@ -91,7 +91,7 @@ def watcher(cell):
 
 @pytest.fixture
 def undisturbed(cell, watcher):
-    """What happens in the test leaves the other arm, and the process, as they were."""
+    """Check that a test leaves the other arm and the process unchanged."""
     process = psutil.Process(cell.process.pid)
     cell.ask("info")  # its connection stays
     files, memory, since = process.num_fds(), process.memory_info().rss, len(watcher.seen)
@@ -117,7 +117,7 @@ def client(cell, port):
 
 
 def is_closed(sock):
-    """Whether the cell ends a connection, having said what it had to say."""
+    """Return True if the cell closes a connection after its last answer."""
     sock.settimeout(2.0)
     try:
         while sock.recv(1 << 16):
@@ -130,7 +130,7 @@ def is_closed(sock):
 
 
 def received(sock, until, at_most=1 << 16):
-    """What comes until a condition of it holds."""
+    """Receive until a condition of the data holds."""
     found = b""
     while not until(found):
         data = sock.recv(at_most - len(found) % at_most)
@@ -144,14 +144,14 @@ def state(cell, name="runtime_state", arm="left"):
 
 
 def rests(cell):
-    """The left arm stands, and does not only turn around."""
+    """Check that the left arm stands."""
     before = state(cell, "target_q")
     time.sleep(0.1)
     return all(abs(now - then) < 1e-5 for now, then in zip(state(cell, "target_q"), before, strict=True))
 
 
 def works(cell):
-    """The left arm, too, serves a client that behaves."""
+    """Check that the left arm serves a well-behaved client."""
     with client(cell, 30004) as rtde:
         rtde.sendall(rtde_bytes.VERSION_2)
         assert rtde.recv(100) == b"\x00\x04V\x01"

@@ -1,4 +1,4 @@
-"""No bytes from a client do more than end its session, and how they are cut into pieces makes no difference."""
+"""No bytes from a client do more than end its session, however they are split."""
 
 import random
 import tracemalloc
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from dual_ur10.errors import ProtocolError
 from dual_ur10.sim2real.emulator.rtde_variables import output_types
-from tests.sim2real.emulator.rtde_bytes import RECEIVED, SERVOJ, VERSION_2, Controller, data, inputs, message, outputs
+from tests.sim2real.emulator.rtde_bytes import RECEIVED, SERVOJ, VERSION_2, RtdeBench, data, inputs, message, outputs
 from tests.soak import scaled
 
 PACKETS = 1_000_000
@@ -61,7 +61,7 @@ def mutated(packet, rng):
 
 def test_mutated_conversations_do_no_more_than_end_their_session():
     rng = random.Random(30004)
-    controller = Controller()
+    controller = RtdeBench()
     port, sent, conversations = controller.port, 0, 0
     ended = packages = taken = tick = 0
     longest = max(len(kind.name) for kind in output_types(controller.profile).values())
@@ -93,7 +93,7 @@ def test_mutated_conversations_do_no_more_than_end_their_session():
 
 def test_random_bytes_do_no_more_than_end_their_session():
     rng = random.Random(1)
-    port = Controller().port
+    port = RtdeBench().port
     for _ in range(scaled(100_000)):
         session = port.open()
         try:
@@ -106,7 +106,7 @@ def test_random_bytes_do_no_more_than_end_their_session():
 
 
 def test_memory_stays_flat():
-    controller = Controller()
+    controller = RtdeBench()
     session = controller.session(inputs(OTHERS))
     # Parts of frames that never end, and long runs of valid and unknown frames.
     unfinished = b"\xff\xffU" + bytes(60_000)
@@ -133,7 +133,7 @@ def test_memory_stays_flat():
 
 
 def test_many_small_frames_in_one_piece_are_cut_in_linear_work():
-    session = Controller().session()
+    session = RtdeBench().session()
     # Were every frame taken off the front of the buffer, these would move 75 GB.
     count = 500_000 // 2
     session.receive(message("x") * count)
@@ -156,7 +156,7 @@ def test_answers_and_registers_do_not_depend_on_the_pieces(requests, cuts):
     stream = b"".join([*CONVERSATION[:5], *requests])
     results = []
     for bounds in ([], cuts, range(len(stream))):
-        controller = Controller()
+        controller = RtdeBench()
         session = controller.port.open()
         places = [0, *sorted(min(cut, len(stream)) for cut in bounds), len(stream)]
         answers = b"".join(session.receive(stream[a:b]) for a, b in pairwise(places))

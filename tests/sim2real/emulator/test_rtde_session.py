@@ -10,7 +10,7 @@ from dual_ur10.sim2real.emulator.registers import Registers
 from dual_ur10.sim2real.emulator.rtde_session import RtdePort
 from dual_ur10.sim2real.emulator.rtde_variables import zero_values
 from dual_ur10.sim2real.protocol.rtde import TextKind
-from tests.sim2real.emulator.rtde_bytes import RECEIVED, SERVOJ, VERSION_2, Controller, data, inputs, message, outputs
+from tests.sim2real.emulator.rtde_bytes import RECEIVED, SERVOJ, VERSION_2, RtdeBench, data, inputs, message, outputs
 
 START = b"\x00\x03S"
 PAUSE = b"\x00\x03P"
@@ -21,13 +21,13 @@ PAUSE = b"\x00\x03P"
 
 @pytest.mark.parametrize(("asked", "answer"), [(1, 1), (2, 1), (0, 0), (3, 0), (0xFFFF, 0)])
 def test_versions_1_and_2_are_accepted(asked, answer):
-    session = Controller().port.open()
+    session = RtdeBench().port.open()
     assert session.receive(b"\x00\x05V" + struct.pack(">H", asked)) == b"\x00\x04V" + bytes([answer])
     assert session.version == (asked if answer else 1)
 
 
 def test_a_refused_version_leaves_the_one_before():
-    session = Controller().session()
+    session = RtdeBench().session()
     session.receive(b"\x00\x05V\x00\x03")
     assert session.version == 2
 
@@ -40,17 +40,17 @@ def test_a_refused_version_leaves_the_one_before():
     ],
 )
 def test_the_controller_reports_its_version(family, answer):
-    assert Controller(family).port.open().receive(b"\x00\x03v") == bytes.fromhex(answer)
+    assert RtdeBench(family).port.open().receive(b"\x00\x03v") == bytes.fromhex(answer)
 
 
 @pytest.mark.parametrize("names", [b"timestamp,actual_q", b"timestamp,actual_q,"])
 def test_output_setup(names):
     request = b"\x00" + bytes([11 + len(names)]) + b"O\x40\x5f\x40\x00\x00\x00\x00\x00" + names
-    assert Controller().session().receive(request) == b"\x00\x13O\x01DOUBLE,VECTOR6D"
+    assert RtdeBench().session().receive(request) == b"\x00\x13O\x01DOUBLE,VECTOR6D"
 
 
 def test_unknown_outputs_are_named_and_prevent_a_start():
-    session = Controller().session()
+    session = RtdeBench().session()
     assert session.receive(outputs(["timestamp", "nothing", "robot_mode"])) == b"\x00\x1aO\x00DOUBLE,NOT_FOUND,INT32"
     assert session.receive(START) == b"\x00\x04S\x00"
     assert not session.started
@@ -58,13 +58,13 @@ def test_unknown_outputs_are_named_and_prevent_a_start():
 
 
 def test_variables_of_later_versions_are_not_found():
-    controller = Controller("cb3")
+    controller = RtdeBench("cb3")
     assert b"NOT_FOUND" in controller.session().receive(outputs(["ft_raw_wrench"]))
-    assert b"NOT_FOUND" not in Controller("e-series").session().receive(outputs(["ft_raw_wrench"]))
+    assert b"NOT_FOUND" not in RtdeBench("e-series").session().receive(outputs(["ft_raw_wrench"]))
 
 
 def test_input_setup_numbers_recipes_from_1():
-    session = Controller().session()
+    session = RtdeBench().session()
     assert session.receive(b"\x00\x18Iinput_int_register_0,") == b"\x00\x09I\x01INT32"
     assert session.receive(inputs(["input_double_register_0"])) == b"\x00\x0aI\x02DOUBLE"
     both = session.receive(inputs(["input_int_register_0", "input_double_register_0"]))
@@ -72,7 +72,7 @@ def test_input_setup_numbers_recipes_from_1():
 
 
 def test_unknown_inputs_claim_neither_number_nor_variable():
-    controller = Controller()
+    controller = RtdeBench()
     session = controller.session()
     assert session.receive(inputs(["input_int_register_0", "actual_q"])) == b"\x00\x13I\x00INT32,NOT_FOUND"
     assert controller.port.owners == {}
@@ -80,7 +80,7 @@ def test_unknown_inputs_claim_neither_number_nor_variable():
 
 
 def test_inputs_in_use_by_another_connection():
-    controller = Controller()
+    controller = RtdeBench()
     first, second = controller.session(), controller.session()
     first.receive(inputs(["input_int_register_0"]))
     answer = second.receive(inputs(["input_int_register_1", "input_int_register_0"]))
@@ -91,7 +91,7 @@ def test_inputs_in_use_by_another_connection():
 
 
 def test_inputs_are_released_with_their_connection():
-    controller = Controller()
+    controller = RtdeBench()
     first, second = controller.session(inputs(["input_int_register_0"])), controller.session()
     second.receive(inputs(["input_int_register_1"]))
     first.close()
@@ -101,7 +101,7 @@ def test_inputs_are_released_with_their_connection():
 
 
 def test_one_connection_may_list_a_register_in_many_recipes():
-    session = Controller().session()
+    session = RtdeBench().session()
     numbers = [session.receive(inputs(["input_int_register_0"]))[3] for _ in range(255)]
     assert numbers == list(range(1, 256))
     with pytest.raises(ProtocolError, match="255"):
@@ -109,7 +109,7 @@ def test_one_connection_may_list_a_register_in_many_recipes():
 
 
 def test_start_pause_and_start_again():
-    session = Controller().session(outputs(["robot_mode"]))
+    session = RtdeBench().session(outputs(["robot_mode"]))
     assert session.publish(0) == b""
     assert session.receive(START) == b"\x00\x04S\x01"
     assert session.publish(1) == b"\x00\x08U\x01\x00\x00\x00\x00"
@@ -121,18 +121,18 @@ def test_start_pause_and_start_again():
 
 
 def test_start_is_refused_without_outputs():
-    assert Controller().session(inputs(["input_int_register_0"])).receive(START) == b"\x00\x04S\x00"
+    assert RtdeBench().session(inputs(["input_int_register_0"])).receive(START) == b"\x00\x04S\x00"
 
 
 def test_an_empty_output_recipe_is_refused():
-    session = Controller().session()
+    session = RtdeBench().session()
     assert session.receive(outputs([])) == b"\x00\x04O\x00"
     assert session.receive(START) == b"\x00\x04S\x00"
     assert session.receive(inputs([])) == b"\x00\x04I\x00"
 
 
 def test_text_messages_go_to_started_sessions_only():
-    session = Controller().session(outputs(["robot_mode"]))
+    session = RtdeBench().session(outputs(["robot_mode"]))
     assert session.text("halt", "arm", TextKind.ERROR) == b""
     session.receive(START)
     assert session.text("halt", "arm", TextKind.ERROR) == b"\x00\x0dM\x04halt\x03arm\x01"
@@ -144,7 +144,7 @@ def test_text_messages_go_to_started_sessions_only():
 
 
 def test_version_1_has_no_frequency_and_output_recipe_number():
-    controller = Controller("cb3")
+    controller = RtdeBench("cb3")
     session = controller.port.open()
     assert session.receive(message("O", b"timestamp,robot_mode")) == b"\x00\x0fODOUBLE,INT32"
     assert session.receive(START) == b"\x00\x04S\x01"
@@ -154,7 +154,7 @@ def test_version_1_has_no_frequency_and_output_recipe_number():
 
 
 def test_version_1_has_numbers_of_input_recipes():
-    controller = Controller()
+    controller = RtdeBench()
     session = controller.port.open()
     assert session.receive(inputs(["input_int_register_5"])) == b"\x00\x09I\x01INT32"
     session.receive(data(1, "i", 4))
@@ -162,7 +162,7 @@ def test_version_1_has_numbers_of_input_recipes():
 
 
 def test_packages_follow_a_change_of_version():
-    session = Controller().port.open()
+    session = RtdeBench().port.open()
     session.receive(message("O", b"robot_mode") + START)
     assert session.publish(0) == b"\x00\x07U\x00\x00\x00\x00"
     session.receive(VERSION_2)
@@ -173,7 +173,7 @@ def test_packages_follow_a_change_of_version():
 
 
 def test_a_package_holds_values_in_the_requested_order():
-    controller = Controller()
+    controller = RtdeBench()
     session = controller.session(
         outputs([*RECEIVED, "payload_cog", "output_int_register_2", "output_double_register_12"])
     )
@@ -230,20 +230,20 @@ def test_a_package_holds_values_in_the_requested_order():
     ],
 )
 def test_frequencies_are_whole_parts_of_the_rate(family, frequency_hz, divider):
-    session = Controller(family).session(outputs(["timestamp"], frequency_hz), START)
+    session = RtdeBench(family).session(outputs(["timestamp"], frequency_hz), START)
     assert session.divider == divider
     due = [tick for tick in range(1000, 1100) if session.publish(tick)]
     assert due == list(range(1000, 1100, divider))
 
 
 def test_skipped_or_restarted_ticks_keep_the_stream():
-    session = Controller().session(outputs(["timestamp"], 125.0), START)
+    session = RtdeBench().session(outputs(["timestamp"], 125.0), START)
     ticks = [10, 11, 14, 15, 30, 31, 34, 35, 2, 3, 6]
     assert [tick for tick in ticks if session.publish(tick)] == [10, 14, 30, 34, 2, 6]
 
 
 def test_a_new_output_setup_replaces_the_previous_one():
-    session = Controller().session(outputs(["timestamp"]), START, outputs(["robot_mode"]))
+    session = RtdeBench().session(outputs(["timestamp"]), START, outputs(["robot_mode"]))
     assert session.started
     assert len(session.publish(0)) == 8
     session.receive(outputs(["nothing"]))
@@ -252,7 +252,7 @@ def test_a_new_output_setup_replaces_the_previous_one():
 
 
 def test_sessions_have_their_own_recipes():
-    controller = Controller()
+    controller = RtdeBench()
     one = controller.session(outputs(["timestamp"]), START)
     other = controller.session(outputs(["robot_mode"]), START)
     assert (len(one.publish(0)), len(other.publish(0))) == (12, 8)
@@ -262,7 +262,7 @@ def test_sessions_have_their_own_recipes():
 
 
 def test_inputs_take_effect_at_once_without_start():
-    controller = Controller()
+    controller = RtdeBench()
     session = controller.session(inputs(SERVOJ))
     assert session.receive(data(1, "i11d", 11, *range(11))) == b""
     assert controller.registers.input_int[0] == 11
@@ -273,7 +273,7 @@ def test_inputs_take_effect_at_once_without_start():
 
 
 def test_of_two_packages_at_once_the_last_wins():
-    controller = Controller()
+    controller = RtdeBench()
     session = controller.session(inputs(["input_int_register_0"]))
     session.receive(data(1, "i", 1) + data(1, "i", 2))
     assert controller.registers.input_int[0] == 2
@@ -281,7 +281,7 @@ def test_of_two_packages_at_once_the_last_wins():
 
 
 def test_other_inputs_are_handed_on():
-    controller = Controller()
+    controller = RtdeBench()
     names = ["input_int_register_23", "standard_digital_output_mask", "standard_digital_output"]
     controller.session(inputs(names)).receive(data(1, "iBB", 5, 4, 255))
     assert controller.told == [{"standard_digital_output_mask": 4, "standard_digital_output": 255}]
@@ -289,7 +289,7 @@ def test_other_inputs_are_handed_on():
 
 
 def test_short_and_long_packages_are_applied_partly():
-    controller = Controller()
+    controller = RtdeBench()
     session = controller.session(inputs(["input_int_register_0", "input_double_register_0"]))
     session.receive(data(1, "i", 1))
     assert (session.short_packages, session.long_packages) == (1, 0)
@@ -318,7 +318,7 @@ def test_short_and_long_packages_are_applied_partly():
     ],
 )
 def test_protocol_errors_end_the_session_and_free_its_inputs(bad, reason):
-    controller = Controller()
+    controller = RtdeBench()
     session = controller.session(outputs(["timestamp"]), inputs(["input_int_register_0"]), START)
     with pytest.raises(ProtocolError, match=reason):
         session.receive(data(1, "i", 6) + bad)
@@ -331,7 +331,7 @@ def test_protocol_errors_end_the_session_and_free_its_inputs(bad, reason):
 
 
 def test_the_largest_recipes_fit_into_a_frame():
-    session = Controller().session()
+    session = RtdeBench().session()
     answer = session.receive(message("O", bytes(8) + b"target_q," * 1024))
     assert len(answer) == 4 + 1024 * 9 - 1
     session.receive(START)
@@ -339,14 +339,14 @@ def test_the_largest_recipes_fit_into_a_frame():
 
 
 def test_unknown_kinds_and_texts_are_only_counted():
-    session = Controller().session()
+    session = RtdeBench().session()
     assert session.receive(message("x", b"abc") + message("M", b"\x02hi\x00\x03") + message("M")) == b""
     assert (session.unknown_packages, session.text_messages) == (1, 2)
     assert session.receive(START) == b"\x00\x04S\x00"
 
 
 def test_a_closed_session_is_silent():
-    session = Controller().session(outputs(["timestamp"]), START)
+    session = RtdeBench().session(outputs(["timestamp"]), START)
     session.close()
     assert (session.publish(0), session.text("halt")) == (b"", b"")
     with pytest.raises(ClosedError):
@@ -369,7 +369,7 @@ def test_both_families_have_the_variables_of_ur_rtde():
     registers += [f"output_double_register_{n}" for n in range(12, 20)]
     for family, extra in (("cb3", []), ("e-series", ["ft_raw_wrench"])):
         names = [*RECEIVED, *extra, "payload", "payload_cog", "payload_inertia", *registers]
-        answer = Controller(family).session().receive(outputs(names))
+        answer = RtdeBench(family).session().receive(outputs(names))
         assert answer[3] == 1
         assert len(answer[4:].split(b",")) == len(names)
 
@@ -384,7 +384,7 @@ def test_direct_torque_registers_of_later_versions():
 
 
 def test_its_control_and_io_connections_live_side_by_side():
-    controller = Controller()
+    controller = RtdeBench()
     control = controller.session(inputs(SERVOJ), inputs(["input_int_register_0", "external_force_torque"]))
     io = controller.session()
     names = ["input_int_register_23", "standard_analog_output_mask", "standard_analog_output_type"]

@@ -1,4 +1,4 @@
-"""The state machine of power, brakes and safety."""
+"""State machine of power, brakes and safety."""
 
 import pytest
 from hypothesis import given, settings

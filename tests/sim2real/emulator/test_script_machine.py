@@ -1,4 +1,4 @@
-"""URScript runs as UR's controllers run it: statements, scopes, values, threads, and what stops a program."""
+"""URScript runs as on UR's controllers: statements, scopes, values, threads, and errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TICK_S = 0.008
 
 
 class Robot:
-    """Builtins that say what the program did with them."""
+    """Builtins that record their calls."""
 
     def __init__(self) -> None:
         self.said: list[Any] = []

@@ -1,4 +1,4 @@
-"""Programs are cut out of a stream of bytes, however it arrives."""
+"""Programs are split from a byte stream, whatever its pieces."""
 
 from __future__ import annotations
 

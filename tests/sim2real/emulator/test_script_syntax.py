@@ -1,4 +1,4 @@
-"""What is no URScript is refused with its line and word, and nothing of Python is in reach."""
+"""Invalid URScript is refused with line and word, and Python is out of reach."""
 
 from __future__ import annotations
 

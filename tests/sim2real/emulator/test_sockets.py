@@ -1,4 +1,4 @@
-"""Sockets of an emulated controller, and what can be made to go wrong with them."""
+"""Sockets of an emulated controller, and their injected faults."""
 
 import logging
 import socket
@@ -17,7 +17,7 @@ HOST = "127.0.0.1"
 
 
 class Echo:
-    """Gives back what it gets; `!` is no part of its protocol."""
+    """Peer that echoes its input; `!` violates its protocol."""
 
     finished = False
 
@@ -113,7 +113,7 @@ def test_a_peer_that_is_finished_is_closed_after_its_answer(harness):
 
 @pytest.mark.parametrize("frozen", [False, True])
 def test_the_last_bytes_of_a_disconnected_client_take_effect(harness, frozen):
-    """Many send a program and close at once, with the stream unread: the end arrives as a reset."""
+    """Many clients send a program and close at once, with the stream unread: the end arrives as a reset."""
     client = harness.client(greeted=False)
     harness.port.faults.frozen = frozen
     client.sendall(b"a program\n")

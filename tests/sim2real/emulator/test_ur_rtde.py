@@ -1,4 +1,4 @@
-"""The unmodified `ur_rtde` talks to emulated controllers of both families, and gets what real ones would give."""
+"""The unmodified `ur_rtde` with emulated controllers of both families."""
 
 import math
 import re
@@ -36,7 +36,7 @@ def cell(request):
 
 @pytest.fixture
 def host(cell):
-    """The left controller, with its arm running and no program."""
+    """Address of the left controller, with its arm running and no program."""
     cell.wait_until("left", "robot_mode", 7)
     cell.wait_until("left", "safety_mode", 1)
     return cell.left
@@ -47,7 +47,7 @@ def near(first, second, tolerance):
 
 
 def same_pose(first, second, tolerance):
-    """A turn by pi has two rotation vectors."""
+    """Compare poses: a rotation by pi has two rotation vectors."""
     turns = [quat_to_matrix(quat_from_rotvec(np.array(each[3:]))) for each in (first, second)]
     return near(first[:3], second[:3], tolerance) and near(*turns, tolerance)
 
@@ -331,7 +331,7 @@ end
 
 @pytest.mark.parametrize("shift", [0.05, -0.1])
 def test_the_uploaded_script_runs(host, tmp_path, shift):
-    """The same call of the client does what a constant in the script says."""
+    """The same call of the client does what a constant in the script specifies."""
     path = tmp_path / "own.script"
     path.write_text(SCRIPT.replace("SHIFT", str(shift)))
     done = clients.run(clients.constant_changed, host, str(path))

@@ -24,12 +24,12 @@ def screenshot(url, path):
 
 
 def changed(first, second):
-    """Number of pixels that differ."""
+    """Count the pixels that differ."""
     return int((np.abs(first - second).max(axis=2) > 40.0).sum())
 
 
 def pictures(url, path, enough, most=8):
-    """Of the page, those that are not black, until they are enough."""
+    """Take pictures of the page, without black ones, until there are enough."""
     found = []
     for _ in range(3 * most):
         picture = screenshot(url, path)

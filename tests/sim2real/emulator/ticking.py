@@ -1,4 +1,4 @@
-"""Controllers and cells that are ticked by hand: no process, no clock."""
+"""Controllers and cells that are ticked by hand, without processes and clocks."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def program(body: str, name: str = "p") -> str:
 
 
 class Bench:
-    """One controller whose arm does at once what it is told.
+    """One controller whose arm follows its reference at once.
 
-    Every tick is checked: the reference has no jump, and no joint is faster than it can be.
+    Every tick is checked: the reference has no jump, and no joint exceeds its speed.
     """
 
     def __init__(self, family: str = "cb3", *, powered: bool = True, seen: Any = None, **assumptions: Any) -> None:
@@ -104,7 +104,7 @@ class Bench:
         self._stands()
 
     def _stands(self) -> None:
-        """The arm is not moved where it must not be."""
+        """Check that the arm does not move where it must not."""
         controller = self.controller
         held = controller.safety.demand is not Demand.NONE
         self._forbidden = self._forbidden + 1 if held else 0
@@ -121,7 +121,7 @@ class Bench:
         return self._dashboard.answer(line)
 
     def robot_mode_data(self) -> dict[str, Any]:
-        """The sub-package of that name, and the safety mode of the masterboard's, as 30001 sends them."""
+        """Return the sub-package of that name, and the masterboard's safety mode, as 30001 sends them."""
         packet = self._primary.state(self.controller.values)
         found, at = {}, 5
         while at < len(packet):
@@ -133,7 +133,7 @@ class Bench:
         return {**data, "safety": found[3][struct.calcsize(">IIBBddBBddffff")]}
 
     def agree(self) -> None:
-        """Everything that clients are told of the state agrees."""
+        """Check that all reported values of the state agree."""
         values, safety, motion = self.controller.values, self.controller.safety, self.controller.motion
         mode, stop, state = values["robot_mode"], values["safety_mode"], values["runtime_state"]
         bits, robot = SafetyBits(values["safety_status_bits"]), RobotBits(values["robot_status_bits"])
@@ -188,7 +188,7 @@ class Bench:
 
 
 class Cell:
-    """A whole emulated cell in this process."""
+    """Emulated cell in this process."""
 
     def __init__(self, **options: Any) -> None:
         self.emulator = Emulator(EmulatorOptions(**{"plant": "nominal", **options}))
@@ -198,7 +198,7 @@ class Cell:
             self.emulator.tick()
 
     def serve(self, ticks: int = 1) -> None:
-        """Control periods in which clients are served, however long they take."""
+        """Run control periods in which clients are served, however long they take."""
         for _ in range(ticks):
             self.emulator._hub.poll(time.monotonic())
             self.emulator.tick()

@@ -20,20 +20,20 @@ _Pose = tuple[Array, _Quat]
 
 
 def composer() -> Any:
-    """dm_control's composer, imported late: it is heavy and tries every OpenGL backend."""
+    """Return dm_control's composer, imported late: it is heavy and tries every OpenGL backend."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # GLFW complains where there is no display; nothing is drawn here
+        warnings.simplefilter("ignore")  # GLFW warns without a display; nothing is rendered here
         from dm_control import mjcf  # type: ignore[import-untyped, unused-ignore]  # untyped
     return mjcf
 
 
 def arm_tree(name: str, dh: DHParameters, gains: str) -> Any:
-    """dm_control tree of one arm.
+    """Return the dm_control tree of one arm.
 
     Args:
-        name: of the arm; prefixes its names once it is attached.
-        dh: its kinematics.
-        gains: of its joint servos, a key of `GAINS`.
+        name: Name of the arm, the prefix of its names once it is attached.
+        dh: Kinematics of the arm.
+        gains: Gains of the joint servos, a key of `GAINS`.
     """
     arm = composer().from_path(str(_ARM_FILE))
     arm.model = name
@@ -44,24 +44,24 @@ def arm_tree(name: str, dh: DHParameters, gains: str) -> Any:
     return arm
 
 
-def strip(frame: Any) -> None:
-    """Take the drawn parts off one arm."""
+def remove_visuals(frame: Any) -> None:
+    """Remove the visual geoms of one arm."""
     for geom in frame.find_all("geom"):
         if geom.dclass is not None and geom.dclass.dclass == "visual":
             geom.remove()
 
 
 def quat_z(angle_rad: float) -> _Quat:
-    """Quaternion w, x, y, z of a turn about z."""
+    """Return the quaternion w, x, y, z of a rotation about z."""
     return math.cos(angle_rad / 2), 0.0, 0.0, math.sin(angle_rad / 2)
 
 
 def _apply_dh(arm: Any, dh: DHParameters) -> None:
     """Move the bodies of one arm to the frames of its own DH parameters, exactly.
 
-    A calibration may shift d2, d3 and d4 by metres against each other, for joints 2 to 4 are nearly parallel. Sliding
-    the frames of forearm and wrist 1 along their own joint axes back to where the links are leaves the kinematics as
-    they are.
+    A calibration may shift d2, d3 and d4 by metres against each other, as joints 2 to 4 are nearly parallel. The
+    frames of forearm and wrist 1 are shifted back along their own joint axes to their links, which keeps the
+    kinematics.
     """
     if dh.is_nominal:
         return  # the file holds the nominal arm
@@ -84,11 +84,11 @@ def _apply_dh(arm: Any, dh: DHParameters) -> None:
 
 
 def _link_ends(dh: DHParameters, slide: Array) -> list[_Pose]:
-    """Pose of each link's distal frame in its body frame: position in m, quaternion w, x, y, z.
+    """Return the pose of each link's distal frame in its body frame: position in m, quaternion w, x, y, z.
 
     Args:
-        dh: kinematics of the arm.
-        slide: (7,) m, how far each body frame is moved along its own joint axis.
+        dh: Kinematics of the arm.
+        slide: (7,) shift in m of each body frame along its own joint axis.
     """
     poses: list[_Pose] = []
     for i in range(6):
@@ -105,7 +105,7 @@ def _link_ends(dh: DHParameters, slide: Array) -> list[_Pose]:
 
 
 def _move_inertia(inertial: Any, old: _Pose, new: _Pose) -> None:
-    """Carry an inertia along with the distal frame it is given in."""
+    """Move an inertia along with the distal frame in which it is given."""
     rotation = _matrix(new[1]) @ _matrix(old[1]).T
     ixx, iyy, izz, ixy, ixz, iyz = inertial.fullinertia
     inertia = rotation @ np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]) @ rotation.T

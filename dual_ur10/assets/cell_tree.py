@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 
 _POINT_M: Final = 1e-6  # MuJoCo has no capsule of no length
 _COLOUR: Final = "0.78 0.42 0.30 1"
-_COLOUR_OF_WALLS: Final = "0.78 0.42 0.30 0.35"  # what is behind one can still be seen
-_DRAWN_M: Final = 3.0  # half the side of the piece of a wall that is drawn
+_COLOUR_OF_WALLS: Final = "0.78 0.42 0.30 0.35"  # transparent
+_WALL_M: Final = 3.0  # half the side of the visible piece of a wall
 
 
 def cell_tree(settings: SceneSettings, *, rigid: bool = False) -> Any:
-    """dm_control tree with what all models share: options, floor, table and both arms with their grippers.
+    """Return the dm_control tree of all models: options, floor, table and both arms with their grippers.
 
     Args:
-        settings: the cell.
-        rigid: the grippers have no joints of their own.
+        settings: Settings of the cell.
+        rigid: Grippers without joints of their own.
     """
     root = composer().RootElement(model="cell")
     root.compiler.angle = "radian"
@@ -37,7 +37,7 @@ def cell_tree(settings: SceneSettings, *, rigid: bool = False) -> Any:
     root.option.integrator = "implicitfast"
     root.option.cone = "elliptic"
     if settings.equipment.grippers or settings.equipment.prop:
-        root.option.impratio = 100  # what is held by friction creeps at a rate that this divides
+        root.option.impratio = 100  # divides the rate at which gripped objects creep
     # A diverged simulation must be seen by the caller, not silently start again from t = 0.
     root.option.flag.autoreset = "disable"
     _add_ground(root, settings)
@@ -64,12 +64,12 @@ def _add_ground(root: Any, settings: SceneSettings) -> None:
 
 
 def document_of(root: Any) -> ET.Element:
-    """The tree as plain XML, for what dm_control cannot express: it lets no name hold a slash."""
+    """Return the tree as plain XML, for features that dm_control lacks: its names cannot hold a slash."""
     return ET.fromstring(root.to_xml_string())
 
 
 def child_of(parent: ET.Element, tag: str) -> ET.Element:
-    """The child of that tag, made if there is none."""
+    """Return the child of that tag, and create it if there is none."""
     found = parent.find(tag)
     return ET.SubElement(parent, tag) if found is None else found
 
@@ -101,7 +101,7 @@ def _geom_of(obstacle: Obstacle) -> dict[str, str]:
             "type": "plane",
             "pos": xml_numbers(*obstacle.point_m),
             "zaxis": xml_numbers(*obstacle.normal),
-            "size": xml_numbers(_DRAWN_M, _DRAWN_M, 0.1),
+            "size": xml_numbers(_WALL_M, _WALL_M, 0.1),
         }
     length = math.dist(obstacle.from_m, obstacle.to_m)
     if length < _POINT_M:
@@ -123,29 +123,29 @@ def xml_numbers(*values: float) -> str:
 
 
 def text_of(document: ET.Element) -> str:
-    """MJCF text."""
+    """Return the MJCF text."""
     ET.indent(document)
     return ET.tostring(document, encoding="unicode")
 
 
 def joint_names(settings: SceneSettings) -> tuple[str, ...]:
-    """Joints of the cell in the order of `qpos`: left arm, left fingers, right arm, right fingers, prop."""
+    """Return the joints of the cell in the order of `qpos`: left arm, left fingers, right arm, right fingers, prop."""
     each = (*JOINTS, *FINGER_JOINTS) if settings.equipment.grippers else JOINTS
     prop = (settings.equipment.prop,) if settings.equipment.prop else ()
     return (*(f"{arm}/{joint}" for arm in ARMS for joint in each), *prop)
 
 
 def actuator_names(settings: SceneSettings) -> tuple[str, ...]:
-    """Actuators of the cell in the order of `ctrl`: left arm, left gripper, right arm, right gripper."""
+    """Return the actuators of the cell in the order of `ctrl`: left arm, left gripper, right arm, right gripper."""
     each = (*JOINTS, "gripper") if settings.equipment.grippers else JOINTS
     return tuple(f"{arm}/{actuator}" for arm in ARMS for actuator in each)
 
 
 def compiled(text: str, joints: tuple[str, ...], actuators: tuple[str, ...]) -> mujoco.MjModel:
-    """A fresh model, its joints and actuators in the order that all arrays of this package have.
+    """Return a fresh model, with joints and actuators in the order of all arrays of this package.
 
     Raises:
-        DualUR10Error: They are not.
+        DualUR10Error: Their order differs.
     """
     import mujoco
 

@@ -1,4 +1,10 @@
-"""The cell's contact-free twin, which only measures distances: capsules, table and floor, one sensor per pair."""
+"""Collision model of a cell: a MuJoCo model without contacts that measures distances, one sensor per pair of bodies.
+
+Nothing reports to the safety gate whether a gripper holds the prop. So each gripper of a cell with a prop carries the
+payload geometry all the time: the prop where it should be gripped, and of the bar, which both grippers hold, the part
+up to its middle. An empty gripper keeps the same distances. The table, on which the prop lies, is left out: a gripper
+that comes to take the prop, and is not level, would be refused for an object that it does not hold yet.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from dual_ur10.assets.arm import strip
+from dual_ur10.assets.arm import remove_visuals
 from dual_ur10.assets.cell_tree import (
     add_obstacles,
     cell_tree,
@@ -27,6 +33,7 @@ from dual_ur10.assets.obstacles import geom_name
 from dual_ur10.assets.props import BAR_LENGTH_M, BAR_WIDTH_M, BLOCK_GRIP_M, BLOCK_SIZE_M, GRIP_DISTANCE_M
 from dual_ur10.assets.settings import Equipment, SceneSettings
 from dual_ur10.kinematics.ur10 import ARMS, LINKS
+from dual_ur10.types import Array
 
 if TYPE_CHECKING:
     import mujoco  # type: ignore[import-untyped, unused-ignore]  # has no types of its own
@@ -35,7 +42,7 @@ CLEARANCE_CUTOFF_M: Final = 0.2
 """Distances beyond this read as this."""
 
 HELD: Final = "held"
-"""Name of the geom of each arm: a capsule in the prop, of its width. Its edges stand out by 8 mm."""
+"""Name of each arm's payload geometry: a capsule inside the prop, of its width. Edges of the prop protrude by 8 mm."""
 
 # What it can meet: the other arm but for its fingers, which take it, and those parts of its own that can get there.
 _PAYLOAD_MEETS_OTHER: Final = ("base_link", *LINKS, "palm")
@@ -50,7 +57,7 @@ PAYLOAD_PAIRS: Final = tuple(
         (f"{arm}/{HELD}", "floor"),
     )
 )
-"""Pairs of the twin that what is held adds."""
+"""Pairs of the collision model that the payload geometry adds."""
 
 # Which parts of one arm can meet. Joints 2, 3 and 4 are parallel, so wrists 1 and 2 always pass base and shoulder
 # sideways; ur10.xml filters their contacts.
@@ -63,7 +70,7 @@ _OWN: Final = {
 
 
 _GRIPPER: Final = ("palm", "fingers")
-# Their wrist holds both, and no posture brings one to the other wrists of its arm.
+# Both are fixed to wrist 3, and no configuration brings one to the other wrists of its arm.
 _OWN_OF_GRIPPER: Final = ("base_link", "shoulder_link", "upper_arm_link", "forearm_link")
 
 
@@ -88,19 +95,18 @@ def _gripper_pairs() -> tuple[tuple[str, str], ...]:
 
 
 CLEARANCE_PAIRS: Final = _pairs()
-"""Geom names of each distance sensor of the bare cell's clearance model, in sensor order."""
+"""Geom names of each distance sensor of the bare cell's collision model, in sensor order."""
 
 _WITH_GRIPPERS: Final = CLEARANCE_PAIRS + _gripper_pairs()
 
 
-def _held(settings: SceneSettings) -> str | None:
-    """What the hands may hold."""
+def _payload(settings: SceneSettings) -> str | None:
     return settings.equipment.prop if settings.equipment.grippers else None
 
 
 def _obstacle_pairs(settings: SceneSettings) -> tuple[tuple[str, str], ...]:
     parts = (*LINKS, *_GRIPPER) if settings.equipment.grippers else LINKS
-    if _held(settings):
+    if _payload(settings):
         parts = (*parts, HELD)
     return tuple((f"{arm}/{part}", geom_name(each)) for each in settings.obstacles for arm in ARMS for part in parts)
 
@@ -112,25 +118,24 @@ _ROUND: Final = LINKS[3:]
 
 
 def clearance_pairs(settings: SceneSettings) -> tuple[tuple[str, str], ...]:
-    """Geom names of each distance sensor of the clearance model, in sensor order.
+    """Return the geom names of each distance sensor of the collision model, in sensor order.
 
     The pairs are all that can meet: each moving link with the other arm, the table and the floor, and the forearm and
-    the wrists with those parts of their own arm that they can reach. Grippers add, after those, their `palm` and
-    `fingers` with all of these; a prop adds what each hand `held`, as if it did so all the time, with all that it can
-    meet but the table and the other hand's fingers. Obstacles add, last, each of these parts with each of them. A prop
-    that lies somewhere is not measured.
+    the wrists with those parts of their own arm that they can reach. Grippers add their `palm` and `fingers` with all
+    of these. A prop adds each arm's payload geometry `held` with all that it can meet, except the table and the other
+    gripper's fingers. Obstacles add, last, each of these parts with each obstacle. The prop itself is not measured.
 
     Args:
         settings: the cell.
     """
     pairs = _WITH_GRIPPERS if settings.equipment.grippers else CLEARANCE_PAIRS
-    pairs = pairs + PAYLOAD_PAIRS if _held(settings) else pairs
+    pairs = pairs + PAYLOAD_PAIRS if _payload(settings) else pairs
     return pairs + _obstacle_pairs(settings) if settings.obstacles else pairs
 
 
 @lru_cache(maxsize=32)
 def compose_collision_model(settings: SceneSettings) -> str:
-    """MJCF text of the cell's twin that measures distances.
+    """Return the MJCF text of the cell's collision model.
 
     It has the arms' joints in the cell's order and no visuals, contacts, actuators or gravity, so that one `forward` up
     to the position stage gives all distances. Sensor i is the signed distance in m of the collision geoms
@@ -141,7 +146,7 @@ def compose_collision_model(settings: SceneSettings) -> str:
     whole mass, with its fingers half open.
 
     Args:
-        settings: the cell; `gains` and `meshes` do not matter.
+        settings: Settings of the cell; `gains` and `meshes` have no effect.
 
     Returns:
         The text; the same object for equal settings.
@@ -150,9 +155,9 @@ def compose_collision_model(settings: SceneSettings) -> str:
     root.compiler.fusestatic = True
     for arm in ARMS:
         frame = root.find("attachment_frame", arm)
-        strip(frame)
+        remove_visuals(frame)
         _add_balls(frame)
-        if (prop := _held(settings)) is not None:
+        if (prop := _payload(settings)) is not None:
             add_payload_geometry(root.find("body", f"{arm}/gripper"), arm, prop)
     for unused in (
         *root.find_all("actuator"),
@@ -177,10 +182,10 @@ def compose_collision_model(settings: SceneSettings) -> str:
 
 
 def build_collision_model(settings: SceneSettings) -> mujoco.MjModel:
-    """A fresh model of the cell's contact-free twin, for distances only.
+    """Return a fresh collision model of the cell.
 
     Args:
-        settings: the cell.
+        settings: Settings of the cell.
 
     Returns:
         The compiled model; its `sensordata` has one distance per pair of `clearance_pairs(settings)`.
@@ -190,15 +195,15 @@ def build_collision_model(settings: SceneSettings) -> mujoco.MjModel:
 
 
 def hull_name(box: str) -> str:
-    """Name of a box's hull in a collision model. No obstacle can have this name."""
+    """Return the name of a box's hull in a collision model. No obstacle can have this name."""
     return f"{box}:hull"
 
 
 def add_hulls(document: ET.Element) -> None:
     """Give every box of the world a second geom of the same shape, a mesh.
 
-    MuJoCo's distance of a capsule from a box is wrong where the capsule's line pierces it: a link that is stuck through
-    a plate may read as clear of it. That from a mesh, which is found in another way, is right everywhere.
+    MuJoCo's distance of a capsule from a box is wrong where the capsule's line pierces it: a link that pierces a
+    plate may read as clear of it. The distance from a mesh, which MuJoCo computes differently, is right everywhere.
 
     Args:
         document: MJCF of a collision model.
@@ -213,7 +218,7 @@ def add_hulls(document: ET.Element) -> None:
 
 
 def add_payload_geometry(gripper: Any, arm: str, prop: str) -> None:
-    """Put what a hand holds into its gripper's body, without a mass: the body's is given.
+    """Add the payload geometry to a gripper's body, without a mass: that of the body is explicit.
 
     Args:
         gripper: Body of a gripper in dm_control's tree.
@@ -228,7 +233,7 @@ def add_payload_geometry(gripper: Any, arm: str, prop: str) -> None:
 
 
 def _along_m(prop: str) -> tuple[float, float]:
-    """From where to where it reaches along the left tool's x; along the right tool's it is the other way round."""
+    """Return begin and end of the payload geometry along the left tool's x; along the right tool's it is mirrored."""
     if prop == "bar":
         return -(BAR_LENGTH_M - GRIP_DISTANCE_M) / 2, GRIP_DISTANCE_M / 2
     return -(BLOCK_SIZE_M[0] / 2 + BLOCK_GRIP_M), BLOCK_SIZE_M[0] / 2 - BLOCK_GRIP_M
@@ -239,12 +244,12 @@ def _ball(name: str) -> str:
 
 
 def _measured(geom: str, other: str, shapes: Mapping[str, str]) -> tuple[str, str]:
-    """The geoms that stand in for a pair: a part of an arm, and another or what stands in the cell.
+    """Return the geoms that are measured for a pair.
 
     Args:
-        geom: The part of an arm.
-        other: The other.
-        shapes: Those of all boxes and of all obstacles, by name.
+        geom: Part of an arm.
+        other: Part of an arm, or a geom of the cell.
+        shapes: Shapes of all boxes and obstacles by name.
     """
     (part, part2), shape = (each.split("/")[-1] for each in (geom, other)), shapes.get(other)
     if shape is None:
@@ -257,7 +262,7 @@ def _measured(geom: str, other: str, shapes: Mapping[str, str]) -> tuple[str, st
 
 
 def _without_corners(geom: str, other_part: str) -> str:
-    """The fingers' capsule in place of their box, except to the other gripper."""
+    """Return the fingers' capsule in place of their box, except to the other gripper."""
     return f"{geom}_round" if geom.endswith("/fingers") and other_part not in _GRIPPER else geom
 
 
@@ -268,3 +273,74 @@ def _add_balls(frame: Any) -> None:
             first, last = np.reshape(geom.fromto, (2, 3))
             radius = float(geom.size[0] + np.linalg.norm(last - first) / 2)
             geom.parent.add("geom", name=_ball(geom.name), type="sphere", size=(radius,), pos=(first + last) / 2)
+
+
+def reach_m(model: mujoco.MjModel, settings: SceneSettings, geom: int) -> tuple[int, float]:
+    """Return the arm that a geom is part of, and a bound on the distance of its points from the arm's base.
+
+    The bound is the length of the chain of bodies up to the geom, stretched out in a line: up to a fifth more than the
+    joints allow.
+
+    Args:
+        model: A collision model.
+        settings: Settings of the cell.
+        geom: Index of the geom.
+
+    Returns:
+        Its row in `ARMS` and the bound in m; -1 and 0 for a geom that is part of no arm.
+    """
+    for arm, mount in enumerate(settings.mounts):
+        if model.geom(geom).name.startswith(f"{ARMS[arm]}/"):
+            # The bases are parts of the world here, so geoms fixed to them are given in the cell frame.
+            chain: list[Any] = [model.geom_pos[geom]]
+            body = int(model.geom_bodyid[geom])
+            while body != 0:
+                chain.append(model.body_pos[body])
+                body = int(model.body_parentid[body])
+            chain[-1] = chain[-1] - np.asarray(mount.position_m)
+            return arm, float(sum(map(np.linalg.norm, chain)) + model.geom_rbound[geom])
+    return -1, 0.0
+
+
+def levers_m(model: mujoco.MjModel) -> Array:
+    """Return bounds on the change of each distance sensor's reading per rad of each joint, (sensors, joints).
+
+    A joint moves a point by at most its distance from the joint's axis. Its bound is the distance of the next body from
+    the axis plus the length of the chain of bodies from there on, stretched out in a line. The distance of two geoms
+    that a joint moves together does not change. The radius of a capsule or a sphere has no effect: a surface of
+    revolution does not move when it rotates about its own axis.
+
+    Args:
+        model: A collision model.
+    """
+    levers = np.full((model.ngeom, model.njnt), np.nan)
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        hops, beyond = _core_m(model, geom)
+        while body != 0:
+            first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+            for joint in range(first, first + count):
+                away = np.cross(model.jnt_axis[joint], hops - model.jnt_pos[joint])
+                levers[geom, joint] = np.linalg.norm(away, axis=1).max() + beyond
+            beyond += float(np.linalg.norm(hops, axis=1).max())
+            hops = model.body_pos[body][None]
+            body = int(model.body_parentid[body])
+    moves = np.isfinite(levers)
+    levers[~moves] = 0.0
+    first_of, second_of = model.sensor_objid, model.sensor_refid
+    return np.where(moves[first_of] & moves[second_of], 0.0, levers[first_of] + levers[second_of])
+
+
+def _core_m(model: mujoco.MjModel, geom: int) -> tuple[Array, float]:
+    """Return points of a geom in its body's frame, (k, 3), and the largest distance of the geom from the nearest."""
+    import mujoco
+
+    middle, kind = model.geom_pos[geom], int(model.geom_type[geom])
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return middle[None], 0.0
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+        along = rotation.reshape(3, 3)[:, 2] * model.geom_size[geom][1]
+        return np.stack([middle - along, middle + along]), 0.0
+    return middle[None], float(model.geom_rbound[geom])

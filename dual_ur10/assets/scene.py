@@ -14,7 +14,7 @@ import xml.etree.ElementTree as ET
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from dual_ur10.assets.arm import strip
+from dual_ur10.assets.arm import remove_visuals
 from dual_ur10.assets.cell_tree import (
     actuator_names,
     add_obstacles,
@@ -35,20 +35,20 @@ if TYPE_CHECKING:
 
 
 @lru_cache(maxsize=32)
-def compose(settings: SceneSettings, *, drawn: bool = True) -> str:
-    """MJCF text of the whole cell.
+def compose(settings: SceneSettings, *, visuals: bool = True) -> str:
+    """Return the MJCF text of the whole cell.
 
-    Joints, actuators and degrees of freedom come as the left arm's six, then the right arm's six; with grippers, each
-    arm's are followed by its gripper's (two finger joints, one actuator: the opening in m); a prop's free joint is the
-    last. The sensors are, for left and then right each time: `<arm>/flange_base_pos` and `<arm>/flange_base_quat`
+    Joints, actuators and degrees of freedom: the left arm's six, then the right arm's six. With grippers, each arm's
+    are followed by its gripper's (two finger joints, one actuator: the opening in m). A prop's free joint is the last.
+    Sensors, each for left and right: `<arm>/flange_base_pos` and `<arm>/flange_base_quat`
     (flange in the arm's own UR `base` frame, m and w, x, y, z) and `<arm>/flange_pos` (flange in the cell frame, m);
     with grippers also `<arm>/wrench_force` and `<arm>/wrench_torque` (N and N·m at the flange, in its axes, that the
     wrist exerts on the gripper: a gripper at rest that points down reads minus its weight along z).
 
     Args:
-        settings: the cell.
-        drawn: with the parts that are only looked at. Without them the model has the same state and the same
-        dynamics, and a step costs a quarter less: simulate without, draw with.
+        settings: Settings of the cell.
+        visuals: Include the visual-only parts. Without them the model has the same state and dynamics, and a step
+            costs a quarter less: simulate without, render with.
 
     Returns:
         The text; the same object for equal settings.
@@ -58,7 +58,7 @@ def compose(settings: SceneSettings, *, drawn: bool = True) -> str:
     """
     root = cell_tree(settings)
     add_prop(root, settings)
-    if drawn:
+    if visuals:
         add_surroundings(root, settings)
         if settings.equipment.prop:
             draw_prop(root, settings.equipment.prop)
@@ -66,7 +66,7 @@ def compose(settings: SceneSettings, *, drawn: bool = True) -> str:
             draw_grippers(root)
     else:
         for arm in ARMS:
-            strip(root.find("attachment_frame", arm))
+            remove_visuals(root.find("attachment_frame", arm))
     document = document_of(root)
     add_obstacles(document, settings.obstacles)
     _add_flange_sensors(document)
@@ -74,17 +74,17 @@ def compose(settings: SceneSettings, *, drawn: bool = True) -> str:
         _add_wrench_sensors(document)
     if settings.equipment.welded:
         weld_bar(document)
-    if settings.meshes and drawn:
+    if settings.meshes and visuals:
         use_meshes(document)
     return text_of(document)
 
 
-def build_model(settings: SceneSettings, *, drawn: bool = True) -> mujoco.MjModel:
-    """A fresh model of the cell.
+def build_model(settings: SceneSettings, *, visuals: bool = True) -> mujoco.MjModel:
+    """Return a fresh model of the cell.
 
     Args:
-        settings: the cell.
-        drawn: with the parts that are only looked at; see `compose`.
+        settings: Settings of the cell.
+        visuals: Include the visual-only parts; see `compose`.
 
     Returns:
         The compiled model; the caller may change it.
@@ -92,11 +92,11 @@ def build_model(settings: SceneSettings, *, drawn: bool = True) -> mujoco.MjMode
     Raises:
         MissingExtraError: `settings.meshes` is set and `example-robot-data` is not installed.
     """
-    return compiled(compose(settings, drawn=drawn), joint_names(settings), actuator_names(settings))
+    return compiled(compose(settings, visuals=visuals), joint_names(settings), actuator_names(settings))
 
 
 def sensor_slices(model: mujoco.MjModel) -> dict[str, slice]:
-    """Where each named sensor's values lie in `sensordata`."""
+    """Return the slice of `sensordata` of each named sensor."""
     return {
         model.sensor(i).name: slice(int(model.sensor_adr[i]), int(model.sensor_adr[i]) + int(model.sensor_dim[i]))
         for i in range(model.nsensor)

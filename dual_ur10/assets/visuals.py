@@ -1,6 +1,6 @@
 """Visual-only parts of the cell: surroundings, cameras, grippers, props and the optional meshes of the arms.
 
-Nothing here has mass or contacts: a model composed with `drawn=False` leaves all of it out.
+Nothing here has mass or contacts: a model composed with `visuals=False` leaves all of it out.
 """
 
 from __future__ import annotations

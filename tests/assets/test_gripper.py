@@ -21,7 +21,7 @@ GRAVITY = 9.81
 
 def at(settings, q=HOME_Q_RAD, opening=OPENING):
     """Model and data at rest at the joint positions `q`, (2, 6)."""
-    model = build_model(settings, drawn=False)
+    model = build_model(settings, visuals=False)
     data = mujoco.MjData(model)
     data.qpos[:16] = np.pad(q, ((0, 0), (0, 2)), constant_values=opening / 2).ravel()
     data.ctrl[:] = np.pad(q, ((0, 0), (0, 1)), constant_values=opening).ravel()

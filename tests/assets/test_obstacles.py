@@ -156,7 +156,7 @@ def test_what_touches_an_obstacle_is_measured_and_is_a_contact() -> None:
     settings = SceneSettings(obstacles=ALL)
     measured = {tuple(sorted(pair)) for pair in clearance_pairs(settings)}
     for drawn in (True, False):
-        model = build_model(settings, drawn=drawn)
+        model = build_model(settings, visuals=drawn)
         seen = set()
         for q in random_q(np.random.default_rng(2), 150):
             seen |= contacts(model, q)
@@ -179,7 +179,7 @@ def test_things_come_to_rest_on_obstacles(obstacle: Obstacle | None) -> None:
     obstacles = () if obstacle is None else (obstacle,)
     far = ArmMount((-2.0, 1.0, 0.5)), ArmMount((-2.0, -1.0, 0.5))
     settings = SceneSettings(*far, equipment=Equipment(prop="block"), obstacles=obstacles)
-    model = build_model(settings, drawn=False)
+    model = build_model(settings, visuals=False)
     data = mujoco.MjData(model)
     data.qpos[:12] = data.ctrl[:12] = HOME_Q_RAD.ravel()
     data.qpos[12:15] = (0.0, 0.0, 0.3)
@@ -195,7 +195,7 @@ def test_an_arm_is_stopped_by_a_wall() -> None:
     forward[:, 1] += 0.3
     found = []
     for obstacles in ((), (wall,)):
-        model = build_model(SceneSettings(gains="compliant", obstacles=obstacles), drawn=False)
+        model = build_model(SceneSettings(gains="compliant", obstacles=obstacles), visuals=False)
         data = mujoco.MjData(model)
         data.qpos[:] = HOME_Q_RAD.ravel()
         for step in range(750):

@@ -33,7 +33,7 @@ class Rig:
 
     def __init__(self, settings):
         self.settings = settings
-        self.model = build_model(settings, drawn=False)
+        self.model = build_model(settings, visuals=False)
         self.data = mujoco.MjData(self.model)
 
     def place(self, paths, opening):
@@ -173,7 +173,7 @@ def test_a_prop_lies_still_where_it_begins(prop, grippers):
 def test_the_masses_of_the_props():
     for prop, mass in (("bar", BAR_MASS_KG), ("block", BLOCK_MASS_KG)):
         for drawn in (False, True):
-            model = build_model(SceneSettings(equipment=Equipment(prop=prop)), drawn=drawn)
+            model = build_model(SceneSettings(equipment=Equipment(prop=prop)), visuals=drawn)
             body = model.body(prop)
             assert body.mass[0] == mass
             x, y, z = prop_size_m(prop)
@@ -211,7 +211,7 @@ def test_from_home_only_a_wrist_turns_to_the_grips():
 
 def test_the_target_is_only_looked_at():
     for drawn in (False, True):
-        model = build_model(SceneSettings(equipment=Equipment(prop="block")), drawn=drawn)
+        model = build_model(SceneSettings(equipment=Equipment(prop="block")), visuals=drawn)
         target = model.body("target")
         assert (model.nmocap, target.mocapid[0]) == (1, 0)
         geoms = np.flatnonzero(model.geom_bodyid == target.id)

@@ -141,7 +141,7 @@ CELLS = {
 
 @pytest.fixture(scope="module", params=CELLS.values(), ids=list(CELLS))
 def drawn_and_undrawn(request):
-    return build_model(request.param), build_model(request.param, drawn=False)
+    return build_model(request.param), build_model(request.param, visuals=False)
 
 
 def test_an_undrawn_model_has_nothing_to_look_at(drawn_and_undrawn):

@@ -54,7 +54,7 @@ class Physics:
         scene, n = self.config.scene, self.n
         # Everything measured is of positions, or part of the state, or of the last physics step.
         self._stage = int(mujoco.mjtStage.mjSTAGE_POS)
-        self._batch: Any = Batch(build_model(scene, drawn=False), n, self.threads)
+        self._batch: Any = Batch(build_model(scene, visuals=False), n, self.threads)
         self._warnings = self._batch.warning[:, :, 1]
         # Views: the arms' joints and, if there are grippers, each arm's two fingers behind its own.
         joints = 8 if scene.equipment.grippers else 6

@@ -13,9 +13,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M, build_collision_model, clearance_pairs
+from dual_ur10.assets.collision_model import (
+    CLEARANCE_CUTOFF_M,
+    build_collision_model,
+    clearance_pairs,
+    levers_m,
+    reach_m,
+)
 from dual_ur10.assets.obstacles import geom_name
-from dual_ur10.assets.reach import levers_m, reach_m
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.errors import CollisionAtStartError, SettingsError, UnknownNameError
 from dual_ur10.types import Array

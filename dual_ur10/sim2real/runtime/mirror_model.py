@@ -26,7 +26,7 @@ class MirrorModel:
         import mujoco
 
         self._scene, self._mujoco = scene, mujoco
-        self._model = build_model(scene, drawn=False)
+        self._model = build_model(scene, visuals=False)
         self._data = mujoco.MjData(self._model)
         self._drawn: tuple[Any, Any] | None = None
         where = sensor_slices(self._model)

@@ -47,7 +47,7 @@ def test_every_possible_contact_is_measured(apart_m):
         right=ArmMount((-0.75, -apart_m / 2, -0.5)),
         equipment=Equipment(grippers=True),
     )
-    model = build_model(settings, drawn=False)
+    model = build_model(settings, visuals=False)
     measured = {frozenset(pair) for pair in clearance_pairs(settings)}
     seen = set()
     data = mujoco.MjData(model)
@@ -73,7 +73,7 @@ def reach(name):
 
 
 def test_what_touches_in_the_cell_overlaps_in_the_twin(twin):
-    model = build_model(GRIPPERS, drawn=False)
+    model = build_model(GRIPPERS, visuals=False)
     pairs = {frozenset(pair): i for i, pair in enumerate(clearance_pairs(GRIPPERS))}
     data, distances = mujoco.MjData(model), mujoco.MjData(twin)
     rng = np.random.default_rng(3)

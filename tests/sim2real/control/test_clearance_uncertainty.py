@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M, build_collision_model
+from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M, build_collision_model, reach_m
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
-from dual_ur10.assets.reach import reach_m
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.errors import CollisionAtStartError, SettingsError
 from dual_ur10.kinematics.frames import ArmMount

@@ -7,8 +7,9 @@ import pytest
 
 _TOLD = (
     "this machine is too busy",
-    "does nothing any more",
+    "no longer responds",
     "stood still",
+    "stalled",
     "RTDE jitter",
     "RTDE rate",
     "round trip",

@@ -86,7 +86,7 @@ def rollout(
             raise
         runner = made.unwrapped.core.cell.runner
         made.close()
-        end = "both arms have stopped" if runner.came_to_rest else "check both arms, one was not seen to stop"
+        end = "both arms have stopped" if runner.stopped else "check both arms, one was not seen to stop"
         errors.print(f"interrupted: {end}", highlight=False, soft_wrap=True)
         raise typer.Exit(INTERRUPTED) from None
     finally:

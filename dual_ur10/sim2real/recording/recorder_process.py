@@ -24,7 +24,7 @@ from dual_ur10.sim2real.recording.run_folder import RunLog
 from dual_ur10.sim2real.recording.schemas import EVENT, EVENT_TOPIC, TOPICS
 from dual_ur10.sim2real.recording.writer import RunWriter
 from dual_ur10.sim2real.runtime.arm_memory import RING, ArmMemory, Phase
-from dual_ur10.sim2real.runtime.arm_sender import was_asked_for
+from dual_ur10.sim2real.runtime.arm_sender import was_requested
 from dual_ur10.types import Array
 
 FRAME: Final = "<BId"
@@ -156,7 +156,7 @@ class Recorder:
             text = memory.text if phase >= Phase.STOPPING else ""
             self._phases[arm] = phase
             self.event("phase", f"{phase.name.lower()}{': ' if text else ''}{text}", ARMS[arm])
-            if phase >= Phase.STOPPING and not was_asked_for(text):
+            if phase >= Phase.STOPPING and not was_requested(text):
                 self.ask_black_box(text)
 
     def _whole(self, arm: int, what: str, rows: Array, since: int, count: int, now: int) -> Array:

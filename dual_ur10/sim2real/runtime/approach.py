@@ -1,4 +1,4 @@
-"""The slow way to where a task begins: straight in the joints, one arm after the other where both at once may not."""
+"""Plan of the slow approach to a start: straight in joint space, one arm after the other where both at once may not."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ if TYPE_CHECKING:
 
 SPEED_RAD_S: Final = 0.2
 TCP_SPEED_M_S: Final = 0.25
-"""Most that a joint, and a flange, elbow or tool centre point, does on the way to a start: reduced speed of ISO
+"""Largest speeds of a joint, and of flange, elbow and tool centre point, during an approach: reduced speed of ISO
 10218-1."""
 
 ACCELERATION_RAD_S2: Final = 0.5
 
-_ROOM: Final = 0.9  # of a limit of speed
-_END_RAD: Final = 0.1  # of a joint's range, from which nothing begins: a turn too many is near
-_ROUNDING_M: Final = 1e-6  # by which a pair that stays as far apart as it is may seem to be closer
-_STEP_RAD: Final = 0.02  # between postures at which distances are looked at
-# Of the polynomial of fifth degree from rest to rest.
+_SPEED_FRACTION: Final = 0.9  # of a speed limit
+_END_RAD: Final = 0.1  # margin to a joint's range inside which no approach begins: an extra turn is near
+_ROUNDING_M: Final = 1e-6  # apparent decrease of a distance that stays equal
+_STEP_RAD: Final = 0.02  # between configurations at which distances are checked
+# Peaks of the quintic polynomial from rest to rest.
 _PEAK_SPEED, _PEAK_ACCELERATION, _PEAK_JERK = 1.875, 10 / math.sqrt(3), 60.0
 
 
 @dataclass(frozen=True)
 class Rates:
-    """How fast arms go to a start at most, in real time.
+    """Largest rates of an approach in real time.
 
     Attributes:
-        speed_rad_s: Speed of a joint.
-        tcp_speed_m_s: Speed of a flange, elbow or tool centre point.
-        acceleration_rad_s2: Acceleration of a joint.
-        jerk_rad_s3: Its jerk.
+        speed_rad_s: Joint speed.
+        tcp_speed_m_s: Cartesian speed of flange, elbow and tool centre point.
+        acceleration_rad_s2: Joint acceleration.
+        jerk_rad_s3: Joint jerk.
         tcp_m: Tool centre point of the left and the right arm in its flange's frame.
     """
 
@@ -54,17 +54,17 @@ class Rates:
     tcp_m: tuple[Three, Three] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
     def capped(self, config: CellConfig) -> Rates:
-        """The same, as far as a cell allows it."""
+        """Return these rates capped by a cell's limits."""
         own = {each.name: getattr(config, each.name) for each in fields(self) if each.name != "tcp_m"}
         given = {name: min(value, getattr(self, name)) for name, value in own.items() if value is not None}
         return replace(self, tcp_m=config.tcp_m, **given)
 
     def within(self, limits: MotionLimits, speed_factor: float) -> Rates:
-        """The same, as far as the safety gate lets through what has these limits in the time of its targets."""
+        """Return these rates capped by what the safety gate releases under limits in task time."""
         return Rates(
-            min(self.speed_rad_s, _ROOM * min(limits.speed_rad_s) * speed_factor),
-            min(self.tcp_speed_m_s, _ROOM * limits.tcp_speed_m_s * speed_factor),
-            # Half of it, for the brake begins while the arms still gather speed.
+            min(self.speed_rad_s, _SPEED_FRACTION * min(limits.speed_rad_s) * speed_factor),
+            min(self.tcp_speed_m_s, _SPEED_FRACTION * limits.tcp_speed_m_s * speed_factor),
+            # Half of it, as the brake may begin while the arms still accelerate.
             min(self.acceleration_rad_s2, limits.acceleration_rad_s2 / 2 * speed_factor**2),
             min(self.jerk_rad_s3, limits.jerk_rad_s3 / 2 * speed_factor**3),
             limits.tcp_m,
@@ -72,11 +72,11 @@ class Rates:
 
 
 class RetreatClearance:
-    """Distances for the gate on the way from where arms may stand too close: they may go apart, and no closer.
+    """Distances for the gate on a path whose start may be too close: such pairs may separate, and come no closer.
 
     Args:
-        clearance: Measures distances.
-        start_rad: (2, 6) where the arms are.
+        clearance: Computes distances.
+        start_rad: (2, 6) start of the path.
     """
 
     def __init__(self, clearance: Clearance, start_rad: Array) -> None:
@@ -85,34 +85,34 @@ class RetreatClearance:
         self._short = np.where(short > 0.0, short + _ROUNDING_M, 0.0)
 
     def spare_m(self, q_rad: Array) -> Array:
-        """(1, pairs) by how much each pair is farther apart than allowed, or than at the beginning, at (1, 12)."""
+        """Return the distance above the legal minimum, or above that at the start if less, (1, pairs), at (1, 12)."""
         spare: Array = self._short - self._clearance.shortfall_m(q_rad[0])
         return spare[None]
 
     def spare_of_spheres_m(self) -> Array:
-        """As `Clearance.spare_of_spheres_m`: no more may be needed than there."""
+        """Return that of `Clearance`, whose legal minimum is never smaller."""
         return self._clearance.spare_of_spheres_m()
 
     def travel_m(self, path_rad: Array) -> Array:
-        """As `Clearance.travel_m`."""
+        """Return that of `Clearance`."""
         return self._clearance.travel_m(path_rad)
 
     def alone(self) -> RetreatClearance:
-        """Itself: there is one posture at a time."""
+        """Return itself: there is one configuration at a time."""
         return self
 
     def worst(self, q_rad: Array) -> tuple[str, float, float]:
-        """As `Clearance.worst`, of what comes closer than it may here."""
+        """Return that of `Clearance` with the distances granted here."""
         return self._clearance.worst(q_rad, self._short)
 
 
 class Approach:
-    """A way from one posture of both arms to another, from rest to rest on every part of it.
+    """Piecewise straight path of both arms in joint space, from rest to rest on every part.
 
     Args:
-        parts: (k, 12) postures, straight ways between which are gone one after the other.
-        speed_factor: How fast the time of its targets will pass: in real time it is as slow as it should be.
-        rates: What that is.
+        parts: (k, 12) configurations at the ends of the parts.
+        speed_factor: Rate of task time in real time; the approach takes the same real time at any.
+        rates: Largest rates in real time.
     """
 
     def __init__(self, parts: Sequence[Array], speed_factor: float = 1.0, rates: Rates | None = None) -> None:
@@ -122,29 +122,29 @@ class Approach:
 
     @property
     def duration_s(self) -> float:
-        """How long it takes, in real time."""
+        """Duration in real time."""
         return sum(self.durations_s)
 
     def _duration_s(self, start: Array, end: Array) -> float:
-        way = float(np.abs(end - start).max())
-        if way == 0.0:
+        distance = float(np.abs(end - start).max())
+        if distance == 0.0:
             return 0.0
-        shares = np.linspace(0.0, 1.0, 2 + math.ceil(way / _STEP_RAD))
-        along = start + shares[:, None] * (end - start)
+        fractions = np.linspace(0.0, 1.0, 2 + math.ceil(distance / _STEP_RAD))
+        along = start + fractions[:, None] * (end - start)
         points = tips(along.reshape(-1, 2, 6), self._rates.tcp_m)
-        tip = float(np.linalg.norm(np.diff(points, axis=0), axis=-1).max()) / (shares[1] - shares[0])
+        tip = float(np.linalg.norm(np.diff(points, axis=0), axis=-1).max()) / (fractions[1] - fractions[0])
         rates = self._rates
-        by_speed: float = _PEAK_SPEED * max(way / rates.speed_rad_s, tip / rates.tcp_speed_m_s)
-        by_acceleration = math.sqrt(_PEAK_ACCELERATION * way / rates.acceleration_rad_s2)
-        return max(by_speed, by_acceleration, math.cbrt(_PEAK_JERK * way / rates.jerk_rad_s3))
+        by_speed: float = _PEAK_SPEED * max(distance / rates.speed_rad_s, tip / rates.tcp_speed_m_s)
+        by_acceleration = math.sqrt(_PEAK_ACCELERATION * distance / rates.acceleration_rad_s2)
+        return max(by_speed, by_acceleration, math.cbrt(_PEAK_JERK * distance / rates.jerk_rad_s3))
 
     def targets(self, tick_s: float) -> Array:
-        """The targets, (ticks, 2, 6), without the first posture, with the last."""
+        """Return the targets, (ticks, 2, 6), without the first configuration, with the last."""
         rows = []
         for (start, end), duration_s in zip(itertools.pairwise(self.parts), self.durations_s, strict=True):
             ticks = math.ceil(duration_s * self._speed_factor / tick_s)
-            share = np.arange(1, ticks + 1) / max(ticks, 1)
-            eased = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+            time = np.arange(1, ticks + 1) / max(ticks, 1)
+            eased = time**3 * (10.0 - 15.0 * time + 6.0 * time**2)
             rows.append(start + eased[:, None] * (end - start))
         last = self.parts[-1][None]
         return np.concatenate([*rows, last]).reshape(-1, 2, 6)
@@ -153,17 +153,17 @@ class Approach:
 def plan(
     q_rad: Array, goal_rad: Array, clearance: Clearance, speed_factor: float = 1.0, rates: Rates | None = None
 ) -> Approach:
-    """A way on which nothing comes closer than the safety gate allows, or than it is at the beginning.
+    """Return an approach on which no pair comes closer than the gate allows, or than it is at the beginning.
 
     Args:
-        q_rad: (2, 6) where the arms are.
-        goal_rad: (2, 6) where they are to be.
-        clearance: Measures distances.
+        q_rad: (2, 6) current configuration.
+        goal_rad: (2, 6) goal.
+        clearance: Computes distances.
         speed_factor: See `Approach`.
         rates: See `Approach`.
 
     Raises:
-        StartError: A joint is at an end of its range, or no way was found.
+        StartError: A joint is near the end of its range, or no path was found.
     """
     start, goal = np.array(q_rad).reshape(12), np.array(goal_rad).reshape(12)
     allowed: Array = JOINT_RANGE_RAD - _END_RAD
@@ -172,16 +172,15 @@ def plan(
         arm, joint = divmod(int(outside.argmax()), 6)
         raise StartError(
             f"{ARMS[arm]}: {JOINTS[joint]} is at {start[outside][0]:.3f} rad, allowed are "
-            f"±{allowed[joint]:.3f}: turn it back by hand"
+            f"±{allowed[joint]:.3f}: rotate it back by hand"
         )
     left_first = np.concatenate([goal[:6], start[6:]])
     right_first = np.concatenate([start[:6], goal[6:]])
-    ways = ([start, goal], [start, left_first, goal], [start, right_first, goal])
-    for way in ways:
-        if all(_is_clear(*ends, clearance) for ends in itertools.pairwise(way)):
-            return Approach(way, speed_factor, rates)
+    for parts in ([start, goal], [start, left_first, goal], [start, right_first, goal]):
+        if all(_is_clear(*ends, clearance) for ends in itertools.pairwise(parts)):
+            return Approach(parts, speed_factor, rates)
     raise StartError(
-        f"no straight way leads from where the arms are to the start of the task: {_nearest(start, goal, clearance)}. "
+        f"no straight path leads from where the arms are to the start of the task: {_nearest(start, goal, clearance)}. "
         "Bring them nearer to it by hand"
     )
 
@@ -192,10 +191,10 @@ def _along(start: Array, end: Array) -> Array:
 
 
 def _is_clear(start: Array, end: Array, clearance: Clearance) -> bool:
-    # Where the arms stand too close, they may go apart.
+    # Arms that are too close may separate.
     short = clearance.shortfall_m(start)
-    for posture in _along(start, end):
-        now = clearance.shortfall_m(posture)
+    for q_rad in _along(start, end):
+        now = clearance.shortfall_m(q_rad)
         if (now > np.maximum(short, 0.0) + _ROUNDING_M).any():
             return False
         short = np.minimum(short, now)
@@ -203,5 +202,5 @@ def _is_clear(start: Array, end: Array, clearance: Clearance) -> bool:
 
 
 def _nearest(start: Array, goal: Array, clearance: Clearance) -> str:
-    worst = min((clearance.worst(posture) for posture in _along(start, goal)), key=lambda found: found[1] - found[2])
+    worst = min((clearance.worst(q_rad) for q_rad in _along(start, goal)), key=lambda found: found[1] - found[2])
     return f"{worst[0]} would come within {1e3 * worst[1]:.0f} mm, allowed are {1e3 * worst[2]:.0f} mm"

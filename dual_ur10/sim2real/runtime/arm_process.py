@@ -1,7 +1,7 @@
-"""The process of one arm: it owns the connections to its controller, and nothing else does.
+"""Process of one arm, the only owner of the connections to its controller.
 
-Constructors of `ur_rtde` hold Python's global lock while they wait, and it may block for seconds. None of that must
-reach the other arm. Nor may it connect again when it has lost the controller: it would start its script there anew.
+`ur_rtde` may block for seconds and holds Python's global lock in its constructors. None of that must affect the other
+arm. Nor may it reconnect to a lost controller: it would restart its script there.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ from dual_ur10.sim2real.runtime.arm_sender import ArmSender
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 
 WATCHDOG_HZ: Final = 10.0
-"""How often the controller must hear of us, or it ends the program. Armed before anything moves."""
+"""Smallest rate of packets before the controller ends the program. Armed before anything moves."""
 
 CONNECT_S: Final = 10.0
 
 _MOST_PRIORITY: Final = 90
 _ROUND_TRIPS: Final = 20
-_STANDARD: Final = 3  # files that every process has
+_STANDARD: Final = 3  # standard input, output and error
 
 _KEPT: Final[list[Any]] = []
-"""Interfaces of ur_rtde, which are never destroyed: that waits for a controller, for ever if it is lost."""
+"""Interfaces of ur_rtde. They are never destroyed: that would wait for a controller, for ever if it is lost."""
 
 
 @dataclass(frozen=True)
 class ArmConnection:
-    """How to reach an arm, and how to move it.
+    """Address and servoj settings of an arm.
 
     Attributes:
         name: "left" or "right".
         host: Address of its controller.
         servoj: Settings of `servoj`.
-        rt_priority: Of its process among those that run in real time; 0: it does not.
+        rt_priority: Real-time priority of its process; 0: none.
     """
 
     name: str
@@ -60,14 +60,14 @@ class ArmConnection:
 
 
 class ArmProcess:
-    """Starts the process of an arm, and ends it.
+    """Handle of an arm's process, which it starts.
 
     Args:
-        connection: The arm.
-        memory: Shared with it.
-        cell: Shared by all processes of the cell.
+        connection: Address and settings of the arm.
+        memory: Memory shared with it.
+        cell: Memory shared by all processes of the cell.
         others: Memories of the other arms.
-        watched: Whether there is a supervisor that must live.
+        supervised: Require a living supervisor.
     """
 
     def __init__(
@@ -77,17 +77,17 @@ class ArmProcess:
         cell: CellMemory,
         others: tuple[ArmMemory, ...] = (),
         *,
-        watched: bool = True,
+        supervised: bool = True,
     ) -> None:
         self.connection, self.memory = connection, memory
         names = (memory.name, cell.name, *(other.name for other in others))
-        self.process = Child(main, connection, names, os.getpid(), watched, name=connection.name)
+        self.process = Child(main, connection, names, os.getpid(), supervised, name=connection.name)
 
     def wait_until_ready(self, within_s: float = CONNECT_S) -> None:
-        """Wait until the arm would take targets.
+        """Wait until the arm is ready for targets.
 
         Raises:
-            LinkError: It does not, within the time. Its process has ended.
+            LinkError: It is not ready in time. Its process was ended.
         """
         end = time.monotonic() + within_s
         while time.monotonic() < end and self.process.is_alive:
@@ -103,24 +103,24 @@ class ArmProcess:
         raise LinkError(text)
 
     def wait(self, within_s: float) -> bool:
-        """Wait for the end of the process. Returns whether it has come."""
+        """Wait for the end of the process; return False if it still runs."""
         return self.process.wait(within_s)
 
     def kill(self) -> None:
-        """End the process at once. The arm is stopped by the watchdog in its controller."""
+        """Kill the process. The watchdog in the controller stops the arm."""
         self.process.kill()
 
 
-def main(connection: ArmConnection, names: tuple[str, ...], parent: int, watched: bool) -> None:
-    """Run in the process of an arm."""
+def main(connection: ArmConnection, names: tuple[str, ...], parent: int, supervised: bool) -> None:
+    """Run the process of an arm."""
     memory, cell, others = ArmMemory(names[0]), CellMemory(names[1]), [ArmMemory(name) for name in names[2:]]
     memory.note_process(os.getpid())
     try:
         round_trip_s = _round_trip_s(connection)
         link = RtdeLink(connection.host, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES, name=connection.name)
-        _settle()
+        _freeze_collector()
         hasten(connection.rt_priority)
-        control = _control(connection)  # from here on the watchdog wants to be fed
+        control = _control(connection)  # from here on the watchdog must be fed
         _KEPT.append(control)
         bar_connections()
         name, servoj = connection.name, connection.servoj
@@ -133,20 +133,20 @@ def main(connection: ArmConnection, names: tuple[str, ...], parent: int, watched
             cell,
             others,
             parent=parent,
-            watched=watched,
+            supervised=supervised,
             leader=others[0] if others and name != ARMS[0] else None,
             round_trip_s=round_trip_s,
         ).run()
     except DualUR10Error as error:
         memory.enter(Phase.FAULTED, f"{connection.name}: {error}")
-    except Exception as error:  # whatever it is, the other arm and the program must hear of it
+    except Exception as error:  # of any kind: the other arm and the program must learn of it
         memory.enter(Phase.FAULTED, f"{connection.name}: {type(error).__name__}: {error}")
-    # At once: what ur_rtde has lost, it tries to reach again, and starts its script there anew.
+    # At once: ur_rtde reconnects to a lost controller and restarts its script there.
     os._exit(0)
 
 
 def _round_trip_s(connection: ArmConnection) -> float:
-    """How long the quickest answers of the controller take: its clock is known by the quickest packets, too."""
+    """Return the shortest round trip to the controller, whose clock is also estimated by the quickest packets."""
     deadline_s = time.monotonic() + CONNECT_S
     client = RtdeClient(connection.name, connection.host, PORT, deadline_s)
     try:
@@ -156,10 +156,10 @@ def _round_trip_s(connection: ArmConnection) -> float:
 
 
 def _control(connection: ArmConnection) -> Any:
-    """`ur_rtde`'s control interface, with its watchdog armed.
+    """Return `ur_rtde`'s control interface with its watchdog armed.
 
     Raises:
-        LinkError: The controller does not let it in.
+        LinkError: The controller refuses it.
     """
     try:
         from rtde_control import RTDEControlInterface
@@ -176,11 +176,11 @@ def _control(connection: ArmConnection) -> Any:
 
 
 def bar_connections() -> None:
-    """From here on this process opens no file and no connection.
+    """Prevent this process from opening files and connections.
 
-    `ur_rtde` reconnects by itself when it loses a controller, at any time and in a thread of its own, starts its script
-    there anew and sends the last command again, without a watchdog. No setting keeps it from that, but the operating
-    system does: the numbers of standard input, output and errors are taken, and no higher ones are given.
+    `ur_rtde` reconnects when it loses a controller, at any time and in a thread of its own, restarts its script there
+    and sends the last command again, without a watchdog. No setting prevents that, but the operating system does: the
+    descriptors of standard input, output and error are taken, and no higher ones are allowed.
     """
     number = 0
     while number < _STANDARD:  # some programs are started without them
@@ -189,8 +189,8 @@ def bar_connections() -> None:
     resource.setrlimit(resource.RLIMIT_NOFILE, (_STANDARD, _STANDARD))
 
 
-def _settle() -> None:
-    """What stands now stays: no collector is to look at it, and no arithmetic to warn of it, between two targets."""
+def _freeze_collector() -> None:
+    """Freeze the garbage collector and silence NumPy warnings, so that neither delays the servo loop."""
     gc.collect()
     gc.freeze()
     gc.disable()

@@ -1,4 +1,4 @@
-"""Memory that all processes of a cell share: how fast time passes, what is expected of the policy, and a fault."""
+"""Memory shared by all processes of a cell: time scaling, deadline of the policy, and fault."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dual_ur10.sim2real.control.time_scaling import TimeScaling
 from dual_ur10.sim2real.processes.shared_memory import Layout, SharedBlock
 
 _TEXT: Final = 2048
-_SCALINGS: Final = 4  # kept, so that one is whole while the next is written
+_SCALINGS: Final = 4  # kept, so that readers find a complete one while the next is written
 _TRIES: Final = 1000
 _SEQUENCE, _FAULT, _LIVE, _CLOSING, _READY, _REDUCED = range(6)
 _SUPERVISOR_S, _FRESH, _BEGIN_S = range(3)
@@ -26,13 +26,13 @@ _LAYOUT: Final[Layout] = {
 
 
 class CellMemory:
-    """The memory of a cell.
+    """Memory of a cell.
 
     Args:
-        name: Of memory that exists; None: it is made, and belongs to this object.
+        name: Name of existing memory; None: create it.
 
     Attributes:
-        name: By which another process finds it.
+        name: Name by which another process opens it.
     """
 
     def __init__(self, name: str | None = None) -> None:
@@ -50,43 +50,43 @@ class CellMemory:
     # Written by the program.
 
     def permit_reduced_mode(self) -> None:
-        """Arms may go on in reduced mode."""
+        """Let arms continue in reduced mode."""
         self._ints[_REDUCED] = 1
 
     def begin(self, at_s: float) -> None:
-        """Control period 0 begins at this time of the monotonic clock."""
+        """Set the start of control period 0 on the monotonic clock."""
         self._floats[_BEGIN_S] = at_s
 
     def expect(self, fresh: float, *, live: bool) -> None:
-        """Targets up to number `fresh` are the policy's; `live`: it owes those that follow."""
-        if live:  # else whoever has just seen that it was would take a wrong number for it
+        """Set the number after the policy's last target; `live`: the policy owes the following ones."""
+        if live:  # else a reader that has just seen `live` would take a wrong number for it
             self._floats[_FRESH] = fresh
         self._ints[_LIVE] = live
 
     def end(self) -> None:
-        """From now on arms that stop are no fault, and the supervisor ends with them."""
+        """Announce the end of the program: arms that stop from now on are no fault."""
         self._ints[_CLOSING] = 1
 
     # Written by the supervisor.
 
     def enter_ready(self) -> None:
-        """The supervisor sees both arms."""
+        """Report that the supervisor receives the states of both arms."""
         self._ints[_READY] = 1
 
     def set_time_scaling(self, scaling: TimeScaling) -> None:
-        """From a control period on that is still to come, time passes like this."""
+        """Publish a time scaling that begins in a future control period."""
         following = int(self._ints[_SEQUENCE]) + 1
         self._scalings[following % _SCALINGS] = astuple(scaling)
         self._ints[_SEQUENCE] = following
 
     def note_supervisor(self, now_s: float) -> None:
-        """The supervisor lives."""
+        """Record a sign of life of the supervisor."""
         self._floats[_SUPERVISOR_S] = now_s
 
-    # Written by whoever is first.
+    # Written by whichever process is first.
 
     def enter_fault(self, reason: str) -> None:
-        """Both arms are to stop for good. The first reason stays."""
+        """Request a latched stop of both arms. The first reason is kept."""
         if not self._ints[_FAULT]:
             self._block.set_text("text", reason)
             self._ints[_FAULT] = 1
@@ -95,7 +95,7 @@ class CellMemory:
 
     @property
     def time_scaling(self) -> TimeScaling:
-        """How time passes.
+        """Current time scaling.
 
         Raises:
             LinkError: It is written faster than it can be read.
@@ -103,52 +103,52 @@ class CellMemory:
         for _ in range(_TRIES):
             before = int(self._ints[_SEQUENCE])
             values = self._scalings[before % _SCALINGS].tolist()
-            # A reader may stand still for long: the row is whole as long as nobody has begun to write it again.
+            # A reader may stall for long: the row is complete until its next write begins.
             if int(self._ints[_SEQUENCE]) - before < _SCALINGS - 1:
                 return TimeScaling(*values)
-        raise LinkError("how fast time passes is written faster than it can be read: look at what writes it")
+        raise LinkError("the time scaling is written faster than it can be read: check what writes it")
 
     @property
     def begin_s(self) -> float:
-        """When control period 0 begins; 0: not yet."""
+        """Start of control period 0; 0: not set yet."""
         return float(self._floats[_BEGIN_S])
 
     @property
     def supervisor_beat_s(self) -> float:
-        """When the supervisor last showed that it lives; 0: not yet."""
+        """Time of the supervisor's last sign of life; 0: none yet."""
         return float(self._floats[_SUPERVISOR_S])
 
     @property
     def ready(self) -> bool:
-        """Whether the supervisor sees both arms."""
+        """True once the supervisor receives the states of both arms."""
         return bool(self._ints[_READY])
 
     @property
     def ending(self) -> bool:
-        """Whether the program is about to end in order."""
+        """True once the program announced its end."""
         return bool(self._ints[_CLOSING])
 
     @property
     def allow_reduced(self) -> bool:
-        """Whether arms may go on in reduced mode."""
+        """True if arms may continue in reduced mode."""
         return bool(self._ints[_REDUCED])
 
     @property
     def fresh(self) -> float:
-        """Number behind the last target that the policy gave."""
+        """Number after that of the policy's last target."""
         return float(self._floats[_FRESH])
 
     @property
     def live(self) -> bool:
-        """Whether the policy owes targets."""
+        """True while the policy owes targets."""
         return bool(self._ints[_LIVE])
 
     @property
     def fault(self) -> str:
-        """Why both arms were stopped for good; "": they were not."""
+        """Reason of the latched stop; "": there is none."""
         return self._block.text("text") if self._ints[_FAULT] else ""
 
     def close(self) -> None:
-        """Let go of the memory. May be called twice."""
+        """Release the memory. May be called twice."""
         self._block.close()
         self._view()

@@ -1,4 +1,4 @@
-"""What outlives a program: that arms were stopped and nobody has looked yet, and who moves them now."""
+"""Files that outlive a program: faults that no person has cleared, and the lock of each arm."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _MOST_BYTES: Final = 64 * 1024
 
 
 def state_folder() -> Path:
-    """Where faults and locks are kept, for this user alone: in `$XDG_STATE_HOME`, or `~/.local/state`.
+    """Return the folder of faults and locks of this user: in `$XDG_STATE_HOME`, or `~/.local/state`.
 
     Raises:
-        SettingsError: It cannot be made, or belongs to somebody else.
+        SettingsError: It cannot be created, or belongs to another user.
     """
     home = os.environ.get("XDG_STATE_HOME", "")
     path = (Path(home) if os.path.isabs(home) else Path.home() / ".local" / "state") / "dual_ur10"
@@ -37,13 +37,13 @@ def state_folder() -> Path:
 
 
 def _keys(cell: CellFile) -> list[str]:
-    """A name for each controller. One that is emulated is another one after each start."""
+    """Return a key for each controller. An emulated one gets a new key at each start."""
     process = "" if cell.emulator is None or cell.emulator.pid is None else f"-{cell.emulator.pid}"
     return [f"{arm.host}{process}" for arm in cell.arms]
 
 
 def _read(path: Path) -> bytes:
-    """A small file. A link is none: what it says could be lost with what it points to."""
+    """Return a small file's bytes; a link is refused, as its target could disappear."""
     handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     with os.fdopen(handle, "rb") as file:
         return file.read(_MOST_BYTES)
@@ -51,12 +51,12 @@ def _read(path: Path) -> bytes:
 
 @dataclass(frozen=True)
 class Fault:
-    """Why arms were stopped.
+    """Reason of a latched stop.
 
     Attributes:
-        text: The reason.
-        when_utc: When it was noted.
-        arm: Whose controller's note this is: "left" or "right".
+        text: Reason.
+        when_utc: Time of the note.
+        arm: Arm whose controller the note belongs to: "left" or "right".
     """
 
     text: str
@@ -65,10 +65,10 @@ class Fault:
 
 
 class Latch:
-    """The faults of a cell's controllers, kept in files until a person clears them.
+    """Faults of a cell's controllers, kept in files until a person clears them.
 
     Args:
-        cell: The cell.
+        cell: Cell file.
     """
 
     def __init__(self, cell: CellFile) -> None:
@@ -77,7 +77,7 @@ class Latch:
         self._paths = [folder / f"fault-{key}.json" for key in _keys(cell)]
 
     def set(self, text: str) -> None:
-        """Both arms were stopped. A fault that is there already stays."""
+        """Note a fault of both arms. An earlier one is kept."""
         for path in self._paths:
             note = json.dumps({"text": text, "when_utc": time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime())})
             with contextlib.suppress(FileExistsError):
@@ -86,7 +86,7 @@ class Latch:
                     file.write(note + "\n")
 
     def read(self) -> Fault | None:
-        """A fault that nobody has cleared; None: there is none. One that cannot be read is one."""
+        """Return the fault that nobody has cleared, or None. A note that cannot be read counts as a fault."""
         for arm, path in zip(ARMS, self._paths, strict=True):
             try:
                 values = json.loads(_read(path))
@@ -106,12 +106,12 @@ class Latch:
         fault = self.read()
         if fault is not None:
             raise CellFaulted(
-                f"the arms were stopped at {fault.when_utc} UTC: {fault.text}. Look at both arms, put right what is "
-                f"wrong, then say `python -m dual_ur10 cell clear {self._cell.source}`"
+                f"the arms were stopped at {fault.when_utc} UTC: {fault.text}. Check both arms, correct the "
+                f"cause, then run `python -m dual_ur10 cell clear {self._cell.source}`"
             )
 
     def clear(self) -> None:
-        """A person has looked.
+        """Clear the faults, once a person has checked both arms.
 
         Raises:
             CellBusyError: A program moves the arms.
@@ -123,13 +123,13 @@ class Latch:
 
 
 class CellLock:
-    """Sees to it that one program at a time moves an arm. It ends with the program, however that ends.
+    """Lock that lets one program at a time move an arm. It ends with the program, however that ends.
 
     Args:
-        cell: The cell whose arms are locked.
+        cell: Cell file of the arms.
 
     Attributes:
-        left_moving: Whether the program that held it before moved the arms, and has not said that it stopped them.
+        left_moving: True if the previous holder moved the arms and did not note that it stopped them.
 
     Raises:
         CellBusyError: Another program holds one of them.
@@ -172,14 +172,14 @@ class CellLock:
         moving = file.read(512).split()[1:] == ["moving", key]
         self.left_moving |= moving
         self._files.append(file)
-        # What is said there stays until it is noted as a fault, or until a person has looked.
+        # The note of moving arms stays until it is latched as a fault or a person clears it.
         _write(file, f"{os.getpid()} moving {key}\n" if moving else f"{os.getpid()}\n")
 
     def note_moving(self) -> None:
-        """The arms are moved from now on: if the program ends without a word, the next one is told.
+        """Note that the arms move from now on, for the next program in case this one is killed.
 
         Raises:
-            SettingsError: It cannot be noted.
+            SettingsError: The note cannot be written.
         """
         for file, key in zip(self._files, self._keys, strict=True):
             try:
@@ -190,10 +190,10 @@ class CellLock:
                 ) from error
 
     def release(self, *, in_order: bool = True) -> None:
-        """Let others in. May be called twice.
+        """Release the lock. May be called twice.
 
         Args:
-            in_order: Nothing moves any more, or what did is noted as a fault. Else what was said of that stays.
+            in_order: The arms have stopped, or the fault is latched. Otherwise the note of moving arms stays.
         """
         files, self._files = self._files, []
         for file in files:
@@ -203,7 +203,7 @@ class CellLock:
                         if in_order:
                             _write(file, f"{self._pid}\n")
                     finally:
-                        fcntl.flock(file, fcntl.LOCK_UN)  # a process that was forked meanwhile has the file open, too
+                        fcntl.flock(file, fcntl.LOCK_UN)  # a forked process has the file open, too
             with contextlib.suppress(OSError):
                 file.close()
 

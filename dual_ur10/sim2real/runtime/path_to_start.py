@@ -1,4 +1,4 @@
-"""Both arms are led to where a task begins, slowly, through a safety gate of its own."""
+"""Motion of both arms to the start of a task, through a safety gate of its own."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ from dual_ur10.sim2real.runtime.target_writer import TargetWriter
 from dual_ur10.types import Array
 
 START_RAD: Final = 1e-4
-"""How near to the start of a task the controllers must want their arms to be, before an episode begins."""
+"""Largest distance of the controllers' targets from the start of a task before an episode begins."""
 
 MEASURED_RAD: Final = 0.02
-"""How near to it they must be measured to be."""
+"""Largest measured distance from it."""
 
 AHEAD_TICKS: Final = 300
-"""How many targets are written ahead, at most."""
+"""Largest number of targets written ahead."""
 
-_AHEAD_S: Final = 1.0  # that are written ahead, in real time: few, so that an interrupt means something
+_AHEAD_S: Final = 1.0  # targets written ahead, in real time: few, so that an interrupt takes effect soon
 _SETTLE_S: Final = 3.0
-_LOOK_S: Final = 0.01
+_POLL_S: Final = 0.01
 
 
 class PathToStart:
-    """Leads both arms along targets that were planned.
+    """Executor of a planned approach.
 
     Args:
-        limits: Of the gate.
-        clearance: Measures distances.
+        limits: Limits of the gate.
+        clearance: Computes distances.
         tick_s: Control period.
         ticks: Targets per window of the gate.
-        speed_factor: How fast the time of targets passes.
-        targets: Writes them.
+        speed_factor: Rate of task time in real time.
+        targets: Writer of the targets.
     """
 
     def __init__(
@@ -59,23 +59,23 @@ class PathToStart:
         least = 2 * (margin_ticks(tick_s) + ticks)
         self._ahead = min(max(math.ceil(_AHEAD_S / tick_s * speed_factor), least), AHEAD_TICKS)
 
-    def go(self, runner: Runner, start_rad: Array, targets_rad: Array) -> None:
-        """Send what a safety gate lets out of targets, (k, 2, 6), from rest at `start_rad`, (2, 6), to rest.
+    def follow(self, runner: Runner, start_rad: Array, targets_rad: Array) -> None:
+        """Send targets, (k, 2, 6), from rest at `start_rad`, (2, 6), to rest, as far as a safety gate releases them.
 
         Raises:
-            StartError: The gate refuses some, or this program stood still. Both arms rest on the way.
+            StartError: The gate refused a target, or this program stalled. Both arms stopped on the path.
         """
         try:
-            self._lead(runner, start_rad, targets_rad)
+            self._follow(runner, start_rad, targets_rad)
         except DualUR10Error:
-            runner.cell.expect(0.0, live=False)  # both arms come to rest: the brake lies behind what was written
+            runner.cell.expect(0.0, live=False)  # both arms stop: the brake follows the written targets
             raise
         except BaseException:
-            # An interrupt: what was written goes on meanwhile, and who hears no more from this program stops both.
+            # An interrupt: written targets continue, and the supervisor stops both arms without further ones.
             runner.cell.expect(runner.now, live=True)
             raise
 
-    def _lead(self, runner: Runner, start_rad: Array, targets_rad: Array) -> None:
+    def _follow(self, runner: Runner, start_rad: Array, targets_rad: Array) -> None:
         ticks = self._ticks
         gate = SafetyGate(self._limits, self._tick_s, ticks, RetreatClearance(self._clearance, start_rad))
         gate.reset(start_rad[None])
@@ -89,25 +89,25 @@ class PathToStart:
             passed = [gate(window) for window in waiting[begin : begin + at_once]]
             why = next((f"the safety gate refuses it: {each.verdicts[0]}" for each in passed if each.verdicts), "")
             block = np.concatenate([each.targets_rad[0] for each in passed])
-            if first < 0:  # many windows take a while
+            if first < 0:  # checking many windows takes a while
                 first = runner.next + 3
             if not (why or self._targets.write(runner, first, block)):
-                why = "this program stood still"
+                why = "this program stalled"
             if why:
                 runner.cell.expect(0.0, live=False)
                 runner.wait_for(runner.end)
-                raise StartError(f"the way to the start was not finished, both arms rest on it, reset again; {why}")
+                raise StartError(f"the path to the start was not finished, both arms stopped on it: reset again; {why}")
             first += len(block)
-            # Who hangs here is late behind what was written, as in an episode.
+            # A program that hangs here misses the deadline of the next targets, as in an episode.
             runner.cell.expect(first, live=begin + at_once < windows)
             runner.wait_for(first - self._ahead // 2)
         runner.wait_for(first)
 
     def arrived(self, runner: Runner, goal_rad: Array) -> list[ArmStatus]:
-        """Wait until both arms are at (2, 6), and return what is measured there.
+        """Wait until both arms are at (2, 6), and return the states measured there.
 
         Raises:
-            StartError: One does not get there.
+            StartError: An arm does not arrive.
             CellFaulted: The arms were stopped.
         """
         end = time.monotonic() + _SETTLE_S
@@ -121,8 +121,8 @@ class PathToStart:
             if time.monotonic() > end:
                 arm = int(np.maximum(wanted / START_RAD, found / MEASURED_RAD).argmax())
                 raise StartError(
-                    f"{ARMS[arm]} does not come to where the task begins: its controller is {wanted[arm]:.2g} rad "
-                    f"from there, allowed are {START_RAD:g}, and it is measured {found[arm]:.2g} rad from there, "
-                    f"allowed are {MEASURED_RAD:g}. Look at what holds it, and at its payload"
+                    f"{ARMS[arm]} does not reach the start of the task: its controller's target is {wanted[arm]:.2g} "
+                    f"rad from there, allowed are {START_RAD:g}, and it is measured {found[arm]:.2g} rad from there, "
+                    f"allowed are {MEASURED_RAD:g}. Check what holds it, and its payload"
                 )
-            time.sleep(_LOOK_S)
+            time.sleep(_POLL_S)

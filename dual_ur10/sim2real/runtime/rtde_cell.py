@@ -36,39 +36,37 @@ from dual_ur10.sim2real.runtime.mirror_model import MirrorModel
 from dual_ur10.sim2real.runtime.path_to_start import AHEAD_TICKS, PathToStart
 from dual_ur10.sim2real.runtime.runner import Runner, margin_ticks
 from dual_ur10.sim2real.runtime.target_writer import TargetWriter
-from dual_ur10.sim2real.runtime.tracking import Heat
+from dual_ur10.sim2real.runtime.tracking import TemperatureWarning
 from dual_ur10.types import Array, Rows
 
 log = logging.getLogger(__name__)
 
-_OF_TASK: Final = ("equipment", "timestep_s", "gains", "meshes", "wrench_noise", "perturbation")
-"""What of a cell is the task's, for looks, or for simulation alone."""
+_NOT_OF_FILE: Final = ("equipment", "timestep_s", "gains", "meshes", "wrench_noise", "perturbation")
+"""Fields that the task sets, or that are visual or of simulation only."""
 
-_LOOK_S: Final = 0.01
+_POLL_S: Final = 0.01
 _OPENING_S: Final = 4.0
-_OPENING_M: Final = 0.003  # that a gripper may be from what was asked, where nothing is between its fingers
+_OPENING_M: Final = 0.003  # largest error of an empty gripper's width
 
 
 class RtdeCell:
-    """Two arms and what stands between them, behind two controllers.
-
-    To make one connects and checks, and moves nothing.
+    """Two arms with their equipment, behind two controllers. Construction connects and checks, and moves nothing.
 
     Args:
-        config: The cell, with a task's equipment, made of a cell file.
+        config: Configuration of a cell file, with a task's equipment.
         ticks: Targets per call of `advance`.
-        limits: Of the task, in its own time: the brake of the gate follows from them.
-        clearance: Measures the distances on the way to a start.
-        latency_ticks: L: what is commanded acts so many ticks later.
-        coupled: Whether the arms hold one object between them.
-        confirm: Asked before the arms move to a start, with what will happen; None: an emulated cell needs none, and
-            for real arms somebody at the terminal is asked.
-        only: "left" or "right": the arm that moves, while the other one stays where it is; None: both.
+        limits: Limits of the task in task time, from which the gate's brake follows.
+        clearance: Computes the distances of the approach.
+        latency_ticks: Latency L of commands.
+        coupled: Both arms hold one object.
+        confirm: Called with a description before the arms move to a start; None: real arms need a yes at the terminal,
+            emulated ones none.
+        only: "left" or "right": the only arm that moves; None: both.
 
     Raises:
-        SettingsError: There is no cell file, the configuration is not what that says, or the latency is not legal.
-        CellFaulted: The arms were stopped, and nobody has cleared that.
-        CellBusyError: Another program moves one of them.
+        SettingsError: There is no cell file, the configuration differs from it, or the latency is not legal.
+        CellFaulted: A latched stop was not cleared.
+        CellBusyError: Another program moves one of the arms.
         StartError: A controller is not ready.
         LinkError: A controller or a gripper cannot be reached.
     """
@@ -95,24 +93,24 @@ class RtdeCell:
                 f"action_latency_ticks is {latency_ticks!r}: two controllers need {least} to "
                 f"{MAX_LATENCY_TICKS}, the time from a measurement to the first target that follows from it"
             )
-        _check_as_said(config)
+        _check_against_file(config)
         if config.equipment.welded:
             raise SettingsError("arms that are welded to what they hold exist in simulation only: use a friction grasp")
         self.config, self.file, self.ticks, self.latency_ticks = config, config.file, ticks, int(latency_ticks)
         self._warned_late = False
         self._tick_s = config.servoj.tick_s
         self._targets = TargetWriter(limits, self._tick_s, max(AHEAD_TICKS, ticks))
-        self._way = PathToStart(limits, clearance, self._tick_s, ticks, self.file.speed_factor, self._targets)
+        self._path = PathToStart(limits, clearance, self._tick_s, ticks, self.file.speed_factor, self._targets)
         self._limits, self._clearance, self._confirm = limits, clearance, confirm
         self._only = None if only is None else ARMS.index(only)
         self._mirror = MirrorModel(config.scene)
-        self._origin: int | None = None  # number of the target that belongs to tick 0 of the episode
+        self._origin: int | None = None  # number of the target of tick 0 of the episode
         self._elapsed = 0
-        self._heat = [Heat(name) for name in ARMS]
+        self._temperature = [TemperatureWarning(name) for name in ARMS]
         self._grippers: Grippers | None = None
         self._tracker: ObjectTracker | None = None
         self._placer: ObjectPlacer | None = None
-        gc.collect()  # while no thread yet waits for an answer: of a large program it takes half a second
+        gc.collect()  # before any thread waits for an answer: in a large program it takes half a second
         self._runner: Runner | None = Runner(self.file, config, coupled=coupled)
         self._end = weakref.finalize(self, self._runner.close)
         try:
@@ -123,7 +121,7 @@ class RtdeCell:
             raise
 
     def _equip(self) -> None:
-        """Connect to grippers, and to what says where the object is."""
+        """Connect to grippers, object tracker and object placer."""
         equipment, file = self.config.equipment, self.file
         if equipment.grippers:
             for name, arm in zip(ARMS, file.arms, strict=True):
@@ -144,18 +142,18 @@ class RtdeCell:
         seeds: Sequence[int] | None = None,
         perturbation: Mapping[str, Array] | None = None,
     ) -> CellStep:
-        """Bring both arms to rest, and then slowly to where an episode begins, if a person agrees.
+        """Stop both arms, and after confirmation move them slowly to the start of an episode.
 
         Args:
-            start: How it begins.
-            rows: As for simulated cells; here there is one.
-            seeds: Of simulated cells; without meaning here.
-            perturbation: Likewise.
+            start: Start of the episode.
+            rows: Rows of simulated cells; unused.
+            seeds: Seeds of simulated cells; unused.
+            perturbation: Perturbation of simulated cells; unused.
 
         Raises:
-            StartError: No way leads there, nobody has agreed, or an arm or gripper does not get there.
+            StartError: There is no path, it was not confirmed, or an arm or gripper does not arrive.
             CellFaulted: The arms were stopped.
-            LinkError: A gripper or what tracks the object was lost.
+            LinkError: A gripper or the object tracker was lost.
         """
         runner = self._open
         runner.check()
@@ -172,21 +170,21 @@ class RtdeCell:
         rates = Rates().capped(self.config).within(self._limits, factor)
         approach = plan(now, goal, self._clearance, factor, rates)
         self._ask(self._question(approach, start))
-        runner.check()  # a person may have taken minutes
+        runner.check()  # the confirmation may have taken minutes
         self._open_grippers(runner, start)
         if not runner.begun:
             runner.begin(now)
-        self._way.go(runner, now, approach.targets(self._tick_s))
-        statuses = self._way.arrived(runner, goal)
+        self._path.follow(runner, now, approach.targets(self._tick_s))
+        statuses = self._path.arrived(runner, goal)
         if self._placer is not None and start.object_pose is not None:
             pose = np.asarray(start.object_pose).reshape(7)
             self._placer.place(pose[:3].tolist(), pose[3:].tolist())
-            time.sleep(2.0 * _LOOK_S)
+            time.sleep(2.0 * _POLL_S)
         target = None if start.target_pose is None else np.asarray(start.target_pose).reshape(7)
         self._mirror.aim(None if target is None else (target[:3], target[3:]))
         self._origin, self._elapsed = None, 0
-        # What stands now would be gone through in the middle of the episode, for longer than an action may take.
-        # It is not collected here: no thread runs meanwhile, and a gripper or a camera would seem to be lost.
+        # A full collection during the episode would take longer than an action may, and one here would block the
+        # threads of grippers and cameras until they seem lost: freeze the existing objects instead.
         gc.freeze()
         return CellStep(self._state(statuses), None if self._only is None else goal[None])
 
@@ -195,7 +193,7 @@ class RtdeCell:
 
         Raises:
             CellFaulted: Both arms are stopped.
-            LinkError: A gripper or what tracks the object was lost. Both arms are stopped for good.
+            LinkError: A gripper or the object tracker was lost. Both arms make a latched stop.
         """
         runner = self._open
         runner.check()
@@ -216,14 +214,14 @@ class RtdeCell:
             runner.stop(str(error))
             raise
 
-    def _grip(self, runner: Runner, first: int, opening_m: Array) -> None:
-        """Open or close when the time of target `first` comes; not, while a speed slider lets no time pass."""
+    def _grip(self, runner: Runner, first: int, width_m: Array) -> None:
+        """Command gripper widths for the time of target `first`; none while the speed sliders stop time."""
         at_s = runner.time_of(first)
         if math.isfinite(at_s) and self._grippers is not None:
-            openings: list[float | None] = [float(each) for each in opening_m]
+            widths: list[float | None] = [float(each) for each in width_m]
             if self._only is not None:
-                openings[1 - self._only] = None
-            self._grippers.command(openings, at_s)
+                widths[1 - self._only] = None
+            self._grippers.command(widths, at_s)
 
     def _stopped(self, runner: Runner, first: int) -> CellStep:
         """Wait until both arms have stopped, after an action missed the deadline of target `first`."""
@@ -246,23 +244,23 @@ class RtdeCell:
             raise
 
     def finish(self) -> None:
-        """An episode has ended: both arms come to rest along the brake that lies behind their targets."""
+        """End the episode: both arms stop along the brake that follows their targets."""
         if self._runner is not None and self._origin is not None:
             self._runner.cell.expect(0.0, live=False)
 
     def stop(self, reason: str) -> None:
-        """Stop both arms for good, because of who commands them."""
+        """Make a latched stop of both arms because of a fault of the program."""
         if self._runner is not None:
             self._runner.stop(reason)
 
     def model_and_data(self, row: int) -> tuple[Any, Any]:
-        """MuJoCo's model and data of the mirror, to be drawn."""
+        """Return the MuJoCo model and data of the mirror model for rendering."""
         return self._mirror.model_and_data()
 
     def close(self) -> None:
-        """Bring both arms to rest, and end all connections. What is held stays held. May be called twice."""
+        """Stop both arms and close all connections. Grippers keep their hold. May be called twice."""
         if self._runner is not None:
-            self._runner.close()  # may be interrupted, and is done again then
+            self._runner.close()  # after an interrupt it is called again
             self._end.detach()
             self._runner = None
             gc.unfreeze()
@@ -272,7 +270,7 @@ class RtdeCell:
 
     @property
     def memory_names(self) -> tuple[str, str]:
-        """Names of the memories of both arms, for what records them."""
+        """Names of both arms' memories, for the recorder."""
         left, right = self._open.arms
         return left.name, right.name
 
@@ -285,7 +283,7 @@ class RtdeCell:
 
     @property
     def runner(self) -> Runner:
-        """The processes.
+        """Runner of the child processes.
 
         Raises:
             ClosedError: The cell was closed.
@@ -301,12 +299,14 @@ class RtdeCell:
     def __getstate__(self) -> dict[str, Any]:
         raise SettingsError("a cell of two controllers cannot be pickled or copied: there is one of it")
 
-    # People and things.
+    # Operator and equipment.
 
     def _question(self, approach: Approach, start: Start) -> str:
-        ways = np.abs(approach.parts[-1] - approach.parts[0]).reshape(2, 6).max(axis=1)
-        text = ", ".join(f"{name} turns a joint by up to {way:.2f} rad" for name, way in zip(ARMS, ways, strict=True))
-        lines = [f"The arms go to where the task begins, in {approach.duration_s:.0f} s: {text}."]
+        angles = np.abs(approach.parts[-1] - approach.parts[0]).reshape(2, 6).max(axis=1)
+        text = ", ".join(
+            f"{name} turns a joint by up to {each:.2f} rad" for name, each in zip(ARMS, angles, strict=True)
+        )
+        lines = [f"The arms move to where the task begins, in {approach.duration_s:.0f} s: {text}."]
         if start.gripper_m is not None and self._grippers is not None:
             lines.append("Before that, the grippers are activated if they are not, and open: what they hold falls.")
         if start.object_pose is not None:
@@ -316,40 +316,40 @@ class RtdeCell:
         return " ".join(lines)
 
     def _ask(self, question: str) -> None:
-        """Have a person confirm.
+        """Ask for confirmation.
 
         Raises:
-            StartError: Nobody did.
+            StartError: It was not given.
         """
         confirm = prompt_for(self.file, self._confirm)
         if confirm(question) is not True:
-            raise StartError("that the arms may move to where the task begins was not confirmed: they have not moved")
+            raise StartError("the motion to the start of the task was not confirmed: the arms have not moved")
 
     def _open_grippers(self, runner: Runner, start: Start) -> None:
-        """Activate grippers where that is needed, and bring them to where an episode begins.
+        """Activate grippers where needed, and move them to their start.
 
         Raises:
-            StartError: One does not get there.
+            StartError: A gripper does not arrive.
             CellFaulted: The arms were stopped.
         """
         grippers = self._grippers
         if grippers is None:
             return
         held = None if self._only is None else ARMS[1 - self._only]
-        grippers.activate(lambda question: True, held=held)  # that they open was confirmed
+        grippers.activate(lambda question: True, held=held)  # their opening was confirmed
         if start.gripper_m is None:
             return
         wanted: list[float | None] = [float(each) for each in np.asarray(start.gripper_m).reshape(2)]
         if self._only is not None:
-            wanted[1 - self._only] = None  # what that one holds stays held
-        grippers.forget()  # somebody may have moved them since
+            wanted[1 - self._only] = None  # that one keeps its hold
+        grippers.forget()  # a person may have moved them since
         grippers.command(wanted, time.monotonic())
         end = time.monotonic() + _OPENING_S
         while True:
             runner.check()
             fault = grippers.fault_except(held)
             if fault:
-                raise StartError(f"a gripper does not do what it is told: {fault}")
+                raise StartError(f"a gripper does not follow its command: {fault}")
             found = grippers.opening_m
             off = [_is_off(*each) for each in zip(found, wanted, strict=True)]
             if not any(off):
@@ -358,22 +358,22 @@ class RtdeCell:
                 arm = off.index(True)
                 raise StartError(
                     f"the {ARMS[arm]} gripper is open by {found[arm]} m after {_OPENING_S:g} s, and not by "
-                    f"{wanted[arm]} m: see what is between its fingers"
+                    f"{wanted[arm]} m: check what is between its fingers"
                 )
-            time.sleep(_LOOK_S)
+            time.sleep(_POLL_S)
 
     def _state(self, statuses: Sequence[ArmStatus]) -> CellState:
-        """What was measured, in the time of the task."""
-        for heat, status in zip(self._heat, statuses, strict=True):
-            heat(status)
+        """Return the measured state in task time."""
+        for warn, status in zip(self._temperature, statuses, strict=True):
+            warn(status)
         slow = self.file.speed_factor
         q, qd = (np.array([getattr(each, name) for each in statuses]) for name in ("q_rad", "qd_rad_s"))
         opening = wrench = thing = None
         if self._grippers is not None:
             fault = self._grippers.fault_except(None if self._only is None else ARMS[1 - self._only])
             if fault:
-                raise LinkError(f"a gripper does not do what it is told: {fault}")
-            # One that does not tell is taken to be open.
+                raise LinkError(f"a gripper does not follow its command: {fault}")
+            # One without a measurement counts as open.
             opening = np.array([GRIPPER_OPENING_M if each is None else each for each in self._grippers.opening_m])
             wrench = np.array([_wrench_at_flange(each) for each in statuses])
         time_s = self._elapsed * self._tick_s
@@ -385,18 +385,18 @@ class RtdeCell:
         return self._mirror.follow(time_s, q, qd / slow, gripper_m=opening, wrench=wrench, thing=thing)
 
 
-def _check_as_said(config: CellConfig) -> None:
-    """Make sure that the environment has the cell that the processes of the arms have: what the cell file says.
+def _check_against_file(config: CellConfig) -> None:
+    """Check that the configuration is that of the cell file, which the arms' processes use.
 
     Raises:
-        SettingsError: It has another one.
+        SettingsError: It differs.
     """
-    said = None if config.file is None else config.file.config()
+    of_file = None if config.file is None else config.file.config()
     for field in fields(config):
-        if field.name not in _OF_TASK and getattr(config, field.name) != getattr(said, field.name):
+        if field.name not in _NOT_OF_FILE and getattr(config, field.name) != getattr(of_file, field.name):
             raise SettingsError(
                 f"{field.name} of the cell is {getattr(config, field.name)!r:.200}, and its cell file says "
-                f"{getattr(said, field.name)!r:.200}: write it there, and pass the path of that file as `cell`"
+                f"{getattr(of_file, field.name)!r:.200}: write it there, and pass the path of that file as `cell`"
             )
 
 
@@ -405,10 +405,10 @@ def _is_off(found_m: float | None, wanted_m: float | None) -> bool:
 
 
 def _wrench_at_flange(status: ArmStatus) -> Array:
-    """Force and torque about the flange, (6,), in `base`, from those about the tool centre point."""
+    """Return force and torque about the flange, (6,), in `base`, from those about the tool centre point."""
     wrench = np.array(status.tcp_force)
     offset = status.tcp_offset
     if offset is not None and any(offset[:3]):
-        turn = quat_multiply(quat_from_rotvec(status.tcp_pose[3:]), quat_conjugate(quat_from_rotvec(offset[3:])))
-        wrench[3:] += np.cross(rotate(turn, np.array(offset[:3])), wrench[:3])
+        rotation = quat_multiply(quat_from_rotvec(status.tcp_pose[3:]), quat_conjugate(quat_from_rotvec(offset[3:])))
+        wrench[3:] += np.cross(rotate(rotation, np.array(offset[:3])), wrench[:3])
     return wrench

@@ -1,4 +1,4 @@
-"""The processes of a cell of two controllers, and what the program that has the policy says to them."""
+"""Runner: the program's handle of the child processes of a cell of two controllers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_process import ArmConnection, ArmProcess
-from dual_ur10.sim2real.runtime.arm_sender import STALE_S, root_cause, was_asked_for
+from dual_ur10.sim2real.runtime.arm_sender import STALE_S, root_cause, was_requested
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.latch import CellLock, Latch
 from dual_ur10.sim2real.runtime.safety_monitor import MonitorSettings
@@ -31,28 +31,28 @@ from dual_ur10.types import Array
 log = logging.getLogger(__name__)
 
 MARGIN_S: Final = 0.012
-"""How far ahead of the arms a target must be written: nearer ones may be on their way already."""
+"""Lead with which a target must be written: nearer ones may already be in transit."""
 
 _READY_S: Final = 15.0
 _BEGIN_S: Final = 0.1  # from the decision to begin to the first target
-_STOP_S: Final = 1.5  # within which both arms stand
+_STOP_S: Final = 1.5  # until both arms have stopped
 _END_S: Final = 3.0
-_LOOK_S: Final = 0.01
-_WATCHED_S: Final = 1.0
-_AFTER: Final = 2  # states after a target was sent, until one shows what it did
+_POLL_S: Final = 0.01
+_SUPERVISOR_S: Final = 1.0
+_AFTER: Final = 2  # states after sending a target until one shows its effect
 _STATE_S: Final = 0.05
 
 
 class Runner:
-    """Two arms that take targets in real time. To make one connects and checks, and moves nothing.
+    """Two arms that take targets in real time. Construction connects and checks, and moves nothing.
 
     Args:
-        file: The cell.
-        config: The same, with a task's equipment.
-        coupled: Whether both arms hold one object.
+        file: Cell file.
+        config: Its configuration, with a task's equipment.
+        coupled: Both arms hold one object.
 
     Attributes:
-        came_to_rest: Once it is closed: whether the processes of both arms said that their arm is at rest.
+        stopped: True after `close` if the processes of both arms reported that their arm is at rest.
 
     Raises:
         CellFaulted: The arms were stopped, and nobody has cleared that.
@@ -69,15 +69,15 @@ class Runner:
         try:
             if self._lock.left_moving:
                 self.latch.set("the program that moved the arms before ended without stopping them in order")
-            self.latch.check()  # once more: the program that had the lock may have stopped them meanwhile
+            self.latch.check()  # again: the previous holder of the lock may have stopped them meanwhile
         except BaseException:
             self._lock.release(in_order=False)
             raise
         self.margin_ticks = margin_ticks(self.tick_s)
         self._fault = ""
-        self._noted = True  # whether a fault is kept where the next start finds it
+        self._noted = True  # False if a fault could not be latched
         self._closed = False
-        self.came_to_rest = False
+        self.stopped = False
         self._pid = os.getpid()
         self.arms: list[ArmMemory] = []
         self.processes: list[ArmProcess] = []
@@ -107,19 +107,19 @@ class Runner:
 
     @property
     def begun(self) -> bool:
-        """Whether targets are sent."""
+        """True once targets are sent."""
         return self.cell.begin_s > 0.0
 
     @property
     def moves_on(self) -> bool:
-        """Whether nobody has stopped the arms: only then may a gripper do what it was told before. It never waits."""
+        """True while no stop is requested: only then may a gripper execute earlier commands. It never waits."""
         if self._closed or self.cell.ending or self.cell.fault:
             return False
         return all(memory.phase < Phase.STOPPING for memory in self.arms)
 
     @property
     def now(self) -> float:
-        """Number of the target whose time it is; the arms are at it or at the one before."""
+        """Number of the current target; the arms are at it or at the one before."""
         return self.cell.time_scaling.at((time.monotonic() - self.cell.begin_s) / self.tick_s)
 
     @property
@@ -129,15 +129,15 @@ class Runner:
 
     @property
     def end(self) -> int:
-        """Number behind the last target."""
+        """Number after that of the last target."""
         return self.arms[0].end
 
     def time_of(self, index: float) -> float:
-        """When a target's turn comes, by the monotonic clock, as far as is known now."""
+        """Return the due time of a target on the monotonic clock under the current time scaling."""
         return self.cell.begin_s + self.cell.time_scaling.period_of(index) * self.tick_s
 
     def wait_for(self, index: float) -> None:
-        """Wait until a target's time has come.
+        """Wait until a target is due.
 
         Raises:
             CellFaulted: Both arms are stopped.
@@ -147,12 +147,12 @@ class Runner:
             if self.now >= index:
                 return
             left_s = self.time_of(index) - time.monotonic()
-            time.sleep(min(max(left_s, 1e-4), _LOOK_S))
+            time.sleep(min(max(left_s, 1e-4), _POLL_S))
 
     # Targets.
 
     def begin(self, q_rad: Array) -> None:
-        """Send targets from now on: at first where the arms are, (2, 6).
+        """Start to send targets: at first the arms' current configuration, (2, 6).
 
         Raises:
             StartError: An arm is not ready, or moves.
@@ -162,9 +162,9 @@ class Runner:
             fastest = max(map(abs, status.qd_rad_s))
             age_s = time.monotonic() - status.arrival_s
             if reason is None and not age_s < STALE_S:
-                reason = f"its process does nothing any more: its newest state is {1e3 * age_s:.0f} ms old"
+                reason = f"its process no longer responds: its newest state is {1e3 * age_s:.0f} ms old"
             if reason is None and not fastest < REST_RAD_S:
-                reason = f"it moves at {fastest:.3f} rad/s, allowed are {REST_RAD_S:g}: wait until it stands"
+                reason = f"it moves at {fastest:.3f} rad/s, allowed are {REST_RAD_S:g}: wait until it rests"
             if reason is not None:
                 raise StartError(f"{name} cannot begin: {reason}")
         self._lock.note_moving()
@@ -175,17 +175,18 @@ class Runner:
         self.wait_for(self.margin_ticks)
 
     def write(self, first: int, targets_rad: Array) -> bool:
-        """Write targets `first`, `first` + 1, ..., (k, 2, 6), for both arms, if it is not too late for that.
+        """Write targets `first`, `first` + 1, ..., (k, 2, 6), for both arms, unless they miss their deadline.
 
         Returns:
-            Whether they were written: else both arms are in the brake behind those before.
+            False if they do: both arms are then in the brake after the previous targets.
         """
         if first < self.next:
             return False
         self._put(first, targets_rad)
         if math.ceil(self.now) + 1 > first:
             self.stop(
-                "this program stood still while it wrote targets, which may have come too late: too busy a machine"
+                "this program stalled while it wrote targets, which may have missed their deadline: this machine is "
+                "too busy"
             )
         return True
 
@@ -195,24 +196,24 @@ class Runner:
                 memory.put(first, targets_rad[:, arm])
 
     def last(self) -> Array:
-        """The last target, (2, 6)."""
+        """Return the last target, (2, 6)."""
         return np.array([memory.target(memory.end - 1) for memory in self.arms])
 
     # States.
 
     def statuses(self) -> list[ArmStatus]:
-        """The newest states of both arms.
+        """Return the newest states of both arms.
 
         Raises:
-            StartError: There is none yet.
+            StartError: A controller has sent none yet.
         """
         found = [memory.status for memory in self.arms]
         if any(each is None for each in found):
-            raise StartError("a controller has not told its state yet: make the cell again")
+            raise StartError("a controller has not sent its state yet: make the cell again")
         return [each for each in found if each is not None]
 
     def statuses_after(self, index: float) -> list[ArmStatus]:
-        """The first states that show what the targets before `index` have done; the newest, if they do not come."""
+        """Return the first states that show the effect of the targets before `index`, else the newest ones."""
         end = time.monotonic() + _STATE_S
         while True:
             found = [self._status_after(memory, index) for memory in self.arms]
@@ -236,48 +237,48 @@ class Runner:
     # Stops.
 
     def check(self) -> None:
-        """Refuse to go on after a fault.
+        """Check for faults.
 
         Raises:
             CellFaulted: Both arms are stopped.
-            ClosedError: It was closed; or this is a copy of the program, whose arms they are not.
+            ClosedError: It was closed, or this process is a fork that does not own the arms.
         """
         if self._closed or self.cell.ending or os.getpid() != self._pid:
             raise ClosedError("this cell was closed, or belongs to another process: make a new one")
-        if self.begun and not self._fault and time.monotonic() - self.cell.supervisor_beat_s > _WATCHED_S:
-            self.cell.enter_fault("the supervisor does nothing any more")
+        if self.begun and not self._fault and time.monotonic() - self.cell.supervisor_beat_s > _SUPERVISOR_S:
+            self.cell.enter_fault("the supervisor no longer responds")
         if not self._fault and (self.cell.fault or any(memory.phase >= Phase.STOPPING for memory in self.arms)):
             self._fail()
         if self._fault:
             raise CellFaulted(
-                f"both arms were stopped: {self._fault}. Look at both, put right what is wrong, then say "
+                f"both arms were stopped: {self._fault}. Check both, correct the cause, then run "
                 f"`python -m dual_ur10 cell clear {self.file.source}`"
             )
 
     def stop(self, reason: str) -> None:
-        """Stop both arms for good, and wait until they stand."""
+        """Make a latched stop of both arms and wait until they rest."""
         if not (self._fault or self._closed or self.cell.ending or os.getpid() != self._pid):
             self.cell.enter_fault(reason)
             self._fail()
 
-    def _ask_to_end(self) -> None:
+    def _request_end(self) -> None:
         self.cell.end()
         for memory in self.arms:
             memory.stop()
 
     def _is_stopping(self) -> bool:
-        """Whether an arm stops that had begun."""
+        """Return True if an arm that had begun is stopping."""
         return self.begun and any(memory.phase >= Phase.STOPPING for memory in self.arms)
 
-    def _not_as_asked(self) -> str:
-        """Why an arm that had begun and was asked to stop did not, or not because of that; "": all is well."""
+    def _stop_failure(self) -> str:
+        """Return why an arm that had begun did not stop on request, or stopped for another reason; "": neither."""
         if not (self.arms and self.begun):
             return ""
         texts = []
         for name, memory in zip(ARMS, self.arms, strict=True):
             if memory.phase < Phase.STOPPED:
-                texts.append(f"{name}: its process did not stop by itself, and was ended")
-            elif memory.phase == Phase.FAULTED or not was_asked_for(memory.text):
+                texts.append(f"{name}: its process did not stop and was killed")
+            elif memory.phase == Phase.FAULTED or not was_requested(memory.text):
                 texts.append(memory.text)
         return root_cause(texts) if texts else ""
 
@@ -290,12 +291,12 @@ class Runner:
         self._note()
 
     def _note(self) -> None:
-        """Keep the fault where the next start finds it. If that fails, the lock goes on saying that arms move."""
+        """Latch the fault. If that fails, the lock keeps its note of moving arms."""
         try:
             self.latch.set(self._fault)
         except OSError as error:
             self._noted = False
-            log.error("both arms were stopped (%s), and that cannot be kept: %s", self._fault, error)
+            log.error("both arms were stopped (%s), and the fault cannot be latched: %s", self._fault, error)
 
     def _wait_for_end(self, within_s: float) -> None:
         end = time.monotonic() + within_s
@@ -304,33 +305,33 @@ class Runner:
                 return
             if not any(process.process.is_alive for process in self.processes):
                 return
-            time.sleep(_LOOK_S)
+            time.sleep(_POLL_S)
 
     def close(self) -> None:
-        """Bring both arms to rest and end their programs, and all processes. May be called twice.
+        """Stop both arms, end their programs and all processes. May be called twice.
 
-        Whatever interrupts it, it can be called again and goes on from there.
+        After an interrupt it can be called again and continues.
         """
         if self._closed or os.getpid() != self._pid:
             return
         try:
             if self.arms:
                 if not (self._fault or self.cell.ending) and self._is_stopping():
-                    self._fail()  # nobody has looked since then
-                self._ask_to_end()
+                    self._fail()  # a stop since the last check
+                self._request_end()
                 self._wait_for_end(_END_S)
-        finally:  # a second Ctrl-C shortens the waits, and leaves nothing running; one more has to wait for that
+        finally:  # a second Ctrl-C shortens the waits and leaves nothing running; a third one has to wait
             with interrupts_deferred():
                 if self.arms:
-                    self._ask_to_end()
+                    self._request_end()
                 for process in self.processes:
                     if not process.wait(_STOP_S):
                         process.kill()
                 if self.supervisor is not None and not self.supervisor.wait(_END_S):
                     self.supervisor.kill()
-                self.came_to_rest = all(memory.phase == Phase.STOPPED for memory in self.arms)
+                self.stopped = all(memory.phase == Phase.STOPPED for memory in self.arms)
                 try:
-                    if not self._fault and (why := self._not_as_asked()):
+                    if not self._fault and (why := self._stop_failure()):
                         self._fault = self.cell.fault or why
                         self._note()
                 finally:
@@ -343,15 +344,15 @@ class Runner:
 
 
 def margin_ticks(tick_s: float) -> int:
-    """How many ticks ahead of the arms a target must be written."""
+    """Return the number of ticks by which targets must be written ahead."""
     return max(2, math.ceil(MARGIN_S / tick_s - 1e-9))
 
 
 def check(file: CellFile) -> None:
-    """Look at both controllers as `doctor` does.
+    """Check both controllers as `doctor` does.
 
     Raises:
-        StartError: One is not as it should be.
+        StartError: A check failed.
     """
     findings = check_cell(*(expected_of(each) for each in file.arms))
     if any_fails(findings):

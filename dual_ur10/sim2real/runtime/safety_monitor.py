@@ -1,4 +1,4 @@
-"""Judges whether both arms may go on moving: from what both controllers and all processes show."""
+"""Safety monitor: decide whether both arms must stop, and why."""
 
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ from dual_ur10.sim2real.runtime.tracking import Tracking
 from dual_ur10.types import Array
 
 POLICY_S: Final = 0.5
-"""How late a policy may be before both arms are stopped for good."""
+"""Longest delay of a policy before a latched stop of both arms."""
 
 APART_M: Final = 0.01
 APART_RAD: Final = np.deg2rad(3.0)
-"""How far the flanges of two arms that hold one object may be from where they should be, seen from each other."""
+"""Largest error of the relative pose of two arms that hold one object."""
 
 BEHIND_S: Final = 0.1
-"""By how much both arms may follow later than they were sent, together."""
+"""Largest common delay of both arms behind the targets sent."""
 
 REDUCED_SCALING: Final = 0.5
-"""How fast the time of the targets passes where a controller is in reduced mode and may be. It is assumed that UR's
-controllers keep the reduced limits by a stop, and slow no stream of targets down for them."""
+"""Time scaling while a controller is in reduced mode and may be. It is assumed that UR's controllers keep the reduced
+limits by a stop, and do not slow down a stream of targets."""
 
 APART_S: Final = 0.024
-"""For how long: three states of a CB3."""
+"""Duration of such an error before a stop: three states of a CB3."""
 
-_LOOKS: Final = 10
-_NEAR: Final = 0.5  # of what is allowed: near enough to look no further
+_DELAYS: Final = 10  # tried within BEHIND_S
+_NEAR: Final = 0.5  # of the allowed error: near enough to end the search
 
 
 @dataclass(frozen=True)
 class MonitorSettings:
-    """What is watched.
+    """Settings of the safety monitor.
 
     Attributes:
-        mounts: Where both arms stand, and their kinematics.
+        mounts: Base poses and kinematics of both arms.
         tick_s: Control period of both.
-        coupled: Whether both arms hold one object.
+        coupled: Both arms hold one object.
     """
 
     mounts: tuple[ArmMount, ArmMount]
@@ -58,12 +58,12 @@ class MonitorSettings:
 
 
 class SafetyMonitor:
-    """Says why both arms must stop, if they must.
+    """Checks the states of both controllers and all processes.
 
     Args:
-        settings: What is watched.
+        settings: Mounts, control period and coupling.
         arms: Memories of both arms' processes.
-        cell: Memory of all.
+        cell: Memory of the cell.
     """
 
     def __init__(self, settings: MonitorSettings, arms: Sequence[ArmMemory], cell: CellMemory) -> None:
@@ -76,25 +76,25 @@ class SafetyMonitor:
 
     @property
     def moving(self) -> bool:
-        """Whether targets are sent."""
+        """True while targets are sent."""
         return self._cell.begin_s > 0.0 and any(memory.phase >= Phase.STREAMING for memory in self._arms)
 
     @property
     def slowest(self) -> float:
-        """The smaller one of what both controllers make of their speed sliders, and of reduced mode, 0 to 1."""
-        return min((_speed(each) for each in self._latest if each is not None), default=1.0)
+        """Smaller speed fraction of both controllers, from speed slider and reduced mode, 0 to 1."""
+        return min((_speed_fraction(each) for each in self._latest if each is not None), default=1.0)
 
     @property
     def ended(self) -> list[bool]:
-        """Whether each controller says that its program has ended: one that is paused may go on."""
+        """Flags of both programs that have ended, as their controllers report; a paused one may continue."""
         return [each is not None and each.runtime_state == RuntimeState.STOPPED for each in self._latest]
 
     def note(self, arm: int, status: ArmStatus) -> None:
-        """A controller's new state, which is not judged any more."""
+        """Record a controller's state without judging it."""
         self._latest[arm] = status
 
     def state(self, arm: int, status: ArmStatus) -> str | None:
-        """What a controller's new state says."""
+        """Check a controller's new state; return the reason for a stop, or None."""
         self._latest[arm], self._fresh[arm] = status, True
         playing = self._arms[arm].phase == Phase.STREAMING
         reason = stop_reason(status, allow_reduced=self._cell.allow_reduced, playing=playing)
@@ -104,9 +104,9 @@ class SafetyMonitor:
         return None
 
     def processes(self, now_s: float) -> str | None:
-        """What the processes of both arms say, and that of the policy."""
+        """Check the processes of both arms and the policy's deadline; return the reason for a stop, or None."""
         texts = []
-        # Some time ago: they begin in a control period of their own, each.
+        # With a margin: each arm begins in a control period of its own.
         begun = 0.0 < self._cell.begin_s < now_s - STALE_S
         for name, memory in zip(ARMS, self._arms, strict=True):
             phase = memory.phase
@@ -115,7 +115,7 @@ class SafetyMonitor:
             elif phase in (Phase.READY, Phase.STREAMING) and now_s - memory.beat_s > (
                 STALE_S if begun or phase == Phase.STREAMING else WAITING_S
             ):
-                texts.append(f"{name}: its process does nothing any more")
+                texts.append(f"{name}: its process no longer responds")
             elif begun and phase < Phase.STREAMING:
                 texts.append(f"{name}: it does not begin: this machine is too busy")
         if texts:
@@ -128,10 +128,10 @@ class SafetyMonitor:
                 return f"the policy gave no action for {1e3 * late_s:.0f} ms more than it has: both arms rest"
         return None
 
-    def together(self) -> str | None:
-        """Whether two arms that hold one object are where they should be, seen from each other.
+    def relative_pose(self) -> str | None:
+        """Check the relative pose of two arms that hold one object; return the reason for a stop, or None.
 
-        To be asked once all states that came are taken in: an older one of one arm does not belong to the newest of the
+        Call it once all received states are processed: an older state of one arm does not match the newest of the
         other.
         """
         latest = [each for each, fresh in zip(self._latest, self._fresh, strict=True) if each is not None and fresh]
@@ -139,9 +139,9 @@ class SafetyMonitor:
             return None
         self._fresh = [False for _ in ARMS]
         mounts = self._settings.mounts
-        found = _seen([each.q_rad for each in latest], mounts, self._frames)
-        wanted = _seen([each.target_q_rad for each in latest], mounts, self._frames)
-        apart_m, apart_rad = max(_apart(found, wanted), self._from_commanded(found), key=_share)
+        found = _relative_pose([each.q_rad for each in latest], mounts, self._frames)
+        wanted = _relative_pose([each.target_q_rad for each in latest], mounts, self._frames)
+        apart_m, apart_rad = max(_pose_error(found, wanted), self._error_to_sent(found), key=_fraction)
         self._apart = self._apart + 1 if apart_m > APART_M or apart_rad > APART_RAD else 0
         if self._apart < self._most_apart:
             return None
@@ -150,44 +150,48 @@ class SafetyMonitor:
             f"they should be to each other, allowed are {1e3 * APART_M:g} mm and {np.degrees(APART_RAD):.0f}°"
         )
 
-    def _from_commanded(self, found: tuple[Array, Array]) -> tuple[float, float]:
-        """How far the arms are from what both were sent for one and the same time, m and rad.
+    def _error_to_sent(self, found: tuple[Array, Array]) -> tuple[float, float]:
+        """Return the error of the relative pose against the targets sent for one common time, m and rad.
 
-        Where a controller wants its arm says nothing of one that is late as a whole. By how much both follow later is
-        not known to the millisecond: the time within `BEHIND_S` counts that fits best.
+        A controller's own target does not show that it is late as a whole. The common delay of both arms is not known
+        to the millisecond: the best fit within `BEHIND_S` counts.
         """
         if not all(memory.sent_count for memory in self._arms):
             return 0.0, 0.0
         newest = min(float(memory.sent(memory.sent_count - 1)[0].index[-1]) for memory in self._arms)
         best = (np.inf, np.inf)
-        for back in range(_LOOKS + 1):
-            index = newest - back * BEHIND_S / _LOOKS / self._settings.tick_s
+        for back in range(_DELAYS + 1):
+            index = newest - back * BEHIND_S / _DELAYS / self._settings.tick_s
             sent = [memory.target(index) for memory in self._arms]
-            best = min(best, _apart(found, _seen(sent, self._settings.mounts, self._frames)), key=_share)
-            if _share(best) < _NEAR:
+            best = min(
+                best, _pose_error(found, _relative_pose(sent, self._settings.mounts, self._frames)), key=_fraction
+            )
+            if _fraction(best) < _NEAR:
                 break
         return best
 
 
-def _apart(found: tuple[Array, Array], wanted: tuple[Array, Array]) -> tuple[float, float]:
-    """How far two relative poses are from each other, m and rad."""
-    turn = quat_multiply(quat_conjugate(wanted[1]), found[1])
-    return float(np.linalg.norm(found[0] - wanted[0])), float(np.linalg.norm(quat_to_rotvec(turn)))
+def _pose_error(found: tuple[Array, Array], wanted: tuple[Array, Array]) -> tuple[float, float]:
+    """Return the distance of two relative poses, m and rad."""
+    rotation = quat_multiply(quat_conjugate(wanted[1]), found[1])
+    return float(np.linalg.norm(found[0] - wanted[0])), float(np.linalg.norm(quat_to_rotvec(rotation)))
 
 
-def _share(apart: tuple[float, float]) -> float:
-    """The same as a share of what is allowed."""
+def _fraction(apart: tuple[float, float]) -> float:
+    """Return a pose error as a fraction of the allowed one."""
     return max(apart[0] / APART_M, apart[1] / float(APART_RAD))
 
 
-def _speed(status: ArmStatus) -> float:
-    """How fast an arm may go, as a fraction. Emulated controllers tell all of it as their speed scaling."""
+def _speed_fraction(status: ArmStatus) -> float:
+    """Return the allowed fraction of an arm's speed. Emulated controllers report all of it as their speed scaling."""
     reduced = REDUCED_SCALING if status.safety_mode == SafetyMode.REDUCED else 1.0
     return min(status.slider * reduced, status.speed_scaling)
 
 
-def _seen(q_rad: Sequence[Sequence[float] | Array], mounts: Sequence[ArmMount], frames: Frames) -> tuple[Array, Array]:
-    """The right flange in the frame of the left one: position and orientation."""
+def _relative_pose(
+    q_rad: Sequence[Sequence[float] | Array], mounts: Sequence[ArmMount], frames: Frames
+) -> tuple[Array, Array]:
+    """Return the pose of the right flange in the frame of the left one: position and orientation."""
     poses = [flange_pose_quat(q, mount.dh) for q, mount in zip(q_rad, mounts, strict=True)]
     position = frames.position_to_cell(np.array([each[0] for each in poses]))
     quat = frames.quat_to_cell(np.array([each[1] for each in poses]))

@@ -1,4 +1,4 @@
-"""Ends the programs of arms whose processes do not: one that hangs is ended itself, and the dashboard stops its arm."""
+"""Backup stop: kill an arm's process that does not end its program, and have the dashboard stop that program."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from dual_ur10.sim2real.runtime.arm_sender import STALE_S
 log = logging.getLogger(__name__)
 
 STOPPED_S: Final = 1.0
-"""How long an arm's process has until its program has ended: longer than the ramp from the greatest speed, 0.65 s."""
+"""Time for an arm's process to end its program: longer than the ramp from the largest speed, 0.65 s."""
 
 _CONNECT_S: Final = 2.0
 
 
 class StopEnforcer:
-    """Sees that both arms stop.
+    """Enforces the stop of both arms.
 
     Args:
         arms: Memories of both arms' processes.
         hosts: Addresses of both controllers.
 
     Attributes:
-        unended: What is to be told of programs that had not ended although the arm's process had ended them.
+        unended: Reports of programs that had not ended although the arm's process had ended them.
 
     Raises:
         LinkError: A dashboard server cannot be reached.
@@ -43,18 +43,18 @@ class StopEnforcer:
         self._arms, self._hosts = arms, hosts
         self._dashboards = [DashboardLink(host, _CONNECT_S, name=name) for name, host in zip(ARMS, hosts, strict=True)]
         self._processes: list[int | None] = [None for _ in arms]
-        self._left = set(range(len(arms)))
+        self._pending = set(range(len(arms)))
         self._begun_s = 0.0
-        self._asking: list[threading.Thread] = []
+        self._requests: list[threading.Thread] = []
         self.unended: list[str] = []
 
     @property
     def files(self) -> list[int]:
-        """Readable when a connection is not as it should be any more: see `check`."""
+        """File descriptors that become readable when a connection fails: see `check`."""
         return [each.fileno() for each in self._dashboards]
 
     def check(self) -> None:
-        """See that this stop can still be made.
+        """Check that the backup stop is available.
 
         Raises:
             LinkError: A dashboard server is lost.
@@ -63,51 +63,51 @@ class StopEnforcer:
             link.check()
             pid = self._arms[arm].process
             if self._processes[arm] is None and pid:
-                with contextlib.suppress(OSError):  # it has ended, which others see
+                with contextlib.suppress(OSError):  # it has ended, which the monitor reports
                     self._processes[arm] = os.pidfd_open(pid)
 
     def begin(self) -> None:
-        """Both arms were told to stop just now."""
+        """Start the timeouts: both arms have just been told to stop."""
         self._begun_s = time.monotonic()
 
     @property
     def waits(self) -> bool:
-        """Whether an arm may still stop by itself."""
-        return bool(self._left)
+        """True while an arm may still stop by itself."""
+        return bool(self._pending)
 
-    def look(self, ended: Sequence[bool]) -> float:
-        """End what should have stopped by now, and what hangs, as `ur_rtde` may: it must not wake and go on.
+    def poll(self, ended: Sequence[bool]) -> float:
+        """Enforce the stop of arms that are overdue or whose process hangs, as `ur_rtde` may: it must not continue.
 
         Args:
-            ended: Whether each controller says that its program has ended. A program that is only paused, as by a
-                protective stop, is ended by the dashboard: it could go on to where it was sent last.
+            ended: Flags of both programs that have ended. A paused program, as after a protective stop, is ended by the
+                dashboard: it could continue to its last target.
 
         Returns:
-            Time since the beginning, s.
+            Time since `begin`, s.
         """
         now = time.monotonic()
         passed = now - self._begun_s
-        for arm in sorted(self._left):
+        for arm in sorted(self._pending):
             memory = self._arms[arm]
             phase = memory.phase
             hangs = phase < Phase.STOPPING and now - memory.beat_s > STALE_S
             if phase == Phase.STOPPED and (ended[arm] or passed > STOPPED_S):
-                self._left.discard(arm)
+                self._pending.discard(arm)
                 if not ended[arm]:
-                    self._ask_dashboard(arm)
+                    self._request_stop(arm)
                     text = f"{ARMS[arm]}: its program had not ended after {STOPPED_S:g} s, so its dashboard was asked"
                     self.unended.append(text)
-                    log.error("%s", text)  # last: who reads it may keep it waiting
+                    log.error("%s", text)  # last: a slow reader may block it
             elif phase == Phase.STOPPED:
                 continue
             elif phase == Phase.FAULTED or hangs or passed > STOPPED_S:
-                self._left.discard(arm)
+                self._pending.discard(arm)
                 self._end(arm)
         return passed
 
     def close(self) -> None:
         """Wait for the dashboards' answers."""
-        for thread in self._asking:
+        for thread in self._requests:
             thread.join(2 * _CONNECT_S)
 
     def _end(self, arm: int) -> None:
@@ -115,18 +115,16 @@ class StopEnforcer:
         if process is not None:
             with contextlib.suppress(OSError):  # it has ended
                 signal.pidfd_send_signal(process, signal.SIGKILL)
-        self._arms[arm].enter(
-            Phase.FAULTED, f"{ARMS[arm]}: its process did not stop its program by itself, and was ended"
-        )
-        self._ask_dashboard(arm)
+        self._arms[arm].enter(Phase.FAULTED, f"{ARMS[arm]}: its process did not stop its program and was killed")
+        self._request_stop(arm)
 
-    def _ask_dashboard(self, arm: int) -> None:
-        # One that is silent must not keep the other arm's waiting.
-        thread = threading.Thread(target=self._ask, args=(arm,), daemon=True)
+    def _request_stop(self, arm: int) -> None:
+        # A silent dashboard must not delay that of the other arm.
+        thread = threading.Thread(target=self._send_stop, args=(arm,), daemon=True)
         thread.start()
-        self._asking.append(thread)
+        self._requests.append(thread)
 
-    def _ask(self, arm: int) -> None:
+    def _send_stop(self, arm: int) -> None:
         try:
             try:
                 self._dashboards[arm].stop()

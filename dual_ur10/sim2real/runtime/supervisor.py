@@ -1,8 +1,8 @@
-"""The process that watches both arms by connections of its own, and stops both for good when anything is wrong.
+"""Supervisor: process that monitors both arms by its own connections, and makes a latched stop on any fault.
 
-It commands nothing but a stop. It does not need the processes of the arms, which may hang, nor `ur_rtde`: it reads the
-state of both controllers itself, and where an arm's process does not end its program, it ends that process and asks the
-dashboard to.
+It commands nothing but a stop. It depends neither on the arms' processes, which may hang, nor on `ur_rtde`: it reads
+the states of both controllers itself. Where an arm's process does not end its program, it kills that process and asks
+the dashboard to stop the program.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ from dual_ur10.sim2real.runtime.stop_enforcer import StopEnforcer
 
 log = logging.getLogger(__name__)
 
-_AHEAD_S: Final = 0.024  # from which on a new scaling holds
+_AHEAD_S: Final = 0.024  # lead time of a new time scaling
 
 
 class Supervisor:
-    """The loop of the supervisor's process.
+    """Loop of the supervisor's process.
 
     Args:
-        file: The cell.
-        settings: What is watched.
+        file: Cell file.
+        settings: Settings of the safety monitor.
         arms: Memories of both arms' processes.
-        cell: Memory of all.
-        parent: Process that the policy runs in.
+        cell: Memory of the cell.
+        parent: Process of the policy.
     """
 
     def __init__(
@@ -53,13 +53,13 @@ class Supervisor:
         self._file, self._settings, self._arms, self._cell, self._parent = file, settings, arms, cell, parent
         self._monitor = SafetyMonitor(settings, arms, cell)
         self._links: list[RtdeLink] = []
-        self._made = False
+        self._ready = False
 
     def run(self) -> None:
-        """Watch until the program ends or both arms have been stopped."""
+        """Monitor until the program ends or both arms are stopped."""
         for name, arm in zip(ARMS, self._file.arms, strict=True):
             self._links.append(RtdeLink(arm.host, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES, name=name))
-        self._second = StopEnforcer(self._arms, [arm.host for arm in self._file.arms])
+        self._enforcer = StopEnforcer(self._arms, [arm.host for arm in self._file.arms])
         self._cell.enter_ready()
         reason = None
         while reason is None:
@@ -67,24 +67,24 @@ class Supervisor:
             self._cell.note_supervisor(now)
             if self._cell.ending:
                 return self._end()
-            self._made = self._made or all(each.phase in (Phase.READY, Phase.STREAMING) for each in self._arms)
+            self._ready = self._ready or all(each.phase in (Phase.READY, Phase.STREAMING) for each in self._arms)
             if os.getppid() != self._parent:
                 if not self._monitor.moving:
                     return None  # nothing has moved
-                reason = "the program that gives targets has ended"
-            reason = reason or self._cell.fault or self._look(now) or self._monitor.processes(now)
+                reason = "the program that sends targets has ended"
+            reason = reason or self._cell.fault or self._check_links(now) or self._monitor.processes(now)
             if reason and self._cell.ending:
                 return self._end()
         return self._stop(reason)
 
-    def _look(self, now: float) -> str | None:
-        """Take in what both controllers tell, for at most a control period."""
+    def _check_links(self, now: float) -> str | None:
+        """Process the states of both controllers for at most a control period; return the reason for a stop."""
         links = [each.fileno() for each in self._links]
-        ready, _, _ = select.select([*links, *self._second.files], [], [], self._settings.tick_s)
+        ready, _, _ = select.select([*links, *self._enforcer.files], [], [], self._settings.tick_s)
         try:
-            self._second.check()
+            self._enforcer.check()
         except LinkError as error:
-            return f"the second way to stop is lost: {error}"
+            return f"the backup stop is lost: {error}"
         for arm, link in enumerate(self._links):
             if link.fileno() not in ready and link.age_s(now) < STALE_S:
                 continue
@@ -97,11 +97,11 @@ class Supervisor:
                 return f"{ARMS[arm]}: {error}"
             age = link.age_s(time.monotonic())
             if age > STALE_S:
-                return f"{ARMS[arm]}: the controller's time has stood still for {1e3 * age:.0f} ms"
-        return self._monitor.together() or self._follow_speed_sliders()
+                return f"{ARMS[arm]}: the controller's clock has stalled for {1e3 * age:.0f} ms"
+        return self._monitor.relative_pose() or self._follow_speed_sliders()
 
     def _follow_speed_sliders(self) -> str | None:
-        """Slow both arms down alike, as the slower one's speed slider says. Returns why that was not possible."""
+        """Set the time scaling of both arms from the slower speed slider; return the reason if that failed."""
         cell = self._cell
         if not cell.begin_s or time.monotonic() < cell.begin_s:
             return None
@@ -113,57 +113,57 @@ class Supervisor:
         at_s = time.monotonic() - cell.begin_s + _AHEAD_S
         period = max(float(int(at_s / tick_s)), scaling.period)
         cell.set_time_scaling(scaling.towards(goal, period, tick_s, self._file.speed_factor))
-        if (time.monotonic() - cell.begin_s) / tick_s > period:  # an arm may have been sent what now is another time's
-            return "the supervisor stood still while it changed the scaling of both arms: this machine is too busy"
-        log.warning("both arms go on at %.0f %% of their speed", 100 * goal)
+        if (time.monotonic() - cell.begin_s) / tick_s > period:  # an arm may have sent a target of the old scaling
+            return "the supervisor stalled while it changed the time scaling of both arms: this machine is too busy"
+        log.warning("both arms continue at %.0f %% of their speed", 100 * goal)
         return None
 
     def _end(self) -> None:
-        """Both arms are asked to stop because the program ends: see that they do."""
+        """Make sure that both arms stop at the end of the program."""
         if not self._cell.begin_s:
             return  # nothing has moved
-        self._second.begin()
-        self._see_it_done()
-        failed = [memory.text for memory in self._arms if memory.phase == Phase.FAULTED] + self._second.unended
+        self._enforcer.begin()
+        self._wait_for_stop()
+        failed = [memory.text for memory in self._arms if memory.phase == Phase.FAULTED] + self._enforcer.unended
         if failed:
             Latch(self._file).set(self._cell.fault or root_cause(failed))
-        self._second.close()
+        self._enforcer.close()
 
     def _stop(self, reason: str) -> None:
-        """Stop both arms, and note why where it stays."""
+        """Stop both arms and latch the reason."""
         self._cell.enter_fault(reason)
-        reason = self._cell.fault  # somebody else may have been first, and this what came of it
+        reason = self._cell.fault  # another process may have been first
         for memory in self._arms:
             memory.stop()
-        self._second.begin()
-        self._see_it_done(STALE_S)  # a disk may be slow, and what hangs must be ended all the same
+        self._enforcer.begin()
+        self._wait_for_stop(STALE_S)  # a slow disk must not delay the end of a process that hangs
         try:
-            if self._made or self._cell.begin_s:  # else it is a start that failed, which whoever started it is told
+            if self._ready or self._cell.begin_s:  # else a start failed, which its caller reports
                 Latch(self._file).set(reason)
         finally:
-            self._see_it_done()
-            self._second.close()
+            self._wait_for_stop()
+            self._enforcer.close()
             log.error("both arms were stopped: %s", reason)
 
-    def _see_it_done(self, within_s: float = math.inf) -> None:
-        """Wait for both programs to end, and end what does not."""
-        while self._second.look(self._monitor.ended) <= within_s and self._second.waits:
+    def _wait_for_stop(self, within_s: float = math.inf) -> None:
+        """Wait for the end of both programs, and enforce it."""
+        while self._enforcer.poll(self._monitor.ended) <= within_s and self._enforcer.waits:
             self._cell.note_supervisor(time.monotonic())
             time.sleep(self._settings.tick_s / 4)
             for arm, link in enumerate(self._links):
-                with contextlib.suppress(LinkError):  # what is not told counts as running
+                with contextlib.suppress(LinkError):  # without a state the program counts as running
                     for sample in link.poll():
                         self._monitor.note(arm, ArmStatus.from_sample(sample))
 
 
 class SupervisorProcess:
-    """Starts the supervisor, and ends it.
+    """Handle of the supervisor's process, which it starts.
 
     Args:
-        file: The cell.
-        settings: What is watched.
+        file: Cell file.
+        settings: Settings of the safety monitor.
         arms: Memories of both arms' processes.
-        cell: Memory of all.
+        cell: Memory of the cell.
     """
 
     def __init__(self, file: CellFile, settings: MonitorSettings, arms: Sequence[ArmMemory], cell: CellMemory) -> None:
@@ -172,37 +172,39 @@ class SupervisorProcess:
         self.process = Child(main, file, settings, names, os.getpid(), name="supervisor")
 
     def wait_until_ready(self, within_s: float) -> None:
-        """Wait until it sees both arms.
+        """Wait until it receives the states of both arms.
 
         Raises:
-            LinkError: It does not, within the time. Its process has ended.
+            LinkError: It does not in time. Its process was ended.
         """
         end = time.monotonic() + within_s
         while not self._cell.ready:
             if not self.process.is_alive or time.monotonic() > end:
                 self.kill()
-                raise LinkError(self._cell.fault or f"the supervisor does not see both arms within {within_s:g} s")
+                raise LinkError(
+                    self._cell.fault or f"the supervisor received no state of both arms within {within_s:g} s"
+                )
             time.sleep(0.005)
 
     def wait(self, within_s: float) -> bool:
-        """Wait for the end of the process. Returns whether it has come."""
+        """Wait for the end of the process; return False if it still runs."""
         return self.process.wait(within_s)
 
     def kill(self) -> None:
-        """End the process at once."""
+        """Kill the process."""
         self.process.kill()
 
 
 def main(file: CellFile, settings: MonitorSettings, names: tuple[str, ...], parent: int) -> None:
-    """Run in the process of the supervisor."""
+    """Run the process of the supervisor."""
     cell, arms = CellMemory(names[0]), [ArmMemory(name) for name in names[1:]]
     try:
-        # What stands now stays: the collector need not look at it again.
+        # Existing objects stay: the collector need not scan them again.
         gc.collect()
         gc.freeze()
         hasten(file.rt_priority)
         Supervisor(file, settings, arms, cell, parent).run()
-    except Exception as error:  # whatever it is: without a supervisor nothing moves
+    except Exception as error:  # of any kind: nothing moves without a supervisor
         cell.enter_fault(f"the supervisor failed: {type(error).__name__}: {error}")
         if cell.begin_s:
             Latch(file).set(cell.fault)

@@ -1,6 +1,6 @@
-"""Whether an arm goes where it is led: what is sent, what its controller makes of it, and where the arm is.
+"""Tracking errors of an arm: of the controller against the targets sent, and of the arm against its controller.
 
-And whether it gets hot, which comes before it does not.
+Joint temperatures, too: an overheated joint stops tracking.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ from dual_ur10.types import Array
 log = logging.getLogger(__name__)
 
 HOT_C: Final = 70.0
-"""From which temperature of a joint on a person is warned. Ours: Universal Robots publishes no figure."""
+"""Joint temperature above which a warning is logged. Our choice: Universal Robots publishes no figure."""
 
 DEVIATION_RAD: Final = 0.1
-"""How far an arm may be from where its controller wants it: half of what Universal Robots' ROS 2 driver allows."""
+"""Largest deviation of an arm from its controller's target: half of what Universal Robots' ROS 2 driver allows."""
 
-_ROWS: Final = 3  # states in a row: one alone may be a state between two updates
-_ON_ITS_WAY_S: Final = 0.08  # for which a target may be on its way
+_ROWS: Final = 3  # consecutive states: a single one may lie between two updates
+_TRANSIT_S: Final = 0.08  # longest time from sending a target to its effect
 _SLACK_RAD: Final = 0.02
-_FORGETTING_S: Final = 0.4  # in which the greatest speed of late is forgotten
+_FORGETTING_S: Final = 0.4  # time constant with which the largest recent speed decays
 
 
 class Deviation:
-    """Counts states in which joints are farther apart than they may be.
+    """Counts consecutive states with a deviation above its limit.
 
     Args:
-        text: What is said of it, with `{joint}`, `{found}` and `{allowed}`.
+        text: Reason to report, with `{joint}`, `{found}` and `{allowed}`.
     """
 
     def __init__(self, text: str) -> None:
         self._text, self._rows = text, 0
 
     def __call__(self, apart_rad: Array, allowed_rad: Array) -> str | None:
-        """Why the arm must stop, or None."""
+        """Return the reason why the arm must stop, or None."""
         over = apart_rad - allowed_rad
         over = np.where(np.isnan(over), np.inf, over)
         self._rows = self._rows + 1 if (over > 0.0).any() else 0
@@ -54,66 +54,66 @@ class Deviation:
 
 
 class Tracking:
-    """Whether an arm is where its controller wants it to be."""
+    """Deviation of an arm from its controller's target."""
 
     def __init__(self) -> None:
         self._deviation = Deviation("{joint} is {found} rad from where its controller wants it, allowed are {allowed}")
         self._allowed: Array = np.full(6, DEVIATION_RAD)
 
     def __call__(self, status: ArmStatus) -> str | None:
-        """Why the arm must stop, or None."""
+        """Return the reason why the arm must stop, or None."""
         return self._deviation(np.abs(np.subtract(status.target_q_rad, status.q_rad)), self._allowed)
 
 
 class Following:
-    """Whether a controller follows what it is sent: if it took nothing any more, its connection would not show it.
+    """Deviation of a controller from the targets sent: a controller that takes no more targets keeps its connection.
 
     Args:
-        servoj: Settings of `servoj`, which say how far behind it may be.
+        servoj: Settings of `servoj`, from which its lag follows.
     """
 
     def __init__(self, servoj: ServojProfile) -> None:
-        self._behind_s = servoj.lookahead_s + _ON_ITS_WAY_S
+        self._behind_s = servoj.lookahead_s + _TRANSIT_S
         self._forgetting = math.exp(-servoj.tick_s / _FORGETTING_S)
         self._target: Array | None = None
         self._speed: Array = np.zeros(6)
         self._tracking = Tracking()
         self._deviation = Deviation(
-            "{joint} is led {found} rad from what was sent, allowed are {allowed}: the controller does not follow"
+            "{joint} has a target {found} rad from the one sent, allowed are {allowed}: the controller does not follow"
         )
 
     def sent(self, target_rad: Array, speed_rad_s: Array) -> None:
-        """A target was sent, as fast as this."""
+        """Record a target sent and its speed."""
         self._target = target_rad
         self._speed = np.maximum(speed_rad_s, self._forgetting * self._speed)
 
     def __call__(self, status: ArmStatus) -> str | None:
-        """Why the arm must stop, or None."""
+        """Return the reason why the arm must stop, or None."""
         reason = self._tracking(status)
         if reason is not None or self._target is None:
             return reason
         return self._deviation(np.abs(self._target - status.target_q_rad), self._speed * self._behind_s + _SLACK_RAD)
 
 
-class Heat:
-    """Warns of joints that get hot, of each once until it has cooled down again.
+class TemperatureWarning:
+    """Warns of hot joints, of each once until it has cooled down.
 
     Args:
-        name: Of the arm.
+        name: Arm.
     """
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._told: set[int] = set()
+        self._warned: set[int] = set()
 
     def __call__(self, status: ArmStatus) -> None:
-        """Look at a state."""
+        """Check a state."""
         hot = {joint for joint, found in enumerate(status.temperature_c) if found > HOT_C}
-        for joint in sorted(hot - self._told):
+        for joint in sorted(hot - self._warned):
             log.warning(
-                "%s: %s has %.0f °C: let it rest soon, a joint that is too hot stops the arm",
+                "%s: %s has %.0f °C: let it rest soon, an overheated joint stops the arm",
                 self._name,
                 JOINTS[joint],
                 status.temperature_c[joint],
             )
-        self._told = hot
+        self._warned = hot

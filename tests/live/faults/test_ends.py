@@ -24,13 +24,13 @@ def test_11_an_arm_whose_process_dies_before_the_first_target_does_not_leave_the
     lab.note()
     os.kill(lab.pids[arm], signal.SIGKILL)
     time.sleep(wait_s)  # somebody reads the question meanwhile
-    with pytest.raises((CellFaulted, StartError), match="does nothing any more"):
+    with pytest.raises((CellFaulted, StartError), match="no longer responds"):
         lab.env.reset(seed=0)
     lab.assert_nothing_executed()
     lab.close_env()
     lab.assert_at_rest()
     if wait_s > 0.5:
-        lab.assert_latched("does nothing any more")
+        lab.assert_latched("no longer responds")
 
 
 def test_11_an_arm_whose_process_dies_as_both_begin_leaves_the_other_only_a_start(lab):
@@ -44,7 +44,7 @@ def test_11_an_arm_whose_process_dies_as_both_begin_leaves_the_other_only_a_star
         begin(at_s)
 
     lab.runner.cell.begin = late
-    with pytest.raises(CellFaulted, match=r"does not begin|does nothing any more"):
+    with pytest.raises(CellFaulted, match=r"does not begin|no longer responds"):
         lab.env.reset(seed=0)
     start = lab.executed("left")
     assert len(start) < 0.5 / lab.tick_s
@@ -64,7 +64,7 @@ def test_11_arms_that_stopped_because_nobody_watched_are_latched_by_closing(lab)
         time.sleep(0.01)
     assert lab.latch.read() is None  # nobody has looked
     lab.close_env()
-    lab.assert_latched("the supervisor does nothing any more")
+    lab.assert_latched("the supervisor no longer responds")
 
 
 def test_59_a_stop_that_cannot_be_kept_is_told_to_the_next_start_all_the_same(lab):
@@ -78,7 +78,7 @@ def test_59_a_stop_that_cannot_be_kept_is_told_to_the_next_start_all_the_same(la
     lab.runner.latch.set = full
     os.kill(lab.pids[2], signal.SIGKILL)
     error = lab.step_until_faulted()
-    assert "the supervisor does nothing any more" in str(error)
+    assert "the supervisor no longer responds" in str(error)
     lab.close_env()
     assert lab.latch.read() is None
     lab.assert_at_rest()
@@ -100,7 +100,7 @@ def test_29_a_stop_of_a_controller_while_its_arm_is_led_to_rest_is_latched(lab):
     runner.cell.end = both
     lab.close_env()
     fault = lab.latch.read()
-    if runner.came_to_rest and fault is None:
+    if runner.stopped and fault is None:
         pytest.fail("this machine is too busy: the arm was at rest before its controller stopped")
     assert "left" in fault.text
 
@@ -113,7 +113,7 @@ def test_57_a_process_that_hangs_while_a_program_ends_is_ended_and_its_arm_by_th
     begun = time.monotonic()
     lab.close_env()
     assert time.monotonic() - begun < 10.0
-    assert not runner.came_to_rest
+    assert not runner.stopped
     lab.assert_at_rest()
     lab.assert_latched("left: its process did not stop")
 

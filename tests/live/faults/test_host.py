@@ -19,7 +19,7 @@ from tests.live.faults.wire import demand
 pytestmark = pytest.mark.streams
 
 TICK_S = 0.008
-LATCHED = "the program that gives targets has ended"
+LATCHED = "the program that sends targets has ended"
 
 
 def in_step(lab):
@@ -60,7 +60,7 @@ def test_54_a_process_that_is_held_up_for_long_stops_both(lab, who):
     lab.suspend(pid)
     time.sleep(0.4)
     lab.wake(pid)
-    lab.assert_stopped(lab.step_until_faulted(), who, "does nothing any more", seen_ticks=SILENT_TICKS)
+    lab.assert_stopped(lab.step_until_faulted(), who, "no longer responds", seen_ticks=SILENT_TICKS)
 
 
 @pytest.mark.parametrize("who", ["left", "right"] if soak.SOAK else ["right"])
@@ -74,7 +74,7 @@ def test_54_the_supervisor_ends_a_program_whose_process_and_watchdog_do_nothing(
     wire = lab.wires[("left", "right").index(who)]
     assert wire.received()["ended_tick"] - tick <= DASHBOARD_TICKS
     assert lab.starved() == starved, "a watchdog came before"
-    lab.assert_stopped(lab.step_until_faulted(), who, "does nothing any more", seen_ticks=SILENT_TICKS)
+    lab.assert_stopped(lab.step_until_faulted(), who, "no longer responds", seen_ticks=SILENT_TICKS)
 
 
 @pytest.mark.parametrize("who", ["left", "right", "supervisor"] if soak.SOAK else ["right"])

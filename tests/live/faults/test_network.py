@@ -121,7 +121,7 @@ def test_19_the_second_way_to_stop_is_not_lost_unseen(lab, arm):
     lab.begin()
     lab.do("drop", arm=arm, port="dashboard")
     error = lab.step_until_faulted()
-    lab.assert_stopped(error, "the second way to stop is lost", f"{arm} arm, dashboard")
+    lab.assert_stopped(error, "the backup stop is lost", f"{arm} arm, dashboard")
 
 
 @pytest.mark.parametrize("arm", ARMS if soak.SOAK else ["left"])
@@ -129,7 +129,7 @@ def test_20_a_controller_that_falls_silent_stops_both(lab, arm):
     lab.begin()
     lab.turn("link", {"mute": False}, arm=arm, port="rtde", mute=True)
     error = lab.step_until_faulted()
-    lab.assert_stopped(error, f"{arm}: ", "stood still", seen_ticks=SILENT_TICKS, ramped=[OTHER[arm]])
+    lab.assert_stopped(error, f"{arm}: ", "stalled", seen_ticks=SILENT_TICKS, ramped=[OTHER[arm]])
 
 
 @pytest.mark.parametrize("arm", ARMS if soak.SOAK else ["right"])
@@ -200,4 +200,4 @@ def test_24_lost_packets_are_no_fault_and_many_are(lab):
     for _ in range(10):
         lab.env.step(lab.policy())
     lab.do("link", arm="left", port="rtde", lose=100)
-    lab.assert_stopped(lab.step_until_faulted(), "left: ", "stood still", seen_ticks=SILENT_TICKS)
+    lab.assert_stopped(lab.step_until_faulted(), "left: ", "stalled", seen_ticks=SILENT_TICKS)

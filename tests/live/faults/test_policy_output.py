@@ -198,7 +198,7 @@ def test_11_a_policy_that_takes_its_process_with_it_stops_both(lab, end):
     for wire in lab.wires:
         wire.assert_rested(lab.fault_tick, lab.tick_s)
     if end != "sys.exit":  # that ends in order, and is no fault
-        lab.assert_latched("the program that gives targets has ended")
+        lab.assert_latched("the program that sends targets has ended")
     lab.assert_within_hard_limits()
 
 

@@ -36,7 +36,7 @@ def test_29_30_31_a_stop_of_one_arm_stops_both_and_stays(lab, arm, mode):
 
 def test_29_the_reason_is_that_of_the_arm_that_stopped_first():
     why = "right: safety mode 3 (PROTECTIVE_STOP)"
-    others = ["left: a stop was asked for", f"left: the other arm stops: {why}"]
+    others = ["left: a stop was requested", f"left: the other arm stops: {why}"]
     for each in others:
         assert root_cause([each, why]) == root_cause([why, each]) == why
     assert root_cause(others) in others

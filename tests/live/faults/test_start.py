@@ -101,7 +101,7 @@ def test_44_far_from_the_start_a_person_agrees_to_a_slow_way(lab):
 
     for no in (False, None, "yes", 1):  # only True is a yes
         lab.make(confirm=answer(no))
-        with pytest.raises(StartError, match="was not confirmed: they have not moved"):
+        with pytest.raises(StartError, match="was not confirmed: the arms have not moved"):
             lab.env.reset(seed=0)
         assert len(lab.executed("left")) == 0
         assert "left turns a joint by up to 0.30 rad, right turns a joint by up to 0.00 rad" in asked[-1]
@@ -159,7 +159,7 @@ def test_46_47_a_joint_near_its_end_is_not_turned_the_other_way_round(lab, row, 
     told = joints(lab, "left").tolist()
     told[joint] = value
     lab.override("left", actual_q=told, target_q=told)
-    with pytest.raises(StartError, match=f"left: .* is at {value:.3f} rad, allowed are ±.*turn it back by hand"):
+    with pytest.raises(StartError, match=f"left: .* is at {value:.3f} rad, allowed are ±.*rotate it back by hand"):
         lab.env.reset(seed=0)
     assert len(lab.executed("left")) == len(lab.executed("right")) == 0
 
@@ -181,7 +181,7 @@ def test_26_arms_that_are_swapped_show_in_what_is_asked(lab):
     left, right = lab.cell.left, lab.cell.right
     lab.path.write_text(text.replace(left, "HERE").replace(right, left).replace("HERE", right))
     lab.make(confirm=lambda question: False)
-    with pytest.raises(StartError, match=r"not confirmed|no straight way"):
+    with pytest.raises(StartError, match=r"not confirmed|no straight path"):
         lab.env.reset(seed=0)
     lab.assert_nothing_executed()
 

@@ -105,7 +105,7 @@ class Wire:
     def assert_hard_limits(self, tick_s):
         """Nothing is faster than an arm's process lets out, whoever asks."""
         ticks, targets = self.packages()
-        demand(np.isfinite(targets).all(), f"{self.arm}: a target is no finite numbers")
+        demand(np.isfinite(targets).all(), f"{self.arm}: a target is not finite")
         over = np.maximum(ticks[_OVER:] - ticks[:-_OVER], _OVER) + 1
         used = np.abs(targets[_OVER:] - targets[:-_OVER]) / (over[:, None] * tick_s * HARD_SPEED_RAD_S)
         demand(used.max(initial=0.0) <= 1.0, f"{self.arm}: {used.max(initial=0.0):.3f} of the hardest speed")

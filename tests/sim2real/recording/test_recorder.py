@@ -118,7 +118,7 @@ def test_a_stop_leaves_a_black_box_with_the_stop_in_it(recorder, memories, tmp_p
 
 
 def test_a_stop_that_was_asked_for_is_none_to_look_into(recorder, memories):
-    memories[0].enter(Phase.STOPPED, "left: a stop was asked for")
+    memories[0].enter(Phase.STOPPED, "left: a stop was requested")
     waited(lambda: recorder.event("tick", "") or recorder.now_s > 0.3)
     recorder.close()
     assert recorder.boxes == []

@@ -197,7 +197,7 @@ def test_where_both_at_once_may_not_one_goes_after_the_other(close):
         try:
             approach = plan(q, goal, close)
         except StartError as error:
-            assert "no straight way leads" in str(error)  # noqa: PT017
+            assert "no straight path leads" in str(error)  # noqa: PT017
             kinds.add("none")
             continue
         assert (approach.parts[0] == ends[0]).all()
@@ -227,7 +227,7 @@ def test_an_arm_that_stands_too_close_may_go_away_and_not_nearer(clearance):
     lower = down.copy()
     lower[0, 1] += 0.05
     for start, goal in ((down, lower), (HOME_Q_RAD, down)):
-        with pytest.raises(StartError, match=r"no straight way .* would come within -?\d+ mm, allowed are 20 mm"):
+        with pytest.raises(StartError, match=r"no straight path .* would come within -?\d+ mm, allowed are 20 mm"):
             plan(start, goal, clearance)
 
 
@@ -268,7 +268,7 @@ def test_everything_on_the_way_is_looked_at(shortfall, free):
 def test_a_joint_out_of_its_range_is_turned_back_by_hand(clearance, arm, name, joint, sign):
     q = HOME_Q_RAD.copy()
     q[arm, joint] = sign * (JOINT_RANGE_RAD[joint] + 0.01)
-    with pytest.raises(StartError, match=rf"{name}: .* is at {q[arm, joint]:.3f} rad.*turn it back by hand"):
+    with pytest.raises(StartError, match=rf"{name}: .* is at {q[arm, joint]:.3f} rad.*rotate it back by hand"):
         plan(q, HOME_Q_RAD, clearance)
 
 
@@ -379,7 +379,7 @@ def test_looking_at_many_windows_before_the_first_target_takes_its_time(monkeypa
     )
     way = PathToStart(MotionLimits(), clearance, tick_s, ticks, 1.0, targets)
     led = Approach([HOME, HOME + np.eye(12)[5]]).targets(tick_s)
-    way.go(runner, HOME.reshape(2, 6), led)
+    way.follow(runner, HOME.reshape(2, 6), led)
     assert sum(count for _, count in written) >= len(led)
     firsts = [first for first, _ in written]
     assert firsts == list(np.cumsum([firsts[0], *(count for _, count in written[:-1])]))

@@ -121,7 +121,7 @@ def test_targets_that_do_not_go_on_are_refused(pair):
     with pytest.raises(SettingsError, match="there are no targets"):
         theirs.target(0)
     for first, count in ((1, 1), (-1, 1), (0, 0)):
-        with pytest.raises(SettingsError, match="do not go on"):
+        with pytest.raises(SettingsError, match="do not continue"):
             mine.put(first, np.zeros((count, 6)))
     with pytest.raises(SettingsError, match="do not fit"):
         mine.put(0, np.zeros((RING // 2 + 1, 6)))
@@ -156,7 +156,7 @@ def test_targets_may_be_written_while_they_are_read(pair):
         "import sys\nimport numpy as np\nfrom dual_ur10.sim2real.runtime.arm_memory import ArmMemory\n"
         "memory = ArmMemory(sys.argv[1])\n"
         "seen, wrong = 0, 0\nprint('ready', flush=True)\n"
-        "while not memory.stop_asked:\n"
+        "while not memory.stop_requested:\n"
         "    target = memory.target(memory.end - 40)\n"
         "    seen, wrong = seen + 1, wrong + (target != target[0]).any()\n"
         "print(seen, wrong, flush=True)\n"
@@ -262,12 +262,12 @@ def test_a_text_may_be_cut_anywhere():
 
 def test_signs_of_life_and_a_stop_are_told(pair):
     mine, theirs = pair
-    assert (mine.beat_s, theirs.stop_asked, mine.skipped) == (0.0, False, 0)
+    assert (mine.beat_s, theirs.stop_requested, mine.skipped) == (0.0, False, 0)
     theirs.beat(12.5)
     theirs.note_skipped(3)
     theirs.note_skipped(2)
     mine.stop()
-    assert (mine.beat_s, theirs.stop_asked, mine.skipped) == (12.5, True, 5)
+    assert (mine.beat_s, theirs.stop_requested, mine.skipped) == (12.5, True, 5)
 
 
 # The memory itself.

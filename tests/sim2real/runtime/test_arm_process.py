@@ -50,7 +50,7 @@ class Pair:
                 self.memories[arm],
                 self.shared,
                 (self.memories[1 - arm],),
-                watched=False,
+                supervised=False,
             )
             for arm, (name, host) in enumerate(zip(ARMS, (cell.left, cell.right), strict=True))
         ]
@@ -243,7 +243,7 @@ def test_a_controller_that_falls_silent_stops_both(pair):
     pair.cell.ask("link", arm="left", port="rtde", mute=True)
     phases, texts = pair.ended()
     assert phases[0] == Phase.FAULTED
-    assert "stood still" in texts[0]
+    assert "stalled" in texts[0]
     assert phases[1] == Phase.STOPPED
     pair.stand()  # the watchdog in the controller has ended its program
 
@@ -255,7 +255,7 @@ def test_a_killed_process_stops_the_other_arm(pair):
     pair.cell.wait_until("left", "runtime_state", 1)
     assert pair.arms[1].wait(20.0)
     assert pair.memories[1].phase == Phase.STOPPED
-    assert "the process of the left arm does nothing any more" in pair.memories[1].text
+    assert "the process of the left arm no longer responds" in pair.memories[1].text
     assert_rests_on_path(pair, 1)
     pair.stand()
 

@@ -128,4 +128,4 @@ def test_one_that_rests_at_its_last_target_meanwhile_is_sent_nothing_and_says_so
     assert len(sent) == 1
     assert memory.phase == Phase.STOPPED
     assert "a reason; sent nothing for 5" in memory.text
-    assert "came to rest at its last target" in memory.text
+    assert "stopped at its last target" in memory.text

@@ -242,8 +242,8 @@ def test_a_program_that_stands_still_on_the_way_to_a_start_sends_nothing_over_th
 
     real = cell.runner.wait_for
     monkeypatch.setattr(cell.runner, "wait_for", stalled)
-    with pytest.raises(StartError, match="stood still"):
-        cell._way.go(cell.runner, here, way)
+    with pytest.raises(StartError, match="stalled"):
+        cell._path.follow(cell.runner, here, way)
     monkeypatch.undo()
     if error is CellFaulted:
         with pytest.raises(CellFaulted, match="the policy gave no action"):
@@ -286,7 +286,7 @@ def test_nothing_goes_to_a_start_past_the_gate(lab, spoiled):
         way[200, 1, 3] = np.nan
     first = lab.cell.ask("setpoints", arm="left")["count"]
     with pytest.raises((StartError, ActionError), match="finite" if spoiled == "nan" else "safety gate refuses"):
-        cell._way.go(cell.runner, here, way)
+        cell._path.follow(cell.runner, here, way)
     cell.runner.wait_for(cell.runner.end)
     sent = np.array([each[1] for each in lab.cell.setpoints("left", first)])
     assert np.isfinite(sent).all()
@@ -306,7 +306,7 @@ def test_dead_processes_are_a_fault(lab):
     lab.note()
     for pid in lab.pids:
         os.kill(pid, signal.SIGKILL)
-    lab.assert_stopped(lab.step_until_faulted(), "does nothing any more")
+    lab.assert_stopped(lab.step_until_faulted(), "no longer responds")
 
 
 def test_the_collector_leaves_alone_what_stood_when_the_episode_began(lab, monkeypatch):

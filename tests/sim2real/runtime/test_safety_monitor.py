@@ -55,9 +55,9 @@ def at(q, wanted=None, **values):
 
 @pytest.mark.parametrize("arm", [0, 1])
 def test_every_safety_mode_but_one_stops(parts, arm):
-    judge = watch(parts)
+    monitor = watch(parts)
     for mode in range(256):
-        reason = judge.state(arm, status_of(safety_mode=mode))
+        reason = monitor.state(arm, status_of(safety_mode=mode))
         if mode == 1:
             assert reason is None
         else:
@@ -66,64 +66,64 @@ def test_every_safety_mode_but_one_stops(parts, arm):
 
 
 def test_every_robot_mode_and_safety_bit_but_one_stops(parts):
-    judge = watch(parts)
-    assert [mode for mode in range(-1, 256) if judge.state(1, status_of(robot_mode=mode)) is None] == [7]
-    found = [bit for bit in range(32) if judge.state(0, status_of(safety_status_bits=1 << bit)) is None]
+    monitor = watch(parts)
+    assert [mode for mode in range(-1, 256) if monitor.state(1, status_of(robot_mode=mode)) is None] == [7]
+    found = [bit for bit in range(32) if monitor.state(0, status_of(safety_status_bits=1 << bit)) is None]
     assert found == [0]
 
 
 @pytest.mark.parametrize("phase", list(Phase))
 def test_a_program_must_play_while_targets_are_sent(parts, phase):
-    judge = watch(parts, phase=phase)
-    reason = judge.state(0, status_of(runtime_state=1))
+    monitor = watch(parts, phase=phase)
+    reason = monitor.state(0, status_of(runtime_state=1))
     assert (reason == "left: program state 1 (STOPPED)") == (phase == Phase.STREAMING)
-    assert judge.state(0, status_of(runtime_state=2)) is None
+    assert monitor.state(0, status_of(runtime_state=2)) is None
 
 
 def test_a_state_of_long_ago_is_not_its_business(parts):
-    judge = watch(parts)
+    monitor = watch(parts)
     status = status_of(timestamp=1.0)
-    assert [judge.state(0, status) for _ in range(200)] == [None] * 200
+    assert [monitor.state(0, status) for _ in range(200)] == [None] * 200
 
 
 @pytest.mark.parametrize("arm", [0, 1])
 def test_an_arm_that_is_not_where_it_is_led_stops_both(parts, arm):
-    judge = watch(parts)
+    monitor = watch(parts)
     bad, good = at(HOME_Q_RAD[arm] + [0, 0, 0.2, 0, 0, 0], HOME_Q_RAD[arm]), at(HOME_Q_RAD[1 - arm])
     found = []
     for _ in range(3):  # each arm is counted by itself
-        found.append(judge.state(arm, bad))
-        assert judge.state(1 - arm, good) is None
+        found.append(monitor.state(arm, bad))
+        assert monitor.state(1 - arm, good) is None
     assert found[:2] == [None, None]
     assert found[2] is not None
     assert found[2].startswith(f"{ARM[arm]}: elbow_joint is 0.200 rad from")
 
 
 def test_the_slower_slider_counts(parts):
-    judge = watch(parts)
-    assert judge.slowest == 1.0
-    judge.state(0, status_of(target_speed_fraction=0.7, speed_scaling=1.0))
-    assert judge.slowest == 0.7
-    judge.state(1, status_of(target_speed_fraction=0.9, speed_scaling=0.3))
-    assert judge.slowest == 0.3
-    judge.state(1, status_of(target_speed_fraction=1.0, speed_scaling=1.0))
-    assert judge.slowest == 0.7
+    monitor = watch(parts)
+    assert monitor.slowest == 1.0
+    monitor.state(0, status_of(target_speed_fraction=0.7, speed_scaling=1.0))
+    assert monitor.slowest == 0.7
+    monitor.state(1, status_of(target_speed_fraction=0.9, speed_scaling=0.3))
+    assert monitor.slowest == 0.3
+    monitor.state(1, status_of(target_speed_fraction=1.0, speed_scaling=1.0))
+    assert monitor.slowest == 0.7
 
 
 @pytest.mark.parametrize("arm", [0, 1])
 def test_reduced_mode_alone_is_let_go_on_and_slows_where_that_is_allowed(parts, arm):
     parts[1].permit_reduced_mode()
-    judge = watch(parts)
+    monitor = watch(parts)
     full = {"target_speed_fraction": 1.0}
     reduced = {**full, "safety_mode": 2, "safety_status_bits": 2}
-    assert [mode for mode in range(256) if judge.state(arm, status_of(safety_mode=mode)) is None] == [1, 2]
-    assert judge.state(arm, status_of(**reduced)) is None
-    assert judge.slowest == REDUCED_SCALING  # by itself, for a controller does not slow down what it is sent
-    assert judge.state(arm, status_of(**{**reduced, "target_speed_fraction": 0.5})) is None
-    assert judge.slowest == REDUCED_SCALING / 2
-    assert judge.state(arm, status_of(**full)) is None
-    assert judge.slowest == 1.0
-    assert judge.state(arm, status_of(**{**reduced, "safety_status_bits": 2 | 4})) is not None
+    assert [mode for mode in range(256) if monitor.state(arm, status_of(safety_mode=mode)) is None] == [1, 2]
+    assert monitor.state(arm, status_of(**reduced)) is None
+    assert monitor.slowest == REDUCED_SCALING  # by itself, for a controller does not slow down what it is sent
+    assert monitor.state(arm, status_of(**{**reduced, "target_speed_fraction": 0.5})) is None
+    assert monitor.slowest == REDUCED_SCALING / 2
+    assert monitor.state(arm, status_of(**full)) is None
+    assert monitor.slowest == 1.0
+    assert monitor.state(arm, status_of(**{**reduced, "safety_status_bits": 2 | 4})) is not None
 
 
 @pytest.mark.parametrize("values", [{"target_speed_fraction": math.nan}, {"speed_scaling": math.nan}])
@@ -135,11 +135,11 @@ def test_a_slider_that_is_no_number_stops(parts, values):
 
 @pytest.mark.parametrize("phase", list(Phase))
 def test_whether_anything_moves(parts, phase):
-    judge = watch(parts, phase=Phase.READY)
+    monitor = watch(parts, phase=Phase.READY)
     parts[0][1].enter(phase)
-    assert not judge.moving  # a start that failed has moved nothing
+    assert not monitor.moving  # a start that failed has moved nothing
     parts[1].begin(1.0)
-    assert judge.moving == (phase >= Phase.STREAMING)
+    assert monitor.moving == (phase >= Phase.STREAMING)
 
 
 # Two arms that hold one object.
@@ -164,13 +164,13 @@ def led(parts, late, size=0.4, arm=0):
 def test_an_arm_that_is_late_as_a_whole_is_not_where_it_should_be(parts, late, lag, arm):
     """Where its controller wants it lags as well, and says nothing. A lag that both have is none."""
     targets = led(parts, late, arm=arm)
-    judge = watch(parts, coupled=True)
+    monitor = watch(parts, coupled=True)
     reason = None
     for _ in range(5):
         for which in (0, 1):
             q = targets[300 - lag - (late if which == arm else 0), which]
-            reason = reason or judge.state(which, at(q))
-        reason = reason or judge.together()
+            reason = reason or monitor.state(which, at(q))
+        reason = reason or monitor.relative_pose()
     if late == 11:  # 88 ms at 0.4 rad/s and a lever of about a metre
         assert reason is not None
         assert "hold one object" in reason
@@ -190,11 +190,11 @@ def moved(arm, away_m=(0.0, 0.0, 0.0), turn_rad=(0.0, 0.0, 0.0), mounts=MOUNTS):
 
 def apart(parts, left, right, **more):
     """What is said of four states of arms that are here, and are wanted at home."""
-    judge, found = watch(parts, **{"coupled": True, **more}), []
+    monitor, found = watch(parts, **{"coupled": True, **more}), []
     for _ in range(4):
-        assert judge.state(0, at(left, HOME_Q_RAD[0])) is None
-        assert judge.state(1, at(right, HOME_Q_RAD[1])) is None
-        found.append(judge.together())
+        assert monitor.state(0, at(left, HOME_Q_RAD[0])) is None
+        assert monitor.state(1, at(right, HOME_Q_RAD[1])) is None
+        found.append(monitor.relative_pose())
     return found
 
 
@@ -276,50 +276,50 @@ def test_arms_that_are_where_they_should_be_are_so_in_every_posture(parts, seed)
     wanted[:, 3:] = np.round(wanted[:, 3:] / (np.pi / 2)) * (np.pi / 2)  # half turns, too, where signs change
     wanted[:, 1:3] = np.round(wanted[:, 1:3] / (np.pi / 2)) * (np.pi / 2)
     found = wanted + rng.uniform(-1e-4, 1e-4, (2, 6))
-    judge = watch(parts, coupled=True)
+    monitor = watch(parts, coupled=True)
     for _ in range(4):
-        assert judge.state(0, at(found[0], wanted[0])) is None
-        assert judge.state(1, at(found[1], wanted[1])) is None
-        assert judge.together() is None
+        assert monitor.state(0, at(found[0], wanted[0])) is None
+        assert monitor.state(1, at(found[1], wanted[1])) is None
+        assert monitor.relative_pose() is None
 
 
 def test_one_state_alone_is_let_pass(parts):
-    judge = watch(parts, coupled=True)
+    monitor = watch(parts, coupled=True)
     good, bad = at(HOME_Q_RAD[1]), at(moved(1, (0.0, 0.02, 0.0)), HOME_Q_RAD[1])
     for _ in range(6):
-        assert judge.state(1, bad) is None
-        assert judge.together() is None  # of the left one nothing is known yet
+        assert monitor.state(1, bad) is None
+        assert monitor.relative_pose() is None  # of the left one nothing is known yet
     for _ in range(6):
         for each in (bad, bad, good):
-            judge.state(0, at(HOME_Q_RAD[0]))
-            judge.state(1, each)
-            assert judge.together() is None
+            monitor.state(0, at(HOME_Q_RAD[0]))
+            monitor.state(1, each)
+            assert monitor.relative_pose() is None
     for _ in range(6):
-        judge.state(1, bad)
-        assert judge.together() is None  # of the left one nothing new is known
+        monitor.state(1, bad)
+        assert monitor.relative_pose() is None  # of the left one nothing new is known
 
 
-def test_states_that_waited_are_judged_with_those_of_the_same_time(parts):
+def test_states_that_waited_are_monitord_with_those_of_the_same_time(parts):
     """A supervisor that stood still reads all of one arm's, then all of the other's."""
     targets = led(parts, 0)
-    judge = watch(parts, coupled=True)
+    monitor = watch(parts, coupled=True)
     for newest in range(100, 250, 15):  # 120 ms each: 24 mrad, and as many mm
         for arm in (0, 1):
             for tick in range(newest - 15, newest):
-                assert judge.state(arm, at(targets[tick, arm])) is None
+                assert monitor.state(arm, at(targets[tick, arm])) is None
             parts[0][arm].note_sent(newest, float(newest), 0.0, 0.0, targets[newest, arm])
-        assert judge.together() is None
+        assert monitor.relative_pose() is None
 
 
 def test_an_e_series_may_be_apart_for_as_long_as_a_cb3(parts):
     arms, cell = parts
-    judge = SafetyMonitor(MonitorSettings(MOUNTS, 0.002, coupled=True), arms, cell)
+    monitor = SafetyMonitor(MonitorSettings(MOUNTS, 0.002, coupled=True), arms, cell)
     bad = at(moved(1, (0.0, 0.02, 0.0)), HOME_Q_RAD[1])
     said = []
     for _ in range(14):
-        judge.state(0, at(HOME_Q_RAD[0]))
-        judge.state(1, bad)
-        said.append(judge.together())
+        monitor.state(0, at(HOME_Q_RAD[0]))
+        monitor.state(1, bad)
+        said.append(monitor.relative_pose())
     assert [each is None for each in said] == [True] * 11 + [False] * 3
 
 
@@ -329,32 +329,32 @@ def test_an_e_series_may_be_apart_for_as_long_as_a_cb3(parts):
 @pytest.mark.parametrize("arm", [0, 1])
 @pytest.mark.parametrize("phase", [Phase.STOPPING, Phase.STOPPED, Phase.FAULTED])
 def test_an_arm_that_stops_stops_both_with_its_reason(parts, arm, phase):
-    judge = watch(parts)
+    monitor = watch(parts)
     for memory in parts[0]:
         memory.beat(10.0)
-    assert judge.processes(10.0) is None
+    assert monitor.processes(10.0) is None
     parts[0][arm].enter(phase, f"{ARM[arm]}: its own reason")
-    assert judge.processes(10.0) == f"{ARM[arm]}: its own reason"
+    assert monitor.processes(10.0) == f"{ARM[arm]}: its own reason"
     parts[0][1 - arm].enter(Phase.STOPPING, f"{ARM[1 - arm]}: the other arm stops: {ARM[arm]}: its own reason")
-    assert judge.processes(10.0) == f"{ARM[arm]}: its own reason"
+    assert monitor.processes(10.0) == f"{ARM[arm]}: its own reason"
 
 
 def test_one_that_stops_without_a_word(parts):
-    judge = watch(parts)
+    monitor = watch(parts)
     for memory in parts[0]:
         memory.beat(10.0)
     parts[0][1].enter(Phase.FAULTED)
-    assert judge.processes(10.0) == "right: its process has stopped"
+    assert monitor.processes(10.0) == "right: its process has stopped"
 
 
 @pytest.mark.parametrize("arm", [0, 1])
 @pytest.mark.parametrize(("phase", "most_s"), [(Phase.STREAMING, STALE_S), (Phase.READY, WAITING_S)])
 def test_a_process_that_does_nothing_any_more_stops_both(parts, arm, phase, most_s):
-    judge = watch(parts, phase=phase)
+    monitor = watch(parts, phase=phase)
     parts[0][1 - arm].beat(10.0 + most_s)
     parts[0][arm].beat(10.0)
-    assert judge.processes(10.0 + 0.99 * most_s) is None
-    assert judge.processes(10.0 + 1.01 * most_s) == f"{ARM[arm]}: its process does nothing any more"
+    assert monitor.processes(10.0 + 0.99 * most_s) is None
+    assert monitor.processes(10.0 + 1.01 * most_s) == f"{ARM[arm]}: its process no longer responds"
 
 
 def test_one_that_connects_may_take_its_time(parts):
@@ -363,14 +363,14 @@ def test_one_that_connects_may_take_its_time(parts):
 
 @pytest.mark.parametrize("arm", [0, 1])
 def test_one_that_does_not_begin_when_both_should_stops_both(parts, arm):
-    judge = watch(parts, phase=Phase.READY)
+    monitor = watch(parts, phase=Phase.READY)
     parts[0][1 - arm].enter(Phase.STREAMING)
     parts[1].begin(10.0)
 
     def found(now):
         for memory in parts[0]:
             memory.beat(now)
-        return judge.processes(now)
+        return monitor.processes(now)
 
     assert found(10.0 + 0.99 * STALE_S) is None
     assert found(10.0 + 1.01 * STALE_S) == f"{ARM[arm]}: it does not begin: this machine is too busy"
@@ -378,17 +378,17 @@ def test_one_that_does_not_begin_when_both_should_stops_both(parts, arm):
 
 @pytest.mark.parametrize(("told", "ended"), [(0, False), (1, True), (2, False), (4, False)])
 def test_a_program_has_ended_when_its_controller_says_so(parts, told, ended):
-    judge = watch(parts)
-    assert judge.ended == [False, False]
-    judge.note(1, status_of(runtime_state=told))
-    assert judge.ended == [False, ended]
+    monitor = watch(parts)
+    assert monitor.ended == [False, False]
+    monitor.note(1, status_of(runtime_state=told))
+    assert monitor.ended == [False, ended]
 
 
 # What the policy owes.
 
 
 def owing(parts, scaling, fresh, *, live=True, begin_s=100.0):
-    judge = watch(parts)
+    monitor = watch(parts)
     cell = parts[1]
     cell.begin(begin_s)
     cell.set_time_scaling(scaling)
@@ -397,7 +397,7 @@ def owing(parts, scaling, fresh, *, live=True, begin_s=100.0):
     def late(now):
         for memory in parts[0]:
             memory.beat(now)
-        return judge.processes(now)
+        return monitor.processes(now)
 
     return late
 

@@ -59,9 +59,9 @@ def test_a_new_pace_holds_from_a_time_on_that_is_still_to_come(parts, monkeypatc
     said = made._follow_speed_sliders()
     assert len(ahead) == 1
     if late_s:
-        assert "stood still while it changed the scaling" in said
+        assert "stalled while it changed the time scaling" in said
     else:
-        assert said is None or "stood still" in said  # this machine may do so, too
+        assert said is None or "stalled" in said  # this machine may do so, too
         assert cell.time_scaling.goal == 0.5
         assert made._follow_speed_sliders() is None
 
@@ -84,10 +84,10 @@ def test_a_program_that_has_not_ended_though_its_process_says_so_is_a_fault(part
     monkeypatch.setattr(stop_enforcer, "STOPPED_S", 0.05)
     file, arms, cell = parts
     made = supervisor(parts)
-    made._second = StopEnforcer(arms, ["127.0.0.2", "127.0.0.3"])
+    made._enforcer = StopEnforcer(arms, ["127.0.0.2", "127.0.0.3"])
     cell.begin(time.monotonic())
     for arm, memory in enumerate(arms):
-        memory.enter(Phase.STOPPED, "a stop was asked for")
+        memory.enter(Phase.STOPPED, "a stop was requested")
         made._watch.note(arm, status_of(runtime_state=1 if arm == 0 else 4))
     made._end()
     assert Dashboard.asked == 1
@@ -100,10 +100,10 @@ def test_a_program_that_has_not_ended_though_its_process_says_so_is_a_fault(part
 def test_a_start_that_failed_is_no_stop(parts, begun, ready):
     file, _, cell = parts
     made = supervisor(parts)
-    made._second = types.SimpleNamespace(
+    made._enforcer = types.SimpleNamespace(
         begin=lambda: None, look=lambda ended: 0.0, waits=False, close=lambda: None, unended=[]
     )
-    made._made = ready
+    made._ready = ready
     if begun:
         cell.begin(time.monotonic())
     made._stop("right: takes no control script")

@@ -135,7 +135,7 @@ def test_one_that_stands_somewhere_else_is_noticed_though_nothing_moves():
     assert found[:2] == [None, None]
     assert (
         found[2]
-        == f"{JOINTS[3]} is led 0.030 rad from what was sent, allowed are 0.020: the controller does not follow"
+        == f"{JOINTS[3]} has a target 0.030 rad from the one sent, allowed are 0.020: the controller does not follow"
     )
     fine = Following(ServojProfile())
     fine.sent(HOME, np.zeros(6))

@@ -2,7 +2,8 @@
 
 Random reachable poses are the forward kinematics of uniform random joints, once over the whole joint range (±2 pi,
 elbow ±pi) and once over ±pi. An independent product of DH matrices judges every answer: solved means within 1e-5 m and
-1e-5 rad of its pose and inside the joint range. The reference of each is a random posture, not the one it came from.
+1e-5 rad of its pose and inside the joint range. The reference of each is a random configuration, not the one it came
+from.
 """
 
 from __future__ import annotations
@@ -68,10 +69,10 @@ def judge(limit: Array, poses: int, seed: int) -> dict[str, float]:
             kinematics.try_nearest(position[row], rotation[row], reference[row])
         blocks.append((time.process_time() - start) / len(rows))
 
-    reached, turned = independent_pose(found)
+    reached, orientation = independent_pose(found)
     position_error = np.linalg.norm(reached - position, axis=-1)
     # Norm of R1 - R2 is 2 sqrt(2) sin(angle / 2).
-    rotation_error = 2 * np.arcsin(np.minimum(np.linalg.norm(turned - rotation, axis=(1, 2)) / np.sqrt(8), 1.0))
+    rotation_error = 2 * np.arcsin(np.minimum(np.linalg.norm(orientation - rotation, axis=(1, 2)) / np.sqrt(8), 1.0))
     inside = (np.abs(found) <= JOINT_RANGE_RAD).all(-1)
     solved = ok & inside & (position_error < TOLERANCE) & (rotation_error < TOLERANCE)
     return {
@@ -96,7 +97,9 @@ def main() -> None:
         "±2 pi": judge(JOINT_RANGE_RAD, arguments.poses, arguments.seed),
         "±pi": judge(np.full(6, np.pi), arguments.poses, arguments.seed + 1),
     }
-    print(f"inverse kinematics, nearest of all branches and turns; {arguments.poses} poses each; load {load[0]:.2f}")
+    print(
+        f"inverse kinematics, nearest of all branches and rotations; {arguments.poses} poses each; load {load[0]:.2f}"
+    )
     print(f"{'range':8}{'solved':>10}{'worst m':>11}{'worst rad':>11}{'us, batch':>11}{'us, single':>12}")
     for name, row in ranges.items():
         print(

@@ -1,9 +1,9 @@
 """A parallel-jaw gripper at the flange, of the size, stroke, force and mass of a Robotiq 2F-85.
 
 Its frame is the flange's: z is the approach, the fingers open along y, the pads' width lies along x. Both fingers
-slide; a stiff joint equality keeps them in step, as the mechanism of the real one does, so that what is held stays
-centred. One position servo drives the sum of both ways: the opening. The real one's worm gear holds against any load;
-this one gives way to a push on one finger that is larger than the grip force.
+slide; a stiff joint equality keeps them in step, as the mechanism of the real one does, so that gripped objects
+stay centred. One position servo drives the sum of both finger positions: the opening. The real worm gear holds against
+any load; this one yields to a force on one finger that exceeds the grip force.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ PALM_LENGTH_M: Final = 0.086
 FINGERTIP_M: Final = TCP_M + PAD_LENGTH_M / 2
 """Flange to fingertips along the flange's z."""
 
-# Capsule around the palm, along y. Of the drawn palm, edges and the camera stand out by up to 12 mm.
+# Capsule around the palm, along y. Edges of the visual palm and its camera protrude by up to 12 mm.
 _PALM_RADIUS_M: Final = 0.05
 _PALM_HALF_M: Final = 0.035
 _PALM_Z_M: Final = 0.048
@@ -63,7 +63,7 @@ _RIGID: Final = (0.99, 0.999, 0.001)
 
 
 def stiff(timestep_s: float) -> tuple[float, float]:
-    """`solref` of the pads' contacts and of the coupling: as stiff as the timestep allows, critically damped."""
+    """Return `solref` of the pads' contacts and of the coupling: as stiff as the timestep allows, critically damped."""
     return max(0.002, 2 * timestep_s), 1.0
 
 
@@ -72,9 +72,9 @@ def add_gripper(arm: Any, settings: SceneSettings, *, rigid: bool = False) -> No
 
     Args:
         arm: dm_control tree of `arm.arm_tree`.
-        settings: the cell.
-        rigid: for the twin that measures distances: no joints and no actuator, the fingers' mass where they are half
-            open, and around all that the fingers can be in a box `fingers` and a capsule `fingers_round`.
+        settings: Settings of the cell.
+        rigid: For the collision model: no joints and no actuator, the fingers' mass at half opening, and a box
+            `fingers` and a capsule `fingers_round` around all positions of the fingers.
     """
     flange = arm.find("site", "flange")
     body = arm.find("body", "wrist_3_link").add("body", name="gripper", pos=flange.pos, quat=flange.quat, gravcomp=1)
@@ -82,7 +82,7 @@ def add_gripper(arm: Any, settings: SceneSettings, *, rigid: bool = False) -> No
         "inertial",
         mass=MASS_KG - 2 * _FINGER_MASS_KG,
         pos=(0, 0, 0.047),
-        diaginertia=_box_inertia(MASS_KG - 2 * _FINGER_MASS_KG, 0.07, 0.10, PALM_LENGTH_M),
+        diaginertia=box_inertia(MASS_KG - 2 * _FINGER_MASS_KG, 0.07, 0.10, PALM_LENGTH_M),
     )
     body.add("site", name="wrench")
     body.add("site", name="tcp", pos=(0, 0, TCP_M))
@@ -102,7 +102,7 @@ def add_gripper(arm: Any, settings: SceneSettings, *, rigid: bool = False) -> No
 
 
 def _add_reach(palm: Any) -> None:
-    """All that the fingers can be in: a box, and a capsule along y around that box."""
+    """Add a box around all positions of the fingers, and a capsule along y around that box."""
     half = np.array([_FINGER_HALF_X_M, OPENING_M / 2 + _FINGER_THICK_M, (FINGERTIP_M - PALM_LENGTH_M) / 2])
     z = FINGERTIP_M - half[2]
     palm.add("geom", dclass=_solid(palm), name="fingers", type="box", pos=(0, 0, z), size=half)
@@ -120,7 +120,7 @@ def _add_finger(palm: Any, i: int, sign: int, settings: SceneSettings, *, rigid:
         "inertial",
         mass=_FINGER_MASS_KG,
         pos=(0, sign * _FINGER_THICK_M / 2, middle_m),
-        diaginertia=_box_inertia(_FINGER_MASS_KG, 0.022, _FINGER_THICK_M, FINGERTIP_M - PALM_LENGTH_M),
+        diaginertia=box_inertia(_FINGER_MASS_KG, 0.022, _FINGER_THICK_M, FINGERTIP_M - PALM_LENGTH_M),
     )
     if rigid:
         return
@@ -187,7 +187,7 @@ def _solid(body: Any) -> Any:
     return body.root.find("default", "collision")
 
 
-def _box_inertia(mass_kg: float, x_m: float, y_m: float, z_m: float) -> tuple[float, float, float]:
-    """Diagonal inertia, kg·m², of a box of these sides about its centre."""
-    share = mass_kg / 12
-    return share * (y_m**2 + z_m**2), share * (x_m**2 + z_m**2), share * (x_m**2 + y_m**2)
+def box_inertia(mass_kg: float, x_m: float, y_m: float, z_m: float) -> tuple[float, float, float]:
+    """Return the diagonal inertia, kg·m², of a box of these sides about its centre."""
+    twelfth = mass_kg / 12
+    return twelfth * (y_m**2 + z_m**2), twelfth * (x_m**2 + z_m**2), twelfth * (x_m**2 + y_m**2)

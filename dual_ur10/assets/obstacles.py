@@ -1,4 +1,4 @@
-"""What else stands in the cell: boxes, capsules and walls, in the cell frame.
+"""Obstacles of the cell: boxes, capsules and walls, in the cell frame.
 
 They are solid in simulation, and the safety gate keeps both arms and their grippers away from them.
 """
@@ -49,7 +49,7 @@ class Box:
 
 @dataclass(frozen=True, kw_only=True)
 class Capsule:
-    """All that is within `radius_m` of a line; a ball, if its ends are one.
+    """A capsule: all points within `radius_m` of a line; a ball, if both ends are one point.
 
     Raises:
         SettingsError: A value is not finite or not allowed.
@@ -71,7 +71,7 @@ class Capsule:
 
 @dataclass(frozen=True, kw_only=True)
 class Plane:
-    """A wall without end. `normal`, of length 1 within 1e-3, points to where the arms are.
+    """An infinite wall. `normal`, of length 1 within 1e-3, points towards the arms.
 
     Raises:
         SettingsError: A value is not finite or not allowed.
@@ -96,12 +96,12 @@ Obstacle = Box | Capsule | Plane
 
 
 def geom_name(obstacle: Obstacle) -> str:
-    """What models, pairs and messages of the safety gate call it."""
+    """Return its name in models, in pairs and in messages of the safety gate."""
     return f"obstacle/{obstacle.name}"
 
 
 def _path(obstacle: Any, key: str) -> str:
-    """What messages call a value. The first that asks has the name checked."""
+    """Return the name of a value for messages, after a check of the obstacle's own name."""
     name = obstacle.name
     if not (isinstance(name, str) and re.fullmatch(NAME, name)):
         raise SettingsError(
@@ -126,10 +126,10 @@ def _check(obstacle: Any, key: str, values: tuple[float, ...], highest: float, l
 
 
 def checked(obstacles: Any) -> tuple[Obstacle, ...]:
-    """Obstacles of one scene.
+    """Return the obstacles of one scene, checked.
 
     Raises:
-        SettingsError: They are none, or two have the same name.
+        SettingsError: An entry is no obstacle, or two have the same name.
     """
     if not isinstance(obstacles, tuple | list) or not all(isinstance(each, Obstacle) for each in obstacles):
         raise SettingsError(f"obstacles must be a tuple of Box, Capsule and Plane, found {obstacles!r}")

@@ -1,4 +1,4 @@
-"""Things to handle: a bar that takes both arms, and a block to hand over."""
+"""Objects to handle: a bar for both arms, and a block to hand over."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 from typing import Any, Final
 
 from dual_ur10.assets.cell_tree import child_of
-from dual_ur10.assets.gripper import stiff
+from dual_ur10.assets.gripper import box_inertia, stiff
 from dual_ur10.assets.settings import PROPS, SceneSettings
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS
@@ -16,12 +16,12 @@ BAR_LENGTH_M: Final = 1.2
 """Along the bar's own y."""
 
 BAR_WIDTH_M: Final = 0.04
-"""Of the bar's square section."""
+"""Side of the bar's square section."""
 
 BAR_MASS_KG: Final = 4.0
 
 GRIP_DISTANCE_M: Final = 1.0
-"""Between the bar's sites `left_grip` and `right_grip`, at y = ±0.5 m."""
+"""Distance of the bar's sites `left_grip` and `right_grip`, at y = ±0.5 m."""
 
 BLOCK_SIZE_M: Final = (0.2, 0.04, 0.04)
 """The block's sides along its own x, y, z."""
@@ -29,13 +29,13 @@ BLOCK_SIZE_M: Final = (0.2, 0.04, 0.04)
 BLOCK_MASS_KG: Final = 0.5
 
 BLOCK_GRIP_M: Final = 0.05
-"""From the block's middle to each grip, along its own x: the left hand holds it on the -x side, the right on the +x."""
+"""Distance of each grip from the block's centre along its own x: the left gripper on the -x side, the right on +x."""
 
 GRIP_QUAT: Final = (0.0, math.sqrt(0.5), -math.sqrt(0.5), 0.0)
 """w, x, y, z: orientation of either arm's tcp in the bar's frame when it grips from above.
 
-The tool's x, y, z are the bar's -y, -x, -z. From `HOME_Q_RAD`, with the bar along the cell's y, wrist 3 turns by -90°,
-to near the middle of its range.
+The tool's x, y, z are the bar's -y, -x, -z. From `HOME_Q_RAD`, with the bar along the cell's y, wrist 3 rotates by
+-90°, to near the middle of its range.
 """
 
 BLOCK_GRIP_QUAT: Final = (0.0, 0.0, 1.0, 0.0)
@@ -46,7 +46,7 @@ That of `HOME_Q_RAD`, with the block along the cell's x.
 
 
 def prop_width_m(prop: str) -> float:
-    """Width in m that the fingers hold.
+    """Return the width in m between the fingers that hold the prop.
 
     Raises:
         UnknownNameError: There is no such prop.
@@ -57,7 +57,7 @@ def prop_width_m(prop: str) -> float:
 
 
 def prop_size_m(prop: str) -> tuple[float, float, float]:
-    """Sides in m along the prop's own x, y, z.
+    """Return the sides in m along the prop's own x, y, z.
 
     Raises:
         UnknownNameError: There is no such prop.
@@ -68,7 +68,7 @@ def prop_size_m(prop: str) -> tuple[float, float, float]:
 
 
 def add_prop(root: Any, settings: SceneSettings) -> None:
-    """Put the prop of these settings, if any, on the table at the origin. After the arms, whose joints come first."""
+    """Add the prop of these settings, if any, at the origin of the table; after the arms, whose joints come first."""
     prop = settings.equipment.prop
     if prop is None:
         return
@@ -76,9 +76,7 @@ def add_prop(root: Any, settings: SceneSettings) -> None:
     mass = BAR_MASS_KG if prop == "bar" else BLOCK_MASS_KG
     body = root.worldbody.add("body", name=prop, pos=(0, 0, z / 2))
     body.add("freejoint", name=prop)
-    share = mass / 12
-    inertia = (share * (y**2 + z**2), share * (x**2 + z**2), share * (x**2 + y**2))
-    body.add("inertial", mass=mass, pos=(0, 0, 0), diaginertia=inertia)
+    body.add("inertial", mass=mass, pos=(0, 0, 0), diaginertia=box_inertia(mass, x, y, z))
     body.add(
         "geom",
         name=prop,
@@ -94,16 +92,16 @@ def add_prop(root: Any, settings: SceneSettings) -> None:
         for arm, sign in zip(ARMS, (1, -1), strict=True):
             body.add("site", name=f"{arm}_grip", pos=(0, sign * GRIP_DISTANCE_M / 2, 0), quat=GRIP_QUAT, group=4)
     else:
-        # Where the block is wanted. A body of its own in the undrawn model too, so that both have the same state.
+        # Target of the block. The model without visuals has it too, so that both have the same state.
         root.worldbody.add("body", name="target", mocap="true", pos=(0, -0.3, z / 2))
 
 
 def weld_bar(document: ET.Element) -> None:
-    """Weld both grippers to the bar's grips, and let nothing of them touch it."""
+    """Weld both grippers to the bar's grips, and exclude their contacts with it."""
     equality, contact = child_of(document, "equality"), child_of(document, "contact")
     for arm in ARMS:
-        # Between sites: a weld of bodies takes its pose from an anchor, which is easily meant otherwise. With MuJoCo's
-        # own solimp 5 N·m would turn the hand by 0.1° against the bar; with this one it is 0.006°.
+        # Between sites: the anchor of a weld of bodies is easily misread. With MuJoCo's default solimp, 5 N·m would
+        # rotate the gripper by 0.1° against the bar; with this one it is 0.006°.
         ET.SubElement(
             equality,
             "weld",

@@ -16,16 +16,16 @@ GAINS: Final[dict[str, tuple[tuple[float, ...], tuple[float, ...]]]] = {
     "stiff": ((20000.0, 20000.0, 10000.0, 3000.0, 3000.0, 3000.0), (1000.0, 1000.0, 500.0, 60.0, 60.0, 60.0)),
     "compliant": ((4000.0, 4000.0, 3500.0, 3200.0, 3200.0, 3200.0), (350.0, 350.0, 200.0, 30.0, 30.0, 30.0)),
 }
-"""kp in N·m/rad and kv in N·m·s/rad per joint: "stiff" for free motion, "compliant" where both arms hold one thing."""
+"""kp in N·m/rad and kv in N·m·s/rad per joint: "stiff" for free motion, "compliant" where both arms hold one object."""
 
 TABLE_THICKNESS_M: Final = 0.06
 BASE_RADIUS_M: Final = 0.15
-"""Room around a base's axis that its turning shoulder takes."""
+"""Radius around a base's axis that its rotating shoulder occupies."""
 
 MIN_BASE_DISTANCE_M: Final = 0.3
 
 PROPS: Final = ("bar", "block")
-"""Things to handle: see [props][dual_ur10.assets.props]."""
+"""Objects to handle: see [props][dual_ur10.assets.props]."""
 
 GRIP_FORCE_N: Final = (20.0, 235.0)
 """Least and largest grip force that can be set on a Robotiq 2F-85, by its data sheet."""
@@ -39,13 +39,13 @@ HOME_Q_RAD: Final = constant([_HOME, _HOME])
 
 @dataclass(frozen=True)
 class Equipment:
-    """What the arms hold and handle.
+    """Equipment of both arms.
 
     Attributes:
-        grippers: a parallel-jaw gripper on each flange.
-        prop: one of [PROPS][dual_ur10.assets.settings.PROPS] on the table, or None.
-        welded: both grippers are welded to the bar, instead of holding it by friction.
-        grip_force_n: force with which each finger presses.
+        grippers: A parallel-jaw gripper on each flange.
+        prop: One of [PROPS][dual_ur10.assets.settings.PROPS] on the table, or None.
+        welded: Both grippers are welded to the bar, instead of holding it by friction.
+        grip_force_n: Force with which each finger presses.
 
     Raises:
         UnknownNameError: `prop` is no name of a prop.
@@ -79,18 +79,18 @@ class Equipment:
 
 @dataclass(frozen=True)
 class SceneSettings:
-    """What stands in the cell and how it is simulated.
+    """Content of the cell and settings of its simulation.
 
     Attributes:
-        left: mount of the left arm.
-        right: mount of the right arm.
-        timestep_s: physics timestep.
-        gains: one of [GAINS][dual_ur10.assets.settings.GAINS].
-        meshes: draw the meshes of the optional package `example-robot-data` in place of primitives. Looks only.
+        left: Mount of the left arm.
+        right: Mount of the right arm.
+        timestep_s: Physics timestep.
+        gains: One of [GAINS][dual_ur10.assets.settings.GAINS].
+        meshes: Render the meshes of the optional package `example-robot-data` in place of primitives. Visual only.
         table_center_m: (2,) x, y of the table's centre; its top is at z = 0.
         table_size_m: (2,) length along x and width along y.
-        equipment: grippers, and what there is to handle.
-        obstacles: what else stands there: [obstacles][dual_ur10.assets.obstacles], with different names.
+        equipment: Grippers, and the object to handle.
+        obstacles: Further bodies: [obstacles][dual_ur10.assets.obstacles], with different names.
 
     Raises:
         SettingsError: A number is not finite or out of range, obstacles have the same name, the bases stand closer than

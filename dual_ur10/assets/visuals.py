@@ -28,19 +28,19 @@ _CAMERAS: Final[dict[str, tuple[_Point, _Point]]] = {
     "side": ((-0.1, -2.6, 0.9), (-0.25, 0.0, 0.3)),
     "overhead": ((-0.25, 0.0, 3.2), (-0.2, 0.0, 0.0)),
     "perspective": ((1.4, -1.7, 1.35), (-0.35, 0.0, 0.25)),
-}  # where each stands, and what it looks at
+}  # position and target
 
 CAMERAS: Final = tuple(_CAMERAS)
 """Names of the fixed cameras; each shows both arms."""
 
 
 def cameras(settings: SceneSettings) -> tuple[str, ...]:
-    """Names of all cameras of a drawn scene: the fixed ones and, with grippers, `left/wrist` and `right/wrist`."""
+    """Return the names of all cameras: the fixed ones and, with grippers, `left/wrist` and `right/wrist`."""
     return (*CAMERAS, *(f"{arm}/wrist" for arm in ARMS)) if settings.equipment.grippers else CAMERAS
 
 
 def add_surroundings(root: Any, settings: SceneSettings) -> None:
-    """Everything that is only looked at: materials, sky, lights, cameras, table legs, pedestals."""
+    """Add materials, sky, lights, cameras, table legs and pedestals."""
     root.statistic.center = (-0.2, 0.0, 0.25)
     root.statistic.extent = 1.6
     getattr(root.visual, "global").offwidth = 1920
@@ -68,7 +68,7 @@ def add_surroundings(root: Any, settings: SceneSettings) -> None:
 
 
 def _camera_axes(position: _Point, target: _Point) -> list[float]:
-    """Axes x and y of a camera that looks from one point to another, the cell's z (or x, from above) upwards."""
+    """Return axes x and y of a camera that faces a target, the cell's z (or x, from above) upwards in the image."""
     backward = np.subtract(position, target)
     backward /= np.linalg.norm(backward)
     up = np.array([0.0, 0.0, 1.0]) if abs(backward[2]) < 0.95 else np.array([1.0, 0.0, 0.0])
@@ -150,7 +150,7 @@ _LENS_AIM: Final = (0.0, 0.0, 0.20)
 
 
 def draw_grippers(root: Any) -> None:
-    """Draw both grippers of a cell's tree, and put a camera `wrist` on each."""
+    """Add the visuals of both grippers of a cell's tree, and a camera `wrist` to each."""
     for arm in ARMS:
         palm = root.find("body", f"{arm}/gripper")
         for name, (rgba, specular, shininess) in _GRIPPER_MATERIALS.items():
@@ -164,7 +164,7 @@ def draw_grippers(root: Any) -> None:
 
 
 class _Pen:
-    """Draws parts of one body, y mirrored where `sign` is -1."""
+    """Adds visual parts to one body, y mirrored where `sign` is -1."""
 
     def __init__(self, body: Any, sign: int = 1) -> None:
         self._body, self._sign = body, sign
@@ -224,7 +224,7 @@ def _draw_camera(palm: Any) -> None:
     pen.disc(0, z + 0.001, z + 0.0013, 0.0045, "glass", x)
     forward = np.subtract(_LENS_AIM, _LENS)
     forward /= np.linalg.norm(forward)
-    # Up in the picture is the flange's -x: away from the base where the arm is at home.
+    # Up in the image is the flange's -x: away from the base where the arm is at home.
     palm.add(
         "camera",
         name="wrist",
@@ -266,11 +266,11 @@ _PROP_MATERIALS: Final = {
     "outline": ((0.96, 0.96, 0.94, 1), 0.0, 0.0),
 }  # colour, specular, shininess
 
-_SKIN_M: Final = 0.0003  # what is painted on stands this far out
+_SKIN_M: Final = 0.0003  # thickness of painted marks
 
 
 def draw_prop(root: Any, prop: str) -> None:
-    """Draw the prop in a cell's tree."""
+    """Add the visuals of the prop to a cell's tree."""
     for name, (rgba, specular, shininess) in _PROP_MATERIALS.items():
         root.asset.add("material", name=name, rgba=rgba, specular=specular, shininess=shininess)
     if prop == "bar":
@@ -319,7 +319,7 @@ def _draw_block(block: Any) -> None:
 
 
 def _draw_target(target: Any) -> None:
-    """A plate on the table below the wanted pose, its halves coloured like the block's."""
+    """Add a plate on the table below the target pose, its halves coloured like the block's."""
     x, y, z = np.array(BLOCK_SIZE_M) / 2
     low, high = -z, -z + 0.0015
     _add_box(target, (0, -y, low), (x, y, high), "front_target")
@@ -352,12 +352,12 @@ def _mesh_folder() -> Path:
     except importlib.metadata.PackageNotFoundError:
         folder = Path()
     if not (folder / "base.stl").is_file():
-        raise MissingExtraError("example-robot-data", "meshes", "drawing the UR10's meshes (meshes=True)")
+        raise MissingExtraError("example-robot-data", "meshes", "rendering the UR10's meshes (meshes=True)")
     return folder
 
 
 def use_meshes(document: ET.Element) -> None:
-    """Draw meshes in place of the primitives of both arms."""
+    """Replace the primitives of both arms by meshes."""
     folder = _mesh_folder()
     asset = child_of(document, "asset")
     for mesh, _, _ in _MESHES.values():

@@ -1,4 +1,4 @@
-"""The eight postures of one UR10 for a flange pose, in closed form.
+"""The eight configurations of one UR10 for a flange pose, in closed form.
 
 Branches are named by three signs, in C order of (elbow, wrist, shoulder), + first: index
 ``4 * elbow + 2 * wrist + shoulder``. Elbow + is theta3 >= 0, wrist + is theta5 >= 0.
@@ -22,7 +22,7 @@ _WRIST_BLURRED: Final = 1e-3
 _BLUR_RAD: Final = 1e-11
 
 EDGE: Final = 1e-7
-"""How far (in the cosine of theta3) rounding may put a stretched arm's pose outside the workspace; 1e-7 m at most."""
+"""Tolerance, in the cosine of theta3, for a stretched arm's pose that rounding puts outside the workspace; 1e-7 m."""
 
 # Signs of the 8 branches, as columns against the poses.
 _SHOULDER: Final = constant([[1], [-1], [1], [-1], [1], [-1], [1], [-1]])
@@ -49,7 +49,7 @@ def closed_form(position: Array, rotation: Array, dh: DHParameters, reference: A
         position: (n, 3).
         rotation: (n, 3, 3).
         dh: Lengths and theta offsets; twists, and lengths that are zero on a nominal arm, are left out.
-        reference: (n, 6), where to take theta6 from if it is free and this in reach; zero without.
+        reference: (n, 6) angles from which a free theta6 is taken where that stays in reach; None: zero.
     """
     a2, a3 = dh.a_m[1], dh.a_m[2]
     d1, d4, d5, d6 = dh.d_m[0], dh.d_m[1] + dh.d_m[2] + dh.d_m[3], dh.d_m[4], dh.d_m[5]
@@ -71,7 +71,7 @@ def closed_form(position: Array, rotation: Array, dh: DHParameters, reference: A
     if sin5.min(initial=1.0) < _WRIST_BLURRED:
         theta6 = np.zeros(len(position)) if reference is None else reference[:, 5] + dh.theta_rad[5]
         cos_ref, sin_ref = _WRIST * np.cos(theta6), _WRIST * np.sin(theta6)
-        # Take the reference's theta6 wherever that turns the flange by hardly more than rounding does.
+        # Take the reference's theta6 wherever that rotates the flange by hardly more than rounding does.
         blurred = np.abs(normal_x * sin_ref + normal_y * cos_ref) < _BLUR_RAD
         free = (sin5 < _WRIST_SINGULAR) | (blurred & (cos6 * cos_ref + sin6 * sin_ref > 0.0))
         cos6, sin6 = np.where(free, cos_ref, cos6), np.where(free, sin_ref, sin6)

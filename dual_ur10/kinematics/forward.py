@@ -1,4 +1,4 @@
-"""Forward kinematics of one UR10: flange pose, Jacobian, and where elbow and flange are.
+"""Forward kinematics of one UR10: flange pose, Jacobian, and positions of elbow, flange and TCP.
 
 Joint angles have shape (..., 6) and results keep the leading axes. Poses are those of the flange in UR's own ``base``
 frame; see [kinematics][dual_ur10.kinematics].
@@ -28,7 +28,7 @@ class _Chain(NamedTuple):
 
 
 def fixed_transforms(dh: DHParameters) -> Array:
-    """(6, 4, 4): what follows each joint's rotation, ``Tz(d) Tx(a) Rx(alpha)``."""
+    """Return the transforms (6, 4, 4) after each joint's rotation, ``Tz(d) Tx(a) Rx(alpha)``."""
     cos, sin = np.cos(dh.alpha_rad), np.sin(dh.alpha_rad)
     fixed = np.tile(np.eye(4), (6, 1, 1))
     fixed[:, 0, 3], fixed[:, 2, 3] = dh.a_m, dh.d_m
@@ -39,14 +39,14 @@ def fixed_transforms(dh: DHParameters) -> Array:
 @lru_cache(maxsize=32)
 def _chain(dh: DHParameters) -> _Chain:
     fixed = fixed_transforms(dh)
-    turned = np.zeros((6, 4, 4))
-    turned[:, 0], turned[:, 1] = -fixed[:, 1], fixed[:, 0]
+    rotated = np.zeros((6, 4, 4))
+    rotated[:, 0], rotated[:, 1] = -fixed[:, 1], fixed[:, 0]
     cosine, constant = fixed.copy(), fixed.copy()
     cosine[:, 2:] = 0.0
     constant[:, :2] = 0.0
     # The offsets in theta go into the constants.
     cos, sin = np.cos(dh.theta_rad)[:, None, None], np.sin(dh.theta_rad)[:, None, None]
-    return _Chain(cosine * cos + turned * sin, turned * cos - cosine * sin, constant)
+    return _Chain(cosine * cos + rotated * sin, rotated * cos - cosine * sin, constant)
 
 
 def checked_joints(q_rad: ArrayLike) -> Array:
@@ -114,7 +114,7 @@ def jacobian(q_rad: ArrayLike, dh: DHParameters = NOMINAL_DH) -> Array:
 def pose_and_jacobian(q: Array, dh: DHParameters) -> tuple[Array, Array, Array]:
     """Return flange position, rotation and Jacobian, which share most of their work; unchecked."""
     links = _links(q, dh)
-    frames = np.empty_like(links)  # frames[i] is the frame whose z axis joint i turns about
+    frames = np.empty_like(links)  # joint i rotates about the z axis of frames[i]
     frames[..., 0, :, :] = np.eye(4)
     for joint in range(5):
         np.matmul(frames[..., joint, :, :], links[..., joint, :, :], out=frames[..., joint + 1, :, :])
@@ -130,13 +130,13 @@ def pose_and_jacobian(q: Array, dh: DHParameters) -> tuple[Array, Array, Array]:
 
 
 def _position_terms() -> tuple[Array, Array, Array]:
-    """Elbow and flange position as a sum of sines: ``sin(q @ turns + phase) @ weights``.
+    """Elbow and flange position as a sum of sines: ``sin(q @ multiples + phase) @ weights``.
 
     With theta1 to theta5, both positions are products of sines and cosines of sums of joint angles, and so sums of
     sines of sums of joint angles.
 
     Returns:
-        turns (6, K), phase (K,), weights (K, 6): columns elbow x, y, z, flange x, y, z.
+        multiples (6, K), phase (K,), weights (K, 6): columns elbow x, y, z, flange x, y, z.
     """
     a, d = NOMINAL_DH.a_m, NOMINAL_DH.d_m
     quarter = np.pi / 2
@@ -154,25 +154,25 @@ def _position_terms() -> tuple[Array, Array, Array]:
     ]
     rows: dict[tuple[tuple[int, ...], float], Array] = {}
 
-    def add(turns: Sequence[int], phase: float, column: int, weight: float) -> None:
-        rows.setdefault((tuple(turns), phase), np.zeros(6))[column] += weight
+    def add(multiples: Sequence[int], phase: float, column: int, weight: float) -> None:
+        rows.setdefault((tuple(multiples), phase), np.zeros(6))[column] += weight
 
     for first, terms in ((0, elbow), (3, flange)):
         add((0,) * 6, quarter, first + 2, d[0])
-        for weight, turns, phase in terms:
-            add(turns, phase, first + 2, weight)
-            for sign in (1, -1):  # cos A cos B and cos A sin B, with A = turns + phase and B = theta1
-                sum_ = (sign, *turns[1:])
+        for weight, multiples, phase in terms:
+            add(multiples, phase, first + 2, weight)
+            for sign in (1, -1):  # cos A cos B and cos A sin B, with A = multiples + phase and B = theta1
+                sum_ = (sign, *multiples[1:])
                 add(sum_, phase + quarter, first, weight / 2)
                 add(sum_, phase, first + 1, sign * weight / 2)
     # Sideways of the plane, along (sin, -cos)(theta1): d4 + d6 cos(theta5).
-    for turns, weight in (
+    for multiples, weight in (
         ((1, 0, 0, 0, 0, 0), d[3]),
         ((1, 0, 0, 0, 1, 0), d[5] / 2),
         ((1, 0, 0, 0, -1, 0), d[5] / 2),
     ):
-        add(turns, 0.0, 3, weight)
-        add(turns, quarter, 4, -weight)
+        add(multiples, 0.0, 3, weight)
+        add(multiples, quarter, 4, -weight)
     return (
         np.array([key[0] for key in rows], dtype=np.float64).T.copy(),
         np.array([key[1] for key in rows]),
@@ -180,11 +180,11 @@ def _position_terms() -> tuple[Array, Array, Array]:
     )
 
 
-_TURNS, _PHASE, _WEIGHTS = _position_terms()
+_MULTIPLES, _PHASE, _WEIGHTS = _position_terms()
 
 
 def elbow_and_flange_position(q_rad: ArrayLike) -> tuple[Array, Array]:
-    """Return where the elbow and the flange of a nominal arm are, in ``base``.
+    """Return the positions of elbow and flange of a nominal arm, in ``base``.
 
     Args:
         q_rad: (..., 6) joint angles.
@@ -200,18 +200,18 @@ def elbow_and_flange_position(q_rad: ArrayLike) -> tuple[Array, Array]:
 
 
 def elbow_and_flange(q_rad: Array) -> Array:
-    """As `elbow_and_flange_position`, unchecked and in four numpy calls: both positions, (..., 6), in m.
+    """Return both positions of `elbow_and_flange_position`, (..., 6) in m, unchecked and in four numpy calls.
 
     The last two axes are one matrix product, so that a row of an (n, m, 6) batch does not depend on n to the last bit.
     """
-    angles: Array = q_rad @ _TURNS
+    angles: Array = q_rad @ _MULTIPLES
     angles += _PHASE
     positions: Array = np.sin(angles, out=angles) @ _WEIGHTS
     return positions
 
 
-def tips(q_rad: Array, tcp_m: Sequence[Sequence[float]]) -> Array:
-    """Where elbow, flange and, where one has it beyond its flange, tool centre point of both nominal arms are.
+def elbow_flange_and_tcp(q_rad: Array, tcp_m: Sequence[Sequence[float]]) -> Array:
+    """Return the positions of elbow, flange and, if one is not at its flange, tool centre point of both nominal arms.
 
     Args:
         q_rad: (..., 2, 6) joint angles of both arms.

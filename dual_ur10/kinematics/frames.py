@@ -42,7 +42,7 @@ BASE_TO_BASE_LINK_QUAT: Final = constant([0, 0, 0, 1])
 
 
 def to_base_link(position_m: ArrayLike, rotation: ArrayLike) -> tuple[Array, Array]:
-    """Turn poses in ``base`` into ``base_link``; the same function leads back.
+    """Convert poses in ``base`` to ``base_link``; the function is its own inverse.
 
     Args:
         position_m: (..., 3).
@@ -55,7 +55,7 @@ def to_base_link(position_m: ArrayLike, rotation: ArrayLike) -> tuple[Array, Arr
 
 
 def quat_to_base_link(quat: ArrayLike) -> Array:
-    """Turn orientations (..., 4) in ``base`` into ``base_link``; twice gives the opposite sign of the same rotation."""
+    """Convert orientations (..., 4) in ``base`` to ``base_link``; twice gives the same rotation, negated."""
     return quat_multiply(BASE_TO_BASE_LINK_QUAT, quat)
 
 
@@ -68,12 +68,12 @@ MAX_MOUNT_M: Final = 3.0
 
 @dataclass(frozen=True)
 class ArmMount:
-    """Where one arm stands.
+    """Pose of one arm's base, and the arm's kinematics.
 
     Attributes:
         position_m: (3,) position of `base_link` in the cell frame.
-        yaw_rad: turn of `base_link` about the cell's z axis; 0 looks along +x.
-        dh: kinematics of this arm, nominal or as calibrated.
+        yaw_rad: Rotation of `base_link` about the cell's z axis; 0 faces +x.
+        dh: Kinematics of this arm, nominal or as calibrated.
 
     Raises:
         SettingsError: A number is not finite, more than 3 m from the cell's origin, below the floor, or beyond ±2π.
@@ -100,14 +100,14 @@ class ArmMount:
 
 
 def to_base(mounts: tuple[ArmMount, ArmMount]) -> tuple[Array, Array]:
-    """Position, (2, 3), and rotation, (2, 3, 3), that turn cell frame vectors into each arm's own `base` frame."""
-    turns = quat_to_matrix(quat_from_rotvec(np.array([[0.0, 0.0, mount.yaw_rad] for mount in mounts])))
-    rotation = (turns @ BASE_TO_BASE_LINK).swapaxes(-1, -2)
+    """Return base positions (2, 3), and rotations (2, 3, 3) of cell frame vectors into each arm's own `base` frame."""
+    yaw = quat_to_matrix(quat_from_rotvec(np.array([[0.0, 0.0, mount.yaw_rad] for mount in mounts])))
+    rotation = (yaw @ BASE_TO_BASE_LINK).swapaxes(-1, -2)
     return np.array([mount.position_m for mount in mounts]), rotation
 
 
 def left_product(quat: Array) -> Array:
-    """Matrix M, (4, 4), such that `q @ M` is the product of `quat` and a quaternion q, (..., 4)."""
+    """Return the matrix M (4, 4) such that `q @ M` is the product of `quat` and a quaternion q, (..., 4)."""
     unit = np.eye(4)
     return np.array([quat_multiply(quat, unit[k]) for k in range(4)])
 
@@ -118,48 +118,48 @@ class Frames:
     Every product is one small one per cell, so that a cell's numbers do not depend on how many others there are.
 
     Args:
-        mounts: Where the arms stand.
+        mounts: Mounts of both arms.
     """
 
     def __init__(self, mounts: tuple[ArmMount, ArmMount]) -> None:
         self.base_m, self.rotation = to_base(mounts)
-        turns = [quat_from_rotvec(np.array([0.0, 0.0, -np.pi - mount.yaw_rad])) for mount in mounts]
-        self._quat = np.stack([left_product(turn) for turn in turns])
-        self._back = np.stack([left_product(quat_conjugate(turn)) for turn in turns])
+        rotations = [quat_from_rotvec(np.array([0.0, 0.0, -np.pi - mount.yaw_rad])) for mount in mounts]
+        self._quat = np.stack([left_product(each) for each in rotations])
+        self._back = np.stack([left_product(quat_conjugate(each)) for each in rotations])
 
     def position_to_base(self, position_m: Array) -> Array:
-        """Cell frame positions, (..., 2, 3), in each arm's own `base` frame."""
+        """Convert cell frame positions (..., 2, 3) to each arm's own `base` frame."""
         away = (position_m - self.base_m)[..., None, :]
         result: Array = (away @ self.rotation.swapaxes(-1, -2))[..., 0, :]
         return result
 
     def position_to_cell(self, position_m: Array) -> Array:
-        """Positions in each arm's own `base` frame, (..., 2, 3), in the cell frame."""
+        """Convert positions (..., 2, 3) in each arm's own `base` frame to the cell frame."""
         result: Array = (position_m[..., None, :] @ self.rotation)[..., 0, :] + self.base_m
         return result
 
     def vector_to_base(self, vector: Array) -> Array:
-        """Cell frame vectors, (..., 2, 3), in each arm's own `base` frame."""
+        """Convert cell frame vectors (..., 2, 3) to each arm's own `base` frame."""
         result: Array = (vector[..., None, :] @ self.rotation.swapaxes(-1, -2))[..., 0, :]
         return result
 
     def vector_to_cell(self, vector: Array) -> Array:
-        """Vectors in each arm's own `base` frame, (..., 2, 3), in the cell frame."""
+        """Convert vectors (..., 2, 3) in each arm's own `base` frame to the cell frame."""
         result: Array = (vector[..., None, :] @ self.rotation)[..., 0, :]
         return result
 
     def quat_to_base(self, quat: Array) -> Array:
-        """Cell frame orientations, (..., 2, 4), in each arm's own `base` frame."""
+        """Convert cell frame orientations (..., 2, 4) to each arm's own `base` frame."""
         result: Array = (quat[..., None, :] @ self._quat)[..., 0, :]
         return result
 
     def quat_to_cell(self, quat: Array) -> Array:
-        """Orientations in each arm's own `base` frame, (..., 2, 4), in the cell frame."""
+        """Convert orientations (..., 2, 4) in each arm's own `base` frame to the cell frame."""
         result: Array = (quat[..., None, :] @ self._back)[..., 0, :]
         return result
 
     def poses_to_base(self, pose: Poses) -> Poses:
-        """Poses in the cell frame, (n, 2 or 1, ...), in each arm's own `base` frame, (n, 2, ...)."""
+        """Convert poses in the cell frame, (n, 2 or 1, ...), to each arm's own `base` frame, (n, 2, ...)."""
         both = (len(pose.position_m), 2)
         return Poses(
             self.position_to_base(np.broadcast_to(pose.position_m, (*both, 3))),

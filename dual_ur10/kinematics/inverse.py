@@ -1,4 +1,4 @@
-"""Inverse kinematics of one UR10: all branches, or the posture nearest to another one.
+"""Inverse kinematics of one UR10: all branches, or the configuration nearest to another one.
 
 The closed form solves a nominal arm. A calibrated arm's axes are not quite parallel and square: there it is the start
 of some damped Newton steps.
@@ -24,7 +24,7 @@ _IDENTITY: Final = constant(np.eye(3))
 _CALIBRATED_EDGE: Final = 0.05
 
 _LOWEST_RAD: Final = constant(-JOINT_RANGE_RAD)
-_TURN_LIMIT_RAD: Final = constant(JOINT_RANGE_RAD + 1e-9)  # rounding may put a solution just past a joint limit
+_ROTATION_LIMIT_RAD: Final = constant(JOINT_RANGE_RAD + 1e-9)  # rounding may put a solution just past a joint limit
 _POLISH_STEPS: Final = 12
 _POLISH_DONE: Final = 1e-13  # m and rad; rounding leaves some 1e-15
 _POLISH_ACCEPTED: Final = 1e-7  # as at the nominal arm's edge; elsewhere the steps end at _POLISH_DONE
@@ -54,14 +54,14 @@ def _polish(q: Array, position: Array, rotation: Array, dh: DHParameters) -> tup
     good = np.zeros(len(q), dtype=np.bool_)
     todo = np.arange(len(q))
     for _ in range(_POLISH_STEPS):
-        at, turned, jac = pose_and_jacobian(q[todo], dh)
+        at, orientation, jac = pose_and_jacobian(q[todo], dh)
         error = np.empty((len(todo), 6, 1))
         error[:, :3, 0] = position[todo] - at
-        off = rotation[todo] @ turned.transpose(0, 2, 1)
+        off = rotation[todo] @ orientation.transpose(0, 2, 1)
         # The sine of the angle times its axis: enough near zero, where it counts.
         error[:, 3:, 0] = 0.5 * (off[:, (2, 0, 1), (1, 2, 0)] - off[:, (1, 2, 0), (2, 0, 1)])
         size = np.abs(error).max((1, 2))
-        # Half a turn off has a zero sine as well; its trace tells.
+        # An error of 180° has a zero sine as well, but a negative trace.
         good[todo] = (size < _POLISH_ACCEPTED) & (off.trace(axis1=1, axis2=2) > 0.0)
         more = size > _POLISH_DONE
         todo, error, jac = todo[more], error[more], jac[more]
@@ -76,8 +76,8 @@ def _polish(q: Array, position: Array, rotation: Array, dh: DHParameters) -> tup
 def _solve(position: Array, rotation: Array, dh: DHParameters, reference: Array | None) -> tuple[Array, Mask]:
     """All branches of n poses: angles (n, 8, 6), not wrapped, and which (n, 8) hold.
 
-    A calibrated arm near a singularity can lose a branch, as two starts meet in one solution. With a reference, what is
-    found from there becomes a ninth.
+    A calibrated arm near a singularity can lose a branch, as two starts meet in one solution. With a reference, the
+    solution found from there becomes a ninth.
     """
     nominal = dh is NOMINAL_DH or dh.is_nominal
     branches = closed_form(position, rotation, NOMINAL_DH if nominal else dh, reference)
@@ -164,7 +164,8 @@ def try_nearest(
 ) -> tuple[Array, Mask]:
     """Return the joint angles nearest to a reference that put the flange at given poses in ``base``.
 
-    Nearest among all branches and all turns within ``JOINT_RANGE_RAD``, by the plain Euclidean norm over six joints.
+    Nearest among all branches and all full rotations within ``JOINT_RANGE_RAD``, by the plain Euclidean norm over six
+    joints.
 
     Args:
         position: (..., 3) in m.
@@ -183,7 +184,7 @@ def try_nearest(
     q, valid = _solve(p, r, dh, reference)
     here = reference[:, None, :]
     q = q + _TWO_PI * np.rint((here - q) / _TWO_PI)
-    beyond = np.abs(q) > _TURN_LIMIT_RAD
+    beyond = np.abs(q) > _ROTATION_LIMIT_RAD
     if beyond.any():
         q -= _TWO_PI * np.copysign(beyond, q)
     away = q - here
@@ -238,13 +239,13 @@ def _why_unreachable(position: Array, rotation: Array, dh: DHParameters, rows: N
     if offset2 < 0.0:
         found = (
             f"the wrist centre is {np.sqrt(max(offset2 + d4 * d4, 0.0)):.4f} m from the base's vertical axis, allowed "
-            f"is at least {d4:.4f} m. Move the pose away from the axis, or turn the tool"
+            f"is at least {d4:.4f} m. Move the pose away from the axis, or rotate the tool"
         )
     elif abs(cosine) > 1.0:
         length = np.sqrt(max(a2 * a2 + a3 * a3 + 2 * a2 * a3 * cosine, 0.0))
         found = (
             f"wrist 1 would have to be {length:.4f} m from the shoulder, allowed are {abs(a2 - a3):.4f} to "
-            f"{a2 + a3:.4f} m. Move the pose {'towards' if cosine > 1 else 'away from'} the base, or turn the tool"
+            f"{a2 + a3:.4f} m. Move the pose {'towards' if cosine > 1 else 'away from'} the base, or rotate the tool"
         )
     else:
         found = (

@@ -105,7 +105,7 @@ def quat_from_matrix(matrix: ArrayLike) -> Array:
 
 
 def quat_from_rotvec(rotvec: ArrayLike) -> Array:
-    """Return the quaternions (..., 4) of rotation vectors (..., 3) in rad; w < 0 beyond half a turn."""
+    """Return the quaternions (..., 4) of rotation vectors (..., 3) in rad; w < 0 beyond 180°."""
     vector = _float(rotvec)
     angle = np.maximum(np.sqrt((vector * vector).sum(-1, keepdims=True)), _TINY)
     half = 0.5 * angle
@@ -120,19 +120,19 @@ def quat_to_rotvec(quat: ArrayLike) -> Array:
     q = _float(quat)
     real, vector = q[..., :1], q[..., 1:]
     norm = np.maximum(np.sqrt((vector * vector).sum(-1, keepdims=True)), _TINY)
-    # q and -q are one rotation: |w| takes the one of at most half a turn.
+    # q and -q are one rotation: |w| selects the one of at most 180°.
     rotvec: Array = vector * (np.arctan2(norm, np.abs(real)) / np.copysign(0.5 * norm, real))
     return rotvec
 
 
 def rotate(quat: ArrayLike, vector: ArrayLike) -> Array:
-    """Turn vectors (..., 3) by quaternions (..., 4); the batch axes broadcast."""
+    """Rotate vectors (..., 3) by quaternions (..., 4); the batch axes broadcast."""
     rotated: Array = (quat_to_matrix(quat) @ _float(vector)[..., None])[..., 0]
     return rotated
 
 
 def cross(first: Array, second: Array) -> Array:
-    """Cross products of vectors (..., 3); for small batches several times as fast as numpy's."""
+    """Return cross products of vectors (..., 3); for small batches several times as fast as numpy's."""
     return first[..., _NEXT] * second[..., _AFTER] - first[..., _AFTER] * second[..., _NEXT]
 
 

@@ -44,7 +44,7 @@ DH_ALPHA_RAD: Final = constant([np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0]
 
 # Masses, centres of mass and inertias about the centre of mass, in the distal DH frame of each link: the same article;
 # Universal_Robots_ROS2_Description, config/ur10/physical_parameters.yaml, holds the same figures ("extracted from
-# URSim") with the centres of mass turned into link frames. The base's mass is marked there as doubtful; it never moves.
+# URSim") with the centres of mass in link frames. The base's mass is marked there as doubtful; it never moves.
 BASE_MASS_KG: Final = 4.0
 LINK_MASS_KG: Final = constant([7.1, 12.7, 4.27, 2.0, 2.0, 0.365])
 LINK_COM_M: Final = constant(
@@ -69,7 +69,7 @@ LINK_INERTIA_KG_M2: Final = constant(
     ]
 )
 
-# Joint limits: config/ur10/joint_limits.yaml. The elbow turns ±360° on paper and is blocked by the arm itself; like
+# Joint limits: config/ur10/joint_limits.yaml. The elbow has ±360° on paper and is blocked by the arm itself; like
 # that file, this project keeps it within ±180°.
 JOINT_RANGE_RAD: Final = constant([2 * np.pi, 2 * np.pi, np.pi, 2 * np.pi, 2 * np.pi, 2 * np.pi])
 JOINT_SPEED_RAD_S: Final = constant(np.deg2rad([120.0, 120.0, 180.0, 180.0, 180.0, 180.0]))
@@ -136,7 +136,7 @@ class DHParameters:
 
     @property
     def is_nominal(self) -> bool:
-        """Whether these are the nominal parameters of the UR10."""
+        """True for the nominal parameters of the UR10."""
         return self == NOMINAL_DH
 
 

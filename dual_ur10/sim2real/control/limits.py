@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics import ur10
-from dual_ur10.kinematics.forward import tips
+from dual_ur10.kinematics.forward import elbow_flange_and_tcp
 from dual_ur10.types import Array
 
 Six = tuple[float, float, float, float, float, float]
@@ -344,7 +344,7 @@ class Envelope:
             ends.append(start + _PEAK_BETWEEN_INSTANTS * (brake[:, half:] - start))
         q_rad = np.concatenate(starts + ends, axis=1)
         # Start or end, instant, arm, point, x y z.
-        positions = tips(q_rad.reshape(n, -1, 2, 6), self.limits.tcp_m)
+        positions = elbow_flange_and_tcp(q_rad.reshape(n, -1, 2, 6), self.limits.tcp_m)
         positions = positions.reshape(n, 2, -1, *positions.shape[-3:])
         moved = positions[:, 1] - positions[:, 0]
         fastest = np.sqrt(np.add.reduce(moved * moved, axis=-1).max(axis=1)) / (self.tick_s * self.limits.tcp_speed_m_s)

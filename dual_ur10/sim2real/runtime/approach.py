@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from dual_ur10.errors import StartError
-from dual_ur10.kinematics.forward import tips
+from dual_ur10.kinematics.forward import elbow_flange_and_tcp
 from dual_ur10.kinematics.ur10 import ARMS, JOINT_RANGE_RAD, JOINTS
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.types import Array
@@ -131,7 +131,7 @@ class Approach:
             return 0.0
         fractions = np.linspace(0.0, 1.0, 2 + math.ceil(distance / _STEP_RAD))
         along = start + fractions[:, None] * (end - start)
-        points = tips(along.reshape(-1, 2, 6), self._rates.tcp_m)
+        points = elbow_flange_and_tcp(along.reshape(-1, 2, 6), self._rates.tcp_m)
         tip = float(np.linalg.norm(np.diff(points, axis=0), axis=-1).max()) / (fractions[1] - fractions[0])
         rates = self._rates
         by_speed: float = _PEAK_SPEED * max(distance / rates.speed_rad_s, tip / rates.tcp_speed_m_s)

@@ -16,7 +16,7 @@ from dual_ur10.envs.tasks.sync_carry.path import MOVES, CarryPath
 from dual_ur10.envs.tasks.task import check_numbers
 from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError
 from dual_ur10.kinematics import try_nearest
-from dual_ur10.kinematics.forward import tips
+from dual_ur10.kinematics.forward import elbow_flange_and_tcp
 from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.poses import Poses, compose, relative_to, yaw_quat
 from dual_ur10.kinematics.rotations import quat_to_matrix
@@ -111,7 +111,7 @@ def path_rate(settings: CarrySettings, scene: SceneSettings, limits: MotionLimit
                 )
             q[:, k, arm] = near
     speeds = np.abs(np.diff(q, axis=1)).max(axis=(0, 1, 2)) / _STEP_S
-    points = tips(q, limits.tcp_m)
+    points = elbow_flange_and_tcp(q, limits.tcp_m)
     tip = np.sqrt((np.diff(points, axis=1) ** 2).sum(axis=-1)).max() / _STEP_S
     needed = max(float((speeds / limits.speed_rad_s).max()), float(tip) / limits.tcp_speed_m_s)
     return min(1.0, _ROOM / needed)

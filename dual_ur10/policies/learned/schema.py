@@ -28,7 +28,9 @@ T = TypeVar("T")
 class StrictJson:
     """Base of dataclasses that are read from JSON: exactly their fields, of exactly their types."""
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(
+        strict=True, extra="forbid", allow_inf_nan=False, revalidate_instances="always"
+    )
 
 
 def _bounded(value: dict[str, object]) -> dict[str, object]:
@@ -107,9 +109,25 @@ def read(kind: type[T], value: Any, where: str, error: type[DualUR10Error] = Che
     except ValidationError as reason:
         found = [_finding(each, where) for each in reason.errors(include_url=False)]
     if found:
-        more = [f"and {len(found) - _MOST_FINDINGS} more"] if len(found) > _MOST_FINDINGS else []
-        raise error("; ".join(found[:_MOST_FINDINGS] + more))
+        raise error(_listed(found))
     return result
+
+
+def check(value: object, where: str, error: type[DualUR10Error]) -> None:
+    """Check the fields of a dataclass that a program made as `read` checks those of a file.
+
+    Raises:
+        DualUR10Error: As `error`, with all findings and their paths.
+    """
+    try:
+        TypeAdapter(type(value)).validate_python(value)
+    except ValidationError as reason:
+        raise error(_listed([_finding(each, where) for each in reason.errors(include_url=False)])) from None
+
+
+def _listed(found: list[str]) -> str:
+    more = [f"and {len(found) - _MOST_FINDINGS} more"] if len(found) > _MOST_FINDINGS else []
+    return "; ".join(found[:_MOST_FINDINGS] + more)
 
 
 def _absent(filled: Any, value: Any, path: str) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Two learners in one environment, which know nothing of each other: each has its own view, and they take turns."""
+"""Two independent learners in one environment: each has a view of its own arm, and they alternate."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ except ImportError as error:
     raise MissingExtraError("stable-baselines3", "train", "training") from error
 
 
-class TurnsOver(BaseException):
+class LearnersEnded(BaseException):
     """The other learner has ended, or the training was interrupted. Not an `Exception`: no learner handles it."""
 
 
-class Turns:
-    """Lets the learners of the left and of the right arm run in turns, one at a time.
+class AlternatingLearners:
+    """Scheduler that runs the learners of the left and the right arm alternately, each in a thread.
 
-    Each thinks that it steps an environment of its own. The cells move when both have said what to do, and only one of
-    them runs at any instant, so what comes out is the same every time.
+    Each learner steps a view of its own arm. The cells step when both have given their actions. Only one learner runs
+    at any instant, so the result is reproducible.
 
     Args:
-        env: The cells.
+        env: Vector environment of both agents.
 
     Attributes:
-        sides: Views of left and right, `stable_baselines3.common.vec_env.VecEnv` each.
+        sides: Views of left and right.
     """
 
     def __init__(self, env: TwoAgentVecEnv) -> None:
         self.env = env
-        self.sides = [Side(self, k) for k in (0, 1)]
-        self._turn = threading.Condition()
-        self._whose, self._over = 0, False
+        self.sides = [ArmVecEnv(self, k) for k in (0, 1)]
+        self._condition = threading.Condition()
+        self._running, self._over = 0, False
         self._ended = [False, False]
         self._asked: list[Any] = [None, None]
         self._given: list[Any] = [None, None]
@@ -49,9 +49,9 @@ class Turns:
         """Run both learners to their end.
 
         Raises:
-            BaseException: What a learner raises, or what interrupts this one. Both have ended then.
+            BaseException: As raised by a learner, or an interrupt of this thread. Both learners have ended then.
         """
-        self._whose, self._over, self._ended = 0, False, [False, False]
+        self._running, self._over, self._ended = 0, False, [False, False]
         self._asked, self._given = [None, None], [None, None]
         raised: list[BaseException] = []
 
@@ -59,16 +59,16 @@ class Turns:
             try:
                 self._wait(side)
                 learner()
-            except TurnsOver:
+            except LearnersEnded:
                 pass
             except BaseException as error:  # handed on below
                 raised.append(error)
                 self._end()
             finally:
-                with self._turn:
+                with self._condition:
                     self._ended[side] = True
-                    self._whose = 1 - side
-                    self._turn.notify_all()
+                    self._running = 1 - side
+                    self._condition.notify_all()
 
         threads = [
             threading.Thread(target=work, args=(k, learner), name=f"learner-{ARMS[k]}", daemon=True)
@@ -88,30 +88,30 @@ class Turns:
             raise raised[0]
 
     def _end(self) -> None:
-        with self._turn:
+        with self._condition:
             self._over = True
-            self._turn.notify_all()
+            self._condition.notify_all()
 
     def _wait(self, side: int) -> None:
-        with self._turn:
-            self._turn.wait_for(lambda: self._over or self._whose == side)
+        with self._condition:
+            self._condition.wait_for(lambda: self._over or self._running == side)
             if self._over:
-                raise TurnsOver
+                raise LearnersEnded
 
     def exchange(self, side: int, ask: NDArray[Any] | None) -> Any:
-        """What comes of a step with these actions, or of a reset (None), for one side; the other runs meanwhile."""
+        """Step one side with these actions, or reset it (None), and return the result; the other runs meanwhile."""
         other = 1 - side
         self._asked[side] = ("reset",) if ask is None else ("step", ask)
         if self._ended[other]:
-            raise TurnsOver
+            raise LearnersEnded
         if self._asked[other] is not None:
             self._move()
-        with self._turn:
-            self._whose = other
-            self._turn.notify_all()
+        with self._condition:
+            self._running = other
+            self._condition.notify_all()
         self._wait(side)
         if self._given[side] is None:
-            raise TurnsOver  # the other has ended without a word
+            raise LearnersEnded  # the other has ended
         given, self._given[side] = self._given[side], None
         return given
 
@@ -134,51 +134,51 @@ class Turns:
         self._asked = [None, None]
 
 
-class Side(VecEnv):
-    """The rows of one arm.
+class ArmVecEnv(VecEnv):
+    """View of one arm's rows.
 
     Args:
-        turns: That it belongs to.
-        index: 0 left, 1 right.
+        learners: Scheduler of both arms.
+        index: 0 for left, 1 for right.
     """
 
-    def __init__(self, turns: Turns, index: int) -> None:
-        self._turns, self._index = turns, index
+    def __init__(self, learners: AlternatingLearners, index: int) -> None:
+        self._learners, self._index = learners, index
         self._actions: NDArray[Any] | None = None
-        env = turns.env
+        env = learners.env
         super().__init__(env.num_envs // 2, env.observation_space, env.action_space)
 
     def reset(self) -> Any:
-        """Begin new episodes, as soon as the other side wants to."""
-        return self._turns.exchange(self._index, None)
+        """Begin new episodes as soon as the other side does."""
+        return self._learners.exchange(self._index, None)
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Take the actions of this arm, (n, size)."""
         self._actions = np.array(actions)
 
     def step_wait(self) -> Any:
-        """One control period, as soon as the other side wants it: observations, rewards, ends and infos."""
-        return self._turns.exchange(self._index, self._actions)
+        """Wait for the other side's actions, and return observations, rewards, ends and infos of the step."""
+        return self._learners.exchange(self._index, self._actions)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Both sides share the seeds of their cells: the first one given counts."""
-        return self._turns.env.seed(seed)[::2]
+        """Seed the cells. Both sides share their seeds: the first call counts."""
+        return self._learners.env.seed(seed)[::2]
 
     def close(self) -> None:
-        """The cells belong to both sides: whoever made them closes them."""
+        """Do nothing: the owner of the cells closes them."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute that all rows share."""
-        return self._turns.env.get_attr(attr_name, None)[: len(list(self._get_indices(indices)))]
+        """Return an attribute that all rows share."""
+        return self._learners.env.get_attr(attr_name, None)[: len(list(self._get_indices(indices)))]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Set an attribute that all rows share."""
-        self._turns.env.set_attr(attr_name, value, None)
+        self._learners.env.set_attr(attr_name, value, None)
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
         """Call a method that all rows share, once."""
-        return self._turns.env.env_method(method_name, *method_args, **method_kwargs)[::2]
+        return self._learners.env.env_method(method_name, *method_args, **method_kwargs)[::2]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """Rows are never wrapped one by one."""
+        """Return False for each row: no single row is ever wrapped."""
         return [False] * len(list(self._get_indices(indices)))

@@ -1,4 +1,4 @@
-"""Datasets of Minari: made by running a policy, and read to learn from."""
+"""Minari datasets: collection by running a policy, and reading for training."""
 
 from __future__ import annotations
 
@@ -43,18 +43,18 @@ def collect(
     The format is that of `dual_ur10.policies.evaluation.minari_export.to_minari`.
 
     Args:
-        env_id: Of the environment, or its short name.
-        dataset_id: As Minari wants it, such as "ur10/carry/scripted-v0"; it must not exist.
+        env_id: Id of the environment, or its short name.
+        dataset_id: Name in Minari's form, such as "ur10/carry/scripted-v0"; it must not exist.
         policy: A name as for `dual_ur10.policies.evaluate`, or the folder of a checkpoint.
-        episodes: How many.
-        seed: Of the first one; the others count on.
-        envs: Cells that are stepped together.
-        env_kwargs: Of the environment.
-        author: Of the dataset.
-        author_email: Theirs.
-        code_permalink: Where the code is that made it.
-        threads: Threads to step on.
-        on_progress: Told how many episodes have ended, and how many of them well.
+        episodes: Number of episodes.
+        seed: Seed of the first episode; the others count on.
+        envs: Number of cells that are stepped together.
+        env_kwargs: Keywords of the environment.
+        author: Author of the dataset.
+        author_email: Author's address.
+        code_permalink: Link to the code that made it.
+        threads: Threads that step the cells.
+        on_progress: Callback with the numbers of ended and of successful episodes.
 
     Returns:
         The `minari.MinariDataset`.
@@ -103,7 +103,7 @@ def collect(
 
 
 def _batch(env: Any, actor: Any, seeds: range, count: int, number: int) -> list[Episode]:
-    """An episode in every row, of which the first `count` are kept."""
+    """Run an episode in every row, and return those of the first `count` rows."""
     n = env.num_envs
     rows: list[dict[str, list[Any]]] = [
         {name: [] for name in ("observation", "action", "reward", "terminated", "truncated", "gated", "time_s")}
@@ -169,14 +169,16 @@ def _episode(own: dict[str, list[Any]], seed: int, number: int, success: bool, e
 
 
 def read_dataset(dataset_id: str, view: EnvironmentView) -> tuple[Single, Single]:
-    """Observations, (k, O), and actions, (k, A), of the successful episodes of a dataset; of all, if none says.
+    """Read observations, (k, O), and actions, (k, A), of the successful episodes of a dataset.
+
+    All episodes count if none states its success.
 
     Args:
-        dataset_id: Of Minari, on this machine.
+        dataset_id: Name of a Minari dataset on this machine.
         view: Environment to learn.
 
     Raises:
-        DatasetError: There is none, or it is of another environment, rate, latency or kind of action.
+        DatasetError: No such dataset, or it is of another environment, rate, latency or kind of action.
         MissingExtraError: Minari is not installed.
     """
     minari = _minari()
@@ -191,10 +193,10 @@ def read_dataset(dataset_id: str, view: EnvironmentView) -> tuple[Single, Single
     try:
         for episode in dataset.iterate_episodes(_chosen(dataset_id, dataset)):
             arms = np.stack([episode.observations[arm] for arm in ARMS], axis=1)[:-1]
-            # Each agent's numbers begin with its half of what both observe.
+            # Each agent's observation begins with its half of the joint one.
             joint = arms[..., :size].reshape(len(arms), -1)
             if not np.allclose(view.split(joint), arms, atol=1e-6):
-                raise DatasetError(f"{dataset_id}: an agent's observation is not its part of what both observe")
+                raise DatasetError(f"{dataset_id}: an agent's observation is not its part of the joint one")
             observations.append(joint.astype(np.float32))
             actions.append(np.concatenate([episode.actions[arm] for arm in ARMS], axis=1).astype(np.float32))
     except (KeyError, TypeError, ValueError, IndexError, OSError) as error:
@@ -212,15 +214,15 @@ def read_dataset(dataset_id: str, view: EnvironmentView) -> tuple[Single, Single
 
 
 def _chosen(dataset_id: str, dataset: Any) -> list[int]:
-    """Episodes that succeeded; all, where none says whether it did.
+    """Return the indices of successful episodes; of all, if none states its success.
 
     Raises:
-        DatasetError: They say, and none did.
+        DatasetError: They state it, and none succeeded.
     """
     every = [int(each) for each in dataset.episode_indices]
-    told = [str(each.get("success", "unknown")) for each in dataset.storage.get_episode_metadata(every)]
-    chosen = [each for each, text in zip(every, told, strict=True) if text == "true"]
-    if chosen or all(text == "unknown" for text in told):
+    stated = [str(each.get("success", "unknown")) for each in dataset.storage.get_episode_metadata(every)]
+    chosen = [each for each, text in zip(every, stated, strict=True) if text == "true"]
+    if chosen or all(text == "unknown" for text in stated):
         return chosen or every
     raise DatasetError(f"{dataset_id} has {len(every)} episodes, of which none succeeded: there is nothing to learn")
 
@@ -232,8 +234,8 @@ def _check(dataset_id: str, spec: Any, view: EnvironmentView) -> None:
         found = gym.envs.registration.EnvSpec.from_json(spec)
         keywords = {name: value for name, value in found.kwargs.items() if name != "task"}  # the id names it
         signature = view_of(str(found.id), keywords).signature
-    except Exception as error:  # whatever a text can be that says what environment it is
-        raise DatasetError(f"{dataset_id} does not say what environment it is of: {error!s:.200}") from error
+    except Exception as error:  # a malformed spec raises many kinds
+        raise DatasetError(f"{dataset_id} does not specify its environment: {error!s:.200}") from error
     for name in _SAME:
         theirs, ours = getattr(signature, name), getattr(view.signature, name)
         if theirs != ours:

@@ -1,11 +1,11 @@
-"""The folder of a training: what it was asked to do, its state, its checkpoints, logs and learning curve.
+"""Folder of a training: its specification, state, checkpoints, logs and learning curve.
 
-training.json          what it was asked to do
-state/                 what it goes on from with --resume; see `dual_ur10.policies.training.state`
+training.json          specification: `dual_ur10.policies.training.settings.Training`
+state/                 state from which --resume continues; see `dual_ur10.policies.training.state`
 samples-0000.safetensors, ...
-                       imitation: what was gathered in each round
-steps-000102400/, ...  checkpoints on the way
-policy/                the checkpoint that came of it
+                       imitation: samples of each round
+steps-000102400/, ...  intermediate checkpoints
+policy/                the resulting checkpoint
 curve.png              success and return over steps
 progress.csv, events*  logs of Stable-Baselines3's logger: a table, and TensorBoard's
 """
@@ -16,44 +16,71 @@ import dataclasses
 import json
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
+from pydantic import Field
 
-from dual_ur10.errors import DualUR10Error, MissingExtraError, TrainingError
+from dual_ur10.errors import CheckpointError, MissingExtraError, TrainingError
 from dual_ur10.files import write_text
 from dual_ur10.policies.evaluation.evaluate import evaluate
 from dual_ur10.policies.evaluation.results import Evaluation
-from dual_ur10.policies.learned import checkpoint
+from dual_ur10.policies.learned import checkpoint, schema
 from dual_ur10.policies.learned.checkpoint import Networks
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.learned.manifest import Manifest
-from dual_ur10.policies.learned.signature import view_of
-from dual_ur10.policies.training import seeds, state
+from dual_ur10.policies.learned.network import NetworkShape
+from dual_ur10.policies.learned.schema import StrictJson
+from dual_ur10.policies.learned.signature import EnvironmentView, view_of
+from dual_ur10.policies.training import state
 from dual_ur10.policies.training.progress import Check, draw_curve
-from dual_ur10.policies.training.settings import Imitation, Reinforcement, Training
+from dual_ur10.policies.training.settings import CHECK_SEED, Imitation, Training
 from dual_ur10.policies.training.state import Tensors
 from dual_ur10.sim2real.recording.header import plain
 
-_ASKED: Final = "training.json"
+_TRAINING: Final = "training.json"
+
+_Count = Annotated[int, Field(ge=0)]
 
 ManifestOf = Callable[[dict[str, object] | None], Manifest]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Saved(StrictJson):
+    """Values in a training's state, beside its tensors.
+
+    Attributes:
+        steps: Environment steps so far.
+        rounds: Imitation: rounds of samples so far.
+        longest: Imitation: steps of the longest episode so far.
+        seconds: Training time so far.
+        checks: Progress checks so far.
+        best: Name of the best checkpoint so far; None: there is none.
+    """
+
+    steps: _Count
+    rounds: _Count = 0
+    longest: _Count = 1
+    seconds: float
+    checks: tuple[Check, ...]
+    best: str | None
+
+
 class TrainingFolder:
-    """Where a training keeps what it makes.
+    """Folder with everything that a training writes.
 
     Args:
         path: The folder, which exists.
-        training: What is asked.
+        training: Specification.
 
     Attributes:
         path: The folder.
-        training: What is asked.
-        checks: How good the policy was, in order.
-        seconds: Of training in runs before this one.
-        best: Name of the checkpoint that was the best at a look so far; None: there is none.
+        training: Specification.
+        checks: Progress checks, in order.
+        seconds: Training time of earlier runs.
+        best: Name of the best checkpoint so far; None: there is none.
     """
 
     def __init__(self, path: Path, training: Training) -> None:
@@ -65,10 +92,10 @@ class TrainingFolder:
 
     @classmethod
     def create(cls, path: str | os.PathLike[str], training: Training) -> TrainingFolder:
-        """A new one.
+        """Make a new folder.
 
         Raises:
-            TrainingError: There is something already, or it cannot be made.
+            TrainingError: The folder is not empty, or cannot be made.
         """
         folder = Path(os.path.abspath(path))
         try:
@@ -87,54 +114,53 @@ class TrainingFolder:
     @classmethod
     def resume(
         cls, path: str | os.PathLike[str], steps: int | None = None
-    ) -> tuple[TrainingFolder, tuple[Tensors, dict[str, Any]] | None]:
-        """That of a training which was interrupted, with the tensors and values of its state; None: it has none yet.
+    ) -> tuple[TrainingFolder, tuple[Tensors, Saved] | None]:
+        """Open the folder of an interrupted training, with its state; None: nothing was saved yet.
 
         Args:
             path: The folder.
-            steps: Of the environment in all; None: as was asked.
+            steps: Total number of environment steps; None: as specified.
 
         Raises:
-            TrainingError: There is none, or its files cannot be read.
+            TrainingError: It is no folder of a training, or its files cannot be read.
         """
         folder = Path(os.path.abspath(path))
-        training = _training_of(folder / _ASKED)
+        training = _training_of(folder / _TRAINING)
         made = cls(folder, training if steps is None else dataclasses.replace(training, steps=steps))
         if not state.exists(folder / "state"):
             made._write_down()
             return made, None
         tensors, values = state.load(folder / "state")
-        try:
-            made.checks = [Check(**each) for each in values.pop("checks")]
-            made.seconds = float(values.pop("seconds"))
-            best = values.pop("best")
-            if best is not None:
-                made.best = str(best)
-        except (KeyError, TypeError, ValueError) as error:
-            raise TrainingError(f"the state in {folder} is not of this version: {error!s:.200}") from error
+        saved = schema.read(Saved, values, f"the state in {folder}", TrainingError)
+        made.checks, made.seconds, made.best = list(saved.checks), saved.seconds, saved.best
         if steps is not None:
             made._write_down()
-        return made, (tensors, values)
+        return made, (tensors, saved)
 
     def _write_down(self) -> None:
         try:
-            text = json.dumps(plain(_as_dict(self.training)), indent=1, allow_nan=False) + "\n"
+            text = json.dumps(plain(dataclasses.asdict(self.training)), indent=1, allow_nan=False) + "\n"
         except ValueError as error:
-            raise TrainingError(f"what is asked cannot be written down: {error}") from error
-        write_text(self.path / _ASKED, text)
+            raise TrainingError(f"the specification cannot be written: {error}") from error
+        write_text(self.path / _TRAINING, text)
 
-    def save_state(self, tensors: Tensors, values: dict[str, Any], seconds: float) -> None:
-        """Keep what is needed to go on.
+    def save_state(self, tensors: Tensors, seconds: float, **values: int) -> None:
+        """Save a state from which the training can continue.
+
+        Args:
+            tensors: Arrays by name.
+            seconds: Training time so far.
+            **values: Counters of `Saved`.
 
         Raises:
-            TrainingError: It cannot be written. The state before is as it was.
+            TrainingError: It cannot be written. The previous state is unchanged.
         """
-        checks = [dataclasses.asdict(each) for each in self.checks]
-        state.save(self.path / "state", tensors, {**values, "checks": checks, "seconds": seconds, "best": self.best})
+        saved = Saved(**values, seconds=seconds, checks=tuple(self.checks), best=self.best)
+        state.save(self.path / "state", tensors, dataclasses.asdict(saved))
 
     @property
     def logger(self) -> Any:
-        """Stable-Baselines3's logger into this folder.
+        """Logger of Stable-Baselines3 that writes into this folder.
 
         Raises:
             MissingExtraError: It is not installed.
@@ -151,7 +177,7 @@ class TrainingFolder:
                 formats.append("tensorboard")
             except ImportError:
                 pass
-            # A training that goes on has a table of its own: the logger writes over what is there.
+            # A resumed training has a table of its own: the logger overwrites what is there.
             before = len(list(self.path.glob("progress*.csv")))
             kept = self.path / f"progress-{before}.csv"
             if (self.path / "progress.csv").exists():
@@ -160,8 +186,8 @@ class TrainingFolder:
         return self._logger
 
     def log(self, steps: int) -> None:
-        """Write down what was recorded since, at so many steps of the environment."""
-        self.logger.record("time/steps", steps, exclude="tensorboard")  # which has them as its axis
+        """Write the values recorded since the last call, at this number of environment steps."""
+        self.logger.record("time/steps", steps, exclude="tensorboard")  # its axis
         self.logger.dump(steps)
 
     def close(self) -> None:
@@ -171,35 +197,31 @@ class TrainingFolder:
             self._logger = None
 
     def policy_of(self, networks: Networks, manifest: Manifest) -> LearnedPolicy:
-        """The policy of these weights, in the environment of the training."""
+        """Return the policy with these weights, in the environment of the training."""
         view = view_of(self.training.env_id, self.training.keywords)
         layers = [[(np.asarray(w, np.float32), np.asarray(b, np.float32)) for w, b in each] for each in networks]
         return LearnedPolicy(manifest, layers, view)
 
-    def _look(self, policy: LearnedPolicy) -> Evaluation:
-        """Evaluate a policy on episodes that nothing is learned from."""
-        return evaluate(
-            self.training.env_id,
-            policy,
-            episodes=self.training.checks,
-            seed=seeds.CHECKS,
-            num_envs=min(self.training.envs, self.training.checks),
-            env_kwargs=self.training.keywords,
-        )
-
-    def consider(self, networks: Networks, manifest_of: ManifestOf, steps: int, seconds: float) -> None:
-        """Look at a policy, note how good it is, and keep it if none was better so far.
+    def check_progress(self, networks: Networks, manifest_of: ManifestOf, steps: int, seconds: float) -> None:
+        """Evaluate a policy on episodes that nothing is learned from, and save it if it is the best so far.
 
         Args:
-            networks: Its weights.
-            manifest_of: Its manifest with what an evaluation found; with None: without.
-            steps: Of the environment so far.
-            seconds: Of training so far.
+            networks: Weights of the policy.
+            manifest_of: Function from the results of an evaluation, or None, to the policy's manifest.
+            steps: Environment steps so far.
+            seconds: Training time so far.
 
         Raises:
             CheckpointError: It cannot be written.
         """
-        found = self._look(self.policy_of(networks, manifest_of(None)))
+        found = evaluate(
+            self.training.env_id,
+            self.policy_of(networks, manifest_of(None)),
+            episodes=self.training.checks,
+            seed=CHECK_SEED,
+            num_envs=min(self.training.envs, self.training.checks),
+            env_kwargs=self.training.keywords,
+        )
         check = check_of(found, steps, seconds)
         before = max((each.rank for each in self.checks), default=(-1.0, 0.0))
         self._note(check)
@@ -207,7 +229,7 @@ class TrainingFolder:
             self.best = self.save(f"steps-{steps:09d}", networks, manifest_of(summary_of(found))).name
 
     def finish(self) -> Path:
-        """Make the best one at a look what has come of the training. Returns its folder.
+        """Save the best policy as the result of the training, and return its folder.
 
         Raises:
             CheckpointError: It cannot be read or written.
@@ -216,7 +238,6 @@ class TrainingFolder:
         return self.save("policy", best.layers, best.manifest)
 
     def _note(self, check: Check) -> None:
-        """Keep how good the policy is, in the logs, too."""
         self.checks.append(check)
         logger = self.logger
         for name in ("mean_return", "success_rate"):
@@ -225,7 +246,7 @@ class TrainingFolder:
         self.log(check.steps)
 
     def save(self, name: str, networks: Networks, manifest: Manifest) -> Path:
-        """Write a checkpoint; with a number behind its name where there is one already.
+        """Write a checkpoint, with a number after its name if the name is taken.
 
         Raises:
             CheckpointError: It cannot be written.
@@ -237,56 +258,84 @@ class TrainingFolder:
         return path
 
     def draw(self) -> Path | None:
-        """Draw the learning curve; None: there is nothing to draw, or nothing to draw with."""
+        """Draw the learning curve and return its path; None: no check was made, or Matplotlib is missing."""
         if not self.checks:
             return None
-        asked = self.training
-        path = self.path / "curve.png"
+        of, path = self.training, self.path / "curve.png"
         try:
-            draw_curve(path, f"{asked.env_id}, {asked.algorithm}, {asked.agents}, seed {asked.seed}", self.checks)
+            draw_curve(path, f"{of.env_id}, {of.algorithm}, {of.agents}, seed {of.seed}", self.checks)
         except MissingExtraError:
             return None
         return path
 
-    def described(self) -> dict[str, object]:
-        """What a manifest says of the training."""
-        asked = _as_dict(self.training)
-        del asked["env_id"], asked["keywords"], asked["seed"], asked["agents"]
-        # Names of folders and datasets of whoever trains are nobody else's business.
-        del asked["init"], asked["dataset"]
+    def summary(self) -> dict[str, object]:
+        """Return the settings of the training for a manifest."""
+        asked = dataclasses.asdict(self.training)
+        # The manifest holds four of these; the names of folders and datasets are private.
+        for name in ("env_id", "keywords", "seed", "agents", "init", "dataset"):
+            del asked[name]
         began = {"from_checkpoint": bool(self.training.init), "from_dataset": bool(self.training.dataset)}
         result: dict[str, object] = plain({**asked, **began})
         return result
 
 
 def summary_of(evaluation: Evaluation) -> dict[str, object]:
-    """What a manifest says of an evaluation."""
+    """Return the results of an evaluation for a manifest."""
     found = evaluation.summary()
     found.pop("spreads")
     return plain({"seed": evaluation.seed, "kwargs": dict(evaluation.kwargs), **found})  # type: ignore[no-any-return]
 
 
 def check_of(evaluation: Evaluation, steps: int, seconds: float) -> Check:
-    """A check from an evaluation."""
+    """Return a progress check from an evaluation."""
     low, high = evaluation.interval
     count = len(evaluation.episodes)
     return Check(steps, seconds, evaluation.mean_return, evaluation.success_rate, count, low, high)
 
 
-def _as_dict(training: Training) -> dict[str, Any]:
-    return dataclasses.asdict(training)
-
-
 def _training_of(path: Path) -> Training:
     try:
-        asked = json.loads(path.read_bytes())
-        settings = asked.pop("settings")
-        kind = Imitation if asked["algorithm"] in ("bc", "dagger") else Reinforcement
-        settings = {key: tuple(value) if isinstance(value, list) else value for key, value in settings.items()}
-        return Training(**asked, settings=kind(**settings))
+        text = path.read_bytes()
     except FileNotFoundError:
         raise TrainingError(f"{path.parent} is no folder of a training: there is no {path.name}") from None
-    except DualUR10Error as error:
-        raise TrainingError(f"{path} asks for what is not possible: {error}") from error
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise TrainingError(f"{path} cannot be read: {type(error).__name__}: {error!s:.200}") from error
+    except OSError as error:
+        raise TrainingError(f"{path} cannot be read: {error.strerror or error}") from error
+    return schema.read(Training, schema.loads(text, str(path), TrainingError), str(path), TrainingError)
+
+
+def network_shape(training: Training, view: EnvironmentView) -> NetworkShape:
+    """Return the shape of the networks to train.
+
+    Raises:
+        TrainingError: They are too large.
+    """
+    inputs, outputs = view.signature.observation.shape[0], view.signature.action.shape[0]
+    if training.agents != "joint":
+        inputs, outputs = view.agent_size, outputs // 2
+    settings = training.settings
+    activation = settings.activation if isinstance(settings, Imitation) else "tanh"
+    try:
+        return NetworkShape((inputs, *settings.hidden, outputs), activation, "clip")
+    except CheckpointError as error:
+        raise TrainingError(f"hidden is {settings.hidden}: {error}") from error
+
+
+def initial_policy(training: Training, view: EnvironmentView) -> LearnedPolicy:
+    """Load the checkpoint whose network a training begins with.
+
+    Raises:
+        TrainingError: It has another network.
+        CheckpointError: It cannot be read, or is of another environment.
+    """
+    policy = checkpoint.load(training.init, training.env_id, **training.keywords)
+    wanted, found = network_shape(training, view), policy.manifest.network
+    if (policy.manifest.agents, found) != (training.agents, wanted):
+        raise TrainingError(
+            f"{training.init} is {policy.manifest.agents}, {_text(found)}; this training makes {training.agents}, "
+            f"{_text(wanted)}: both must be the same"
+        )
+    return policy
+
+
+def _text(shape: NetworkShape) -> str:
+    return f"{' - '.join(map(str, shape.layers))} {shape.activation} {shape.squashing}"

@@ -1,4 +1,4 @@
-"""Episodes to learn from: what was seen, and what the expert would have done."""
+"""Samples for imitation: observations of driven episodes, and the expert's action for each."""
 
 from __future__ import annotations
 
@@ -8,26 +8,68 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.policies.training.expert import Expert
-from dual_ur10.types import Array, Single
+from dual_ur10 import policies
+from dual_ur10.errors import DualUR10Error
+from dual_ur10.policies.policy import Policy, Teaching
+from dual_ur10.types import Array, Mask, Single
 
-# Of the noise, from one step to the next, drawn for each episode. What drifts leads to where a pupil errs to; what
-# shakes tells commanded from measured positions.
+# Correlation of the noise from step to step, sampled for each episode. Slow noise leads to where a learner errs to;
+# fast noise separates commanded from measured positions.
 _MEMORY: Final = (0.5, 0.95)
-_HELP: Final = (10, 40)  # steps for which the expert drives then
-_FAST: Final = 0.5  # share of the speed limit below which the noise is less
-_SWELL: Final = (50, 200)  # steps in which the noise swells and ebbs, drawn for each episode
+_HELP: Final = (10, 40)  # steps for which the expert then drives
+_FAST: Final = 0.5  # ratio of the speed limit below which the noise is reduced
+_SWELL: Final = (50, 200)  # period of the noise's amplitude in steps, sampled for each episode
+
+
+class Expert:
+    """Scripted policy for each row, so that a row in which it fails does not disturb the others.
+
+    Args:
+        env_id: Id of the environment.
+        rows: Number of rows.
+        low, high: (size,) bounds of an action.
+        **keywords: Keywords of the environment.
+    """
+
+    def __init__(self, env_id: str, rows: int, low: Single, high: Single, **keywords: Any) -> None:
+        self._policies: list[Policy] = [policies.load("scripted", env_id, **keywords) for _ in range(rows)]
+        for each in self._policies:
+            if isinstance(each, Teaching):
+                each.teach()
+        self._low, self._high = low, high
+        self._lost = np.zeros(rows, dtype=bool)
+
+    def begin(self, row: int) -> None:
+        """Begin an episode in a row."""
+        self._policies[row].reset()
+        self._lost[row] = False
+
+    def __call__(self, observation: Array, live: Mask) -> tuple[Single, Mask]:
+        """Return its actions, (n, size), for observations, (n, ...), and the live rows in which it has one, (n,).
+
+        A row in which it fails once, for example because the object has fallen out of reach, has no action until its
+        next episode: a script's later actions are meaningless.
+        """
+        action = np.zeros((len(observation), len(self._low)), dtype=np.float32)
+        for row in np.flatnonzero(live & ~self._lost).tolist():
+            try:
+                action[row] = self._policies[row](observation[row])
+            except DualUR10Error:
+                self._lost[row] = True
+        self._lost |= ~np.isfinite(action).all(axis=1)
+        action[self._lost] = 0.0
+        return np.clip(action, self._low, self._high), live & ~self._lost
 
 
 class Gathered(NamedTuple):
-    """What was seen in some episodes.
+    """Samples of some episodes.
 
     Attributes:
-        observation: (k, O) as observed.
-        action: (k, A) the expert's.
-        returns: (e,) of the episodes that the learner drove from the beginning; of all, if there are none.
-        successes: (e,) of the same; none with the expert's help.
-        steps: Steps of the environment in all.
+        observation: (k, O) observations.
+        action: (k, A) actions of the expert.
+        returns: (e,) returns of the episodes that the learner drove from the beginning; of all, if there are none.
+        successes: (e,) successes of the same; False where the expert helped.
+        steps: Total number of environment steps.
         longest: Steps of the longest episode.
     """
 
@@ -45,39 +87,39 @@ def gather(
     learner: Callable[[Array], Any] | None,
     seeds: Sequence[int],
     *,
-    share: float,
+    expert_ratio: float,
     within: int,
     noise: float,
     patience: float,
     rng: np.random.Generator,
     on_step: Callable[[int], None] = lambda steps: None,
 ) -> Gathered:
-    """Run an episode in every row, and begin no other.
+    """Run one episode in every row.
 
-    The expert drives a share of the rows up to a step that is drawn for each, and the learner from there on: so it is
-    seen everywhere, also where it would not get by itself. And where the learner wants something quite different from
-    what the expert would do, the expert drives for a while and brings it back: else most rows would end early, and all
-    be about the same mistakes (HG-DAgger: M. Kelly et al., ICRA 2019).
+    In a random part of the rows the expert drives up to a random step, and the learner from there on, so that the
+    samples include states that the learner would not reach by itself. If the learner's action differs too much from
+    the expert's, the expert drives for a while and recovers: otherwise most rows would end early, all by the same
+    mistakes (HG-DAgger: M. Kelly et al., ICRA 2019).
 
     Args:
-        env: A `dual_ur10.envs.api.vector_env.DualArmVectorEnv` that resets nothing by itself.
-        expert: With as many rows.
-        learner: None: the expert drives all rows to the end.
-        seeds: Of the rows.
-        share: Probability that the expert begins a row.
-        within: Steps, uniformly within which it hands over there.
-        noise: Largest standard deviation of what is added to its actions.
-        patience: Largest difference of any joint's action from the expert's at which the learner drives on.
-        rng: Draws who drives, and the noise.
-        on_step: Told of the number of steps whenever all rows have moved.
+        env: A `dual_ur10.envs.api.vector_env.DualArmVectorEnv` without automatic resets.
+        expert: Expert with as many rows.
+        learner: Policy that takes batches; None: the expert drives all rows to the end.
+        seeds: Seeds of the rows.
+        expert_ratio: Probability that the expert begins a row.
+        within: Number of steps within which it hands over, uniformly sampled.
+        noise: Largest standard deviation of the noise on its actions.
+        patience: Largest difference of any joint's action from the expert's at which the learner keeps driving.
+        rng: Generator of all random choices and the noise.
+        on_step: Callback with the number of steps so far.
     """
     n, core = env.num_envs, env.unwrapped.core
     low, high = core.action_space.low, core.action_space.high
     joints = np.ones(len(low), dtype=np.float32)
     if core.pipeline.adapter.gripper:
-        joints.reshape(2, -1)[:, -1] = 0.0  # fingers that shake let go
+        joints.reshape(2, -1)[:, -1] = 0.0  # shaking fingers lose the object
     # The step at which the learner takes over.
-    handed = np.where(rng.random(n) < share, rng.integers(1, within + 1, n), 0)
+    handed = np.where(rng.random(n) < expert_ratio, rng.integers(1, within + 1, n), 0)
     if learner is None:
         handed[:] = np.iinfo(handed.dtype).max
     scale = (noise * rng.random((n, 1))).astype(np.float32) * joints
@@ -89,27 +131,27 @@ def gather(
         expert.begin(row)
     live, alone, helped = np.ones(n, dtype=bool), handed == 0, np.zeros(n, dtype=int)
     seen: list[Single] = []
-    said: list[Single] = []
+    labels: list[Single] = []
     returns, successes, steps, now = np.zeros(n), np.zeros(n, dtype=bool), 0, 0
     while live.any():
         wanted, keep = expert(observation, live)
         seen.append(observation[keep].astype(np.float32))
-        said.append(wanted[keep])
+        labels.append(wanted[keep])
         fresh = scale * rng.standard_normal(added.shape, dtype=np.float32)
         added = memory * added + np.sqrt(1 - memory**2) * fresh
-        # Where the expert slows down, beside a table or another hand, there is no room for it.
+        # Where the expert slows down, beside a table or another gripper, there is no room for noise.
         speed = np.abs(wanted * joints).max(axis=1, keepdims=True)
         loud = np.minimum(1.0, speed / _FAST) * np.maximum(0.0, np.sin(2 * np.pi * now / swell + phase))
         action = wanted + loud.astype(np.float32) * added
         own = (handed <= now) & (helped <= now)
         if learner is not None and own.any():
-            wish = np.asarray(learner(observation))
-            apart = np.abs((np.clip(wish, low, high) - wanted) * joints).max(axis=1)
-            lost = own & live & (apart > patience)
+            proposed = np.asarray(learner(observation))
+            difference = np.abs((np.clip(proposed, low, high) - wanted) * joints).max(axis=1)
+            lost = own & live & (difference > patience)
             helped[lost] = now + rng.integers(*_HELP, int(lost.sum()))
             alone &= ~lost
             own &= ~lost
-            action[own] = wish[own]
+            action[own] = proposed[own]
         observation, reward, terminated, truncated, info = env.step(np.clip(action, low, high))
         steps, now = steps + int(live.sum()), now + 1
         returns[live] += reward[live]
@@ -118,9 +160,9 @@ def gather(
         live &= ~over
         on_step(steps)
         if over.any() and live.any():
-            # Nothing is learned from these rows any more; the environment wants them to begin anew.
+            # These rows are done, but the environment must not step rows whose episode is over.
             observation, _ = env.reset(options={"reset_mask": over})
     judged = handed == 0 if (handed == 0).any() else np.ones(n, dtype=bool)
     if learner is not None:
         successes &= alone
-    return Gathered(np.concatenate(seen), np.concatenate(said), returns[judged], successes[judged], steps, now)
+    return Gathered(np.concatenate(seen), np.concatenate(labels), returns[judged], successes[judged], steps, now)

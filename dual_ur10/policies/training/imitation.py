@@ -1,13 +1,15 @@
-"""Behaviour cloning and DAgger: a network does what the scripted policy would do.
+"""Behaviour cloning and DAgger: a network imitates the scripted policy.
 
 DAgger (S. Ross, G. Gordon, D. Bagnell, "A Reduction of Imitation Learning and Structured Prediction to No-Regret Online
-Learning", AISTATS 2011): the pupil drives, the expert says what it would have done, and everything said so far is
-learned anew. Cloning is its first round alone.
+Learning", AISTATS 2011): the learner drives, the expert labels every observation with its own action, and a network is
+fitted to all labels so far. Behaviour cloning is the first round alone.
 """
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,16 +21,13 @@ from dual_ur10.ids import task_name
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.learned.manifest import Manifest
 from dual_ur10.policies.learned.signature import EnvironmentView, view_of
-from dual_ur10.policies.training import seeds, state
+from dual_ur10.policies.training import state
 from dual_ur10.policies.training.dataset import read_dataset
-from dual_ur10.policies.training.expert import Expert
-from dual_ur10.policies.training.folder import TrainingFolder
-from dual_ur10.policies.training.gather import gather
-from dual_ur10.policies.training.input_validation import beginning
+from dual_ur10.policies.training.folder import Saved, TrainingFolder, initial_policy
+from dual_ur10.policies.training.gather import Expert, gather
 from dual_ur10.policies.training.progress import OnProgress, Progress
 from dual_ur10.policies.training.regression import Fit, reproducible
-from dual_ur10.policies.training.settings import Imitation
-from dual_ur10.policies.training.time_left import TimeLeft
+from dual_ur10.policies.training.settings import Imitation, first_seed_of
 from dual_ur10.types import Single
 
 _GATHER, _FIT, _INIT = range(3)  # streams of random numbers
@@ -36,19 +35,19 @@ _SHOWN_S: Final = 0.2
 
 
 class Imitator:
-    """Learns from the scripted policy, or from a dataset.
+    """Learner of the scripted policy's actions, or of a dataset's.
 
     Args:
-        folder: Where it keeps what it makes.
-        values: Of the state to go on from; None: it begins.
-        on_progress: Told how far it is.
-        threads: Threads to step on.
+        folder: Folder of the training.
+        saved: Values of the state to continue from; None: begin.
+        on_progress: Callback with the progress.
+        threads: Threads that step the cells.
     """
 
     def __init__(
         self,
         folder: TrainingFolder,
-        values: dict[str, Any] | None = None,
+        saved: Saved | None = None,
         on_progress: OnProgress = lambda progress: None,
         threads: int | None = None,
     ) -> None:
@@ -59,26 +58,22 @@ class Imitator:
         self._threads = threads
         self._view: EnvironmentView = view_of(self._asked.env_id, self._asked.keywords)
         self._blind = self._unseen()
-        self._told, self._shown_s = on_progress, 0.0
+        self._on_progress, self._shown_s = on_progress, 0.0
         self._progress = Progress(0, self._asked.steps)
         self._rounds, self._longest = 0, 1
         self._time_left = TimeLeft()
         self._samples: list[tuple[Single, Single]] = []
-        if values is not None:
-            try:
-                self._rounds, self._longest, steps = (int(values[name]) for name in ("rounds", "longest", "steps"))
-            except (KeyError, TypeError, ValueError) as error:
-                raise TrainingError(f"the state in {folder.path} cannot be read: {error!s:.200}") from error
-            self._progress.steps = steps
+        if saved is not None:
+            self._rounds, self._longest, self._progress.steps = saved.rounds, saved.longest, saved.steps
             self._samples = [self._load_samples(k) for k in range(self._rounds)]
 
     def run(self) -> Path:
-        """Learn. Returns the folder of the checkpoint that came of it.
+        """Train, and return the folder of the resulting checkpoint.
 
         Raises:
             TrainingError: Something cannot be saved, or there is nothing to learn from.
             DatasetError: The dataset cannot be read or is of another environment.
-            KeyboardInterrupt: The rounds before are saved.
+            KeyboardInterrupt: The training was interrupted. Earlier rounds are saved.
         """
         begun = time.monotonic() - self._folder.seconds
         if self._asked.dataset and not self._samples:
@@ -103,18 +98,18 @@ class Imitator:
 
     @property
     def _has_all(self) -> bool:
-        """Whether there is nothing more to gather. Cloning from a dataset asks no expert."""
+        """True if no more samples are needed. Behaviour cloning from a dataset needs no expert."""
         if self._asked.algorithm == "bc" and self._asked.dataset:
             return True
         return self._progress.steps >= self._asked.steps
 
     def _round(self, env: Any, begun: float) -> None:
         number, asked = self._rounds, self._asked
-        learner, share = None, 1.0
+        learner, ratio = None, 1.0
         if number and asked.algorithm == "dagger":
             learner = self._fit(number, begun)
             behind = self._progress.steps / asked.steps
-            share = self._settings.expert_share * max(0.0, 1.0 - behind / 0.75)
+            ratio = self._settings.expert_share * max(0.0, 1.0 - behind / 0.75)
         low, high = env.core.action_space.low, env.core.action_space.high
         before, start = self._progress.steps, time.monotonic()
 
@@ -125,13 +120,13 @@ class Imitator:
             self._time_left.gathered(steps, took_s)
             self._tell("gathering")
 
-        first = seeds.episodes_of(asked.seed) + number * asked.envs
+        first = first_seed_of(asked.seed) + number * asked.envs
         found = gather(
             env,
             Expert(asked.env_id, asked.envs, low, high, **asked.keywords),
             learner,
             range(first, first + asked.envs),
-            share=share,
+            expert_ratio=ratio,
             within=self._longest,
             noise=self._settings.noise,
             patience=self._settings.patience,
@@ -139,20 +134,21 @@ class Imitator:
             on_step=on_step,
         )
         if not len(found.observation):
-            raise TrainingError("the scripted policy knew nothing to do in any step: there is nothing to learn from")
+            raise TrainingError("the scripted policy had no action in any step: there is nothing to learn from")
         self._longest = max(self._longest, found.longest)
         self._progress.mean_return = float(found.returns.mean())
         self._progress.success_rate = float(found.successes.mean())
         self._add((found.observation, found.action), begun)
 
     def _add(self, samples: tuple[Single, Single], begun: float) -> None:
-        """Keep samples, and that there are so many rounds."""
+        """Save the samples of a round."""
         path = self._path(self._rounds)
         state.save_tensors(path, {"observation": samples[0], "action": samples[1]})
         self._samples.append(samples)
         self._rounds += 1
-        values = {"rounds": self._rounds, "steps": self._progress.steps, "longest": self._longest}
-        self._folder.save_state({}, values, time.monotonic() - begun)
+        self._folder.save_state(
+            {}, time.monotonic() - begun, steps=self._progress.steps, rounds=self._rounds, longest=self._longest
+        )
 
     def _path(self, number: int) -> Path:
         return self._folder.path / f"samples-{number:04d}.safetensors"
@@ -169,17 +165,16 @@ class Imitator:
         return samples
 
     def _fit(self, number: int, begun: float) -> LearnedPolicy:
-        """The policy of networks that are fitted to all samples, from scratch. It is kept if none was better.
+        """Fit networks to all samples, from scratch, and save their policy if it is the best so far.
 
-        What comes last need not be the best: a network that has to know more of what it was led into knows less well
-        what it is for.
+        The last one need not be the best: a network that also learns to recover learns the task itself less well.
         """
         asked, steps = self._asked, self._settings.fit_steps
         self._time_left.fit_begins()
         observation, action = (np.concatenate(each) for each in zip(*self._samples, strict=True))
         parts = self._split(observation, action)
         with reproducible(_seed_of(asked.seed, number)):
-            fits = [Fit(self._settings, *given, unseen=self._blind) for given in self._given(len(parts))]
+            fits = [Fit(self._settings, *initial, unseen=self._blind) for initial in self._initial(len(parts))]
             for k, (fit, part) in enumerate(zip(fits, parts, strict=True)):
                 rng = np.random.default_rng([asked.seed, number, _FIT, k])
                 text = "fitting" if len(parts) == 1 else f"fitting {('left', 'right')[k]}"
@@ -192,14 +187,14 @@ class Imitator:
         self._folder.logger.record("fit/samples", len(observation))
         self._folder.log(self._progress.steps)
         networks = [fit.layers() for fit in fits]
-        self._tell("looking")
+        self._tell("checking")
         seconds = time.monotonic() - begun
-        self._folder.consider(networks, lambda found: self._manifest(fits, found), self._progress.steps, seconds)
+        self._folder.check_progress(networks, lambda found: self._manifest(fits, found), self._progress.steps, seconds)
         self._time_left.fit_ends()
         return self._folder.policy_of(networks, self._manifest(fits))
 
     def _split(self, observation: Single, action: Single) -> list[tuple[Single, Single]]:
-        """Samples for each network."""
+        """Return the samples for each network."""
         if self._asked.agents == "joint":
             return [(observation, action)]
         own = self._view.split(observation.astype(np.float64)).astype(np.float32)
@@ -225,11 +220,11 @@ class Imitator:
     def _count(self) -> int:
         return sum(len(observation) for observation, _ in self._samples)
 
-    def _given(self, count: int) -> list[tuple[Any, Any]]:
-        """Layers and normaliser to begin with, for each network."""
+    def _initial(self, count: int) -> list[tuple[Any, Any]]:
+        """Return initial layers and normaliser of each network."""
         if not self._asked.init:
             return [(None, None)] * count
-        policy = beginning(self._asked, self._view)
+        policy = initial_policy(self._asked, self._view)
         normalisers = policy.manifest.normalisers or (None,) * count
         return list(zip(policy.layers, normalisers, strict=True))
 
@@ -239,7 +234,7 @@ class Imitator:
             agents=self._asked.agents,  # type: ignore[arg-type]  # checked
             network=fits[0].shape(),
             normalisers=tuple(fit.normaliser for fit in fits if fit.normaliser is not None),
-            training={**self._folder.described(), "steps": self._progress.steps, "samples": self._count},
+            training={**self._folder.summary(), "steps": self._progress.steps, "samples": self._count},
             seed=self._asked.seed,
             evaluation=evaluation,
         )
@@ -254,8 +249,50 @@ class Imitator:
         if rounds > 0:
             left, refits = max(0, asked.steps - done), asked.algorithm == "dagger"
             self._progress.seconds_left = self._time_left(left, done / rounds, refits=refits)
-        self._told(self._progress)
+        self._on_progress(self._progress)
 
 
 def _seed_of(seed: int, number: int) -> int:
     return int(np.random.SeedSequence([seed, number, _INIT]).generate_state(1)[0])
+
+
+class TimeLeft:
+    """Estimate of the time that rounds of gathering and fitting still take, from the rates so far.
+
+    Args:
+        clock: Function that returns seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._step_s = self._fit_s = 0.0
+        self._fitting_since: float | None = None
+
+    def gathered(self, steps: int, seconds: float) -> None:
+        """Take the duration of the steps of this round."""
+        self._step_s = seconds / max(1, steps)
+
+    def fit_begins(self) -> None:
+        """Begin to measure a fit."""
+        self._fitting_since = self._clock()
+
+    def fit_ends(self) -> None:
+        """End the measurement of a fit and its progress check."""
+        if self._fitting_since is not None:
+            self._fit_s, self._fitting_since = self._clock() - self._fitting_since, None
+
+    def __call__(self, steps: int, round_steps: float, *, refits: bool) -> float | None:
+        """Return seconds; None before the first fit.
+
+        Args:
+            steps: Steps that are still to be gathered.
+            round_steps: Steps of a round.
+            refits: True if each round begins with a fit. A last fit follows in any case.
+        """
+        if not self._fit_s:
+            return None
+        fits = math.ceil(steps / round_steps) if refits else 0
+        if self._fitting_since is None:
+            return steps * self._step_s + max(1, fits) * self._fit_s
+        rest_s = max(0.0, self._fit_s - (self._clock() - self._fitting_since))
+        return steps * self._step_s + fits * self._fit_s + rest_s

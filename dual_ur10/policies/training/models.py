@@ -1,4 +1,4 @@
-"""Models of Stable-Baselines3: made with a training's settings, begun with a checkpoint, kept as numbers."""
+"""Models of Stable-Baselines3: construction from settings, initialisation from a checkpoint, conversion to tensors."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ try:
 except ImportError as error:
     raise MissingExtraError("stable-baselines3", "train", "training") from error
 
-_SURE: float = 1e7  # observations that the normaliser of a checkpoint stands for: it hardly moves any more
+_SURE: float = 1e7  # weight of a checkpoint's normaliser, in observations: it hardly changes any more
 
 
 def make(algorithm: str, env: VecEnv, settings: Reinforcement, seed: int) -> tuple[Any, VecNormalize]:
-    """A model, and the normaliser around its environment."""
+    """Return a model, and the normaliser around its environment."""
     around = VecNormalize(VecMonitor(env), gamma=settings.gamma, norm_reward=algorithm == "ppo")
     hidden = list(settings.hidden)
     if algorithm == "ppo":
@@ -63,7 +63,7 @@ def make(algorithm: str, env: VecEnv, settings: Reinforcement, seed: int) -> tup
 
 
 def begin_with(models: list[tuple[Any, VecNormalize]], policy: LearnedPolicy) -> None:
-    """Begin PPO's models with the networks of a checkpoint, which are alike: what acts, not what judges."""
+    """Initialise the policies of PPO's models, not their value functions, with the networks of a checkpoint."""
     normalisers = policy.manifest.normalisers or (None,) * len(models)
     for (model, around), layers, normaliser in zip(models, policy.layers, normalisers, strict=True):
         modules = [each for each in model.policy.mlp_extractor.policy_net if isinstance(each, torch.nn.Linear)]
@@ -80,9 +80,9 @@ def begin_with(models: list[tuple[Any, VecNormalize]], policy: LearnedPolicy) ->
 
 
 def tensors_of(model: Any, around: VecNormalize, prefix: str) -> Tensors:
-    """All numbers of a model, its optimizers and its normaliser, by names that begin with a prefix.
+    """Return all numbers of a model, its optimizers and its normaliser, by names that begin with a prefix.
 
-    SAC's memory of transitions is not among them: it is too large, and is gathered anew.
+    SAC's replay buffer is not among them: it is too large, and is collected anew.
     """
     result: Tensors = {}
     for name, values in model.get_parameters().items():
@@ -101,7 +101,7 @@ def tensors_of(model: Any, around: VecNormalize, prefix: str) -> Tensors:
 
 
 def restore(model: Any, around: VecNormalize, prefix: str, tensors: Tensors) -> None:
-    """Give a model that was made alike these numbers.
+    """Restore the numbers of a model that was made with the same settings.
 
     Raises:
         TrainingError: They are of another model.
@@ -132,12 +132,12 @@ def _flatten(value: Any, name: str, into: Tensors) -> None:
         into[name] = np.array(value.detach().numpy())
     elif isinstance(value, dict):
         for key, each in value.items():
-            if key != "param_groups":  # settings, which the new model has
+            if key != "param_groups":  # the new model has these settings
                 _flatten(each, f"{name}/{key}", into)
 
 
 def _filled(value: Any, name: str, tensors: Tensors) -> Any:
-    """As `value`, with the numbers of these tensors. An optimizer that is new has no numbers yet."""
+    """Return a copy of `value` with the numbers of these tensors. A new optimizer has no numbers yet."""
     if isinstance(value, torch.Tensor):
         found = torch.from_numpy(tensors[name])
         if found.shape != value.shape:

@@ -1,4 +1,4 @@
-"""How a training goes: what is told while it runs, and its learning curve."""
+"""Progress of a training, and its learning curve."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from pathlib import Path
 from typing import Any
 
 from dual_ur10.errors import MissingExtraError, TrainingError
+from dual_ur10.policies.learned.schema import StrictJson
 
 
 @dataclass(frozen=True)
-class Check:
-    """How good the policy was at one time.
+class Check(StrictJson):
+    """Evaluation of the policy during a training.
 
     Attributes:
-        steps: Of the environment so far, in all.
-        seconds: Of training so far.
-        mean_return: Of the episodes looked at.
-        success_rate: Of them.
-        episodes: How many.
+        steps: Total environment steps so far.
+        seconds: Training time so far.
+        mean_return: Mean return of the episodes.
+        success_rate: Ratio of successful episodes.
+        episodes: Number of episodes.
         low, high: Wilson's interval of the success rate, 95 %.
     """
 
@@ -33,20 +34,20 @@ class Check:
 
     @property
     def rank(self) -> tuple[float, float]:
-        """What is better comes later."""
+        """Sort key: a better check has a greater one."""
         return self.success_rate, self.mean_return
 
 
 @dataclass
 class Progress:
-    """How far a training is.
+    """Progress of a training.
 
     Attributes:
-        steps, total: Of the environment, done and in all.
-        rate: Steps per second of late.
-        seconds_left: As far as can be said; None: it cannot.
-        mean_return, success_rate: Of late; None: no episode has ended.
-        doing: In a word.
+        steps, total: Environment steps so far, and in total.
+        rate: Recent steps per second.
+        seconds_left: Estimated remaining time; None: unknown.
+        mean_return, success_rate: Figures of recent episodes; None: no episode has ended.
+        doing: Current activity, in a few words.
     """
 
     steps: int

@@ -1,4 +1,4 @@
-"""Fits the networks of a policy to samples of what somebody did."""
+"""Regression of networks on samples of observations and actions."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ except ImportError as error:
     raise MissingExtraError("torch", "train", "training") from error
 
 THREADS: Final = 1
-"""Of torch, whatever the machine has: sums over other numbers of threads differ in their last bits. Small networks gain
-little from more, and lose much where the machine has other work."""
+"""Threads of torch on every machine: the last bits of sums depend on their number. Small networks gain little from more
+threads, and lose much on a busy machine."""
 
-_LEAST_STD: Final = 2e-3  # of an observation: of what hardly varies, the noise is not blown up (2 mm, 2 mrad)
+_LEAST_STD: Final = 2e-3  # of an observation, so that noise on a nearly constant value is not amplified (2 mm, 2 mrad)
 _LEAST_ACTION_STD: Final = 1e-2
-_LEAST_SPREAD: Final = 1e-3  # of a direction of normalised observations, from which on it counts
-_LEAST_GAIN: Final = 1e-2  # so that there is a way back
-_BLIND: Final = 1e24  # variance of a number that is not seen
+_LEAST_SPREAD: Final = 1e-3  # of a direction of normalised observations, above which it counts
+_LEAST_GAIN: Final = 1e-2  # keeps the whitening invertible
+_BLIND: Final = 1e24  # variance of a value that is not seen
 _CLIP: Final = 10.0
-_FAR: Final = 0.3  # of an action's spread: beyond it errors count linearly. Where all is lost, precision is not needed
+_FAR: Final = 0.3  # of an action's spread, beyond which errors count linearly: large errors need no precision
 _ACTIVATIONS: Final = {"tanh": nn.Tanh, "relu": nn.ReLU}
 
 
 @contextmanager
 def reproducible(seed: int) -> Iterator[None]:
-    """Torch with a number of threads of its own, algorithms that give the same bits again, and its seed."""
+    """Run torch with fixed threads, deterministic algorithms and a seed."""
     threads, strict = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
     torch.set_num_threads(THREADS)
     torch.use_deterministic_algorithms(True)
@@ -51,7 +51,7 @@ def reproducible(seed: int) -> Iterator[None]:
 
 
 def normaliser_of(observation: Single, unseen: Sequence[int] = ()) -> Normaliser:
-    """Mean and variance of observations, (k, size); of those that are not to be seen, a variance beyond all."""
+    """Return mean and variance of observations, (k, size); unseen values get a huge variance."""
     mean, std = observation.mean(axis=0, dtype=np.float64), observation.std(axis=0, dtype=np.float64)
     var = np.maximum(std, _LEAST_STD) ** 2
     var[list(unseen)] = _BLIND
@@ -59,11 +59,11 @@ def normaliser_of(observation: Single, unseen: Sequence[int] = ()) -> Normaliser
 
 
 def whitening_of(normalised: Any) -> Any:
-    """(size, size) that makes normalised observations, (k, size), uncorrelated and all directions equally wide.
+    """Return the matrix, (size, size), that whitens normalised observations, (k, size).
 
-    What tells where a command is to go next are differences of numbers that otherwise move together, such as commanded
-    positions and the block's: a thousandth of their spread, which gradients would hardly ever come to. What varies
-    still less was not really seen to vary: it is made less, so that it says nothing where it does.
+    The next command depends on differences of values that otherwise move together, such as commanded positions and the
+    block's: a thousandth of their spread, which gradients would hardly ever resolve. Directions that vary still less
+    are attenuated: the samples do not show their effect.
     """
     centred = normalised - normalised.mean(dim=0)
     values, vectors = torch.linalg.eigh(centred.T @ centred / len(centred))
@@ -73,16 +73,16 @@ def whitening_of(normalised: Any) -> Any:
 
 
 class Fit:
-    """One network that is fitted again and again to more and more samples, from where it was.
+    """Network that each call fits to samples, from where the last fit ended.
 
-    What it is given and what it says are normalised by the samples of its first fit. In between it sees them whitened,
-    and its first layer takes that in when it is done.
+    Its inputs and outputs are normalised by the samples of its first fit. During a fit the inputs are whitened;
+    `layers` folds the whitening into the first layer.
 
     Args:
-        settings: Of the imitation.
-        layers: To begin with; None: drawn.
-        normaliser: Of these.
-        unseen: Numbers of an observation that it is blind to: their deviations count as none.
+        settings: Settings of the imitation.
+        layers: Initial layers; None: random ones.
+        normaliser: Normaliser of the initial layers.
+        unseen: Indices of the values of an observation that the network does not see.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class Fit:
         unseen: Sequence[int] = (),
     ) -> None:
         self.settings, self.normaliser, self._unseen = settings, normaliser, unseen
-        self._given = layers
+        self._initial = layers
         self._net: Any = None
 
     def __call__(
@@ -107,14 +107,14 @@ class Fit:
         """Fit to samples, (k, O) and (k, A).
 
         Args:
-            observation: What was observed.
-            action: What was done.
-            steps: Of the gradient.
-            rng: Draws the samples of each step.
-            on_step: Told of steps done, and of the loss of late.
+            observation: Observations.
+            action: Actions.
+            steps: Gradient steps.
+            rng: Generator that selects the samples of each step.
+            on_step: Callback with the number of steps and the recent loss.
 
         Returns:
-            The loss of late: Huber's, in units of each action's spread.
+            Recent Huber loss, in units of each action's spread.
         """
         if self.normaliser is None:
             self.normaliser = normaliser_of(observation, self._unseen)
@@ -149,12 +149,12 @@ class Fit:
         self._net = nn.Sequential(*modules[:-1])
         self._shift = action.mean(axis=0, dtype=np.float64)
         self._scale = np.maximum(action.std(axis=0, dtype=np.float64), _LEAST_ACTION_STD)
-        if self._given is not None:
-            for module, (weight, bias) in zip(self._linear, self._given, strict=True):
+        if self._initial is not None:
+            for module, (weight, bias) in zip(self._linear, self._initial, strict=True):
                 with torch.no_grad():
                     module.weight.copy_(torch.from_numpy(weight))
                     module.bias.copy_(torch.from_numpy(bias))
-            with torch.no_grad():  # what comes in is whitened, what comes out is in units of the actions
+            with torch.no_grad():  # inputs are whitened, outputs are in units of the actions' spread
                 first = self._linear[0].weight
                 first.copy_(torch.linalg.solve(self._whitening, first.to(torch.float64), left=False))
                 self._linear[-1].weight /= torch.from_numpy(self._scale[:, None].astype(np.float32))
@@ -166,7 +166,7 @@ class Fit:
         return [module for module in self._net if isinstance(module, nn.Linear)]
 
     def layers(self) -> list[Layer]:
-        """Weight and bias of each layer; what comes out is the action."""
+        """Return weight and bias of each layer, from normalised observations to actions."""
         found = [
             (module.weight.detach().numpy().astype(np.float32), module.bias.detach().numpy().astype(np.float32))
             for module in self._linear
@@ -178,7 +178,7 @@ class Fit:
         return [(weight.copy(), bias.copy()) for weight, bias in found]
 
     def shape(self) -> NetworkShape:
-        """What the network looks like."""
+        """Return the shape of the network."""
         linear = self._linear
         sizes = (linear[0].in_features, *(each.out_features for each in linear))
         return NetworkShape(sizes, self.settings.activation, "clip")

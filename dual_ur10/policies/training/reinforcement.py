@@ -15,13 +15,12 @@ from dual_ur10.ids import task_name
 from dual_ur10.policies.learned.from_sb3 import converted
 from dual_ur10.policies.learned.manifest import Manifest
 from dual_ur10.policies.learned.signature import view_of
-from dual_ur10.policies.training import models, seeds
-from dual_ur10.policies.training.alternating_learners import Turns
-from dual_ur10.policies.training.folder import TrainingFolder
-from dual_ur10.policies.training.input_validation import beginning
+from dual_ur10.policies.training import models
+from dual_ur10.policies.training.alternating_learners import AlternatingLearners
+from dual_ur10.policies.training.folder import Saved, TrainingFolder, initial_policy
 from dual_ur10.policies.training.progress import OnProgress, Progress
 from dual_ur10.policies.training.regression import reproducible
-from dual_ur10.policies.training.settings import Reinforcement
+from dual_ur10.policies.training.settings import Reinforcement, first_seed_of
 from dual_ur10.policies.training.state import Tensors
 
 try:
@@ -30,24 +29,27 @@ except ImportError as error:
     raise MissingExtraError("stable-baselines3", "train", "training") from error
 
 _SHOWN_S: Final = 0.5
-_LOOKS: Final = 20  # at the progress, in a training
+_CHECKS: Final = 20  # of the progress, in a training
 _RECENT: Final = 100  # episodes
 
 
 class Reinforcer:
-    """Learns by trial.
+    """Learner by trial and error.
 
     Args:
-        folder: Where it keeps what it makes.
-        state: Tensors and values to go on from; None: it begins.
-        on_progress: Told how far it is.
-        threads: Threads to step on.
+        folder: Folder of the training.
+        state: Tensors and values to continue from; None: begin.
+        on_progress: Callback with the progress.
+        threads: Threads that step the cells.
+
+    Attributes:
+        steps: Environment steps so far.
     """
 
     def __init__(
         self,
         folder: TrainingFolder,
-        state: tuple[Tensors, dict[str, Any]] | None = None,
+        state: tuple[Tensors, Saved] | None = None,
         on_progress: OnProgress = lambda progress: None,
         threads: int | None = None,
     ) -> None:
@@ -55,32 +57,29 @@ class Reinforcer:
         if not isinstance(self._asked.settings, Reinforcement):
             raise TrainingError(f"{self._asked.algorithm} is no reinforcement learning")
         self._settings: Reinforcement = self._asked.settings
-        self._state, self._told = state, on_progress
-        try:
-            self.steps = 0 if state is None else int(state[1]["steps"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise TrainingError(f"the state in {folder.path} cannot be read: {error!s:.200}") from error
+        self._state, self._on_progress = state, on_progress
+        self.steps = 0 if state is None else state[1].steps
         self._models: list[tuple[Any, Any]] = []
         self._begun = time.monotonic() - folder.seconds
         self._first_steps, self._first_s = self.steps, time.monotonic()
         self._returns: deque[float] = deque(maxlen=_RECENT)
         self._successes: deque[float] = deque(maxlen=_RECENT)
-        self._shown_s, self._due = 0.0, self._next_look()
+        self._shown_s, self._due = 0.0, self._next_check()
 
     def run(self) -> Path:
-        """Learn. Returns the folder of the checkpoint that came of it: the best one at a look at the progress.
+        """Train, and return the folder of the resulting checkpoint: the best one of all progress checks.
 
         Raises:
-            TrainingError: Something cannot be saved, or gone on with.
-            KeyboardInterrupt: What was learned so far is saved.
+            TrainingError: Something cannot be saved or restored, or the training diverged.
+            KeyboardInterrupt: The training was interrupted. Everything learned so far is saved.
         """
         asked = self._asked
         kind = JointVecEnv if asked.agents == "joint" else TwoAgentVecEnv
         env: CellsVecEnv = kind(task_name(asked.env_id), asked.envs, threads=self._threads, **asked.keywords)
         try:
-            # A training that goes on draws other episodes than it has had.
+            # A resumed training samples new episodes.
             seed = int(np.random.SeedSequence([asked.seed, self.steps]).generate_state(1)[0])
-            env.seed(seeds.episodes_of(asked.seed) + self.steps)
+            env.seed(first_seed_of(asked.seed) + self.steps)
             with reproducible(seed):
                 self._learn(env, seed)
         finally:
@@ -89,19 +88,21 @@ class Reinforcer:
 
     def _learn(self, env: CellsVecEnv, seed: int) -> None:
         asked = self._asked
-        turns = Turns(env) if asked.agents == "independent" and isinstance(env, TwoAgentVecEnv) else None
-        rows = [env] if turns is None else turns.sides
+        alternating = (
+            AlternatingLearners(env) if asked.agents == "independent" and isinstance(env, TwoAgentVecEnv) else None
+        )
+        rows = [env] if alternating is None else alternating.sides
         self._models = [models.make(asked.algorithm, each, self._settings, seed % 2**31) for each in rows]
-        # `make` seeds the environment with the model's seed: episodes have seeds of their own.
-        env.seed(seeds.episodes_of(asked.seed) + self.steps)
+        # `make` seeds the environment with the model's seed, but episodes have their own.
+        env.seed(first_seed_of(asked.seed) + self.steps)
         if self._state is not None:
             for k, (model, around) in enumerate(self._models):
                 models.restore(model, around, f"{k}.", self._state[0])
         elif asked.init:
-            models.begin_with(self._models, beginning(asked, view_of(asked.env_id, asked.keywords)))
+            models.begin_with(self._models, initial_policy(asked, view_of(asked.env_id, asked.keywords)))
         for k, (model, _) in enumerate(self._models):
             model.set_logger(self._folder.logger if k == 0 else _silent())
-        per_step = 1 if asked.agents == "joint" or turns is not None else 2
+        per_step = 1 if asked.agents == "joint" or alternating is not None else 2
         left = (asked.steps - self.steps) * per_step
 
         def learner(k: int) -> None:
@@ -109,25 +110,25 @@ class Reinforcer:
             self._models[k][0].learn(left, callback=callback, reset_num_timesteps=True)
 
         try:
-            if turns is None:
+            if alternating is None:
                 learner(0)
             else:
-                turns.run([lambda: learner(0), lambda: learner(1)])
+                alternating.run([lambda: learner(0), lambda: learner(1)])
         except KeyboardInterrupt:
             self.save()
             raise
-        except ValueError as error:  # of torch, to which numbers that are not finite are no distribution
+        except ValueError as error:  # of torch, which refuses distributions with NaN
             if self._finite:
                 raise
             raise TrainingError(
-                f"it diverged after {self.steps} steps: what was saved before is as it was. Try a smaller "
-                f"learning_rate, found {self._settings.learning_rate:g}"
+                f"the training diverged after {self.steps} steps; whatever was saved before is unchanged. Try a "
+                f"smaller learning_rate, found {self._settings.learning_rate:g}"
             ) from error
         self.save()
 
     def save(self) -> None:
-        """Keep what is needed to go on."""
-        self._folder.save_state(self._tensors, {"steps": self.steps}, time.monotonic() - self._begun)
+        """Save a state from which the training can continue."""
+        self._folder.save_state(self._tensors, time.monotonic() - self._begun, steps=self.steps)
 
     @property
     def _tensors(self) -> Tensors:
@@ -140,11 +141,11 @@ class Reinforcer:
     def _finite(self) -> bool:
         return all(bool(np.isfinite(each).all()) for each in self._tensors.values())
 
-    def _next_look(self) -> int:
-        return self.steps + max(1, self._asked.steps // _LOOKS)
+    def _next_check(self) -> int:
+        return self.steps + max(1, self._asked.steps // _CHECKS)
 
     def watch(self, infos: list[dict[str, Any]], steps: int) -> None:
-        """A step of all cells has been made; called by the first model."""
+        """Take the infos of a step of all cells; called by the first model."""
         self.steps = self._first_steps + steps
         for info in infos:
             episode = info.get("episode")
@@ -155,7 +156,7 @@ class Reinforcer:
         if now - self._shown_s > _SHOWN_S:
             self._shown_s = now
             rate = (self.steps - self._first_steps) / max(1e-9, now - self._first_s)
-            self._told(
+            self._on_progress(
                 Progress(
                     self.steps,
                     self._asked.steps,
@@ -167,18 +168,18 @@ class Reinforcer:
                 )
             )
 
-    def look(self) -> None:
-        """Evaluate, and keep the policy if it is the best so far; called between rollout and update."""
+    def check_if_due(self) -> None:
+        """Check the progress now and then, and save the state; called between rollout and update."""
         if self.steps < self._due:
             return
-        self._due = self._next_look()
-        self._look()
+        self._due = self._next_check()
+        self._check()
         self.save()
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         networks = self._converted()[0]
         seconds = time.monotonic() - self._begun
-        self._folder.consider(networks, lambda found: self._converted(found)[1], self.steps, seconds)
+        self._folder.check_progress(networks, lambda found: self._converted(found)[1], self.steps, seconds)
 
     def _converted(self, evaluation: dict[str, object] | None = None) -> tuple[Any, Manifest]:
         several = self._asked.agents == "independent"
@@ -187,7 +188,7 @@ class Reinforcer:
             self._asked.env_id,
             agents=self._asked.agents,  # type: ignore[arg-type]  # checked
             vec_normalize=[around for _, around in self._models] if several else self._models[0][1],
-            training={**self._folder.described(), "steps": self.steps},
+            training={**self._folder.summary(), "steps": self.steps},
             seed=self._asked.seed,
             evaluation=evaluation,
             **self._asked.keywords,
@@ -195,13 +196,13 @@ class Reinforcer:
 
     def _finish(self) -> Path:
         if not self._folder.checks or self._folder.checks[-1].steps < self.steps:
-            self._look()
+            self._check()
             self.save()
         return self._folder.finish()
 
 
 class _Watcher(BaseCallback):
-    """Hands on what the first model sees."""
+    """Callback of the first model."""
 
     def __init__(self, reinforcer: Reinforcer, per_step: int) -> None:
         super().__init__()
@@ -212,7 +213,7 @@ class _Watcher(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
-        self._reinforcer.look()
+        self._reinforcer.check_if_due()
 
 
 def _silent() -> Any:

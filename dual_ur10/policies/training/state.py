@@ -1,4 +1,4 @@
-"""What a training keeps so that it can go on: numbers and text, from which no code is ever run."""
+"""State of a training, to continue from: numbers and text, from which no code is ever run."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from safetensors.numpy import load as _parsed
 from safetensors.numpy import save as _serialised
 
 from dual_ur10.errors import TrainingError
+from dual_ur10.policies.learned import schema
 
 Tensors = dict[str, NDArray[Any]]
 
@@ -24,15 +25,15 @@ _VALUES: Final = "values.json"
 
 
 def save(folder: Path, tensors: Mapping[str, NDArray[Any]], values: Mapping[str, Any]) -> None:
-    """Write a state in place of the one before: at every instant there is a whole one.
+    """Replace the previous state. At every instant a complete state exists.
 
     Args:
-        folder: `folder.next` and `folder.old` are used, too.
-        tensors: Numbers.
-        values: Anything that JSON holds.
+        folder: Folder of the state. `folder.next` and `folder.old` are used, too.
+        tensors: Arrays by name.
+        values: Values of JSON by name.
 
     Raises:
-        TrainingError: It cannot be written (a full disk). The state before is as it was.
+        TrainingError: It cannot be written (a full disk). The previous state is unchanged.
     """
     part, old = folder.with_name(folder.name + ".next"), folder.with_name(folder.name + ".old")
     try:
@@ -46,8 +47,8 @@ def save(folder: Path, tensors: Mapping[str, NDArray[Any]], values: Mapping[str,
         part.rename(folder)
     except OSError as error:
         raise TrainingError(
-            f"cannot save to {folder}: {error.strerror or error}. What was saved before is as it was: make room and go "
-            "on with --resume"
+            f"cannot save to {folder}: {error.strerror or error}. Whatever was saved before is unchanged: make room "
+            "and continue with --resume"
         ) from error
     finally:
         shutil.rmtree(part, ignore_errors=True)
@@ -55,20 +56,20 @@ def save(folder: Path, tensors: Mapping[str, NDArray[Any]], values: Mapping[str,
 
 
 def exists(folder: Path) -> bool:
-    """Whether there is a state that was saved."""
+    """Return True if a state was saved."""
     return any(each.is_dir() for each in _places(folder))
 
 
 def load(folder: Path) -> tuple[Tensors, dict[str, Any]]:
-    """The last state that was saved.
+    """Return the tensors and values of the last state.
 
     Raises:
-        TrainingError: There is none, or it cannot be read.
+        TrainingError: No state was saved, or it cannot be read.
     """
     for each in _places(folder):
         if each.is_dir():
             return _read(each)
-    raise TrainingError(f"{folder} does not exist: nothing was saved that could be gone on with")
+    raise TrainingError(f"{folder} does not exist: nothing was saved from which to continue")
 
 
 def _places(folder: Path) -> tuple[Path, Path]:
@@ -76,7 +77,7 @@ def _places(folder: Path) -> tuple[Path, Path]:
 
 
 def save_tensors(path: Path, tensors: Mapping[str, NDArray[Any]]) -> None:
-    """Write numbers to a file: at once or not at all.
+    """Write tensors to a file: all or nothing.
 
     Raises:
         TrainingError: It cannot be written.
@@ -92,7 +93,7 @@ def save_tensors(path: Path, tensors: Mapping[str, NDArray[Any]]) -> None:
 
 
 def load_tensors(path: Path) -> Tensors:
-    """Numbers of a file.
+    """Read the tensors of a file.
 
     Raises:
         TrainingError: It cannot be read.
@@ -106,8 +107,8 @@ def load_tensors(path: Path) -> Tensors:
 def _read(folder: Path) -> tuple[Tensors, dict[str, Any]]:
     tensors = load_tensors(folder / _TENSORS)
     try:
-        values = json.loads((folder / _VALUES).read_bytes())
-    except (OSError, ValueError, RecursionError) as error:
+        values = schema.loads((folder / _VALUES).read_bytes(), str(folder / _VALUES), TrainingError)
+    except OSError as error:
         raise TrainingError(f"{folder / _VALUES} cannot be read: {error!s:.200}") from error
     if not isinstance(values, dict):
         raise TrainingError(f"{folder / _VALUES} holds no JSON object")
@@ -115,7 +116,7 @@ def _read(folder: Path) -> tuple[Tensors, dict[str, Any]]:
 
 
 def _laid_out(tensors: Mapping[str, NDArray[Any]]) -> Tensors:
-    # numpy makes single numbers arrays of one.
+    # NumPy makes arrays of one value of single numbers.
     return {name: np.ascontiguousarray(each).reshape(np.shape(each)) for name, each in tensors.items()}
 
 

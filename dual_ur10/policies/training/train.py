@@ -1,4 +1,4 @@
-"""Trainings by any algorithm: begun, gone on with, and what comes of them."""
+"""Begin and resume trainings by any algorithm."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import importlib
 import logging
 import os
 from pathlib import Path
-from typing import Any
 
 from dual_ur10.errors import DualUR10Error, TrainingError
-from dual_ur10.policies.training.folder import TrainingFolder
-from dual_ur10.policies.training.input_validation import check_given
+from dual_ur10.policies.learned.signature import view_of
+from dual_ur10.policies.training.dataset import read_dataset
+from dual_ur10.policies.training.folder import Saved, TrainingFolder, initial_policy, network_shape
 from dual_ur10.policies.training.progress import OnProgress
-from dual_ur10.policies.training.settings import Training
+from dual_ur10.policies.training.settings import IMITATION, Training
 from dual_ur10.policies.training.state import Tensors
 
 __all__ = ["resume", "train"]
@@ -30,23 +30,29 @@ def train(
     """Train a policy.
 
     Args:
-        training: What is asked; see `dual_ur10.policies.training.settings.defaults`.
-        out: Folder to be made, with everything in it; see `dual_ur10.policies.training.folder`.
-        on_progress: Told how far it is.
-        threads: Threads that cells are stepped on; None: as many as there are processors. No result depends on it.
+        training: Specification; see `dual_ur10.policies.training.settings.defaults`.
+        out: New or empty folder for all results; see `dual_ur10.policies.training.folder`.
+        on_progress: Callback with the progress.
+        threads: Threads that step the cells; None: one per processor. The result does not depend on it.
 
     Returns:
-        The checkpoint that came of it: a folder that `dual_ur10.policies.load` takes.
+        Folder of the resulting checkpoint, for `dual_ur10.policies.load`.
 
     Raises:
-        TrainingError: The folder is not empty, or something cannot be saved; what was saved before is as it was.
+        TrainingError: The folder is not empty, the network is too large or not that of the initial checkpoint, or
+            something cannot be saved; whatever was saved before is unchanged.
         DatasetError: The dataset cannot be read or is of another environment.
-        CheckpointError: So is the checkpoint to begin with.
+        CheckpointError: The initial checkpoint cannot be read or is of another environment.
         MissingExtraError: Stable-Baselines3 is not installed.
-        KeyboardInterrupt: It was interrupted. `resume` goes on.
+        KeyboardInterrupt: The training was interrupted. `resume` continues it.
     """
-    _needs(training)
-    check_given(training)
+    _check_installed(training)
+    view = view_of(training.env_id, training.keywords)  # all inputs are checked before hours are spent
+    network_shape(training, view)
+    if training.init:
+        initial_policy(training, view)
+    if training.dataset:
+        read_dataset(training.dataset, view)
     return _run(TrainingFolder.create(out, training), None, on_progress, threads)
 
 
@@ -57,13 +63,13 @@ def resume(
     on_progress: OnProgress = lambda progress: None,
     threads: int | None = None,
 ) -> Path:
-    """Go on with a training that was interrupted, or with more steps than it had.
+    """Continue a training that was interrupted, or extend a finished one by more steps.
 
-    One that had saved nothing yet begins. What comes of it is a checkpoint of its own: `policy-2` beside a `policy`.
+    A training that had saved nothing begins again. The result is a new checkpoint: `policy-2` beside a `policy`.
 
     Args:
-        out: Its folder.
-        steps: Of the environment in all; None: as was asked.
+        out: Folder of the training.
+        steps: Total number of environment steps; None: as specified.
         on_progress: As for `train`.
         threads: As for `train`.
 
@@ -74,23 +80,22 @@ def resume(
         TrainingError: There is no such training, or its files cannot be read.
     """
     folder, state = TrainingFolder.resume(out, steps)
-    _needs(folder.training)
+    _check_installed(folder.training)
     return _run(folder, state, on_progress, threads)
 
 
-def _needs(training: Training) -> None:
+def _check_installed(training: Training) -> None:
     """Raise MissingExtraError before anything is made."""
-    importlib.import_module(
-        f"dual_ur10.policies.training.{'imitation' if training.algorithm in ('bc', 'dagger') else 'reinforcement'}"
-    )
+    module = "imitation" if training.algorithm in IMITATION else "reinforcement"
+    importlib.import_module(f"dual_ur10.policies.training.{module}")
 
 
 def _run(
-    folder: TrainingFolder, state: tuple[Tensors, dict[str, Any]] | None, on_progress: OnProgress, threads: int | None
+    folder: TrainingFolder, state: tuple[Tensors, Saved] | None, on_progress: OnProgress, threads: int | None
 ) -> Path:
     try:
-        # What needs torch and Stable-Baselines3 is imported when it is needed.
-        if folder.training.algorithm in ("bc", "dagger"):
+        # Imported on use: they load torch and Stable-Baselines3.
+        if folder.training.algorithm in IMITATION:
             from dual_ur10.policies.training.imitation import Imitator
 
             return Imitator(folder, None if state is None else state[1], on_progress, threads).run()
@@ -101,12 +106,12 @@ def _run(
         if isinstance(error, DualUR10Error):
             raise
         raise TrainingError(
-            f"cannot write to {folder.path}: {error.strerror or error}. What was saved before is as it was: make room "
-            "and go on with --resume"
+            f"cannot write to {folder.path}: {error.strerror or error}. Whatever was saved before is unchanged: make "
+            "room and continue with --resume"
         ) from error
     finally:
         try:
             folder.draw()
             folder.close()
-        except (TrainingError, OSError) as error:  # what ended the training is to be told, not this
+        except (TrainingError, OSError) as error:  # must not hide the error that ended the training
             log.warning("the learning curve and the logs are not whole: %s", error)

@@ -1,4 +1,4 @@
-"""Two learners that take turns."""
+"""Two learners that alternate."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from dual_ur10.envs.api.sb3_bridge import JointVecEnv, TwoAgentVecEnv
-from dual_ur10.policies.training.alternating_learners import Turns
+from dual_ur10.policies.training.alternating_learners import AlternatingLearners
 
 KEYWORDS = {"duration_s": 1.0}
 
@@ -36,18 +36,18 @@ def plays(side, seed, steps, seen):
 
 
 def test_each_sees_its_rows_of_one_environment(env):
-    turns, seen = Turns(env), ([], [])
-    turns.run([plays(turns.sides[k], k, 60, seen[k]) for k in (0, 1)])
+    learners, seen = AlternatingLearners(env), ([], [])
+    learners.run([plays(learners.sides[k], k, 60, seen[k]) for k in (0, 1)])
     alone = TwoAgentVecEnv("SineTracking", 3, **KEYWORDS)
     alone.seed(5)
     observation = alone.reset()
     rngs = [np.random.default_rng(k) for k in (0, 1)]
     for k in (0, 1):
         np.testing.assert_array_equal(seen[k][0], observation[k::2])
-        assert [sorted(each) for each in turns.sides[k].reset_infos] == [
+        assert [sorted(each) for each in learners.sides[k].reset_infos] == [
             sorted(each) for each in alone.reset_infos[k::2]
         ]
-        assert turns.sides[k].reset_infos[0]
+        assert learners.sides[k].reset_infos[0]
     ends = 0
     for step in range(60):
         actions = np.stack([rng.uniform(-1, 1, (3, 6)).astype(np.float32) for rng in rngs], axis=1).reshape(6, 6)
@@ -65,20 +65,20 @@ def test_each_sees_its_rows_of_one_environment(env):
 
 
 def test_an_error_of_one_ends_both_and_is_handed_on(env):
-    turns, seen = Turns(env), ([], [])
+    learners, seen = AlternatingLearners(env), ([], [])
 
     def fails():
-        plays(turns.sides[1], 1, 5, seen[1])()
+        plays(learners.sides[1], 1, 5, seen[1])()
         raise ValueError("broken")
 
     with pytest.raises(ValueError, match="broken"):
-        turns.run([plays(turns.sides[0], 0, 10_000, seen[0]), fails])
+        learners.run([plays(learners.sides[0], 0, 10_000, seen[0]), fails])
     assert len(seen[0]) < 10
 
 
 def test_one_that_ends_early_ends_the_other(env):
-    turns, seen = Turns(env), ([], [])
-    turns.run([plays(turns.sides[0], 0, 3, seen[0]), plays(turns.sides[1], 1, 10_000, seen[1])])
+    learners, seen = AlternatingLearners(env), ([], [])
+    learners.run([plays(learners.sides[0], 0, 3, seen[0]), plays(learners.sides[1], 1, 10_000, seen[1])])
     assert len(seen[0]) == 4
     assert len(seen[1]) <= 5
 
@@ -86,7 +86,7 @@ def test_one_that_ends_early_ends_the_other(env):
 def test_an_interrupt_ends_both(env, monkeypatch):
     import threading
 
-    turns, seen = Turns(env), ([], [])
+    learners, seen = AlternatingLearners(env), ([], [])
     real, count = threading.Thread.join, []
 
     def interrupted(thread, timeout=None):
@@ -97,21 +97,21 @@ def test_an_interrupt_ends_both(env, monkeypatch):
 
     monkeypatch.setattr(threading.Thread, "join", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        turns.run([plays(turns.sides[k], k, 1_000_000, seen[k]) for k in (0, 1)])
+        learners.run([plays(learners.sides[k], k, 1_000_000, seen[k]) for k in (0, 1)])
     monkeypatch.undo()
     assert not [each for each in threading.enumerate() if each.name.startswith("learner")]
-    turns.run([plays(turns.sides[k], k, 2, []) for k in (0, 1)])  # and again
+    learners.run([plays(learners.sides[k], k, 2, []) for k in (0, 1)])  # and again
 
 
 def test_one_resets_where_the_other_steps(env):
-    turns = Turns(env)
+    learners = AlternatingLearners(env)
 
     def resets():
-        turns.sides[1].reset()
-        turns.sides[1].reset()
+        learners.sides[1].reset()
+        learners.sides[1].reset()
 
     with pytest.raises(RuntimeError, match="same settings"):
-        turns.run([plays(turns.sides[0], 0, 5, []), resets])
+        learners.run([plays(learners.sides[0], 0, 5, []), resets])
 
 
 def test_rows_of_both_arms_together_are_the_gymnasium_environments():

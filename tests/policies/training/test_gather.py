@@ -9,20 +9,19 @@ from dual_ur10 import policies
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.errors import UnreachableError
 from dual_ur10.policies.evaluation.evaluate import evaluate
-from dual_ur10.policies.training.expert import Expert
-from dual_ur10.policies.training.gather import gather
+from dual_ur10.policies.training.gather import Expert, gather
 
 SINE, HANDOVER = "DualUR10/SineTracking-v0", "DualUR10/Handover-v0"
 KEYWORDS = {"duration_s": 2.0, "action_latency_ticks": 5, "randomization": "mild"}
 
 
-def run(learner=None, *, share=0.0, within=1, noise=0.0, patience=np.inf, rows=3, seed=0, on_step=None):
+def run(learner=None, *, expert_ratio=0.0, within=1, noise=0.0, patience=np.inf, rows=3, seed=0, on_step=None):
     env = DualArmVectorEnv(rows, "SineTracking", autoreset_mode="Disabled", **KEYWORDS)
     low, high = env.core.action_space.low, env.core.action_space.high
     try:
         rng = np.random.default_rng(seed)
         teacher = Expert(SINE, rows, low, high, **KEYWORDS)
-        given = {"share": share, "within": within, "noise": noise, "patience": patience, "rng": rng}
+        given = {"expert_ratio": expert_ratio, "within": within, "noise": noise, "patience": patience, "rng": rng}
         if on_step is not None:
             given["on_step"] = on_step
         return gather(env, teacher, learner, range(rows), **given)
@@ -46,7 +45,7 @@ def test_an_expert_that_drives_does_as_it_does_alone():
 
 def test_it_is_asked_where_the_learner_has_led_the_arms():
     away = np.full(12, 0.05, dtype=np.float32)
-    found = run(lambda observation: np.tile(away, (len(observation), 1)), share=0.0)
+    found = run(lambda observation: np.tile(away, (len(observation), 1)), expert_ratio=0.0)
     # The learner drifts away, and the expert says: back.
     assert (found.action[-3:] < -0.5).all()
     assert found.returns.max() < run().returns.min()
@@ -56,7 +55,7 @@ def test_the_expert_begins_a_share_of_the_episodes_and_hands_over():
     def learner(observation):
         return np.full((len(observation), 12), 0.02)
 
-    found = run(learner, share=0.5, within=25, rows=8, seed=1)
+    found = run(learner, expert_ratio=0.5, within=25, rows=8, seed=1)
     rng = np.random.default_rng(1)
     begun = rng.random(8) < 0.5
     handed = np.where(begun, rng.integers(1, 26, 8), 0)
@@ -155,7 +154,7 @@ def test_fingers_do_not_shake():
         Expert(HANDOVER, 2, low, high, **keywords),
         None,
         range(2),
-        share=0.0,
+        expert_ratio=0.0,
         within=1,
         noise=1.0,
         patience=np.inf,

@@ -111,7 +111,7 @@ def test_a_state_that_cannot_be_is_named(whole, tmp_path, name, value):
     copied = shutil.copytree(whole.parent, tmp_path / "out")
     path = copied / "state" / "values.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), name: value}))
-    with pytest.raises(TrainingError, match=r"the state in .* cannot be read"):
+    with pytest.raises(TrainingError, match=rf"the state in .*\.{name} is "):
         resume(copied)
 
 
@@ -235,11 +235,15 @@ def test_a_folder_with_something_in_it_is_left_alone(whole, tmp_path):
     ("name", "content", "match"),
     [
         ("training.json", None, "is no folder of a training"),
-        ("training.json", b"[]", "cannot be read"),
+        ("training.json", b"[]", "it must be an object"),
         ("training.json", b"{" * 100_000, "cannot be read"),
         ("samples-0000.safetensors", b"no", "cannot be read"),
         ("samples-0000.safetensors", None, "cannot be read"),
-        ("state/values.json", b'{"rounds": 1, "steps": 100}', "not of this version"),
+        (
+            "state/values.json",
+            b'{"rounds": 1, "steps": 100}',
+            r"the state in .*seconds is missing: write it down; .*checks is missing",
+        ),
     ],
 )
 def test_a_damaged_training_is_refused(tmp_path, name, content, match):
@@ -256,3 +260,34 @@ def test_samples_of_another_environment_are_refused(whole, tmp_path):
     asked.write_text(asked.read_text().replace("SineTracking", "Handover").replace('"duration_s": 2.0,', ""))
     with pytest.raises(TrainingError, match="another environment"):
         resume(tmp_path / "out", steps=1000)
+
+
+def test_time_left_counts_gathering_and_every_coming_fit():
+    now = [0.0]
+    left = imitate.TimeLeft(lambda: now[0])
+    left.gathered(100, 10.0)
+    assert left(300, 100.0, refits=True) is None
+    left.fit_begins()
+    now[0] = 30.0
+    left.fit_ends()
+    # Three rounds of 10 s, with two fits between them and one after the last.
+    assert left(300, 100.0, refits=True) == pytest.approx(3 * 10.0 + 3 * 30.0)
+    left.gathered(200, 30.0)  # slower
+    assert left(50, 100.0, refits=True) == pytest.approx(50 * 0.15 + 30.0)
+    assert left(0, 100.0, refits=True) == pytest.approx(30.0)  # the last fit
+    assert left(300, 100.0, refits=False) == pytest.approx(300 * 0.15 + 30.0)
+
+
+def test_time_left_falls_during_a_fit():
+    now = [0.0]
+    left = imitate.TimeLeft(lambda: now[0])
+    left.gathered(100, 10.0)
+    left.fit_begins()
+    now[0] = 30.0
+    left.fit_ends()
+    left.fit_begins()
+    now[0] = 42.0
+    assert left(200, 100.0, refits=True) == pytest.approx(20.0 + 2 * 30.0 + 18.0)
+    assert left(0, 100.0, refits=True) == pytest.approx(18.0)
+    now[0] = 100.0
+    assert left(0, 100.0, refits=True) == 0.0

@@ -182,7 +182,7 @@ def test_the_best_look_is_kept(tmp_path, monkeypatch):
         return check
 
     monkeypatch.setattr(folder, "check_of", ranked)
-    monkeypatch.setattr(reinforce, "_LOOKS", 4)
+    monkeypatch.setattr(reinforce, "_CHECKS", 4)
     path = train(small("ppo", steps=128), tmp_path / "out")
     kept = sorted(each.name for each in (tmp_path / "out").glob("steps-*"))
     assert kept == ["steps-000000032", "steps-000000064"]

@@ -9,8 +9,7 @@ import pytest
 
 from dual_ur10 import ENV_IDS
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.policies.training import seeds
-from dual_ur10.policies.training.settings import SETTINGS, Imitation, Reinforcement, defaults
+from dual_ur10.policies.training.settings import CHECK_SEED, SETTINGS, Imitation, Reinforcement, defaults, first_seed_of
 from dual_ur10.sim2real.config.cell_file_reference import starting_text
 from tests.policies.training.small import small
 
@@ -120,10 +119,10 @@ def test_nothing_is_trained_on_two_controllers(tmp_path, algorithm):
 
 def test_no_training_learns_from_episodes_it_is_judged_by():
     shown = range(10_000)  # figures that are published begin at 0
-    checks = range(seeds.CHECKS, seeds.CHECKS + 10_000)
-    first, last = seeds.episodes_of(0), seeds.episodes_of(1_999_999) + 999_999
+    checks = range(CHECK_SEED, CHECK_SEED + 10_000)
+    first, last = first_seed_of(0), first_seed_of(1_999_999) + 999_999
     assert shown.stop <= checks.start < checks.stop <= first < last < 2**63
-    assert seeds.episodes_of(1) - seeds.episodes_of(0) == 1_000_000
+    assert first_seed_of(1) - first_seed_of(0) == 1_000_000
 
 
 def test_the_small_ones_of_these_tests_are_small():

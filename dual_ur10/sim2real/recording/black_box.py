@@ -1,4 +1,4 @@
-"""The last seconds before a stop."""
+"""Black box: the last seconds of a run, written at a stop."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _LEAST_FREE: Final = 32 * 2**20
 
 @dataclass(frozen=True)
 class _Kept:
-    """Something that can be written again.
+    """An entry that can be written later.
 
     Attributes:
-        time_s: When it was.
-        write: Gives it to a writer.
-        topic: Of a single message.
-        data: Of a single message.
+        time_s: Time of the entry.
+        write: Pass the entry to a writer.
+        topic: Topic of a single message.
+        data: Data of a single message.
     """
 
     time_s: float
@@ -38,12 +38,12 @@ class _Kept:
 
 
 class BlackBox:
-    """Keeps the last `KEPT_S` seconds of a run, and writes them when asked to.
+    """Buffer of the last `KEPT_S` seconds of a run, to be written on demand.
 
     Args:
-        folder: Where to; it exists.
-        header: Of the run.
-        columns: Of the states.
+        folder: Existing folder of the files.
+        header: Header of the run.
+        columns: Columns of the states.
     """
 
     def __init__(self, folder: Path, header: Header, *, columns: Columns = STATE_COLUMNS) -> None:
@@ -51,24 +51,24 @@ class BlackBox:
         self._header = replace(header, extra={**header.extra, "black_box": True})
         self._columns = columns
         self._kept: deque[_Kept] = deque()
-        self._begin: bytes = b""  # of the episode whose first steps are not kept any more
+        self._begin: bytes = b""  # of the episode whose first steps were dropped
 
     def states(self, arm: int, rows: Array) -> None:
-        """As `RunWriter.states`."""
+        """Keep the arguments of `RunWriter.states`."""
         if len(rows):
             self._kept.append(_Kept(float(rows[-1, 0]), lambda writer: writer.states(arm, rows)))
 
     def sent(self, arm: int, rows: Array) -> None:
-        """As `RunWriter.sent`."""
+        """Keep the arguments of `RunWriter.sent`."""
         if len(rows):
             self._kept.append(_Kept(float(rows[-1, 2]), lambda writer: writer.sent(arm, rows)))
 
     def single(self, topic: str, time_s: float, data: bytes) -> None:
-        """As `RunWriter.single`."""
+        """Keep the arguments of `RunWriter.single`."""
         self._kept.append(_Kept(time_s, lambda writer: writer.single(topic, time_s, data), topic, data))
 
     def forget(self, now_s: float) -> None:
-        """Let go of what is older than `KEPT_S`."""
+        """Drop entries older than `KEPT_S`."""
         while self._kept and self._kept[0].time_s < now_s - KEPT_S:
             old = self._kept.popleft()
             if old.topic == EPISODE_TOPIC:
@@ -77,7 +77,7 @@ class BlackBox:
                 self._begin = _after(self._begin, old.data)
 
     def write(self, now_s: float, reason: str) -> Path:
-        """Write what is kept to `blackbox-<n>.mcap`, with the first number that is free.
+        """Write all kept entries to `blackbox-<n>.mcap`, with the first free number.
 
         Raises:
             RecordingError: It cannot be written.
@@ -101,7 +101,7 @@ class BlackBox:
 
 
 def _after(begin: bytes, step: bytes) -> bytes:
-    """The beginning of an episode as it is after one of its steps."""
+    """Return the beginning of an episode that starts after one of its steps."""
     head, done = BEGIN.decode(begin), STEP.decode(step)
     head |= {name: done[name] for name in ("q_rad", "flange_m", "observation")}
     head["first_step"], head["initial_state"] = done["step"] + 1, b""

@@ -1,4 +1,4 @@
-"""What lets a recorder know what the stepping core of an environment does: the same for every kind of cell."""
+"""Adapter that forwards the resets and steps of an environment's stepping core to a recorder."""
 
 from __future__ import annotations
 
@@ -28,14 +28,11 @@ class RecordedCell(Protocol):
 
 
 class RecordHook:
-    """Tells a recorder of every reset and step of one cell.
+    """Adapter between the stepping core of one cell and a recorder.
 
     Args:
-        recorder: What takes note.
-        cell: What is recorded.
-
-    Raises:
-        SettingsError: These are several cells.
+        recorder: The recorder.
+        cell: The recorded cell.
     """
 
     def __init__(self, recorder: RunRecorder, cell: object) -> None:
@@ -48,20 +45,20 @@ class RecordHook:
         self._step = 0
 
     def resetting(self, rngs: Sequence[np.random.Generator], seed: int | None) -> None:
-        """A reset begins: what it will draw follows from the generator as it is now."""
+        """Keep the state of the generator before a reset samples from it."""
         self._seed, self._step = seed, 0
         self._rng = json.dumps(plain(rngs[0].bit_generator.state))
 
     def reset(
-        self, observation: Array, state: CellState, drawn: Mapping[str, Any], begin_s: float | None = None
+        self, observation: Array, state: CellState, sampled: Mapping[str, Any], begin_s: float | None = None
     ) -> None:
-        """A reset is done.
+        """Record a reset.
 
         Args:
             observation: (1, O).
-            state: Of the cell.
-            drawn: What was drawn by chance, by name.
-            begin_s: When tick 0 is, on the run's clock; None: now, or where a simulation's clock stands.
+            state: State of the cell.
+            sampled: Randomized values, by name.
+            begin_s: Time of tick 0 on the run's clock; None: the recorder's present time.
         """
         row = BeginRow(
             seed=self._seed,
@@ -73,18 +70,18 @@ class RecordHook:
         )
         self.recorder.begin_episode(row)
         self.recorder.event("generator", self._rng)
-        if drawn:
-            self.recorder.event("drawn", json.dumps(plain(dict(drawn))))
+        if sampled:
+            self.recorder.event("drawn", json.dumps(plain(dict(sampled))))
 
     def step(self, action: object, command: Command, step: Any, period: CellStep, ended_by: str = "") -> None:
-        """A step is done.
+        """Record a step.
 
         Args:
-            action: As it was given; it was found legal.
-            command: What the gate let out.
+            action: The action as it was given.
+            command: The command that the gate released.
             step: A `dual_ur10.envs.core.core.Step`.
-            period: The cell's, with its true state at the end.
-            ended_by: Why the episode ended, where no verdict says so.
+            period: The cell's step, with the true state at its end.
+            ended_by: Reason of the episode's end, if it is not a verdict of the gate.
         """
         state = period.state
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])

@@ -1,4 +1,4 @@
-"""The process that records a run on arms, as the program that moves them sees it."""
+"""Recorder process of a run on arms, seen from the program that moves them."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ _LOG: Final = logging.getLogger(__name__)
 
 START_S: Final = 20.0
 CLOSE_S: Final = 10.0
-_MOST_WAITING: Final = 64 * 2**20
+_MOST_PENDING: Final = 64 * 2**20
 
 
 class RecorderProcess:
-    """Records two arms and what their program tells of it, as a `dual_ur10.sim2real.recording.rows.RunRecorder`.
+    """Recorder of two arms and of their program, a `dual_ur10.sim2real.recording.rows.RunRecorder`.
 
-    States and targets come from the arms' memories, so that they are recorded even if this program is killed. Nothing
-    here waits for a disk but `wait_until_ready` and `close`.
+    States and targets come from the shared memories of the arms, so that they are recorded even if this program is
+    killed. Only `wait_until_ready` and `close` wait for a disk.
 
     Args:
         memories: Names of the memories of the left and the right arm.
-        folder: Of the run; it exists. None: only the black box is kept.
-        header: Of the run.
-        black_boxes: Folder of black boxes; it exists.
-        begin_s: When the run's clock is 0, on that of `time.monotonic`; None: now.
-        least_free_bytes: Room that there must be on the disk.
+        folder: Existing folder of the run. None: only the black box is kept.
+        header: Header of the run.
+        black_boxes: Existing folder of black boxes.
+        begin_s: Zero of the run's clock on `time.monotonic`; None: now.
+        least_free_bytes: Free space required on the disk.
 
     Attributes:
-        begin_s: When the run's clock is 0.
-        failure: Why not everything is recorded; empty: all is well. Brought up to date by every call.
+        begin_s: Zero of the run's clock.
+        failure: Reason why something was not recorded; empty: none. Every call updates it.
         boxes: Black boxes that were written.
     """
 
@@ -64,8 +64,8 @@ class RecorderProcess:
         self.failure = ""
         self.boxes: list[Path] = []
         self._episode, self._step = -1, 0
-        self._waiting = bytearray()
-        self._heard = bytearray()
+        self._pending = bytearray()
+        self._received = bytearray()
         self._ready = self._done = self._closed = False
         self._connection, theirs = multiprocessing.Pipe(duplex=True)
         os.set_blocking(self._connection.fileno(), False)
@@ -75,15 +75,15 @@ class RecorderProcess:
         theirs.close()
 
     def wait_until_ready(self, within_s: float = START_S) -> None:
-        """Wait until it records.
+        """Wait until the process records.
 
         Raises:
-            RecordingError: It does not: no room, no right to write, no such memory, or it takes too long.
+            RecordingError: It does not: no room, no permission, no such memory, or a timeout.
         """
         end = time.monotonic() + within_s
         while not (self._ready or self.failure) and (left := end - time.monotonic()) > 0:
             select.select([self._connection.fileno()], [], [], left)
-            self._listen()
+            self._receive()
         if not self._ready:
             reason = self.failure or f"the recorder did not start within {within_s:g} s"
             self.kill()
@@ -91,44 +91,44 @@ class RecorderProcess:
 
     @property
     def now_s(self) -> float:
-        """Where the run's clock stands."""
+        """Time on the run's clock."""
         return time.monotonic() - self.begin_s
 
     def begin_episode(self, row: BeginRow) -> None:
-        """An episode begins, now or when the row says."""
+        """Record the beginning of an episode, now or at the time in the row."""
         self._episode, self._step = self._episode + 1, 0
         begin_s = self.now_s if row.begin_s is None else row.begin_s
         self._single(EPISODE_TOPIC, self.now_s, row.encode(self._episode, begin_s))
 
     def step(self, row: StepRow, trace: TickTrace | None = None) -> None:
-        """A step is done. What a trace would say, the arms tell themselves."""
+        """Record a step. The arms record themselves what a trace would hold."""
         self._single(STEP_TOPIC, self.now_s, row.encode(self._episode, self._step))
         self._step += 1
 
     def event(self, kind: str, text: str, arm: str = "", time_s: float | None = None) -> None:
-        """Something happened; `time_s` None: now."""
+        """Record an event; `time_s` None: now."""
         time_s = self.now_s if time_s is None else time_s
         self._single(EVENT_TOPIC, time_s, EVENT.encode(vars(Event(time_s, kind, text, arm))))
 
     def black_box(self, reason: str) -> None:
         """Write a black box, about a second from now, so that the stop itself is in it."""
-        self._tell(BLACK_BOX, self.now_s, reason.encode())
+        self._send(BLACK_BOX, self.now_s, reason.encode())
 
     def close(self, within_s: float = CLOSE_S) -> None:
-        """Wait for the end of the record, not forever. May be called twice. `failure` says whether all is well."""
+        """Wait for the end of the record up to a timeout, and report problems in `failure`. May be called twice."""
         if self._closed:
             return
         self._closed = True
-        self._tell(CLOSE, self.now_s, b"")
+        self._send(CLOSE, self.now_s, b"")
         end = time.monotonic() + within_s
         while not self._done and self.process.is_alive and (left := end - time.monotonic()) > 0:
             number = self._connection.fileno()
-            select.select([number], [number] if self._waiting else [], [], min(left, 0.05))
+            select.select([number], [number] if self._pending else [], [], min(left, 0.05))
             self._push()
-            self._listen()
+            self._receive()
         if self._done:
             self.process.wait(max(0.0, end - time.monotonic()))
-        self._listen()
+        self._receive()
         if not self._done:
             self._fail(f"the recorder did not end within {within_s:g} s")
         self.kill()
@@ -140,56 +140,56 @@ class RecorderProcess:
         self._connection.close()
 
     def _single(self, topic: str, time_s: float, data: bytes) -> None:
-        self._tell(TOPICS.index(topic), time_s, data)
+        self._send(TOPICS.index(topic), time_s, data)
 
     @interrupts_deferred()
-    def _tell(self, kind: int, time_s: float, data: bytes) -> None:
-        # Not to be interrupted: what was written to the pipe, and not taken out of what waits, would be written twice.
+    def _send(self, kind: int, time_s: float, data: bytes) -> None:
+        # An interrupt between writing to the pipe and removing from the buffer would send the bytes twice.
         if self._connection.closed:
             return
-        if len(self._waiting) > _MOST_WAITING:
-            self._fail(f"the recorder is {_MOST_WAITING // 2**20} MiB behind: what comes now is not recorded")
+        if len(self._pending) > _MOST_PENDING:
+            self._fail(f"the recorder is {_MOST_PENDING // 2**20} MiB behind: later messages are not recorded")
             return
-        self._waiting += struct.pack(FRAME, kind, len(data), time_s) + data
+        self._pending += struct.pack(FRAME, kind, len(data), time_s) + data
         self._push()
-        self._listen()
+        self._receive()
 
     def _push(self) -> None:
         try:
-            while self._waiting:
-                del self._waiting[: os.write(self._connection.fileno(), memoryview(self._waiting)[:65536])]
+            while self._pending:
+                del self._pending[: os.write(self._connection.fileno(), memoryview(self._pending)[:65536])]
         except BlockingIOError:
             pass
         except OSError:
-            self._waiting.clear()
+            self._pending.clear()
             self._fail("the recorder has ended")
 
-    def _listen(self) -> None:
-        """Take in what the recorder says."""
+    def _receive(self) -> None:
+        """Read the messages of the recorder."""
         if self._connection.closed:
             return
         ended = False
         try:
             while piece := os.read(self._connection.fileno(), 65536):
-                self._heard += piece
+                self._received += piece
             ended = True
         except BlockingIOError:
             pass
         except OSError:
             ended = True
-        self._understand()
-        # What it said before it ended comes first.
+        self._parse()
+        # Its last messages come first.
         if ended and not self._done:
             self._fail("the recorder has ended")
 
-    def _understand(self) -> None:
+    def _parse(self) -> None:
         size = struct.calcsize(FRAME)
-        while len(self._heard) >= size:
-            kind, length, _ = struct.unpack_from(FRAME, self._heard)
-            if len(self._heard) < size + length:
+        while len(self._received) >= size:
+            kind, length, _ = struct.unpack_from(FRAME, self._received)
+            if len(self._received) < size + length:
                 return
-            text = self._heard[size : size + length].decode()
-            del self._heard[: size + length]
+            text = self._received[size : size + length].decode()
+            del self._received[: size + length]
             if kind == FAILED:
                 self._fail(text)
             elif kind == WROTE:

@@ -1,4 +1,4 @@
-"""What runs in the recorder's process."""
+"""Main program of the recorder process."""
 
 from __future__ import annotations
 
@@ -28,38 +28,38 @@ from dual_ur10.sim2real.runtime.arm_sender import was_requested
 from dual_ur10.types import Array
 
 FRAME: Final = "<BId"
-"""What goes over the pipe: kind, bytes that follow, and a time on the run's clock. Kinds below are topics."""
+"""Frame on the pipe: kind, number of bytes that follow, and time on the run's clock. Smaller kinds are topics."""
 
 BLACK_BOX, CLOSE, READY, FAILED, WROTE, DONE = range(100, 106)
 
 POLL_S: Final = 0.05
 SYNC_S: Final = 1.0
 AFTER_STOP_S: Final = 1.0
-"""How long after a stop its black box is written, so that the stop itself is in it."""
+"""Time from a stop to its black box, so that the box holds the stop itself."""
 
 ORPHAN_S: Final = 3.0
-"""How long it goes on when the program has ended without a word, until both arms rest."""
+"""Time limit of recording both arms to their stop after the program has ended without closing the record."""
 
-_MOST_TOLD: Final = 64 * 2**20
+_MOST_RECEIVED: Final = 64 * 2**20
 
 
 class Recorder:
-    """Takes rows from the arms' memories, and what the program tells, and writes them.
+    """Recorder of the rows in the arms' memories and of the messages of the program.
 
     Args:
-        memories: Of the arms, left and right.
-        folder: Of the run; None: nothing but black boxes is written.
-        header: Of the run.
+        memories: Memories of the left and the right arm.
+        folder: Folder of the run; None: only black boxes are written.
+        header: Header of the run.
         black_boxes: Folder of black boxes.
-        begin_s: When the run's clock is 0, on that of `time.monotonic`.
-        least_free_bytes: Room that there must be on the disk.
+        begin_s: Zero of the run's clock on `time.monotonic`.
+        least_free_bytes: Free space required on the disk.
 
     Attributes:
-        failures: What could not be written, in order.
+        failures: Write errors in order.
         boxes: Black boxes that were written.
 
     Raises:
-        RecordingError: A file cannot be made.
+        RecordingError: A file cannot be created.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Recorder:
         if folder is not None:
             self._writer = RunWriter(folder, header, least_free_bytes=least_free_bytes)
             self._log = RunLog(folder, header)
-        # What was before the run began is none of its.
+        # Rows from before the run do not belong to it.
         self._states = [memory.states(2**62)[1] for memory in memories]
         self._sent = [memory.sent(2**62)[1] for memory in memories]
         self._phases = [memory.phase for memory in memories]
@@ -89,16 +89,16 @@ class Recorder:
 
     @property
     def now_s(self) -> float:
-        """Where the run's clock stands."""
+        """Time on the run's clock."""
         return time.monotonic() - self._begin_s
 
     @property
-    def at_rest(self) -> bool:
-        """Whether no arm is moved any more."""
+    def stopped(self) -> bool:
+        """True if both arms have stopped."""
         return all(memory.phase >= Phase.STOPPED for memory in self._memories)
 
-    def told(self, topic: str, time_s: float, data: bytes) -> None:
-        """The program tells something."""
+    def add(self, topic: str, time_s: float, data: bytes) -> None:
+        """Record a message of the program."""
         self.black_box.single(topic, time_s, data)
         if self._writer is not None:
             self._writer.single(topic, time_s, data)
@@ -106,17 +106,17 @@ class Recorder:
             self._guarded(self._log, Event(**EVENT.decode(data)))
 
     def event(self, kind: str, text: str, arm: str = "") -> None:
-        """Something happened now."""
+        """Record an event of the present instant."""
         event = Event(self.now_s, kind, text, arm)
-        self.told(EVENT_TOPIC, event.time_s, EVENT.encode(vars(event)))
+        self.add(EVENT_TOPIC, event.time_s, EVENT.encode(vars(event)))
 
     def ask_black_box(self, reason: str) -> None:
-        """A black box is to be written soon."""
+        """Request a black box, to be written soon."""
         if not self._stop:
             self._stop, self._stop_s = reason, self.now_s
 
     def poll(self, *, last: bool = False) -> None:
-        """Take what is new, and hand it over to the system."""
+        """Take all new rows, and hand them to the system."""
         for arm in range(2):
             self._take(arm)
         self.black_box.forget(self._stop_s if self._stop else self.now_s)
@@ -160,7 +160,7 @@ class Recorder:
                 self.ask_black_box(text)
 
     def _whole(self, arm: int, what: str, rows: Array, since: int, count: int, now: int) -> Array:
-        """The rows that nobody has begun to write over since; what is lost is said."""
+        """Return the rows that have not been overwritten since; record the number of lost rows as an event."""
         first = count - len(rows)
         torn = min(max(0, now - RING + 1 - first), len(rows))
         lost = first - since + torn
@@ -169,12 +169,12 @@ class Recorder:
         return rows[torn:]
 
     def sync(self) -> bool:
-        """Wait until the disk has what was written. For another thread. Returns whether to do so again."""
+        """Wait in another thread until the disk has all that was written. Return False if the record has ended."""
         writer = self._writer
         return writer is not None and self._guarded(RunWriter.sync, writer)
 
     def close(self) -> None:
-        """The run is over."""
+        """End the record."""
         self.poll(last=True)
         writer, log, self._writer, self._log = self._writer, self._log, None, None
         if writer is not None:
@@ -183,7 +183,7 @@ class Recorder:
             log.close()
 
     def _guarded(self, action: Callable[..., None], *arguments: object) -> bool:
-        """Do something that may fail. Returns whether it did not."""
+        """Perform an action, and note its failure. Return True if it succeeded."""
         try:
             action(*arguments)
         except RecordingError as error:
@@ -193,7 +193,7 @@ class Recorder:
 
 
 def serve(number: int, *arguments: Any) -> None:
-    """Run in the recorder's process, which has the program's end of the pipe as an open file of this number."""
+    """Run the recorder on the pipe whose file descriptor is `number`."""
     main(Connection(number), *arguments)
 
 
@@ -207,8 +207,8 @@ def main(
     parent: int,
     least_free_bytes: int,
 ) -> None:
-    """Run in the recorder's process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the program is told of it, and tells us
+    """Run the recorder until the program closes it or has ended."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the program handles it, and closes the recorder
     ending = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: ending.set())
     pipe = _Pipe(connection)
@@ -217,31 +217,30 @@ def main(
         memories = ArmMemory(names[0]), ArmMemory(names[1])
         recorder = Recorder(memories, folder, header, black_boxes, begin_s, least_free_bytes)
     except (MissingExtraError, RecordingError, OSError, ValueError) as error:
-        pipe.say(FAILED, f"nothing is recorded: {error}")
+        pipe.send(FAILED, f"nothing is recorded: {error}")
         return
-    pipe.say(READY)
+    pipe.send(READY)
     _Loop(recorder, pipe, parent, ending).run()
     for memory in memories:
         memory.close()
 
 
 class _Loop:
-    """Polls until the program closes the recorder, or is gone."""
+    """Loop that polls until the program closes the recorder or has ended."""
 
     def __init__(self, recorder: Recorder, pipe: _Pipe, parent: int, ending: threading.Event) -> None:
         self._recorder, self._pipe, self._parent, self._ending = recorder, pipe, parent, ending
-        self._told = 0  # failures and boxes that the program knows of
+        self._failures = 0  # failures and boxes that were reported to the program
         self._boxes = 0
         self._over = threading.Event()
 
     def run(self) -> None:
-        """Do so."""
         recorder = self._recorder
         syncing = threading.Thread(target=self._sync, daemon=True)
         syncing.start()
         due = time.monotonic()
         while True:
-            closed = self._hear()
+            closed = self._receive()
             recorder.poll()
             self._report()
             if closed or self._ending.is_set():
@@ -252,24 +251,24 @@ class _Loop:
             due = max(due + POLL_S, time.monotonic() - POLL_S)
             time.sleep(max(0.0, due - time.monotonic()))
         self._over.set()
-        self._hear()
+        self._receive()
         syncing.join(SYNC_S)
         recorder.close()
         self._report()
-        self._pipe.say(DONE)
+        self._pipe.send(DONE)
 
     def _drain(self) -> None:
-        """The program has ended without a word: record how the arms come to rest."""
+        """Record the stop of the arms after the program has ended without closing the record."""
         recorder, end = self._recorder, time.monotonic() + ORPHAN_S
         recorder.event("orphaned", "the program that moved the arms has ended without closing its record")
         recorder.ask_black_box("the program that moved the arms has ended")
-        while time.monotonic() < end and not recorder.at_rest:
+        while time.monotonic() < end and not recorder.stopped:
             time.sleep(POLL_S)
             recorder.poll()
 
-    def _hear(self) -> bool:
-        """Take in what the program tells. Returns whether it closes the recorder."""
-        for kind, time_s, data in self._pipe.hear():
+    def _receive(self) -> bool:
+        """Handle the messages of the program. Return True if it closes the recorder."""
+        for kind, time_s, data in self._pipe.receive():
             if kind == CLOSE:
                 return True
             if kind == BLACK_BOX:
@@ -277,15 +276,15 @@ class _Loop:
                 self._recorder.event("stop", reason)
                 self._recorder.ask_black_box(reason)
             else:
-                self._recorder.told(TOPICS[kind], time_s, data)
+                self._recorder.add(TOPICS[kind], time_s, data)
         return False
 
     def _report(self) -> None:
-        for text in self._recorder.failures[self._told :]:
-            self._pipe.say(FAILED, text)
+        for text in self._recorder.failures[self._failures :]:
+            self._pipe.send(FAILED, text)
         for path in self._recorder.boxes[self._boxes :]:
-            self._pipe.say(WROTE, str(path))
-        self._told, self._boxes = len(self._recorder.failures), len(self._recorder.boxes)
+            self._pipe.send(WROTE, str(path))
+        self._failures, self._boxes = len(self._recorder.failures), len(self._recorder.boxes)
 
     def _sync(self) -> None:
         while not self._over.wait(SYNC_S) and self._recorder.sync():
@@ -293,39 +292,39 @@ class _Loop:
 
 
 class _Pipe:
-    """The program's end of the line."""
+    """Connection to the program."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
-        self._heard = bytearray()
+        self._received = bytearray()
         self.ended = False
         os.set_blocking(connection.fileno(), False)
 
-    def say(self, kind: int, text: str = "") -> None:
-        """Tell the program, if it listens."""
+    def send(self, kind: int, text: str = "") -> None:
+        """Send a message, unless the program has ended."""
         line = text.encode()[:4096]
         with contextlib.suppress(OSError):
             os.write(self._connection.fileno(), struct.pack(FRAME, kind, len(line), 0.0) + line)
 
-    def hear(self) -> list[tuple[int, float, bytes]]:
-        """What the program has told: kind, time and data each."""
+    def receive(self) -> list[tuple[int, float, bytes]]:
+        """Return kind, time and data of each new message."""
         try:
-            while len(self._heard) < _MOST_TOLD:
+            while len(self._received) < _MOST_RECEIVED:
                 piece = os.read(self._connection.fileno(), 2**20)
                 if not piece:
                     self.ended = True
                     break
-                self._heard += piece
+                self._received += piece
         except BlockingIOError:
             pass
         except OSError:
             self.ended = True
         found, at, size = [], 0, struct.calcsize(FRAME)
-        while len(self._heard) - at >= size:
-            kind, length, time_s = struct.unpack_from(FRAME, self._heard, at)
-            if len(self._heard) - at < size + length:
+        while len(self._received) - at >= size:
+            kind, length, time_s = struct.unpack_from(FRAME, self._received, at)
+            if len(self._received) - at < size + length:
                 break
-            found.append((kind, time_s, bytes(self._heard[at + size : at + size + length])))
+            found.append((kind, time_s, bytes(self._received[at + size : at + size + length])))
             at += size + length
-        del self._heard[:at]
+        del self._received[:at]
         return found

@@ -1,4 +1,4 @@
-"""What a recorder is told, and by whom it is told it: the same for simulated and real runs."""
+"""Rows that an environment passes to a recorder, the same for simulated and real runs."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ _NOTHING: Array = np.zeros(0)
 
 @dataclass(frozen=True, kw_only=True)
 class BeginRow:
-    """How an episode begins.
+    """Beginning of an episode.
 
     Attributes:
-        seed: Of the reset; None: none was given.
-        q_rad: (2, 6).
-        flange_m: (2, 3).
-        observation: (O,) or None.
-        initial_state: Of MuJoCo, or None.
-        begin_s: When tick 0 is, on the run's clock; None: where the recorder stands.
+        seed: Seed of the reset; None: none was given.
+        q_rad: (2, 6) joint positions.
+        flange_m: (2, 3) flange positions in the cell frame.
+        observation: (O,) observation; None: not kept.
+        initial_state: MuJoCo's state; None outside simulation.
+        begin_s: Time of tick 0 on the run's clock; None: the recorder's present time.
     """
 
     seed: int | None
@@ -38,7 +38,7 @@ class BeginRow:
     begin_s: float | None = None
 
     def encode(self, number: int, begin_s: float) -> bytes:
-        """The message of the run's episode `number`."""
+        """Return the message for the run's episode `number`."""
         return BEGIN.encode(
             {
                 "begin_s": begin_s,
@@ -58,19 +58,19 @@ class StepRow:
     """One step of an episode.
 
     Attributes:
-        action: (A,) as the policy gave it.
-        targets_rad: (ticks, 2, 6) what the gate let out.
-        gripper_m: (ticks, 2) openings asked for, or None.
-        gated: Whether the gate held the step back.
-        reward: Of both arms.
-        terminated: Whether the episode ended with it.
-        truncated: Whether its time ran out.
-        success: Whether the task is done well; None: not known.
-        ended_by: Why it ended, if there is more to say.
-        time_s: Task time at its end.
-        q_rad: (2, 6) at its end.
-        flange_m: (2, 3) at its end.
-        observation: (O,) at its end, or None.
+        action: (A,) action as the policy gave it.
+        targets_rad: (ticks, 2, 6) targets that the gate released.
+        gripper_m: (ticks, 2) commanded gripper widths; None: no grippers.
+        gated: True if the gate refused the step.
+        reward: Reward of both arms together.
+        terminated: True if the step ended the episode.
+        truncated: True if the episode's time ran out.
+        success: True if the task succeeded; None: not known.
+        ended_by: Further reason of the end; empty: none.
+        time_s: Task time at the end of the step.
+        q_rad: (2, 6) joint positions at the end of the step.
+        flange_m: (2, 3) flange positions at the end of the step.
+        observation: (O,) observation at the end of the step; None: not kept.
         first_target: Number of the first of `targets_rad` among those that are sent; `LATE`: none of them is; None: the
             recorder counts the targets itself.
     """
@@ -91,7 +91,7 @@ class StepRow:
     first_target: int | None = None
 
     def encode(self, episode: int, step: int) -> bytes:
-        """The message of step `step` of the run's episode `episode`."""
+        """Return the message for step `step` of the run's episode `episode`."""
         values = {
             **self.__dict__,
             "episode": episode,
@@ -104,22 +104,22 @@ class StepRow:
 
 
 class RunRecorder(Protocol):
-    """What takes note of a run.
+    """Recorder of a run.
 
     Attributes:
-        failure: Why it does not any more; empty: all is well.
+        failure: Reason why something was not recorded; empty: none.
     """
 
     failure: str
 
     def begin_episode(self, row: BeginRow) -> None:
-        """An episode begins."""
+        """Record the beginning of an episode."""
 
     def step(self, row: StepRow, trace: TickTrace | None = None) -> None:
-        """A step is done; `trace` is what only a simulation knows of it."""
+        """Record a step; only a simulation has a trace."""
 
     def event(self, kind: str, text: str, arm: str = "", time_s: float | None = None) -> None:
-        """Something happened; `time_s` None: now."""
+        """Record an event; `time_s` None: now."""
 
     def close(self) -> None:
-        """The run is over. May be called twice."""
+        """End the record. May be called twice."""

@@ -1,4 +1,4 @@
-"""The record of a simulated run."""
+"""Recorder of a simulated run."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ _ROW: Final = sum(size for _, size in SIMULATED_COLUMNS)
 
 
 class SimulationRecord:
-    """Records a run of one simulated cell, step by step, as a `dual_ur10.sim2real.recording.rows.RunRecorder`.
+    """Recorder of one simulated cell, a `dual_ur10.sim2real.recording.rows.RunRecorder`.
 
-    The run's clock is the simulated time of its episodes, one after the other. Ctrl-C waits until what is written is
-    whole: a message that is half in the file, or not in its checksum, would make all of it unreadable.
+    The run's clock is the simulated time of its episodes, one after the other. Ctrl-C waits until each write is
+    complete: a message that is half in the file, or missing from its checksum, would make the file unreadable.
 
     Args:
-        folder: Of the run; it exists.
-        header: Of the run.
-        least_free_bytes: Room that there must be on the disk.
+        folder: Existing folder of the run.
+        header: Header of the run.
+        least_free_bytes: Free space required on the disk.
 
     Attributes:
-        writer: What writes the file.
+        writer: Writer of the file.
 
     Raises:
-        RecordingError: The file cannot be made.
+        RecordingError: The file cannot be created.
     """
 
-    failure = ""  # that of a simulation is raised
+    failure = ""  # failures of a simulation are raised
 
     def __init__(self, folder: Path, header: Header, *, least_free_bytes: int = LEAST_FREE_BYTES) -> None:
         self._tick_s, self._latency_ticks = header.tick_s, header.latency_ticks
@@ -56,12 +56,12 @@ class SimulationRecord:
 
     @property
     def now_s(self) -> float:
-        """Where the run's clock stands."""
+        """Time on the run's clock."""
         return self._begin_s + self._ticks * self._tick_s
 
     @interrupts_deferred()
     def begin_episode(self, row: BeginRow) -> None:
-        """An episode begins where the one before ended.
+        """Record the beginning of an episode, at the end of the one before.
 
         Raises:
             RecordingError: The file cannot be written.
@@ -73,7 +73,7 @@ class SimulationRecord:
 
     @interrupts_deferred()
     def step(self, row: StepRow, trace: TickTrace | None = None) -> None:
-        """A step is done. Of a step whose physics diverged, what is finite is kept.
+        """Record a step. Of a step whose physics diverged, the finite ticks are kept.
 
         Raises:
             RecordingError: The file cannot be written.
@@ -115,7 +115,7 @@ class SimulationRecord:
 
     @interrupts_deferred()
     def event(self, kind: str, text: str, arm: str = "", time_s: float | None = None) -> None:
-        """Something happened.
+        """Record an event.
 
         Raises:
             RecordingError: The file cannot be written.
@@ -127,7 +127,7 @@ class SimulationRecord:
 
     @interrupts_deferred()
     def close(self) -> None:
-        """The run is over. May be called twice.
+        """End the record. May be called twice.
 
         Raises:
             RecordingError: The file cannot be written.

@@ -215,7 +215,7 @@ def test_a_run_that_cannot_be_recorded_leaves_no_folder(tmp_path: Path, monkeypa
     def refuse(*_: Any, **__: Any) -> None:
         raise RecordingError("no right to write")
 
-    monkeypatch.setattr("dual_ur10.envs.core.records.SimulationRecord", refuse)
+    monkeypatch.setattr("dual_ur10.sim2real.recording.simulation.SimulationRecord", refuse)
     with pytest.raises(RecordingError, match="no right"):
         gym.make(SINE, record=str(tmp_path / "runs"))
     assert not list((tmp_path / "runs").iterdir())

@@ -90,17 +90,17 @@ def test_a_program_without_a_watchdog_continues(controller):
 
 
 @pytest.mark.assumption("infinite_loop_steps")
-@pytest.mark.parametrize("share", [0.9, 3.0])
-def test_a_control_period_has_a_budget_of_statements(controller, token, share):
-    # Two statements of a turn count: the assignment, and the turn itself.
-    turns = int(share * controller.assumed.infinite_loop_steps / 2)
+@pytest.mark.parametrize("fraction", [0.9, 3.0])
+def test_a_control_period_has_a_budget_of_statements(controller, token, fraction):
+    # An iteration counts as two statements: the loop and the assignment.
+    rounds = int(fraction * controller.assumed.infinite_loop_steps / 2)
     with controller.rtde(TRACE) as rtde:
         controller.call(
-            f"sync()\ni = 0\nwhile i < {turns}:\n i = i + 1\nend\nwrite_output_integer_register(10, {token})\nsync()"
+            f"sync()\ni = 0\nwhile i < {rounds}:\n i = i + 1\nend\nwrite_output_integer_register(10, {token})\nsync()"
         )
         rtde.until(lambda now: now["runtime_state"] == 2, "the program to run")
         seen = rtde.until(lambda now: now["runtime_state"] == 1, "the program to end")
-    assert (seen[-1]["output_int_register_10"] == token) == (share < 1)
+    assert (seen[-1]["output_int_register_10"] == token) == (fraction < 1)
 
 
 @pytest.mark.assumption("infinite_loop_steps")

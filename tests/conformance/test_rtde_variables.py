@@ -74,12 +74,12 @@ def test_every_output_has_its_documented_type(controller):
     with Rtde(controller.host) as rtde:
         variables = outputs_of(controller)
         _, types = rtde.outputs(",".join(name for name, _, _ in variables))
-    told = dict(zip([name for name, _, _ in variables], types, strict=True))
-    assert told == {name: kind if there else "NOT_FOUND" for name, kind, there in variables}
+    reported = dict(zip([name for name, _, _ in variables], types, strict=True))
+    assert reported == {name: kind if exists else "NOT_FOUND" for name, kind, exists in variables}
 
 
 def test_all_outputs_at_once_unpack_to_finite_numbers(controller):
-    names = [name for name, _, there in outputs_of(controller) if there]
+    names = [name for name, _, exists in outputs_of(controller) if exists]
     with controller.rtde(",".join(names), hz=10.0) as rtde:
         packages = [rtde.data() for _ in range(2)]
     for package in packages:
@@ -92,7 +92,7 @@ def test_all_outputs_at_once_unpack_to_finite_numbers(controller):
 @pytest.mark.parametrize("kind", ["DOUBLE", "INT32", "UINT32", "UINT64", "BOOL", "VECTOR6D", "VECTOR3D"])
 def test_outputs_do_not_depend_on_their_place_in_the_package(controller, kind):
     """The same variable first and last in a package, among all of a type."""
-    names = [name for name, its, there in outputs_of(controller) if there and its == kind][:40]
+    names = [name for name, its, exists in outputs_of(controller) if exists and its == kind][:40]
     with controller.rtde(",".join(["target_q", *names, "robot_mode,standard_analog_output0"])) as rtde:
         packed = rtde.data()
     with controller.rtde("robot_mode,target_q,standard_analog_output0") as rtde:
@@ -104,9 +104,9 @@ def test_every_input_has_its_documented_type(controller):
     variables = listed(controller, INPUTS) + listed(controller, REGISTERS, "input_")
     found, expected = {}, {}
     with Rtde(controller.host) as rtde:
-        for name, kind, there in variables:
+        for name, kind, exists in variables:
             found[name] = rtde.inputs(name)[1]
-            expected[name] = [kind if there else "NOT_FOUND"]
+            expected[name] = [kind if exists else "NOT_FOUND"]
     # On a real controller a fieldbus may use some.
     assert {name: kinds for name, kinds in found.items() if kinds != ["IN_USE"]} == {
         name: expected[name] for name, kinds in found.items() if kinds != ["IN_USE"]

@@ -4,14 +4,7 @@ import itertools
 
 import pytest
 
-from tests.conformance.wire import (
-    PRIMARY,
-    ROBOT_MODE_DATA,
-    Bounded,
-    Dashboard,
-    Primary,
-    robot_mode_data,
-)
+from tests.conformance.wire import PRIMARY, ROBOT_MODE_DATA, Bounded, Dashboard, Primary, robot_mode_data
 
 pytestmark = pytest.mark.moves
 
@@ -137,27 +130,27 @@ def test_a_program_may_be_late_by_a_control_period(controller):
 
 
 @pytest.mark.assumption("servoj_jump_factor")
-@pytest.mark.parametrize("share", [0.9, 1.15])
-def test_servoj_targets_have_the_assumed_largest_jump(controller, share):
+@pytest.mark.parametrize("fraction", [0.9, 1.15])
+def test_servoj_targets_have_the_assumed_largest_jump(controller, fraction):
     lookahead_s = 0.03
     reach = controller.assumed.servoj_jump_factor * 3.1416 * (lookahead_s + controller.tick_s)
     with controller.rtde(TRACE) as rtde:
         call(
             controller,
-            f"q = get_target_joint_positions()\nq[{JOINT}] = q[{JOINT}] + {share * reach}\nn = 0\n"
+            f"q = get_target_joint_positions()\nq[{JOINT}] = q[{JOINT}] + {fraction * reach}\nn = 0\n"
             "while n * get_steptime_here < 0.5:\n"
             f"  servoj(q, t=get_steptime_here, lookahead_time={lookahead_s}, gain=300)\n  n = n + 1\nend\nstopj(4)\n",
         )
         rtde.until(lambda now: now["runtime_state"] == 2, "the program to run")
         end = rtde.until(lambda now: now["runtime_state"] in (1, 4), "the program to end or to pause")[-1]
-    assert end["safety_mode"] == (1 if share < 1 else 3)
+    assert end["safety_mode"] == (1 if fraction < 1 else 3)
 
 
 @pytest.mark.assumption("program_stop_rad_s2")
 def test_the_arm_slows_down_evenly_when_its_program_is_stopped(controller):
     with controller.rtde(TRACE) as rtde, Dashboard(controller.host) as dashboard:
         controller.call(f"speedj([0, 0, 0, 0, 0, {SPEED_RAD_S}], 4, 20)")
-        rtde.until(lambda now: now["target_qd"][JOINT] > 0.999 * SPEED_RAD_S, "the arm to turn")
+        rtde.until(lambda now: now["target_qd"][JOINT] > 0.999 * SPEED_RAD_S, "the arm to rotate")
         assert dashboard.ask("stop") == "Stopped"
         seen = rtde.until(at_rest, "the arm to stand")
         assert rtde.until(lambda now: now["runtime_state"] == 1, "the program to stop")[-1]["safety_mode"] == 1

@@ -341,7 +341,7 @@ def run(host, text, port=SECONDARY):
     with Client(host, port) as client:
         client.send(text.encode() if text.endswith("\n") else text.encode() + b"\n")
         client.sock.shutdown(socket.SHUT_WR)
-        # To close while the state that is sent has not been read would be a reset, and what has not been taken is lost.
+        # Closing with unread data would send a reset, and the program could be lost.
         client.sock.settimeout(1.0)
         end = time.monotonic() + 1.0
         try:

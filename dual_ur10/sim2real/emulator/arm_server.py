@@ -122,12 +122,7 @@ class ArmServer:
     """
 
     def __init__(
-        self,
-        hub: Hub,
-        controller: Controller,
-        host: str,
-        gripper: RobotiqGripper | None,
-        off: Callable[[], None],
+        self, hub: Hub, controller: Controller, host: str, gripper: RobotiqGripper | None, off: Callable[[], None]
     ) -> None:
         self.controller, self.host, self.gripper = controller, host, gripper
         self.pendant = Pendant(controller, off)

@@ -89,11 +89,7 @@ def robot_builtins(controller: Controller) -> Builtins:
         return motion.inverse(_six(x, "a pose"), near, None if tcp is None else _six(tcp, "a TCP"))
 
     def get_inverse_kin(
-        x: Any,
-        qnear: Any = None,
-        maxPositionError: float = 1e-10,
-        maxOrientationError: float = 1e-10,
-        tcp: Any = None,
+        x: Any, qnear: Any = None, maxPositionError: float = 1e-10, maxOrientationError: float = 1e-10, tcp: Any = None
     ) -> list[float]:
         found = _inverse(x, qnear, tcp)
         if found is None:

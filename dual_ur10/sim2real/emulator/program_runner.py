@@ -40,11 +40,7 @@ class ProgramRunner:
     """
 
     def __init__(
-        self,
-        profile: ControllerProfile,
-        motion: Motion,
-        builtins: Builtins,
-        failed: Callable[[ScriptError], None],
+        self, profile: ControllerProfile, motion: Motion, builtins: Builtins, failed: Callable[[ScriptError], None]
     ) -> None:
         self.profile, self.motion, self.builtins, self._failed = profile, motion, builtins, failed
         self.state = RuntimeState.STOPPED

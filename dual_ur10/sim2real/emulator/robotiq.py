@@ -50,7 +50,7 @@ class RobotiqGripper:
     """One gripper.
 
     Args:
-        opening_m: Stroke: the width at POS 0. At POS 255 it is closed.
+        stroke_m: Width at POS 0. At POS 255 it is closed.
         stiffness_n_m: Stiffness of the position servo behind `tick`: force per difference between commanded and
             measured width. It converts FOR to a grip force.
         latency_s: Latency of that servo.
@@ -61,9 +61,9 @@ class RobotiqGripper:
     """
 
     def __init__(
-        self, opening_m: float = OPENING_M, *, stiffness_n_m: float = KP_N_M, latency_s: float = LATENCY_S
+        self, stroke_m: float = OPENING_M, *, stiffness_n_m: float = KP_N_M, latency_s: float = LATENCY_S
     ) -> None:
-        self.opening_m, self.stiffness_n_m, self.latency_s = opening_m, stiffness_n_m, latency_s
+        self.stroke_m, self.stiffness_n_m, self.latency_s = stroke_m, stiffness_n_m, latency_s
         self.powered = True
         self._set = {"ACT": 0, "GTO": 0, "ATR": 0, "ARD": 0, "POS": 0, "SPE": 255, "FOR": 255, "SID": 9}
         self._activating_s: float | None = None  # duration of the present activation
@@ -71,7 +71,7 @@ class RobotiqGripper:
         self._object = MOVING
         self._fault = NO_FAULT
         self._measured_m: float | None = None
-        self._reference_m = opening_m
+        self._reference_m = stroke_m
         self._standing_s = 0.0
         self._left_m = math.inf  # distance left at the last progress
         self._stopped_at_m: float | None = None  # width at which an object stopped the fingers
@@ -89,7 +89,7 @@ class RobotiqGripper:
     @property
     def requested_m(self) -> float:
         """Width requested by POS."""
-        return self.opening_m * (1 - self._set["POS"] / 255)
+        return self.stroke_m * (1 - self._set["POS"] / 255)
 
     def answer(self, line: str) -> str:
         r"""Answer one line. "ack" ends without a newline, all other answers with one.
@@ -119,7 +119,7 @@ class RobotiqGripper:
             Width to command to the servo, m.
         """
         if self._measured_m is None:
-            self._reference_m = min(max(width_m, 0.0), self.opening_m)
+            self._reference_m = min(max(width_m, 0.0), self.stroke_m)
         self._measured_m = width_m
         if not self.powered:
             self._reset()
@@ -141,9 +141,9 @@ class RobotiqGripper:
     def _goal(self) -> tuple[float | None, float]:
         """Return the target width, if any, and the speed."""
         if self._fault in (RELEASING, RELEASED):
-            return (self.opening_m if self._set["ARD"] else 0.0), LOWEST_SPEED_M_S
+            return (self.stroke_m if self._set["ARD"] else 0.0), LOWEST_SPEED_M_S
         if self._activating_s is not None:
-            return self.opening_m, SPEED_M_S
+            return self.stroke_m, SPEED_M_S
         if self._active and self._set["GTO"]:
             return self.requested_m, self.speed_m_s
         return None, 0.0
@@ -159,7 +159,7 @@ class RobotiqGripper:
         step_m = rate_m_s * dt_s
         reference_m = self._reference_m + min(max(goal_m - self._reference_m, -step_m), step_m)
         reference_m = min(max(reference_m, measured_m - ahead_m), measured_m + ahead_m)
-        self._reference_m = min(max(reference_m, 0.0), self.opening_m)
+        self._reference_m = min(max(reference_m, 0.0), self.stroke_m)
         if self._object != MOVING:
             return
         left_m = abs(goal_m - measured_m)
@@ -178,7 +178,7 @@ class RobotiqGripper:
     def _get(self, name: str) -> int | None:
         if name == "POS":
             measured_m = self._reference_m if self._measured_m is None else self._measured_m
-            return min(max(round(255 * (1 - measured_m / self.opening_m)), 0), 255)
+            return min(max(round(255 * (1 - measured_m / self.stroke_m)), 0), 255)
         if name == "PRE":
             return self._set["POS"]
         if name == "STA":

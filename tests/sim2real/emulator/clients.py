@@ -148,7 +148,7 @@ def servo(host, count, period_s):
         time.sleep(max(0.0, left))
     time.sleep(0.05)
     seen = None
-    for _ in range(1000):  # at once, but where a package comes in between
+    for _ in range(1000):  # usually at once, unless a package arrives in between
         seen = seen or _seen(receive)
     time.sleep(0.5)
     end = receive.getActualQ()
@@ -526,5 +526,5 @@ if __name__ == "__main__":
     module, name, arguments_given = sys.argv[1:4]
     result = getattr(importlib.import_module(module), name)(*json.loads(arguments_given))
     print("RESULT " + json.dumps(result), flush=True)
-    # Destructors of the interfaces take half a second each and have nothing more to say.
+    # Skip the destructors of the interfaces, which take half a second each.
     os._exit(0)

@@ -79,11 +79,11 @@ class RtdeBench:
         self.profile = profile_of(family)
         self.registers = Registers()
         self.values = zero_values(self.profile)
-        self.told: list[dict[str, Any]] = []
+        self.forwarded: list[dict[str, Any]] = []
         self.port = RtdePort(self.profile, self.registers, self.values, self._note)
 
     def _note(self, others: Mapping[str, Any]) -> None:
-        self.told.append(dict(others))
+        self.forwarded.append(dict(others))
 
     def session(self, *requests: bytes) -> RtdeSession:
         """Open a connection of version 2 that has sent `requests`."""
@@ -95,4 +95,4 @@ class RtdeBench:
         """Return copies of everything that clients can write, and of the forwarded inputs."""
         registers = self.registers
         numbers = (registers.input_int, [repr(x) for x in registers.input_double], registers.input_bits)
-        return *map(list, numbers), dict(registers.writes), repr(self.told)
+        return *map(list, numbers), dict(registers.writes), repr(self.forwarded)

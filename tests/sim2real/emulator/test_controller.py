@@ -104,7 +104,7 @@ def test_any_events_keep_reports_consistent_and_arms_safe(family, events, powere
     bench = Bench(family, powered=powered, safeguard_resumes=resumes, emergency_stop_pauses=pauses, unlock_wait_s=0.5)
     for event in events:
         happen(bench, *event)
-    # And there is a way back from everything.
+    # Recovery is possible from any state.
     for mode in range(256):
         bench.controller.safety.release(mode)
     bench.controller.remote_control = True
@@ -169,11 +169,10 @@ def test_a_new_program_runs_after_unlocking():
     bench.run(program(IDLE))
     bench.tick(2)
     assert bench.state in PLAYS
-    stands(bench)  # what the old one wanted is gone
+    stands(bench)  # the target of the old program is dropped
 
 
-def test_a_stop_takes_the_assumed_time():
-    bench = Bench()
+def test_a_stop_takes_the_assumed_time(bench):
     moving(bench)
     bench.controller.safety.stop(3)
     speeds = []
@@ -186,14 +185,13 @@ def test_a_stop_takes_the_assumed_time():
 
 
 @pytest.mark.parametrize("mode", [6, 7, 8, 9])
-def test_a_grave_stop_ends_the_program_and_takes_power(mode):
-    bench = Bench()
+def test_a_grave_stop_ends_the_program_and_takes_power(bench, mode):
     moving(bench)
     bench.controller.safety.stop(mode)
     bench.tick(2)
     assert bench.state == RuntimeState.STOPPING
     assert bench.moved > 0.0
-    assert bench.controller.values["robot_mode"] == RobotMode.RUNNING  # not before it stands
+    assert bench.controller.values["robot_mode"] == RobotMode.RUNNING  # until it stands
     bench.tick(23)
     assert bench.state == RuntimeState.STOPPED
     assert bench.controller.values["robot_mode"] == RobotMode.POWER_OFF
@@ -212,8 +210,7 @@ def test_a_grave_stop_ends_the_program_and_takes_power(mode):
     stands(bench)
 
 
-def test_a_safeguard_stop_pauses_and_resumes():
-    bench = Bench()
+def test_a_safeguard_stop_pauses_and_resumes(bench):
     moving(bench)
     bench.controller.safety.stop(5)
     bench.tick(25)
@@ -232,8 +229,7 @@ def test_a_safeguard_stop_pauses_and_resumes():
     assert off.state == RuntimeState.PAUSED
 
 
-def test_a_manual_pause_outlasts_a_safeguard_stop():
-    bench = Bench()
+def test_a_manual_pause_outlasts_a_safeguard_stop(bench):
     moving(bench)
     bench.pendant.pause()
     bench.tick(40)
@@ -259,8 +255,7 @@ def test_a_safeguard_stop_with_another_stop_does_not_resume(graver):
 
 
 @pytest.mark.parametrize("mode", [3, 5, 7, 42])
-def test_a_program_that_is_sent_during_a_stop_is_not_started(mode):
-    bench = Bench()
+def test_a_program_that_is_sent_during_a_stop_is_not_started(bench, mode):
     bench.controller.safety.stop(mode)
     bench.tick(3)
     for text in (program(COUNT + MOVE), f"{MOVE}\n"):
@@ -274,8 +269,7 @@ def test_a_program_that_is_sent_during_a_stop_is_not_started(mode):
     assert bench.controller.registers.output_int[0] == 0
 
 
-def test_a_program_in_the_period_of_a_stop_runs_no_line():
-    bench = Bench()
+def test_a_program_in_the_period_of_a_stop_runs_no_line(bench):
     bench.tick()
     bench.controller.safety.stop(3)
     bench.run(program(COUNT + MOVE))
@@ -293,8 +287,7 @@ def test_a_program_without_power_is_not_started():
         bench.pendant.play()
 
 
-def test_taking_power_away_stops_the_arm():
-    bench = Bench()
+def test_taking_power_away_stops_the_arm(bench):
     moving(bench)
     assert bench.ask("power off") == "Powering off"
     bench.tick(25)
@@ -302,8 +295,7 @@ def test_taking_power_away_stops_the_arm():
     stands(bench)
 
 
-def test_a_controller_that_was_shut_down_stays_so():
-    bench = Bench()
+def test_a_controller_that_was_shut_down_stays_so(bench):
     moving(bench)
     assert bench.ask("shutdown") == "Shutting down"
     assert bench.off == 1
@@ -339,15 +331,14 @@ def test_pause_and_play_keep_the_path():
     assert np.allclose(straight[-1], FAR, atol=1e-6)
     assert np.allclose(paused[-1], FAR, atol=1e-6)
     # All joints move in proportion: so does every point of the path.
-    way = np.array(FAR) - HOME
+    displacement = np.array(FAR) - HOME
     for q in paused[::5]:
-        share = (q - HOME)[0] / way[0]
-        assert np.allclose(q, HOME + share * way, atol=1e-6)
+        fraction = (q - HOME)[0] / displacement[0]
+        assert np.allclose(q, HOME + fraction * displacement, atol=1e-6)
 
 
 @pytest.mark.parametrize("what", ["stop", "load", "safeguard"])
-def test_stopping_a_paused_program_drops_its_motion(what):
-    bench = Bench()
+def test_stopping_a_paused_program_drops_its_motion(bench, what):
     moving(bench)
     bench.pendant.pause()
     bench.tick(60)
@@ -384,7 +375,7 @@ def test_the_slider_slows_all_motion(text):
 
 
 def test_servoj_at_a_tenth_follows_at_a_tenth_of_the_speed():
-    def way(slider):
+    def first_joint(slider):
         bench = Bench()
         bench.controller.io.set_slider(slider)
         bench.tick(40)
@@ -395,14 +386,13 @@ def test_servoj_at_a_tenth_follows_at_a_tenth_of_the_speed():
             found.append(bench.q[0])
         return np.array(found)
 
-    full, slow = way(1.0), way(0.1)
+    full, slow = first_joint(1.0), first_joint(0.1)
     assert full[39] > 0.05
-    # Ten times the time, the same way.
+    # The same path in ten times the time.
     assert np.allclose(slow[9::10][:38], full[:38], atol=2e-3)
 
 
-def test_reduced_mode_is_half_as_fast_and_no_stop():
-    bench = Bench()
+def test_reduced_mode_is_half_as_fast_and_no_stop(bench):
     moving(bench)
     full = bench.moved
     bench.controller.safety.reduce(True)
@@ -416,8 +406,7 @@ def test_reduced_mode_is_half_as_fast_and_no_stop():
     assert bench.moved > 0.9 * full or np.allclose(bench.q, FAR, atol=0.05)
 
 
-def test_at_slider_zero_the_arm_stands_and_the_program_plays():
-    bench = Bench()
+def test_at_slider_zero_the_arm_stands_and_the_program_plays(bench):
     counts = moving(bench)
     bench.controller.io.set_slider(0.0)
     bench.tick(40)
@@ -430,8 +419,7 @@ def test_at_slider_zero_the_arm_stands_and_the_program_plays():
 # Faults.
 
 
-def test_a_program_that_starves_the_arm_is_stopped_protectively():
-    bench = Bench()
+def test_a_program_that_starves_the_arm_is_stopped_protectively(bench):
     bench.run(
         program(
             "k = 0\nwhile k < 60:\n  servoj([0.01 * k, -1.57, 1.57, -1.57, -1.57, 0], t=0.008)\n  k = k + 1\nend\n"
@@ -445,8 +433,7 @@ def test_a_program_that_starves_the_arm_is_stopped_protectively():
     stands(bench)
 
 
-def test_a_jump_of_servoj_is_stopped_protectively():
-    bench = Bench()
+def test_a_jump_of_servoj_is_stopped_protectively(bench):
     bench.run(program(f"servoj({[2.0, *HOME[1:]]}, t=0.008)\n{IDLE}"))
     bench.tick(3)
     assert bench.controller.values["safety_mode"] == 3
@@ -458,8 +445,7 @@ def test_a_jump_of_servoj_is_stopped_protectively():
 # A watchdog.
 
 
-def test_an_unfed_watchdog_stops_the_program():
-    bench = Bench()
+def test_an_unfed_watchdog_stops_the_program(bench):
     bench.run(program('rtde_set_watchdog("input_int_register_0", 10, "stop")\n' + COUNT + MOVE))
     for _ in range(10):
         bench.tick(10)  # 0.08 s of the 0.1 s
@@ -472,8 +458,7 @@ def test_an_unfed_watchdog_stops_the_program():
     stands(bench)
 
 
-def test_a_watchdog_may_pause():
-    bench = Bench()
+def test_a_watchdog_may_pause(bench):
     bench.run(program('rtde_set_watchdog("input_int_register_0", 10, "pause")\n' + MOVE))
     bench.tick(60)
     assert bench.state == RuntimeState.PAUSED
@@ -483,8 +468,7 @@ def test_a_watchdog_may_pause():
 
 
 @pytest.mark.parametrize("between", [0, 40])
-def test_a_watchdog_ends_with_its_program(between):
-    bench = Bench()
+def test_a_watchdog_ends_with_its_program(bench, between):
     bench.run(program('rtde_set_watchdog("input_int_register_0", 10, "stop")\n' + IDLE))
     bench.tick(5)
     if between:
@@ -512,8 +496,7 @@ def test_an_e_series_in_local_mode_refuses_programs():
     moving(cb3)
 
 
-def test_payload_and_tcp_change_reported_values():
-    bench = Bench()
+def test_payload_and_tcp_change_reported_values(bench):
     bench.tick()
     before = dict(bench.controller.values)
     text = "set_payload(2.5, [0.01, 0.02, 0.03])\nset_tcp(p[0, 0, 0.1, 0, 0, 0])"
@@ -522,19 +505,18 @@ def test_payload_and_tcp_change_reported_values():
     values = bench.controller.values
     assert (values["payload"], values["payload_cog"]) == (2.5, (0.01, 0.02, 0.03))
     assert values["actual_q"] == before["actual_q"]
-    way = np.subtract(values["actual_TCP_pose"][:3], before["actual_TCP_pose"][:3])
-    assert np.linalg.norm(way) == pytest.approx(0.1)
+    displacement = np.subtract(values["actual_TCP_pose"][:3], before["actual_TCP_pose"][:3])
+    assert np.linalg.norm(displacement) == pytest.approx(0.1)
     assert values["actual_TCP_pose"][3:] == pytest.approx(before["actual_TCP_pose"][3:])
     assert values["tcp_offset"] == pytest.approx([0, 0, 0.1, 0, 0, 0])
-    # The weight of what is held is no force on it.
+    # The weight of the declared payload is no external force.
     assert values["actual_TCP_force"][2] == pytest.approx(2.5 * 9.81)
     bench.wrench[2] = -2.5 * 9.81
     bench.tick()
     assert bench.controller.values["actual_TCP_force"][2] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_payload_beyond_the_arm_ends_the_program():
-    bench = Bench()
+def test_a_payload_beyond_the_arm_ends_the_program(bench):
     bench.run(program(f"set_payload(11)\n{IDLE}"))
     bench.tick(2)
     assert bench.state == RuntimeState.STOPPED

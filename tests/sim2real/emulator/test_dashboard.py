@@ -38,12 +38,12 @@ class Robot:
         self.operational_mode = "NONE"
         self.user_role = "none"
         self.refuses = False
-        self.told: list[str] = []
+        self.calls: list[str] = []
 
     def _note(self, text: str) -> None:
         if self.refuses:
             raise OperationRefusedError(f"not now:\n{text}")
-        self.told.append(text)
+        self.calls.append(text)
 
     def __getattr__(self, name: str) -> Callable[[], None]:
         assert callable(getattr(Pendant, name))
@@ -86,7 +86,7 @@ def older(profile: ControllerProfile, minor: int) -> ControllerProfile:
 
 @pytest.mark.parametrize("profile", [CB3, E_SERIES])
 @pytest.mark.parametrize(
-    ("line", "answer", "told"),
+    ("line", "answer", "call"),
     [
         ("power on", "Powering on", "power_on"),
         ("power off", "Powering off", "power_off"),
@@ -112,10 +112,10 @@ def older(profile: ControllerProfile, minor: int) -> ControllerProfile:
         ("shutdown", "Shutting down", "shutdown"),
     ],
 )
-def test_commands_act_and_answer(profile, line, answer, told):
+def test_commands_act_and_answer(profile, line, answer, call):
     dashboard, robot = connect(profile)
     assert dashboard.answer(line) == answer
-    assert robot.told == [told]
+    assert robot.calls == [call]
 
 
 def test_greeting_and_end():
@@ -142,7 +142,7 @@ def test_refusals(name):
         "not now: unlock_protective_stop" if name == "unlock_protective_stop" else f"Failed to execute: {command}"
     )
     assert dashboard.answer(command) == expected
-    assert robot.told == []
+    assert robot.calls == []
 
 
 def test_programs_that_cannot_be_loaded():
@@ -152,7 +152,7 @@ def test_programs_that_cannot_be_loaded():
     robot.refuses = True
     assert dashboard.answer("load some.urp") == "Error while loading program: some.urp"
     assert dashboard.answer("load installation x") == "Failed to load installation: x"
-    assert robot.told == []
+    assert robot.calls == []
 
 
 def test_state_of_the_program():
@@ -264,7 +264,7 @@ def test_operational_mode():
     assert dashboard.answer("set operational mode sleepy") == "Failed setting operational mode: sleepy"
     expected = "No longer controlling the operational mode. Current operational mode: 'MANUAL'."
     assert dashboard.answer("clear operational mode") == expected
-    assert robot.told == ["set_operational_mode MANUAL", "clear_operational_mode"]
+    assert robot.calls == ["set_operational_mode MANUAL", "clear_operational_mode"]
     assert connect(CB3)[0].answer("set operational mode manual").startswith("could not understand")
 
 
@@ -274,7 +274,7 @@ def test_user_role():
     assert dashboard.answer("getUserRole") == "PROGRAMMER"
     assert dashboard.answer("setUserRole restricted key") == "Setting user role: restricted"
     assert dashboard.answer("setUserRole king") == "Failed setting user role: king"
-    assert robot.told == ["set_user_role programmer", "set_user_role restricted"]
+    assert robot.calls == ["set_user_role programmer", "set_user_role restricted"]
     assert connect(E_SERIES)[0].answer("getUserRole").startswith("could not understand")
 
 
@@ -290,7 +290,7 @@ def test_local_mode_refuses_commands_that_move_the_arm():
     for name in Dashboard(E_SERIES, robot).commands:
         answer = Dashboard(E_SERIES, robot).answer(f"{name} x" if name.startswith("load") else name)
         assert (answer == LOCAL_MODE) == (name in LOCAL), name
-    assert not {"play", "power_on", "stop", "shutdown"} & set(robot.told)
+    assert not {"play", "power_on", "stop", "shutdown"} & set(robot.calls)
     assert Dashboard(E_SERIES, robot).answer("is in remote control") == "false"
 
 
@@ -305,7 +305,7 @@ def test_remote_control_needs_a_new_connection():
     assert later.answer("play") == "Starting program"
     robot.remote_control = False
     assert later.answer("play") == LOCAL_MODE
-    assert robot.told == ["play"]
+    assert robot.calls == ["play"]
 
 
 def test_a_cb3_has_no_local_mode():
@@ -318,7 +318,7 @@ def test_a_cb3_has_no_local_mode():
 def test_unknown_commands(line):
     dashboard, robot = connect()
     assert dashboard.answer(line) == f"could not understand: '{line}'"
-    assert robot.told == []
+    assert robot.calls == []
 
 
 def test_commands_not_emulated_are_reported():

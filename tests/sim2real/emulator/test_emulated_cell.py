@@ -124,7 +124,7 @@ def test_a_stalled_cell_is_reported_and_continues(tmp_path):
         info = cell.ask("info")
         assert info["lost_s"] > 0.25
         assert cell.ask("state", arm="left", names=["safety_mode"]) == {"safety_mode": 1}
-        assert "stood still" in (tmp_path / "log").read_text()
+        assert "stalled" in (tmp_path / "log").read_text()
 
 
 def test_a_cell_that_does_not_end_is_killed(monkeypatch):

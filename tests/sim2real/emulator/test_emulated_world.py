@@ -23,7 +23,7 @@ def standing(world):
     return plans
 
 
-def openings(world):
+def widths(world):
     return [world.read(arm).gripper_m for arm in range(2)]
 
 
@@ -32,7 +32,7 @@ def openings(world):
 def test_arms_stand_where_the_task_begins(task, family):
     world = world_of(task, family, plant="nominal")
     for _ in range(50):
-        world.advance(standing(world), openings(world), [world.gripper_kg] * 2)
+        world.advance(standing(world), widths(world), [world.gripper_kg] * 2)
     for arm in range(2):
         reading = world.read(arm)
         assert np.allclose(reading.q_rad, world.start_q_rad[arm], atol=1e-9)
@@ -83,10 +83,10 @@ def test_kinematic_errors_displace_the_flange():
     right, wrong = world_of(plant="nominal"), world_of(plant="nominal", dh_error_m=0.005)
     offsets = []
     for world in (right, wrong):
-        believed = flange_pose(world.start_q_rad[0])[0]
+        nominal = flange_pose(world.start_q_rad[0])[0]
         base, _ = world.pose("left/base_link")
         true, _ = world.pose("left/wrist_3_link")
-        offsets.append(np.linalg.norm(true - base) - np.linalg.norm(believed))
+        offsets.append(np.linalg.norm(true - base) - np.linalg.norm(nominal))
     assert abs(offsets[0] - offsets[1]) > 5e-4
 
 
@@ -97,7 +97,7 @@ def test_an_object_is_placed_at_rest():
     world.place(np.array([*lifted, *quat]))
     assert np.allclose(world.pose("block")[0], lifted)
     for _ in range(125):
-        world.advance(standing(world), openings(world), [world.gripper_kg] * 2)
+        world.advance(standing(world), widths(world), [world.gripper_kg] * 2)
     fallen, _ = world.pose("block")
     assert np.allclose(fallen, np.add(position, [0.05, -0.02, 0.0]), atol=5e-3)
     with pytest.raises(SettingsError, match="no object"):
@@ -107,8 +107,8 @@ def test_an_object_is_placed_at_rest():
 def test_an_undeclared_payload_makes_an_arm_sag():
     declared, silent = world_of("Handover", plant="nominal"), world_of("Handover", plant="nominal")
     for _ in range(125):
-        declared.advance(standing(declared), openings(declared), [declared.gripper_kg] * 2)
-        silent.advance(standing(silent), openings(silent), [0.0, 0.0])
+        declared.advance(standing(declared), widths(declared), [declared.gripper_kg] * 2)
+        silent.advance(standing(silent), widths(silent), [0.0, 0.0])
     sag = silent.read(0).q_rad - declared.read(0).q_rad
     assert np.abs(sag).max() > 1e-4
 

@@ -115,9 +115,9 @@ def test_info(cell):
 
 def test_state(cell):
     cell.tick()
-    told = cell.get("state", arm="right", names=["actual_q", "safety_mode"])
-    assert set(told) == {"actual_q", "safety_mode"}
-    assert told["actual_q"] == pytest.approx(cell.emulator.servers[1].controller.values["actual_q"])
+    reported = cell.get("state", arm="right", names=["actual_q", "safety_mode"])
+    assert set(reported) == {"actual_q", "safety_mode"}
+    assert reported["actual_q"] == pytest.approx(cell.emulator.servers[1].controller.values["actual_q"])
     assert set(cell.get("state", arm="left")) == set(cell.emulator.servers[0].controller.values)
     assert "'actual_q'" in cell.refused("state", arm="left", names=["actual_qq"])
     assert "'left', 'right'" in cell.refused("state", arm="middle")
@@ -444,7 +444,7 @@ def test_values_are_overridden_until_null(cell):
     cell.tick(2)
     for name, value in wrong.items():
         assert np.array_equal(controller.values[name], value, equal_nan=True)
-    assert controller.safety.robot_mode == RobotMode.RUNNING  # only told
+    assert controller.safety.robot_mode == RobotMode.RUNNING  # only reported so
     assert cell.emulator.servers[1].controller.values["robot_mode"] == 7
     cell.get("override", arm="left", joint_temperatures=[91.0] * 6)
     cell.get("override", arm="left", **dict.fromkeys(wrong))
@@ -486,7 +486,7 @@ def test_programs_start_late(cell):
         client.sock.sendall(program("while True:\n  sync()\nend").encode())
         for _ in range(40):
             cell.serve()
-            time.sleep(0.001)  # the program is read beside
+            time.sleep(0.001)  # a thread parses the program
             states.append(cell.emulator.servers[0].controller.values["runtime_state"])
     assert 19 <= states.index(2) <= 24
     for bad in (-1, 61, float("nan"), "x", None):
@@ -526,7 +526,7 @@ def test_another_controller_is_reported_to_clients(cell):
     ):  # fmt: skip
         cell.refused("pretend", arm="left", **bad)
     assert versions(0)[:3] == (rtde, lines, primary)
-    cell.get("pretend", arm="left", version=[3, 3, 0, 1])  # no such commands yet: what stays is what was not named
+    cell.get("pretend", arm="left", version=[3, 3, 0, 1])  # unnamed values stay; this version lacks the commands
     with Client(cell, 0, "dashboard") as dashboard:
         dashboard.read()
         assert b"could not understand" in dashboard.answer(b"get robot model\n")

@@ -77,10 +77,10 @@ def test_two_arms_lift_a_bar(cell):
         """Return the flange poses that grip the bar, in each arm's base frame, at a height above it."""
         along = rotate(quat, np.array([0.0, GRIP_DISTANCE_M / 2, 0.0]))
         points = np.add([position + along, position - along], [0.0, 0.0, height + TCP_M])
-        turn = quat_multiply(quat, GRIP_QUAT)
-        turns = frames.quat_to_base(np.array([turn, turn]))
+        rotation = quat_multiply(quat, GRIP_QUAT)
+        rotations = frames.quat_to_base(np.array([rotation, rotation]))
         places = frames.position_to_base(points)
-        return [[*place, *quat_to_rotvec(each)] for place, each in zip(places, turns, strict=True)]
+        return [[*place, *quat_to_rotvec(each)] for place, each in zip(places, rotations, strict=True)]
 
     grippers = [Gripper(host) for host in (cell.left, cell.right)]
     scripts = [socket.create_connection((host, 30003)) for host in (cell.left, cell.right)]

@@ -56,8 +56,7 @@ def test_no_argument_of_a_function_ends_the_controller(family):
         "thread t():\n  i = 0\n  while i < 4000:\n    i = i + 1\n  end\n  sync()\nend\n" + "run t()\n" * 40 + "sync()",
     ],
 )
-def test_a_program_has_one_budget_per_control_period(text):
-    bench = Bench()
+def test_a_program_has_one_budget_per_control_period(bench, text):
     bench.run(program(text))
     bench.tick(3)
     assert bench.state == RuntimeState.STOPPED
@@ -65,8 +64,7 @@ def test_a_program_has_one_budget_per_control_period(text):
 
 
 @pytest.mark.parametrize("cog", ["[0, 0]", '"123"', "[0, 0, 1e308 * 10]", "[]"])
-def test_a_payload_is_all_or_nothing(cog):
-    bench = Bench()
+def test_a_payload_is_all_or_nothing(bench, cog):
     bench.run(program(f"set_payload(1.0, {cog})"))
     bench.tick(2)
     assert bench.controller.payload.mass_kg == 0.0
@@ -80,8 +78,7 @@ def moving(bench, speed=1.0):
 
 
 @pytest.mark.parametrize("pausing", [1, 5, 12, 17])
-def test_a_stop_during_a_pause_makes_no_arm_faster(pausing):
-    bench = Bench()
+def test_a_stop_during_a_pause_makes_no_arm_faster(bench, pausing):
     moving(bench)
     bench.pendant.pause()
     bench.tick(pausing)
@@ -96,8 +93,7 @@ def test_a_stop_during_a_pause_makes_no_arm_faster(pausing):
     assert before == 0.0
 
 
-def test_a_stopped_arm_stays_when_the_slider_returns():
-    bench = Bench()
+def test_a_stopped_arm_stays_when_the_slider_returns(bench):
     moving(bench)
     bench.controller.io.set_slider(0.0)
     bench.tick(28)
@@ -110,8 +106,7 @@ def test_a_stopped_arm_stays_when_the_slider_returns():
     assert np.array_equal(bench.controller.motion.q, q)
 
 
-def test_a_deviating_arm_is_stopped():
-    bench = Bench()
+def test_a_deviating_arm_is_stopped(bench):
     controller = bench.controller
     stuck = ArmReading(np.array(HOME, dtype=float), np.zeros(6), np.zeros(6), np.zeros(6), None)
     bench.run(program(f"movej({[HOME[0] + 1.0, *HOME[1:]]}, a=2, v=1)\nset_standard_digital_out(0, True)"))
@@ -121,7 +116,7 @@ def test_a_deviating_arm_is_stopped():
     assert "C153A0" in controller.safety.reason
     assert not controller.io.outputs  # the program did not go on as if the arm had arrived
     assert np.abs(controller.motion.q - HOME).max() < 0.11
-    # Whoever lets it go on is told that the motion was lost.
+    # Resuming reports that the motion was lost.
     controller.safety.release(SafetyMode.PROTECTIVE_STOP)
     controller.play()
     for _ in range(100):
@@ -130,16 +125,14 @@ def test_a_deviating_arm_is_stopped():
     assert not controller.io.outputs
 
 
-def test_refused_targets_are_not_listed_as_executed():
-    bench = Bench()
+def test_refused_targets_are_not_listed_as_executed(bench):
     bench.run(program(f"servoj({[HOME[0] + 3.0, *HOME[1:]]}, t=0.008, lookahead_time=0.05, gain=500)"))
     bench.tick(5)
     assert bench.controller.safety.safety_mode == SafetyMode.PROTECTIVE_STOP
     assert not bench.controller.setpoints
 
 
-def test_a_safeguard_does_not_end_a_manual_pause():
-    bench = Bench()
+def test_a_safeguard_does_not_end_a_manual_pause(bench):
     moving(bench)
     bench.controller.safety.stop(SafetyMode.SAFEGUARD_STOP)
     bench.tick(30)
@@ -150,8 +143,7 @@ def test_a_safeguard_does_not_end_a_manual_pause():
 
 
 @pytest.mark.parametrize("ticks", [0, 1, 3])
-def test_a_short_emergency_stop_takes_effect(ticks):
-    bench = Bench()
+def test_a_short_emergency_stop_takes_effect(bench, ticks):
     moving(bench)
     bench.controller.safety.stop(SafetyMode.ROBOT_EMERGENCY_STOP)
     bench.tick(ticks)
@@ -164,8 +156,7 @@ def test_a_short_emergency_stop_takes_effect(ticks):
 @pytest.mark.parametrize("call", ["teach_mode()", "freedrive_mode()", f"movej({HOME})", "force_mode(p[0,0,0,0,0,0],"
                                   " [0,0,1,0,0,0], [0,0,9,0,0,0], 2, [1,1,1,1,1,1])"])  # fmt: skip
 @pytest.mark.parametrize("beside", [False, True])
-def test_secondary_programs_neither_move_nor_free_the_arm(call, beside):
-    bench = Bench()
+def test_secondary_programs_neither_move_nor_free_the_arm(bench, call, beside):
     if beside:
         bench.run(program("while True:\n  sync()\nend"))
         bench.tick(2)
@@ -176,8 +167,7 @@ def test_secondary_programs_neither_move_nor_free_the_arm(call, beside):
     assert bench.state == (RuntimeState.PLAYING if beside else RuntimeState.STOPPED)
 
 
-def test_secondary_programs_end_with_the_power():
-    bench = Bench()
+def test_secondary_programs_end_with_the_power(bench):
     loop = "i = 0\nwhile True:\n  i = i + 1\n  write_output_integer_register(0, i)\n  sync()\nend"
     bench.controller.run_script("sec s():\n" + loop + "\nend\n")
     bench.tick(5)
@@ -190,8 +180,7 @@ def test_secondary_programs_end_with_the_power():
     assert b"not started" in b"".join(bench.controller.messages)
 
 
-def test_an_unreadable_secondary_program_ends_nothing():
-    bench = Bench()
+def test_an_unreadable_secondary_program_ends_nothing(bench):
     bench.run(program("while True:\n  sync()\nend"))
     bench.tick(2)
     bench.controller.run_script("sec s():\n  no_such_thing()\nend\n")
@@ -199,8 +188,7 @@ def test_an_unreadable_secondary_program_ends_nothing():
     assert bench.state == RuntimeState.PLAYING
 
 
-def test_programs_see_true_values_despite_overrides():
-    bench = Bench()
+def test_programs_see_true_values_despite_overrides(bench):
     bench.controller.override("actual_q", (9.0,) * 6)
     bench.run(program("q = get_actual_joint_positions()\nwrite_output_float_register(0, q[0])"))
     bench.tick(3)
@@ -208,8 +196,7 @@ def test_programs_see_true_values_despite_overrides():
     assert bench.controller.registers.output_double[0] == pytest.approx(HOME[0])
 
 
-def test_a_declared_payload_adds_no_force():
-    bench = Bench()
+def test_a_declared_payload_adds_no_force(bench):
     controller = bench.controller
     bench.run(program("set_payload(2.0, [0.1, 0.0, 0.2])\nwhile True:\n  sync()\nend"))
     bench.tick(2)
@@ -242,8 +229,7 @@ def test_feeding_by_an_unchanged_value_is_assumed(unchanged):
     assert bench.state == (RuntimeState.PLAYING if unchanged else RuntimeState.STOPPED)
 
 
-def test_a_blocking_popup_blocks_until_it_is_closed():
-    bench = Bench()
+def test_a_blocking_popup_blocks_until_it_is_closed(bench):
     bench.run(program('popup("look", blocking=True)\nset_standard_digital_out(1, True)\nwhile True:\n  sync()\nend'))
     bench.tick(10)
     assert not bench.controller.io.outputs
@@ -252,8 +238,7 @@ def test_a_blocking_popup_blocks_until_it_is_closed():
     assert bench.controller.io.outputs == 2
 
 
-def test_an_emergency_stop_from_full_speed_is_as_short_as_others():
-    bench = Bench()
+def test_an_emergency_stop_from_full_speed_is_as_short_as_others(bench):
     moving(bench, 2.0)
     bench.controller.safety.stop(SafetyMode.ROBOT_EMERGENCY_STOP)
     bench.passing(bench.profile.assumptions.stopping_s + 0.02)

@@ -96,7 +96,7 @@ def test_any_commands_move_without_jumps(commands, wrench, scalings):
             assert np.array_equal(arm.qd, plan[-1, 1])
             assert np.array_equal(arm.qdd, plan[-1, 2])
             assert np.isfinite(plan).all()
-            # 10 % for servoj, and what the TCP gives way.
+            # 10 % for servoj, and the compliance of the TCP.
             assert (np.abs(plan[:, 1]) <= 1.51 * JOINT_SPEED_RAD_S).all()
             # A servoj towards 0.02 rad at a gain of 1500, two motions that add up, or the change of scaling.
             slowed = abs(scaling - before) / TICK_S * SUBSTEPS * max(fastest, np.abs(arm._rate).max())

@@ -113,9 +113,9 @@ def test_type_1_rotates_the_frame_towards_its_origin():
     origin = start + np.array([0.0, 0.3, 0.4])
     arm.force_mode([*origin, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 20.0, 0, 0, 0, 0], 1, [0.05] * 6)
     run(arm, 100)
-    way = positions(arm.q) - start
-    assert np.linalg.norm(way) > 0.01
-    assert way @ [0.0, 0.6, 0.8] == pytest.approx(np.linalg.norm(way), rel=1e-3)
+    displacement = positions(arm.q) - start
+    assert np.linalg.norm(displacement) > 0.01
+    assert displacement @ [0.0, 0.6, 0.8] == pytest.approx(np.linalg.norm(displacement), rel=1e-3)
 
 
 def test_type_3_follows_the_speed_of_the_tcp():
@@ -125,9 +125,9 @@ def test_type_3_follows_the_speed_of_the_tcp():
     run(arm, 20)
     arm.force_mode([0.0] * 6, [1, 0, 0, 0, 0, 0], [20.0, 0, 0, 0, 0, 0], 3, [0.05] * 6)
     run(arm, 100)
-    way = positions(arm.q) - start
-    assert way[1] > 0.05 * 120 * TICK_S + 0.01
-    assert np.abs(way[[0, 2]]).max() < 2e-3
+    displacement = positions(arm.q) - start
+    assert displacement[1] > 0.05 * 120 * TICK_S + 0.01
+    assert np.abs(displacement[[0, 2]]).max() < 2e-3
 
 
 def test_freedrive_follows_a_force_and_stands_without_one():

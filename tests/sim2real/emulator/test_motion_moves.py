@@ -37,9 +37,9 @@ def test_movej_ends_at_its_target_in_time_and_keeps_the_limits(q, a, v):
     path, ticks = until_done(arm, arm.move_joints(q, a, v))
     assert np.array_equal(arm.q, q)
     assert not arm.moving
-    way = np.abs(q - Q0)
-    a, lead = min(a, 40.0), way.max()
-    v = min(v, lead / (way / JOINT_SPEED_RAD_S).max())
+    displacement = np.abs(q - Q0)
+    a, lead = min(a, 40.0), displacement.max()
+    v = min(v, lead / (displacement / JOINT_SPEED_RAD_S).max())
     duration = lead / v + v / a if v * v < a * lead else 2 * math.sqrt(lead / a)
     assert ticks == math.ceil(duration / TICK_S - 1e-6)
     speed = np.diff(path, axis=0) / DT
@@ -47,8 +47,8 @@ def test_movej_ends_at_its_target_in_time_and_keeps_the_limits(q, a, v):
     assert (np.abs(speed).max() <= v * (1 + 1e-6)) or lead < 1e-9
     assert np.abs(np.diff(speed, axis=0)).max() <= a * DT * (1 + 1e-6)
     # All joints move together, along a line.
-    share = (path - Q0) @ (q - Q0) / ((q - Q0) @ (q - Q0))
-    assert np.abs(path - Q0 - np.outer(share, q - Q0)).max() < 1e-9
+    fraction = (path - Q0) @ (q - Q0) / ((q - Q0) @ (q - Q0))
+    assert np.abs(path - Q0 - np.outer(fraction, q - Q0)).max() < 1e-9
 
 
 @pytest.mark.parametrize("seconds", [0.4, 0.5, 1.0, 2.345])
@@ -66,10 +66,10 @@ def test_t_is_the_time_of_a_move(seconds):
     assert np.allclose(arm.tcp_pose(arm.q), goal, atol=1e-9)
 
 
-@pytest.mark.parametrize(("way", "seconds"), [(2.0, 1.2), (0.14, 0.12)])
-def test_t_is_kept_where_only_other_ramps_allow_it(way, seconds):
+@pytest.mark.parametrize(("displacement", "seconds"), [(2.0, 1.2), (0.14, 0.12)])
+def test_t_is_kept_where_only_other_ramps_allow_it(displacement, seconds):
     arm = motion()
-    path, ticks = until_done(arm, arm.move_joints(Q0 + np.array([way, 0, 0, 0, 0, 0]), 1.0, 1.0, seconds))
+    path, ticks = until_done(arm, arm.move_joints(Q0 + np.array([displacement, 0, 0, 0, 0, 0]), 1.0, 1.0, seconds))
     assert ticks == round(seconds / TICK_S)
     speed = np.diff(path, axis=0) / DT
     assert np.abs(speed).max() <= JOINT_SPEED_RAD_S[0] * (1 + 1e-6)
@@ -89,21 +89,21 @@ def test_movel_is_straight_and_rotates_evenly():
     arm = motion()
     arm.set_tcp([0.02, -0.01, 0.15, 0.3, -0.2, 0.1])
     start = np.array(arm.tcp_pose(arm.q)[:3])
-    turn = arm.arm.tcp(arm.q, arm.tool).rotation
+    rotation = arm.arm.tcp(arm.q, arm.tool).rotation
     goal = pose(arm, 0.15, 0.2, -0.25, 0.4, 0.2, -0.3)
     path, _ = until_done(arm, arm.move_linear(goal, 1.2, 0.5))
     poses = [arm.arm.tcp(q, arm.tool) for q in path]
     at = np.array([each.position for each in poses])
-    way = np.array(goal[:3]) - start
-    share = (at - start) @ way / (way @ way)
-    assert np.abs(at - start - np.outer(share, way)).max() < 1e-6
+    displacement = np.array(goal[:3]) - start
+    fraction = (at - start) @ displacement / (displacement @ displacement)
+    assert np.abs(at - start - np.outer(fraction, displacement)).max() < 1e-6
     assert np.abs(at[-1] - goal[:3]).max() < 1e-10
-    whole = np.array(rotvec_of(poses[-1].rotation @ turn.T))
-    for each, part in zip(poses[::20], share[::20], strict=True):
-        assert np.abs(np.array(rotvec_of(each.rotation @ turn.T)) - part * whole).max() < 1e-6
+    whole = np.array(rotvec_of(poses[-1].rotation @ rotation.T))
+    for each, part in zip(poses[::20], fraction[::20], strict=True):
+        assert np.abs(np.array(rotvec_of(each.rotation @ rotation.T)) - part * whole).max() < 1e-6
     speed = np.linalg.norm(np.diff(at, axis=0), axis=1) / DT
     # Rotation takes longer here, and leads.
-    assert speed.max() == pytest.approx(0.5 * np.linalg.norm(way) / np.linalg.norm(whole), rel=1e-3)
+    assert speed.max() == pytest.approx(0.5 * np.linalg.norm(displacement) / np.linalg.norm(whole), rel=1e-3)
 
 
 def test_movel_of_a_calibrated_arm():
@@ -186,10 +186,10 @@ def test_a_pause_keeps_the_path():
     arm = motion()
     ramp = [*np.linspace(1, 0, 19), *[0.0] * 20, *np.linspace(0, 1, 19)]
     path, _ = until_done(arm, arm.move_joints(target, 1.4, 1.0), lambda k: ramp[k - 20] if 20 <= k < 78 else 1.0)
-    share = (path - Q0) @ (target - Q0) / ((target - Q0) @ (target - Q0))
-    assert np.abs(path - Q0 - np.outer(share, target - Q0)).max() < 1e-12
-    assert (np.diff(share) >= -1e-15).all()
-    assert (np.diff(share) == 0.0).sum() >= 20 * SUBSTEPS
+    fraction = (path - Q0) @ (target - Q0) / ((target - Q0) @ (target - Q0))
+    assert np.abs(path - Q0 - np.outer(fraction, target - Q0)).max() < 1e-12
+    assert (np.diff(fraction) >= -1e-15).all()
+    assert (np.diff(fraction) == 0.0).sum() >= 20 * SUBSTEPS
     assert np.array_equal(arm.q, target)
 
 
@@ -212,25 +212,20 @@ def test_nothing_moves_at_scaling_zero():
 def _distance_to_polyline(points, corners):
     best = np.full(len(points), np.inf)
     for a, b in pairwise(corners):
-        share = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
-        best = np.minimum(best, np.linalg.norm(points - a - np.outer(share, b - a), axis=1))
+        fraction = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+        best = np.minimum(best, np.linalg.norm(points - a - np.outer(fraction, b - a), axis=1))
     return best
 
 
 @settings(max_examples=scaled(400), deadline=None)
-@given(
-    r=st.floats(0.005, 0.05),
-    v=st.floats(0.1, 0.4),
-    corner=st.floats(0.3, 2.6),
-    turn=st.floats(-0.15, 0.15),
-)
-def test_linear_blends_stay_within_the_radius_and_do_not_stop(r, v, corner, turn):
+@given(r=st.floats(0.005, 0.05), v=st.floats(0.1, 0.4), corner=st.floats(0.3, 2.6), rotation=st.floats(-0.15, 0.15))
+def test_linear_blends_stay_within_the_radius_and_do_not_stop(r, v, corner, rotation):
     arm = motion()
     start = np.array(arm.tcp_pose(arm.q))
     middle, end = start.copy(), start.copy()
     middle[:3] += [0.0, 0.15, 0.0]
     end[:3] = middle[:3] + 0.15 * np.array([0.0, -math.cos(corner), math.sin(corner)])
-    end[3] += turn
+    end[3] += rotation
     first, _ = until_done(arm, arm.move_linear(middle, 1.2, v, 0.0, r))
     assert np.linalg.norm(positions(arm.q) - middle[:3]) <= r
     assert arm.moving

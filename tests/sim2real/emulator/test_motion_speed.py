@@ -36,8 +36,8 @@ def test_speedj_returns_at_its_speed():
     arm.plan()
     assert np.abs(arm.qd - speed).max() < 1e-9
     # It moves along a line all the time.
-    share = (path - Q0) @ speed / (speed @ speed)
-    assert np.abs(path - Q0 - np.outer(share, speed)).max() < 1e-12
+    fraction = (path - Q0) @ speed / (speed @ speed)
+    assert np.abs(path - Q0 - np.outer(fraction, speed)).max() < 1e-12
 
 
 def test_speedj_returns_after_t_at_any_speed():
@@ -163,7 +163,7 @@ def test_stopl_keeps_the_direction_of_the_tcp(before):
     start = positions(arm.q)
     path, _ = until_done(arm, arm.stop_linear(0.8))
     at = positions(path)
-    tolerance = 1e-6 if before != "movej" else 1e-3  # whose direction turned during the last step
+    tolerance = 1e-6 if before != "movej" else 1e-3  # its direction changed during the last step
     out = (at - start) @ speed[:3] / (speed[:3] @ speed[:3])
     assert np.abs(at - start - np.outer(out, speed[:3])).max() < tolerance
     assert (np.diff(out) >= -1e-12).all()

@@ -243,7 +243,7 @@ def test_a_stream_of_servoj_lines_moves_the_arm(arm):
 def test_speedj_and_stopj(arm):
     left = arm("left", REALTIME)
     left.send("speedj([0, 0, 0, 0, 0, 0.4], a=2.0, t=10)\n")
-    left.until(lambda now: now["actual_qd"][5] == pytest.approx(0.4, abs=0.01), "the joint to turn")
+    left.until(lambda now: now["actual_qd"][5] == pytest.approx(0.4, abs=0.01), "the joint to rotate")
     left.send("stopj(2.0)\n")
     seen = left.until(at_rest, "the arm to stand")
     slowing = [each for each in seen if 0.02 < each["target_qd"][5] < 0.38]
@@ -310,8 +310,8 @@ def test_two_sockets_move_both_arms_at_the_same_time(arm):
     left, right = arm("left", SECONDARY), arm("right", REALTIME)
     left.send("speedj([0, 0, 0, 0, 0, 0.4], a=4, t=30)\n")
     right.send("speedj([0, 0, 0, 0, 0, -0.3], a=4, t=30)\n")
-    left.until(lambda now: now["actual_qd"][5] == pytest.approx(0.4, abs=0.01), "the left arm to turn")
-    right.until(lambda now: now["actual_qd"][5] == pytest.approx(-0.3, abs=0.01), "the right arm to turn")
+    left.until(lambda now: now["actual_qd"][5] == pytest.approx(0.4, abs=0.01), "the left arm to rotate")
+    right.until(lambda now: now["actual_qd"][5] == pytest.approx(-0.3, abs=0.01), "the right arm to rotate")
     assert left.rtde.latest()["actual_qd"][5] == pytest.approx(0.4, abs=0.01)
     goals = left.start["actual_q"], right.start["actual_q"]
     for one, goal in zip((left, right), goals, strict=True):
@@ -325,7 +325,7 @@ def test_one_arm_is_not_disturbed_by_the_other(arm, cell):
     """Motion, stops, outputs and failing programs of one arm do not affect the other."""
     left, right = arm("left", SECONDARY), arm("right", SECONDARY)
     right.send("speedj([0, 0, 0, 0, 0, 0.2], a=2.0, t=20)\n")
-    right.until(lambda now: now["target_qd"][5] == pytest.approx(0.2), "the right arm to turn")
+    right.until(lambda now: now["target_qd"][5] == pytest.approx(0.2), "the right arm to rotate")
     left.send(f"movej({written(moved(left.start, 0.2))}, a=4, v=1.0)\n")
     left.until_there(moved(left.start, 0.2))
     left.send("set_digital_out(3, True)\n")

@@ -22,19 +22,19 @@ DT_S = 0.008
 class Fingers:
     """Fingers that follow the servo's reference with its lag, between an object and a stop."""
 
-    def __init__(self, gripper: RobotiqGripper, opening_m: float = OPENING_M) -> None:
-        self.gripper, self.opening_m = gripper, opening_m
-        self._delayed: deque[float] = deque([opening_m] * round(gripper.latency_s / DT_S))
+    def __init__(self, gripper: RobotiqGripper, width_m: float = OPENING_M) -> None:
+        self.gripper, self.width_m = gripper, width_m
+        self._delayed: deque[float] = deque([width_m] * round(gripper.latency_s / DT_S))
         self.least_m, self.most_m = 0.0, OPENING_M
-        self.reference_m = opening_m
+        self.reference_m = width_m
         self.now_s = 0.0
 
     def tick(self) -> None:
         self.now_s += DT_S
-        self.reference_m = self.gripper.tick(DT_S, self.opening_m)
+        self.reference_m = self.gripper.tick(DT_S, self.width_m)
         self._delayed.append(self.reference_m)
-        self.opening_m += (self._delayed.popleft() - self.opening_m) * min(1.0, DT_S / 0.011)
-        self.opening_m = min(max(self.opening_m, self.least_m), self.most_m)
+        self.width_m += (self._delayed.popleft() - self.width_m) * min(1.0, DT_S / 0.011)
+        self.width_m = min(max(self.width_m, self.least_m), self.most_m)
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds / DT_S)):
@@ -56,9 +56,9 @@ def get(gripper: RobotiqGripper, name: str) -> int:
     return int(value)
 
 
-def active(opening_m: float = OPENING_M, latency_s: float = 0.0) -> tuple[RobotiqGripper, Fingers]:
+def active(width_m: float = OPENING_M, latency_s: float = 0.0) -> tuple[RobotiqGripper, Fingers]:
     gripper = RobotiqGripper(latency_s=latency_s)
-    fingers = Fingers(gripper, opening_m)
+    fingers = Fingers(gripper, width_m)
     assert gripper.answer("SET ACT 1") == "ack"
     fingers.run_until("STA", 3)
     return gripper, fingers
@@ -69,11 +69,11 @@ def test_activation_takes_time_and_opens_the_fingers():
     fingers = Fingers(gripper, 0.02)
     assert get(gripper, "STA") == 0
     fingers.run(0.1)
-    assert fingers.opening_m == pytest.approx(0.02)
+    assert fingers.width_m == pytest.approx(0.02)
     assert gripper.answer("SET ACT 1") == "ack"
     assert get(gripper, "STA") == 1
     assert fingers.run_until("STA", 3) >= ACTIVATION_S - DT_S
-    assert fingers.opening_m == pytest.approx(OPENING_M, abs=1e-3)
+    assert fingers.width_m == pytest.approx(OPENING_M, abs=1e-3)
     assert get(gripper, "FLT") == 0
 
 
@@ -82,7 +82,7 @@ def test_nothing_moves_before_activation():
     fingers = Fingers(gripper)
     assert gripper.answer("SET POS 255 GTO 1") == "ack"
     fingers.run(2.0)
-    assert fingers.opening_m == OPENING_M
+    assert fingers.width_m == OPENING_M
     assert get(gripper, "FLT") == 7
     assert get(gripper, "GTO") == 0
     gripper.answer("SET ACT 1")
@@ -90,7 +90,7 @@ def test_nothing_moves_before_activation():
     gripper.answer("SET POS 255 GTO 1")
     assert get(gripper, "FLT") == 5
     fingers.run(ACTIVATION_S / 2)
-    assert fingers.opening_m == pytest.approx(OPENING_M, abs=1e-3)
+    assert fingers.width_m == pytest.approx(OPENING_M, abs=1e-3)
     fingers.run_until("POS", 255)
     assert get(gripper, "FLT") == 0
 
@@ -103,7 +103,7 @@ def test_positions_are_linear_in_the_opening(position):
     assert get(gripper, "OBJ") == MOVING
     fingers.run_until("OBJ", AT_POSITION)
     fingers.run(0.2)
-    assert fingers.opening_m == pytest.approx(OPENING_M * (1 - position / 255), abs=1e-4)
+    assert fingers.width_m == pytest.approx(OPENING_M * (1 - position / 255), abs=1e-4)
     assert get(gripper, "POS") == position
 
 
@@ -112,9 +112,9 @@ def test_speed(speed, expected_m_s):
     gripper, fingers = active()
     gripper.answer(f"SET POS 255 SPE {speed} FOR 255 GTO 1")
     fingers.run(0.1)
-    begin_m = fingers.opening_m
+    begin_m = fingers.width_m
     fingers.run(0.2)
-    assert (begin_m - fingers.opening_m) / 0.2 == pytest.approx(expected_m_s, rel=1e-3)
+    assert (begin_m - fingers.width_m) / 0.2 == pytest.approx(expected_m_s, rel=1e-3)
 
 
 @pytest.mark.parametrize("force", [0, 100, 255])
@@ -127,9 +127,9 @@ def test_grip_stops_at_the_object_and_presses_with_the_force(force):
     fingers.run_until("OBJ", STOPPED_CLOSING)
     fingers.run(0.1)
     asked_n = FORCE_N[0] + (FORCE_N[1] - FORCE_N[0]) * force / 255
-    assert KP_N_M * (fingers.opening_m - fingers.reference_m) == pytest.approx(asked_n, rel=1e-6)
+    assert KP_N_M * (fingers.width_m - fingers.reference_m) == pytest.approx(asked_n, rel=1e-6)
     assert get(gripper, "POS") == round(255 * (1 - 0.05 / OPENING_M))
-    assert gripper.answer("SET POS 255 GTO 1") == "ack"  # said again: nothing new
+    assert gripper.answer("SET POS 255 GTO 1") == "ack"  # a repetition changes nothing
     assert get(gripper, "OBJ") == STOPPED_CLOSING
 
 
@@ -150,7 +150,7 @@ def test_before_they_count_as_stopped_the_force_is_bounded():
     pressed_n = 0.0
     while get(gripper, "OBJ") == MOVING:
         fingers.tick()
-        pressed_n = max(pressed_n, KP_N_M * (fingers.opening_m - fingers.reference_m))
+        pressed_n = max(pressed_n, KP_N_M * (fingers.width_m - fingers.reference_m))
     assert FORCE_N[0] < pressed_n <= FORCE_N[0] + KP_N_M * 0.02 * 0.15 * 1.001
     assert get(gripper, "OBJ") == STOPPED_CLOSING
 
@@ -172,9 +172,9 @@ def test_late_fingers_do_not_count_as_blocked(force):
     gripper, fingers = active(latency_s=LATENCY_S)
     gripper.answer(f"SET POS 255 SPE 255 FOR {force} GTO 1")
     fingers.run(0.25)
-    begin_m = fingers.opening_m
+    begin_m = fingers.width_m
     fingers.run(0.2)
-    assert (begin_m - fingers.opening_m) / 0.2 == pytest.approx(0.15, rel=1e-3)
+    assert (begin_m - fingers.width_m) / 0.2 == pytest.approx(0.15, rel=1e-3)
     fingers.run_until("OBJ", AT_POSITION)
     gripper.answer("SET POS 0 SPE 0")
     while get(gripper, "OBJ") == MOVING:
@@ -185,7 +185,7 @@ def test_late_fingers_do_not_count_as_blocked(force):
     gripper.answer("SET POS 255")
     fingers.run_until("OBJ", STOPPED_CLOSING)
     fingers.run(0.3)
-    pressed_n = KP_N_M * (fingers.opening_m - fingers.reference_m)
+    pressed_n = KP_N_M * (fingers.width_m - fingers.reference_m)
     assert pressed_n == pytest.approx(FORCE_N[0] if force == 0 else FORCE_N[1], rel=1e-6)
 
 
@@ -231,10 +231,10 @@ def test_stop_and_go_on():
     fingers.run(1.0)
     gripper.answer("SET GTO 0")
     fingers.run(0.1)
-    stopped_m = fingers.opening_m
+    stopped_m = fingers.width_m
     assert 0.01 < stopped_m < OPENING_M - 0.01
     fingers.run(1.0)
-    assert fingers.opening_m == pytest.approx(stopped_m, abs=1e-4)
+    assert fingers.width_m == pytest.approx(stopped_m, abs=1e-4)
     gripper.answer("SET GTO 1")
     fingers.run_until("OBJ", AT_POSITION)
 
@@ -243,11 +243,11 @@ def test_reset_loses_the_activation():
     gripper, fingers = active()
     gripper.answer("SET POS 100 GTO 1")
     fingers.run_until("OBJ", AT_POSITION)
-    opening_m = fingers.opening_m
+    width_m = fingers.width_m
     assert gripper.answer("SET ACT 0") == "ack"
     assert [get(gripper, name) for name in ("ACT", "STA", "GTO", "PRE", "FLT")] == [0, 0, 0, 0, 0]
     fingers.run(0.5)
-    assert fingers.opening_m == pytest.approx(opening_m, abs=1e-3)
+    assert fingers.width_m == pytest.approx(width_m, abs=1e-3)
 
 
 @pytest.mark.parametrize(("direction", "position"), [(1, 0), (0, 255)])
@@ -309,12 +309,12 @@ lines = st.one_of(st.text(max_size=30), st.lists(words, max_size=9).map(" ".join
 def test_no_line_raises_and_the_reference_stays_in_the_stroke(steps):
     gripper = RobotiqGripper()
     last_m = None
-    for line, opening_m, ticks in steps:
+    for line, width_m, ticks in steps:
         assert gripper.answer(line) in ("ack", "?\n") or line.split()[0] == "GET"
         for _ in range(ticks):
-            reference_m = gripper.tick(DT_S, opening_m)
+            reference_m = gripper.tick(DT_S, width_m)
             assert 0.0 <= reference_m <= OPENING_M
-            last_m = opening_m
+            last_m = width_m
     if last_m is not None:
         assert 0 <= get(gripper, "POS") <= 255
     assert get(gripper, "OBJ") in range(4)

@@ -390,7 +390,7 @@ def test_a_killed_streaming_client_frees_its_inputs_at_once(cell):
     with client(cell, 30004) as third:
         third.sendall(wanted)
         assert b"IN_USE" not in received(third, lambda all_: len(all_) > 40)
-        # Its program goes on with what it was told last, and the arm comes to rest there.
+        # Its program goes on with the last target, and the arm stops there.
         assert settled(lambda: rests(cell))
         assert state(cell) == RuntimeState.PLAYING
         assert state(cell, "safety_mode") == 1

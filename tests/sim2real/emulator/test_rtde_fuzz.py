@@ -83,7 +83,7 @@ def test_mutated_conversations_do_no_more_than_end_their_session():
         taken += session.data_packages
         session.close()
         assert port.owners == {}
-        controller.told.clear()
+        controller.forwarded.clear()
     # It is no test if the sessions end before anything happens, or never end.
     assert 0.1 * conversations < ended < 0.9 * conversations
     assert packages > 0.1 * conversations
@@ -118,7 +118,7 @@ def test_memory_stays_flat():
             waiting.receive(unfinished)
             waiting.close()
             session.receive(stream)
-            controller.told.clear()
+            controller.forwarded.clear()
 
     session.receive(inputs(SERVOJ))
     tracemalloc.start()

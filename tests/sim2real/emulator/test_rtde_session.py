@@ -16,6 +16,16 @@ START = b"\x00\x03S"
 PAUSE = b"\x00\x03P"
 
 
+@pytest.fixture
+def controller():
+    return RtdeBench()
+
+
+@pytest.fixture
+def session(controller):
+    return controller.session()
+
+
 # What goes over the wire, byte for byte.
 
 
@@ -26,8 +36,7 @@ def test_versions_1_and_2_are_accepted(asked, answer):
     assert session.version == (asked if answer else 1)
 
 
-def test_a_refused_version_leaves_the_one_before():
-    session = RtdeBench().session()
+def test_a_refused_version_leaves_the_one_before(session):
     session.receive(b"\x00\x05V\x00\x03")
     assert session.version == 2
 
@@ -49,8 +58,7 @@ def test_output_setup(names):
     assert RtdeBench().session().receive(request) == b"\x00\x13O\x01DOUBLE,VECTOR6D"
 
 
-def test_unknown_outputs_are_named_and_prevent_a_start():
-    session = RtdeBench().session()
+def test_unknown_outputs_are_named_and_prevent_a_start(session):
     assert session.receive(outputs(["timestamp", "nothing", "robot_mode"])) == b"\x00\x1aO\x00DOUBLE,NOT_FOUND,INT32"
     assert session.receive(START) == b"\x00\x04S\x00"
     assert not session.started
@@ -63,35 +71,31 @@ def test_variables_of_later_versions_are_not_found():
     assert b"NOT_FOUND" not in RtdeBench("e-series").session().receive(outputs(["ft_raw_wrench"]))
 
 
-def test_input_setup_numbers_recipes_from_1():
-    session = RtdeBench().session()
+def test_input_setup_numbers_recipes_from_1(session):
     assert session.receive(b"\x00\x18Iinput_int_register_0,") == b"\x00\x09I\x01INT32"
     assert session.receive(inputs(["input_double_register_0"])) == b"\x00\x0aI\x02DOUBLE"
     both = session.receive(inputs(["input_int_register_0", "input_double_register_0"]))
     assert both == b"\x00\x10I\x03INT32,DOUBLE"
 
 
-def test_unknown_inputs_claim_neither_number_nor_variable():
-    controller = RtdeBench()
+def test_unknown_inputs_claim_neither_number_nor_variable(controller):
     session = controller.session()
     assert session.receive(inputs(["input_int_register_0", "actual_q"])) == b"\x00\x13I\x00INT32,NOT_FOUND"
     assert controller.port.owners == {}
     assert session.receive(inputs(["input_int_register_0"]))[3] == 1
 
 
-def test_inputs_in_use_by_another_connection():
-    controller = RtdeBench()
+def test_inputs_in_use_by_another_connection(controller):
     first, second = controller.session(), controller.session()
     first.receive(inputs(["input_int_register_0"]))
     answer = second.receive(inputs(["input_int_register_1", "input_int_register_0"]))
     assert answer == b"\x00\x10I\x00INT32,IN_USE"
-    assert b"IN_USE" not in first.receive(inputs(["input_int_register_1"]))  # the refused recipe took nothing
+    assert b"IN_USE" not in first.receive(inputs(["input_int_register_1"]))  # the refused recipe claimed nothing
     assert b"IN_USE" not in second.receive(inputs(["speed_slider_mask"]))
     assert b"IN_USE" in first.receive(inputs(["speed_slider_mask"]))
 
 
-def test_inputs_are_released_with_their_connection():
-    controller = RtdeBench()
+def test_inputs_are_released_with_their_connection(controller):
     first, second = controller.session(inputs(["input_int_register_0"])), controller.session()
     second.receive(inputs(["input_int_register_1"]))
     first.close()
@@ -100,8 +104,7 @@ def test_inputs_are_released_with_their_connection():
     assert second.receive(inputs(["input_int_register_0"])) == b"\x00\x09I\x02INT32"
 
 
-def test_one_connection_may_list_a_register_in_many_recipes():
-    session = RtdeBench().session()
+def test_one_connection_may_list_a_register_in_many_recipes(session):
     numbers = [session.receive(inputs(["input_int_register_0"]))[3] for _ in range(255)]
     assert numbers == list(range(1, 256))
     with pytest.raises(ProtocolError, match="255"):
@@ -124,8 +127,7 @@ def test_start_is_refused_without_outputs():
     assert RtdeBench().session(inputs(["input_int_register_0"])).receive(START) == b"\x00\x04S\x00"
 
 
-def test_an_empty_output_recipe_is_refused():
-    session = RtdeBench().session()
+def test_an_empty_output_recipe_is_refused(session):
     assert session.receive(outputs([])) == b"\x00\x04O\x00"
     assert session.receive(START) == b"\x00\x04S\x00"
     assert session.receive(inputs([])) == b"\x00\x04I\x00"
@@ -153,8 +155,7 @@ def test_version_1_has_no_frequency_and_output_recipe_number():
     assert session.text("halt", "arm", TextKind.WARNING) == b"\x00\x08M\x02halt"
 
 
-def test_version_1_has_numbers_of_input_recipes():
-    controller = RtdeBench()
+def test_version_1_has_numbers_of_input_recipes(controller):
     session = controller.port.open()
     assert session.receive(inputs(["input_int_register_5"])) == b"\x00\x09I\x01INT32"
     session.receive(data(1, "i", 4))
@@ -172,8 +173,7 @@ def test_packages_follow_a_change_of_version():
 # Data to the client.
 
 
-def test_a_package_holds_values_in_the_requested_order():
-    controller = RtdeBench()
+def test_a_package_holds_values_in_the_requested_order(controller):
     session = controller.session(
         outputs([*RECEIVED, "payload_cog", "output_int_register_2", "output_double_register_12"])
     )
@@ -251,8 +251,7 @@ def test_a_new_output_setup_replaces_the_previous_one():
     assert session.receive(START) == b"\x00\x04S\x00"
 
 
-def test_sessions_have_their_own_recipes():
-    controller = RtdeBench()
+def test_sessions_have_their_own_recipes(controller):
     one = controller.session(outputs(["timestamp"]), START)
     other = controller.session(outputs(["robot_mode"]), START)
     assert (len(one.publish(0)), len(other.publish(0))) == (12, 8)
@@ -261,35 +260,31 @@ def test_sessions_have_their_own_recipes():
 # Data from the client.
 
 
-def test_inputs_take_effect_at_once_without_start():
-    controller = RtdeBench()
+def test_inputs_take_effect_at_once_without_start(controller):
     session = controller.session(inputs(SERVOJ))
     assert session.receive(data(1, "i11d", 11, *range(11))) == b""
     assert controller.registers.input_int[0] == 11
     assert controller.registers.input_double[:11] == list(range(11))
     assert controller.registers.writes == dict.fromkeys(SERVOJ, 1)
     assert session.data_packages == 1
-    assert controller.told == []
+    assert controller.forwarded == []
 
 
-def test_of_two_packages_at_once_the_last_wins():
-    controller = RtdeBench()
+def test_of_two_packages_at_once_the_last_wins(controller):
     session = controller.session(inputs(["input_int_register_0"]))
     session.receive(data(1, "i", 1) + data(1, "i", 2))
     assert controller.registers.input_int[0] == 2
     assert controller.registers.writes["input_int_register_0"] == 2
 
 
-def test_other_inputs_are_handed_on():
-    controller = RtdeBench()
+def test_other_inputs_are_handed_on(controller):
     names = ["input_int_register_23", "standard_digital_output_mask", "standard_digital_output"]
     controller.session(inputs(names)).receive(data(1, "iBB", 5, 4, 255))
-    assert controller.told == [{"standard_digital_output_mask": 4, "standard_digital_output": 255}]
+    assert controller.forwarded == [{"standard_digital_output_mask": 4, "standard_digital_output": 255}]
     assert controller.registers.input_int[23] == 5
 
 
-def test_short_and_long_packages_are_applied_partly():
-    controller = RtdeBench()
+def test_short_and_long_packages_are_applied_partly(controller):
     session = controller.session(inputs(["input_int_register_0", "input_double_register_0"]))
     session.receive(data(1, "i", 1))
     assert (session.short_packages, session.long_packages) == (1, 0)
@@ -317,8 +312,7 @@ def test_short_and_long_packages_are_applied_partly():
         (message("O", bytes(8) + b"a," * 1025), "1025 variables"),
     ],
 )
-def test_protocol_errors_end_the_session_and_free_its_inputs(bad, reason):
-    controller = RtdeBench()
+def test_protocol_errors_end_the_session_and_free_its_inputs(controller, bad, reason):
     session = controller.session(outputs(["timestamp"]), inputs(["input_int_register_0"]), START)
     with pytest.raises(ProtocolError, match=reason):
         session.receive(data(1, "i", 6) + bad)
@@ -330,16 +324,14 @@ def test_protocol_errors_end_the_session_and_free_its_inputs(bad, reason):
         session.receive(b"")
 
 
-def test_the_largest_recipes_fit_into_a_frame():
-    session = RtdeBench().session()
+def test_the_largest_recipes_fit_into_a_frame(session):
     answer = session.receive(message("O", bytes(8) + b"target_q," * 1024))
     assert len(answer) == 4 + 1024 * 9 - 1
     session.receive(START)
     assert len(session.publish(0)) == 4 + 1024 * 48
 
 
-def test_unknown_kinds_and_texts_are_only_counted():
-    session = RtdeBench().session()
+def test_unknown_kinds_and_texts_are_only_counted(session):
     assert session.receive(message("x", b"abc") + message("M", b"\x02hi\x00\x03") + message("M")) == b""
     assert (session.unknown_packages, session.text_messages) == (1, 2)
     assert session.receive(START) == b"\x00\x04S\x00"
@@ -383,14 +375,13 @@ def test_direct_torque_registers_of_later_versions():
     assert b"NOT_FOUND" not in session.receive(outputs(names))
 
 
-def test_its_control_and_io_connections_live_side_by_side():
-    controller = RtdeBench()
+def test_its_control_and_io_connections_live_side_by_side(controller):
     control = controller.session(inputs(SERVOJ), inputs(["input_int_register_0", "external_force_torque"]))
     io = controller.session()
     names = ["input_int_register_23", "standard_analog_output_mask", "standard_analog_output_type"]
     assert b"IN_USE" not in io.receive(inputs([*names, "standard_analog_output_0", "standard_analog_output_1"]))
     io.receive(data(1, "iBBdd", 5, 1, 0, 0.5, 6.95e-310))
-    assert controller.told[0]["standard_analog_output_0"] == 0.5
+    assert controller.forwarded[0]["standard_analog_output_0"] == 0.5
     control.receive(data(2, "i6d", 55, *range(6)))
-    assert controller.told[1] == {"external_force_torque": (0, 1, 2, 3, 4, 5)}
+    assert controller.forwarded[1] == {"external_force_torque": (0, 1, 2, 3, 4, 5)}
     assert b"IN_USE" in controller.session().receive(inputs(["input_int_register_0"]))

@@ -83,7 +83,7 @@ def test_an_emergency_stop_takes_the_power_once_the_arm_stands(mode):
     with pytest.raises(OperationRefusedError, match=mode.name):
         safety.power_on()
     safety.release(mode)
-    assert safety.robot_mode == RobotMode.POWER_OFF  # a turned button alone moves nothing
+    assert safety.robot_mode == RobotMode.POWER_OFF  # releasing the button alone moves nothing
     safety.release_brakes()
     passing(safety, 2.0)
     assert safety.may_move

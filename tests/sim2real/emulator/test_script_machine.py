@@ -171,11 +171,7 @@ def test_statements_and_lines_are_independent() -> None:
     # A client puts a number in on the line after a comment, before the next statement.
     assert values(
         "def f():\n  global a = # offset\n24    global b = 2\n  say(a) say(b)\n if a == 24: say(3) end\nend"
-    ) == [
-        24,
-        2,
-        3,
-    ]
+    ) == [24, 2, 3]
 
 
 def test_a_bare_return_ends_with_its_line() -> None:

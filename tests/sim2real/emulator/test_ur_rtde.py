@@ -66,7 +66,7 @@ def test_moves_end_where_they_should(host):
     assert not done["steady while moving"]
     assert done["running while moving"]
     begin, rest, later, speed = done["stopJ"]
-    assert not near(begin, done["home"], 1e-3)  # it was still far from where it was to go
+    assert not near(begin, done["home"], 1e-3)  # it was still far from its target
     assert near(rest, later, 1e-5)
     assert near(speed, [0.0] * 6, 1e-4)
     begin, goal, rest, later = done["stopL"]
@@ -109,14 +109,14 @@ def test_two_arms_follow_the_law_from_one_process(cell):
         number = {tuple(target): k for k, target in enumerate(done["sent"][arm])}
         setpoints = cell.setpoints(name, before[arm])
         order = [number[tuple(each[1])] for each in setpoints]
-        assert order == sorted(order)  # an ordered subsequence of what was sent, some of it held
+        assert order == sorted(order)  # an ordered subsequence of the sent targets, some held
         assert len(set(order)) > len(number) / 2
         latest = {tick: target for tick, target, *_ in setpoints}
         law = ServojLaw(0.05, 800.0).transition(tick_s)
         state, target = np.array([done["home"][arm], [0.0] * 6]), np.array(done["home"][arm])
         expected = {}
         for tick in range(setpoints[0][0], setpoints[-1][0]):
-            expected[tick] = state[0]  # what is measured when the tick begins
+            expected[tick] = state[0]  # measured at the begin of the tick
             target = np.array(latest.get(tick, target))
             state = law @ (state - [target, np.zeros(6)]) + [target, np.zeros(6)]
         errors = []
@@ -200,7 +200,7 @@ def test_compliance(cell, host):
     assert near(speed, [0.0] * 6, 0.02)
     assert done["teach"] == [True, True]
     assert done["freedrive"][::2] == [True, True]
-    assert near(done["after"], end, 5e-3)  # nobody pushes it
+    assert near(done["after"], end, 5e-3)  # without an external force
     if cell.family == "e-series":
         assert done["contact"] == [True, False, False]
         assert done["toolContact"] == 0

@@ -27,7 +27,7 @@ SUBSTEPS = 4
 PLAYS = (RuntimeState.PLAYING, RuntimeState.RESUMING)
 PAUSES = (RuntimeState.PAUSING, RuntimeState.PAUSED)
 
-# A program that counts its control periods in output register 0, in a thread beside what it does.
+# A thread that counts control periods in output register 0.
 COUNT = "thread c():\n while True:\n  write_output_integer_register(0, read_output_integer_register(0) + 1)\n"
 COUNT += "  sync()\n end\nend\nh = run c()\n"
 

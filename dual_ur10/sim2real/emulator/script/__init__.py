@@ -6,15 +6,4 @@ from dual_ur10.sim2real.emulator.script.machine import Machine, Thread
 from dual_ur10.sim2real.emulator.script.splitter import Splitter
 from dual_ur10.sim2real.emulator.script.values import Builtins, Pose, text
 
-__all__ = [
-    "Builtins",
-    "Machine",
-    "Pose",
-    "Program",
-    "Splitter",
-    "Thread",
-    "library",
-    "parse",
-    "read",
-    "text",
-]
+__all__ = ["Builtins", "Machine", "Pose", "Program", "Splitter", "Thread", "library", "parse", "read", "text"]

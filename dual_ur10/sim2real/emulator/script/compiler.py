@@ -36,11 +36,7 @@ NAMES: Final = {word: f"n_op{index}" for index, word in enumerate(OPERATIONS)}
 
 _EQUALITY: Final = {"==": ast.Eq, "!=": ast.NotEq}
 _LOGIC: Final = {"and": ast.And, "or": ast.Or}
-_SIMPLE: Final = {
-    "halt": "n_halt",
-    "enter_critical": "n_enter_critical",
-    "exit_critical": "n_exit_critical",
-}
+_SIMPLE: Final = {"halt": "n_halt", "enter_critical": "n_enter_critical", "exit_critical": "n_exit_critical"}
 _LOAD: Final = ast.Load()
 _STORE: Final = ast.Store()
 

@@ -1,4 +1,4 @@
-"""The model is a UR10: kinematics, masses, limits and dynamics of the tables."""
+"""Model of the UR10 against the tables: kinematics, masses, limits and dynamics."""
 
 from types import SimpleNamespace
 
@@ -48,7 +48,7 @@ def model():
     [SceneSettings(), UNEQUAL, SceneSettings(right=ArmMount((-0.75, -0.6, 0.0), 0.0, SHIFTED))],
     ids=["nominal", "calibrated", "shifted"],
 )
-def test_flange_is_where_dh_says(settings):
+def test_the_flange_pose_follows_from_dh(settings):
     model = build_model(settings)
     data = mujoco.MjData(model)
     slices = sensor_slices(model)
@@ -67,9 +67,9 @@ def test_flange_is_where_dh_says(settings):
             assert np.abs(flange - in_cell).max() < 1e-9
             assert np.abs(data.sensordata[slices[f"{arm}/flange_base_pos"]] - in_base[:3, 3]).max() < 1e-9
             assert np.abs(data.sensordata[slices[f"{arm}/flange_pos"]] - in_cell[:3, 3]).max() < 1e-9
-            turned = np.zeros(9)
-            mujoco.mju_quat2Mat(turned, data.sensordata[slices[f"{arm}/flange_base_quat"]])
-            assert angle(turned.reshape(3, 3), in_base[:3, :3]) < 1e-9
+            rotation = np.zeros(9)
+            mujoco.mju_quat2Mat(rotation, data.sensordata[slices[f"{arm}/flange_base_quat"]])
+            assert angle(rotation.reshape(3, 3), in_base[:3, :3]) < 1e-9
 
 
 def test_a_shifted_calibration_leaves_the_links_in_place():
@@ -136,7 +136,7 @@ def test_gains(name):
     assert model.actuator_biasprm[:, 2].tolist() == [-k for k in (*kv, *kv)]
 
 
-def test_gravity_compensation_holds_still(model):
+def test_gravity_compensation_holds_the_arms(model):
     data = mujoco.MjData(model)
     data.qpos[:] = data.ctrl[:] = HOME_Q_RAD.ravel()
     for _ in range(500):
@@ -148,7 +148,7 @@ def test_gravity_compensation_holds_still(model):
             mujoco.mj_step(model, data)
     finally:
         model.body_gravcomp[1:] = 1
-    assert np.abs(data.qpos - HOME_Q_RAD.ravel()).max() > 1e-4  # so it is gravcomp that held it
+    assert np.abs(data.qpos - HOME_Q_RAD.ravel()).max() > 1e-4  # so gravity compensation held them
 
 
 def test_home(model):
@@ -184,7 +184,7 @@ def test_a_diverged_simulation_does_not_start_again(model):
 
 
 def arm_alone(arm, settings, q, v):
-    """Mass matrix and gravity torque of one arm in the cell, armature taken off."""
+    """Return mass matrix and gravity torque of one arm in the cell, without armature."""
     model = build_model(settings)
     model.dof_armature[:] = 0
     model.body_gravcomp[:] = 0
@@ -221,17 +221,17 @@ def test_dynamics_against_pinocchio():
 
 
 @pytest.mark.parametrize("dh", [NOMINAL_DH, CALIBRATED, SHIFTED], ids=["nominal", "calibrated", "shifted"])
-def test_inertials_stand_in_the_distal_frames(dh):
+def test_inertias_are_given_in_the_distal_frames(dh):
     model = build_model(SceneSettings(left=ArmMount((-0.75, 0.6, 0.0), 0.0, dh)))
     data = mujoco.MjData(model)
     q = np.random.default_rng(5).uniform(-3, 3, 6)
     data.qpos[:6] = q
     mujoco.mj_forward(model, data)
-    turn = planar((0, 0, 0), np.pi)[:3, :3]
+    base = planar((0, 0, 0), np.pi)[:3, :3]
     for i in range(6):
         zeros = (0.0,) * (5 - i)
         row = {key: (*getattr(dh, key)[: i + 1], *zeros) for key in ("a_m", "d_m", "alpha_rad", "theta_rad")}
-        R = turn @ dh_product([*q[: i + 1], *zeros], SimpleNamespace(**row))[:3, :3]
+        R = base @ dh_product([*q[: i + 1], *zeros], SimpleNamespace(**row))[:3, :3]
         origin = data.body(f"left/{LINKS[i + 1]}").xpos if i < 5 else data.site("left/flange").xpos
         body = data.body(f"left/{LINKS[i]}")
         assert np.abs(body.xipos - origin - R @ LINK_COM_M[i]).max() < 1e-9

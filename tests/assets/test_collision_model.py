@@ -1,4 +1,4 @@
-"""Contacts where they belong, and honest distances."""
+"""Collision model: possible contacts, and distances of all pairs."""
 
 import itertools
 
@@ -38,19 +38,19 @@ def test_one_collision_capsule_per_link(model):
             assert (model.geom_group[np.setdiff1d(geoms, solid)] == 2).all()
 
 
-def test_capsules_hug_the_drawn_arm(model):
-    # Every drawn part lies within 2 cm of some capsule of its arm: points on the parts' rims, at home.
+def test_capsules_enclose_the_visual_arm_closely(model):
+    # Points on the rims of all visual parts lie within 2 cm of some capsule of their arm, at home.
     data = mujoco.MjData(model)
     data.qpos[:] = HOME_Q_RAD.ravel()
     mujoco.mj_forward(model, data)
     capsules = [model.geom(f"left/{link}").id for link in ("base_link", *LINKS)]
-    turns = np.linspace(0, 2 * np.pi, 24)
+    angles = np.linspace(0, 2 * np.pi, 24)
     for geom in range(model.ngeom):
         name = model.body(model.geom_bodyid[geom]).name
         if name.startswith("left/") and model.geom_group[geom] == 2 and model.geom_type[geom] == 5:
             radius, half = model.geom_size[geom, :2]
             rim = np.concatenate(
-                [np.stack([radius * np.cos(turns), radius * np.sin(turns), 0 * turns + z], 1) for z in (-half, half)]
+                [np.stack([radius * np.cos(angles), radius * np.sin(angles), 0 * angles + z], 1) for z in (-half, half)]
             )
             points = data.geom_xpos[geom] + rim @ data.geom_xmat[geom].reshape(3, 3).T
             outside = np.min([point_to_capsule(model, data, c, points) for c in capsules], axis=0)
@@ -58,7 +58,7 @@ def test_capsules_hug_the_drawn_arm(model):
 
 
 def test_neighbours_never_touch(model):
-    """Nor do parts that the arm's build keeps apart in every posture."""
+    """Nor do parts that the arm's design keeps apart in every configuration."""
     chain = ("base_link", *LINKS)
     filtered = {frozenset(pair) for pair in itertools.pairwise(chain)}
     filtered |= {
@@ -115,31 +115,31 @@ def test_clearance_is_the_distance_of_the_capsules(model, clearance):
     pairs = clearance_pairs(SceneSettings())
     assert clearance.nsensor == clearance.nsensordata == len(pairs) == len(set(pairs))
     assert (clearance.ngeom, clearance.nu) == (23, 0)  # capsules, the wrists' spheres, table and its hull, floor
-    data, twin = mujoco.MjData(model), mujoco.MjData(clearance)
+    data, distances = mujoco.MjData(model), mujoco.MjData(clearance)
     rng = np.random.default_rng(3)
     close = np.zeros(len(pairs), dtype=int)
     for _ in range(300):
         q = HOME_Q_RAD + rng.uniform(-1.5, 1.5, (2, 6))
-        data.qpos[:] = twin.qpos[:] = q.ravel()
+        data.qpos[:] = distances.qpos[:] = q.ravel()
         mujoco.mj_kinematics(model, data)
-        mujoco.mj_forward(clearance, twin)
-        assert twin.ncon == 0
+        mujoco.mj_forward(clearance, distances)
+        assert distances.ncon == 0
         for i, pair in enumerate(pairs):
             a, b = (model.geom(name).id for name in pair)
             expected = mujoco.mj_geomDistance(model, data, a, b, CLEARANCE_CUTOFF_M, np.zeros(6))
             if pair[1] == "table" and "wrist" in pair[0]:
                 # The sphere around a capsule is never further away, and nearer by half the capsule's length at most.
-                assert twin.sensordata[i] < expected + 1e-6
-                assert expected < 0.0 or twin.sensordata[i] > expected - model.geom_size[a, 1] - 1e-6
+                assert distances.sensordata[i] < expected + 1e-6
+                assert expected < 0.0 or distances.sensordata[i] > expected - model.geom_size[a, 1] - 1e-6
             elif pair[1] == "table":
                 line = np.abs(segment(model, data, a, 2001) - data.geom_xpos[b]) - model.geom_size[b]
                 by_hand = np.linalg.norm(np.maximum(line, 0.0), axis=1).min() - model.geom_size[a, 0]
                 if by_hand > 0.0:
-                    assert twin.sensordata[i] == pytest.approx(min(by_hand, CLEARANCE_CUTOFF_M), abs=1e-6)
+                    assert distances.sensordata[i] == pytest.approx(min(by_hand, CLEARANCE_CUTOFF_M), abs=1e-6)
                 else:
-                    assert twin.sensordata[i] < 1e-6
+                    assert distances.sensordata[i] < 1e-6
             else:
-                assert twin.sensordata[i] == pytest.approx(expected, abs=1e-6)
+                assert distances.sensordata[i] == pytest.approx(expected, abs=1e-6)
             if pair[1] == "floor":
                 by_hand = segment(model, data, a)[:, 2].min() - model.geom_size[a, 0] - FLOOR_Z_M
             elif pair[1] != "table":
@@ -148,28 +148,28 @@ def test_clearance_is_the_distance_of_the_capsules(model, clearance):
                 continue
             by_hand = min(by_hand, CLEARANCE_CUTOFF_M)
             if by_hand > 0.0:
-                assert twin.sensordata[i] == pytest.approx(by_hand, abs=2e-3)
+                assert distances.sensordata[i] == pytest.approx(by_hand, abs=2e-3)
             close[i] += expected < CLEARANCE_CUTOFF_M
     assert (close > 0).sum() > len(pairs) / 2  # the comparison was not one of cut-off with cut-off
 
 
 @pytest.mark.parametrize("x_m", [-0.75, -0.3])
-def test_a_link_that_is_stuck_through_the_table_is_not_clear_of_it(x_m):
+def test_a_link_through_the_table_has_a_negative_distance(x_m):
     # Against a box, MuJoCo's own distance is up to the cutoff for some of them.
     settings = SceneSettings(left=ArmMount((x_m, 0.6, 0.0)), right=ArmMount((x_m, -0.6, 0.0)))
-    twin = build_collision_model(settings)
-    data, table, pairs = mujoco.MjData(twin), twin.geom("table").id, clearance_pairs(settings)
+    model = build_collision_model(settings)
+    data, table, pairs = mujoco.MjData(model), model.geom("table").id, clearance_pairs(settings)
     long = [(i, pair[0]) for i, pair in enumerate(pairs) if pair[1] == "table" and "arm" in pair[0]]
     stuck = misread = 0
     for q in random_q(np.random.default_rng(5), 600):
         data.qpos[:] = q.ravel()
-        mujoco.mj_forward(twin, data)
+        mujoco.mj_forward(model, data)
         for i, name in long:
-            line = segment(twin, data, twin.geom(name).id, 400) - data.geom_xpos[table]
-            if (np.abs(line) < twin.geom_size[table]).all(axis=1).any():
+            line = segment(model, data, model.geom(name).id, 400) - data.geom_xpos[table]
+            if (np.abs(line) < model.geom_size[table]).all(axis=1).any():
                 stuck += 1
-                assert data.sensordata[i] < -twin.geom(name).size[0]
-                native = mujoco.mj_geomDistance(twin, data, twin.geom(name).id, table, 0.2, np.zeros(6))
+                assert data.sensordata[i] < -model.geom(name).size[0]
+                native = mujoco.mj_geomDistance(model, data, model.geom(name).id, table, 0.2, np.zeros(6))
                 misread += native > 0.0
     assert stuck > 100
     assert misread > 10  # else the hull would not be needed
@@ -206,13 +206,13 @@ def test_spheres_stand_in_at_the_table_only(clearance):
 def test_the_twin_has_the_inertia_of_the_cell(settings):
     # The controller's model of the arms is made of it.
     model, clearance = build_model(settings), build_collision_model(settings)
-    data, twin = mujoco.MjData(model), mujoco.MjData(clearance)
+    data, distances = mujoco.MjData(model), mujoco.MjData(clearance)
     model.opt.gravity[:] = 0.0
     rng = np.random.default_rng(4)
     for q in random_q(rng, 20):
-        data.qpos[:] = twin.qpos[:] = q.ravel()
-        data.qvel[:] = twin.qvel[:] = rng.normal(size=12)
+        data.qpos[:] = distances.qpos[:] = q.ravel()
+        data.qvel[:] = distances.qvel[:] = rng.normal(size=12)
         mujoco.mj_forward(model, data)
-        mujoco.mj_forward(clearance, twin)
-        assert np.abs(data.M - twin.M).max() < 1e-9
-        assert np.abs(data.qfrc_bias - twin.qfrc_bias).max() < 1e-9
+        mujoco.mj_forward(clearance, distances)
+        assert np.abs(data.M - distances.M).max() < 1e-9
+        assert np.abs(data.qfrc_bias - distances.qfrc_bias).max() < 1e-9

@@ -1,4 +1,4 @@
-"""Grippers follow their command, keep their fingers in step, press with the force set, and weigh what they weigh."""
+"""Grippers: command tracking, synchronous fingers, grip force, mass, wrench and cameras."""
 
 import dataclasses
 
@@ -20,7 +20,7 @@ GRAVITY = 9.81
 
 
 def at(settings, q=HOME_Q_RAD, opening=OPENING):
-    """Model and data at rest at the joint positions `q`, (2, 6)."""
+    """Return model and data at rest at the joint positions `q` (2, 6)."""
     model = build_model(settings, visuals=False)
     data = mujoco.MjData(model)
     data.qpos[:16] = np.pad(q, ((0, 0), (0, 2)), constant_values=opening / 2).ravel()
@@ -63,13 +63,13 @@ def test_frames(settings):
         inside = np.linalg.inv(flange) @ tcp
         assert np.abs(inside[:3, 3] - [0, 0, TCP_M]).max() < 1e-9
         assert angle(inside[:3, :3], np.eye(3)) < 1e-7
-        inverse, tips = np.linalg.inv(flange), []
+        inverse, tip_z = np.linalg.inv(flange), []
         for i, sign in ((1, 1), (2, -1)):
             pad = model.geom(f"{arm}/pad_{i}")
             place = inverse[:3, :3] @ data.geom_xpos[pad.id] + inverse[:3, 3]
             assert np.abs(place - [0, sign * (OPENING / 2 + pad.size[1]), TCP_M]).max() < 1e-9
-            tips.append(place[2] + pad.size[2])
-        assert tips == pytest.approx([FINGERTIP_M] * 2)
+            tip_z.append(place[2] + pad.size[2])
+        assert tip_z == pytest.approx([FINGERTIP_M] * 2)
 
 
 @pytest.mark.parametrize("timestep_s", [0.001, 0.002])
@@ -98,8 +98,8 @@ def test_fingers_stay_in_step_under_a_load_on_one(timestep_s, load_n):
         data.xfrc_applied[finger, :3] = load_n * data.site("left/tcp").xmat.reshape(3, 3)[:, 1]
         mujoco.mj_step(model, data)
     moved = data.qpos[6:8] - OPENING / 2
-    assert (moved * np.sign(load_n) > 5e-4).all()  # the servo gives way by as much as its stiffness allows ...
-    assert abs(moved[0] - moved[1]) < 2e-5  # ... and both fingers go
+    assert (moved * np.sign(load_n) > 5e-4).all()  # the servo yields as far as its stiffness allows ...
+    assert abs(moved[0] - moved[1]) < 2e-5  # ... and both fingers move
 
 
 def test_fingers_do_not_sag():
@@ -132,12 +132,12 @@ def test_pads_press_with_the_force_set(force_n):
 
 
 def test_a_gripper_does_not_touch_itself():
-    for opening in (-0.001, 0.0, OPENING_M):  # closed at full force, the limits of the joints give way a little
+    for opening in (-0.001, 0.0, OPENING_M):  # closed at full force, the joint limits yield a little
         _, data = at(GRIPPERS, opening=opening)
         assert data.ncon == 0
 
 
-def test_pads_hold_by_the_settings_that_were_found_to_hold():
+def test_contact_settings_of_the_pads():
     for timestep_s, time_constant in ((0.0005, 0.002), (0.001, 0.002), (0.002, 0.004)):
         model = build_model(with_timestep(timestep_s))
         for arm in ARMS:
@@ -148,27 +148,23 @@ def test_pads_hold_by_the_settings_that_were_found_to_hold():
                 assert model.geom_solimp[pad, :3].tolist() == [0.99, 0.999, 0.001]
 
 
-def test_the_wrench_at_rest_is_what_carries_the_gripper():
+def test_the_wrench_at_rest_carries_the_gripper():
     q = HOME_Q_RAD.copy()
     q[1, 4] += 1.0
     model, data = at(GRIPPERS, q)
     run(model, data, 0.2)
     slices = sensor_slices(model)
     for arm in ARMS:
-        turn = data.site(f"{arm}/wrench").xmat.reshape(3, 3)
+        axes = data.site(f"{arm}/wrench").xmat.reshape(3, 3)
         force, torque = (data.sensordata[slices[f"{arm}/wrench_{kind}"]] for kind in ("force", "torque"))
-        assert turn @ force == pytest.approx([0, 0, MASS_KG * GRAVITY], abs=1e-3)
-        centre = (
-            data.body(f"{arm}/gripper").subtree_com if hasattr(data.body(f"{arm}/gripper"), "subtree_com") else None
-        )
-        centre = data.subtree_com[model.body(f"{arm}/gripper").id] if centre is None else centre
-        lever = centre - data.site(f"{arm}/wrench").xpos
-        assert turn @ torque == pytest.approx(np.cross(lever, turn @ force), abs=1e-3)
+        assert axes @ force == pytest.approx([0, 0, MASS_KG * GRAVITY], abs=1e-3)
+        lever = data.subtree_com[model.body(f"{arm}/gripper").id] - data.site(f"{arm}/wrench").xpos
+        assert axes @ torque == pytest.approx(np.cross(lever, axes @ force), abs=1e-3)
     # Straight down, it is along the flange's -z.
     assert data.sensordata[slices["left/wrench_force"]] == pytest.approx([0, 0, -MASS_KG * GRAVITY], abs=1e-3)
 
 
-def test_a_push_is_felt_with_its_sign():
+def test_the_wrench_has_the_sign_of_a_push():
     model, data = at(GRIPPERS)
     force = sensor_slices(model)["left/wrench_force"]
     run(model, data, 0.3)
@@ -176,12 +172,12 @@ def test_a_push_is_felt_with_its_sign():
     push = np.array([5.0, -3.0, 8.0])
     data.xfrc_applied[model.body("left/gripper").id, :3] = push
     run(model, data, 1.0)
-    # The wrist holds against it.
-    turn = data.site("left/wrench").xmat.reshape(3, 3)
-    assert turn @ (data.sensordata[force] - before) == pytest.approx(-push, abs=0.02)
+    # The wrist opposes the push.
+    axes = data.site("left/wrench").xmat.reshape(3, 3)
+    assert axes @ (data.sensordata[force] - before) == pytest.approx(-push, abs=0.02)
 
 
-def test_a_gripper_weighs_what_the_data_sheet_says():
+def test_the_mass_is_that_of_the_data_sheet():
     model = build_model(GRIPPERS)
     for arm in ARMS:
         assert model.body_subtreemass[model.body(f"{arm}/gripper").id] == pytest.approx(MASS_KG)
@@ -198,14 +194,14 @@ def test_wrist_cameras_see_the_fingertips():
         mujoco.mj_forward(model, data)
         for arm in ARMS:
             camera = model.camera(f"{arm}/wrist").id
-            turn = data.cam_xmat[camera].reshape(3, 3)
+            axes = data.cam_xmat[camera].reshape(3, 3)
             for i in (1, 2):
                 pad = model.geom(f"{arm}/pad_{i}").id
                 tip = data.geom_xpos[pad] + data.geom_xmat[pad].reshape(3, 3)[:, 2] * model.geom_size[pad, 2]
-                x, y, z = turn.T @ (tip - data.cam_xpos[camera])
+                x, y, z = axes.T @ (tip - data.cam_xpos[camera])
                 edge = np.tan(np.radians(model.cam_fovy[camera]) / 2)
                 assert z < -0.03
                 assert abs(y / z) < edge
                 assert abs(x / z) < edge * 4 / 3
-            # At home the picture's top is away from the base.
-            assert turn[0, 1] > 0.8
+            # At home the top of the image is away from the base.
+            assert axes[0, 1] > 0.8

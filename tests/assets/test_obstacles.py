@@ -1,4 +1,4 @@
-"""Obstacles: measured as they are, refused by the gate, solid in simulation."""
+"""Obstacles: exact distances, refusals of the safety gate, and contacts in simulation."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ HOME_Z_M = 0.4  # of the flanges
 
 
 def signed(obstacle: Obstacle, points: np.ndarray) -> np.ndarray:
-    """(...) distances of points, (..., 3), by the definition of the shape; negative inside."""
+    """Return distances (...) of points (..., 3) by the definition of the shape; negative inside."""
     if isinstance(obstacle, Plane):
         return (points - obstacle.point_m) @ np.array(obstacle.normal)
     if isinstance(obstacle, Capsule):
@@ -52,13 +52,13 @@ def signed(obstacle: Obstacle, points: np.ndarray) -> np.ndarray:
         along = b - a
         t = np.clip((points - a) @ along / max(along @ along, 1e-12), 0, 1)
         return np.linalg.norm(points - a - t[..., None] * along, axis=-1) - obstacle.radius_m
-    turned = (points - obstacle.position_m) @ Rotation.from_rotvec(obstacle.rotation_rad).as_matrix()
-    beyond = np.abs(turned) - np.array(obstacle.size_m) / 2
+    local = (points - obstacle.position_m) @ Rotation.from_rotvec(obstacle.rotation_rad).as_matrix()
+    beyond = np.abs(local) - np.array(obstacle.size_m) / 2
     return np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(beyond.max(axis=-1), 0)
 
 
 def nearest(obstacle: Obstacle, ends: np.ndarray) -> np.ndarray:
-    """(k,) least distances of lines, (k, 2, 3), by thirds: the distance from a convex body is convex along a line."""
+    """Return least distances (k,) of lines (k, 2, 3) by ternary search: convex bodies have convex distances."""
     low, high = np.zeros(len(ends)), np.ones(len(ends))
 
     def at(t: np.ndarray) -> np.ndarray:
@@ -92,7 +92,7 @@ def test_distances_are_those_of_the_shapes() -> None:
         for k, obstacle in enumerate(ALL):
             for name, true in zip(names, nearest(obstacle, ends) - radius, strict=True):
                 measured = found[row[name, geom_name(obstacle)]]
-                # The spheres around the wrists stand in for them at boxes: nearer by half their length at most.
+                # Spheres represent the wrists at boxes: nearer by half their length at most.
                 slack = 0.0126 if "wrist" in name and isinstance(obstacle, Box) else 0.0
                 if true > 0.0:
                     assert min(true - slack, CLEARANCE_CUTOFF_M) - 1e-6 <= measured <= true + 1e-6, (name, obstacle)
@@ -115,8 +115,8 @@ def test_distances_are_those_of_the_shapes() -> None:
     assert overlapping.min() > 30
 
 
-def test_rods_through_the_fingers_are_not_clear_of_them() -> None:
-    # Another pair of which MuJoCo's own distance may read as clear: the fingers' box and a thin capsule.
+def test_rods_through_the_fingers_have_negative_distances() -> None:
+    # MuJoCo's own distance of this pair, too, may be positive: the fingers' box and a thin capsule.
     rng, middle = np.random.default_rng(0), np.array([0.0, 0.6, HOME_Z_M - 0.14])
     rods = []
     for row in range(60):
@@ -130,7 +130,7 @@ def test_rods_through_the_fingers_are_not_clear_of_them() -> None:
         assert found[clearance.pairs.index(("left/fingers", geom_name(rod)))] < 0.0
 
 
-def test_every_part_that_moves_is_measured_against_every_obstacle() -> None:
+def test_every_moving_part_is_paired_with_every_obstacle() -> None:
     for equipment, parts in ((Equipment(), LINKS), (GRIPPERS, (*LINKS, "palm", "fingers"))):
         plain = SceneSettings(equipment=equipment)
         pairs = clearance_pairs(dataclasses.replace(plain, obstacles=ALL))
@@ -139,24 +139,24 @@ def test_every_part_that_moves_is_measured_against_every_obstacle() -> None:
         expected = {(f"{arm}/{part}", f"obstacle/{each.name}") for arm in ARMS for part in parts for each in ALL}
         assert len(pairs[len(before) :]) == len(expected)
         assert set(pairs[len(before) :]) == expected
-    twin = build_collision_model(SceneSettings(obstacles=ALL))
-    assert [twin.sensor(i).name for i in range(twin.nsensor)] == [
+    model = build_collision_model(SceneSettings(obstacles=ALL))
+    assert [model.sensor(i).name for i in range(model.nsensor)] == [
         ":".join(pair) for pair in clearance_pairs(SceneSettings(obstacles=ALL))
     ]
 
 
-def test_scenes_without_obstacles_know_nothing_of_them() -> None:
+def test_scenes_without_obstacles_do_not_change() -> None:
     assert SceneSettings(obstacles=()) == SceneSettings()
     assert clearance_pairs(SceneSettings(obstacles=[])) is CLEARANCE_PAIRS
     for text in (compose(SceneSettings()), compose_collision_model(SceneSettings())):
         assert "obstacle" not in text
 
 
-def test_what_touches_an_obstacle_is_measured_and_is_a_contact() -> None:
+def test_every_contact_with_an_obstacle_is_a_measured_pair() -> None:
     settings = SceneSettings(obstacles=ALL)
     measured = {tuple(sorted(pair)) for pair in clearance_pairs(settings)}
-    for drawn in (True, False):
-        model = build_model(settings, visuals=drawn)
+    for visuals in (True, False):
+        model = build_model(settings, visuals=visuals)
         seen = set()
         for q in random_q(np.random.default_rng(2), 150):
             seen |= contacts(model, q)
@@ -175,7 +175,7 @@ def test_what_touches_an_obstacle_is_measured_and_is_a_contact() -> None:
     ],
     ids=lambda each: each and each.kind,
 )
-def test_things_come_to_rest_on_obstacles(obstacle: Obstacle | None) -> None:
+def test_props_rest_on_obstacles(obstacle: Obstacle | None) -> None:
     obstacles = () if obstacle is None else (obstacle,)
     far = ArmMount((-2.0, 1.0, 0.5)), ArmMount((-2.0, -1.0, 0.5))
     settings = SceneSettings(*far, equipment=Equipment(prop="block"), obstacles=obstacles)
@@ -199,8 +199,8 @@ def test_an_arm_is_stopped_by_a_wall() -> None:
         data = mujoco.MjData(model)
         data.qpos[:] = HOME_Q_RAD.ravel()
         for step in range(750):
-            share = min(step / 500, 1.0)
-            data.ctrl[:] = (HOME_Q_RAD + share * (forward - HOME_Q_RAD)).ravel()
+            fraction = min(step / 500, 1.0)
+            data.ctrl[:] = (HOME_Q_RAD + fraction * (forward - HOME_Q_RAD)).ravel()
             mujoco.mj_step(model, data)
         found.append(data.site("left/flange").xpos[0])
     assert found[0] > found[1] + 0.02
@@ -223,7 +223,7 @@ def gate_of(settings: SceneSettings) -> SafetyGate:
 )
 def test_the_gate_refuses_a_motion_into_an_obstacle(obstacle: Obstacle) -> None:
     push = np.zeros((1, 2, 6))
-    push[0, 0, 1] = 0.6  # the left arm leans forward, the right one keeps still
+    push[0, 0, 1] = 0.6  # the left arm leans forward, the right one does not move
     refused, motion = [], []
     for obstacles, periods in (((), 5), ((obstacle,), 40)):
         adapter = ServojAdapter(ServojProfile("cb3"), HARD, 5, n=1)
@@ -241,17 +241,17 @@ def test_the_gate_refuses_a_motion_into_an_obstacle(obstacle: Obstacle) -> None:
     assert refused[0].found < refused[0].allowed == MINIMUM_M
     assert f"obstacle/{obstacle.name}: distance" in str(refused[0])
     left = np.concatenate(motion).reshape(-1, 12)
-    np.testing.assert_allclose(left[-1], left[-2], atol=1e-4)  # at rest, before the obstacle
+    np.testing.assert_allclose(left[-1], left[-2], atol=1e-4)  # stopped, before the obstacle
     clearance = Clearance(SceneSettings(obstacles=(obstacle,)), n=len(left))
     rows = [i for i, pair in enumerate(clearance.pairs) if pair[1] == geom_name(obstacle)]
     distances = clearance.distances_m(left)[:, rows].min(axis=1)
     assert distances.min() > MINIMUM_M - 1e-6
-    assert distances[-1] < 0.12  # it went there
+    assert distances[-1] < 0.12  # it moved towards the obstacle
 
 
 def test_a_start_in_an_obstacle_names_it() -> None:
     rows = np.array([0])
-    for size in (0.1, 3.0):  # around the hand; around the whole arm
+    for size in (0.1, 3.0):  # around the flange; around the whole arm
         box = Box(name="crate-7", position_m=(0.0, 0.6, 0.4), size_m=(size, size, size))
         clearance = Clearance(SceneSettings(obstacles=(box,)))
         with pytest.raises(

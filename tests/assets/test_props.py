@@ -1,4 +1,4 @@
-"""Bar and block: where they lie, and that grippers lift and hold them."""
+"""Bar and block: initial poses, and grippers that lift and hold them."""
 
 import itertools
 
@@ -17,14 +17,14 @@ from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.kinematics.ur10 import ARMS
 from tests.sim2real.control.reference_cell import angle, site_pose
 
-STEPS = np.linspace(0.0, 0.1, 51)  # m, ways of a lift
+STEPS = np.linspace(0.0, 0.1, 51)  # m, heights of a lift
 
 
-def postures(settings, arm, tcp_m, quat):
-    """(n, 6) joint positions that bring the tcp to (n, 3) points in the cell, with one orientation."""
-    turn = quat_to_matrix(np.array(quat))
-    flange = np.asarray(tcp_m) - turn[:, 2] * TCP_M - settings.mounts[arm].position_m
-    position, rotation = kinematics.to_base_link(flange, turn)
+def configurations(settings, arm, tcp_m, quat):
+    """Return joint positions (n, 6) that bring the tcp to points (n, 3) in the cell, with one orientation."""
+    orientation = quat_to_matrix(np.array(quat))
+    flange = np.asarray(tcp_m) - orientation[:, 2] * TCP_M - settings.mounts[arm].position_m
+    position, rotation = kinematics.to_base_link(flange, orientation)
     return np.array([kinematics.nearest(each, rotation, HOME_Q_RAD[arm]) for each in position])
 
 
@@ -54,14 +54,14 @@ class Rig:
                     self.data.ctrl[7 * arm + joint] = np.interp(at, range(len(STEPS)), paths[arm][:, joint])
             mujoco.mj_step(self.model, self.data)
 
-    def in_hand(self, arm, place):
-        """Pose of a site or body in the gripper, (4, 4)."""
+    def in_gripper(self, arm, place):
+        """Return the pose (4, 4) of a site or body in the gripper."""
         mujoco.mj_kinematics(self.model, self.data)
-        hand = site_pose(self.data, f"{arm}/tcp")
+        gripper = site_pose(self.data, f"{arm}/tcp")
         thing = np.eye(4)
         named = self.data.body(place) if place == "block" else self.data.site(place)
         thing[:3, :3], thing[:3, 3] = named.xmat.reshape(3, 3), named.xpos
-        return np.linalg.inv(hand) @ thing
+        return np.linalg.inv(gripper) @ thing
 
 
 def slip_m(before, after):
@@ -73,16 +73,16 @@ def test_a_gripper_lifts_the_block_and_holds_it(force_n):
     rig = Rig(SceneSettings(timestep_s=0.002, equipment=Equipment(True, "block", grip_force_n=force_n)))
     rig.data.qpos[16:19] = 0.0, 0.3, 0.02
     points = np.array([[0.0, 0.3, 0.025 + height] for height in STEPS])
-    paths = [postures(rig.settings, 0, points, props.BLOCK_GRIP_QUAT), np.tile(HOME_Q_RAD[1], (len(STEPS), 1))]
+    paths = [configurations(rig.settings, 0, points, props.BLOCK_GRIP_QUAT), np.tile(HOME_Q_RAD[1], (len(STEPS), 1))]
     rig.place(paths, 0.06)
-    assert angle(rig.in_hand("left", "block")[:3, :3], quat_to_matrix(np.array(props.BLOCK_GRIP_QUAT)).T) < 1e-6
+    assert angle(rig.in_gripper("left", "block")[:3, :3], quat_to_matrix(np.array(props.BLOCK_GRIP_QUAT)).T) < 1e-6
     rig.run(0.1)
     rig.data.ctrl[6] = 0.0
     rig.run(0.5)
-    start, height = rig.in_hand("left", "block"), rig.data.body("block").xpos[2]
+    start, height = rig.in_gripper("left", "block"), rig.data.body("block").xpos[2]
     rig.follow(paths, 1.5)
     rig.run(2.0)
-    end = rig.in_hand("left", "block")
+    end = rig.in_gripper("left", "block")
     assert rig.data.body("block").xpos[2] - height == pytest.approx(0.1, abs=0.002)
     assert slip_m(start, end) < 1e-4
     assert angle(start[:3, :3], end[:3, :3]) < 2e-4
@@ -93,19 +93,19 @@ def test_two_grippers_lift_the_bar_and_hold_it():
     settings = SceneSettings(timestep_s=0.001, equipment=Equipment(True, "bar", grip_force_n=120.0))
     rig = Rig(settings)
     paths = [
-        postures(settings, arm, [[0.0, y, 0.025 + height] for height in STEPS], props.GRIP_QUAT)
+        configurations(settings, arm, [[0.0, y, 0.025 + height] for height in STEPS], props.GRIP_QUAT)
         for arm, y in ((0, 0.5), (1, -0.5))
     ]
     rig.place(paths, 0.06)
     rig.run(0.1)
     rig.data.ctrl[[6, 13]] = 0.0
     rig.run(0.5)
-    starts, height = [rig.in_hand(arm, f"{arm}_grip") for arm in ARMS], rig.data.body("bar").xpos[2]
+    starts, height = [rig.in_gripper(arm, f"{arm}_grip") for arm in ARMS], rig.data.body("bar").xpos[2]
     rig.follow(paths, 1.5)
     rig.run(2.0)
     assert rig.data.body("bar").xpos[2] - height == pytest.approx(0.1, abs=0.004)
     for arm, start in zip(ARMS, starts, strict=True):
-        assert slip_m(start, rig.in_hand(arm, f"{arm}_grip")) < 2e-4
+        assert slip_m(start, rig.in_gripper(arm, f"{arm}_grip")) < 2e-4
     # Both wrists together carry the bar, which quivers by some thousandths: by how much depends on the processor.
     slices = sensor_slices(rig.model)
     carried = sum(
@@ -121,7 +121,7 @@ def welded(request):
     rig = Rig(settings)
     rig.data.qpos[16:19] = 0.0, 0.0, 0.12
     paths = [
-        postures(settings, arm, [[0.0, y, 0.12 + height] for height in STEPS], props.GRIP_QUAT)
+        configurations(settings, arm, [[0.0, y, 0.12 + height] for height in STEPS], props.GRIP_QUAT)
         for arm, y in ((0, 0.5), (1, -0.5))
     ]
     rig.place(paths, 0.04)
@@ -130,7 +130,7 @@ def welded(request):
 
 def test_welded_grippers_stay_still(welded):
     rig, _ = welded
-    rig.model.body_gravcomp[rig.model.body("bar").id] = 1.0  # so that nothing should move at all
+    rig.model.body_gravcomp[rig.model.body("bar").id] = 1.0  # so that nothing moves at all
     q = rig.data.qpos.copy()
     speed = 0.0
     for _ in range(500):
@@ -145,9 +145,9 @@ def test_welded_grippers_carry_the_bar(welded):
     rig, paths = welded
     rig.follow(paths, 1.5)
     rig.run(0.5)
-    assert rig.data.body("bar").xpos[2] == pytest.approx(0.22, abs=0.008)  # soft gains, and a bar nobody told them of
+    assert rig.data.body("bar").xpos[2] == pytest.approx(0.22, abs=0.008)  # soft gains, and no payload set
     for arm in ARMS:
-        pose = rig.in_hand(arm, f"{arm}_grip")
+        pose = rig.in_gripper(arm, f"{arm}_grip")
         assert np.linalg.norm(pose[:3, 3]) < 2e-5
         assert angle(pose[:3, :3], np.eye(3)) < 2e-4
     names = {rig.model.geom(g).name for contact in rig.data.contact for g in contact.geom}
@@ -155,7 +155,7 @@ def test_welded_grippers_carry_the_bar(welded):
 
 
 @pytest.mark.parametrize(("prop", "grippers"), list(itertools.product(PROPS, (False, True))))
-def test_a_prop_lies_still_where_it_begins(prop, grippers):
+def test_a_prop_does_not_move_from_its_initial_pose(prop, grippers):
     model = build_model(SceneSettings(equipment=Equipment(grippers, prop)))
     data = mujoco.MjData(model)
     first = 16 if grippers else 12
@@ -172,16 +172,16 @@ def test_a_prop_lies_still_where_it_begins(prop, grippers):
 
 def test_the_masses_of_the_props():
     for prop, mass in (("bar", BAR_MASS_KG), ("block", BLOCK_MASS_KG)):
-        for drawn in (False, True):
-            model = build_model(SceneSettings(equipment=Equipment(prop=prop)), visuals=drawn)
+        for visuals in (False, True):
+            model = build_model(SceneSettings(equipment=Equipment(prop=prop)), visuals=visuals)
             body = model.body(prop)
             assert body.mass[0] == mass
             x, y, z = prop_size_m(prop)
             moments = mass / 12 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
-            turn = np.zeros(9)
-            mujoco.mju_quat2Mat(turn, body.iquat)
-            turn = turn.reshape(3, 3)
-            assert turn @ np.diag(body.inertia) @ turn.T == pytest.approx(np.diag(moments), abs=1e-12)
+            axes = np.zeros(9)
+            mujoco.mju_quat2Mat(axes, body.iquat)
+            axes = axes.reshape(3, 3)
+            assert axes @ np.diag(body.inertia) @ axes.T == pytest.approx(np.diag(moments), abs=1e-12)
 
 
 def test_grips_of_the_bar():
@@ -196,7 +196,7 @@ def test_grips_of_the_bar():
     assert GRIP_DISTANCE_M == 1.0
 
 
-def test_from_home_only_a_wrist_turns_to_the_grips():
+def test_from_home_only_wrist_3_moves_to_the_grips():
     down = quat_to_matrix(np.array(props.BLOCK_GRIP_QUAT))
     data = mujoco.MjData(model := build_model(SceneSettings()))
     data.qpos[:] = HOME_Q_RAD.ravel()
@@ -209,13 +209,13 @@ def test_from_home_only_a_wrist_turns_to_the_grips():
         assert angle(site_pose(data, f"{arm}/flange")[:3, :3], quat_to_matrix(np.array(props.GRIP_QUAT))) < 1e-6
 
 
-def test_the_target_is_only_looked_at():
-    for drawn in (False, True):
-        model = build_model(SceneSettings(equipment=Equipment(prop="block")), visuals=drawn)
+def test_the_target_is_visual_only():
+    for visuals in (False, True):
+        model = build_model(SceneSettings(equipment=Equipment(prop="block")), visuals=visuals)
         target = model.body("target")
         assert (model.nmocap, target.mocapid[0]) == (1, 0)
         geoms = np.flatnonzero(model.geom_bodyid == target.id)
-        assert len(geoms) > 0 if drawn else len(geoms) == 0
+        assert len(geoms) > 0 if visuals else len(geoms) == 0
         assert not model.geom_contype[geoms].any()
         assert not model.geom_conaffinity[geoms].any()
     assert build_model(SceneSettings(equipment=Equipment(prop="bar"))).nmocap == 0

@@ -1,4 +1,4 @@
-"""Settings of the scene, and what makes a scene: texts, models, looks."""
+"""Settings of the scene, its MJCF text, its models and its visuals."""
 
 import dataclasses
 import os
@@ -28,7 +28,7 @@ def test_texts_are_cached_and_models_are_not():
     assert build_model(SceneSettings()).body_mass.sum() > 50
 
 
-def test_lists_will_do_as_positions():
+def test_positions_may_be_lists():
     settings = SceneSettings(left=ArmMount([-0.75, 0.6, 0]))
     assert settings == SceneSettings()
     assert compose(settings) is compose(SceneSettings())
@@ -86,7 +86,7 @@ def test_a_base_may_stand_on_the_table():
     assert not contacts(model, HOME_Q_RAD)
 
 
-def test_meshes_are_looks_only():
+def test_meshes_are_visual_only():
     settings = SceneSettings(meshes=True)
     try:
         model = build_model(settings)
@@ -114,7 +114,7 @@ def test_equal_equipment_hashes_alike():
     assert SceneSettings() == SceneSettings(equipment=Equipment())
 
 
-def test_without_equipment_there_is_nothing_of_it():
+def test_a_bare_scene_has_no_parts_of_equipment():
     for text in (compose(SceneSettings()), compose_collision_model(SceneSettings())):
         for word in ("gripper", "finger", "wrench", "tendon", "equality", "impratio", "freejoint", "mocap"):
             assert word not in text
@@ -140,26 +140,26 @@ CELLS = {
 
 
 @pytest.fixture(scope="module", params=CELLS.values(), ids=list(CELLS))
-def drawn_and_undrawn(request):
+def with_and_without_visuals(request):
     return build_model(request.param), build_model(request.param, visuals=False)
 
 
-def test_an_undrawn_model_has_nothing_to_look_at(drawn_and_undrawn):
-    drawn, undrawn = drawn_and_undrawn
-    solid = (undrawn.geom_contype > 0) | (undrawn.geom_conaffinity > 0)
+def test_a_model_without_visuals_has_solid_geoms_only(with_and_without_visuals):
+    visual, bare = with_and_without_visuals
+    solid = (bare.geom_contype > 0) | (bare.geom_conaffinity > 0)
     assert solid.all()
-    names = [undrawn.geom(i).name for i in range(undrawn.ngeom)]
-    assert set(names) == {drawn.geom(i).name for i in range(drawn.ngeom) if drawn.geom_contype[i]}
-    assert (undrawn.ncam, undrawn.nlight, undrawn.ntex) == (0, 0, 0)
+    names = [bare.geom(i).name for i in range(bare.ngeom)]
+    assert set(names) == {visual.geom(i).name for i in range(visual.ngeom) if visual.geom_contype[i]}
+    assert (bare.ncam, bare.nlight, bare.ntex) == (0, 0, 0)
 
 
-def test_an_undrawn_model_has_the_same_state(drawn_and_undrawn):
-    drawn, undrawn = drawn_and_undrawn
+def test_a_model_without_visuals_has_the_same_state(with_and_without_visuals):
+    visual, bare = with_and_without_visuals
     full = mujoco.mjtState.mjSTATE_INTEGRATION
-    assert mujoco.mj_stateSize(drawn, full) == mujoco.mj_stateSize(undrawn, full)
+    assert mujoco.mj_stateSize(visual, full) == mujoco.mj_stateSize(bare, full)
     for size in ("nq", "nv", "na", "nu", "nbody", "nsensordata", "nmocap", "neq", "ntendon"):
-        assert getattr(drawn, size) == getattr(undrawn, size)
-    assert sensor_slices(drawn) == sensor_slices(undrawn)
+        assert getattr(visual, size) == getattr(bare, size)
+    assert sensor_slices(visual) == sensor_slices(bare)
 
 
 def touching(model, data):
@@ -170,14 +170,14 @@ def touching(model, data):
     return sorted(rows)
 
 
-def test_an_undrawn_model_has_the_same_dynamics(drawn_and_undrawn):
+def test_a_model_without_visuals_has_the_same_dynamics(with_and_without_visuals):
     rng = np.random.default_rng(6)
     touched = 0
     for q in random_q(rng, 200):
-        first = drawn_and_undrawn[0]
+        first = with_and_without_visuals[0]
         v, goal = rng.normal(size=first.nv), rng.normal(0, 0.01, first.nu)
         found = []
-        for model in drawn_and_undrawn:
+        for model in with_and_without_visuals:
             data = mujoco.MjData(model)
             fingers = (model.nu - 12) // 2 * 2
             data.qpos[: 12 + 2 * fingers] = np.pad(q, ((0, 0), (0, fingers)), constant_values=0.02).ravel()
@@ -188,10 +188,10 @@ def test_an_undrawn_model_has_the_same_dynamics(drawn_and_undrawn):
             found.append((data.M.copy(), *(force.copy() for force in forces), data.sensordata.copy()))
             found[-1] += (touching(model, data),)
         *numbers, contacts_ = zip(*found, strict=True)
-        for drawn, undrawn in numbers:
-            np.testing.assert_allclose(undrawn, drawn, rtol=1e-9, atol=1e-9)
+        for visual, bare in numbers:
+            np.testing.assert_allclose(bare, visual, rtol=1e-9, atol=1e-9)
         touched += len(contacts_[0])
         assert [row[:2] for row in contacts_[0]] == [row[:2] for row in contacts_[1]]
-        for drawn, undrawn in zip(*contacts_, strict=True):
-            np.testing.assert_allclose(undrawn[2:], drawn[2:], rtol=1e-9, atol=1e-9)
+        for visual, bare in zip(*contacts_, strict=True):
+            np.testing.assert_allclose(bare[2:], visual[2:], rtol=1e-9, atol=1e-9)
     assert touched > 100

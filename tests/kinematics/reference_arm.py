@@ -1,4 +1,4 @@
-"""An independent UR10 for tests: the textbook product of DH matrices, random postures and calibrations."""
+"""An independent UR10 for tests: the textbook product of DH matrices, random configurations and calibrations."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def test_largest_gravity_torques() -> None:
     q, zero = random_q(4000, 19), np.zeros(6)
     torque = np.abs(kinematics.inverse_dynamics(q, zero, zero)).max(0)
     assert torque[0] < 1e-12  # the base axis is upright
-    # The largest torque of the random postures comes a little short of the largest of all.
+    # The largest torque of the random configurations is a little below the largest of all.
     for joint, largest, short in ((1, 121.0, 6.0), (2, 41.0, 2.0), (3, 3.0, 0.3), (4, 0.6, 0.06)):
         assert largest - short < torque[joint] < largest * 1.03
 

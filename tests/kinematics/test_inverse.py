@@ -1,4 +1,4 @@
-"""Inverse kinematics: right in every branch, nearest where asked, and clear about what it refuses."""
+"""Inverse kinematics: every branch, the nearest solution, and refusals."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_turns_follow_the_reference_but_not_past_the_range() -> None:
     position, rotation = independent_pose(q)
     turned = q + TWO_PI * np.array([-1, 1, 0, -1, -1, 1])
     np.testing.assert_allclose(kinematics.nearest(position, rotation, turned), turned, atol=1e-9)
-    # The solution one turn on is nearest to these references, but past the range.
+    # The solution one rotation on is nearest to these references, but past the range.
     for joint, at in ((0, 0.5), (2, 3.0), (5, 0.5)):
         q[joint] = at
         position, rotation = independent_pose(q)
@@ -142,7 +142,7 @@ def test_singular_poses_are_solved(name: str) -> None:
 
 
 def test_poses_beside_two_singularities_are_solved() -> None:
-    # A stretched arm with a straight wrist is the upright home posture of many cells, and paths start from there.
+    # A stretched arm with a straight wrist is the upright home configuration of many cells, and paths start from there.
     rng = np.random.default_rng(10)
     q = random_q(2000, 10, np.full(6, 3.0))
     q[:, 4] = 10.0 ** rng.uniform(-16, -2, 2000)

@@ -18,7 +18,7 @@ from tests.kinematics.reference_arm import calibration, independent_pose, random
 
 @pytest.fixture(scope="module")
 def urdf_style() -> tuple[pin.Model, int, int]:
-    """The arm by the joint origins of ROS' description of the UR10, with frames base_link, base and tool0."""
+    """Return the arm by the joint origins of ROS' description of the UR10, with frames base_link, base and tool0."""
     origins = [
         (0, 0, 0.1273, 0, 0, 0),
         (0, 0, 0, np.pi / 2, 0, 0),
@@ -28,13 +28,13 @@ def urdf_style() -> tuple[pin.Model, int, int]:
         (0, 0.0922, 0, -np.pi / 2, 0, 0),
     ]
     model = pin.Model()
-    half_turn = pin.SE3(pin.utils.rotate("z", np.pi), np.zeros(3))
-    joint, parent = 0, half_turn  # base_link_inertia, turned against base_link
+    half_rotation = pin.SE3(pin.utils.rotate("z", np.pi), np.zeros(3))
+    joint, parent = 0, half_rotation  # base_link_inertia, rotated against base_link
     for number, (x, y, z, roll, _, _) in enumerate(origins):
         origin = pin.SE3(pin.utils.rotate("x", roll), np.array([x, y, z], dtype=float))
         joint = model.addJoint(joint, pin.JointModelRZ(), parent * origin, f"joint_{number}")
         parent = pin.SE3.Identity()
-    base = model.addFrame(pin.Frame("base", 0, 0, half_turn, pin.FrameType.OP_FRAME))
+    base = model.addFrame(pin.Frame("base", 0, 0, half_rotation, pin.FrameType.OP_FRAME))
     tool = model.addFrame(pin.Frame("tool0", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
     return model, base, tool
 
@@ -64,8 +64,8 @@ def test_flange_pose_matches_pinocchio_in_base_and_base_link(urdf_style: tuple[p
         assert np.abs(in_link.rotation - rotation_link[row]).max() < 1e-9
 
 
-def test_known_posture() -> None:
-    # Arm straight out along -x of base, tool pointing along -y: signs of the table, by hand.
+def test_known_configuration() -> None:
+    # Arm straight out along -x of base, tool along -y: signs of the table, derived by hand.
     position, rotation = kinematics.flange_pose(np.zeros(6))
     np.testing.assert_allclose(position, [-0.612 - 0.5723, -0.163941 - 0.0922, 0.1273 - 0.1157], atol=1e-15)
     np.testing.assert_allclose(rotation[:, 2], [0, -1, 0], atol=1e-15)
@@ -122,9 +122,9 @@ def test_elbow_and_flange_position() -> None:
 
 
 def _link(dh: DHParameters, joint: int, angle: float) -> np.ndarray:
-    turn, twist = pin.utils.rotate("z", angle), pin.utils.rotate("x", dh.alpha_rad[joint])
+    rotation, twist = pin.utils.rotate("z", angle), pin.utils.rotate("x", dh.alpha_rad[joint])
     offset = pin.SE3(twist, np.array([dh.a_m[joint], 0, dh.d_m[joint]]))
-    return (pin.SE3(turn, np.zeros(3)) * offset).homogeneous
+    return (pin.SE3(rotation, np.zeros(3)) * offset).homogeneous
 
 
 def test_six_joints_are_needed() -> None:

@@ -68,11 +68,11 @@ def test_rotvec_is_exact_near_zero(size: float) -> None:
     np.testing.assert_allclose(rotations.quat_to_rotvec(quat), rotvec, rtol=1e-15)
 
 
-def test_rotvec_takes_the_short_way_round() -> None:
+def test_rotvec_is_the_shorter_rotation() -> None:
     quat = rotations.quat_from_rotvec([0.0, 0.0, 1.5 * np.pi])
     np.testing.assert_allclose(rotations.quat_to_rotvec(quat), [0.0, 0.0, -0.5 * np.pi], atol=1e-15)
-    half_turn = rotations.quat_to_rotvec([0.0, 0.0, 1.0, 0.0])
-    np.testing.assert_allclose(half_turn, [0.0, np.pi, 0.0], atol=1e-15)
+    half_rotation = rotations.quat_to_rotvec([0.0, 0.0, 1.0, 0.0])
+    np.testing.assert_allclose(half_rotation, [0.0, np.pi, 0.0], atol=1e-15)
 
 
 def test_rotate_matches_scipy() -> None:

@@ -1,4 +1,4 @@
-"""Configuration of a cell: what is refused, what is equal, and how perturbations get their shapes."""
+"""Configuration of a cell: refusals, equality, and shapes of perturbations."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def test_the_timestep_divides_the_tick(family: str, timestep_s: float, substeps:
 @pytest.mark.parametrize(
     ("family", "timestep_s"), [("cb3", 0.003), ("cb3", 0.005), ("cb3", 0.016), ("e-series", 0.004)]
 )
-def test_a_timestep_that_does_not_divide_the_tick_is_refused_with_some_that_do(family: str, timestep_s: float) -> None:
+def test_a_timestep_beside_the_tick_is_refused_with_examples(family: str, timestep_s: float) -> None:
     with pytest.raises(RateError, match="divide") as caught:
         CellConfig(servoj=ServojProfile(family=family), timestep_s=timestep_s)
     assert ("0.004, 0.002, 0.001" if family == "cb3" else "0.001, 0.0005") in str(caught.value)
 
 
 @pytest.mark.parametrize("timestep_s", [0.0, -0.002, float("nan"), float("inf")])
-def test_a_timestep_that_is_none_is_refused(timestep_s: float) -> None:
+def test_an_impossible_timestep_is_refused(timestep_s: float) -> None:
     with pytest.raises(SettingsError):
         CellConfig(timestep_s=timestep_s)
 
@@ -65,14 +65,14 @@ def test_equal_configurations_are_equal_and_hash_alike(make) -> None:
     assert make() != CellConfig(left=ArmMount((-0.9, 0.6, 0.0)))
 
 
-def test_equal_perturbations_are_equal_whatever_they_were_made_of() -> None:
+def test_perturbations_of_lists_and_arrays_are_equal() -> None:
     friction = np.array([5.0, 5.0, 3.0, 1.0, 1.0, 1.0])
     made = Perturbation(friction_nm=friction)
     same = Perturbation(friction_nm=[5, 5, 3, 1, 1, 1])  # type: ignore[arg-type]
     assert made == same
     assert hash(made) == hash(same)
     assert made != Perturbation(friction_nm=friction + 1.0)
-    friction[:] = 0.0  # what it was made of is not held on to
+    friction[:] = 0.0  # it keeps a copy
     assert made == same
 
 
@@ -206,7 +206,7 @@ def path(tmp_path: Path) -> Path:
     return result
 
 
-def test_a_cell_of_controllers_is_its_files(path: Path) -> None:
+def test_a_cell_of_controllers_comes_from_its_file(path: Path) -> None:
     config = resolve_cell(path)
     assert (config.kind, config.speed_factor) == ("emulated", 0.5)
     assert config.file is not None
@@ -216,7 +216,7 @@ def test_a_cell_of_controllers_is_its_files(path: Path) -> None:
     assert config != CellConfig()
 
 
-def test_a_path_is_told_from_a_name(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_path_is_distinguished_from_a_name(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(path.parent)
     assert resolve_cell("lab.toml") == resolve_cell("./lab.toml") == resolve_cell(Path("lab.toml"))
     (path.parent / "mujoco").write_text("kind = 3")
@@ -237,7 +237,7 @@ def test_a_kind_without_its_file_is_refused(kind: Any, path: Path) -> None:
 
 
 @pytest.mark.parametrize(("family", "ticks"), [("cb3", 5), ("e-series", 20)])
-def test_the_latency_where_none_is_said(path: Path, family: str, ticks: int) -> None:
+def test_the_default_latency(path: Path, family: str, ticks: int) -> None:
     path.write_text(FILE.format(family=family))
     config = resolve_cell(path)
     assert config.latency_ticks == ticks
@@ -245,7 +245,7 @@ def test_the_latency_where_none_is_said(path: Path, family: str, ticks: int) -> 
     assert CellConfig(servoj=ServojProfile(family=family)).latency_ticks == 0
 
 
-def test_what_may_not_be_exceeded_may_not_be_exceeded_in_real_time(path: Path) -> None:
+def test_caps_hold_in_real_time(path: Path) -> None:
     config = resolve_cell(path)
     task = MotionLimits(speed_rad_s=(1.6, 1.6, 2.0, 2.0, 2.0, 0.5), tcp_speed_m_s=1.2)
     found = config.capped(task)
@@ -255,14 +255,14 @@ def test_what_may_not_be_exceeded_may_not_be_exceeded_in_real_time(path: Path) -
     assert found.acceleration_rad_s2 * slow**2 == 2.0
     assert found.jerk_rad_s3 * slow**3 == 50.0
     assert (found.lower_rad, found.upper_rad) == (task.lower_rad, task.upper_rad)
-    # Where the task asks for less, that stays.
+    # Tighter limits of the task stay.
     gentle = MotionLimits(speed_rad_s=0.1, tcp_speed_m_s=0.1, acceleration_rad_s2=1.0, jerk_rad_s3=20.0)
     assert config.capped(gentle) == gentle
     assert CellConfig().capped(task) == task
     assert CellConfig(speed_factor=0.25).capped(task) == task
 
 
-def test_what_stands_in_the_workspace_is_measured(path: Path) -> None:
+def test_obstacles_are_part_of_the_collision_model(path: Path) -> None:
     config = resolve_cell(path)
     (box,) = config.obstacles
     assert config.scene.obstacles == (box,)

@@ -1,4 +1,4 @@
-"""Cell files: what is read is what was written, and nothing that is not legal is read."""
+"""Cell files: reading, writing, refusals, configuration, template and reference page."""
 
 from __future__ import annotations
 
@@ -97,10 +97,10 @@ def refused(tmp_path: Path, content: dict[str, Any] | str | bytes) -> str:
     return text
 
 
-# What a file says.
+# Content of a file.
 
 
-def test_a_file_says_what_stands_in_it(tmp_path: Path) -> None:
+def test_every_key_is_read(tmp_path: Path) -> None:
     cell = loaded(
         tmp_path,
         edited(
@@ -288,7 +288,7 @@ def contents(draw: st.DrawFn) -> dict[str, Any]:
 
 
 def holds(found: Any, given_: Any) -> bool:
-    """Whether everything that was given stands in what was found."""
+    """Return true if all that was given is part of what was found."""
     if isinstance(given_, dict):
         return all(holds(found.get(name, {}), each) for name, each in given_.items())
     if isinstance(given_, list):
@@ -310,7 +310,7 @@ def test_what_is_written_is_read_again(content: dict[str, Any]) -> None:
     assert holds(tomllib.loads(cell.text()), content)
 
 
-def test_the_hash_is_of_what_a_file_means(tmp_path: Path) -> None:
+def test_the_hash_covers_the_content_of_a_file(tmp_path: Path) -> None:
     plain = loaded(tmp_path, GOOD)
     again = loaded(tmp_path, "# a comment\r\n" + toml_text(GOOD).replace("\n", "\r\n").replace("= 0.5", "= 5e-1"))
     assert (again, again.sha256) == (plain, plain.sha256)
@@ -326,13 +326,13 @@ def test_the_hash_is_of_what_a_file_means(tmp_path: Path) -> None:
     assert loaded(tmp_path, SMALL).sha256 == small
 
 
-def test_texts_are_toml_whatever_they_hold() -> None:
+def test_odd_texts_are_valid_toml() -> None:
     odd = {"a": 'q"\\\n\x7f\x00é😀', "b": [1e-7, 1e22, True], "c": [], "t": {"u": {"v": 1}}, "w": [{"x": 1}, {"x": 2}]}
     assert tomllib.loads(toml_text(odd)) == odd
     assert tomllib.loads(toml_text({"a": 1, "empty": {}})) == {"a": 1, "empty": {}}
 
 
-def test_what_is_made_by_hand_is_checked_too(tmp_path: Path) -> None:
+def test_changed_cells_are_checked_too(tmp_path: Path) -> None:
     cell = loaded(tmp_path, GOOD)
     assert cell.replace(speed_factor=0.5).speed_factor == 0.5
     with pytest.raises(CellFileError, match=r"lab\.toml: speed_factor is 2"):
@@ -341,7 +341,7 @@ def test_what_is_made_by_hand_is_checked_too(tmp_path: Path) -> None:
         cell.replace(right=cell.right.replace(host="192.168.1.10"))
 
 
-# What is refused.
+# Refusals.
 
 BOX = {"name": "b", "kind": "box", "position_m": [0, 1.5, 0], "size_m": [1, 1, 1]}
 PLANE = {"name": "p", "kind": "plane", "point_m": [1, 0, 0], "normal": [-1, 0, 0]}
@@ -418,7 +418,7 @@ REFUSED: list[tuple[dict[str, Any], tuple[str, ...]]] = [
     ({"kind": DELETE}, ("kind is missing", 'kind = "real"')),
     ({"right": DELETE}, ("right is missing", "two arms", "[right]")),
     ({"left__host": DELETE}, ("left.host is missing",)),
-    # What the file of a real cell has to say.
+    # Keys that the file of a real cell has to name.
     *[
         ({f"left__{name}": DELETE}, (f"left.{name} is missing", "the file of a real cell"))
         for name in sorted({*ARM, "base_position_m"} - {"base_uncertainty_m"})
@@ -450,7 +450,7 @@ REFUSED: list[tuple[dict[str, Any], tuple[str, ...]]] = [
 
 
 @pytest.mark.parametrize(("edits", "words"), REFUSED, ids=lambda each: "-".join(each)[:50] if each else "")
-def test_what_is_not_legal_is_refused(tmp_path: Path, edits: dict[str, Any], words: tuple[str, ...]) -> None:
+def test_illegal_values_are_refused(tmp_path: Path, edits: dict[str, Any], words: tuple[str, ...]) -> None:
     assert loaded(tmp_path, GOOD).kind == "real"
     text = refused(tmp_path, edited(GOOD, **edits))
     for word in words:
@@ -459,7 +459,7 @@ def test_what_is_not_legal_is_refused(tmp_path: Path, edits: dict[str, Any], wor
 
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf", "+nan", "1e999", "1979-05-27", "07:32:00"])
 @pytest.mark.parametrize("line", ["payload_kg = 1.2", "base_yaw_rad = 0.5", "speed_factor = 0.25"])
-def test_what_is_no_finite_number_is_refused(tmp_path: Path, line: str, value: str) -> None:
+def test_numbers_have_to_be_finite(tmp_path: Path, line: str, value: str) -> None:
     name = line.split()[0]
     text = toml_text(GOOD).replace(line, f"{name} = {value}")
     assert f"{name} is " in refused(tmp_path, text)
@@ -514,7 +514,7 @@ def test_the_largest_file_is_read(tmp_path: Path) -> None:
     refused(tmp_path, text + "#" * (65_537 - len(text)))
 
 
-def test_what_is_no_file_is_named(tmp_path: Path) -> None:
+def test_paths_that_are_no_file_are_refused(tmp_path: Path) -> None:
     with pytest.raises(CellFileError, match=r"no cell file .*none\.toml.*cell new"):
         load_cell_file(tmp_path / "none.toml")
     with pytest.raises(CellFileError, match="no regular file"):
@@ -538,23 +538,23 @@ def mutated(text: str, chance: random.Random) -> str:
     for _ in range(chance.randint(1, 4)):
         lines = text.split("\n")
         row, other = chance.randrange(len(lines)), chance.randrange(len(lines))
-        way = chance.randrange(6)
-        if way == 0 and text:
+        edit = chance.randrange(6)
+        if edit == 0 and text:
             at = chance.randrange(len(text))
             text = text[:at] + chance.choice('[]{}="\\\n.#,-0a\x00\x1bé😀') + text[at + chance.randint(0, 3) :]
-        elif way == 1:
+        elif edit == 1:
             del lines[row]
             text = "\n".join(lines)
-        elif way == 2:
+        elif edit == 2:
             lines[row], lines[other] = lines[other], lines[row]
             text = "\n".join(lines)
-        elif way == 3 and " = " in lines[row]:
+        elif edit == 3 and " = " in lines[row]:
             lines[row] = f"{lines[row].split(' = ')[0]} = {chance.choice(ODD)}"
             text = "\n".join(lines)
-        elif way == 4 and " = " in lines[row] and " = " in lines[other]:
+        elif edit == 4 and " = " in lines[row] and " = " in lines[other]:
             lines[row] = f"{lines[row].split(' = ')[0]} = {lines[other].split(' = ')[1]}"
             text = "\n".join(lines)
-        elif way == 5:
+        elif edit == 5:
             text = text[: chance.randrange(len(text) + 1)] + text[chance.randrange(len(text) + 1) :]
     return text
 
@@ -578,7 +578,7 @@ def test_mutated_texts_are_refused_or_right() -> None:
     assert 0 < right < scaled(10_000) // 2
 
 
-# What it is for the rest of the package.
+# Configuration for the rest of the package.
 
 
 def test_its_configuration_has_mounts_servoj_and_caps(tmp_path: Path) -> None:
@@ -598,27 +598,27 @@ def test_its_configuration_has_mounts_servoj_and_caps(tmp_path: Path) -> None:
     assert loaded(tmp_path, edited(GOOD, commissioned=True)).config().speed_rad_s is None
 
 
-def test_hands_that_are_mounted_are_measured_whatever_the_task_needs(tmp_path: Path) -> None:
-    hand = {"right__gripper": {"kind": "digital_output", "output": 16}}
-    bare, handy = (loaded(tmp_path, edited(GOOD, **edits)) for edits in ({}, hand))
+def test_mounted_grippers_are_measured_in_every_task(tmp_path: Path) -> None:
+    gripper = {"right__gripper": {"kind": "digital_output", "output": 16}}
+    bare, equipped = (loaded(tmp_path, edited(GOOD, **edits)) for edits in ({}, gripper))
     assert not bare.config().grippers_mounted
-    assert handy.config().grippers_mounted
-    assert handy.simulated().grippers_mounted
-    looked_at = []
-    for cell in (bare, handy):
+    assert equipped.config().grippers_mounted
+    assert equipped.simulated().grippers_mounted
+    measured = []
+    for cell in (bare, equipped):
         env = DualArmEnv("SineTracking", cell=cell.simulated())
         assert env.action_space.shape == (12,)  # nothing that it could open or close
-        looked_at.append({pair for pair in env.core._clearance.pairs if {"left/fingers", "right/palm"} & set(pair)})
+        measured.append({pair for pair in env.core._clearance.pairs if {"left/fingers", "right/palm"} & set(pair)})
         env.close()
-    assert not looked_at[0]
-    assert ("right/palm", "table") in looked_at[1]
+    assert not measured[0]
+    assert ("right/palm", "table") in measured[1]
     low: dict[str, Any] = {"axis": "z", "center_m": ((0.0, 0.6, 0.3), (0.0, -0.6, 0.3))}
     DualArmEnv("SineTracking", cell=bare.simulated(), **low).close()
     with pytest.raises(SettingsError, match=r"sine's path .*/fingers and table come as close as"):
-        DualArmEnv("SineTracking", cell=handy.simulated(), **low)
+        DualArmEnv("SineTracking", cell=equipped.simulated(), **low)
 
 
-def test_a_real_cell_is_as_slow_as_in_first_runs_until_somebody_has_signed(tmp_path: Path) -> None:
+def test_a_real_cell_is_slow_until_it_is_commissioned(tmp_path: Path) -> None:
     limits = {"speed_rad_s": 1.5, "tcp_speed_m_s": 1.0}
     fast = edited(GOOD, left__limits=limits, right__limits=limits)
     for values in (GOOD, fast):
@@ -633,7 +633,7 @@ def test_a_real_cell_is_as_slow_as_in_first_runs_until_somebody_has_signed(tmp_p
     assert (emulated.speed_rad_s, emulated.tcp_speed_m_s) == (None, None)
 
 
-def test_notes_name_limits_that_are_not_those_of_first_runs(tmp_path: Path) -> None:
+def test_notes_name_limits_beyond_those_of_first_runs(tmp_path: Path) -> None:
     edits = {"left__limits": {"speed_rad_s": 0.6, "tcp_speed_m_s": 0.25}, "commissioned": True}
     notes = [each for each in loaded(tmp_path, edited(GOOD, **edits)).notes() if "limits" in each]
     assert notes == [
@@ -645,7 +645,7 @@ def test_notes_name_limits_that_are_not_those_of_first_runs(tmp_path: Path) -> N
     assert "commissioned is false: no arm exceeds 0.5 rad/s and 0.25 m/s" in text
 
 
-def test_what_was_measured_is_used_for_compensation_and_for_its_simulation(tmp_path: Path) -> None:
+def test_measured_figures_serve_compensation_and_simulation(tmp_path: Path) -> None:
     bare = loaded(tmp_path, GOOD)
     assert bare.config().measured_lookahead_s is None
     assert bare.simulated() == dataclasses.replace(bare.config(), kind="mujoco", file=None)
@@ -662,7 +662,7 @@ def test_what_was_measured_is_used_for_compensation_and_for_its_simulation(tmp_p
     assert found.perturbation.latency_s == (0.004, 0.2)  # the most that a simulation takes
 
 
-def test_the_environment_takes_out_the_lag_that_was_measured(tmp_path: Path) -> None:
+def test_the_environment_compensates_the_measured_lag(tmp_path: Path) -> None:
     edits = {"left__measured": {"lookahead_s": 0.05}, "speed_factor": 1.0, "commissioned": True}
     cell = loaded(tmp_path, edited(GOOD, **edits)).simulated()
     env = DualArmEnv("SineTracking", cell=cell)
@@ -708,7 +708,7 @@ def test_arms_that_differ_are_refused_for_now(tmp_path: Path, edits: dict[str, A
         cell.config()
 
 
-def test_notes_name_what_a_real_cell_leaves_open(tmp_path: Path) -> None:
+def test_notes_name_what_a_real_cell_leaves_out(tmp_path: Path) -> None:
     text = "\n".join(loaded(tmp_path, edited(GOOD, speed_factor=0.5)).notes())
     for word in (
         "left.calibration is",
@@ -731,12 +731,12 @@ def test_notes_name_what_a_real_cell_leaves_open(tmp_path: Path) -> None:
     assert loaded(tmp_path, SMALL).notes() == []
 
 
-# The file to begin with, and the documents.
+# Template and documents.
 
 
 @pytest.mark.parametrize("kind", ["real", "emulated"])
 @pytest.mark.parametrize("family", ["cb3", "e-series"])
-def test_the_file_to_begin_with_is_legal_and_slow(tmp_path: Path, kind: Any, family: str) -> None:
+def test_the_template_is_legal_and_slow(tmp_path: Path, kind: Any, family: str) -> None:
     hosts = ("10.0.0.1", "10.0.0.2") if kind == "real" else (None, None)
     text = starting_text(kind, *hosts, family=family, task=ENV_IDS[1])
     cell = loaded(tmp_path, text)
@@ -760,7 +760,7 @@ def test_a_real_cell_needs_addresses() -> None:
         starting_text("real", "127.0.0.1", "10.0.0.2", source="x.toml")
 
 
-def test_nothing_is_overwritten(tmp_path: Path) -> None:
+def test_existing_files_are_not_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     write_new(path, "first")
     for name in ("a.toml", "link.toml", "dangling.toml"):

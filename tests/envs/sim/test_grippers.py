@@ -1,3 +1,5 @@
+"""Gripper servos: latency, speed, yielding at obstacles, and refusals."""
+
 import numpy as np
 import pytest
 
@@ -25,7 +27,7 @@ def command(left, right, n=1, **more):
     return Command(np.repeat(home(n)[:, None], TICKS, axis=1), opening, **more)
 
 
-def test_a_command_comes_late_and_then_the_fingers_move_at_their_speed():
+def test_the_fingers_move_at_their_speed_after_the_latency():
     made = cell()
     opening = np.array([made.advance(command(0.0, OPENING_M)).state.gripper_m[0].copy() for _ in range(30)])
     time = 0.04 * np.arange(1, 31)
@@ -38,21 +40,21 @@ def test_a_command_comes_late_and_then_the_fingers_move_at_their_speed():
     assert arrival == pytest.approx(LATENCY_S + OPENING_M / SPEED_M_S, abs=0.06)
 
 
-def test_the_reference_waits_where_the_fingers_are_held_up():
+def test_the_reference_waits_for_blocked_fingers():
     servos = GripperServos(1, 0.008, 4, slack_m=0.005)
     held = np.full((1, 2), 0.04)
     for _ in range(60):
         reference = servos(np.zeros((1, TICKS, 2)), held)
     assert reference.shape == (1, TICKS * 4, 2)
-    # Within a period it runs on by what it can move in it.
+    # Within a period it advances by at most its speed.
     assert np.all(reference >= 0.04 - 0.005 - SPEED_M_S * 0.04 - 1e-12)
     for _ in range(3):
         servos(np.full((1, TICKS, 2), OPENING_M), held)
     reference = servos(np.full((1, TICKS, 2), OPENING_M), held)
-    assert reference[0, -1, 0] > 0.04  # it lets go at once
+    assert reference[0, -1, 0] > 0.04  # it opens at once
 
 
-def test_an_opening_that_a_gripper_does_not_have_is_refused():
+def test_an_opening_beyond_the_stroke_is_refused():
     made = cell(n=2)
     for value in (-0.001, 0.09, np.nan):
         wrong = command(OPENING_M, OPENING_M, n=2)
@@ -65,13 +67,13 @@ def test_an_opening_that_a_gripper_does_not_have_is_refused():
         bare.advance(command(0.0, 0.0))
 
 
-def test_a_payload_that_is_told_of_is_carried():
-    """The controllers hold up what they were told of: without it, the arms go up."""
-    made, told = cell(), cell()
+def test_a_declared_payload_is_compensated():
+    """The controllers compensate the declared payload: without it, the arms rise."""
+    made, loaded = cell(), cell()
     for _ in range(40):
         plain = made.advance(command(OPENING_M, OPENING_M)).state
-        lifted = told.advance(command(OPENING_M, OPENING_M, payload_kg=np.array([[2.0, 0.0]]))).state
+        lifted = loaded.advance(command(OPENING_M, OPENING_M, payload_kg=np.array([[2.0, 0.0]]))).state
     up = lifted.flange_m[0, :, 2] - plain.flange_m[0, :, 2]
-    # 20 N on a stiff arm whose shoulder alone gives way by lever² / stiffness.
+    # 20 N on a stiff arm whose shoulder alone yields by lever² / stiffness.
     assert 2e-4 < up[0] < 3e-3
     assert abs(up[1]) < 1e-6

@@ -17,13 +17,42 @@ import numpy as np
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.files import write_text
-from dual_ur10.policies.evaluation.statistics import wilson_interval
 
 if TYPE_CHECKING:
     from rich.table import Table
 
 CONFIDENCE = 0.95
-"""Of every interval of an evaluation."""
+"""Confidence of every interval of an evaluation."""
+
+
+def wilson_interval(successes: int, trials: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Return Wilson's score interval of a success rate; (0, 1) without any trial.
+
+    E. B. Wilson, "Probable Inference, the Law of Succession, and Statistical Inference", Journal of the American
+    Statistical Association 22 (1927), pages 209 to 212. It keeps its coverage for few trials and for rates near 0 and
+    1, where the interval of the normal approximation shrinks to a point.
+
+    Args:
+        successes: Number of successes, 0 to `trials`.
+        trials: Number of trials, 0 or more.
+        confidence: Probability that such an interval holds the true rate, between 0 and 1.
+
+    Raises:
+        SettingsError: A number is out of its range.
+    """
+    if not 0 <= successes <= trials:
+        raise SettingsError(f"{successes} successes in {trials} trials: allowed are 0 to {trials} successes")
+    if not 0.0 < confidence < 1.0:
+        raise SettingsError(f"confidence is {confidence!r}: it must be between 0 and 1")
+    if trials == 0:
+        return 0.0, 1.0
+    from scipy.stats import binomtest  # here, because its import takes a second
+
+    found = binomtest(successes, trials).proportion_ci(confidence, method="wilson")
+    rate = successes / trials
+    # The interval always holds the observed rate: rounding must not exclude it.
+    low, high = min(rate, float(found.low)), max(rate, float(found.high))
+    return (0.0 if successes == 0 else low), (1.0 if successes == trials else high)
 
 
 @dataclass(frozen=True)

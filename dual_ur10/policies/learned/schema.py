@@ -107,7 +107,7 @@ def read(kind: type[T], value: Any, where: str, error: type[DualUR10Error] = Che
         result = TypeAdapter(kind).validate_json(json.dumps(value))
         found = list(_absent(dataclasses.asdict(result), value, where))  # type: ignore[call-overload]  # a dataclass
     except ValidationError as reason:
-        found = [_finding(each, where) for each in reason.errors(include_url=False)]
+        found = _findings(reason, where)
     if found:
         raise error(_listed(found))
     return result
@@ -122,7 +122,7 @@ def check(value: object, where: str, error: type[DualUR10Error]) -> None:
     try:
         TypeAdapter(type(value)).validate_python(value)
     except ValidationError as reason:
-        raise error(_listed([_finding(each, where) for each in reason.errors(include_url=False)])) from None
+        raise error(_listed(_findings(reason, where))) from None
 
 
 def _listed(found: list[str]) -> str:
@@ -141,6 +141,13 @@ def _absent(filled: Any, value: Any, path: str) -> Iterator[str]:
     elif isinstance(filled, tuple):
         for k, each in enumerate(filled):
             yield from _absent(each, value[k], f"{path}[{k}]")
+
+
+def _findings(error: ValidationError, where: str) -> list[str]:
+    found = error.errors(include_url=False)
+    parents = {each["loc"][:-1] for each in found}
+    # pydantic counts only valid items: a list with a wrong one would be too short as well.
+    return [_finding(each, where) for each in found if each["type"] != "too_short" or each["loc"] not in parents]
 
 
 def _finding(finding: Any, where: str) -> str:

@@ -158,7 +158,7 @@ def test_one_that_does_not_say_what_it_is_of_is_refused():
     told = json.loads(path.read_text())
     for spec in (None, "", "{}", '{"id": "CartPole-v1"}'):
         path.write_text(json.dumps({**told, "env_spec": spec}))
-        with pytest.raises(DatasetError, match=r"does not say|cannot be read"):
+        with pytest.raises(DatasetError, match=r"does not specify its environment|cannot be read"):
             read_dataset("ur10/sine/scripted-v0", view_of(SINE, KEYWORDS))
 
 

@@ -5,7 +5,9 @@ Shapes stand in docstrings: NumPy's types do not hold them.
 
 from __future__ import annotations
 
+import contextlib
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from types import TracebackType
 from typing import Self, TypeAlias
 
@@ -32,6 +34,15 @@ class Closing(ABC):
     @abstractmethod
     def close(self) -> None:
         """Release all resources. May be called twice."""
+
+    @contextlib.contextmanager
+    def closed_on_error(self) -> Iterator[None]:
+        """Close this object if the block raises, even by an interrupt."""
+        try:
+            yield
+        except BaseException:
+            self.close()
+            raise
 
     def __enter__(self) -> Self:
         return self

@@ -45,15 +45,12 @@ class DashboardLink(Closing):
         deadline_s = time.monotonic() + timeout_s
         self._socket = LinkSocket(name, "dashboard", host, port, deadline_s)
         self._lines = LineReader()
-        try:
+        with self._socket.closed_on_error():
             greeting = self._line(deadline_s)
             if not greeting.startswith(_GREETING):
                 raise self._socket.error(
                     f"greets with {greeting[:80]!r}", "this is no dashboard server: check the address"
                 )
-        except BaseException:
-            self._socket.close()
-            raise
 
     @property
     def where(self) -> str:
@@ -94,13 +91,10 @@ class DashboardLink(Closing):
                 "looking at the cause of the stop"
             )
         deadline_s = time.monotonic() + self._timeout_s
-        try:
+        with self._socket.closed_on_error():  # also by an interrupt: its answer would be taken for the next one
             self.check()
             self._socket.send(command.encode("ascii") + b"\n", deadline_s)
             return self._line(deadline_s)
-        except BaseException:  # also an interrupt: its answer would be taken for the next one
-            self._socket.close()
-            raise
 
     def check(self) -> None:
         """Check that the connection stands, and that nothing was sent unasked. It does not wait.

@@ -49,16 +49,13 @@ class RtdeClient:
     def __init__(self, name: str, host: str, port: int, deadline_s: float) -> None:
         self.socket = LinkSocket(name, "RTDE", host, port, deadline_s)
         self._frames = FrameReader()
-        try:
+        with self.socket.closed_on_error():
             answer = self.request(Kind.REQUEST_PROTOCOL_VERSION, struct.pack(">H", _PROTOCOL), deadline_s)
             if answer != b"\1":
                 raise self.socket.error(
                     f"protocol version {_PROTOCOL} was not accepted", "update the controller's software"
                 )
             self.version = self.ask_version(deadline_s)
-        except BaseException:
-            self.socket.close()
-            raise
 
     @property
     def rate_hz(self) -> float:
@@ -169,7 +166,7 @@ class RtdeLink(Closing):
         client = RtdeClient(name, host, port, deadline_s)
         self._socket = client.socket
         self._fault = ""
-        try:
+        with self._socket.closed_on_error():
             self.version = client.version
             self.frequency_hz = client.rate_hz if frequency_hz is None else float(frequency_hz)
             names = [*wanted, *(each for each in optional if each not in wanted)]
@@ -177,9 +174,6 @@ class RtdeLink(Closing):
             self.variables = tuple(each for each, _ in kinds)
             self._stream = RtdeStream(recipe, kinds, time.monotonic(), self._socket.where)
             self._begin(deadline_s)
-        except BaseException:
-            self._socket.close()
-            raise
 
     def _begin(self, deadline_s: float) -> None:
         """Start the stream. Data may arrive together with the answer."""

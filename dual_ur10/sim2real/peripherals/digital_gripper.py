@@ -14,9 +14,8 @@ from dual_ur10.assets.gripper import OPENING_M
 from dual_ur10.sim2real.config.cell_file_tables import DigitalGripper
 from dual_ur10.sim2real.links.link_socket import check_timeout
 from dual_ur10.sim2real.links.rtde_link import PORT, RtdeClient, RtdeLink
-from dual_ur10.sim2real.peripherals.gripper_link import GripperReading
+from dual_ur10.sim2real.peripherals.gripper_link import GripperLink, GripperReading
 from dual_ur10.sim2real.protocol.rtde import Kind, frame
-from dual_ur10.types import Closing
 
 OUTPUTS: Final = "actual_digital_output_bits"
 
@@ -33,7 +32,7 @@ _CLOSED_BELOW_M: Final = 0.45 * OPENING_M  # hysteresis: noise does not make it 
 _GROUPS: Final = (("standard", 0, 8), ("configurable", 8, 16), ("tool", 16, 18))  # UR's RTDE guide: bits of `OUTPUTS`
 
 
-class DigitalGripperLink(Closing):
+class DigitalGripperLink(GripperLink):
     """Client that opens above 55 % of a 2F-85's stroke, closes below 45 %, and keeps its state in between.
 
     Its readings are the state of the output: nothing measures these fingers.

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Final, NamedTuple, Protocol
+from abc import abstractmethod
+from typing import Final, NamedTuple
 
 from dual_ur10.assets.gripper import FORCE_N, OPENING_M
 from dual_ur10.errors import SettingsError
@@ -56,14 +57,15 @@ class GripperReading(NamedTuple):
     holding: bool | None
 
 
-class GripperLink(Protocol):
-    """Connection to one gripper. Each call takes at most `ANSWER_S`, except `activate`."""
+class GripperLink(Closing):
+    """Connection to one gripper. Each call takes at most `ANSWER_S`, except `activate`. Closing sends nothing."""
 
     @property
+    @abstractmethod
     def where(self) -> str:
         """Arm, gripper and address, for messages."""
-        ...
 
+    @abstractmethod
     def read(self) -> GripperReading:
         """Return its present reading.
 
@@ -71,8 +73,8 @@ class GripperLink(Protocol):
             LinkError: It was lost.
             ClosedError: It was closed; so in all methods.
         """
-        ...
 
+    @abstractmethod
     def command(self, opening_m: float) -> bool:
         """Open or close. Return True if a command had to be sent.
 
@@ -82,31 +84,26 @@ class GripperLink(Protocol):
         Raises:
             LinkError: It was lost.
         """
-        ...
 
+    @abstractmethod
     def forget(self) -> None:
         """Forget the last command, since somebody else may have moved it: the next command is sent in any case."""
-        ...
 
+    @abstractmethod
     def needs_activation(self) -> bool:
         """Return True if it must be activated before it accepts commands.
 
         Raises:
             LinkError: It was lost.
         """
-        ...
 
+    @abstractmethod
     def activate(self, within_s: float) -> None:
         """Activate it. The fingers open, and may close before: a held object falls.
 
         Raises:
             LinkError: It was lost, or has not become active within the time.
         """
-        ...
-
-    def close(self) -> None:
-        """End the connection without sending anything. May be called twice."""
-        ...
 
 
 def counts_of(opening_m: float) -> int:
@@ -131,7 +128,7 @@ def force_counts(force_n: float) -> int:
     return round(COUNTS * (force_n - least) / (most - least))
 
 
-class RobotiqLink(Closing):
+class RobotiqLink(GripperLink):
     """Robotiq 2F-85 behind the text protocol of its URCap, which answers at the arm's controller.
 
     Positions are assumed to be linear from POS 0, fully open, to POS 255, closed.
@@ -156,11 +153,8 @@ class RobotiqLink(Closing):
         self._socket = LinkSocket(name, "Robotiq gripper", host, port, deadline_s)
         self._rest = b""
         self._commanded: int | None = None
-        try:
+        with self._socket.closed_on_error():
             self._get("STA", deadline_s)  # checks that the service speaks this protocol
-        except BaseException:
-            self._socket.close()
-            raise
 
     @property
     def where(self) -> str:
@@ -237,7 +231,7 @@ class RobotiqLink(Closing):
 
     def _exchange(self, line: str, deadline_s: float, ends: tuple[bytes, ...]) -> str:
         """Return the answer to a line. Any failure closes the connection, so that no late answer is mistaken."""
-        try:
+        with self._socket.closed_on_error():
             self._socket.send(line.encode("ascii") + b"\n", deadline_s)
             buffer = self._rest
             while True:
@@ -251,9 +245,6 @@ class RobotiqLink(Closing):
                 if len(buffer) > _LONGEST:
                     raise self._socket.error(f"an answer of {len(buffer)} bytes", "this is no Robotiq gripper")
                 buffer += self._socket.receive(deadline_s)
-        except BaseException:  # an interrupt, too
-            self._socket.close()
-            raise
 
     def close(self) -> None:
         """End the connection; a held object stays held. May be called twice."""

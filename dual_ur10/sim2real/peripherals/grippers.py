@@ -68,16 +68,6 @@ class GripperThread:
         return self._reading.opening_m
 
     @property
-    def holding(self) -> bool | None:
-        """True if an object stops the fingers; None if unknown."""
-        return self._reading.holding
-
-    @property
-    def measured_s(self) -> float:
-        """Time of the newest reading, on the clock of `time.monotonic`."""
-        return self._read_s
-
-    @property
     def fault(self) -> str:
         """Reason why it would not obey a command, with its arm, or "". A lost gripper stays lost."""
         if self._lost:
@@ -238,13 +228,14 @@ class Grippers(Closing):
         self, cell_file: CellFile, *, force_n: float = 60.0, permitted: Callable[[], bool] = lambda: True
     ) -> None:
         self.each: list[GripperThread | None] = []
-        try:
+        with self.closed_on_error():
             for name, arm in zip(ARMS, cell_file.arms, strict=True):
                 link = link_to(arm, force_n, name)
-                self.each.append(None if link is None else _started(name, link, permitted))
-        except BaseException:
-            self.close()
-            raise
+                if link is None:
+                    self.each.append(None)
+                    continue
+                with link.closed_on_error():
+                    self.each.append(GripperThread(name, link, permitted=permitted))
 
     @property
     def opening_m(self) -> tuple[float | None, float | None]:
@@ -342,11 +333,3 @@ def link_to(arm: ArmEntry, force_n: float, name: str = "") -> GripperLink | None
     if isinstance(arm.gripper, DigitalGripper):
         return DigitalGripperLink(arm.host, arm.gripper, name=name)
     return None
-
-
-def _started(name: str, link: GripperLink, permitted: Callable[[], bool]) -> GripperThread:
-    try:
-        return GripperThread(name, link, permitted=permitted)
-    except BaseException:
-        link.close()
-        raise

@@ -143,11 +143,8 @@ class CameraTracker(Closing):
         self.where = f"{link.where}, looking for {body!r}"
         self._lost = ""
         self._ended = threading.Event()
-        try:
+        with link.closed_on_error():
             self._pose = self._request()
-        except BaseException:
-            link.close()
-            raise
         self._thread = threading.Thread(target=self._run, name="object tracker", daemon=True)
         self._thread.start()
 

@@ -147,7 +147,7 @@ def test_a_command_is_sent_when_it_is_due(grippers):
         assert register(other, "FOR") == force_counts(100.0)
     until(lambda: grippers.opening_m == pytest.approx((0.03, 0.02), abs=0.002))
     assert grippers.fault == ""
-    assert all(each.measured_s > begin for each in grippers.each)
+    assert all(each._read_s > begin for each in grippers.each)
 
 
 def address(grippers, arm):

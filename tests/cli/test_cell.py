@@ -30,7 +30,7 @@ def run(*arguments: str) -> tuple[int, str]:
         (("show",), ("FILE", "defaults")),
     ],
 )
-def test_help_names_what_there_is(command: tuple[str, ...], words: tuple[str, ...]) -> None:
+def test_help_lists_commands_and_options(command: tuple[str, ...], words: tuple[str, ...]) -> None:
     code, text = run(*command, "--help")
     assert code == 0
     for word in words:
@@ -69,7 +69,7 @@ def test_a_new_emulated_cell_needs_no_addresses(tmp_path: Path) -> None:
     assert run("check", str(path)) == (0, f"{path} is a legal emulated cell\n")
 
 
-def test_show_takes_all_kinds_of_values(tmp_path: Path) -> None:
+def test_show_prints_all_kinds_of_values(tmp_path: Path) -> None:
     path = tmp_path / "cell.toml"
     run("new", str(path), "--kind", "emulated")
     text = path.read_text().replace('kind = "none"', 'kind = "digital_output"\noutput = 3\nopen_level = true', 1)
@@ -96,7 +96,7 @@ def test_show_takes_all_kinds_of_values(tmp_path: Path) -> None:
         (("--left", "10.0.0.1\nx", "--right", "10.0.0.1"), 'left.host is "10.0.0.1\\nx"'),
     ],
 )
-def test_what_new_refuses_leaves_no_file(tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
+def test_new_with_bad_values_leaves_no_file(tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
     path = tmp_path / "lab.toml"
     code, text = run("new", str(path), *arguments)
     assert code == 2
@@ -135,7 +135,7 @@ def test_check_prints_a_line_per_finding(tmp_path: Path) -> None:
     assert text.count("\n") == 1
 
 
-def test_check_says_that_the_arms_have_to_be_alike(tmp_path: Path) -> None:
+def test_check_refuses_arms_of_two_families(tmp_path: Path) -> None:
     path = tmp_path / "lab.toml"
     run("new", str(path), *HOSTS)
     path.write_text(path.read_text().replace('family = "cb3"', 'family = "e-series"', 1))
@@ -148,7 +148,7 @@ def test_check_says_that_the_arms_have_to_be_alike(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("command", ["check", "show"])
 @pytest.mark.parametrize("content", [None, "no toml ["])
-def test_what_cannot_be_read_is_one_line(tmp_path: Path, command: str, content: str | None) -> None:
+def test_an_unreadable_file_is_one_line(tmp_path: Path, command: str, content: str | None) -> None:
     path = tmp_path / "lab.toml"
     if content is not None:
         path.write_text(content)

@@ -1,4 +1,4 @@
-"""The command `convert`, and what is said of files in place of checkpoints."""
+"""The command `convert`, and what is expected of files in place of checkpoints."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def run(*arguments: object) -> Any:
     return CliRunner().invoke(app, [str(each) for each in arguments])
 
 
-def refused(result: Any, said: str) -> None:
-    """One line that says it, and no traceback."""
+def refused(result: Any, expected: str) -> None:
+    """Check for an error of one line with this message, and no traceback."""
     assert result.exit_code == 2, result.output
     assert isinstance(result.exception, SystemExit)
     assert result.stderr.startswith("error:")
     assert result.stderr.count("\n") == 1
-    assert said in result.stderr
+    assert expected in result.stderr
 
 
 class Payload:
@@ -128,7 +128,7 @@ def test_the_checkpoint_acts_as_the_model_does(
     np.testing.assert_allclose(actor(own), expected, atol=1e-5)
 
 
-def test_what_it_prints_can_be_typed(made: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_printed_command_runs(made: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where the folder has the name of a policy."""
     monkeypatch.chdir(tmp_path)
     made("ppo").save("model.zip")
@@ -165,19 +165,19 @@ def test_observations_are_normalised_as_in_training(sb3: Any, made: Any, tmp_pat
     small.save(str(tmp_path / "small.pkl"))
     small.obs_rms.mean = small.obs_rms.var = np.ones((68, 2))
     small.save(str(tmp_path / "image.pkl"))
-    for name, said in (
+    for name, expected in (
         ("none.pkl", "none.pkl cannot be read: there is no such file"),
         ("other.pkl", "other.pkl holds dict, and no VecNormalize"),
         ("damaged.pkl", "damaged.pkl cannot be read"),
         ("image.pkl", "or of images: observation must be 'state'"),
         ("small.pkl", "a normaliser has 41 means for 68 inputs"),
     ):
-        refused(run(*arguments, tmp_path / "new", "--vec-normalize", tmp_path / name), said)
+        refused(run(*arguments, tmp_path / "new", "--vec-normalize", tmp_path / name), expected)
         assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.parametrize(
-    ("algorithm", "sizes", "env", "options", "said"),
+    ("algorithm", "sizes", "env", "options", "expected"),
     [
         ("ppo", (124, 14), "SineTracking", (), "observes 124 numbers; in DualUR10/SineTracking-v0"),
         ("sac", (68, 12), "SyncCarry", (), "observes 68 numbers; in DualUR10/SyncCarry-v0 both arms together (joint)"),
@@ -189,18 +189,18 @@ def test_observations_are_normalised_as_in_training(sb3: Any, made: Any, tmp_pat
         ("sac", (68, 12), "SineTracking", ("--algo", "ppo"), "is a model of sac, but --algo is ppo"),
     ],
 )
-def test_a_model_of_something_else(
-    algorithm: str, sizes: tuple[int, int], env: str, options: Any, said: str, made: Any, tmp_path: Path
+def test_a_model_of_another_environment(
+    algorithm: str, sizes: tuple[int, int], env: str, options: Any, expected: str, made: Any, tmp_path: Path
 ) -> None:
     made(algorithm, *sizes).save(tmp_path / "model.zip")
-    refused(run("convert", tmp_path / "model.zip", env, "--out", tmp_path / "x", "--trust-pickle", *options), said)
+    refused(run("convert", tmp_path / "model.zip", env, "--out", tmp_path / "x", "--trust-pickle", *options), expected)
     assert os.listdir(tmp_path) == ["model.zip"]
 
 
-def test_a_file_that_lies_of_what_it_observes(made: Any, tmp_path: Path) -> None:
+def test_a_file_with_a_false_observation_size(made: Any, tmp_path: Path) -> None:
     """What counts in the end is the network."""
     made("ppo", 50, 6).save(tmp_path / "true.zip")
-    for size, said in ((68, "the network has 6 outputs: joint"), (41, "the network has 50 inputs")):
+    for size, expected in ((68, "the network has 6 outputs: joint"), (41, "the network has 50 inputs")):
         with zipfile.ZipFile(tmp_path / "true.zip") as old, zipfile.ZipFile(tmp_path / "lie.zip", "w") as new:
             for name in old.namelist():
                 data = old.read(name)
@@ -210,7 +210,7 @@ def test_a_file_that_lies_of_what_it_observes(made: Any, tmp_path: Path) -> None
                     data = json.dumps(value).encode()
                 new.writestr(name, data)
         out = tmp_path / "x"
-        refused(run("convert", tmp_path / "lie.zip", "SineTracking", "--out", out, "--trust-pickle"), said)
+        refused(run("convert", tmp_path / "lie.zip", "SineTracking", "--out", out, "--trust-pickle"), expected)
         assert not out.exists()
 
 
@@ -245,8 +245,8 @@ def test_truncated_anywhere(made: Any, tmp_path: Path) -> None:
 # No code is run that is not trusted.
 
 
-def test_the_hostile_file_is_sharp(sb3: Any, tmp_path: Path) -> None:
-    """What follows would prove nothing otherwise. Whoever says that it is trusted lets it run."""
+def test_the_hostile_file_runs_its_code_when_unpickled(sb3: Any, tmp_path: Path) -> None:
+    """Check the premise of the tests below: with trust, the code of the file runs."""
     (tmp_path / "x.zip").write_bytes(hostile(tmp_path / "sentinel"))
     arguments = ("convert", tmp_path / "x.zip", "SineTracking", "--out", tmp_path / "out", "--trust-pickle")
     refused(run(*arguments), "cannot be read")
@@ -282,12 +282,12 @@ def test_nothing_is_unpickled_without_trust(tmp_path: Path, monkeypatch: pytest.
     assert sorted(os.listdir(tmp_path)) == ["x.pkl", "x.zip"]
 
 
-def test_no_code_runs_where_it_would_be_for_nothing(sb3: Any, tmp_path: Path) -> None:
+def test_no_code_runs_before_the_arguments_are_checked(sb3: Any, tmp_path: Path) -> None:
     """Whatever can be refused without the file's code is refused before that runs."""
     sentinel, model, out = tmp_path / "sentinel", tmp_path / "x.zip", tmp_path / "out"
     model.write_bytes(hostile(sentinel))
     (tmp_path / "there").mkdir()
-    for arguments, said in (
+    for arguments, expected in (
         (("SineTracking", "--out", tmp_path / "there"), "exists, and nothing is written over"),
         (("SineTracking", "--out", tmp_path / "a b"), "is no name of a checkpoint"),
         (("SyncCarry", "--out", out), "observes 68 numbers"),
@@ -305,13 +305,13 @@ def test_no_code_runs_where_it_would_be_for_nothing(sb3: Any, tmp_path: Path) ->
         (("SineTracking", "--out", out, "--vec-normalize", tmp_path / "none"), "none cannot be read"),
         (("Juggling", "--out", out), "unknown environment 'Juggling'"),
     ):
-        refused(run("convert", model, *arguments, "--trust-pickle"), said)
+        refused(run("convert", model, *arguments, "--trust-pickle"), expected)
         assert not sentinel.exists(), arguments
     assert sorted(os.listdir(tmp_path)) == ["there", "x.zip"]
     assert not os.listdir(tmp_path / "there")
 
 
-def test_nothing_is_written_over(made: Any, tmp_path: Path) -> None:
+def test_nothing_is_overwritten(made: Any, tmp_path: Path) -> None:
     made("ppo").save(tmp_path / "model.zip")
     arguments = ("convert", tmp_path / "model.zip", "SineTracking", "--out", tmp_path / "x", "--trust-pickle")
     assert run(*arguments).exit_code == 0
@@ -333,7 +333,7 @@ def test_it_needs_stable_baselines3(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "expected"),
     [
         (None, "there is no such file"),
         (b"", "is no zip file"),
@@ -352,30 +352,30 @@ def test_it_needs_stable_baselines3(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         (zipped(data=described(clip_range=1, observation_space={"_shape": [10**30]})), "observes 1000000000"),
     ],
 )
-def test_what_is_no_model(content: bytes | None, said: str, tmp_path: Path) -> None:
+def test_what_is_no_model(content: bytes | None, expected: str, tmp_path: Path) -> None:
     model = tmp_path / "model.zip"
     if content is not None:
         model.write_bytes(content)
     for trust in ((), ("--trust-pickle",)):
-        refused(run("convert", model, "SineTracking", "--out", tmp_path / "x", *trust), said)
+        refused(run("convert", model, "SineTracking", "--out", tmp_path / "x", *trust), expected)
     assert not (tmp_path / "x").exists()
 
 
-def test_what_is_no_regular_file(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe")  # opening it would wait for somebody who writes
+def test_a_file_that_is_not_regular(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")  # opening it would wait for a writer
     for model in (tmp_path, tmp_path / "pipe", "/dev/null"):
         refused(run("convert", model, "SineTracking", "--out", tmp_path / "x", "--trust-pickle"), "no such file")
 
 
 @pytest.mark.parametrize("space", [None, [68], {}, {"_shape": None}, {"_shape": [3, 4]}, {"_shape": [True]}])
-def test_a_model_that_does_not_say_what_it_observes(space: Any, tmp_path: Path) -> None:
+def test_a_model_without_an_observation_space(space: Any, tmp_path: Path) -> None:
     (tmp_path / "x.zip").write_bytes(zipped(data=described(target_entropy=-12.0, observation_space=space)))
     assert inspect_model(tmp_path / "x.zip") == ("sac", None)
     result = run("convert", tmp_path / "x.zip", "SineTracking", "--out", tmp_path / "x")
     refused(result, "--trust-pickle")
 
 
-def test_data_of_many_bytes_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_data_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = described(clip_range=1)
     (tmp_path / "x.zip").write_bytes(zipped(data=text))
     monkeypatch.setattr(from_sb3, "_MOST_DATA", len(text))
@@ -385,7 +385,7 @@ def test_data_of_many_bytes_is_not_read(tmp_path: Path, monkeypatch: pytest.Monk
         inspect_model(tmp_path / "x.zip")
 
 
-# What is said of files in place of checkpoints.
+# What is expected of files in place of checkpoints.
 
 
 def test_a_file_in_place_of_a_checkpoint(tmp_path: Path) -> None:
@@ -395,7 +395,7 @@ def test_a_file_in_place_of_a_checkpoint(tmp_path: Path) -> None:
     for name, model in (("text", False), ("my model.zip", True), ("link", True)):
         path = tmp_path / name
         quoted = f"'{path}'" if " " in name else path
-        said = f"`dual-ur10 convert {quoted} ENV --out FOLDER --trust-pickle` makes a checkpoint of it"
+        expected = f"`dual-ur10 convert {quoted} ENV --out FOLDER --trust-pickle` makes a checkpoint of it"
         messages = [
             " ".join(run(command, "SineTracking", "--policy", path, *more).stderr.split())
             for command, more in (("rollout", ("--no-record",)), ("evaluate", ()), ("view", ()))
@@ -406,7 +406,7 @@ def test_a_file_in_place_of_a_checkpoint(tmp_path: Path) -> None:
             messages.append(str(caught.value))
         for message in messages:
             assert f"{path} cannot be read as a checkpoint: it is a file. A checkpoint is a folder" in message
-            assert (said in message) == model
+            assert (expected in message) == model
             assert ("if you know who made it" in message) == model
             assert "Errno" not in message
     for path in (tmp_path / "none", Path("/dev/null")):
@@ -418,7 +418,7 @@ def test_a_file_in_place_of_a_checkpoint(tmp_path: Path) -> None:
 # Policies without an environment's id.
 
 
-def test_a_checkpoint_knows_its_environment(tmp_path: Path) -> None:
+def test_a_checkpoint_stores_its_environment(tmp_path: Path) -> None:
     from tests.policies.learned.test_checkpoint import parts
 
     checkpoint.save(tmp_path / "x", *parts(CARRY, action_latency_ticks=5))

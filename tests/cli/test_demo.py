@@ -101,7 +101,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return out, result.output
 
 
-def test_the_terminal_shows_a_row_per_run_and_where_the_files_are(made: tuple[Path, str]) -> None:
+def test_the_terminal_shows_a_row_per_case_and_the_files(made: tuple[Path, str]) -> None:
     out, text = made
     for each in (*sine.CASES, *carry.CASES):
         assert each.title in text
@@ -123,7 +123,7 @@ def test_the_report_has_the_tables_of_the_sine(made: tuple[Path, str]) -> None:
     assert figures["single arm, nominal"][7] == "—"
 
 
-def test_the_report_has_a_row_for_each_way_to_carry(made: tuple[Path, str]) -> None:
+def test_the_report_has_a_row_for_each_case_of_carrying(made: tuple[Path, str]) -> None:
     head, *rows = Page((made[0] / "report.html").read_text(encoding="utf-8")).tables["carry-table"]
     assert [row[0] for row in rows] == [each.title for each in carry.CASES]
     column = {re.sub(r"(mm|°|N|%.*)$", "", name): k for k, name in enumerate(head)}
@@ -151,7 +151,7 @@ def test_the_report_has_a_row_for_each_handover(made: tuple[Path, str]) -> None:
         assert 0.0 < float(row[7]) <= 100.0
 
 
-def test_the_report_says_what_its_figures_are_worth(made: tuple[Path, str]) -> None:
+def test_the_report_states_the_limits_of_its_figures(made: tuple[Path, str]) -> None:
     text = Page((made[0] / "report.html").read_text(encoding="utf-8")).text
     for words in ("No real arm was measured", "artefact of an exact model", "Only the perturbed rows mean", "L = 0"):
         assert words in text
@@ -177,7 +177,7 @@ def test_the_videos_show_motion_and_the_report_their_key_frames(made: tuple[Path
     if not has_opengl():
         assert not any((made[0] / name).exists() for name in VIDEOS.values())
         assert "apt-get install" in made[1]
-        pytest.skip("no OpenGL: there is no video, and the command says why")
+        pytest.skip("no OpenGL: there is no video, and the command names the reason")
     counts = {}
     for task, name in VIDEOS.items():
         assert str(made[0] / name) in made[1]
@@ -210,8 +210,8 @@ def test_without_opengl_there_is_a_report_and_no_video(tmp_path: Path, monkeypat
     monkeypatch.setattr(run, "QUICK", run.Extent(sine_s=1.0, episodes=1))  # all tasks on emulated controllers
     monkeypatch.setitem(sys.modules, "rtde_control", None)
     monkeypatch.setattr(run, "shoot", fail)
-    told: list[tuple[float, float]] = []
-    found = run.run_demo(tmp_path, quick=True, progress=lambda _, done, total: told.append((done, total)))
+    reported: list[tuple[float, float]] = []
+    found = run.run_demo(tmp_path, quick=True, progress=lambda _, done, total: reported.append((done, total)))
     assert "libegl1" in found.missing
     assert not found.films
     assert not any((tmp_path / name).exists() for name in VIDEOS.values())
@@ -223,12 +223,12 @@ def test_without_opengl_there_is_a_report_and_no_video(tmp_path: Path, monkeypat
     assert not (tmp_path / run.RUNS_FOLDER).exists()
     assert all(address.startswith("data:image/svg") for tag, address in page.sources if tag != "a")
     assert [result.case.name for result in found.results["sine"]] == [each.name for each in sine.CASES]
-    done = [each for each, _ in told]
+    done = [each for each, _ in reported]
     assert done == sorted(done)
-    assert told[-1][0] == pytest.approx(told[-1][1])
+    assert reported[-1][0] == pytest.approx(reported[-1][1])
 
 
-def test_the_report_has_what_ran_on_emulated_controllers_or_why_it_did_not(made: tuple[Path, str]) -> None:
+def test_the_report_has_the_emulated_runs_or_the_reason(made: tuple[Path, str]) -> None:
     page = Page((made[0] / "report.html").read_text(encoding="utf-8"))
     assert "emulated" in page.ids
     assert "Emulated is not real" in page.text
@@ -251,13 +251,13 @@ def beside(tmp_path_factory: pytest.TempPathFactory) -> emulated.EmulatedPair:
     """A short sine, simulated and emulated. Arms on a machine that is too busy stop, and that is no fault of this."""
     result = None
     for _ in range(4):
-        told: list[float] = []
+        reported: list[float] = []
         found = emulated.measure_emulated(
-            emulated.sine_run(1.6), tmp_path_factory.mktemp("beside") / "runs", told.append
+            emulated.sine_run(1.6), tmp_path_factory.mktemp("beside") / "runs", reported.append
         )
         if isinstance(found, emulated.EmulatedPair):
-            assert told == sorted(told)
-            assert 0.9 < told[-1] <= 1.0
+            assert reported == sorted(reported)
+            assert 0.9 < reported[-1] <= 1.0
             result = found
             if undisturbed(found):
                 break
@@ -267,7 +267,7 @@ def beside(tmp_path_factory: pytest.TempPathFactory) -> emulated.EmulatedPair:
     return result
 
 
-def test_a_task_is_run_alike_in_simulation_and_on_emulated_controllers(beside: emulated.EmulatedPair) -> None:
+def test_simulation_and_emulated_controllers_run_the_same_task(beside: emulated.EmulatedPair) -> None:
     ours, theirs = beside.comparison.headers
     assert (ours.source, theirs.source) == ("mujoco", "emulated")
     assert ours.latency_ticks == theirs.latency_ticks == 10
@@ -278,7 +278,7 @@ def test_a_task_is_run_alike_in_simulation_and_on_emulated_controllers(beside: e
     for arm in beside.comparison.arms:
         assert arm.sent.compared > 0
         if undisturbed(beside):
-            # The recorded actions, played again. Until the first one acts, the last of the way to the start is sent.
+            # The recorded actions are replayed. Until the first one acts, the end of the path to the start is sent.
             assert arm.sent.compared > 150  # of 200
             assert arm.sent.most_rad < 1e-4
             assert arm.sent.equal >= arm.sent.compared - 10
@@ -311,7 +311,7 @@ def test_the_section_shows_both_sides_of_a_task(beside: emulated.EmulatedPair) -
     assert beside.emulated.folder.name in page.text
 
 
-def test_the_section_says_what_ended_an_episode_and_that_the_machine_was_busy(
+def test_the_section_reports_early_ends_and_a_busy_machine(
     beside: emulated.EmulatedPair,
 ) -> None:
     record = dataclasses.replace(beside.emulated.record, ended_by="<the table>")
@@ -325,9 +325,7 @@ def test_the_section_says_what_ended_an_episode_and_that_the_machine_was_busy(
     assert "too late, and each time" not in section([dataclasses.replace(beside, emulated=quiet)]).text
 
 
-def test_a_fault_on_emulated_controllers_is_told_and_leaves_nothing_behind(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_emulated_fault_is_reported_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     real = case.rollout
 
@@ -349,7 +347,7 @@ def test_a_fault_on_emulated_controllers_is_told_and_leaves_nothing_behind(
     assert not list((tmp_path / "state").rglob("*.mcap"))
 
 
-def test_what_fails_on_emulated_controllers_is_a_warning_and_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_emulated_run_is_a_warning_and_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
     failure = emulated.EmulatedFailure(emulated.HANDOVER, "CellFaulted: [late] by 106 ms")
     monkeypatch.setattr(run, "run_demo", lambda *_, **__: Findings({}, failures=[failure]))
     result = CliRunner().invoke(cli.app, ["demo"], env={"COLUMNS": "160"})
@@ -438,7 +436,7 @@ def test_stages_have_the_time_of_the_step_that_passed_them() -> None:
     assert np.isnan(found[3])
 
 
-def test_the_share_of_a_speed_limit_is_that_of_the_joint_nearest_to_it() -> None:
+def test_the_speed_ratio_is_that_of_the_joint_nearest_its_limit() -> None:
     limits = MotionLimits(speed_rad_s=(0.5, 1.0) * 3, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.0)
     q = np.zeros((3, 2, 6))
     q[1:, 1, 1] = -0.02

@@ -24,7 +24,7 @@ SHORT = ("--set", "duration_s=0.4")
 
 @pytest.fixture(autouse=True)
 def _somewhere_else(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs are recorded where one stands."""
+    """Run in another folder: runs are recorded in the current one."""
     monkeypatch.chdir(tmp_path)
 
 
@@ -54,7 +54,7 @@ def test_list_names_every_environment_with_its_sizes() -> None:
         ),
     ],
 )
-def test_help_names_what_there_is(command: tuple[str, ...], words: tuple[str, ...]) -> None:
+def test_help_lists_commands_and_options(command: tuple[str, ...], words: tuple[str, ...]) -> None:
     code, text = run(*command, "--help")
     assert code == 0
     for word in words:
@@ -88,7 +88,7 @@ def test_set_reaches_the_environment_and_perturbed_the_plant() -> None:
 
 
 @pytest.mark.parametrize("policy", ["random", "zero"])
-def test_simple_policies_run_and_fail(policy: str) -> None:
+def test_baseline_policies_run_and_fail(policy: str) -> None:
     code, text = run("rollout", "SineTracking", "-p", policy, "-n", "1", "--set", "duration_s=2")
     assert code == 0
     assert "success 0 of 1" in text
@@ -176,14 +176,14 @@ def test_view_serves_a_page_and_ctrl_c_ends_it_cleanly() -> None:
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere there is always a display")
-def test_view_ends_after_so_many_seconds() -> None:
+def test_view_ends_after_the_given_seconds() -> None:
     process = start_view("--seconds", "0.5")
     text, _ = process.communicate(timeout=WAIT_S)
     assert process.returncode == 0
     assert "Traceback" not in text
 
 
-# Python runs this before the program: Ctrl-C comes when a module is looked for.
+# Python runs this before the program: Ctrl-C comes while a module is searched.
 AT = """
 import os
 import signal
@@ -227,6 +227,6 @@ def test_ctrl_c_while_it_loads_is_one_line_and_code_130(module: str, tmp_path: A
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
 
 
-def test_another_program_that_loads_the_package_keeps_its_own_way_with_ctrl_c() -> None:
+def test_importing_the_package_leaves_ctrl_c_to_the_program() -> None:
     code = "import signal, dual_ur10; assert signal.getsignal(signal.SIGINT) is signal.default_int_handler"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=WAIT_S)

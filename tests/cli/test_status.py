@@ -111,7 +111,7 @@ def test_a_stop_is_named(cell, show):
 
 
 @pytest.mark.parametrize("fault", ["refuse", "mute"])
-def test_a_lost_arm_is_shown_with_its_reason_and_the_other_goes_on(cell, show, fault):
+def test_a_lost_arm_shows_its_reason_and_the_other_continues(cell, show, fault):
     if fault == "refuse":
         cell.ask("refuse", arm="left", port="all")
     else:
@@ -127,7 +127,7 @@ def test_a_lost_arm_is_shown_with_its_reason_and_the_other_goes_on(cell, show, f
     assert row(text, "program")[1] == "STOPPED <unnamed>"
 
 
-def test_it_goes_on_for_as_long_as_it_was_told(cell, show):
+def test_it_ends_after_the_given_seconds(cell, show):
     begin = time.monotonic()
     text, code = show("--seconds", "0.5")
     assert time.monotonic() - begin >= 0.5
@@ -142,7 +142,7 @@ def test_nothing_is_sent(cell, show):
     text, _ = show("--once")
     assert "not activated" in text
     end = time.monotonic() + 10.0
-    while any(cell.ask("clients", arm="left").values()):  # and nobody is left
+    while any(cell.ask("clients", arm="left").values()):  # and no client is left
         assert time.monotonic() < end
     names = list(before)
     assert cell.ask("state", arm="left", names=names) == before
@@ -151,14 +151,14 @@ def test_nothing_is_sent(cell, show):
     link.close()
 
 
-def test_a_file_that_is_none(show, tmp_path):
+def test_a_bad_cell_file(show, tmp_path):
     from dual_ur10.errors import CellFileError
 
     with pytest.raises(CellFileError, match="no cell file"):
         show(file=tmp_path / "none.toml")
 
 
-def test_an_arm_that_falls_silent_is_dead_until_it_speaks_again(cell, made):
+def test_a_silent_arm_is_lost_until_it_sends_again(cell, made):
     watch = StatusView("left", load_cell_file(made[1]).left)
     try:
         watch.wait(5.0)
@@ -181,7 +181,7 @@ def test_an_arm_that_falls_silent_is_dead_until_it_speaks_again(cell, made):
         watch.close()
 
 
-def test_a_mistake_in_one_part_is_shown_and_the_others_go_on(cell, made, monkeypatch):
+def test_a_fault_of_one_part_is_shown_and_the_others_continue(cell, made, monkeypatch):
     monkeypatch.setattr("dual_ur10.cli.status_view.ArmStatus.from_sample", lambda sample: 1 / 0)
     watch = StatusView("left", load_cell_file(made[1]).left)
     try:

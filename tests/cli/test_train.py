@@ -21,7 +21,7 @@ def run(*arguments):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         ((), "name an environment"),
         (("Lift",), "unknown environment"),
@@ -37,32 +37,32 @@ def run(*arguments):
         (("SineTracking", "--algo", "ppo", "--dataset", "a/b-v0"), "learns from no dataset"),
     ],
 )
-def test_what_cannot_be_is_said_in_one_line(arguments, said, tmp_path, monkeypatch):
+def test_a_bad_argument_is_one_line(arguments, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     result = run("train", *arguments)
     assert result.exit_code == 2
-    assert said in result.stderr
+    assert message in result.stderr
     assert result.stderr.startswith("error:")
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (("--init", "nowhere"), "nowhere cannot be read"),
         (("--setting", "hidden=[2100,2100]"), "hidden is (2100, 2100): the network has 4"),
     ],
 )
-def test_what_cannot_be_begun_is_said_before_a_folder_is_made(arguments, said, tmp_path, monkeypatch):
+def test_a_bad_setting_is_refused_before_a_folder_is_made(arguments, message, tmp_path, monkeypatch):
     pytest.importorskip("stable_baselines3")
     monkeypatch.chdir(tmp_path)
     result = run("train", "SineTracking", *arguments)
     assert result.exit_code == 2
-    assert said in result.stderr
+    assert message in result.stderr
     assert not list(tmp_path.iterdir())
 
 
-def test_a_training_prints_what_came_of_it_and_the_policy_runs(tmp_path):
+def test_a_training_prints_its_result_and_the_policy_runs(tmp_path):
     pytest.importorskip("stable_baselines3")
     out = tmp_path / "out"
     result = run("train", "SineTracking", *SMALL, "--steps", 100, "--out", out)
@@ -94,7 +94,7 @@ def test_collect_makes_a_dataset(tmp_path, monkeypatch):
     assert run("collect", *arguments).exit_code == 2
 
 
-def test_ctrl_c_saves_and_says_how_to_go_on(tmp_path):
+def test_ctrl_c_saves_and_prints_the_command_to_resume(tmp_path):
     pytest.importorskip("stable_baselines3")
     out = tmp_path / "out"
     command = [sys.executable, "-m", "dual_ur10", "train", "SineTracking", *SMALL, "--out", str(out)]

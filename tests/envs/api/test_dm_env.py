@@ -70,7 +70,7 @@ def test_steps_are_those_of_gymnasium_bit_for_bit(env_id):
     assert np.array_equal(ours.reset().observation, theirs.reset()[0])  # the generator went on
 
 
-def test_time_running_out_keeps_the_discount_and_the_next_step_begins_anew():
+def test_truncation_keeps_the_discount_and_the_next_step_resets():
     env = dm_env(SINE, seed=0, duration_s=0.2)
     control = gym.make(SINE, duration_s=0.2)
     assert np.array_equal(env.step(np.full(12, np.nan)).observation, control.reset(seed=0)[0])
@@ -157,7 +157,7 @@ def test_names_and_keywords_are_refused_as_elsewhere():
         env.reset()
 
 
-def test_pickling_goes_on_bit_for_bit():
+def test_a_pickled_copy_continues_bit_for_bit():
     env = dm_env(SINE, seed=3, duration_s=0.2)
     for _ in range(3):
         env.step(ZERO)

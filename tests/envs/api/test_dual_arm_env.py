@@ -229,7 +229,7 @@ def table_rows(task, heading):
 
 
 @pytest.mark.parametrize("name", [task_name(each) for each in IDS])
-def test_docstring_tables_tell_the_spaces(name):
+def test_docstring_tables_match_the_spaces(name):
     env, task = gym.make(f"DualUR10/{name}-v0").unwrapped, load_task(name)
     model, _ = env.core.cell_data(0)
     kinds = ((model.njnt, model.joint), (model.nsite, model.site), (model.nbody, model.body))
@@ -256,7 +256,7 @@ def test_docstring_tables_tell_the_spaces(name):
     assert weights == task.weights
 
 
-def test_observation_is_what_the_table_says():
+def test_observations_match_the_table():
     cell = CellConfig(left=ArmMount((-0.7, 0.6, 0.02), 0.3), right=ArmMount((-0.9, -0.5, 0.05), -0.2))
     env = gym.make(SINE, cell=cell, randomize=False)
     env.reset(seed=0)
@@ -267,16 +267,18 @@ def test_observation_is_what_the_table_says():
     position, rotation = flange_pose(arms["q_rad"])
     assert np.allclose(arms["flange_base_m"], position, atol=1e-9)
     for arm, mount in enumerate((cell.left, cell.right)):
-        turn = np.array(
+        from_base = np.array(
             [
                 [np.cos(mount.yaw_rad), -np.sin(mount.yaw_rad), 0],
                 [np.sin(mount.yaw_rad), np.cos(mount.yaw_rad), 0],
                 [0, 0, 1],
             ]
         ) @ np.diag([-1, -1, 1])
-        assert np.allclose(turn @ arms["flange_base_m"][arm] + mount.position_m, info["flange_m"][arm], atol=1e-9)
-        assert np.allclose(turn @ arms["reference_base_m"][arm] + mount.position_m, info["reference_m"][arm], atol=1e-9)
-        # The turn observed leads from the flange to the tool pointing straight down.
+        assert np.allclose(from_base @ arms["flange_base_m"][arm] + mount.position_m, info["flange_m"][arm], atol=1e-9)
+        assert np.allclose(
+            from_base @ arms["reference_base_m"][arm] + mount.position_m, info["reference_m"][arm], atol=1e-9
+        )
+        # The observed rotation vector leads from the flange to the tool pointing straight down.
         w, x, y, z = arms["flange_base_quat"][arm]
         assert np.allclose(
             rotation[arm][2], [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], atol=1e-9
@@ -334,7 +336,7 @@ def test_latency_holds_the_motion_back_by_whole_ticks():
         assert np.abs(traces[latency] - traces[0]).max() > 1e-4
 
 
-def test_a_refused_motion_ends_the_episode_and_says_why():
+def test_a_refused_motion_ends_the_episode_with_its_reason():
     env = gym.make(SINE, action_mode="joint_position", randomize=False)
     _, info = env.reset(seed=0)
     down = info["q_rad"].copy()

@@ -22,7 +22,7 @@ IDS = dual_ur10.ENV_IDS
 SINE = "DualUR10/SineTracking-v0"
 REWARDS = ("shared", "individual")
 MODES = ("joint_delta", "joint_position", "tcp_delta")
-# PettingZoo's checks hand options to reset, to see that it takes them.
+# PettingZoo's checks pass options to reset.
 checks = pytest.mark.filterwarnings("ignore:.*reset takes the option")
 
 
@@ -77,7 +77,7 @@ def test_pettingzoo_checks_the_state(env_id):
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning")  # MuJoCo's web viewer leaves its sockets to the collector
 @pytest.mark.parametrize("env_id", IDS)
-def test_pettingzoo_checks_the_pictures(env_id):
+def test_pettingzoo_checks_rendering(env_id):
     made = []
 
     def make(render_mode):
@@ -94,16 +94,16 @@ def test_pettingzoo_checks_the_pictures(env_id):
     ("mode", "latency"), [("joint_delta", 0), ("joint_delta", 3), ("joint_position", 0), ("tcp_delta", 3)]
 )
 @pytest.mark.parametrize("env_id", IDS)
-def test_all_faces_agree_bit_for_bit(env_id, mode, latency, reward):
+def test_all_interfaces_agree_bit_for_bit(env_id, mode, latency, reward):
     keywords = {"action_mode": mode, "action_latency_ticks": latency}
     steps, row, seed = scaled(400), 5, 17
     single = gym.make(env_id, disable_env_checker=True, **keywords)
-    faces = parallel_env(env_id, reward=reward, **keywords)
+    pair = parallel_env(env_id, reward=reward, **keywords)
     one = gym.make_vec(env_id, num_envs=1, **keywords)
     eight = gym.make_vec(env_id, num_envs=8, **keywords)
     core, weights = single.unwrapped.core, single.unwrapped.task.weights
     observation, info = single.reset(seed=seed)
-    own, infos = faces.reset(seed=seed)
+    own, infos = pair.reset(seed=seed)
     first, _ = one.reset(seed=seed)
     many, vector_info = eight.reset(seed=seed - row)
     assert np.array_equal(first[0], observation)
@@ -115,28 +115,28 @@ def test_all_faces_agree_bit_for_bit(env_id, mode, latency, reward):
     for joint in others:
         action = by_agent(joint[row])
         observation, mean, terminated, truncated, info = single.step(joint[row])
-        own, rewards, terminations, truncations, infos = faces.step(dict(reversed(action.items())))
+        own, rewards, terminations, truncations, infos = pair.step(dict(reversed(action.items())))
         for batch, k, given in ((one, 0, joint[row : row + 1]), (eight, row, joint)):
             observations, means, ends, overs, _ = batch.step(given)
             assert np.array_equal(observations[k], observation)
             assert (means[k], ends[k], overs[k]) == (mean, terminated, truncated)
-        assert np.array_equal(faces.state(), observation)
+        assert np.array_equal(pair.state(), observation)
         assert np.array_equal(np.stack([own[arm] for arm in ARMS]), core.agents.observations[0])
         expected = core.agents.rewards[0].tolist() if reward == "individual" else [mean, mean]
         assert [rewards[arm] for arm in ARMS] == expected
         assert (np.mean(expected)) == pytest.approx(mean, abs=1e-12)
         for k, arm in enumerate(ARMS):
             assert (terminations[arm], truncations[arm]) == (terminated, truncated)
-            assert faces.observation_space(arm).contains(own[arm])
-            told = sum(weight * infos[arm][f"reward/{name}"] for name, weight in weights.items())
-            assert told == pytest.approx(rewards[arm], abs=1e-12)
+            assert pair.observation_space(arm).contains(own[arm])
+            summed = sum(weight * infos[arm][f"reward/{name}"] for name, weight in weights.items())
+            assert summed == pytest.approx(rewards[arm], abs=1e-12)
             assert infos[arm].keys() == info.keys()
             assert np.array_equal(infos[arm]["q_rad"], info["q_rad"][k])
             assert infos[arm]["is_success"] is info["is_success"]
         if terminated or truncated:
-            assert faces.agents == []
+            assert pair.agents == []
             break
-    for env in (single, faces, one, eight):
+    for env in (single, pair, one, eight):
         env.close()
 
 
@@ -198,7 +198,7 @@ def test_values_of_two_arms_are_divided_and_the_rest_is_shared():
         assert infos["left"][name] == infos["right"][name] == info[name]
 
 
-def test_individual_rewards_differ_and_tell_their_own_terms():
+def test_individual_rewards_differ_and_have_their_own_terms():
     env = parallel_env(SINE, reward="individual")
     env.reset(seed=0)
     actions = zeros(env)
@@ -211,7 +211,7 @@ def test_individual_rewards_differ_and_tell_their_own_terms():
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_max_cycles_truncates_and_the_next_episode_counts_anew(env_id):
+def test_max_cycles_truncates_each_episode(env_id):
     env = pettingzoo.make("parallel", env_id, max_cycles=3)
     for _ in range(2):
         env.reset()
@@ -224,7 +224,7 @@ def test_max_cycles_truncates_and_the_next_episode_counts_anew(env_id):
     assert pettingzoo.make("parallel", env_id).max_cycles is None
 
 
-def test_a_refused_motion_ends_both_agents_and_tells_both_why():
+def test_a_refused_motion_ends_both_agents_with_its_reason():
     env = parallel_env(SINE, action_mode="joint_position", randomize=False)
     _, infos = env.reset(seed=0)
     down = {arm: infos[arm]["q_rad"].astype(np.float32) for arm in ARMS}
@@ -249,7 +249,7 @@ def test_diverged_physics_ends_both_agents():
     assert np.isfinite(observation["left"]).all()
 
 
-def test_the_generator_goes_on_and_a_seed_starts_it_anew():
+def test_the_generator_continues_and_a_seed_restarts_it():
     env = parallel_env(SINE)
     starts = [env.reset(seed=seed)[0]["left"] for seed in (5, None, 5, None)]
     assert np.array_equal(starts[0], starts[2])
@@ -258,7 +258,7 @@ def test_the_generator_goes_on_and_a_seed_starts_it_anew():
 
 
 @pytest.mark.parametrize("make", [parallel_env, aec_env])
-def test_pickling_goes_on_bit_for_bit(make):
+def test_a_pickled_copy_continues_bit_for_bit(make):
     env = make(SINE, reward="individual", max_cycles=6)
     env.reset(seed=0)
 
@@ -312,7 +312,7 @@ def test_malformed_actions_are_refused_by_agent_and_nothing_moves(kind):
 
 
 @pytest.mark.parametrize("bad", [np.zeros(5), np.full(6, np.nan), None], ids=["shape", "nan", "none"])
-def test_a_turn_with_a_malformed_action_can_be_taken_again(bad):
+def test_an_agent_can_act_again_after_a_malformed_action(bad):
     env, control = aec_env(SINE), aec_env(SINE)
     env.reset(seed=0)
     control.reset(seed=0)
@@ -346,7 +346,7 @@ def test_steps_without_an_episode_are_refused():
         env.step(zeros(env))
 
 
-def test_options_of_a_reset_are_not_swallowed():
+def test_unknown_reset_options_warn():
     env = parallel_env(SINE)
     with pytest.warns(UserWarning, match=r"\['phase'\] is ignored"):
         env.reset(seed=0, options={"phase": 1})
@@ -391,7 +391,7 @@ def test_keywords_reach_the_cell():
     assert np.array_equal(env.reset(seed=0)[0]["left"], env.reset(seed=1)[0]["left"])
 
 
-def test_pictures_and_viewer_are_those_of_the_cell():
+def test_images_and_viewer_are_those_of_the_cell():
     env, joint = (make(SINE, render_mode="rgb_array", width=64, height=48) for make in (parallel_env, gym.make))
     env.reset(seed=0)
     joint.reset(seed=0)

@@ -56,7 +56,7 @@ def test_rows_are_the_agents_bit_for_bit_over_episodes(env_id, mode, latency, re
         observation, rewards, dones, infos = env.step(actions)
         for cell, single in enumerate(singles):
             rows = (2 * cell, 2 * cell + 1)
-            own, reward_of, terminated, truncated, told = single.step(
+            own, reward_of, terminated, truncated, infos_of = single.step(
                 {a: actions[r] for a, r in zip(ARMS, rows, strict=True)}
             )
             over, fresh = not single.agents, None
@@ -74,7 +74,7 @@ def test_rows_are_the_agents_bit_for_bit_over_episodes(env_id, mode, latency, re
                     assert equal(env.reset_infos[row], begun[agent])
                 else:
                     assert np.array_equal(observation[row], own[agent])
-                assert equal(info, told[agent])
+                assert equal(info, infos_of[agent])
     assert ends >= 2 * cells
     env.close()
 
@@ -115,7 +115,7 @@ def test_one_cell_ends_alone():
     assert np.abs(observation[2:4, :6] - start[2:4]).max() < 1e-9
 
 
-def test_what_is_terminated_was_not_cut_short_by_time():
+def test_a_terminated_episode_is_no_timeout():
     env = TwoAgentVecEnv(SINE, 2, max_episode_steps=2)
     env.reset()
     env.step(zeros(env))
@@ -126,7 +126,7 @@ def test_what_is_terminated_was_not_cut_short_by_time():
     assert ["physics_error" in info for info in infos] == [True, True, False, False]
 
 
-def test_the_generators_go_on_and_seeds_are_used_once():
+def test_the_generators_continue_and_seeds_are_used_once():
     env = TwoAgentVecEnv(SINE, 2)
     env.seed(7)
     first, second = env.reset(), env.reset()
@@ -161,7 +161,7 @@ def test_normalising_wrapper():
     assert np.abs(env.step(zeros(env))[0]).max() <= 10.0
 
 
-def test_what_all_rows_share():
+def test_attributes_and_methods_of_all_rows():
     env = TwoAgentVecEnv(SINE, 2)
     assert env.get_attr("num_envs") == [2] * 4
     assert env.get_attr("render_mode", indices=[0, 3]) == [None, None]
@@ -218,7 +218,7 @@ def test_bad_keywords(keywords, error, text):
         TwoAgentVecEnv(**{"task": SINE, **keywords})
 
 
-def test_pickling_goes_on_bit_for_bit():
+def test_a_pickled_copy_continues_bit_for_bit():
     env = TwoAgentVecEnv(SINE, 2, max_episode_steps=4)
     env.seed(0)
     env.reset()
@@ -229,7 +229,7 @@ def test_pickling_goes_on_bit_for_bit():
         assert all(np.array_equal(a, b) for a, b in zip(ours[:3], theirs[:3], strict=True))
 
 
-def test_pictures_are_one_per_cell():
+def test_images_are_one_per_cell():
     env = TwoAgentVecEnv(SINE, 2, render_mode="rgb_array", width=64, height=48)
     env.seed(0)
     env.reset()

@@ -97,7 +97,7 @@ def test_autoreset_same_step():
     assert not env.step(zero)[3].any()
 
 
-def test_autoreset_disabled_wants_a_reset_by_mask():
+def test_autoreset_disabled_needs_a_reset_by_mask():
     env = vector(3, duration_s=0.2, autoreset_mode=AutoresetMode.DISABLED)
     env.reset(seed=0)
     zero = np.zeros((3, 12), dtype=np.float32)
@@ -141,7 +141,7 @@ def test_a_reset_row_does_not_touch_the_others():
         assert not np.array_equal(ours[1], theirs[1])
 
 
-def test_a_refused_row_says_why_and_starts_again():
+def test_a_refused_row_has_its_reason_and_restarts():
     env = vector(2, action_mode="joint_position", randomize=False)
     _, info = env.reset(seed=0)
     goal = info["q_rad"].copy()
@@ -176,7 +176,7 @@ def test_a_diverged_row_ends_alone():
     assert "physics_error" not in info
 
 
-def test_pickling_goes_on_bit_for_bit():
+def test_a_pickled_copy_continues_bit_for_bit():
     env = vector(3)
     env.reset(seed=0)
     actions = random_actions(12, 3)
@@ -265,7 +265,7 @@ def test_the_first_reset_is_of_all_rows():
         env.reset(seed=0, options={"reset_mask": np.array([True, False])})
 
 
-def test_the_action_of_a_row_that_begins_anew_does_not_matter():
+def test_the_action_of_a_restarting_row_is_ignored():
     env = vector(2, duration_s=0.2)
     env.reset(seed=0)
     zero = np.zeros((2, 12), dtype=np.float32)

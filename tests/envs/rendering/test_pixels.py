@@ -153,17 +153,17 @@ def test_an_observed_image_is_what_render_gives():
 @pytest.mark.parametrize("kind", KINDS)
 def test_drawing_changes_no_bit_of_the_physics(kind):
     keywords = {"render_mode": "rgb_array", "pixels_rate_hz": 12.5, "shadows": True}
-    plain, drawn = gym.make(SINE), single(kind, **keywords)
-    left, right = plain.reset(seed=5), drawn.reset(seed=5)
+    plain, rendered = gym.make(SINE), single(kind, **keywords)
+    left, right = plain.reset(seed=5), rendered.reset(seed=5)
     assert same(left[1], right[1])
     for action in actions(12):
-        left, right = plain.step(action), drawn.step(action)
-        drawn.render()
+        left, right = plain.step(action), rendered.step(action)
+        rendered.render()
         if kind == "both":
             assert np.array_equal(left[0], right[0]["state"])
         assert left[1:4] == right[1:4]
         assert same(left[4], right[4])
-        states = [each.unwrapped.core.cell._physics._batch.state for each in (plain, drawn)]
+        states = [each.unwrapped.core.cell._physics._batch.state for each in (plain, rendered)]
         assert np.array_equal(*states)
 
 
@@ -191,7 +191,7 @@ def test_a_row_of_a_batch_sees_what_the_single_environment_sees():
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("make", [single, vector])
-def test_observations_are_the_callers_own(kind, make):
+def test_observations_are_copies(kind, make):
     env = make(observation=kind, pixels_rate_hz=5)
     kept = [env.reset(seed=0)[0]]
     copies = [pickle.loads(pickle.dumps(kept[0]))]
@@ -229,7 +229,7 @@ def test_an_episode_begins_with_a_new_image_and_its_own_count():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_partial_reset_draws_the_rows_that_begin_anew(kind, monkeypatch):
+def test_a_partial_reset_draws_only_the_reset_rows(kind, monkeypatch):
     env = vector(3, kind, pixels_rate_hz=25 / 3)
     env.reset(seed=0)
     for action in actions(2, 3):
@@ -297,7 +297,7 @@ def test_disabled_autoreset_leaves_the_images_of_other_rows():
 
 
 @pytest.mark.parametrize("make", [single, vector])
-def test_pickling_goes_on_bit_for_bit(make):
+def test_a_pickled_copy_continues_bit_for_bit(make):
     env = make(observation="both", pixels_rate_hz=25 / 3)
     env.reset(seed=0)
     steps = actions(8, getattr(env, "num_envs", None))
@@ -367,7 +367,7 @@ def test_bad_keywords(make, keywords, error, texts):
     assert all(text in str(caught.value) for text in texts), str(caught.value)
 
 
-def test_one_camera_may_be_a_word():
+def test_one_camera_may_be_a_string():
     assert list(single(cameras="side").reset(seed=0)[0]) == ["side"]
 
 
@@ -392,7 +392,7 @@ def run(code, tmp_path, **variables):
     ids=["no backend", "no device"],
 )
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems always have a backend")
-def test_without_opengl_numbers_are_observed_and_pixels_say_what_to_install(variables, tmp_path):
+def test_without_opengl_state_works_and_pixels_name_the_package(variables, tmp_path):
     code = (
         "import gymnasium, dual_ur10, sys\n"
         "from dual_ur10.errors import RenderError\n"
@@ -444,7 +444,7 @@ def test_where_egl_fails_the_next_backend_is_tried(tmp_path):
     assert result.stderr == ""
 
 
-def test_masks_of_an_info_are_each_its_own():
+def test_masks_of_an_info_share_no_memory():
     env = vector(2, "state", autoreset_mode="SameStep", duration_s=0.2)
     infos = [env.reset(seed=0)[1], *(env.step(action)[4] for action in actions(5, 2))]
     assert "_final_obs" in infos[-1]

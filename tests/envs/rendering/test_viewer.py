@@ -130,7 +130,7 @@ def test_closing_ends_the_server(opened: Viewer) -> None:
         urllib.request.urlopen(url, timeout=WAIT_S)
 
 
-def test_it_says_nothing_on_the_terminal(opened: Viewer, capfd: pytest.CaptureFixture[str]) -> None:
+def test_it_prints_nothing(opened: Viewer, capfd: pytest.CaptureFixture[str]) -> None:
     assert opened.url is not None
     with urllib.request.urlopen(opened.url, timeout=WAIT_S):
         pass
@@ -164,7 +164,7 @@ def test_a_later_mujoco_that_ignores_the_host_is_refused_before_it_listens() -> 
     made[0]._http_sock.close()
 
 
-def test_without_any_viewer_the_error_says_what_to_do(
+def test_without_any_viewer_the_error_names_the_remedy(
     scene: tuple[Any, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     # Python runs this file when the viewer's process starts: a MuJoCo without a web viewer.
@@ -178,7 +178,7 @@ def test_without_any_viewer_the_error_says_what_to_do(
     assert not viewer.is_running()
 
 
-def test_a_display_out_of_reach_leads_to_the_web_viewer(
+def test_an_unreachable_display_leads_to_the_web_viewer(
     scene: tuple[Any, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
 

@@ -352,7 +352,7 @@ def test_it_needs_stable_baselines3(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         (zipped(data=described(clip_range=1, observation_space={"_shape": [10**30]})), "observes 1000000000"),
     ],
 )
-def test_what_is_no_model(content: bytes | None, expected: str, tmp_path: Path) -> None:
+def test_a_file_that_is_no_model(content: bytes | None, expected: str, tmp_path: Path) -> None:
     model = tmp_path / "model.zip"
     if content is not None:
         model.write_bytes(content)

@@ -390,9 +390,13 @@ def _examined(values: Mapping[str, Any], source: str) -> Examination:
         if isinstance(unfit, _UnfitError):
             return Examination(None, unfit.findings)
         errors.sort(key=lambda each: each["type"] == "missing")  # last: a misspelt key may be the one that is missing
+        findings = []
+        for each in errors:
+            findings.append(keys().finding(each["type"], each["loc"], each["input"]))
+            if each["type"].startswith("union_tag"):
+                findings += keys().strays(each["loc"], each["input"])
         # A vector that is too short gives an error for each missing number.
-        findings = dict.fromkeys(keys().finding(each["type"], each["loc"], each["input"]) for each in errors)
-        return Examination(None, [*findings, *_missing_of_real(values)])
+        return Examination(None, [*dict.fromkeys(findings), *_missing_of_real(values)])
     cell._source = source
     return Examination(cell, [])
 

@@ -169,6 +169,20 @@ class KeyList:
         where = f"in [{table}]" if table else "at the top"
         return f"{text}Allowed {where} are {', '.join(names)}. Correct it, or take it out"
 
+    def strays(self, location: Sequence[str | int], found: Mapping[str, Any]) -> Iterator[str]:
+        """Yield the findings of a table whose `kind` is not legal: keys that no variant has.
+
+        Args:
+            location: Pydantic's `loc` of the table.
+            found: The table.
+        """
+        path, key, _, _ = self.place(location)
+        variants = [] if key is None else [each["properties"] for each in self.variants(key.schema).values()]
+        common = {"properties": [name for name in variants[0] if all(name in each for each in variants)]}
+        for name in found:
+            if not any(name in each for each in variants):
+                yield self._unknown_key(Place(joined(path, shown(name, bare=True)), None, common, {}), name)
+
     def variants(self, schema: Schema) -> dict[str, Schema]:
         """Return the JSON schema of each variant of a table by its `kind`."""
         tables = [self._resolved(each) for each in schema["oneOf"]]

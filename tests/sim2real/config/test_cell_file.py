@@ -477,6 +477,17 @@ def test_all_findings_are_counted(tmp_path: Path) -> None:
     cell, findings = module.examine(path)
     assert cell is None
     assert [each.split()[0] for each in findings] == ["speed_factor", "left.hots", "right.payload_kg"]
+    odd = edited(GOOD, tracker={"kind": "radar", "arm": "left", "beam": 3}, obstacle=[{**BOX, "kind": 3, "hue": 1}])
+    _, found = examine_text(toml_text(edited(odd, left__host=DELETE, left__tcp_position_m=DELETE)))
+    assert [each.split()[0] for each in found] == [
+        "tracker.kind",
+        "tracker.beam",
+        "obstacle[0].kind",
+        "obstacle[0].hue",
+        "left.host",
+        "left.tcp_position_m",
+    ]
+    assert "Allowed in [obstacle[0]] are kind, name." in found[3]
     with pytest.raises(CellFileError, match=r"lab\.toml: speed_factor is 7.*\(2 more: .*cell check"):
         load_cell_file(path)
 

@@ -6,7 +6,8 @@ import logging
 import math
 import threading
 import time
-from typing import Annotated, Final, NamedTuple, Protocol
+from abc import abstractmethod
+from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -54,9 +55,10 @@ class ObjectPose(NamedTuple):
     measured_s: float
 
 
-class ObjectTracker(Protocol):
+class ObjectTracker(Closing):
     """Source of the object's pose."""
 
+    @abstractmethod
     def pose(self, now_s: float, flanges: Flanges) -> ObjectPose:
         """Return the newest pose. It does not wait.
 
@@ -67,14 +69,12 @@ class ObjectTracker(Protocol):
         Raises:
             LinkError: The newest pose is older than `STALE_S`, or the tracker was lost.
         """
-        ...
 
     def close(self) -> None:
-        """Release everything. May be called twice."""
-        ...
+        """Release all resources: by default, there are none. May be called twice."""
 
 
-class FlangeTracker:
+class FlangeTracker(ObjectTracker):
     """Tracker of an object that an arm holds: it follows the flange.
 
     Args:
@@ -91,11 +91,8 @@ class FlangeTracker:
         flange = Poses(flanges.position_m[self._arm], flanges.quat[self._arm])
         return ObjectPose(*compose(flange, Poses(self._position_m, self._quat)), now_s)
 
-    def close(self) -> None:
-        """There is nothing to release."""
 
-
-class FixedTracker:
+class FixedTracker(ObjectTracker):
     """Tracker of an object that stays at the pose in the cell file.
 
     Args:
@@ -110,9 +107,6 @@ class FixedTracker:
         """See `ObjectTracker`."""
         return ObjectPose(self._position_m.copy(), self._quat.copy(), now_s)
 
-    def close(self) -> None:
-        """There is nothing to release."""
-
 
 class _Seen(BaseModel):
     """Answer of the camera: position, and orientation (w, x, y, z), in the cell frame."""
@@ -123,7 +117,7 @@ class _Seen(BaseModel):
     quat: Annotated[list[float], Field(min_length=4, max_length=4)]
 
 
-class CameraTracker(Closing):
+class CameraTracker(ObjectTracker):
     """Camera that a thread asks for the object's pose. The first pose is there once this object is made.
 
     Args:

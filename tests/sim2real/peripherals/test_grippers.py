@@ -32,26 +32,6 @@ from tests.waiting import until
 HERE = "127.0.0.1"
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    path = tmp_path_factory.mktemp("cell") / "cell.toml"
-    with EmulatedCell(task="SyncCarry", plant="nominal", cell=str(path)) as cell:
-        yield cell, load_cell_file(path)
-
-
-@pytest.fixture
-def cell(made):
-    cell, _ = made
-    yield cell
-    for arm in ("left", "right"):
-        cell.ask("heal", arm=arm)
-
-
-@pytest.fixture
-def file(made):
-    return made[1]
-
-
 def yes(question):
     assert "keep hands away" in question
     return True

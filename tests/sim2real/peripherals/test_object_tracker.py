@@ -28,23 +28,6 @@ AWAY = np.array([0.3, -0.2, 0.8])
 QUARTER = np.array([math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)])
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    path = tmp_path_factory.mktemp("cell") / "cell.toml"
-    with EmulatedCell(task="Handover", plant="nominal", cell=str(path)) as cell:
-        yield cell, load_cell_file(path)
-
-
-@pytest.fixture
-def cell(made):
-    return made[0]
-
-
-@pytest.fixture
-def file(made):
-    return made[1]
-
-
 def failure(tracker):
     try:
         tracker.pose(time.monotonic(), FLANGES)

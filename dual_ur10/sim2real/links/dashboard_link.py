@@ -10,9 +10,8 @@ import time
 from typing import Final
 
 from dual_ur10.errors import OperationRefusedError, ProtocolError, SettingsError
-from dual_ur10.sim2real.links.link_socket import LinkSocket, check_timeout
+from dual_ur10.sim2real.links.link_socket import LinkSocket, SocketClient, check_timeout
 from dual_ur10.sim2real.protocol.text_lines import LineReader
-from dual_ur10.types import Closing
 
 PORT: Final = 29999
 
@@ -25,7 +24,7 @@ _UNKNOWN: Final = "could not understand"
 _REMOTE_SINCE: Final = (5, 6)  # UR's article "Dashboard Server e-Series"; a CB3 has no such mode
 
 
-class DashboardLink(Closing):
+class DashboardLink(SocketClient):
     """Connection to a dashboard. Any failure closes it, so that a late answer is not taken for that of another query.
 
     Args:
@@ -51,19 +50,6 @@ class DashboardLink(Closing):
                 raise self._socket.error(
                     f"greets with {greeting[:80]!r}", "this is no dashboard server: check the address"
                 )
-
-    @property
-    def where(self) -> str:
-        """Arm and address, for messages."""
-        return self._socket.where
-
-    def fileno(self) -> int:
-        """Return the file number for `select`: readable when there is an answer, or the end.
-
-        Raises:
-            ClosedError: It was closed.
-        """
-        return self._socket.fileno()
 
     def ask(self, command: str) -> str:
         """Send one command.
@@ -184,7 +170,3 @@ class DashboardLink(Closing):
     def model(self) -> str | None:
         """Return the model, such as "UR10", or None if this version does not report it."""
         return self._query_if_known("get robot model")
-
-    def close(self) -> None:
-        """End the connection. May be called twice."""
-        self._socket.close()

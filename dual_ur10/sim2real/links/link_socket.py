@@ -180,6 +180,29 @@ class LinkSocket(Closing):
         self.close()
 
 
+class SocketClient(Closing):
+    """Client that owns one connection, `_socket`."""
+
+    _socket: LinkSocket
+
+    @property
+    def where(self) -> str:
+        """Arm, service and address, for messages."""
+        return self._socket.where
+
+    def fileno(self) -> int:
+        """Return the file number for `select`: readable when there are data, or the end.
+
+        Raises:
+            ClosedError: It was closed.
+        """
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """End the connection without sending anything. May be called twice."""
+        self._socket.close()
+
+
 def _reason(error: OSError) -> str:
     if isinstance(error, TimeoutError):
         return "no answer in time"

@@ -16,10 +16,9 @@ from typing import Final, NoReturn
 
 from dual_ur10.errors import LinkError, ProtocolError, SettingsError
 from dual_ur10.sim2real.control.servoj import TICK_S
-from dual_ur10.sim2real.links.link_socket import LinkSocket, check_timeout
+from dual_ur10.sim2real.links.link_socket import LinkSocket, SocketClient, check_timeout
 from dual_ur10.sim2real.links.rtde_stream import TIMESTAMP, RtdeStream, Sample
 from dual_ur10.sim2real.protocol.rtde import TYPES, DataType, FrameReader, Kind, frame, split_names
-from dual_ur10.types import Closing
 
 PORT: Final = 30004
 
@@ -128,7 +127,7 @@ class RtdeClient:
         return answer[0], types
 
 
-class RtdeLink(Closing):
+class RtdeLink(SocketClient):
     """Reader of RTDE output variables of one controller.
 
     Args:
@@ -183,11 +182,6 @@ class RtdeLink(Closing):
             self._take(data, time.monotonic())
 
     @property
-    def where(self) -> str:
-        """Arm and address, for messages."""
-        return self._socket.where
-
-    @property
     def latest(self) -> Sample | None:
         """Newest sample, or None before the first."""
         return self._stream.latest
@@ -204,14 +198,6 @@ class RtdeLink(Closing):
             now_s: Time of `time.monotonic`.
         """
         return now_s - self._stream.alive_s
-
-    def fileno(self) -> int:
-        """Return the file number for `select`: readable when there is something to poll.
-
-        Raises:
-            ClosedError: The link was closed.
-        """
-        return self._socket.fileno()
 
     def poll(self, now_s: float | None = None) -> list[Sample]:
         """Return the samples since the last poll. It does not wait.
@@ -252,10 +238,6 @@ class RtdeLink(Closing):
         self._fault = str(error)
         self._socket.close()
         raise error
-
-    def close(self) -> None:
-        """End the connection. May be called twice."""
-        self._socket.close()
 
 
 def _check_names(names: Sequence[str], frequency_hz: float | None) -> list[str]:

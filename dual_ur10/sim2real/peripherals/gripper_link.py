@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 from dual_ur10.assets.gripper import FORCE_N, OPENING_M
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.links.link_socket import LinkSocket, check_timeout
+from dual_ur10.sim2real.links.link_socket import LinkSocket, SocketClient, check_timeout
 from dual_ur10.types import Closing
 
 COUNTS: Final = 255
@@ -128,7 +128,7 @@ def force_counts(force_n: float) -> int:
     return round(COUNTS * (force_n - least) / (most - least))
 
 
-class RobotiqLink(GripperLink):
+class RobotiqLink(SocketClient, GripperLink):
     """Robotiq 2F-85 behind the text protocol of its URCap, which answers at the arm's controller.
 
     Positions are assumed to be linear from POS 0, fully open, to POS 255, closed.
@@ -155,11 +155,6 @@ class RobotiqLink(GripperLink):
         self._commanded: int | None = None
         with self._socket.closed_on_error():
             self._get("STA", deadline_s)  # checks that the service speaks this protocol
-
-    @property
-    def where(self) -> str:
-        """Arm, gripper and address, for messages."""
-        return self._socket.where
 
     def read(self) -> GripperReading:
         """See `GripperLink`. It asks for POS, STA, FLT and OBJ."""
@@ -245,7 +240,3 @@ class RobotiqLink(GripperLink):
                 if len(buffer) > _LONGEST:
                     raise self._socket.error(f"an answer of {len(buffer)} bytes", "this is no Robotiq gripper")
                 buffer += self._socket.receive(deadline_s)
-
-    def close(self) -> None:
-        """End the connection; a held object stays held. May be called twice."""
-        self._socket.close()

@@ -1,4 +1,4 @@
-"""A lab for each file of tests."""
+"""One lab for each test module."""
 
 import pytest
 

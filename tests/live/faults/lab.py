@@ -1,4 +1,4 @@
-"""Two emulated controllers and an environment on them, to which things happen."""
+"""Lab: two emulated controllers, an environment on them, and injected faults."""
 
 import contextlib
 import math
@@ -35,7 +35,7 @@ _START = dict(zip((name for name, _ in ROW), np.cumsum([0, *(size for _, size in
 
 
 class Swing:
-    """A policy whose arms never rest, within what every limit allows."""
+    """Policy whose arms never rest, within all limits."""
 
     def __init__(self, size=12, share=0.3, period_s=2.0):
         self._size, self._share, self._period_s = size, share, period_s
@@ -46,7 +46,7 @@ class Swing:
         self._steps = 0
 
     def __call__(self, observation=None):
-        """Joints 0, 3, 4 and 5 of each arm swing."""
+        """Swing joints 0, 3, 4 and 5 of each arm."""
         self._steps += 1
         action = np.zeros((2, self._size // 2), dtype=np.float32)
         action[:, [0, 3, 4, 5]] = self._share * np.cos(2 * np.pi * self._steps * 0.04 / self._period_s)
@@ -54,7 +54,7 @@ class Swing:
 
 
 class Lab:
-    """An emulated cell, its file, and at most one environment on it."""
+    """Emulated cell, its file, and at most one environment on it."""
 
     def __init__(self, folder, task="SineTracking", **options):
         self.task = task
@@ -73,33 +73,33 @@ class Lab:
 
     @property
     def file(self):
-        """The cell file, read."""
+        """Cell file."""
         return load_cell_file(self.path)
 
     @property
     def latch(self):
-        """Its fault, if it has one."""
+        """Latch of the cell."""
         return Latch(self.file)
 
     def rewrite(self, old, new):
-        """Change the file."""
+        """Change the cell file."""
         text = self.path.read_text()
         assert old in text
         self.path.write_text(text.replace(old, new))
 
     def note(self):
-        """What goes wrong does so now. Returns the number of control periods that have begun."""
+        """Mark the instant of the fault; return the control periods so far."""
         self._tick = self.now
         return self._tick
 
     @property
     def now(self):
-        """How many control periods have begun."""
+        """Return the number of control periods so far."""
         return self.cell.ask("received", arm="left", since=1 << 40)["tick"]
 
     @property
     def fault_tick(self):
-        """When it went wrong."""
+        """Control period of the fault."""
         assert self._tick is not None, "the test does not say when it went wrong: see `note`"
         return self._tick
 
@@ -111,31 +111,31 @@ class Lab:
             self._tick = self.cell.ask("received", arm=values["arm"])["stop_tick"]
 
     def turn(self, do, back, **values):
-        """The same until the end of the test, when it is turned `back`."""
+        """Inject a fault until the end of the test, which reverts it with `back`."""
         self._undo.append((do, {**values, **back}))
         self.do(do, **values)
 
     def play(self, arm, line):
-        """Have an arm do something by a program of our own."""
+        """Run a URScript line on an arm."""
         self.wires[ARMS.index(arm)].uploads_before += 1
         with socket.create_connection((getattr(self.cell, arm), 30003)) as client:
             client.sendall(f"{line}\n".encode())
             self.cell.wait_until(arm, "runtime_state", 2)
 
     def override(self, arm, **values):
-        """Clients of a controller are told these values until the end of the test."""
+        """Override values that a controller reports until the end of the test."""
         self.turn("override", dict.fromkeys(values), arm=arm, **values)
         time.sleep(0.1)  # until all have heard of it
 
     def mark(self):
-        """From here on `executed` counts."""
+        """Count `executed` from here on."""
         self.first = [self.cell.ask("setpoints", arm=arm)["count"] for arm in ARMS]
         for wire in self.wires:
             wire.begin()
         self._tick = None
 
     def make(self, **keywords):
-        """An environment on the cell. A new one ends the one before."""
+        """Return a new environment on the cell; the previous one is closed."""
         self.close_env()
         self.mark()
         self.env = gym.make(f"DualUR10/{self.task}-v0", cell=str(self.path), disable_env_checker=True, **keywords)
@@ -144,7 +144,7 @@ class Lab:
         return self.env
 
     def begin(self, steps=None, **keywords):
-        """Make, reset and move, so many steps, or until both arms move fast enough for a ramp to be seen."""
+        """Make, reset and step, for `steps` or until both arms are fast enough for a visible ramp."""
         self.make(**keywords)
         self.policy.reset()
         observation, _ = self.env.reset(seed=0)
@@ -157,7 +157,7 @@ class Lab:
         return observation
 
     def reset(self, **keywords):
-        """Begin an episode, however long the way to its start is: what is sent meanwhile is noted."""
+        """Begin an episode and record all packets meanwhile, however long the approach is."""
         ended = threading.Event()
 
         def note():
@@ -174,21 +174,21 @@ class Lab:
             thread.join()
 
     def speeds_rad_s(self):
-        """How fast both controllers were led last."""
+        """Return the last commanded joint speed of both controllers."""
         return [float(wire.speeds_rad_s(self.tick_s)[-1:].max(initial=0.0)) for wire in self.wires]
 
     @property
     def runner(self):
-        """The processes."""
+        """Runner of the environment."""
         return self.env.unwrapped.core.cell.runner
 
     @property
     def pids(self):
-        """Processes of the runner: left arm, right arm, supervisor."""
+        """Process ids of the runner: left arm, right arm, supervisor."""
         return [*(each.process.pid for each in self.runner.processes), self.runner.supervisor.process.pid]
 
     def step_until_faulted(self, most=_MOST_STEPS):
-        """Go on until both arms are stopped. Returns the error."""
+        """Step until both arms are stopped and return the error."""
         try:
             for _ in range(most):
                 self.env.step(self.policy())
@@ -197,29 +197,29 @@ class Lab:
         raise AssertionError(f"{most} steps and no fault")
 
     def executed(self, arm):
-        """Targets that a controller has executed since `make`, (k, 6)."""
+        """Return the targets that a controller executed since `make`, (k, 6)."""
         rows = self.cell.setpoints(arm, self.first[ARMS.index(arm)])
         return np.array([row[1] for row in rows]).reshape(-1, 6)
 
     def ask(self, arm, *names):
-        """Values by which a controller tells its state."""
+        """Return values of a controller's state."""
         found = self.cell.ask("state", arm=arm, names=list(names))
         return [found[name] for name in names]
 
     def measured(self):
-        """Where both arms were at the same times, as far as that can be, (k, 2, 6), and when."""
+        """Return joint angles of both arms at common times, (k, 2, 6), and the times."""
         left, right = (memory.states()[0] for memory in self.runner.arms)
         at = _START["q_rad"]
         row = np.clip(np.searchsorted(right[:, 0], left[:, 0]), 0, len(right) - 1)
         return np.stack([left[:, at : at + 6], right[row, at : at + 6]], axis=1), left[:, 0]
 
     def nearest_m(self):
-        """The smallest distance of any two things that must not meet, over what was measured."""
+        """Return the smallest measured distance of any checked pair."""
         clearance = self.env.unwrapped.core.cell._clearance
         return min(float(clearance.distances_m(q.reshape(1, 12)).min()) for q in self.measured()[0][::3])
 
     def assert_within_limits(self):
-        """What both controllers received keeps to the limits of speed, acceleration, jerk; nothing else was executed.
+        """Check received targets against the limits of speed, acceleration and jerk, and that no others were executed.
 
         Divided differences of targets some of whose periods were left out are means of those of all targets.
         """
@@ -227,12 +227,12 @@ class Lab:
         return [wire.assert_limits(limits, self.tick_s, self.executed(wire.arm)) for wire in self.wires]
 
     def assert_within_hard_limits(self):
-        """What both controllers have received is within what an arm's process lets out, whoever asks."""
+        """Check received targets against the hard limits of an arm's process."""
         for wire in self.wires:
             wire.assert_hard_limits(self.tick_s)
 
     def assert_watched(self):
-        """Both controllers were told to end their programs if nobody is heard of for 0.1 s, before anything moved."""
+        """Check that both controllers had a watchdog of 0.1 s before anything moved."""
         for wire in self.wires:
             found = wire.received()["watchdog"]
             demand(found is not None and found[1:] == [10.0, "stop"], f"{wire.arm}: watchdog {found}")
@@ -240,13 +240,13 @@ class Lab:
             demand(not len(ticks) or found[0] <= ticks[0], f"{wire.arm}: it moved before its watchdog was set")
 
     def audit(self):
-        """What must hold of every test, whatever else failed."""
+        """Check the invariants of every test."""
         self.assert_within_hard_limits()
         for wire in self.wires:
             demand(wire.uploads <= 1, f"{wire.arm}: {wire.uploads} programs were uploaded, one is needed")
 
     def assert_nothing_more(self, seen_ticks=_SEEN_TICKS):
-        """Since the fault both controllers were sent no more than the targets of a ramp, and no program.
+        """Check that after the fault both controllers received at most the targets of a ramp, and no program.
 
         Args:
             seen_ticks: Control periods within which the fault is to be seen, and what was on its way has come.
@@ -270,7 +270,7 @@ class Lab:
             demand(uploads == 1, f"{wire.arm}: {uploads} programs were uploaded, allowed is one")
 
     def assert_stopped(self, error, *words, arms=ARMS, seen_ticks=_SEEN_TICKS, ramped=()):
-        """Both stand, both programs have ended, nothing more is sent, and it stays so until a person clears it.
+        """Check that both arms rest, both programs ended, and nothing is sent until a person clears the fault.
 
         Args:
             error: What was raised.
@@ -303,7 +303,7 @@ class Lab:
         self.assert_latched(*words)
 
     def assert_latched(self, *words):
-        """Nothing begins before a person clears the fault, which is told."""
+        """Check that nothing starts before a person clears the reported fault."""
         fault = self.latch.read()
         assert fault is not None
         for word in words:
@@ -315,7 +315,7 @@ class Lab:
         demand(self.traffic() == quiet, "a new start sent something")
 
     def assert_at_rest(self, arms=ARMS):
-        """Programs have ended, and both arms come to stand and stay where they are."""
+        """Check that both programs ended and both arms rest."""
         for arm in arms:
             self.cell.wait_until(arm, "runtime_state", 1)
         end = time.monotonic() + 5.0
@@ -326,19 +326,19 @@ class Lab:
         raise AssertionError("an arm still moves")
 
     def assert_nothing_executed(self):
-        """No target came since the last `make` or `mark`."""
+        """Check that no target came since the last `make` or `mark`."""
         demand([len(self.executed(arm)) for arm in ARMS] == [0, 0], "targets were executed")
         demand([len(wire.packages()[0]) for wire in self.wires] == [0, 0], "targets were sent")
 
     def assert_nothing_has_moved(self, uploads=(0, 0)):
-        """The same, and no program runs, or was uploaded but so many."""
+        """Check that no target came, no program runs, and at most `uploads` were uploaded."""
         self.assert_nothing_executed()
         self.assert_at_rest()
         found = tuple(wire.uploads for wire in self.wires)
         demand(found == uploads, f"{found} programs were uploaded to the left and the right arm, allowed are {uploads}")
 
     def assert_refused(self, *words, **keywords):
-        """`make` says these words, and has moved nothing."""
+        """Check that `make` raises with these words and moves nothing."""
         with pytest.raises(StartError) as found:
             self.make(**keywords)
         for word in words:
@@ -346,25 +346,25 @@ class Lab:
         self.assert_nothing_has_moved()
 
     def programs(self):
-        """How many programs have ended or were refused so far, by the log of the cell."""
+        """Return the number of programs that ended or were refused, from the cell's log."""
         return sum(1 for line in self._log.read_text().splitlines() if _PROGRAM.search(line))
 
     def traffic(self):
-        """What must not change after a fault: executed targets, what programs do, and how many there were."""
+        """Return what must not change after a fault: executed targets and programs."""
         counts = [self.cell.ask("setpoints", arm=arm)["count"] for arm in ARMS]
         for found in (wire.received() for wire in self.wires):
             counts += [found["motion"], found["uploads"]]
         return [*counts, *(self.ask(arm, "runtime_state")[0] for arm in ARMS), self.programs()]
 
     def suspend(self, *pids):
-        """Processes stand still from now on, until `wake` or the end of the test."""
+        """Suspend processes until `wake` or the end of the test."""
         for pid in pids:
             os.kill(pid, signal.SIGSTOP)
             self._undo.append((self.wake, pid))
 
     @staticmethod
     def wake(*pids):
-        """Processes go on."""
+        """Resume processes."""
         for pid in pids:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGCONT)
@@ -387,7 +387,7 @@ class Lab:
         return process
 
     def wait_until_moving(self, process, within_s=60.0):
-        """Wait until a program's arms execute targets that go somewhere."""
+        """Wait until a program's arms execute moving targets."""
         end = time.monotonic() + within_s
         while time.monotonic() < end:
             assert process.poll() is None, process.stdout.read()
@@ -397,7 +397,7 @@ class Lab:
         raise AssertionError("its arms do not move")
 
     def close_env(self):
-        """End the environment."""
+        """Close the environment."""
         env, self.env = self.env, None
         for wire in self.wires:
             wire.memory = None  # it ends with its process
@@ -405,7 +405,7 @@ class Lab:
             env.close()
 
     def mend(self):
-        """As it was: no faults, no stops, arms powered and at rest."""
+        """Restore the cell: no faults, no stops, arms powered and at rest."""
         self.path.write_text(self.text)
         while self._undo:
             what, values = self._undo.pop()
@@ -429,7 +429,7 @@ class Lab:
         self._go_home()
 
     def _go_home(self):
-        """Bring the arms to where they were at first, quickly, where they are far from it."""
+        """Move the arms quickly to their first configuration if they are far from it."""
         for arm, home in zip(ARMS, self._home, strict=True):
             if np.abs(np.subtract(self.ask(arm, "actual_q")[0], home)).max() > 0.1:
                 with socket.create_connection((getattr(self.cell, arm), 30003)) as client:
@@ -439,15 +439,15 @@ class Lab:
             self.cell.wait_until(arm, "runtime_state", 1)
 
     def starved(self):
-        """How often a watchdog in a controller was not fed, by the log of the cell."""
+        """Return how often a controller's watchdog was not fed, from the cell's log."""
         return self._log.read_text().count("was not fed for")
 
     def busy(self):
-        """How often this machine was too slow: a watchdog was not fed, or an action came late."""
+        """Return how often this machine was too slow: an unfed watchdog or a late action."""
         return self.starved() + (0 if self.env is None else self.env.unwrapped.core.late_actions)
 
     def close(self):
-        """End everything."""
+        """Close everything."""
         with contextlib.suppress(DualUR10Error):
             self.close_env()
         self.latch.clear()
@@ -461,7 +461,7 @@ def _end(process):
 
 
 def descendants(pid):
-    """Processes that a process has started, and those that they have."""
+    """Return all descendants of a process."""
     parents = {}
     for each in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
@@ -473,7 +473,7 @@ def descendants(pid):
 
 
 def assert_gone(pids, within_s=10.0):
-    """None of these processes is left."""
+    """Check that none of these processes is left."""
     end = time.monotonic() + within_s
     left = list(pids)
     while left and time.monotonic() < end:

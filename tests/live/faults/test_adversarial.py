@@ -1,4 +1,4 @@
-"""Policies that want to harm, for a long time: what both controllers receive keeps to every limit."""
+"""Long adversarial policies: packets to both controllers keep every limit."""
 
 import itertools
 
@@ -17,25 +17,25 @@ _COLLECTED = 100  # steps; a sender remembers some 800
 
 
 def at_random(rng):
-    """Anything the action space has."""
+    """Return random actions."""
     while True:
         yield rng.uniform(-1.0, 1.0, 12)
 
 
 def extreme(rng):
-    """Its corners."""
+    """Return corners of the action space."""
     while True:
         yield rng.choice([-1.0, 1.0], 12)
 
 
 def beyond(rng):
-    """Far out of it."""
+    """Return actions far outside the action space."""
     while True:
         yield rng.choice([-1.0, 1.0], 12) * 10.0 ** rng.integers(0, 30)
 
 
 def alternating(rng):
-    """From bound to bound at every rate, all joints or some."""
+    """Return actions that alternate between bounds at every rate, all joints or some."""
     for steps in itertools.cycle((1, 2, 3, 5, 8, 13)):
         way = rng.choice([-1.0, 0.0, 1.0], 12)
         for k in range(6):

@@ -45,7 +45,7 @@ def go(lab, observation, steps):
 
 
 @pytest.mark.parametrize(("joint", "away"), [(5, 0.06), (0, 0.03)] if soak.SOAK else [(5, 0.06)])
-def test_52_arms_that_hold_one_object_stop_when_one_is_not_where_it_should_be(lab, joint, away):
+def test_52_coupled_arms_stop_on_an_error_of_their_relative_pose(lab, joint, away):
     go(lab, lab.begin(steps=0), 5)
     hold = np.zeros(14, dtype=np.float32)
     lab.policy = lambda observation=None: hold
@@ -59,7 +59,7 @@ def test_52_arms_that_hold_one_object_stop_when_one_is_not_where_it_should_be(la
 
 
 def test_50_what_is_carried_meets_nothing(lab):
-    """The bar's middle would, half a metre from both hands."""
+    """The bar's middle would, half a metre from both grippers."""
     lab.path.write_text(lab.path.read_text() + ROD)
     observation, terminated = lab.begin(steps=0), False
     for _ in range(300):

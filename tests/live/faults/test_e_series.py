@@ -16,7 +16,7 @@ def lab(tmp_path):
     made.close()
 
 
-def test_25_26_two_addresses_of_one_robot_and_swapped_robots_are_refused(lab):
+def test_25_26_one_robot_twice_and_swapped_robots_are_refused(lab):
     serial = {arm: f"20215{number:05d}" for number, arm in enumerate(ARMS, start=1)}
     for arm in ARMS:
         lab.cell.ask("pretend", arm=arm, serial_number=serial["left"])

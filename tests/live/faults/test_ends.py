@@ -1,4 +1,4 @@
-"""What goes wrong before the first target, on the way to a start, and while a program ends."""
+"""Faults before the first target, during an approach, and while a program ends."""
 
 import dataclasses
 import os
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.streams
 
 @pytest.mark.parametrize("arm", [0, 1])
 @pytest.mark.parametrize("wait_s", [0.15, 1.0])
-def test_11_an_arm_whose_process_dies_before_the_first_target_does_not_leave_the_other_alone(lab, arm, wait_s):
+def test_11_a_process_that_dies_before_the_start_stops_both(lab, arm, wait_s):
     lab.make()
     lab.note()
     os.kill(lab.pids[arm], signal.SIGKILL)
@@ -33,8 +33,8 @@ def test_11_an_arm_whose_process_dies_before_the_first_target_does_not_leave_the
         lab.assert_latched("no longer responds")
 
 
-def test_11_an_arm_whose_process_dies_as_both_begin_leaves_the_other_only_a_start(lab):
-    """The last instant: `begin` has looked at both already."""
+def test_11_a_process_that_dies_at_the_start_stops_both_soon(lab):
+    """At the last instant: `begin` has checked both already."""
     lab.make()
     lab.note()
     begin = lab.runner.cell.begin
@@ -54,8 +54,8 @@ def test_11_an_arm_whose_process_dies_as_both_begin_leaves_the_other_only_a_star
     lab.assert_latched("right")
 
 
-def test_11_arms_that_stopped_because_nobody_watched_are_latched_by_closing(lab):
-    """The policy was thinking meanwhile, and then its program ended in order."""
+def test_11_close_latches_a_stop_without_a_supervisor(lab):
+    """The policy was computing meanwhile, and then its program ended in order."""
     lab.begin()
     lab.note()
     os.kill(lab.pids[2], signal.SIGKILL)
@@ -67,8 +67,8 @@ def test_11_arms_that_stopped_because_nobody_watched_are_latched_by_closing(lab)
     lab.assert_latched("the supervisor no longer responds")
 
 
-def test_59_a_stop_that_cannot_be_kept_is_told_to_the_next_start_all_the_same(lab):
-    """The disk is full, say; the supervisor, which keeps it as well, is gone."""
+def test_59_the_next_start_learns_of_a_stop_that_was_not_latched(lab):
+    """The disk is full, and the supervisor, which latches the stop as well, is gone."""
     lab.begin()
     lab.note()
 
@@ -86,7 +86,7 @@ def test_59_a_stop_that_cannot_be_kept_is_told_to_the_next_start_all_the_same(la
         lab.make()
 
 
-def test_29_a_stop_of_a_controller_while_its_arm_is_led_to_rest_is_latched(lab):
+def test_29_a_controller_stop_during_a_ramp_is_latched(lab):
     lab.begin()
     runner = lab.runner
     ends = runner.cell.end
@@ -105,7 +105,7 @@ def test_29_a_stop_of_a_controller_while_its_arm_is_led_to_rest_is_latched(lab):
     assert "left" in fault.text
 
 
-def test_57_a_process_that_hangs_while_a_program_ends_is_ended_and_its_arm_by_the_dashboard(lab):
+def test_57_a_process_that_hangs_at_the_end_is_killed(lab):
     lab.begin()
     lab.turn("watchdog", {"on": True}, arm="left", on=False)  # nothing but the dashboard ends its program
     runner = lab.runner
@@ -118,8 +118,8 @@ def test_57_a_process_that_hangs_while_a_program_ends_is_ended_and_its_arm_by_th
     lab.assert_latched("left: its process did not stop")
 
 
-def test_33_a_program_that_is_paused_by_a_stop_is_ended_by_the_dashboard(lab):
-    """Nothing of this package relies on that a watchdog acts on a program that does not run."""
+def test_33_the_dashboard_ends_a_program_paused_by_a_stop(lab):
+    """This package does not rely on a watchdog acting on a program that does not run."""
     lab.begin()
     for arm in ("left", "right"):
         lab.turn("watchdog", {"on": True}, arm=arm, on=False)
@@ -132,8 +132,8 @@ def test_33_a_program_that_is_paused_by_a_stop_is_ended_by_the_dashboard(lab):
     lab.assert_latched("left")
 
 
-def test_57_an_interrupt_on_the_way_to_a_start_stops_both_arms_soon(lab):
-    """As in a notebook: the program goes on, and nothing is closed."""
+def test_57_an_interrupt_of_an_approach_stops_both_arms_soon(lab):
+    """As in a notebook: the program continues, and nothing is closed."""
     for arm, q in zip(("left", "right"), lab._home, strict=True):
         lab.play(arm, f"movej({[q[0] + (0.5 if arm == 'left' else -0.5), *q[1:]]}, a=4.0, v=2.0)")
     for arm in ("left", "right"):
@@ -170,8 +170,8 @@ def test_measured_states_of_a_stop_are_in_the_black_box(lab, tmp_path):
 
 
 @pytest.mark.parametrize("change", [{"speed_factor": 0.5}, {"speed_rad_s": 0.7}, {"minimum_clearance_m": 0.01}])
-def test_a_configuration_that_is_not_what_the_cell_file_says_is_refused(lab, change):
-    """The processes of the arms go by the file: limits that only one of both knows are none."""
+def test_a_configuration_that_differs_from_the_file_is_refused(lab, change):
+    """The arms' processes use the file: limits that only one side knows would not hold."""
     lab.mark()
     config = dataclasses.replace(lab.file.config(), **change)
     with pytest.raises(SettingsError, match=f"{next(iter(change))} of the cell is .* its cell file says"):
@@ -179,8 +179,8 @@ def test_a_configuration_that_is_not_what_the_cell_file_says_is_refused(lab, cha
     lab.assert_nothing_has_moved()
 
 
-def test_an_arm_is_led_to_rest_also_where_nothing_is_heard_of_it_any_more():
-    """Its link breaks within the ramp, and is closed then."""
+def test_an_arm_without_a_link_is_stopped_by_a_ramp():
+    """Its link breaks during the ramp and is closed."""
 
     class Link:
         polled = 0

@@ -1,4 +1,4 @@
-"""Where arms must not go: rows 48 to 52 of the table of faults in `docs/explanation/safety.md`."""
+"""Forbidden configurations: rows 48 to 52 of the table of faults in `docs/explanation/safety.md`."""
 
 import time
 
@@ -22,7 +22,7 @@ normal = [-1.0, 0.0, 0.0]
 
 
 def drive(lab, *moves, most=300):
-    """Turn joints of arms, given as arm, joint and speed, until the episode ends. Returns `info` of the last step."""
+    """Rotate joints, given as arm, joint and speed, until the episode ends; return the last `info`."""
     action = np.zeros((2, 6))
     for arm, joint, share in moves:
         action[arm, joint] = share
@@ -65,7 +65,7 @@ def test_50_an_obstacle_of_the_cell_file_is_one(lab):
     assert lab.nearest_m() >= 0.0199
 
 
-def test_51_cartesian_actions_end_before_a_singularity_and_keep_to_the_limits(lab):
+def test_51_cartesian_actions_end_before_a_singularity(lab):
     lab.make(action_mode="tcp_delta")
     lab.env.reset(seed=0)
     action = np.zeros((2, 6))

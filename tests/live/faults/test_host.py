@@ -23,7 +23,7 @@ LATCHED = "the program that sends targets has ended"
 
 
 def in_step(lab):
-    """No target was sent right behind another one, to catch up."""
+    """Check that no target was sent right after another one to catch up."""
     for memory in lab.runner.arms:
         sent = memory.sent()[0]
         assert (np.diff(sent.period) >= 1).all()
@@ -36,7 +36,7 @@ def in_step(lab):
 
 
 @pytest.mark.parametrize("periods", [1, 5] if soak.SOAK else [5])
-def test_54_a_process_that_is_held_up_for_short_leaves_out_what_is_late(lab, periods):
+def test_54_a_short_stall_skips_late_targets(lab, periods):
     lab.begin()
     for k in range(12):
         lab.suspend(lab.pids[k % 2])
@@ -64,7 +64,7 @@ def test_54_a_process_that_is_held_up_for_long_stops_both(lab, who):
 
 
 @pytest.mark.parametrize("who", ["left", "right"] if soak.SOAK else ["right"])
-def test_54_the_supervisor_ends_a_program_whose_process_and_watchdog_do_nothing(lab, who):
+def test_54_the_supervisor_ends_a_program_without_its_watchdog(lab, who):
     lab.begin()
     starved = lab.starved()
     lab.turn("watchdog", {"on": True}, arm=who, on=False)
@@ -86,7 +86,7 @@ def test_11_a_process_that_is_killed_stops_both(lab, who):
 
 
 @pytest.mark.parametrize("who", ["all", "program", "arms", "supervisor"] if soak.SOAK else ["all"])
-def test_56_a_machine_that_was_asleep_sends_nothing_when_it_wakes(lab, who):
+def test_56_a_machine_sends_nothing_when_it_wakes(lab, who):
     process = lab.program("rollout", "SineTracking", "-n", "1", "--no-record")
     lab.wait_until_moving(process)
     started = descendants(process.pid)
@@ -114,7 +114,7 @@ SIGNALS = 200 if soak.SOAK else 4
 
 
 @pytest.mark.parametrize("number", range(KILLS))
-def test_57_a_runner_that_is_killed_leaves_both_arms_at_rest_and_a_whole_record(lab, number, tmp_path):
+def test_57_a_killed_runner_leaves_arms_at_rest_and_a_record(lab, number, tmp_path):
     """Even numbers: the program alone; odd ones: all of its processes."""
     process = lab.program("rollout", "SineTracking", "-n", "1", "--record", str(tmp_path))
     lab.wait_until_moving(process)
@@ -141,7 +141,7 @@ def test_57_a_runner_that_is_killed_leaves_both_arms_at_rest_and_a_whole_record(
 
 
 def assert_no_gap(run):
-    """All states that a controller told are there, up to the end."""
+    """Check that all reported states are recorded up to the end."""
     for arm in run.arms:
         times = arm.state["timestamp_s"]
         assert len(times) > 20
@@ -151,7 +151,7 @@ def assert_no_gap(run):
 
 
 @pytest.mark.parametrize("number", range(SIGNALS))
-def test_57_a_runner_that_is_interrupted_at_any_time_leaves_both_arms_at_rest(lab, number, tmp_path):
+def test_57_an_interrupted_runner_leaves_both_arms_at_rest(lab, number, tmp_path):
     """Even numbers: Ctrl-C; odd ones: SIGTERM. Every other two: twice."""
     rng = random.Random(number)
     process = lab.program("rollout", "SineTracking", "-n", "1", "--record", str(tmp_path))
@@ -185,7 +185,7 @@ def test_57_a_runner_that_is_interrupted_at_any_time_leaves_both_arms_at_rest(la
 
 @pytest.mark.skipif(not soak.SOAK, reason="in a soak")
 @pytest.mark.parametrize("moving", [False, True])
-def test_57_ctrl_c_in_a_program_is_a_controlled_stop_and_no_fault(lab, moving):
+def test_57_ctrl_c_is_a_controlled_stop_and_no_fault(lab, moving):
     lab.begin(steps=5)
     if not moving:
         lab.env.unwrapped.core.cell.finish()
@@ -196,7 +196,7 @@ def test_57_ctrl_c_in_a_program_is_a_controlled_stop_and_no_fault(lab, moving):
 
 
 @pytest.mark.parametrize("where", ["/proc/nowhere", "/dev/full"] if soak.SOAK else ["/dev/full"])
-def test_59_a_record_that_cannot_be_written_is_refused_before_anything_moves(lab, where):
+def test_59_an_unwritable_record_is_refused_before_any_motion(lab, where):
     with pytest.raises(RecordingError, match="cannot make a folder for the run"):
         lab.make(record=where)
     lab.assert_nothing_has_moved()

@@ -25,7 +25,7 @@ OTHER = {"left": "right", "right": "left"}
 
 
 @pytest.mark.parametrize("port", PORTS if soak.SOAK else ["realtime", "rtde"])
-def test_17_an_arm_that_takes_no_connections_is_named_and_nothing_moves(lab, port):
+def test_17_an_arm_without_connections_is_named(lab, port):
     lab.turn("refuse", {}, arm="right", port=port)
     with pytest.raises(StartError) as found:
         lab.make()
@@ -46,7 +46,7 @@ def test_18_an_arm_that_never_answers_is_given_up(lab, port):
     lab.assert_nothing_has_moved((0, 1) if port == "realtime" else (0, 0))
 
 
-def test_18_a_controller_that_never_runs_the_control_script_is_given_up(lab, monkeypatch):
+def test_18_a_controller_without_the_control_script_is_given_up(lab, monkeypatch):
     monkeypatch.setattr(runner, "_READY_S", 3.0)
     lab.turn("script_delay", {"seconds": 0.0}, arm="right", seconds=10.0)
     with pytest.raises(LinkError, match=f"right.*{lab.cell.right}"):
@@ -93,7 +93,7 @@ def test_27_registers_that_somebody_else_has_are_refused(lab):
 @pytest.mark.parametrize("arm", ARMS if soak.SOAK else ["left"])
 @pytest.mark.parametrize("reset", [True, False] if soak.SOAK else [True])
 @pytest.mark.parametrize("port", ["rtde", "all"] if soak.SOAK else ["rtde"])
-def test_19_a_connection_that_ends_stops_both_and_is_not_made_again(lab, port, reset, arm):
+def test_19_a_lost_connection_stops_both_and_stays_lost(lab, port, reset, arm):
     lab.begin()
     before = lab.programs()
     lab.do("drop", arm=arm, port=port, reset=reset)
@@ -103,7 +103,7 @@ def test_19_a_connection_that_ends_stops_both_and_is_not_made_again(lab, port, r
 
 
 @pytest.mark.parametrize("trial", range(soak.scaled(60)))
-def test_19_ur_rtde_alone_that_loses_its_connection_starts_nothing_anew(lab, trial):
+def test_19_ur_rtde_does_not_restart_a_lost_connection(lab, trial):
     """What it would do by itself: connect again, start its script anew and send its last command, all without a
     watchdog. The other connections of an arm's process stand, and notice nothing."""
     arm = ARMS[trial % 2]
@@ -133,7 +133,7 @@ def test_20_a_controller_that_falls_silent_stops_both(lab, arm):
 
 
 @pytest.mark.parametrize("arm", ARMS if soak.SOAK else ["right"])
-def test_21_23_a_controller_that_takes_nothing_stops_both_and_old_targets_go_nowhere(lab, arm):
+def test_21_23_a_deaf_controller_stops_both(lab, arm):
     lab.begin()
     starved = lab.starved()
     lab.turn("watchdog", {"on": True}, arm=arm, on=False)  # it would be starved, too: this shows who else stops the arm
@@ -148,7 +148,7 @@ def test_21_23_a_controller_that_takes_nothing_stops_both_and_old_targets_go_now
     assert lab.starved() == starved, "its watchdog came before"
 
 
-def test_23_a_network_that_stalls_and_then_delivers_all_at_once_stops_both(lab):
+def test_23_a_network_that_stalls_stops_both(lab):
     lab.begin()
     lab.turn("link", {"mute": False, "frozen": False}, arm="left", port="rtde", mute=True, frozen=True)
     time.sleep(0.2)
@@ -183,7 +183,7 @@ def test_24_damaged_packets_stop_both(lab, arm, damage):
 @pytest.mark.skipif(not soak.SOAK, reason="in a soak")
 @pytest.mark.parametrize("corrupt", [1, 20, 1000])
 @pytest.mark.parametrize("arm", ARMS)
-def test_24_bytes_that_are_changed_stop_both_or_are_not_looked_at(lab, arm, corrupt):
+def test_24_changed_bytes_stop_both_or_are_ignored(lab, arm, corrupt):
     lab.begin()
     lab.turn("link", {"corrupt": 0}, arm=arm, port="rtde", corrupt=corrupt)
     if corrupt < 1000:  # bytes of numbers that nobody looks at may go unnoticed

@@ -1,4 +1,4 @@
-"""What a policy does wrong: rows 1 to 16 of the table of faults in `docs/explanation/safety.md`."""
+"""Faults of a policy: rows 1 to 16 of the table of faults in `docs/explanation/safety.md`."""
 
 import time
 
@@ -78,7 +78,7 @@ def test_5_6_the_wildest_legal_actions_keep_to_the_limits(lab, actions):
     assert 1e-3 < moved.max() < 0.5
 
 
-def test_5_what_is_out_of_the_action_space_is_clipped_as_in_simulation(lab):
+def test_5_actions_are_clipped_as_in_simulation(lab):
     env = gym.make("DualUR10/SineTracking-v0", action_latency_ticks=5, disable_env_checker=True)
     env.reset(seed=0)
     lab.begin(steps=0)
@@ -94,7 +94,7 @@ def test_5_what_is_out_of_the_action_space_is_clipped_as_in_simulation(lab):
     assert np.array_equal(*ends)
 
 
-def test_7_the_same_action_for_ever_ends_at_rest_short_of_everything(lab):
+def test_7_one_action_for_ever_ends_at_rest(lab):
     lab.begin(steps=0)
     action = np.zeros((2, 6))
     action[:, 1] = 1.0  # both arms bow to the table
@@ -114,7 +114,7 @@ def test_7_the_same_action_for_ever_ends_at_rest_short_of_everything(lab):
 
 
 @pytest.mark.parametrize(("row", "late_s"), [(8, 0.08), (9, 0.3)])
-def test_8_9_an_action_that_comes_late_finds_both_arms_at_rest_and_goes_on(lab, row, late_s, tmp_path):
+def test_8_9_a_late_action_finds_both_arms_stopped(lab, row, late_s, tmp_path):
     lab.begin(record=str(tmp_path))
     core = lab.env.unwrapped.core
     before = core.late_actions
@@ -202,7 +202,7 @@ def test_11_a_policy_that_takes_its_process_with_it_stops_both(lab, end):
     lab.assert_within_hard_limits()
 
 
-def test_12_a_policy_that_fails_stops_both_and_its_traceback_is_kept(lab):
+def test_12_a_policy_that_raises_stops_both(lab):
     class Failing(Swing):
         def __call__(self, observation=None):
             if self._steps == 20:
@@ -258,7 +258,7 @@ def test_15_an_action_that_its_policy_changes_later_was_copied(lab):
     assert lab.latch.read() is None
 
 
-def test_16_a_policy_for_other_observations_is_refused_before_it_acts(lab):
+def test_16_a_policy_for_other_observations_is_refused(lab):
     lab.make()
     policy = policies.load("scripted", "DualUR10/SyncCarry-v0")
     with pytest.raises(ActionError):

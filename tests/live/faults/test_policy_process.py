@@ -1,4 +1,4 @@
-"""One and the same policy, in a process that holds no environment and no cell, on both kinds of cells."""
+"""One policy, in a process without environment and cell, on both kinds of cells."""
 
 import subprocess
 import sys
@@ -32,7 +32,7 @@ for name in ("mujoco", "rtde_control", "dual_ur10.sim2real.runtime.rtde_cell"):
 
 
 class Remote:
-    """Asks it for actions by its pipes."""
+    """Policy that asks a process for actions over its pipes."""
 
     def __init__(self, size):
         self.process = subprocess.Popen(
@@ -60,7 +60,7 @@ class Remote:
         assert kind is not None or self.process.returncode == 0, text
 
 
-def test_a_policy_that_knows_only_observations_acts_on_both_kinds_of_cells(lab):
+def test_a_remote_policy_acts_on_both_kinds_of_cells(lab):
     errors, keywords = [], {"action_latency_ticks": LATENCY}
     for cell in ("mujoco", None):
         if cell is None:

@@ -19,13 +19,13 @@ WRITTEN_TICKS = 150  # until the recorder writes, and the program hears of it
 
 
 def full(lab):
-    """From now on the disk has no room for what is recorded."""
+    """Let the disk have no room for records from now on."""
     lab.note()
     process = lab.env.unwrapped.core.recorder.process
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (1000, 1000))
 
 
-def test_59_a_disk_that_is_full_is_said_and_stops_both_if_that_was_asked_for(lab, tmp_path):
+def test_59_a_full_disk_stops_both_on_request(lab, tmp_path):
     lab.begin(record=str(tmp_path), record_failure="stop")
     full(lab)
     error = lab.step_until_faulted()
@@ -35,7 +35,7 @@ def test_59_a_disk_that_is_full_is_said_and_stops_both_if_that_was_asked_for(lab
     assert not read_run(folder, allow_partial=True).complete
 
 
-def test_59_a_disk_that_is_full_is_said_and_the_arms_go_on_otherwise(lab, tmp_path, caplog):
+def test_59_arms_continue_on_a_full_disk_otherwise(lab, tmp_path, caplog):
     lab.begin(record=str(tmp_path))
     full(lab)
     for _ in range(50):
@@ -94,7 +94,7 @@ def test_60_numbers_that_are_none_are_refused_by_their_row(lab, recorded):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
-def test_60_a_recording_that_was_cut_off_is_refused_unless_asked_for(recorded, tmp_path, share):
+def test_60_a_truncated_recording_is_refused_by_default(recorded, tmp_path, share):
     folder = tmp_path / recorded.name
     shutil.copytree(recorded, folder)
     data = (folder / "run.mcap").read_bytes()

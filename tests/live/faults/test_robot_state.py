@@ -1,4 +1,4 @@
-"""What goes wrong at a robot while it moves: rows 29 to 43 of the table of faults in `docs/explanation/safety.md`."""
+"""Faults of a moving robot: rows 29 to 43 of the table of faults in `docs/explanation/safety.md`."""
 
 import contextlib
 import logging
@@ -145,7 +145,7 @@ def test_38_an_arm_that_loses_its_power_or_its_senses_stops_both(lab, values):
     lab.assert_stopped(lab.step_until_faulted(), "left: ")
 
 
-def test_30_an_emergency_stop_and_power_that_comes_back_move_nothing(lab):
+def test_30_nothing_moves_after_an_emergency_stop(lab):
     lab.begin()
     lab.do("stop", arm="left", mode=7)
     error = lab.step_until_faulted()

@@ -87,7 +87,7 @@ def test_34_a_slider_that_is_down_is_refused(lab):
 AWAY = [0.3, 0.0, 0.0, 0.0, 0.2, 0.0]
 
 
-def test_44_far_from_the_start_a_person_agrees_to_a_slow_way(lab):
+def test_44_a_slow_approach_needs_confirmation(lab):
     lab.make()
     lab.env.reset(seed=0)
     lab.close_env()
@@ -116,7 +116,7 @@ def test_44_far_from_the_start_a_person_agrees_to_a_slow_way(lab):
         np.testing.assert_allclose(lab.ask(arm, "target_q")[0], home[arm], atol=1e-4)
 
 
-def test_44_a_first_target_that_is_not_where_the_arm_is_is_not_sent(lab):
+def test_44_a_first_target_away_from_the_arm_is_not_sent(lab):
     lab.make()
     there = np.array([joints(lab, arm) for arm in ARMS])
     there[1, 3] += 0.021
@@ -143,7 +143,7 @@ def test_45_an_arm_that_moves_is_refused(lab):
     lab.assert_nothing_executed()
 
 
-def test_45_an_arm_that_is_pushed_before_its_first_target_is_not_led(lab):
+def test_45_an_arm_pushed_before_its_first_target_is_not_moved(lab):
     lab.make()
     lab.override("left", actual_qd=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
     with pytest.raises(StartError, match=r"left cannot begin: it moves at 0\.100 rad/s"):
@@ -154,7 +154,7 @@ def test_45_an_arm_that_is_pushed_before_its_first_target_is_not_led(lab):
 @pytest.mark.parametrize(
     ("row", "joint", "value"), [(46, 5, 6.25), (46, 0, -6.2), (47, 2, 3.2)][:: 1 if soak.SOAK else 2]
 )
-def test_46_47_a_joint_near_its_end_is_not_turned_the_other_way_round(lab, row, joint, value):
+def test_46_47_a_joint_near_its_end_is_not_rotated_beyond(lab, row, joint, value):
     lab.make()
     told = joints(lab, "left").tolist()
     told[joint] = value
@@ -164,7 +164,7 @@ def test_46_47_a_joint_near_its_end_is_not_turned_the_other_way_round(lab, row, 
     assert len(lab.executed("left")) == len(lab.executed("right")) == 0
 
 
-def test_46_a_turn_too_many_is_gone_back_all_the_way_or_not_at_all(lab):
+def test_46_an_extra_turn_is_undone_completely_or_refused(lab):
     asked = []
     lab.make(confirm=lambda question: asked.append(question))
     told = joints(lab, "left").tolist()

@@ -15,7 +15,7 @@ TRIALS = scaled(200)
 SPOILED = max(5, TRIALS // 5)
 
 
-def test_29_the_other_arm_is_sent_its_last_target_within_two_periods(lab):
+def test_29_the_other_arm_stops_within_two_periods(lab):
     lab.mark()
     drawn = random.Random(0)
     ways = list(itertools.product(CODES, range(2)))

@@ -1,4 +1,4 @@
-"""What emulated controllers received, and what must hold of it. Time is counted in their control periods."""
+"""Packets that emulated controllers received, counted in their control periods, and their limits."""
 
 import math
 import time
@@ -21,7 +21,7 @@ _IN_STEP = 0.6  # of the packages come in the control period that they are for
 
 
 class ViolationError(AssertionError):
-    """An arm was sent what it must never be sent. It is told at the first time, however busy the machine is."""
+    """Forbidden packet to an arm. It fails the test at once, however busy the machine is."""
 
 
 def demand(holds, text):
@@ -31,12 +31,12 @@ def demand(holds, text):
 
 
 def ramp_ticks(speed_rad_s, tick_s):
-    """Control periods in which a stop brings an arm to rest from this speed."""
+    """Return the control periods of a stop ramp from this speed."""
     return math.ceil((speed_rad_s / STOP_RAD_S2 + STOP_RAD_S2 / STOP_RAD_S3) / tick_s) + RAMP_TICKS
 
 
 def derivative(period, target_rad, order, tick_s):
-    """Divided differences of targets, (k, 6) in rad and s, whatever periods were left out."""
+    """Return divided differences of targets, (k, 6), whatever periods were skipped."""
     time_s, level = period * tick_s, target_rad
     for each in range(1, order + 1):
         level = each * np.diff(level, axis=0) / (time_s[each:] - time_s[:-each])[:, None]
@@ -44,7 +44,7 @@ def derivative(period, target_rad, order, tick_s):
 
 
 class Wire:
-    """What one controller was sent since `begin`, and what its sender has noted of it.
+    """Packets that one controller received since `begin`, and its sender's log.
 
     Args:
         cell: The emulated cell.
@@ -56,28 +56,28 @@ class Wire:
         self.begin()
 
     def begin(self):
-        """From here on it counts."""
+        """Count from here on."""
         found = self.received()
         self._first, self._next, self.uploads_before = found["motion"], found["motion"], found["uploads"]
         self._packages, self._noted, self._noted_next, self.memory = [], [], 0, None
 
     def received(self):
-        """What the controller has counted."""
+        """Return the controller's counters."""
         return self._cell.ask("received", arm=self.arm, since=1 << 40)
 
     @property
     def uploads(self):
-        """Programs that were uploaded."""
+        """Uploaded programs."""
         return self.received()["uploads"] - self.uploads_before
 
     def collect(self):
-        """Take in what is new."""
+        """Collect new packets."""
         self.note()
         self._packages += self._cell.packages(self.arm, self._next)
         self._next = self._first + len(self._packages)
 
     def note(self):
-        """Take in what the sender has noted, before it forgets it."""
+        """Collect the sender's log before it is overwritten."""
         if self.memory is not None and self.memory.sent_count > self._noted_next:  # it is all zeros when it was closed
             sent, count = self.memory.sent(self._noted_next)
             new = count - self._noted_next
@@ -86,7 +86,7 @@ class Wire:
             self._noted_next = count
 
     def packages(self):
-        """Control periods in which packages came, (k,), and their targets, (k, 6)."""
+        """Return the control periods of packets, (k,), and their targets, (k, 6)."""
         self.collect()
         others = {command for _, command, _ in self._packages} - {SERVOJ}
         demand(not others, f"{self.arm}: motion commands {sorted(others)} were sent, and not servoj alone")
@@ -94,7 +94,7 @@ class Wire:
         return ticks, np.array([numbers for _, _, numbers in self._packages]).reshape(-1, 6)
 
     def speeds_rad_s(self, tick_s):
-        """Speed of the fastest joint over some packages each, (k,): up to that package."""
+        """Return the speed of the fastest joint over some packets each, (k,), up to that packet."""
         ticks, targets = self.packages()
         if len(ticks) <= _OVER:
             return np.zeros(len(ticks))
@@ -103,7 +103,7 @@ class Wire:
         return np.concatenate([np.zeros(_OVER), speeds])
 
     def assert_hard_limits(self, tick_s):
-        """Nothing is faster than an arm's process lets out, whoever asks."""
+        """Check packets against the hard limits of an arm's process."""
         ticks, targets = self.packages()
         demand(np.isfinite(targets).all(), f"{self.arm}: a target is not finite")
         over = np.maximum(ticks[_OVER:] - ticks[:-_OVER], _OVER) + 1
@@ -111,7 +111,7 @@ class Wire:
         demand(used.max(initial=0.0) <= 1.0, f"{self.arm}: {used.max(initial=0.0):.3f} of the hardest speed")
 
     def assert_limits(self, limits, tick_s, executed):
-        """Speed, acceleration and jerk of what came are within the limits, from its first package on.
+        """Check speed, acceleration and jerk of all packets against the limits.
 
         What came must be all that the sender has noted, in order, to the last bit, and in the control periods that it
         has noted, but for some that a busy machine delivers early or late. What was executed must be what came, in
@@ -163,7 +163,7 @@ class Wire:
         return count
 
     def assert_rested(self, tick, tick_s):
-        """What came from a control period on has led the arm to rest."""
+        """Check that the packets from a control period on stopped the arm."""
         ticks, targets = self.packages()
         begin = int(np.searchsorted(ticks, tick))
         before = float(self.speeds_rad_s(tick_s)[max(begin - 1, 0) : begin + 1].max(initial=0.0))

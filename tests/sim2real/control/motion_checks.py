@@ -1,4 +1,4 @@
-"""What the safety tests share: adversarial actions, and limits checked from their definition."""
+"""Checks shared by the safety tests: adversarial actions, and limits computed from their definition."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ACTION_KINDS = ("huge", "alternating", "denormal", "zero", "random", "constant",
 
 
 class AlwaysClear:
-    """Stands for `Clearance` where only the limits matter."""
+    """Stub of `Clearance` without bodies."""
 
     def spare_m(self, q_rad: np.ndarray) -> np.ndarray:
         return np.ones((len(q_rad), 1))
@@ -64,8 +64,8 @@ def elbow_position(q_rad: np.ndarray) -> np.ndarray:
     return np.stack([np.cos(q_rad[..., 0]) * reach, np.sin(q_rad[..., 0]) * reach, height], axis=-1)
 
 
-def tip_speed(sent: np.ndarray, tick_s: float, tcp_m: object = ((0, 0, 0), (0, 0, 0))) -> np.ndarray:
-    """(n, t - 1) largest speed of both arms' elbows, flanges and tool centre points over (n, t, 2, 6) targets."""
+def cartesian_speed(sent: np.ndarray, tick_s: float, tcp_m: object = ((0, 0, 0), (0, 0, 0))) -> np.ndarray:
+    """Return the largest Cartesian speed of both arms, (n, t - 1), over targets (n, t, 2, 6)."""
     position, rotation = flange_pose(sent)
     tool = position + np.einsum("ntaij,aj->ntai", rotation, np.asarray(tcp_m))
     points = np.stack([elbow_position(sent), position, tool])
@@ -74,7 +74,7 @@ def tip_speed(sent: np.ndarray, tick_s: float, tcp_m: object = ((0, 0, 0), (0, 0
 
 
 def worst_use(sent: np.ndarray, limits: MotionLimits, tick_s: float) -> dict[str, float]:
-    """Largest used share of each limit over (n, t, 2, 6) targets; of the position's, the excess in rad plus 1."""
+    """Return the largest used fraction of each limit over (n, t, 2, 6); of positions, the excess in rad plus 1."""
     speed = np.diff(sent, axis=1) / tick_s
     acceleration = np.diff(speed, axis=1) / tick_s
     jerk = np.diff(acceleration, axis=1) / tick_s
@@ -84,7 +84,7 @@ def worst_use(sent: np.ndarray, limits: MotionLimits, tick_s: float) -> dict[str
         "acceleration": float(np.abs(acceleration).max() / limits.acceleration_rad_s2),
         "jerk": float(np.abs(jerk).max() / limits.jerk_rad_s3),
         "position": 1.0 + float(beyond),
-        "tip": float(tip_speed(sent, tick_s, limits.tcp_m).max() / limits.tcp_speed_m_s),
+        "tip": float(cartesian_speed(sent, tick_s, limits.tcp_m).max() / limits.tcp_speed_m_s),
     }
 
 
@@ -94,7 +94,7 @@ def assert_within(sent: np.ndarray, limits: MotionLimits, tick_s: float, toleran
 
 
 def braked(last_three: np.ndarray, limits: MotionLimits, tick_s: float) -> np.ndarray:
-    """(n, t, 2, 6) the three targets and the brake after them, by its definition, until it has all but stopped."""
+    """Return three targets and the brake after them, (n, t, 2, 6), by its definition."""
     ratio = np.exp(-limits.brake_rate() * tick_s)
     sent = list(np.moveaxis(last_three, 1, 0))
     for _ in range(int(12.0 / (limits.brake_rate() * tick_s)) + 10):

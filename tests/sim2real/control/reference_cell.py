@@ -1,4 +1,4 @@
-"""An independent cell for tests: DH products, distances by hand, and unusual arms and mounts."""
+"""Independent reference cell: DH products, distances by hand, and unusual arms and mounts."""
 
 import mujoco
 import numpy as np
@@ -23,7 +23,7 @@ UNEQUAL = SceneSettings(
 
 
 def dh_product(q, dh=NOMINAL_DH):
-    """Textbook product of standard DH matrices: flange in UR's base frame, (4, 4)."""
+    """Return the product of standard DH matrices: flange in UR's base frame, (4, 4)."""
     T = np.eye(4)
     for theta, a, d, alpha in zip(np.add(q, dh.theta_rad), dh.a_m, dh.d_m, dh.alpha_rad, strict=True):
         ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
@@ -32,7 +32,7 @@ def dh_product(q, dh=NOMINAL_DH):
 
 
 def planar(position, yaw):
-    """Pose of a frame turned about z only, (4, 4)."""
+    """Return the pose of a frame rotated about z only, (4, 4)."""
     T = np.eye(4)
     T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
     T[:3, 3] = position
@@ -40,7 +40,7 @@ def planar(position, yaw):
 
 
 def angle(a, b):
-    """Angle between two rotation matrices; exact near zero, unlike the arc cosine of the trace."""
+    """Return the angle between two rotation matrices; exact near zero, unlike the arc cosine of the trace."""
     return 2 * np.arcsin(min(1.0, np.linalg.norm(a - b) / np.sqrt(8)))
 
 
@@ -55,7 +55,7 @@ def random_q(rng, n):
 
 
 def contacts(model, q):
-    """Pairs of geom names in contact at (2, 6) joint positions."""
+    """Return the pairs of geom names in contact at (2, 6) joint positions."""
     data = mujoco.MjData(model)
     data.qpos[:12] = np.ravel(q)
     mujoco.mj_forward(model, data)

@@ -45,7 +45,7 @@ def at_home(n: int = 1, profile: ServojProfile = CB3, ticks: int = 5, limits: Mo
 
 
 def played(adapter: ServojAdapter, actions: np.ndarray) -> np.ndarray:
-    """(n, periods * ticks, 2, 6) targets of all actions, (periods, n, 2, size)."""
+    """Return the targets of all actions, (periods, n, 2, size), as (n, periods * ticks, 2, 6)."""
     return np.concatenate([adapter(action).targets_rad for action in actions], axis=1)
 
 
@@ -61,7 +61,7 @@ def actions_of_all_kinds(n: int, periods: int, seed: int = 0, size: int = 6) -> 
 
 
 def sine_error(profile: ServojProfile, compensate_lag: bool, true_s: float | None = None, **more) -> float:
-    """Largest distance of the law's output, at the ends of the periods, from a 0.5 Hz, 0.25 rad sine, once settled.
+    """Return the largest settled error of the law's output from a 0.5 Hz, 0.25 rad sine.
 
     `true_s` is the lookahead of the arms; None: what their controllers are told.
     """
@@ -111,7 +111,7 @@ def test_what_is_measured_as_told_changes_no_bit(mode: str) -> None:
 
 
 def in_real_time(sent: np.ndarray, start: np.ndarray, profile: ServojProfile, factor: float, count: int) -> np.ndarray:
-    """(count, 12) where the arms are after each control period, of targets, (t, 2, 6), that pass at `factor`."""
+    """Return the arms' positions after each control period, (count, 12), of targets, (t, 2, 6), at a time scaling."""
     memories = [ArmMemory(), ArmMemory()]
     for arm, memory in enumerate(memories):
         for first in range(0, len(sent), 1000):
@@ -129,7 +129,7 @@ def in_real_time(sent: np.ndarray, start: np.ndarray, profile: ServojProfile, fa
 
 
 def slowed_error(profile: ServojProfile, factor: float, told: float, compensate_lag: bool = True) -> float:
-    """Largest distance of an arm from where it should be, where the time of its targets passes at `factor`.
+    """Return the largest tracking error of an arm at a time scaling.
 
     Args:
         profile: Of its controller, which knows nothing of that: its law goes on in real time.
@@ -361,7 +361,7 @@ def test_after_a_limit_was_met_the_arms_follow_again(
 
 @pytest.mark.parametrize(("profile", "ticks"), [(CB3, 5), (E_SERIES, 20)])
 def test_commands_that_jump_lead_no_arm_the_wrong_way(profile: ServojProfile, ticks: int) -> None:
-    """As where a policy goes on after a late action has stopped both arms: a little back, then on as before."""
+    """As after a late action has stopped both arms: a little back, then on as before."""
     adapter = at_home(profile=profile, ticks=ticks, limits=MotionLimits(speed_rad_s=(1.0,) * 6))
     direction = np.array([[0.1, 0.5, -0.5, 0.1, 0.0, 1.0], [-0.1, -0.8, 1.0, -0.2, 0.0, 0.8]])
     behind = []
@@ -376,9 +376,7 @@ def test_commands_that_jump_lead_no_arm_the_wrong_way(profile: ServojProfile, ti
 @pytest.mark.parametrize("compensate_lag", [True, False])
 @pytest.mark.parametrize("mode", ["joint_delta", "joint_position"])
 @pytest.mark.parametrize("direction", [-1.0, 1.0])
-def test_a_joint_pushed_against_its_limit_stops_there_and_holds_nobody(
-    compensate_lag: bool, mode: str, direction: float
-) -> None:
+def test_a_joint_at_its_limit_does_not_hold_the_others(compensate_lag: bool, mode: str, direction: float) -> None:
     adapter = at_home(limits=NARROW, mode=mode, compensate_lag=compensate_lag)
     periods, joint = 400, 2
     actions = np.zeros((periods, 1, 2, 6)) if mode == "joint_delta" else np.tile(HOME_Q_RAD, (periods, 1, 1, 1))
@@ -476,7 +474,7 @@ def test_a_cell_is_the_same_alone_and_among_others(mode: str, limits: MotionLimi
 
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("through", [lambda adapter: pickle.loads(pickle.dumps(adapter)), copy.deepcopy])
-def test_the_same_actions_give_the_same_targets_also_after_pickling(mode: str, through) -> None:
+def test_equal_actions_give_equal_targets_after_pickling(mode: str, through) -> None:
     actions = actions_of_all_kinds(9, 40)
     first, second = at_home(n=9, mode=mode), at_home(n=9, mode=mode)
     np.testing.assert_array_equal(played(first, actions[:20]), played(second, actions[:20]))

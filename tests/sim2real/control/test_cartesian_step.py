@@ -1,4 +1,4 @@
-"""Cartesian steps become smaller towards a singularity, end before it, and lead away from it at full speed."""
+"""Cartesian steps shrink towards a singularity, end before it, and lead away from it at full speed."""
 
 import numpy as np
 import pytest
@@ -61,7 +61,7 @@ def test_rows_do_not_depend_on_each_other(q):
 
 
 def along(adapter, joint, way):
-    """The action that turns one joint of the left arm alone, as far as flange steps can."""
+    """Return the action that rotates one joint of the left arm alone, as far as flange steps can."""
     q = adapter.commanded_q_rad[0, 0]
     twist = jacobian(q)[:, joint] * way
     twist[[0, 1, 3, 4]] *= -1.0  # `base` is half a turn from the cell's frame
@@ -72,7 +72,7 @@ def along(adapter, joint, way):
 
 
 @pytest.mark.parametrize(("joint", "at_rad"), SINGULARITIES.values(), ids=SINGULARITIES)
-def test_flange_steps_end_before_a_singularity_and_lead_back_from_it(joint, at_rad):
+def test_flange_steps_end_before_a_singularity_and_lead_back(joint, at_rad):
     adapter = ServojAdapter(ServojProfile(), HARD, 5, mode="tcp_delta")
     adapter.reset(HOME_Q_RAD[None])
     way = np.sign(at_rad - HOME_Q_RAD[0, joint])
@@ -104,7 +104,7 @@ def test_turning_the_base_near_a_singularity_is_not_held_back():
 
 
 @pytest.mark.parametrize("period_ticks", [1, 5, 12])
-def test_an_arm_that_stretches_at_full_speed_comes_to_rest_before_it_is_stretched(period_ticks):
+def test_an_arm_that_stretches_stops_before_it_is_singular(period_ticks):
     adapter = ServojAdapter(ServojProfile(), HARD, period_ticks, mode="tcp_delta")
     adapter.reset(HOME_Q_RAD[None])
     action = np.zeros((1, 2, 6))
@@ -115,7 +115,7 @@ def test_an_arm_that_stretches_at_full_speed_comes_to_rest_before_it_is_stretche
     assert np.ptp(sent[-50:], axis=0).max() < 1e-3
 
 
-def test_a_flange_that_is_drawn_in_above_the_base_comes_to_rest_before_the_shoulder_is_singular():
+def test_a_flange_above_the_base_stops_before_it_is_singular():
     adapter = ServojAdapter(ServojProfile(), HARD, 5, mode="tcp_delta")
     adapter.reset(HOME_Q_RAD[None])
     action = np.zeros((1, 2, 6))

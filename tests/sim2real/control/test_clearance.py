@@ -1,4 +1,4 @@
-"""Distances between the arms, themselves and the table, and which of them are refused."""
+"""Distances between the arms, themselves and the table, and their refusal."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_a_larger_minimum_refuses_more() -> None:
     assert not Clearance(SceneSettings(), minimum_m=nearest * 1.01).is_clear(HOME[None])[0]
 
 
-def test_pairs_with_a_limit_of_their_own_may_come_as_close_as_that() -> None:
+def test_pairs_with_their_own_limit_may_come_that_close() -> None:
     distances = Clearance(SceneSettings()).distances_m(NEAR_TABLE[None])[0]
     pairs = clearance_pairs(SceneSettings())
     near = {pair: float(d) for pair, d in zip(pairs, distances, strict=True) if d < MINIMUM_M}

@@ -1,4 +1,4 @@
-"""Grippers in the twin that measures distances: nothing that can meet is left out, and boxes are measured exactly."""
+"""Grippers in the collision model: complete, and with exact boxes."""
 
 import dataclasses
 
@@ -67,7 +67,7 @@ def test_every_possible_contact_is_measured(apart_m):
 
 
 def reach(name):
-    """The geom of the twin that stands for one of the cell."""
+    """Return the geom of the collision model that stands for one of the cell."""
     arm, _, part = name.partition("/")
     return f"{arm}/fingers" if part.startswith(("finger", "pad")) else name
 
@@ -153,7 +153,7 @@ def test_the_capsule_of_the_fingers_holds_their_box(twin):
 
 
 def box_to_box(model, data, a, b):
-    """Distance of two boxes by least squares; negative by the axis of least overlap when they meet."""
+    """Return the distance of two boxes by least squares; negative by the axis of least overlap."""
     (pa, Ra, sa), (pb, Rb, sb) = (
         (data.geom_xpos[g], data.geom_xmat[g].reshape(3, 3), model.geom_size[g]) for g in (a, b)
     )
@@ -168,7 +168,7 @@ def box_to_box(model, data, a, b):
 
 
 def box_to_capsule(model, data, box, capsule):
-    """Distance of box and capsule; negative, and no more than that, when they meet."""
+    """Return the distance of box and capsule; any negative number if they meet."""
     points = (segment(model, data, capsule, 2001) - data.geom_xpos[box]) @ data.geom_xmat[box].reshape(3, 3)
     beyond = np.maximum(np.abs(points) - model.geom_size[box], 0.0)
     return np.linalg.norm(beyond, axis=1).min() - model.geom_size[capsule, 0]

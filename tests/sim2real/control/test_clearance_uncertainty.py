@@ -1,4 +1,4 @@
-"""What is not known of where the bases stand is kept as distance, once for each base that it is about."""
+"""Extra clearance for the uncertainty of the base poses, once for each base of a pair."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ UNCERTAIN = ((0.004, 0.011), (0.007, 0.006))
 
 
 def moved(model: mujoco.MjModel, settings: SceneSettings, rng: np.random.Generator, uncertainty) -> mujoco.MjModel:
-    """The model, with both bases as far off as they may be, whereto by chance."""
+    """Return the model with both bases at a random largest error."""
     shifts, turns = [], []
     for shift, turn in uncertainty:
         shifts.append(shift * unit(rng))
@@ -53,7 +53,7 @@ def moved(model: mujoco.MjModel, settings: SceneSettings, rng: np.random.Generat
 
 
 def allowed(clearance: Clearance) -> np.ndarray:
-    """(pairs,) smallest legal distances at home."""
+    """Return the smallest legal distances at home, (pairs,)."""
     return clearance.allowed_m(HOME_Q_RAD.reshape(1, 12))[0]
 
 
@@ -62,7 +62,7 @@ def unit(rng: np.random.Generator) -> np.ndarray:
     return direction / np.linalg.norm(direction)
 
 
-def test_no_base_within_the_uncertainty_brings_anything_closer_than_allowed() -> None:
+def test_no_base_error_brings_a_pair_closer_than_allowed() -> None:
     rng = np.random.default_rng(1)
     believed = build_collision_model(FURNISHED)
     data = mujoco.MjData(believed)
@@ -126,7 +126,7 @@ def test_nothing_gets_further_from_its_base_than_its_reach(settings: SceneSettin
         assert (arm, reach) == (-1, 0.0) or furthest[geom] > 0.75 * reach, model.geom(geom).name
 
 
-def test_a_calibration_that_shifts_frames_by_metres_changes_no_reach() -> None:
+def test_a_calibration_that_shifts_frames_changes_no_reach() -> None:
     nominal, shifted = (
         SceneSettings(left=ArmMount((-0.75, 0.6, 0.0), 0.0, dh)) for dh in (SceneSettings().left.dh, SHIFTED)
     )

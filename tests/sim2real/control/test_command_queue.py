@@ -1,4 +1,4 @@
-"""Commands that are held back by the action's latency."""
+"""Delay of commands by the action's latency."""
 
 import pickle
 

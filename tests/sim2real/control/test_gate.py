@@ -1,4 +1,4 @@
-"""The safety gate alone: legal motion passes untouched, and whatever else comes, what leaves keeps every limit."""
+"""The safety gate alone: legal motion passes untouched, and released targets keep every limit."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def gate_at_home(
 
 
 def legal_motion(n: int, periods: int, seed: int = 0, limits: MotionLimits = HARD, ticks: int = TICKS, family="cb3"):
-    """(periods, n, ticks, 2, 6) targets from home, as an adapter makes them of random actions."""
+    """Return targets from home, (periods, n, ticks, 2, 6), of an adapter under random actions."""
     adapter, rng = ServojAdapter(ServojProfile(family), limits, ticks, n=n), np.random.default_rng(seed)
     adapter.reset(np.tile(HOME_Q_RAD, (n, 1, 1)))
     push = rng.uniform(-1, 1, (n, 2, 6))
@@ -84,9 +84,7 @@ def test_malformed_targets_raise_and_change_nothing(spoil) -> None:
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("place", [(0, 0, 0, 0), (1, 2, 0, 5), (2, 4, 1, 3)])
-def test_nan_and_infinity_raise_with_their_place_and_change_nothing(
-    value: float, place: tuple[int, int, int, int]
-) -> None:
+def test_nan_and_infinity_raise_and_change_nothing(value: float, place: tuple[int, int, int, int]) -> None:
     gate, motion = gate_at_home(3), legal_motion(3, 8)
     row, tick, arm, _ = place
     for targets in motion:
@@ -135,7 +133,7 @@ def push_beyond(kind: str, last: np.ndarray, targets: np.ndarray, rng: np.random
     limits=st.sampled_from([HARD, TIGHT, NARROW, TOOL]),
     seed=st.integers(0, 2**31),
 )
-def test_whatever_comes_a_refused_row_brakes_to_rest_within_all_limits(
+def test_a_refused_row_brakes_to_rest_within_all_limits(
     kind: str, family: str, ticks: int, limits: MotionLimits, seed: int
 ) -> None:
     n, tick_s, rng = 6, TICK_S[family], np.random.default_rng(seed)
@@ -189,7 +187,7 @@ def test_motion_that_grows_into_a_limit_is_stopped_before_it(stricter: MotionLim
     assert_within(np.concatenate(sent, axis=1), stricter, tick_s)
 
 
-def test_a_refusal_names_the_joint_what_was_found_and_what_is_allowed() -> None:
+def test_a_refusal_names_joint_found_and_allowed() -> None:
     gate = gate_at_home(2)
     still = np.tile(HOME_Q_RAD, (2, TICKS, 1, 1))
     for _ in range(3):
@@ -246,7 +244,7 @@ def test_a_tip_that_is_too_fast_is_named() -> None:
     assert "m/s" in str(verdict)
 
 
-def test_other_rows_go_on_bit_for_bit_and_a_reset_frees_only_its_rows() -> None:
+def test_other_rows_continue_and_a_reset_frees_only_its_rows() -> None:
     n, motion = 4, legal_motion(4, 40)
     gate = gate_at_home(n)
     for k, targets in enumerate(motion):
@@ -297,7 +295,7 @@ def test_what_leaves_does_not_change_with_what_was_given() -> None:
 
 
 def drive(clearance: Clearance, action: np.ndarray, periods: int = 250):
-    """Push until refused; the targets that left, the verdict, and how many periods passed."""
+    """Push until refused; return released targets, verdict and number of periods."""
     limits = MotionLimits(speed_rad_s=1.0)
     adapter = ServojAdapter(ServojProfile(), limits, TICKS)
     adapter.reset(HOME_Q_RAD[None])

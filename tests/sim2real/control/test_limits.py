@@ -1,4 +1,4 @@
-"""Limits and their invariant: a state that the envelope accepts can be braked, within all limits, at once or later."""
+"""Limits and their invariant: an accepted state can be braked within all limits, at once or later."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.ur10 import HARD_SPEED_RAD_S, JOINT_RANGE_RAD
 from dual_ur10.sim2real.control.limits import HISTORY, POINTS, REACH_FROM_JOINT_M, Envelope, MotionLimits
-from tests.sim2real.control.motion_checks import HARD, NARROW, TIGHT, TOOL, assert_within, braked, tip_speed
+from tests.sim2real.control.motion_checks import HARD, NARROW, TIGHT, TOOL, assert_within, braked, cartesian_speed
 
 SLUGGISH = MotionLimits(speed_rad_s=1.0, acceleration_rad_s2=0.5, jerk_rad_s3=2.0)
 LIMITS = (HARD, TIGHT, NARROW, SLUGGISH)
@@ -41,7 +41,7 @@ def test_limits_beyond_the_hard_ones_are_refused(name: str, value: object) -> No
         MotionLimits(**{name: value})
 
 
-def test_the_hard_limits_are_the_default_and_narrower_ones_are_kept() -> None:
+def test_hard_limits_are_the_default_and_narrower_ones_are_kept() -> None:
     limits = MotionLimits()
     assert limits.speed_rad_s == tuple(HARD_SPEED_RAD_S)
     assert limits.upper_rad == tuple(JOINT_RANGE_RAD)
@@ -71,7 +71,7 @@ def test_the_brake_from_full_speed_keeps_acceleration_and_jerk(limits: MotionLim
 
 
 def random_windows(envelope: Envelope, rng: np.random.Generator, count: int) -> np.ndarray:
-    """Windows of single-joint motions with speeds and accelerations all over, and some beyond, the limits."""
+    """Return windows of single-joint motions with speeds and accelerations within and beyond the limits."""
     limits, tick_s, ticks = envelope.limits, envelope.tick_s, envelope.ticks
     lower, upper = np.asarray(limits.lower_rad), np.asarray(limits.upper_rad)
     start = rng.uniform(lower, upper, (count, 2, 6)).reshape(count, 12)
@@ -89,7 +89,7 @@ def random_windows(envelope: Envelope, rng: np.random.Generator, count: int) -> 
 
 @pytest.mark.parametrize("limits", LIMITS)
 @pytest.mark.parametrize("tick_s", TICKS_S)
-def test_every_accepted_window_can_be_braked_within_all_joint_limits(limits: MotionLimits, tick_s: float) -> None:
+def test_an_accepted_window_can_be_braked_within_all_limits(limits: MotionLimits, tick_s: float) -> None:
     envelope = Envelope(limits, tick_s, 5)
     windows = random_windows(envelope, np.random.default_rng(0), 200)
     # Each joint is a sample of its own: the rest of its cell stands still.
@@ -113,7 +113,7 @@ def test_every_accepted_window_can_be_braked_within_all_joint_limits(limits: Mot
 
 
 @pytest.mark.parametrize("limits", LIMITS)
-def test_the_rows_are_the_finite_differences_and_refuse_what_exceeds_them(limits: MotionLimits) -> None:
+def test_the_rows_are_the_finite_differences(limits: MotionLimits) -> None:
     envelope = Envelope(limits, 0.008, 4)
     windows = random_windows(envelope, np.random.default_rng(1), 500)
     use = envelope.use(envelope.rows @ windows)
@@ -129,7 +129,7 @@ def test_the_rows_are_the_finite_differences_and_refuse_what_exceeds_them(limits
 
 @pytest.mark.parametrize("limits", LIMITS)
 @pytest.mark.parametrize("tick_s", TICKS_S)
-def test_one_brake_tick_later_an_accepted_state_is_accepted_still(limits: MotionLimits, tick_s: float) -> None:
+def test_an_accepted_state_is_accepted_one_brake_tick_later(limits: MotionLimits, tick_s: float) -> None:
     envelope = Envelope(limits, tick_s, 1)
     windows = random_windows(envelope, np.random.default_rng(2), 3000)
     accepted = envelope.use(envelope.rows @ windows).max(axis=1) <= 1.0
@@ -150,7 +150,7 @@ def test_the_resting_row_is_where_the_brake_ends() -> None:
 @pytest.mark.parametrize("limits", [HARD, TIGHT, NARROW, TOOL])
 @pytest.mark.parametrize("tick_s", TICKS_S)
 @pytest.mark.parametrize("moving", [(0,), (1,), (0, 1, 2), (3, 4), (4,), (0, 1, 2, 3, 4, 5)])
-def test_the_tip_speed_of_window_and_brake_is_never_underestimated(
+def test_the_cartesian_speed_is_never_underestimated(
     limits: MotionLimits, tick_s: float, moving: tuple[int, ...]
 ) -> None:
     envelope = Envelope(limits, tick_s, 5)
@@ -171,7 +171,7 @@ def test_the_tip_speed_of_window_and_brake_is_never_underestimated(
         ],
         axis=1,
     ).reshape(len(windows), -1, 2, 6)
-    peak = tip_speed(motion, tick_s, limits.tcp_m).max(axis=1) / limits.tcp_speed_m_s
+    peak = cartesian_speed(motion, tick_s, limits.tcp_m).max(axis=1) / limits.tcp_speed_m_s
     share = envelope.cartesian_use(windows)[0].max(axis=1)
     assert len(windows) > 20
     assert (share >= peak * (1 - 1e-9)).all()
@@ -179,7 +179,7 @@ def test_the_tip_speed_of_window_and_brake_is_never_underestimated(
     assert (envelope.cartesian_bound(use) >= peak * (1 - 1e-9)).all()
 
 
-def test_the_cartesian_use_says_which_point_is_faster() -> None:
+def test_the_cartesian_use_names_the_faster_point() -> None:
     envelope = Envelope(HARD, 0.008, 1)
     pan = np.zeros((1, 4, 12))
     pan[0, :, 0] = np.arange(4) * 0.001  # stretched: the flange is further out
@@ -204,7 +204,7 @@ def test_tool_centre_points_are_three_numbers_for_each_arm(tcp_m: object) -> Non
         MotionLimits(tcp_m=tcp_m)  # type: ignore[arg-type]
 
 
-def test_no_posture_puts_the_flange_further_from_an_axis_than_assumed() -> None:
+def test_the_assumed_reach_from_each_axis_is_an_upper_bound() -> None:
     from dual_ur10.kinematics import jacobian
 
     q = np.random.default_rng(5).uniform(-np.pi, np.pi, (20000, 6))
@@ -239,5 +239,5 @@ def test_flange_pose_of_the_checks_is_the_one_of_the_package() -> None:
     q = np.zeros((1, 2, 2, 6))
     q[0, 1, 0, 0] = 0.001
     moved = np.linalg.norm(flange_pose(q[0, 1, 0])[0] - flange_pose(q[0, 0, 0])[0])
-    assert tip_speed(q, 0.008)[0, 0] == pytest.approx(moved / 0.008)
+    assert cartesian_speed(q, 0.008)[0, 0] == pytest.approx(moved / 0.008)
     assert_within(np.zeros((1, 6, 2, 6)), HARD, 0.008)

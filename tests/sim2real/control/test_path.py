@@ -1,4 +1,4 @@
-"""The interpolated path: smooth over the joins, exact at the commanded positions, and back on them after a jump."""
+"""Interpolated path: smooth at the joins, exact at the commanded positions, and back on them after a jump."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PERIOD_S = 0.04
 
 
 def follow(commands: np.ndarray, meeting: Meeting, times_s: np.ndarray, period_s: float = PERIOD_S) -> np.ndarray:
-    """(k, 3, t) position, speed and acceleration within each period; the first three commands stand before it."""
+    """Return position, speed and acceleration within each period, (k, 3, t), after three initial commands."""
     rows = path.path(period_s, times_s, meeting)
     values, result = np.zeros(path.VALUES), []
     values[:3] = commands[:3]
@@ -32,7 +32,7 @@ def resting_then(moves: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("meeting", MEETINGS)
-def test_the_path_is_twice_continuously_differentiable_over_the_joins(meeting: Meeting) -> None:
+def test_the_path_is_twice_continuously_differentiable(meeting: Meeting) -> None:
     commands = resting_then(np.random.default_rng(0).normal(size=30))
     parts = follow(commands, meeting, np.array([0.0, PERIOD_S]))
     for order in range(3):
@@ -41,7 +41,7 @@ def test_the_path_is_twice_continuously_differentiable_over_the_joins(meeting: M
 
 
 @pytest.mark.parametrize("meeting", MEETINGS)
-def test_speed_and_acceleration_are_the_derivatives_of_the_position(meeting: Meeting) -> None:
+def test_speed_and_acceleration_are_derivatives_of_the_position(meeting: Meeting) -> None:
     commands = resting_then(np.random.default_rng(1).normal(size=3))
     times = np.linspace(0.0, PERIOD_S, 2001)
     for position, speed, acceleration in follow(commands, meeting, times):
@@ -68,7 +68,7 @@ def test_a_steady_motion_is_followed_exactly(meeting: Meeting) -> None:
     np.testing.assert_allclose(rows.end @ values, [2 + 0.5 * PERIOD_S, 0.5, 0.0, 0.0], atol=1e-7)
 
 
-def test_a_sine_between_commands_at_25_hz_is_off_by_less_than_3_micrometres() -> None:
+def test_a_sine_at_25_hz_is_off_by_less_than_3_micrometres() -> None:
     # 0.25 rad at an arm of 0.4 m are the 0.1 m of the sine task.
     times, omega = np.linspace(0.0, PERIOD_S, 21), 2 * np.pi * 0.5
     starts = np.arange(200) * PERIOD_S

@@ -1,4 +1,4 @@
-"""The way of an action from end to end: what is refused, what is delayed, and that no action exceeds a limit."""
+"""Path of an action from end to end: refusals, delay, and limits under any action."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ def test_a_pipeline_goes_on_after_pickling() -> None:
 
 
 def play(pipeline: ServojPipeline, kinds: list[str], periods: int, seed: int) -> tuple[np.ndarray, dict]:
-    """All targets that left, after the start posture, and the verdicts at the end."""
+    """Return all released targets after the start, and the last verdicts."""
     n, rng = len(kinds), np.random.default_rng(seed)
     sent, verdicts = [np.tile(HOME_Q_RAD, (n, 4, 1, 1))], {}
     for period in range(periods):
@@ -335,7 +335,7 @@ def test_distances_are_measured_to_where_a_held_arm_stays() -> None:
 
 
 def with_grippers(openings: np.ndarray) -> np.ndarray:
-    """Actions that hold the arms still and ask for openings between -1 and 1, (n, 2)."""
+    """Return actions that hold the arms still with gripper widths between -1 and 1, (n, 2)."""
     action = np.zeros((len(openings), 2, 7))
     action[..., 6] = openings
     return action

@@ -1,4 +1,4 @@
-"""The servoj profile's legal ranges and rates, and the control law against matrix exponentials and closed forms."""
+"""Legal ranges and rates of the servoj profile, and the law against matrix exponentials and closed forms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the safety gate looks at between the postures at which brakes end."""
+"""Checks of the safety gate between the configurations at which brakes end."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ CLUTTER = (*RODS, Box(name="plate", position_m=(0.3, 0.0, 0.9), size_m=(0.6, 0.0
 
 
 class Post(AlwaysClear):
-    """Something thin at an angle of the left arm's first joint, in a cell whose arms are levers of 1 m."""
+    """Thin obstacle at an angle of the left arm's first joint, in a cell whose arms are levers of 1 m."""
 
     def __init__(self, at_rad, n=1):
         self.at_rad, self.n, self.looks = at_rad, n, 0
@@ -54,7 +54,7 @@ class Post(AlwaysClear):
 
 
 def driven(clearance, push, periods, n=1, ticks=5):
-    """All targets, (n, ticks, 12), that leave where a policy pushes joints, and all verdicts.
+    """Return all released targets, (n, ticks, 12), of a policy that pushes joints, and all verdicts.
 
     What it pushes by, (n, 12) or (12,), may be a function of the period.
     """
@@ -86,8 +86,8 @@ def test_a_thin_thing_between_two_looks_is_seen(phase):
     assert verdicts[0].subject == "left/forearm_link and post"
 
 
-def test_each_row_is_looked_at_by_itself():
-    """What stops one row in a batch is what stops it alone, and the others go on."""
+def test_each_row_is_checked_by_itself():
+    """A row in a batch stops as it does alone, and the others continue."""
     push = np.stack([TURN, 0.0 * TURN, -TURN, 0.5 * TURN])
     whole, verdicts = driven(Post(HOME[0] + 0.93, n=4), push, 40, n=4)
     for row in range(4):
@@ -106,7 +106,7 @@ def test_where_there_is_room_nothing_more_is_measured():
 
 
 def test_what_moves_along_something_is_not_refused():
-    """Where a pair's own joints rest, others may move as they like, however near it is."""
+    """Joints that do not move a pair are free, however near it is."""
     post = Post(HOME[0] + WIDE_M)
     post.spare_m = lambda q: np.array([[0.0 if abs(q[0, 0] - HOME[0]) < 1e-9 else -1.0, 5.0]])
     sent, verdicts = driven(post, np.roll(TURN, 1), 30)
@@ -170,7 +170,7 @@ def test_a_single_one_measures_what_a_batch_does():
 
 @pytest.mark.parametrize(("ticks", "steady"), [(5, True), (25, True), (125, False)])
 def test_arms_at_full_speed_keep_away_from_thin_rods(ticks, steady):
-    """Where only ends of brakes were looked at, they came within 12 mm at 25 Hz, and went 50 mm into one at 5 Hz.
+    """Checks at the ends of brakes alone gave 12 mm at 25 Hz, and 50 mm of penetration at 5 Hz.
 
     At 1 Hz a joint goes forth and back within a window, 10 mm into a rod where only its ends were looked at, too.
     """
@@ -187,8 +187,8 @@ def test_arms_at_full_speed_keep_away_from_thin_rods(ticks, steady):
 
 
 @pytest.mark.parametrize("ticks", [25, 125])
-def test_a_joint_that_goes_forth_and_back_within_a_window_is_seen(ticks):
-    """As far as limits allow in that time, from rest to rest: what a rest shows tells nothing of it."""
+def test_a_joint_that_moves_forth_and_back_is_seen(ticks):
+    """As far as limits allow, from rest to rest: the end of the brake alone does not show it."""
     share = np.minimum(np.arange(1, ticks + 1) / (ticks - 3), 1.0)
     way = 64.0 * (share * (1.0 - share)) ** 3 * 9.0 * (0.008 * (ticks - 3)) ** 2 / 24.0
     targets = np.tile(HOME, (1, ticks, 1))
@@ -213,7 +213,7 @@ def test_what_no_arm_can_do_is_refused_before_anybody_looks(jump):
 
 
 class Corridor(Post):
-    """Walls at all sides, 0.1 mm from too near."""
+    """Walls on all sides, 0.1 mm from too close."""
 
     def spare_m(self, q_rad):
         self.looks += 1
@@ -235,7 +235,7 @@ def test_looks_are_bounded():
 
 
 class Scripted:
-    """Two coordinates, something thin that the second one meets, and rows where all is near: those of kind 1."""
+    """Two coordinates with a thin obstacle for the second one, and rows of kind 1 in which all is near."""
 
     def __init__(self, n):
         self.n = n
@@ -254,7 +254,7 @@ class Scripted:
         return self if self.n == 1 else Scripted(1)
 
 
-def test_what_is_known_of_a_row_does_not_depend_on_its_neighbours():
+def test_a_row_does_not_depend_on_its_neighbours():
     def posture(x, y, z, kind=0.0):
         return np.array([x, y, z, kind] + [0.0] * 8)
 
@@ -275,8 +275,8 @@ def test_what_is_known_of_a_row_does_not_depend_on_its_neighbours():
     assert answers[0] == answers[1]
 
 
-def test_arms_that_stand_too_close_are_led_away_whatever_rounds():
-    """A pair that nothing moves stays as close as it is, but for rounding."""
+def test_arms_that_are_too_close_may_separate():
+    """The distance of a pair that does not move stays equal up to rounding."""
     clearance = Clearance(SceneSettings())
     rng = np.random.default_rng(0)
     starts = 0

@@ -1,4 +1,4 @@
-"""Which target belongs to a control period: the same for both arms, and never a jump."""
+"""Target numbers of control periods: the same for both arms, and continuous."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_at_pace_1_each_target_has_its_period_bit_for_bit(period):
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.25, STEP])
-def test_at_a_steady_pace_every_so_many_periods_have_a_target_of_their_own(factor):
+def test_at_a_constant_scaling_some_periods_have_whole_targets(factor):
     scaling = TimeScaling(0.0, 0.0, factor, factor)
     for number in range(2000):
         assert scaling.at(number / factor) == number
@@ -60,7 +60,7 @@ def test_time_goes_on_and_never_faster_than_it_may(scaling, period, more):
 
 
 @given(scalings(), st.floats(0.0, 3000.0), st.floats(0.01, 5.0))
-def test_the_rate_is_the_slope_of_the_way_and_changes_slowly(scaling, period, width):
+def test_the_rate_is_the_slope_and_changes_slowly(scaling, period, width):
     begin = scaling.period + period
     first, second = scaling.rate_at(begin), scaling.rate_at(begin + width)
     assert min(scaling.rate, scaling.goal) <= first <= max(scaling.rate, scaling.goal)
@@ -74,7 +74,7 @@ def test_the_rate_is_the_slope_of_the_way_and_changes_slowly(scaling, period, wi
 
 
 @given(scalings(), PERIODS)
-def test_when_a_targets_turn_comes_is_the_inverse(scaling, period):
+def test_the_period_of_a_target_is_the_inverse(scaling, period):
     begin = scaling.period + period
     index = scaling.at(begin)
     found = scaling.period_of(index)
@@ -104,7 +104,7 @@ def test_the_last_target_before_a_standstill_has_its_period():
 
 
 @given(scalings(), st.floats(0.0, 3000.0), RATES, st.sampled_from(TICKS_S))
-def test_another_pace_goes_on_where_the_last_one_was(scaling, period, goal, tick_s):
+def test_the_next_scaling_continues_the_last_one(scaling, period, goal, tick_s):
     begin = scaling.period + period
     after = scaling.towards(goal, begin, tick_s)
     assert after.at(begin) == scaling.at(begin)
@@ -117,7 +117,7 @@ def test_another_pace_goes_on_where_the_last_one_was(scaling, period, goal, tick
     assert after.rate_at(begin + 1.01 / tick_s) == goal
 
 
-def test_a_slider_that_goes_up_and_down_leaves_the_targets_on_one_way():
+def test_a_slider_that_moves_leaves_the_targets_on_one_path():
     scaling, tick_s, index = TimeScaling(), 0.008, []
     for period in range(3000):
         if period % 60 == 0:
@@ -131,8 +131,8 @@ def test_a_slider_that_goes_up_and_down_leaves_the_targets_on_one_way():
 
 
 @given(RATES, RATES, RATES, st.floats(5.0, 200.0), st.sampled_from(TICKS_S), st.floats(0.0, 3.0))
-def test_who_knows_of_another_pace_already_asks_for_the_same(rate, goal, other, after, tick_s, back):
-    """Of two arms, one may read the next scaling a period before the other one."""
+def test_a_reader_of_the_next_scaling_gets_the_same_past(rate, goal, other, after, tick_s, back):
+    """One arm may read the next scaling a period before the other one."""
     scaling = TimeScaling(7.0, 3.0, rate, rate).towards(goal, 100.0, tick_s)
     begin = 100.0 + after
     next_one = scaling.towards(other, begin, tick_s)
@@ -146,7 +146,7 @@ def test_who_knows_of_another_pace_already_asks_for_the_same(rate, goal, other, 
     assert next_one.rate_at(begin - back) == pytest.approx(scaling.rate_at(begin - back), abs=1e-7 + bend)
 
 
-def test_how_late_a_policy_is_does_not_depend_on_whether_time_begins_to_go_on():
+def test_a_later_scaling_does_not_change_a_delay():
     tick_s = 0.008
     slowing = TimeScaling().towards(0.0, 0.0, tick_s)
     going_on = slowing.towards(1.0, 30.0, tick_s)
@@ -155,7 +155,7 @@ def test_how_late_a_policy_is_does_not_depend_on_whether_time_begins_to_go_on():
     assert going_on.period_of(-100.0) == pytest.approx(-100.0, abs=1e-3)
 
 
-def test_sliders_are_taken_down_to_a_step():
+def test_sliders_are_rounded_down_to_a_step():
     assert scaling_from_slider(1.0) == scaling_from_slider(1.5) == 1.0
     assert scaling_from_slider(FULL) == scaling_from_slider(0.9995) == 1.0
     assert scaling_from_slider(0.99) == scaling_from_slider(math.nextafter(FULL, 0.0)) == 1.0 - STEP
@@ -173,14 +173,14 @@ def test_a_slider_that_is_no_number_is_not_full_speed(slider):
 
 
 @given(st.floats(0.0, 1.0))
-def test_taken_down_is_never_faster(fraction):
+def test_rounding_never_speeds_up(fraction):
     found = scaling_from_slider(fraction)
     assert fraction - STEP < found <= (fraction + 1e-9 if fraction < FULL else 1.0)
     assert (found / STEP).is_integer()
 
 
 @pytest.mark.parametrize("full", [1.0, 0.5, 0.25])
-def test_what_is_slow_already_is_not_slowed_down_faster(full):
+def test_slow_arms_are_not_slowed_down_faster(full):
     """An arm at a quarter of its speed takes as long from all of it to half of it as one at full speed."""
     tick_s = 0.008
     down = TimeScaling(0.0, 0.0, full, full).towards(full / 2, 10.0, tick_s, full)

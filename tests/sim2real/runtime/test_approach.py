@@ -1,4 +1,4 @@
-"""The slow way to where a task begins."""
+"""The slow approach to the start of a task."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ from dual_ur10.sim2real.runtime.approach import (
 )
 from dual_ur10.sim2real.runtime.arm_memory import RING, ArmMemory
 from dual_ur10.sim2real.runtime.path_to_start import PathToStart
-from tests.sim2real.control.motion_checks import AlwaysClear, tip_speed
+from tests.sim2real.control.motion_checks import AlwaysClear, cartesian_speed
 
 HOME = HOME_Q_RAD.reshape(12)
 TICKS_S = (0.008, 0.002)
 
 
 class Anywhere:
-    """Stands for `Clearance` where nothing is in the way."""
+    """Stub of `Clearance` without bodies."""
 
     def shortfall_m(self, q_rad):
         return np.array([-1.0])
 
 
 def in_real_time(targets, start, tick_s, speed_factor):
-    """(t, 2, 6) what both arms are sent, control period by control period."""
+    """Return both arms' targets per control period, (t, 2, 6)."""
     memories, sent = [ArmMemory(), ArmMemory()], []
     every = np.concatenate([start.reshape(1, 2, 6), targets])
     scaling = TimeScaling(0.0, 0.0, speed_factor, speed_factor)
@@ -78,7 +78,7 @@ def test_it_is_as_slow_in_real_time_as_it_says(speed_factor, tick_s, size):
     found = np.array(
         [
             np.abs(moved).max() / SPEED_RAD_S,
-            tip_speed(sent[None], tick_s).max() / TCP_SPEED_M_S,
+            cartesian_speed(sent[None], tick_s).max() / TCP_SPEED_M_S,
             np.abs(np.diff(moved, axis=0)).max() / tick_s / ACCELERATION_RAD_S2,
         ]
     )
@@ -107,7 +107,7 @@ def test_what_a_cell_allows_holds_on_the_way_too(caps, which, speed_factor):
     (value,) = caps.values()
     found = [
         np.abs(moved).max(),
-        tip_speed(sent[None], 0.008).max(),
+        cartesian_speed(sent[None], 0.008).max(),
         np.abs(changed).max(),
         np.abs(np.diff(changed[::20], axis=0)).max() / 0.16,  # of the way, not of its numbers' last digits
     ]
@@ -159,7 +159,7 @@ def clearance():
 
 
 def nearest_m(clearance, approach, every=0.005):
-    """Smallest distance of any pair on the way."""
+    """Return the smallest distance of any pair on the path."""
     found = []
     for start, end in itertools.pairwise(approach.parts):
         count = 2 + round(np.abs(end - start).max() / every)
@@ -177,7 +177,7 @@ def test_a_free_way_is_gone_by_both_at_once(clearance):
 
 
 def crossings():
-    """Postures of two arms close together, between which not all straight ways are free."""
+    """Return configurations of two arms close together, between which some straight paths are blocked."""
     rng = np.random.default_rng(3)
     for _ in range(400):
         yield [HOME_Q_RAD + rng.uniform(-1, 1, (2, 6)) * [1.2, 0.5, 0.5, 1, 1, 1] for _ in range(2)]
@@ -232,7 +232,7 @@ def test_an_arm_that_stands_too_close_may_go_away_and_not_nearer(clearance):
 
 
 class Somewhere:
-    """Stands for `Clearance` where what is in the way is a function of the left base alone."""
+    """Stub of `Clearance` whose obstacle depends on the left base joint alone."""
 
     def __init__(self, shortfall):
         self.shortfall = shortfall
@@ -265,7 +265,7 @@ def test_everything_on_the_way_is_looked_at(shortfall, free):
 @pytest.mark.parametrize(("arm", "name"), [(0, "left"), (1, "right")])
 @pytest.mark.parametrize("joint", range(6))
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_a_joint_out_of_its_range_is_turned_back_by_hand(clearance, arm, name, joint, sign):
+def test_a_joint_out_of_its_range_is_refused(clearance, arm, name, joint, sign):
     q = HOME_Q_RAD.copy()
     q[arm, joint] = sign * (JOINT_RANGE_RAD[joint] + 0.01)
     with pytest.raises(StartError, match=rf"{name}: .* is at {q[arm, joint]:.3f} rad.*rotate it back by hand"):
@@ -276,7 +276,7 @@ def test_a_joint_out_of_its_range_is_turned_back_by_hand(clearance, arm, name, j
 
 
 class Pairs:
-    """Stands for `Clearance`: two pairs, as far beyond their limits as the first two joints say."""
+    """Stub of `Clearance` with two pairs, beyond their limits by the first two joints."""
 
     def shortfall_m(self, q_rad):
         return np.asarray(q_rad)[:2].copy()
@@ -339,14 +339,14 @@ def test_a_tool_is_no_faster_than_a_flange_may_be():
     end[5] += 1.5  # turns about the flange's own axis
     rates = Rates(tcp_speed_m_s=0.04, tcp_m=tool)
     way = Approach([start, end], rates=rates)
-    fastest = tip_speed(way.targets(0.008)[None], 0.008, tool).max()
+    fastest = cartesian_speed(way.targets(0.008)[None], 0.008, tool).max()
     assert 0.039 < fastest <= 0.04 * (1 + 1e-6)
     assert way.duration_s > 1.3 * Approach([start, end], rates=Rates(tcp_speed_m_s=0.04)).duration_s
 
 
 @pytest.mark.parametrize(("tick_s", "ticks"), [(0.008, 5), (0.002, 1), (0.002, 20)])
-def test_looking_at_many_windows_before_the_first_target_takes_its_time(monkeypatch, tick_s, ticks):
-    """As many as there are within half a second, at up to 500 Hz: meanwhile time goes on."""
+def test_checking_many_windows_delays_the_first_target(monkeypatch, tick_s, ticks):
+    """As many as within half a second, at up to 500 Hz: time passes meanwhile."""
     written = []
 
     class Gate(SafetyGate):

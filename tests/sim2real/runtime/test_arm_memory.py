@@ -1,4 +1,4 @@
-"""Memory shared with an arm's process: targets, what was sent, what was told, and what both sides are doing."""
+"""Memory shared with an arm's process: targets, packets, states and phases."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def pair():
 
 
 def rows(first, count):
-    """Targets that say which they are."""
+    """Return targets that identify themselves."""
     return np.arange(first, first + count)[:, None] + np.arange(6) / 10
 
 
@@ -92,7 +92,7 @@ def test_an_arm_at_rest_sees_no_target_before_its_time(pair, gap):
     np.testing.assert_array_equal(theirs.target(first), rows(100, 1)[0])
 
 
-def test_a_target_that_is_written_over_while_it_is_read_is_read_again(pair, monkeypatch):
+def test_a_target_overwritten_during_a_read_is_read_again(pair, monkeypatch):
     """The reader was suspended between the number of the last target and the target."""
     mine, theirs = pair
     mine.put(0, rows(0, 10))
@@ -116,7 +116,7 @@ def test_before_the_first_target_is_the_first(pair):
         np.testing.assert_array_equal(theirs.target(index), rows(7, 1)[0])
 
 
-def test_targets_that_do_not_go_on_are_refused(pair):
+def test_targets_that_leave_a_gap_are_refused(pair):
     mine, theirs = pair
     with pytest.raises(SettingsError, match="there are no targets"):
         theirs.target(0)
@@ -150,7 +150,7 @@ def test_between_two_targets_is_a_smooth_way_through_them(cubic, number, share):
 
 
 def test_targets_may_be_written_while_they_are_read(pair):
-    """As the arm's process sees it: the brake is written over, and the end goes back and forth."""
+    """As the arm's process sees it: the brake is overwritten, and the end moves back and forth."""
     mine, _ = pair
     code = (
         "import sys\nimport numpy as np\nfrom dual_ur10.sim2real.runtime.arm_memory import ArmMemory\n"

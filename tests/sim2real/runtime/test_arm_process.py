@@ -1,4 +1,4 @@
-"""Two arms moved by processes of their own, through the unmodified `ur_rtde`, against emulated controllers."""
+"""Two arms moved by their processes through the unmodified `ur_rtde`, against emulated controllers."""
 
 import os
 import signal
@@ -32,7 +32,7 @@ STEP_RAD = 1e-9  # by which joints that do not swing tell the number of a target
 
 
 class Pair:
-    """Both arms of a cell, and what they are sent."""
+    """Both arms of a cell and their processes."""
 
     def __init__(self, cell):
         self.cell = cell
@@ -119,7 +119,7 @@ def pair(cell):
 
 
 class TwoCells:
-    """A left arm of one emulated cell and a right arm of another, whose control periods begin apart."""
+    """Left arm of one emulated cell and right arm of another, whose control periods are offset."""
 
     def __init__(self, left, right):
         self.left, self.right = left.left, right.right
@@ -136,12 +136,12 @@ class TwoCells:
 
 
 def numbers_of(pair, arm):
-    """Number of the target, or between which two, for all that a controller has executed."""
+    """Return the target numbers, possibly fractional, of all executed targets."""
     return (np.array(pair.executed(arm))[:, 1] - pair.home[arm][1]) / STEP_RAD
 
 
 def assert_rests_on_path(pair, arm):
-    """What a controller executed last follows the way that the targets go on, ever slower."""
+    """Check that the last executed targets follow the path ever more slowly."""
     numbers = numbers_of(pair, arm)
     sent, _ = pair.memories[arm].sent()
     slower = np.diff(sent.index) < 0.99 * np.diff(sent.period)
@@ -164,7 +164,7 @@ def test_what_is_put_is_what_the_controllers_execute(pair):
     pair.memories[0].stop()
     phases, texts = pair.ended()
     assert phases == [Phase.STOPPED] * 2
-    assert "asked" in texts[0]
+    assert "requested" in texts[0]
     assert texts[1].startswith("right: the other arm stops: left:")
     whole = [bool((memory.sent()[0].index[:30] % 1.0 == 0.0).all()) for memory in pair.memories]
     assert all(whole), "this machine is too busy to tell when control periods begin: the arms are out of step"
@@ -182,7 +182,7 @@ def test_what_is_put_is_what_the_controllers_execute(pair):
 
 
 @pytest.mark.parametrize("apart_s", [0.003, 0.0045])
-def test_controllers_whose_periods_begin_apart_are_sent_what_belongs_to_the_same_time(apart_s):
+def test_offset_controllers_are_sent_targets_of_one_time(apart_s):
     with EmulatedCell(plant="nominal", phase_s=0.0) as one, EmulatedCell(plant="nominal", phase_s=apart_s) as other:
         pair = Pair(TwoCells(one, other))
         try:
@@ -302,7 +302,7 @@ def test_a_slower_pace_holds_for_both(pair):
     pair.ended()
 
 
-def test_a_process_that_was_suspended_sends_nothing_when_it_wakes(pair):
+def test_a_suspended_process_sends_nothing_when_it_wakes(pair):
     pair.begin()
     pair.move(60)
     os.kill(pair.arms[0].process.pid, signal.SIGSTOP)

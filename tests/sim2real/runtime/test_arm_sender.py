@@ -1,4 +1,4 @@
-"""How one arm is led to rest, by a clock of the test's own."""
+"""Stop of one arm under a clock of the test."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SENT = 50
 
 
 class Time:
-    """Passes only where it is waited for."""
+    """Clock that advances only by waiting."""
 
     def __init__(self):
         self.now = 100.0
@@ -38,7 +38,7 @@ class Time:
 
 
 class Silent:
-    """A link and a control interface, which takes everything."""
+    """Link and control interface that accepts everything."""
 
     def __init__(self, time, hiccup_s=0.0):
         self.time, self.hiccup_s, self.targets = time, hiccup_s, []
@@ -74,7 +74,7 @@ def memory():
 
 
 def stopped(monkeypatch, parts, family, gap_s, hiccup_s=0.0):
-    """Sends an arm along a line, is held up, and stops it. Returns what was sent then, and in how many periods."""
+    """Send an arm along a line, delay and stop it; return the targets sent then and their periods."""
     memory, cell = parts
     clock, servoj = Time(), PROFILES[family]
     monkeypatch.setattr(arm_sender, "time", clock)
@@ -101,9 +101,7 @@ def stopped(monkeypatch, parts, family, gap_s, hiccup_s=0.0):
 @pytest.mark.parametrize(
     ("family", "gap_s"), [("cb3", 0.002), ("cb3", 0.015), ("e-series", 0.001), ("e-series", 0.015)]
 )
-def test_an_arm_that_was_sent_nothing_for_some_periods_is_still_led_to_rest_on_its_way(
-    monkeypatch, memory, family, gap_s
-):
+def test_an_arm_with_missed_periods_still_stops_on_its_path(monkeypatch, memory, family, gap_s):
     sent, _, memory = stopped(monkeypatch, memory, family, gap_s)
     way = sent[-1][0] - sent[0][0]
     assert way == pytest.approx(STOPPING_RAD, abs=0.004)
@@ -123,7 +121,7 @@ def test_a_ramp_that_is_held_up_goes_on_where_time_is(monkeypatch, memory, famil
 
 
 @pytest.mark.parametrize("family", list(PROFILES))
-def test_one_that_rests_at_its_last_target_meanwhile_is_sent_nothing_and_says_so(monkeypatch, memory, family):
+def test_an_arm_at_its_last_target_is_sent_nothing_more(monkeypatch, memory, family):
     sent, _, memory = stopped(monkeypatch, memory, family, 0.05)
     assert len(sent) == 1
     assert memory.phase == Phase.STOPPED

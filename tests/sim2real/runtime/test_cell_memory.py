@@ -1,4 +1,4 @@
-"""Memory that all processes of a cell share."""
+"""Memory shared by all processes of a cell."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_a_pace_is_read_whole_while_it_is_written(pair):
     assert wrong == 0
 
 
-def test_a_pace_that_is_written_again_while_it_is_read_is_read_again(pair, monkeypatch):
+def test_a_scaling_overwritten_during_a_read_is_read_again(pair, monkeypatch):
     mine, theirs = pair
     mine.set_time_scaling(TimeScaling(1.0, 1.0))
     scalings, sequence = theirs._scalings, theirs._ints

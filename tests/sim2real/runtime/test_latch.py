@@ -1,4 +1,4 @@
-"""What outlives a program: faults that stay until somebody has looked, and one program per arm."""
+"""Latched faults, and the lock of one program per arm."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def test_many_at_once_leave_one_whole_fault(cell):
 
 
 def test_a_fault_is_that_of_each_controller(cell, tmp_path):
-    """Either arm in another cell is not moved either."""
+    """Neither arm may move in another cell."""
     Latch(cell).set("stopped")
     for left, right, arm in (("127.0.0.2", "127.0.0.9", "left"), ("127.0.0.9", "127.0.0.3", "right")):
         fault = Latch(made(tmp_path, left, right)).read()
@@ -162,7 +162,7 @@ def test_a_fault_that_cannot_be_read_is_one(cell, content, arm):
 
 @pytest.mark.parametrize("target", ["nowhere", "/dev/zero", "a fault"])
 def test_a_link_is_a_fault_and_not_followed(cell, tmp_path, target):
-    """Else a fault could go where nobody reads it."""
+    """Otherwise a fault could be stored where no start reads it."""
     latch, path = Latch(cell), tmp_path / target
     if target == "a fault":
         path.write_text(json.dumps({"text": "elsewhere", "when_utc": "then"}))
@@ -222,7 +222,7 @@ def test_the_lock_of_a_dead_process_is_taken_over(cell, tmp_path):
     lock.release()
 
 
-def test_that_arms_were_moved_is_said_until_it_is_noted_or_looked_at(cell, tmp_path):
+def test_the_note_of_moving_arms_stays_until_it_is_latched(cell, tmp_path):
     lock = CellLock(cell)
     assert not lock.left_moving
     lock.note_moving()
@@ -277,8 +277,8 @@ def test_a_link_in_its_place_is_refused_and_not_followed(cell, tmp_path):
     CellLock(made(tmp_path, "127.0.0.2", "127.0.0.9")).release()  # the other one was let go of
 
 
-def test_a_process_that_was_forked_meanwhile_does_not_keep_the_lock(cell):
-    """As workers of a data loader are."""
+def test_a_forked_process_does_not_keep_the_lock(cell):
+    """As by workers of a data loader."""
     lock = CellLock(cell)
     read, write = os.pipe()
     child = os.fork()

@@ -1,4 +1,4 @@
-"""The mirror shows of measured arms what the simulated cell shows of its own."""
+"""The mirror model returns for measured arms the same states as the simulated cell."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ TICKS = 5
 
 
 def simulated(name, **cell):
-    """A task's cell, and how an episode of it begins."""
+    """Return a task's simulated cell and a start."""
     setup = EnvSetup.resolve(name, {"cell": CellConfig(**cell)})
     return MujocoCell(setup.config, TICKS), setup.make_task().start(np.array([0]), [np.random.default_rng(5)])
 
 
 def moving(cell, start, periods=6):
-    """States on a wave of all joints, while the grippers close."""
+    """Yield states of a wave of all joints while the grippers close."""
     state = cell.reset(start).state
     yield state
     direction = np.random.default_rng(1).uniform(-1, 1, (2, 6))
@@ -36,7 +36,7 @@ def moving(cell, start, periods=6):
 
 
 def shown(mirror, state):
-    """What the mirror makes of what two controllers, and a tracker, would tell of it."""
+    """Return the mirror's state from the measurements of a state."""
     gripped = state.gripper_m is not None
     thing = None if state.object_m is None else (state.object_m[0], state.object_quat[0])
     mirror.aim(None if state.target_m is None else (state.target_m[0], state.target_quat[0]))

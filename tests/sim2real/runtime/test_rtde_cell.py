@@ -1,4 +1,4 @@
-"""Environments on two emulated controllers: what they give, what they ask, and what they refuse."""
+"""Environments on two emulated controllers: spaces, confirmation and refusals."""
 
 import gc
 import os
@@ -51,7 +51,7 @@ def lab(the_lab):
     the_lab.mend()
 
 
-def test_spaces_and_first_observation_are_those_of_the_simulation(lab):
+def test_spaces_and_first_observation_equal_the_simulation(lab):
     simulated = gym.make(HANDOVER, action_latency_ticks=5, disable_env_checker=True)
     env = lab.make()
     assert env.observation_space == simulated.observation_space
@@ -80,7 +80,7 @@ def test_make_moves_nothing_and_reset_asks_before_it_does(lab):
         lab.env.reset(seed=0)
     assert len(lab.executed("left")) == len(lab.executed("right")) == 0
     (question,) = asked
-    for words in ("go to where the task begins", "left", "right", "grippers are activated", "open", "emergency stop"):
+    for words in ("move to where the task begins", "left", "right", "grippers are activated", "open", "emergency stop"):
         assert words in question
 
 
@@ -94,7 +94,7 @@ def test_a_real_cell_asks_at_the_terminal_and_a_pipe_is_none(lab, monkeypatch):
     object.__setattr__(cell.file, "kind", "emulated")
 
 
-def test_one_policy_hands_over_on_both_cells_and_the_run_is_recorded(lab, tmp_path):
+def test_one_policy_hands_over_on_both_cells_with_a_record(lab, tmp_path):
     keywords = {"action_latency_ticks": 8}
     simulated = gym.make(HANDOVER, disable_env_checker=True, **keywords)
     policy = policies.load("scripted", HANDOVER, **keywords)
@@ -221,10 +221,8 @@ def test_after_a_step_that_failed_an_episode_is_begun_again(lab, monkeypatch):
 
 
 @pytest.mark.parametrize(("still_s", "error"), [(0.8, StartError), (3.0, CellFaulted)])
-def test_a_program_that_stands_still_on_the_way_to_a_start_sends_nothing_over_the_brake(
-    lab, monkeypatch, still_s, error
-):
-    """It is late behind what it has written, half a second of which is all that it may be."""
+def test_a_program_that_stalls_in_an_approach_sends_nothing_more(lab, monkeypatch, still_s, error):
+    """It may stall for the half second that it has written ahead."""
     lab.make().reset(seed=0)
     core = lab.env.unwrapped.core
     cell, memory, tick_s = core.cell, lab.runner.arms[0], core.config.servoj.tick_s
@@ -309,7 +307,7 @@ def test_dead_processes_are_a_fault(lab):
     lab.assert_stopped(lab.step_until_faulted(), "no longer responds")
 
 
-def test_the_collector_leaves_alone_what_stood_when_the_episode_began(lab, monkeypatch):
+def test_the_collector_ignores_objects_from_before_the_episode(lab, monkeypatch):
     env = lab.make()
     made = gc.get_freeze_count()
     assert made > 10_000
@@ -351,7 +349,7 @@ def test_limits_whose_brake_is_too_long_are_refused_at_make(lab):
         lab.make()
 
 
-def test_a_slider_at_nothing_lets_no_gripper_move_and_raises_nothing(lab):
+def test_a_slider_at_zero_moves_no_gripper_and_raises_nothing(lab):
     env = lab.make()
     env.reset(seed=0)
     action = np.zeros(env.action_space.shape, dtype=np.float32)
@@ -384,7 +382,7 @@ def test_an_interrupted_close_can_be_done_again(lab, monkeypatch):
 
 
 @pytest.mark.parametrize("after_s", [0.1, 0.5, 0.9])
-def test_a_make_that_is_interrupted_twice_ends_and_leaves_nothing_behind(lab, after_s):
+def test_a_make_interrupted_twice_leaves_nothing_behind(lab, after_s):
     def interrupt():
         for pause_s in (after_s, 0.1):
             time.sleep(pause_s)

@@ -1,4 +1,4 @@
-"""Whether both arms may go on: by what both controllers, both processes and the policy show."""
+"""Stops by the safety monitor, from states of controllers, processes and policy."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_the_slower_slider_counts(parts):
 
 
 @pytest.mark.parametrize("arm", [0, 1])
-def test_reduced_mode_alone_is_let_go_on_and_slows_where_that_is_allowed(parts, arm):
+def test_only_reduced_mode_may_continue_and_slows_down(parts, arm):
     parts[1].permit_reduced_mode()
     monitor = watch(parts)
     full = {"target_speed_fraction": 1.0}
@@ -146,7 +146,7 @@ def test_whether_anything_moves(parts, phase):
 
 
 def led(parts, late, size=0.4, arm=0):
-    """Both arms turn their first joints at 0.2 rad/s; one is sent its targets `late` ticks later than the other."""
+    """Rotate both first joints at 0.2 rad/s; one arm is sent its targets `late` ticks later than the other."""
     arms, _ = parts
     ticks = np.arange(400)
     targets = np.array([HOME_Q_RAD + np.array([1.0, 0, 0, 0, 0, 0]) * size * k * TICK_S for k in ticks])
@@ -161,8 +161,8 @@ def led(parts, late, size=0.4, arm=0):
 @pytest.mark.parametrize("arm", [0, 1])
 @pytest.mark.parametrize("late", [0, 2, 11])
 @pytest.mark.parametrize("lag", [0, 5, 12])
-def test_an_arm_that_is_late_as_a_whole_is_not_where_it_should_be(parts, late, lag, arm):
-    """Where its controller wants it lags as well, and says nothing. A lag that both have is none."""
+def test_an_arm_that_lags_as_a_whole_is_an_error(parts, late, lag, arm):
+    """Its controller's own target lags as well and does not show it. A common lag is no error."""
     targets = led(parts, late, arm=arm)
     monitor = watch(parts, coupled=True)
     reason = None
@@ -179,7 +179,7 @@ def test_an_arm_that_is_late_as_a_whole_is_not_where_it_should_be(parts, late, l
 
 
 def moved(arm, away_m=(0.0, 0.0, 0.0), turn_rad=(0.0, 0.0, 0.0), mounts=MOUNTS):
-    """Joints of an arm whose flange is moved, and turned, in its `base`."""
+    """Return joints of an arm whose flange is shifted and rotated in its `base`."""
     q, dh = HOME_Q_RAD[arm], mounts[arm].dh
     position, rotation = flange_pose(q, dh)
     wanted = quat_to_matrix(quat_from_rotvec(np.array(turn_rad))) @ rotation
@@ -189,7 +189,7 @@ def moved(arm, away_m=(0.0, 0.0, 0.0), turn_rad=(0.0, 0.0, 0.0), mounts=MOUNTS):
 
 
 def apart(parts, left, right, **more):
-    """What is said of four states of arms that are here, and are wanted at home."""
+    """Return the reasons after four states of arms at these configurations, with targets at home."""
     monitor, found = watch(parts, **{"coupled": True, **more}), []
     for _ in range(4):
         assert monitor.state(0, at(left, HOME_Q_RAD[0])) is None
@@ -230,8 +230,8 @@ def test_what_is_allowed_of_it(parts, arm):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_arms_that_lag_together_hold_what_they_hold(parts, seed):
-    """Where both are moved alike in the cell, nothing is torn: however the arms stand."""
+def test_a_common_lag_is_no_error(parts, seed):
+    """Equal motions in the cell do not tear the object, in any configuration."""
     rng = np.random.default_rng(seed)
     yaw = rng.uniform(-np.pi, np.pi, 2)
     mounts = (ArmMount((-0.75, 0.6, 0.0), yaw[0]), ArmMount((-0.75, -0.6, 0.0), yaw[1]))
@@ -249,7 +249,7 @@ def test_arms_that_lag_together_hold_what_they_hold(parts, seed):
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("yaw", [(0.0, 0.0), (0.7, -0.9), (0.0, np.pi / 2)])
 def test_a_held_object_may_be_off_as_a_whole(parts, axis, yaw):
-    """Turned and moved in the cell as one, nothing is torn; one arm alone would tear it."""
+    """Moved in the cell as one, it is not torn; one arm alone would tear it."""
     mounts = (ArmMount((-0.75, 0.6, 0.0), yaw[0]), ArmMount((-0.75, -0.6, 0.0), yaw[1]))
     frames = Frames(mounts)
     poses = [flange_pose_quat(HOME_Q_RAD[arm], mounts[arm].dh) for arm in (0, 1)]
@@ -270,7 +270,7 @@ def test_a_held_object_may_be_off_as_a_whole(parts, axis, yaw):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_arms_that_are_where_they_should_be_are_so_in_every_posture(parts, seed):
+def test_arms_on_target_have_no_error_in_any_configuration(parts, seed):
     rng = np.random.default_rng(seed)
     wanted = rng.uniform(-3, 3, (2, 6))
     wanted[:, 3:] = np.round(wanted[:, 3:] / (np.pi / 2)) * (np.pi / 2)  # half turns, too, where signs change
@@ -299,8 +299,8 @@ def test_one_state_alone_is_let_pass(parts):
         assert monitor.relative_pose() is None  # of the left one nothing new is known
 
 
-def test_states_that_waited_are_monitord_with_those_of_the_same_time(parts):
-    """A supervisor that stood still reads all of one arm's, then all of the other's."""
+def test_delayed_states_are_compared_with_those_of_their_time(parts):
+    """A supervisor that stalled reads all states of one arm, then all of the other."""
     targets = led(parts, 0)
     monitor = watch(parts, coupled=True)
     for newest in range(100, 250, 15):  # 120 ms each: 24 mrad, and as many mm

@@ -1,4 +1,4 @@
-"""The targets that bring an arm to rest."""
+"""Targets of the stop ramp."""
 
 import numpy as np
 import pytest

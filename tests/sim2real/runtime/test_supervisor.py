@@ -1,4 +1,4 @@
-"""What the supervisor does by itself: how fast time passes, and what it keeps of a stop."""
+"""Time scaling and latching by the supervisor."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_a_new_pace_holds_from_a_time_on_that_is_still_to_come(parts, monkeypatc
 
 
 class Dashboard:
-    """Takes what it is asked."""
+    """Stub that records requests."""
 
     asked = 0
 
@@ -78,8 +78,8 @@ class Dashboard:
         Dashboard.asked += 1
 
 
-def test_a_program_that_has_not_ended_though_its_process_says_so_is_a_fault(parts, monkeypatch):
-    """It was paused behind the last target of the ramp, say: nothing else would tell."""
+def test_a_program_that_outlives_its_process_is_a_fault(parts, monkeypatch):
+    """It was paused after the last target of the ramp: nothing else would show it."""
     monkeypatch.setattr(stop_enforcer, "DashboardLink", Dashboard)
     monkeypatch.setattr(stop_enforcer, "STOPPED_S", 0.05)
     file, arms, cell = parts

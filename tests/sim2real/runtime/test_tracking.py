@@ -1,4 +1,4 @@
-"""Whether an arm goes where it is led."""
+"""Tracking errors of arms and controllers, and hot joints."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def off(joint, by, q=HOME):
 
 @pytest.mark.parametrize("joint", range(6))
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_an_arm_that_is_not_where_it_is_led_is_stopped_at_the_third_state(joint, sign):
+def test_a_deviation_stops_the_arm_at_the_third_state(joint, sign):
     tracking, bad = Tracking(), state(HOME, off(joint, sign * (DEVIATION_RAD + 1e-3)))
     assert tracking(bad) is None
     assert tracking(bad) is None
@@ -78,7 +78,7 @@ def test_the_worst_joint_is_named():
 
 
 def follow(following, profile, targets, *, taken=True, delay=0):
-    """Send targets to a controller with the servoj law, and judge its states."""
+    """Send targets to a controller with the servoj law, and check its states."""
     transition = ServojLaw(profile.lookahead_s, profile.gain).transition(profile.tick_s)
     now, last = np.stack([targets[0], np.zeros(6)]), targets[0]
     for number, target in enumerate(targets):
@@ -110,7 +110,7 @@ def test_a_controller_that_follows_is_let_go_on(profile, speed):
 
 @pytest.mark.parametrize("profile", PROFILES)
 def test_a_stop_from_full_speed_is_let_pass(profile):
-    """The arm comes in behind targets that rest already."""
+    """The arm catches up with targets at rest."""
     moving = HOME + 0.5 * profile.tick_s * np.arange(200)[:, None]
     assert follow(Following(profile), profile, np.concatenate([moving, np.repeat(moving[-1:], 200, 0)])) is None
 
@@ -127,7 +127,7 @@ def test_a_controller_that_takes_nothing_is_noticed(profile, speed):
     assert behind < 2 * speed * (profile.lookahead_s + 10 * profile.tick_s) + 0.05
 
 
-def test_one_that_stands_somewhere_else_is_noticed_though_nothing_moves():
+def test_a_deviation_at_rest_is_noticed():
     following = Following(ServojProfile())
     assert [following(state(off(3, 1.0))) for _ in range(5)] == [None] * 5  # nothing was sent yet
     following.sent(HOME, np.zeros(6))
@@ -151,7 +151,7 @@ def test_speed_of_long_ago_allows_nothing():
     assert [following(state(off(3, 0.03))) for _ in range(3)][2] is not None
 
 
-def test_an_arm_that_is_not_where_it_is_led_is_noticed_by_this_too():
+def test_a_deviation_of_the_arm_is_noticed_too():
     following = Following(ServojProfile())
     following.sent(HOME, np.zeros(6))
     found = [following(state(HOME, off(1, 0.2))) for _ in range(3)]

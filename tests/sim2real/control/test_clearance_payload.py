@@ -1,4 +1,4 @@
-"""What hands hold is part of the model that the safety gate measures by."""
+"""Payload geometry in the collision model of the safety gate."""
 
 import dataclasses
 
@@ -70,7 +70,7 @@ def test_it_is_where_the_prop_is_when_it_is_gripped(prop: str, grips: Poses, arm
 
 @pytest.mark.parametrize("prop", PROPS)
 def test_what_it_can_meet_is_measured(prop):
-    """But for the other hand's fingers, which take it, and what the other hand holds, which is the same."""
+    """Except the other gripper's fingers, which take it, and the other gripper's payload, which is the same object."""
     twin = build_collision_model(PROPS[prop])
     data = mujoco.MjData(twin)
     measured = set(PAYLOAD_PAIRS)
@@ -90,7 +90,7 @@ def test_what_it_can_meet_is_measured(prop):
 
 
 def test_the_bar_is_not_lifted_against_what_is_above_its_middle():
-    """Both hands are half a metre away from it."""
+    """Both grippers are half a metre away from it."""
     settings = {"action_latency_ticks": 5, "cell": CellConfig(obstacles=(ROD,))}
     env = gym.make("DualUR10/SyncCarry-v0", **settings)
     policy = policies.load("scripted", "DualUR10/SyncCarry-v0", **settings)

@@ -202,7 +202,7 @@ def _episode(task: Task, case: Case, folder: Path, played: Path | None, on_time:
 
 def _late_ratio(pair: EmulatedPair, limit: int) -> float:
     """Percentage of sends of the worse arm that were later than `LATE_S[limit]`."""
-    return 100 * max(each.late.shares[limit] for each in pair.comparison.timing[1].arms)
+    return 100 * max(each.late.ratios[limit] for each in pair.comparison.timing[1].arms)
 
 
 def _worst(values: Sequence[float]) -> float:

@@ -1,4 +1,4 @@
-"""Writes what was measured of the arms into a cell file; what was in it before is kept beside it."""
+"""Update of a cell file with measured lookahead and latency. The former file is kept as a backup."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from dual_ur10.sim2real.recording.run import Header
 
 _MOST_BACKUPS: Final = 1000
 _MOST_SIGMA: Final = 0.1
-"""Share of the servoj lookahead, by which an estimate that is to be written may be uncertain."""
+"""Largest standard deviation of an estimate that is written, as a fraction of the servoj lookahead."""
 
 
 def write_back(path: str | Path, header: Header, found: Sequence[ArmFit]) -> Path:
     """Write measured lookahead and latency of both arms into a cell file, as tables `measured`.
 
-    Comments stay. The file as it was is kept: as `NAME.bak`, or `NAME.bak1` and so on where there are such files.
+    Comments stay. The former file is kept as `NAME.bak`, or `NAME.bak1` and so on where there are such files.
 
     Args:
         path: The cell file.
-        header: Of the run that was fitted.
-        found: The fit of each arm; written is what was measured of controller and arm together.
+        header: Header of the run that was fitted.
+        found: Fit of each arm; the estimate of controller and arm together is written.
 
     Returns:
-        Where the file as it was is kept.
+        Path of the backup.
 
     Raises:
-        RecordingError: The run is not one of this cell, or there is no certain estimate for an arm. Nothing is written.
+        RecordingError: The run is of another cell, or there is no certain estimate for an arm. Nothing is written.
         CellFileError: The cell file is not legal, or would not be. Nothing is written.
-        DualUR10Error: A file cannot be written. The cell file is as it was.
+        DualUR10Error: A file cannot be written. The cell file is unchanged.
     """
     target = check_target(path)
     cell = load_cell_file(target)
@@ -60,13 +60,13 @@ def _measured(arm: str, found: ArmFit) -> Measured:
     if each.reason:
         raise RecordingError(f"{arm}: there is no estimate to write: {each.reason}. Fit a run in which both arms move")
     most = _MOST_SIGMA * found.lookahead_set_s
-    if not (each.lookahead_sigma_s <= most and each.latency_sigma_s <= most):  # NaN is not
+    if not (each.lookahead_sigma_s <= most and each.latency_sigma_s <= most):  # NaN is refused
         raise RecordingError(
             f"{arm}: lookahead {1e3 * each.lookahead_s:.2f} ± {1e3 * each.lookahead_sigma_s:.2f} ms and latency "
             f"{1e3 * each.latency_s:.2f} ± {1e3 * each.latency_sigma_s:.2f} ms are too uncertain to be written: "
             f"± {1e3 * most:.2f} ms is the most. Fit a longer run, with faster motion"
         )
-    # As many digits as mean something. A latency just below zero is none.
+    # Only significant digits. A latency just below zero counts as 0.
     lookahead_s, latency_s = round(each.lookahead_s, 6), max(round(each.latency_s, 6), 0.0)
     low, high = MEASURED_LOOKAHEAD_S
     if not (low <= lookahead_s <= high and each.latency_s >= -most and latency_s <= MAX_LATENCY_S):
@@ -80,8 +80,8 @@ def _measured(arm: str, found: ArmFit) -> Measured:
 def _check_same_cell(cell: CellFile, header: Header) -> None:
     if header.source != cell.kind:
         raise RecordingError(
-            f"the run is {header.source!r}, the cell file {cell.kind!r}: only a run of this cell says what its arms "
-            "do. Name a run that was recorded with this file"
+            f"the run is {header.source!r}, the cell file {cell.kind!r}: only a run of this cell shows how its arms "
+            "move. Name a run that was recorded with this file"
         )
     if header.family != cell.left.family:
         raise RecordingError(
@@ -103,7 +103,7 @@ def _check_same_cell(cell: CellFile, header: Header) -> None:
     if recorded is None:
         raise RecordingError("the recording's cell file is not legal: the recording is damaged. Record another run")
     for arm, entry, before in zip(ARMS, cell.arms, recorded.arms, strict=True):
-        # An emulated cell has another port at each start, and may have another host; its arms are the same.
+        # An emulated cell has other ports at each start, and maybe another host, but the same arms.
         if cell.kind == "real" and (entry.host, entry.serial_number) != (before.host, before.serial_number):
             raise RecordingError(
                 f"{arm}: the run was recorded with the controller {before.host} of robot {before.serial_number}, the "
@@ -113,10 +113,10 @@ def _check_same_cell(cell: CellFile, header: Header) -> None:
 
 
 def _updated(text: str, wanted: CellFile, measured: Sequence[Measured]) -> str:
-    """The file with what was measured, and all else as it stands there.
+    """Return the text of the file with the measured values, and all else unchanged.
 
     Raises:
-        CellFileError: What comes of it is not what is wanted.
+        CellFileError: The result is not the wanted cell.
     """
     document = tomlkit.parse(text)
     for arm, each in zip(ARMS, measured, strict=True):
@@ -138,7 +138,7 @@ def _updated(text: str, wanted: CellFile, measured: Sequence[Measured]) -> str:
 
 
 def _keep(target: Path) -> Path:
-    """Write what a file holds beside it, under a name that was not there."""
+    """Copy a file to a new name beside it."""
     content = target.read_bytes()
     for number in range(_MOST_BACKUPS):
         kept = target.with_name(f"{target.name}.bak{number or ''}")

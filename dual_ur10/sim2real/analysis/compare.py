@@ -1,4 +1,4 @@
-"""Two recorded runs beside each other: how far apart, how far behind, and whether the same was sent."""
+"""Comparison of two recorded runs: differences, lag, and equality of the targets that were sent."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.analysis.parity import Parity, parity
 from dual_ur10.sim2real.analysis.reconstruction import replayed_keywords
-from dual_ur10.sim2real.analysis.series import NO_SPREAD, Spread, Value, at, lag, lengths, none, rising, spread
+from dual_ur10.sim2real.analysis.series import NO_SPREAD, Spread, Value, interpolate, lag, lengths, none, rising, spread
 from dual_ur10.sim2real.analysis.tick_map import late_actions
 from dual_ur10.sim2real.analysis.timing import Timing, timing
-from dual_ur10.sim2real.analysis.tracks import Track, flange_of, tracks, uneven_s
+from dual_ur10.sim2real.analysis.tracks import Track, clock_error_s, flange_of, tracks
 from dual_ur10.sim2real.recording.header import mounts_of
 from dual_ur10.sim2real.recording.run import Header, Run
 from dual_ur10.types import Array
@@ -24,7 +24,7 @@ from dual_ur10.types import Array
 Mounts = tuple[ArmMount, ArmMount]
 
 LEAST_S: Final = 0.2
-"""Two runs that share less of the task's time are not compared."""
+"""Shortest common task time of two runs that are compared."""
 
 
 @dataclass(frozen=True)
@@ -32,18 +32,18 @@ class Differences:
     """Run A minus run B, of one arm.
 
     Attributes:
-        joints_rad: Of each joint.
+        joints_rad: Differences of each joint.
         flange_m: Distance between the flanges.
         flange_axes_m: The same along x, y and z of the cell.
         flange_mean_m: (3,) mean vector from B's flange to A's.
-        turn_rad: Angle between the flanges.
+        angle_rad: Angle between the flanges.
     """
 
     joints_rad: tuple[Spread, ...]
     flange_m: Spread
     flange_axes_m: tuple[Spread, ...]
     flange_mean_m: Array
-    turn_rad: Spread
+    angle_rad: Spread
 
 
 @dataclass(frozen=True)
@@ -51,10 +51,10 @@ class ArmComparison:
     """One arm in both runs.
 
     Attributes:
-        lag: Time on the task's clock by which run B is behind run A.
+        lag: Lag of run B behind run A on the task's clock.
         found: Differences as they are.
-        free: The same with B moved by that lag; None where the lag is not known.
-        sent: Whether the same was sent.
+        free: Differences with B moved by the lag; None where the lag is not known.
+        sent: Equality of the targets that were sent.
     """
 
     lag: Value
@@ -67,13 +67,12 @@ class Pair(NamedTuple):
     """Both runs of one episode at the same times.
 
     Attributes:
-        number: Of the episode.
-        time_s: (k,) on the task's clock.
+        number: Number of the episode.
+        time_s: (k,) times on the task's clock.
         q_rad: (2, k, 2, 6) measured joints: run, time, arm.
-        free_rad: (k, 2, 6) those of run B with its lag taken off; as they are if that is not known. NaN where run B
-            has no such time.
+        free_rad: (k, 2, 6) joints of run B with its lag taken off, if it is known. NaN where run B has no such time.
         flange_m: (2, k, 2, 3) flanges by each run's own kinematics.
-        free_m: (k, 2, 3) those of run B with its lag taken off.
+        free_m: (k, 2, 3) flanges of run B with its lag taken off.
     """
 
     number: int
@@ -86,18 +85,18 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two runs beside each other.
+    """Comparison of two runs.
 
     Attributes:
-        headers: Of both.
-        complete: Whether each was recorded to its end.
-        arms: Left and right.
+        headers: Headers of both runs.
+        complete: True for a run that was recorded to its end.
+        arms: Comparison of the left and the right arm.
         vector_m: Difference of the vectors from the right flange to the left one.
         vector_free_m: The same, each arm of run B moved by its lag.
         timing: Figures of each run by itself.
         pairs: Both runs at the same times, episode by episode.
-        step_s: Time between two rows of these.
-        notes: What is to be known when these figures are read.
+        step_s: Time between two rows of a pair.
+        notes: Caveats for the reader of the figures.
     """
 
     headers: tuple[Header, Header]
@@ -114,8 +113,8 @@ class Comparison:
 def compare(run_a: Run, run_b: Run) -> Comparison:
     """Compare two runs of one task: episode with episode, in their order, on the task's clock.
 
-    Flange poses are those of the measured joints by each run's own kinematics: no figure here was measured from
-    outside the arms.
+    Flange poses follow from the measured joints by each run's own kinematics: no figure was measured from outside the
+    arms.
 
     Raises:
         RecordingError: They are of different tasks, of another robot, or have too little in common.
@@ -156,7 +155,7 @@ _Tracks = tuple[tuple[Track, Track], tuple[Track, Track]]
 
 
 def _shared(runs: tuple[Run, Run], count: int, step_s: float) -> tuple[list[tuple[int, _Tracks, Array]], list[str]]:
-    """Episodes that can be compared, with the times at which they are, and why others cannot.
+    """Return the episodes that can be compared, with their common times, and the reasons why others cannot.
 
     Raises:
         RecordingError: None can.
@@ -206,7 +205,7 @@ def _check(runs: tuple[Run, Run]) -> None:
 
 
 def _common(number: int, both: tuple[tuple[Track, Track], tuple[Track, Track]], step_s: float) -> Array:
-    """Times on the task's clock at which all four arms are known, `step_s` apart."""
+    """Return the times on the task's clock at which all four arms are known, `step_s` apart."""
     tracks = [each for run in both for each in run]
     begin, end = max(each.task_s[0] for each in tracks), min(each.task_s[-1] for each in tracks)
     if end - begin < LEAST_S:
@@ -219,15 +218,15 @@ def _common(number: int, both: tuple[tuple[Track, Track], tuple[Track, Track]], 
 
 
 def _joints(track: Track, when_s: Array) -> Array:
-    """Measured joints at times of the task's clock, (k, 6)."""
-    ordered = rising(track.task_s)  # where the task's time stood still, the first state of that time
-    return at(track.task_s[ordered], track.q_rad[ordered], when_s)
+    """Return the measured joints, (k, 6), at times of the task's clock."""
+    ordered = rising(track.task_s)  # where the task's clock stopped, the first state of that time
+    return interpolate(track.task_s[ordered], track.q_rad[ordered], when_s)
 
 
 def _lag(
     both: list[tuple[tuple[Track, Track], tuple[Track, Track]]], grids: list[Array], arm: int, step_s: float
 ) -> Value:
-    """Time by which run B's arm is behind run A's: the median over the episodes in which it is known."""
+    """Return the lag of run B's arm behind run A's: the median over the episodes in which it is known."""
     values = [
         lag(_joints(b[arm], grid), _joints(a[arm], grid), step_s) for (a, b), grid in zip(both, grids, strict=True)
     ]
@@ -257,7 +256,7 @@ def _pair(
 
 
 def _differences(pairs: tuple[Pair, ...], arm: int, mounts: tuple[Mounts, Mounts], *, free: bool) -> Differences:
-    joints, flanges, turns = [], [], []
+    joints, flanges, angles = [], [], []
     for each in pairs:
         q_b = (each.free_rad if free else each.q_rad[1])[:, arm]
         known = np.isfinite(q_b).all(axis=1)
@@ -266,19 +265,19 @@ def _differences(pairs: tuple[Pair, ...], arm: int, mounts: tuple[Mounts, Mounts
         flanges.append(each.flange_m[0, known, arm] - (each.free_m if free else each.flange_m[1])[known, arm])
         apart = flange_of(mounts[0][arm], q_a)[1] - flange_of(mounts[1][arm], q_b)[1]
         # |R1 - R2| is 2 sqrt(2) sin(angle / 2), exact for small angles where the arc cosine of a trace is not.
-        turns.append(2 * np.arcsin(np.minimum(np.linalg.norm(apart, axis=(1, 2)) / math.sqrt(8), 1.0)))
+        angles.append(2 * np.arcsin(np.minimum(np.linalg.norm(apart, axis=(1, 2)) / math.sqrt(8), 1.0)))
     joint, flange = np.concatenate(joints), np.concatenate(flanges)
     return Differences(
         joints_rad=tuple(spread(joint[:, k]) for k in range(6)),
         flange_m=spread(lengths(flange)),
         flange_axes_m=tuple(spread(flange[:, k]) for k in range(3)),
         flange_mean_m=flange.mean(axis=0) if len(flange) else np.full(3, np.nan),
-        turn_rad=spread(np.concatenate(turns)),
+        angle_rad=spread(np.concatenate(angles)),
     )
 
 
 def _vector(pairs: tuple[Pair, ...], *, free: bool) -> Spread:
-    """How the vector from flange to flange differs: what both arms do wrong alike does not show in it."""
+    """Return the difference of the vector from flange to flange, which hides errors that both arms share."""
     found = []
     for each in pairs:
         away = each.flange_m[0] - (each.free_m if free else each.flange_m[1])
@@ -291,9 +290,9 @@ def _notes(runs: tuple[Run, Run], mounts: tuple[Mounts, Mounts], count: int) -> 
     (a, b), notes = (each.header for each in runs), []
     for name, run in zip("AB", runs, strict=True):
         if not run.complete:
-            notes.append(f"run {name} was cut off: what is whole of it was compared")
-        notes += _rests(name, run)
-        notes += _uneven(name, run)
+            notes.append(f"run {name} was cut off: all that is whole was compared")
+        notes += _stop_notes(name, run)
+        notes += _clock_notes(name, run)
     if len(runs[0].episodes) != len(runs[1].episodes):
         numbers = " and ".join(str(len(each.episodes)) for each in runs)
         notes.append(f"the runs have {numbers} episodes: the first {count} of each were compared")
@@ -305,7 +304,7 @@ def _notes(runs: tuple[Run, Run], mounts: tuple[Mounts, Mounts], count: int) -> 
         ("settings of servoj", _profiles(a), _profiles(b)),
         ("seeds", _seeds(runs[0], count), _seeds(runs[1], count)),
     ):
-        # A replay begins where the run that it replays began, and draws nothing.
+        # A replay begins where the replayed run began, and samples nothing.
         replayed = what == "seeds" and any("replays" in each.extra for each in (a, b))
         if left != right and not replayed:
             notes.append(f"{what} differ: {left} in run A, {right} in run B")
@@ -321,33 +320,33 @@ def _notes(runs: tuple[Run, Run], mounts: tuple[Mounts, Mounts], count: int) -> 
     return notes
 
 
-def _rests(name: str, run: Run) -> list[str]:
+def _stop_notes(name: str, run: Run) -> list[str]:
     count = late_actions(run)
     if not count:
         return []
-    what = "1 action came" if count == 1 else f"{count} actions came"
+    what = "1 action missed its" if count == 1 else f"{count} actions missed their"
     return [
-        f"run {name}: {what} too late, and both arms came to rest each time. One action's time of the task counts for "
-        "that, however long it took: there the arms are where they rest, and not where the other run's are"
+        f"run {name}: {what} deadline, and both arms stopped each time. On the task's clock, a stop lasts one action, "
+        "however long it took: during it, the arms stand and the other run's arms move"
     ]
 
 
-def _uneven(name: str, run: Run) -> list[str]:
-    """Clocks that do not run through."""
+def _clock_notes(name: str, run: Run) -> list[str]:
+    """Return a note on each clock that did not run steadily."""
     found = []
     for arm, each in zip(ARMS, run.arms, strict=True):
-        by_s = uneven_s(each, run.header.tick_s)
+        by_s = clock_error_s(each, run.header.tick_s)
         if by_s:
             found.append(
-                f"run {name}: the clock of the {arm} controller did not run through, as that of an emulated one on a "
-                f"machine that stands still: it was off by up to {by_s:.3f} s. When its states were is known by their "
+                f"run {name}: the clock of the {arm} controller did not run steadily, as that of an emulated one on a "
+                f"machine that stalls: it was off by up to {by_s:.3f} s. The times of its states follow from their "
                 "arrival alone"
             )
     return found
 
 
 def _seeds(run: Run, count: int) -> str:
-    """Those of the episodes that are compared."""
+    """Return the seeds of the compared episodes."""
     return ", ".join("none" if each.seed is None else str(each.seed) for each in run.episodes[:count])
 
 

@@ -1,4 +1,4 @@
-"""Lookahead and latency of each arm, estimated from what was sent and what was measured."""
+"""Estimation of the lookahead and latency of each arm from targets and measured joints."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from dual_ur10.types import Array
 
 LOOKAHEAD_S: Final = (0.005, 0.5)
 LATENCY_S: Final = (-0.05, 0.3)
-"""Where the estimates are looked for."""
+"""Ranges of the estimates."""
 
 _LEAST_S: Final = 1.0
 _ROUNDS: Final = 30
@@ -30,14 +30,14 @@ _EXPONENT: Final = 300.0  # of the largest exponential that is summed at once
 
 @dataclass(frozen=True)
 class Estimate:
-    """What the law of `servoj` needs to be to have made a motion.
+    """Estimate of the parameters of the `servoj` law from a motion.
 
     Attributes:
-        lookahead_s: Its lookahead.
+        lookahead_s: Lookahead of the law.
         latency_s: Time from the sending of a target until it acts.
         lookahead_sigma_s, latency_sigma_s: Standard deviations of these.
-        rms_rad: What the law leaves unexplained.
-        reason: Why there is no estimate; "" if there is. All numbers are NaN then.
+        rms_rad: Root mean square of the residuals.
+        reason: Reason why there is no estimate, with NaN for all numbers; "" if there is.
     """
 
     lookahead_s: float
@@ -53,11 +53,11 @@ class ArmFit:
     """Estimates of one arm.
 
     Attributes:
-        law: By where the controller wanted the joints to be: the controller alone.
-        arm: By the measured joints: controller and arm, which is what a policy meets. Where the lookahead of the
-            controller alone is known, it is taken as it is, and what the arm adds is in the latency: both together
-            could hardly be told apart.
-        lookahead_set_s, gain: With which `servoj` was called. The gain is taken as it is.
+        law: Estimate from the joints that the controller aimed at: the controller alone.
+        arm: Estimate from the measured joints: controller and arm together, as a policy meets them. Where the lookahead
+            of the controller alone is known, it is kept, and the latency includes the lag of the arm: the data hardly
+            separate the two.
+        lookahead_set_s, gain: Arguments with which `servoj` was called. The gain is not estimated.
     """
 
     law: Estimate
@@ -70,12 +70,12 @@ def fit(run: Run, episode: int | None = None) -> tuple[ArmFit, ArmFit]:
     """Estimate lookahead and latency of both arms.
 
     Args:
-        run: The recording. Arms that stand still tell nothing.
-        episode: By which episode; None: by that in which the arms move longest.
+        run: The recording, with moving arms.
+        episode: Number of the episode; None: the longest.
 
     Raises:
-        RecordingError: There is no such episode, nothing was recorded of an arm in it, or its servoj settings are none
-            that a controller takes.
+        RecordingError: There is no such episode, nothing was recorded of an arm in it, or no controller accepts the
+            recorded settings of servoj.
     """
     if episode is None:
         episode = max(range(len(run.episodes)), key=lambda each: len(run.episodes[each].reward), default=0)
@@ -93,7 +93,7 @@ def fit(run: Run, episode: int | None = None) -> tuple[ArmFit, ArmFit]:
             )
         reference = each.reference_rad
         law = (
-            _no("the recording does not hold where the controller wanted the joints to be")
+            _no("the recording does not hold the joints that the controller aimed at")
             if reference is None
             else estimate(each, reference, lookahead_s, gain)
         )
@@ -102,7 +102,7 @@ def fit(run: Run, episode: int | None = None) -> tuple[ArmFit, ArmFit]:
 
 
 def remark(found: Estimate, tick_s: float) -> str:
-    """What is to be known of an estimate that there is; "" if nothing."""
+    """Return a caveat of an estimate; "" if there is none."""
     if found.reason or found.latency_s >= 0.0:
         return ""
     if found.latency_s < -tick_s - 3 * found.latency_sigma_s:
@@ -111,13 +111,13 @@ def remark(found: Estimate, tick_s: float) -> str:
             "clocks or settings of servoj are not what the recording says. Fit another run"
         )
     return (
-        "the latency is below 0 by a part of a control period, which counts as none: of which instant within its "
-        "control period a controller tells the state is not known, and the least delay of its packets is taken for 0"
+        "the latency is below 0 by a part of a control period, which counts as 0: the instant of a state within its "
+        "control period is not known, and the least delay of its packets is taken as 0"
     )
 
 
 def _with(law: Estimate, track: Track, lookahead_s: float, gain: float) -> Estimate:
-    """The estimate of an arm whose controller is known, if it is."""
+    """Return the estimate of an arm whose controller is known, if it is."""
     if law.reason:
         return estimate(track, track.q_rad, lookahead_s, gain)
     found = estimate(track, track.q_rad, law.lookahead_s, gain, known=True)
@@ -127,24 +127,24 @@ def _with(law: Estimate, track: Track, lookahead_s: float, gain: float) -> Estim
 def estimate(track: Track, joints_rad: Array, lookahead_s: float, gain: float, *, known: bool = False) -> Estimate:
     """Estimate lookahead and latency by least squares: the law, moved by targets, against joints.
 
-    Each joint may stand off by a constant, such as a sagging arm does. Standard deviations take into account that
-    neighbouring residuals are alike.
+    Each joint may be off by a constant, as in a sagging arm. Standard deviations account for the autocorrelation of the
+    residuals.
 
     Args:
-        track: What was sent, and when.
-        joints_rad: (j, 6) at `track.time_s`.
-        lookahead_s: To begin with.
-        gain: Of the law, 1/s².
-        known: Whether this is the lookahead: only the latency is estimated then.
+        track: Targets and their times.
+        joints_rad: (j, 6) joints at `track.time_s`.
+        lookahead_s: Initial lookahead.
+        gain: Gain of the law, 1/s².
+        known: Keep the lookahead, and estimate only the latency.
     """
     finite = np.isfinite(joints_rad).all(axis=1)
     time_s, joints = track.time_s[finite], joints_rad[finite]
     if len(time_s) < 3 or time_s[-1] - time_s[0] < _LEAST_S:
         return _no(f"too short: {_LEAST_S:g} s of motion are needed")
     if float(np.ptp(track.target_rad, axis=0).max()) < STILL_RAD:
-        return _no("the arm was not asked to move")
+        return _no("the targets of the arm do not move")
     if float(np.ptp(joints, axis=0).max()) < STILL_RAD:
-        return _no("the arm stood still")
+        return _no("the arm did not move")
 
     ordered = rising(track.sent_s)
     sent_s, targets = track.sent_s[ordered], track.target_rad[ordered]
@@ -157,19 +157,21 @@ def estimate(track: Track, joints_rad: Array, lookahead_s: float, gain: float, *
     values, left = np.array([lookahead_s, 0.0]), np.zeros(0)
     low, high = np.array([LOOKAHEAD_S[0], LATENCY_S[0]]), np.array([LOOKAHEAD_S[1], LATENCY_S[1]])
     slopes, damping, settled = np.zeros((0, 2)), 1e-9, False
-    left, ways = residuals(values), _STEP_S * np.eye(2)[1 if known else 0 :]
+    left, directions = residuals(values), _STEP_S * np.eye(2)[1 if known else 0 :]
     for _ in range(_ROUNDS):
-        slopes = np.stack([(residuals(values + way) - residuals(values - way)) / (2 * _STEP_S) for way in ways], axis=1)
+        slopes = np.stack(
+            [(residuals(values + each) - residuals(values - each)) / (2 * _STEP_S) for each in directions], axis=1
+        )
         square = slopes.T @ slopes
-        damped = square + damping * np.diag(np.diag(square)) + 1e-12 * np.eye(len(ways))
+        damped = square + damping * np.diag(np.diag(square)) + 1e-12 * np.eye(len(directions))
         move = -np.linalg.solve(damped, slopes.T @ left)
-        tried = np.clip(values + move @ ways / _STEP_S, low, high)
-        after = residuals(tried)
+        trial = np.clip(values + move @ directions / _STEP_S, low, high)
+        after = residuals(trial)
         if after @ after <= left @ left * (1 + 1e-12):
-            settled = bool(np.abs(tried - values).max() < 1e-8)
-            values, left, damping = tried, after, max(damping / 10, 1e-9)
+            settled = bool(np.abs(trial - values).max() < 1e-8)
+            values, left, damping = trial, after, max(damping / 10, 1e-9)
         else:
-            settled = bool(np.abs(tried - values).max() < 1e-8)
+            settled = bool(np.abs(trial - values).max() < 1e-8)
             damping = max(damping * 100, 1e-3)
         if settled:
             break
@@ -183,7 +185,7 @@ def estimate(track: Track, joints_rad: Array, lookahead_s: float, gain: float, *
     if rms > 0.1 * moved:
         return _no(f"the law explains too little of the motion: it is {rms:.2g} rad off where joints move {moved:.2g}")
     square = slopes.T @ slopes
-    sigma = np.sqrt(np.diag(np.linalg.inv(square)) * float(left @ left) / max(len(left) - 8, 1) * _likeness(left))
+    sigma = np.sqrt(np.diag(np.linalg.inv(square)) * float(left @ left) / max(len(left) - 8, 1) * _redundancy(left))
     return Estimate(float(values[0]), float(values[1]), 0.0 if known else float(sigma[0]), float(sigma[-1]), rms)
 
 
@@ -191,8 +193,8 @@ def _no(reason: str) -> Estimate:
     return Estimate(math.nan, math.nan, math.nan, math.nan, math.nan, reason)
 
 
-def _likeness(left: Array) -> float:
-    """By how much fewer residuals count than there are, because each is like the one before."""
+def _redundancy(left: Array) -> float:
+    """Return the ratio of the number of residuals to the number of independent ones."""
     rows = left.reshape(-1, 6)
     total = float((rows * rows).sum())
     if total == 0.0:
@@ -202,25 +204,25 @@ def _likeness(left: Array) -> float:
 
 
 def respond(acts_s: Array, targets: Array, begin: Array, lookahead_s: float, gain: float, when_s: Array) -> Array:
-    """Where the law leads joints that were at rest: exact, whenever targets come.
+    """Return the exact response of the law to targets at arbitrary times, from rest.
 
     qdd = gain (target - q - lookahead qd), each target held until the next.
 
     Args:
-        acts_s: (k,) when each target begins to act, rising.
-        targets: (k, d).
-        begin: (d,) where the joints rest before the first.
-        lookahead_s: Of the law.
-        gain: Of the law, 1/s².
-        when_s: (j,) rising.
+        acts_s: (k,) times at which each target begins to act, rising.
+        targets: (k, d) targets.
+        begin: (d,) joints before the first target.
+        lookahead_s: Lookahead of the law.
+        gain: Gain of the law, 1/s².
+        when_s: (j,) times of the response, rising.
 
     Returns:
-        (j, d).
+        (j, d) joints.
     """
     steps = np.diff(targets, axis=0, prepend=begin[None])
     half = gain * lookahead_s / 2
     root = cmath.sqrt(half * half - gain)
-    if abs(root) < 1e-6 * half:  # a double root: two that hardly differ do as well
+    if abs(root) < 1e-6 * half:  # a double root is replaced by two that hardly differ
         root = complex(1e-6 * half)
     fast, slow = half + root, half - root
     # A step decays as (fast exp(-slow t) - slow exp(-fast t)) / (fast - slow).
@@ -232,7 +234,7 @@ def respond(acts_s: Array, targets: Array, begin: Array, lookahead_s: float, gai
 
 
 def _decayed(begins_s: Array, steps: Array, rate: complex, when_s: Array) -> NDArray[np.complex128]:
-    """Sum of steps that began before each time, each decayed by exp(-rate (time - begin)): (j, d)."""
+    """Return the (j, d) sums of the steps before each time, each decayed by exp(-rate (time - begin))."""
     result = np.zeros((len(when_s), steps.shape[1]), dtype=np.complex128)
     carried: NDArray[np.complex128] = np.zeros(steps.shape[1], dtype=np.complex128)
     block_s = _EXPONENT / max(rate.real, 1e-9)

@@ -1,4 +1,4 @@
-"""Whether two runs sent the same targets, bit by bit."""
+"""Bit-by-bit comparison of the targets that two runs sent."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class Parity:
     """Targets of one arm in two runs, by their numbers.
 
     Attributes:
-        compared: How many numbers both runs sent a target for.
-        equal: How many of these targets are equal in every bit.
-        first: Episode and number of the first that is not; None: there is none.
+        compared: Number of targets that both runs sent.
+        equal: Number of these targets that are equal in every bit.
+        first: Episode and number of the first target that differs; None: none does.
         most_rad: Largest difference.
-        later: By how many numbers those of run B are taken later: the same actions at another latency.
+        later: Shift of run B's numbers: the same actions at another latency.
     """
 
     compared: int
@@ -32,19 +32,19 @@ class Parity:
 
     @property
     def is_exact(self) -> bool:
-        """Whether all are equal, and there are any."""
+        """True if all targets are equal, and there are any."""
         return self.compared > 0 and self.equal == self.compared
 
 
 def parity(episodes: Sequence[tuple[Track, Track]], later: int = 0) -> Parity:
     """Compare what was sent to one arm, episode by episode.
 
-    Targets between two numbers are left out, and those by which arms came to rest.
+    Targets between two numbers and targets of a stop are left out.
 
     Args:
-        episodes: What both runs did.
-        later: By how many ticks actions act later in run B. A policy may have taken that into account, or not: what
-            makes more targets equal is told.
+        episodes: Motion of the arm in both runs.
+        later: Ticks by which actions act later in run B. A policy may have compensated them or not: the shift that
+            makes more targets equal is used.
     """
     plain = _parity(episodes, 0)
     if not later:
@@ -70,13 +70,13 @@ def _parity(episodes: Sequence[tuple[Track, Track]], later: int) -> Parity:
 
 
 def bits_equal(a: Array, b: Array) -> NDArray[np.bool_]:
-    """Which numbers of two arrays of one shape are equal in every bit."""
+    """Return the mask of the numbers of two arrays of one shape that are equal in every bit."""
     first, second = (np.ascontiguousarray(each, dtype=np.float64).view(np.int64) for each in (a, b))
     return np.asarray(first == second)
 
 
 def _whole(track: Track) -> tuple[NDArray[np.int64], Array]:
-    """Numbers of the actions' targets that are whole, and these targets; the first that was sent for each number."""
+    """Return whole numbers of the actions' targets, and the first target sent for each."""
     whole = (track.index == np.rint(track.index)) & ~track.stopped
     index, rows = np.unique(track.index[whole].astype(np.int64), return_index=True)
     return index, track.target_rad[whole][rows]

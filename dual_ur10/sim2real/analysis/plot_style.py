@@ -1,4 +1,4 @@
-"""What all figures of the demonstration's report share: their style, and how they come into a page."""
+"""Style of all plots, and their embedding in a page."""
 
 from __future__ import annotations
 
@@ -32,25 +32,25 @@ _STYLE: Any = {
 
 @contextmanager
 def figure(rows: int, columns: int, height: float, **keywords: Any) -> Iterator[tuple[Any, Any, list[str]]]:
-    """A figure, its axes, and a list that receives its address as a `data:` URI."""
+    """Yield a figure, its axes, and a list that receives the `data:` URI of the finished plot."""
     import matplotlib
     from matplotlib.figure import Figure
 
     address: list[str] = []
     with matplotlib.rc_context(_STYLE):
-        drawn = Figure(figsize=(11, height), layout="constrained")
-        axes = drawn.subplots(rows, columns, squeeze=False, **keywords)
-        yield drawn, axes, address
+        canvas = Figure(figsize=(11, height), layout="constrained")
+        axes = canvas.subplots(rows, columns, squeeze=False, **keywords)
+        yield canvas, axes, address
         buffer = io.BytesIO()
-        drawn.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+        canvas.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
         address.append("data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode())
 
 
 def legend_right(axis: Any) -> None:
-    """A legend beside the axes."""
+    """Place the legend beside the axes."""
     axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
 def capital(text: str) -> str:
-    """The text with a capital at its begin."""
+    """Return the text with a capital first letter."""
     return text[:1].upper() + text[1:]

@@ -1,4 +1,4 @@
-"""The figures of a comparison, drawn with matplotlib."""
+"""Plots of a comparison, as `data:` URIs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MOST_POINTS: Final = 3000  # of a line
 
 
 def flange_error(found: Comparison) -> str:
-    """Distance between the flanges of both runs over time, with and without the lag."""
+    """Plot the distance between the flanges of both runs over time, with and without the lag."""
     pair = _shown(found)
     with figure(2, 1, 5.4, sharex=True) as (_, axes, address):
         for arm, axis in enumerate(axes[:, 0]):
@@ -36,7 +36,7 @@ def flange_error(found: Comparison) -> str:
 
 
 def flange_vector(found: Comparison) -> str:
-    """The vector from B's flange to A's, lag taken off, along the axes of the cell."""
+    """Plot the vector from B's flange to A's along the axes of the cell, lag taken off."""
     pair = _shown(found)
     with figure(1, 2, 3.4, sharey=True) as (_, axes, address):
         for arm, axis in enumerate(axes[0]):
@@ -51,7 +51,7 @@ def flange_vector(found: Comparison) -> str:
 
 
 def joint_errors(found: Comparison) -> str:
-    """Differences of the joints, lag taken off."""
+    """Plot the differences of the joints, lag taken off."""
     pair = _shown(found)
     with figure(1, 2, 3.4, sharey=True) as (_, axes, address):
         for arm, axis in enumerate(axes[0]):
@@ -67,7 +67,7 @@ def joint_errors(found: Comparison) -> str:
 
 
 def paths(found: Comparison) -> str:
-    """How far each flange of both runs is from where it began."""
+    """Plot the distance of each flange of both runs from its start."""
     pair = _shown(found)
     with figure(1, 2, 3.2, sharey=True) as (_, axes, address):
         for arm, axis in enumerate(axes[0]):
@@ -82,7 +82,7 @@ def paths(found: Comparison) -> str:
 
 
 def skew(found: Comparison) -> str:
-    """How often which time lies between the sendings of the same target to both arms."""
+    """Plot the histogram of the time between the sendings of the same target to both arms."""
     with figure(1, 2, 3.0) as (_, axes, address):
         for axis, name, timing in zip(axes[0], "AB", found.timing, strict=True):
             values = 1e3 * timing.skews_s
@@ -101,7 +101,7 @@ def _tall(axis: Any, most: float) -> None:
 
 
 def _shown(found: Comparison) -> Pair:
-    """The first episode, with no more points than can be seen."""
+    """Return the first episode, thinned to the points that can be seen."""
     pair = found.pairs[0]
     every = max(1, -(-len(pair.time_s) // _MOST_POINTS))
     return Pair(

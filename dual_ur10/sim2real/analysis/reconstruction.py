@@ -1,4 +1,4 @@
-"""The environment of a recorded run, made again; and whether a cell is one that it can be played on."""
+"""Reconstruction of the environment of a recorded run, and checks that a cell can replay it."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from dual_ur10.sim2real.recording.run import Episode, Header, Run
 
 BASE_M: Final = 0.05
 BASE_RAD: Final = 0.1
-"""A base may stand so far from where it stood when the run was recorded, as a measured one from a planned one."""
+"""Largest change of a base pose since the recording, such as between a planned and a measured one."""
 
-_SEEN: Final = (
+_VISUAL: Final = (
     "render_mode",
     "camera",
     "width",
@@ -39,8 +39,8 @@ _SEEN: Final = (
 )
 """Keywords that change no motion."""
 
-_SIMULATED: Final = ("randomization", "observation", "cameras", "pixels_rate_hz", *_SEEN)
-"""Keywords that mean nothing to arms."""
+_SIMULATED: Final = ("randomization", "observation", "cameras", "pixels_rate_hz", *_VISUAL)
+"""Keywords without meaning for real arms."""
 
 
 _LATENCY: Final = "action_latency_ticks"
@@ -59,23 +59,23 @@ _KINDS: Final[dict[type[Any], dict[str, type[Any]]]] = {
 
 
 def keywords_of(header: Header, cell: str | Path | CellConfig | None = None) -> dict[str, Any]:
-    """Keywords of `gym.make` for the environment of a recorded run.
+    """Return the keywords of `gym.make` for the environment of a recorded run.
 
-    An action acts as late as it did. On a cell that needs longer, it acts later, and all that follows with it.
+    The action latency is the recorded one, or that of the cell if it is longer.
 
     Args:
-        header: Of the run.
-        cell: Where to play it instead; None: in simulation, on the cell that was recorded.
+        header: Header of the run.
+        cell: Cell of the replay; None: a simulation of the recorded cell.
 
     Raises:
-        RecordingError: The recording does not say what is needed, or what it says is not legal.
+        RecordingError: The recording lacks an entry, or holds an illegal one.
     """
     if header.env_id not in ENTRY_POINTS:
         raise RecordingError(
             f"the recording is of {header.env_id!r}: this version has {', '.join(ENTRY_POINTS)}. Use the version that "
             "recorded it"
         )
-    left_out = _SEEN if cell is None and header.source == "mujoco" else _SIMULATED
+    left_out = _VISUAL if cell is None and header.source == "mujoco" else _SIMULATED
     keywords = {name: value for name, value in header.kwargs.items() if name not in (*left_out, "task")}
     keywords[_LATENCY] = header.latency_ticks
     if cell is not None:
@@ -87,7 +87,7 @@ def keywords_of(header: Header, cell: str | Path | CellConfig | None = None) -> 
         elif isinstance(keywords.get("cell"), Mapping):
             keywords["cell"] = _built(CellConfig, keywords["cell"])
         elif keywords.get("cell", "mujoco") != "mujoco":
-            # A path would be that of arms, which nobody asked to move.
+            # A path would name real arms, which nobody asked to move.
             raise SettingsError(f"it is {keywords['cell']!r:.80}, and a simulated run's is not a file")
     except (SettingsError, UnknownNameError, LookupError, TypeError, ValueError) as error:
         raise RecordingError(f"the cell of the recording is not legal: {error}. It is damaged") from error
@@ -95,12 +95,12 @@ def keywords_of(header: Header, cell: str | Path | CellConfig | None = None) -> 
 
 
 def replayed_keywords(header: Header) -> dict[str, Any]:
-    """Keywords of a run's environment that a replay passes on, wherever it plays it."""
+    """Return the keywords of a run's environment that a replay passes on to any cell."""
     return {name: value for name, value in header.kwargs.items() if name not in (*_SIMULATED, "task", "cell", _LATENCY)}
 
 
 def _simulated(header: Header) -> CellConfig:
-    """The cell of two controllers, as simulation has it."""
+    """Return the simulated counterpart of a cell of two controllers."""
     if header.cell_file is not None:
         cell, findings = examine_text(header.cell_file, "the recording's cell file")
         if cell is None:
@@ -113,7 +113,7 @@ def _simulated(header: Header) -> CellConfig:
 
 
 def _built(kind: type[Any], values: Mapping[str, Any]) -> Any:
-    """A dataclass, and those in it, of what `dataclasses.asdict` and JSON made of it."""
+    """Return a dataclass and those nested in it from the output of `dataclasses.asdict` and JSON."""
     known = [each.name for each in fields(kind)]
     inner: dict[str, Any] = {}
     for name, value in values.items():
@@ -128,7 +128,7 @@ def _built(kind: type[Any], values: Mapping[str, Any]) -> Any:
 
 
 def _obstacle(values: Mapping[str, Any]) -> Any:
-    """An obstacle; which, its values say."""
+    """Return the obstacle that has fields of these names."""
     for kind in (Box, Capsule, Plane):
         if values.keys() <= {each.name for each in fields(kind)}:
             return _built(kind, values)
@@ -167,9 +167,9 @@ def generator_of(run: Run, number: int) -> np.random.Generator | None:
 
 
 def resets_of(run: Run, number: int) -> list[int | None]:
-    """Seeds of the resets that lead to an episode, where nothing else is known of what it drew.
+    """Return the seeds of the resets that lead to an episode, for a record without the state of the generator.
 
-    From the last episode that had one; those after it go on from there.
+    They begin at the last episode that was given a seed.
     """
     first = number
     while first > 0 and run.episodes[first].seed is None:
@@ -184,13 +184,13 @@ def check_replayable(header: Header, config: CellConfig) -> None:
     """Make sure that a recorded run can be played on a cell: the same robot at the same rate, where it stood.
 
     Raises:
-        RecordingError: It cannot. The message says what was found, what was expected and what to do.
+        RecordingError: It cannot. The message names what was found, what was expected and what to do.
     """
     for name, factor in (("recording", header.speed_factor), ("cell", config.speed_factor)):
         if not 0.0 < factor <= 1.0:
             raise RecordingError(
                 f"the speed_factor of the {name} is {factor!r}: above 0 and at most 1 is expected, for nothing is "
-                "played faster than in the time of its task. Correct the cell file, or record the run anew"
+                "replayed faster than in the time of its task. Correct the cell file, or record the run anew"
             )
     servoj = config.servoj
     if header.family not in TICK_S or abs(TICK_S[header.family] - header.tick_s) > 1e-9:
@@ -215,15 +215,15 @@ def check_replayable(header: Header, config: CellConfig) -> None:
 
 
 def check_same_actions(header: Header, episode: Episode, core: Any) -> None:
-    """Make sure that an environment takes the actions of an episode as they were meant.
+    """Make sure that an environment interprets the actions of an episode as the recorded one did.
 
     Args:
-        header: Of the run.
-        episode: Of the run.
-        core: Of the environment, `env.unwrapped.core`.
+        header: Header of the run.
+        episode: An episode of the run.
+        core: Core of the environment, `env.unwrapped.core`.
 
     Raises:
-        RecordingError: It does not. The message says what was found, what was expected and what to do.
+        RecordingError: It does not. The message names what was found, what was expected and what to do.
     """
     adapter = core.pipeline.adapter
     size = 2 * adapter.action_size

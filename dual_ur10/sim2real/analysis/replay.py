@@ -1,4 +1,4 @@
-"""Plays a recorded episode again: the same actions, through the same adapter and gate, wherever they lead."""
+"""Replay of a recorded episode: the same actions through the same adapter and gate."""
 
 from __future__ import annotations
 
@@ -32,19 +32,18 @@ from dual_ur10.sim2real.runtime.arm_sender import START_GAP_RAD
 from dual_ur10.types import Array
 
 AWAY_RAD: Final = 0.02
-"""How far targets may be from the recorded ones on another cell: beyond that, it is another motion.
+"""Largest difference of targets from the recorded ones on another cell: beyond it, the replay ends.
 
-Steps of joints go on from where arms are led to. Where a limit is tighter, or arms had to rest because an action came
-too late, the same steps lead elsewhere, and to what is there.
+Joint steps accumulate. After a tighter limit or a stop, the same steps lead to other places, and to what stands there.
 """
 
 
 def source_of(path: str | Path, episode: int) -> dict[str, Any]:
-    """What the record of a replay says of what it replays, as `record_about` of an environment takes it.
+    """Return the source of a replay, as the keyword `record_about` of an environment takes it.
 
     Args:
         path: The recording that was read: its folder, or its file.
-        episode: Which of its episodes.
+        episode: Number of the episode.
 
     Raises:
         RecordingError: It cannot be read.
@@ -60,11 +59,11 @@ def source_of(path: str | Path, episode: int) -> dict[str, Any]:
 
 
 class RecordedPolicy:
-    """Gives the actions of a recorded episode, one after the other, whatever it sees.
+    """Policy that returns the actions of a recorded episode one after the other, whatever the observation.
 
     Args:
         run: The recording.
-        episode: Which, in the order of the recording.
+        episode: Number of the episode in the order of the recording.
 
     Raises:
         RecordingError: There is no such episode, or it has no action.
@@ -78,11 +77,11 @@ class RecordedPolicy:
         return len(self.episode.action)
 
     def reset(self) -> None:
-        """Begin with the first action again."""
+        """Start again with the first action."""
         self._next = 0
 
     def __call__(self, observation: Any) -> NDArray[Any]:
-        """The next action, as it was recorded.
+        """Return the next recorded action.
 
         Raises:
             RecordingError: There are no more.
@@ -99,21 +98,20 @@ class RecordedPolicy:
 
 @dataclass(frozen=True)
 class Replay:
-    """What came of a replay.
+    """Result of a replay.
 
     Attributes:
-        steps: How many steps were made.
-        recorded: How many were recorded.
-        targets_rad: (steps, ticks, 2, 6) what the gate let out now.
+        steps: Number of steps made.
+        recorded: Number of steps recorded.
+        targets_rad: (steps, ticks, 2, 6) targets that the gate released now.
         q_rad: (steps + 1, 2, 6) joints after the reset and after each step, now.
-        flange_m: (steps + 1, 2, 3) flanges likewise, in the cell frame.
-        equal_targets: How many ticks of these have the same targets as recorded, in every bit, for both arms.
-        difference: The first thing that is not as recorded, in words; "" if all that should be is: targets anywhere,
-            and joints where a simulated run was simulated again.
-        success: Whether the task says that it was done well; None: the episode did not come to its end.
-        ended_by: What ended it, such as the gate's verdict, or that another motion came of the actions; "" if nothing
-            did.
-        late_actions: How many actions came too late on two controllers, so that both arms came to rest.
+        flange_m: (steps + 1, 2, 3) flanges after the reset and after each step, now, in the cell frame.
+        equal_targets: Number of ticks whose targets equal the recorded ones in every bit, for both arms.
+        difference: First difference from the recording, in words; "": none. Targets are always compared, joints and
+            rewards where a simulated run is simulated again.
+        success: True if the task succeeded; None: the episode did not come to its end.
+        ended_by: Reason of the end, such as the gate's verdict or a too large difference of the targets; "": none.
+        late_actions: Number of actions that missed their deadline on two controllers, so that both arms stopped.
     """
 
     steps: int
@@ -129,12 +127,12 @@ class Replay:
 
     @property
     def is_exact(self) -> bool:
-        """Whether all is as recorded."""
+        """True if the replay equals the recording."""
         return not self.difference
 
 
 def episode_of(run: Run, number: int) -> Episode:
-    """An episode that can be played.
+    """Return an episode that can be replayed.
 
     Raises:
         RecordingError: There is none of this number, or it has no action.
@@ -166,20 +164,19 @@ def replay(
     keywords: Mapping[str, Any] | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Replay:
-    """Play an episode again.
+    """Replay an episode.
 
     Args:
         run: The recording.
-        cell: Where: the path of a cell file, or what else `gym.make` takes; None: in simulation, on the cell that was
-            recorded.
-        episode: Which, in the order of the recording.
-        keywords: More for `gym.make`.
-        on_step: Called with the steps made and those there are, after each step.
+        cell: Path of a cell file, or another value that `gym.make` takes; None: a simulation of the recorded cell.
+        episode: Number of the episode in the order of the recording.
+        keywords: Further keywords of `gym.make`.
+        on_step: Called after each step with the numbers of steps made and recorded.
 
     Raises:
-        RecordingError: The recording does not fit this robot or cell, or does not begin where the cell does. Nothing
-            has moved then, but for the reset.
-        DualUR10Error: What environment and cell raise.
+        RecordingError: The recording does not fit this robot or cell, or begins at another configuration. Nothing but
+            the reset has moved then.
+        DualUR10Error: An error of the environment or the cell.
     """
     played = episode_of(run, episode)
     header = run.header
@@ -219,7 +216,7 @@ def replay(
 
 
 class _Tap:
-    """A pipeline, and what it let out last."""
+    """Pipeline that keeps the targets it released last."""
 
     def __init__(self, pipeline: Any) -> None:
         self._pipeline = pipeline
@@ -295,7 +292,7 @@ def _play(
 
 
 def _unequal(what: str, found: Array, recorded: Array, where: str) -> str:
-    """Where two arrays, (..., 2, 6), first differ, in words; "" if in no bit."""
+    """Return the first difference of two arrays, (..., 2, 6), in words; "" if they are equal in every bit."""
     same = bits_equal(found, recorded)
     if same.all():
         return ""

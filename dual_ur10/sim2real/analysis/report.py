@@ -163,7 +163,7 @@ _FLANGE_COLUMNS: Final[list[Column[Differences]]] = [
     *_size("", "mm", lambda each: each.flange_m),
     *map(_axis_rms, range(3)),
     *map(_axis_mean, range(3)),
-    Column("angle max", "°", lambda each: math.degrees(each.turn_rad.most)),
+    Column("angle max", "°", lambda each: math.degrees(each.angle_rad.most)),
 ]
 
 
@@ -202,7 +202,7 @@ def _joints(found: Comparison) -> Table:
 
 
 def _later(k: int) -> Column[ArmTiming]:
-    return Column(f"later than {1e3 * LATE_S[k]:g} ms", "%", lambda arm: 100 * arm.late.shares[k])
+    return Column(f"later than {1e3 * LATE_S[k]:g} ms", "%", lambda arm: 100 * arm.late.ratios[k])
 
 
 _TIMING_COLUMNS: Final[list[Column[ArmTiming]]] = [

@@ -12,23 +12,23 @@ from dual_ur10.policies.evaluation.cross_correlation import cross_correlation, p
 from dual_ur10.types import Array
 
 MOST_S: Final = 0.5
-"""Largest lag that is looked for: shorter than half a period of the slowest sine that the tasks know by default."""
+"""Largest lag of the search: shorter than half a period of the tasks' slowest default sine."""
 
 STILL_RAD: Final = 1e-3
-"""An arm none of whose joints moves farther stands still: noise has a peak, too."""
+"""Smallest motion of a joint for which a lag is estimated: noise has a correlation peak, too."""
 
 LEAST_CORRELATION: Final = 0.7
-"""Below it, two motions are not one motion at two times."""
+"""Smallest correlation interpolate which two signals count as one motion interpolate two times."""
 
 _LEAST_SAMPLES: Final = 24
 
 
 class Value(NamedTuple):
-    """A figure, or why there is none.
+    """A figure, or the reason why there is none.
 
     Attributes:
-        value: NaN where there is none.
-        reason: Why; "" where there is one.
+        value: The figure; NaN: none.
+        reason: Reason; "" where there is a figure.
     """
 
     value: float
@@ -36,12 +36,12 @@ class Value(NamedTuple):
 
 
 def none(reason: str) -> Value:
-    """No figure, because of this."""
+    """Return a missing figure with its reason."""
     return Value(math.nan, reason)
 
 
 class Spread(NamedTuple):
-    """The sizes of many numbers: their root mean square, what 99 of 100 do not exceed, and the largest."""
+    """Magnitudes of many numbers: root mean square, 99th percentile and maximum."""
 
     rms: float
     p99: float
@@ -52,7 +52,7 @@ NO_SPREAD = Spread(math.nan, math.nan, math.nan)
 
 
 def spread(values: Array) -> Spread:
-    """The sizes of numbers of any shape; NaN where there are none."""
+    """Return the magnitudes of numbers of any shape; NaN where there are none."""
     sizes = np.abs(values)
     if not sizes.size:
         return NO_SPREAD
@@ -60,43 +60,43 @@ def spread(values: Array) -> Spread:
 
 
 def lengths(vectors: Array) -> Array:
-    """Lengths of (..., 3) vectors."""
+    """Return the lengths of (..., 3) vectors."""
     result: Array = np.linalg.norm(vectors, axis=-1)
     return result
 
 
-def at(times_s: Array, values: Array, when_s: Array) -> Array:
-    """Values between samples, on a smooth way through them: cubics whose slopes at a sample its neighbours give.
+def interpolate(times_s: Array, values: Array, when_s: Array) -> Array:
+    """Interpolate samples by cubics whose slope interpolate each sample follows from its neighbours.
 
     Args:
-        times_s: (k,) strictly rising, two or more.
-        values: (k, d).
-        when_s: (j,) within `times_s`; outside, the first or last value.
+        times_s: (k,) two or more times, strictly rising.
+        values: (k, d) samples.
+        when_s: (j,) times within `times_s`; outside, the first or last sample.
 
     Returns:
-        (j, d); at a sample's time, the sample exactly.
+        (j, d); interpolate a sample's time, the sample exactly.
     """
     slopes = np.gradient(values, times_s, axis=0)
     when = np.clip(when_s, times_s[0], times_s[-1])
     left = np.clip(np.searchsorted(times_s, when, side="right") - 1, 0, len(times_s) - 2)
     length = times_s[left + 1] - times_s[left]
-    share = ((when - times_s[left]) / length)[:, None]
+    part = ((when - times_s[left]) / length)[:, None]
     rise = values[left + 1] - values[left]
     begin, end = slopes[left] * length[:, None], slopes[left + 1] * length[:, None]
-    bend = share * (share * (begin + end - 2 * rise) + 3 * rise - 2 * begin - end)
-    result: Array = values[left] + share * (begin + bend)
-    return np.where(share == 1.0, values[left + 1], result)
+    bend = part * (part * (begin + end - 2 * rise) + 3 * rise - 2 * begin - end)
+    result: Array = values[left] + part * (begin + bend)
+    return np.where(part == 1.0, values[left + 1], result)
 
 
 def rising(times_s: Array) -> NDArray[np.bool_]:
-    """(k,) which samples to keep so that times strictly rise: each that is later than all before it."""
+    """Return the (k,) mask of samples that are later than all before them, so that times strictly rise."""
     before = np.maximum.accumulate(np.concatenate([[-np.inf], times_s[:-1]]))
     result: NDArray[np.bool_] = times_s > before
     return result
 
 
 def smoothed(values: Array, half: int) -> Array:
-    """(k - 2 half, d): each value but the outer ones by the cubic that fits it and `half` neighbours on both sides."""
+    """Return (k - 2 half, d) values of the cubics fitted to each value and `half` neighbours on both sides."""
     if len(values) <= 2 * half:
         return values[:0]
     places: Array = np.arange(-half, half + 1) / max(half, 1)
@@ -107,15 +107,15 @@ def smoothed(values: Array, half: int) -> Array:
 
 
 def lag(late: Array, early: Array, step_s: float) -> Value:
-    """Time by which `late` is behind `early`, by a parabola through the peak and its neighbours.
+    """Return the time by which `late` is behind `early`, from the peak of their cross-correlation.
 
     Args:
         late: (k, d) signals, `step_s` apart.
-        early: (k, d) the same motion.
+        early: (k, d) signals of the same motion.
         step_s: Time between two samples.
 
     Returns:
-        In s; negative if `late` comes first. None if there is too little motion to tell.
+        Time in s; negative if `late` comes first. No figure if there is too little motion.
     """
     count = len(early)
     if count < _LEAST_SAMPLES:
@@ -123,12 +123,12 @@ def lag(late: Array, early: Array, step_s: float) -> Value:
     for values in (late, early):
         moved = float(np.ptp(values, axis=0).max())
         if moved < STILL_RAD:
-            return none(f"the arm stood still: no joint moved by more than {moved:.1g} rad")
+            return none(f"the arm did not move: no joint moved by more than {moved:.1g} rad")
     most = min(round(MOST_S / step_s), count // 4)
     values = cross_correlation(late, early, most, constant=0.0)
     peak = int(values.argmax())
     if values[peak] < LEAST_CORRELATION:
-        return none(f"the motions are not alike: their correlation is {values[peak]:.2f} at most")
+        return none(f"the motions are not alike: their correlation is {values[peak]:.2f} interpolate most")
     if peak in (0, 2 * most):
         return none(f"the correlation has no peak within {most * step_s:.2g} s")
     return Value(peak_delay(values) * step_s)

@@ -1,4 +1,4 @@
-"""What one recorded run says of itself: lag behind its targets, skew, late ticks, ripple, repeatability."""
+"""Timing of one recorded run: lag behind its targets, skew, late ticks, ripple and repeatability."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dual_ur10.sim2real.analysis.series import (
     NO_SPREAD,
     Spread,
     Value,
-    at,
+    interpolate,
     lag,
     lengths,
     none,
@@ -27,16 +27,16 @@ from dual_ur10.sim2real.recording.run import Run
 from dual_ur10.types import Array
 
 LATE_S: Final = (0.002, 0.008)
-"""Targets later than these are counted."""
+"""Delays above which late targets are counted."""
 
 RIPPLE_WINDOW_S: Final = 0.2
-"""What a flange's speed is smoothed over to see its ripple: faster changes than some 10 Hz are ripple."""
+"""Window over which a flange's velocity is smoothed: changes faster than some 10 Hz are ripple."""
 
 MOVING_M_S: Final = 0.005
-"""Ripple is that of a flange that moves faster."""
+"""Speed above which a flange's ripple is evaluated."""
 
 SAME_START_RAD: Final = 0.02
-"""Episodes whose first postures are farther apart begin at different poses."""
+"""Largest joint difference of episodes that begin at the same pose."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,10 @@ class Late:
     """Targets that came late.
 
     Attributes:
-        targets: How many were sent.
-        late: How many of them later than each of `LATE_S`.
-        missed: Control periods between them that got none.
-        most_s: The latest.
+        targets: Number of targets that were sent.
+        late: Number of targets later than each of `LATE_S`.
+        missed: Control periods in between without a target.
+        most_s: Largest delay.
     """
 
     targets: int
@@ -56,22 +56,21 @@ class Late:
     most_s: float
 
     @property
-    def shares(self) -> tuple[float, ...]:
-        """Of all targets."""
+    def ratios(self) -> tuple[float, ...]:
+        """Ratios of late targets to all targets."""
         return tuple(each / self.targets if self.targets else math.nan for each in self.late)
 
 
 @dataclass(frozen=True)
 class Ripple:
-    """How much a flange's speed differs from a smooth one.
+    """Difference of a flange's velocity from a smooth one, while the flange moves.
 
     The velocity is the central difference of flange positions, one control period to either side, by the kinematics
-    and the measured joints. The smooth one is that of the cubic that fits `RIPPLE_WINDOW_S` of it, moved along. What is
-    told is the length of their difference while the flange moves.
+    and the measured joints. The smooth one is that of the cubic fitted to a moving window of `RIPPLE_WINDOW_S`.
 
     Attributes:
-        size_m_s: The difference.
-        reason: Why there is none; "" if there is.
+        size_m_s: Length of the difference.
+        reason: Reason why there is none; "" if there is.
     """
 
     size_m_s: Spread
@@ -80,13 +79,13 @@ class Ripple:
 
 @dataclass(frozen=True)
 class Repeatability:
-    """How well an arm comes back to where episodes begin.
+    """Repeatability of the pose at which episodes begin.
 
     Attributes:
-        episodes: How many began at the same pose.
+        episodes: Number of episodes that began at the same pose.
         most_m: Largest distance of a flange to their mean.
-        iso_m: Mean distance and three standard deviations, as ISO 9283 defines pose repeatability; None below three.
-        reason: Why there is none; "" if there is.
+        iso_m: Mean distance plus three standard deviations, the pose repeatability of ISO 9283; NaN below three.
+        reason: Reason why there is none; "" if there is.
     """
 
     episodes: int
@@ -100,10 +99,10 @@ class ArmTiming:
     """Figures of one arm in one run.
 
     Attributes:
-        behind: Time by which measured joints are behind the targets that were sent.
-        late: Targets that came late.
-        ripple: Of the flange's speed.
-        repeatability: Of the start pose.
+        behind: Lag of the measured joints behind the targets that were sent.
+        late: Late targets.
+        ripple: Ripple of the flange's velocity.
+        repeatability: Repeatability of the start pose.
     """
 
     behind: Value
@@ -117,10 +116,10 @@ class Timing:
     """Figures of one run.
 
     Attributes:
-        arms: Of each arm.
+        arms: Figures of the left and the right arm.
         skew_s: Time between the sendings of the same target to both arms.
-        skew_reason: Why there is none; "" if there is.
-        skews_s: (k,) each, left minus right.
+        skew_reason: Reason why there is none; "" if there is.
+        skews_s: (k,) skew of each target, left minus right.
     """
 
     arms: tuple[ArmTiming, ArmTiming]
@@ -130,10 +129,10 @@ class Timing:
 
 
 def timing(run: Run) -> Timing:
-    """Figures of a run, over all its episodes.
+    """Return the figures of a run, over all its episodes.
 
     Raises:
-        RecordingError: Of no episode enough was recorded of both arms.
+        RecordingError: No episode holds enough of both arms.
     """
     episodes = _episodes(run)
     arms = [
@@ -152,7 +151,7 @@ def timing(run: Run) -> Timing:
 
 
 def _episodes(run: Run) -> list[tuple[Track, Track]]:
-    """Those of which enough was recorded: an episode that was ended at once says nothing of the others."""
+    """Return the episodes of which enough was recorded. An episode may have ended at once."""
     found, first = [], None
     for number in range(len(run.episodes)):
         try:
@@ -165,7 +164,7 @@ def _episodes(run: Run) -> list[tuple[Track, Track]]:
 
 
 def _first_of(values: list[Value]) -> Value:
-    """The median of what there is, or the first reason why there is nothing."""
+    """Return the median of the figures, or the first reason if there is none."""
     found = [each.value for each in values if not each.reason]
     if found:
         return Value(float(np.median(found)))
@@ -173,11 +172,11 @@ def _first_of(values: list[Value]) -> Value:
 
 
 def behind(track: Track, tick_s: float) -> Value:
-    """Time by which measured joints are behind the targets that were sent, on the run's clock."""
+    """Return the lag of the measured joints behind the targets that were sent, on the run's clock."""
     ordered = rising(track.sent_s)
     sent_s, targets = track.sent_s[ordered], track.target_rad[ordered]
     grid = _grid(max(sent_s[0], track.time_s[0]), min(sent_s[-1], track.time_s[-1]), tick_s)
-    return lag(at(track.time_s, track.q_rad, grid), at(sent_s, targets, grid), tick_s)
+    return lag(interpolate(track.time_s, track.q_rad, grid), interpolate(sent_s, targets, grid), tick_s)
 
 
 def _grid(begin: float, end: float, step_s: float) -> Array:
@@ -194,11 +193,11 @@ def _late(arms: list[Track]) -> Late:
 
 
 def _skews(left: Track, right: Track) -> Array:
-    """When the same target was sent to the left arm and to the right one, the difference."""
+    """Return the time from the sending of a target to the right arm to that to the left one."""
     both = [(each.number[ordered], each.sent_s[ordered]) for each in (left, right) for ordered in [rising(each.number)]]
     (index_l, sent_l), (index_r, sent_r) = both
     inside = (index_l >= index_r[0]) & (index_l <= index_r[-1])
-    # Where one arm missed a target, there is none to compare with, and none is made up.
+    # A target that one arm missed is not interpolated.
     after = np.clip(np.searchsorted(index_r, index_l), 0, len(index_r) - 1)
     before = np.maximum(after - 1, 0)
     inside &= (index_r[after] == index_l) | (index_r[after] - index_r[before] <= 1.0)
@@ -207,11 +206,11 @@ def _skews(left: Track, right: Track) -> Array:
 
 
 def ripple_of(positions_m: Array, step_s: float) -> Array:
-    """(j,) how far a velocity is from a smooth one, in m/s, while it is moving; (0,) where it is not, or too short.
+    """Return the (j,) differences of a velocity from a smooth one while it moves, in m/s; (0,) if too short or slow.
 
     Args:
-        positions_m: (k, 3), `step_s` apart.
-        step_s: Time between two.
+        positions_m: (k, 3) positions, `step_s` apart.
+        step_s: Time between two positions.
     """
     velocity = (positions_m[2:] - positions_m[:-2]) / (2 * step_s)
     half = max(2, round(RIPPLE_WINDOW_S / 2 / step_s))
@@ -228,7 +227,7 @@ def _ripple(run: Run, arms: list[Track], arm: int) -> Ripple:
     found = []
     for each in arms:
         grid = _grid(each.time_s[0], each.time_s[-1], step_s)
-        found.append(ripple_of(flange_of(mount, at(each.time_s, each.q_rad, grid))[0], step_s))
+        found.append(ripple_of(flange_of(mount, interpolate(each.time_s, each.q_rad, grid))[0], step_s))
     sizes = np.concatenate(found) if found else np.zeros(0)
     if not sizes.size:
         return Ripple(NO_SPREAD, f"the flange did not move faster than {1e3 * MOVING_M_S:g} mm/s, or not for long")

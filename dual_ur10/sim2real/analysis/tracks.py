@@ -1,7 +1,7 @@
-"""What one arm did in one episode of a recorded run, on two clocks: that of the run, and that of the task.
+"""Motion of one arm in one episode of a recorded run, on the run's clock and on the task's.
 
-The task's clock is that of the targets' numbers, but where both arms had to rest (`tick_map`). Where a cell runs
-slower than the task, by its `speed_factor` or the slider, a second of the task takes longer; two runs at different
+The task's clock counts the numbers of the targets, except where both arms stopped (`tick_map`). Where a cell runs
+slower than the task, by its `speed_factor` or the slider, a second of the task takes longer: two runs at different
 speeds are the same motion on the task's clock.
 """
 
@@ -25,28 +25,28 @@ from dual_ur10.types import Array
 
 _MOST_APART: Final = 100.0  # ticks from state to state, on average
 _MOST_PAUSED_S: Final = 600.0
-_STRAIGHT_TICKS: Final = 2.0  # by which targets may be off a straight line and it is one
-_WINDOW_S: Final = 1.0  # the quickest packet of so long shows how the clocks stand to each other
-_LEAST: Final = 25  # samples, of which one is hardly ever all late
-_LOST_TICKS: Final = 2.0  # within a window: no quartz is off by that
+_STRAIGHT_TICKS: Final = 2.0  # by which targets may be off their straight line
+_WINDOW_S: Final = 1.0  # the quickest packet within it gives the offset of the clocks
+_LEAST: Final = 25  # samples, of which hardly ever all are late
+_LOST_TICKS: Final = 2.0  # within a window: no quartz drifts by that
 
 
 @dataclass(frozen=True)
 class Track:
-    """One arm in one episode. Times are on the run's clock, since the episode began.
+    """One arm in one episode. Times are on the run's clock, from the beginning of the episode.
 
     Attributes:
-        sent_s: (k,) when each target was sent.
-        late_s: (k,) by how much too late.
+        sent_s: (k,) time at which each target was sent.
+        late_s: (k,) delay of each target behind its due time.
         period: (k,) control periods.
-        number: (k,) numbers of the targets, as they were sent; between two where time was slowed down.
-        index: (k,) ticks of the task's clock that they belong to, 0 for the episode's first.
-        stopped: (k,) whether they belong to no action, for both arms come to rest because one came too late.
-        target_rad: (k, 6).
-        time_s: (j,) when each state was, strictly rising.
+        number: (k,) numbers of the targets as sent; fractional where time was slowed down.
+        index: (k,) ticks of the task's clock, 0 for the episode's first.
+        stopped: (k,) mask of targets that belong to no action, because both arms stop after a missed deadline.
+        target_rad: (k, 6) targets.
+        time_s: (j,) times of the states, strictly rising.
         task_s: (j,) the same on the task's clock.
         q_rad: (j, 6) measured joints.
-        reference_rad: (j, 6) where the controller wanted the joints to be; None: it was not recorded.
+        reference_rad: (j, 6) joints that the controller aimed at; None: not recorded.
     """
 
     sent_s: Array
@@ -63,18 +63,18 @@ class Track:
 
 
 def flange_of(mount: ArmMount, q_rad: Array) -> tuple[Array, Array]:
-    """Positions, (k, 3), and rotations, (k, 3, 3), of a flange in the cell frame."""
+    """Return positions, (k, 3), and rotations, (k, 3, 3), of a flange in the cell frame."""
     position, rotation = flange_pose(q_rad, mount.dh)
-    turn = quat_to_matrix(quat_from_rotvec(np.array([0.0, 0.0, mount.yaw_rad]))) @ BASE_TO_BASE_LINK
-    return np.array(mount.position_m) + position @ turn.T, turn @ rotation
+    from_base = quat_to_matrix(quat_from_rotvec(np.array([0.0, 0.0, mount.yaw_rad]))) @ BASE_TO_BASE_LINK
+    return np.array(mount.position_m) + position @ from_base.T, from_base @ rotation
 
 
 def track(run: Run, number: int, arm: int) -> Track:
-    """What an arm did in an episode.
+    """Return the motion of an arm in an episode.
 
     Args:
         run: The recording.
-        number: Of the episode, in the order of the recording.
+        number: Number of the episode in the order of the recording.
         arm: 0 or 1.
 
     Raises:
@@ -93,11 +93,11 @@ def track(run: Run, number: int, arm: int) -> Track:
     begin_s = episode.begin_s
     sent_s = sent["sent_s"] - begin_s
     index, stopped = numbers(sent["index"])
-    # When each target was due: free of the jitter with which it was sent.
+    # Due times are free of the jitter of sending.
     due_s = _line(sent["period"], sent_s - sent["late_s"], _STRAIGHT_TICKS * header.tick_s)
     end_s = due_s[-1] + header.tick_s
-    time_s = times_of(log) - begin_s
-    # Where an episode begins, another may just have ended: its last state is none of this one.
+    time_s = state_times(log) - begin_s
+    # The last state of the episode before may coincide with the beginning of this one.
     kept = (time_s > header.tick_s / 4) & (time_s <= end_s + header.tick_s / 2)
     kept &= np.isfinite(log.state["q_rad"]).all(axis=1)
     time_s = time_s[kept]
@@ -130,12 +130,12 @@ def track(run: Run, number: int, arm: int) -> Track:
 
 
 def tracks(run: Run, number: int) -> tuple[Track, Track]:
-    """What both arms did in an episode; see `track`."""
+    """Return the motion of both arms in an episode; see `track`."""
     return track(run, number, 0), track(run, number, 1)
 
 
 def _sent(run: Run, number: int, arm: int, numbers: TickMap) -> dict[str, Array]:
-    """Targets sent to an arm in an episode."""
+    """Return the targets sent to an arm in an episode."""
     kept = sent_around(run, number, arm)
     rows = {name: values[kept] for name, values in run.arms[arm].sent.items()}
     inside = (rows["index"] > numbers.first - 0.5) & (rows["index"] < numbers.end - 0.5)
@@ -143,18 +143,18 @@ def _sent(run: Run, number: int, arm: int, numbers: TickMap) -> dict[str, Array]
 
 
 def _line(period: Array, times_s: Array, most_s: float) -> Array:
-    """Times as a straight line over control periods; as they are where periods do not say enough, or it is none."""
+    """Return the straight line of times over control periods; the times themselves where they are too few or off it."""
     if len(period) < 3 or np.ptp(period) < 2:
         return times_s
     middle = period - period.mean()
     slope = float((middle * times_s).sum() / (middle * middle).sum())
     result: Array = times_s.mean() + slope * middle
-    # A controller's clock may have stood still.
+    # A controller's clock may have stalled.
     return result if float(np.abs(result - times_s).max()) <= most_s else times_s
 
 
 def _task_times(time_s: Array, due_s: Array, task_s: Array) -> Array:
-    """Times on the task's clock; before the first target and behind the last, it runs as the run's does."""
+    """Return times on the task's clock, which runs as the run's before the first target and after the last."""
     ordered = rising(due_s)
     due_s, task_s = due_s[ordered], task_s[ordered]
     result: Array = np.interp(time_s, due_s, task_s)
@@ -162,18 +162,17 @@ def _task_times(time_s: Array, due_s: Array, task_s: Array) -> Array:
     return result
 
 
-def times_of(log: ArmLog) -> Array:
-    """(j,) when states were, on the run's clock: by the controller's own clock, which no network delays.
+def state_times(log: ArmLog) -> Array:
+    """Return the (j,) times of the states on the run's clock, from the controller's clock, which no network delays.
 
-    Where that clock stands still for a while, as an emulated controller's does on a machine that stands still, states
-    before and behind are each taken by what the clock says there.
+    The offset between the clocks may change, as it does where an emulated controller stalls with its machine.
     """
     offset_s = _offset(log)
     return log.state["arrival_s"] if offset_s is None else log.state["timestamp_s"] + offset_s
 
 
-def uneven_s(log: ArmLog, tick_s: float) -> float:
-    """By how much a controller's clock and that of the run went apart, where no two quartzes do so; else 0."""
+def clock_error_s(log: ArmLog, tick_s: float) -> float:
+    """Return the range of the offset between controller's and run's clock where it exceeds a quartz's drift; else 0."""
     offset_s = _offset(log)
     if offset_s is None:
         return 0.0
@@ -184,20 +183,20 @@ def uneven_s(log: ArmLog, tick_s: float) -> float:
 
 
 def _offset(log: ArmLog) -> Array | None:
-    """(j,) what is to be added to the controller's time; None: it tells none that could be used."""
+    """Return the (j,) offsets of the run's clock from the controller's; None: the controller reports no usable time."""
     arrival_s = log.state["arrival_s"]
     stamps_s = log.state.get("timestamp_s")
     if stamps_s is None or len(arrival_s) < 2 or not np.isfinite(stamps_s).all() or (np.diff(stamps_s) <= 0).any():
         return None
     away_s = arrival_s - stamps_s
     count = max(_LEAST, round(_WINDOW_S / float(np.median(np.diff(stamps_s)))))
-    # A packet that was delayed is above the quickest of both sides; a clock that jumped is so on one side alone.
+    # A delayed packet exceeds the quickest on both sides; after a jump of the clock, a packet exceeds that of one side.
     result: Array = np.maximum(_least_of_next(away_s, count), _least_of_next(away_s[::-1], count)[::-1])
     return result
 
 
 def _least_of_next(values: Array, count: int) -> Array:
-    """(k,) the least of each value and the `count` - 1 that follow it; near the end, of the last `_LEAST`."""
+    """Return the (k,) minima of each value and the `count` - 1 after it; near the end, of the last `_LEAST`."""
     least, width = np.concatenate([values, np.full(count, np.inf)]), 1
     while width < count:  # twice as many with each round
         step = min(width, count - width)

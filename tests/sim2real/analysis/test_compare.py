@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from dual_ur10.errors import RecordingError
 from dual_ur10.sim2real.analysis.compare import compare
 from dual_ur10.sim2real.analysis.parity import parity
-from dual_ur10.sim2real.analysis.series import at, lag, smoothed, spread
+from dual_ur10.sim2real.analysis.series import interpolate, lag, smoothed, spread
 from dual_ur10.sim2real.analysis.timing import LATE_S, ripple_of, timing
 from dual_ur10.sim2real.analysis.tracks import flange_of, track, tracks
 from dual_ur10.sim2real.recording.header import mounts_of
@@ -37,8 +37,8 @@ def test_a_lag_is_found_between_samples(shift: float, hertz: float, seed: int) -
     ("late", "early", "words"),
     [
         (np.zeros((10, 6)), np.zeros((10, 6)), "too short"),
-        (np.zeros((200, 6)), np.sin(np.arange(200))[:, None] * np.ones(6), "stood still"),
-        (np.sin(np.arange(200) / 9)[:, None] * np.ones(6), np.zeros((200, 6)), "stood still"),
+        (np.zeros((200, 6)), np.sin(np.arange(200))[:, None] * np.ones(6), "the arm did not move"),
+        (np.sin(np.arange(200) / 9)[:, None] * np.ones(6), np.zeros((200, 6)), "the arm did not move"),
         (np.arange(400.0)[:, None] ** 2, np.arange(400.0)[::-1, None] ** 2, "not alike"),
         (np.arange(400.0)[:, None], np.arange(400.0)[:, None], "no peak"),
     ],
@@ -55,7 +55,7 @@ def test_a_run_is_equal_to_itself() -> None:
         assert arm.lag.value == pytest.approx(0.0, abs=1e-12)
         assert arm.found.flange_m == (0.0, 0.0, 0.0)
         assert all(each == (0.0, 0.0, 0.0) for each in arm.found.joints_rad)
-        assert arm.found.turn_rad.most == 0.0
+        assert arm.found.angle_rad.most == 0.0
         assert (arm.sent.compared, arm.sent.equal, arm.sent.first) == (1500, 1500, None)
         assert arm.sent.is_exact
     assert found.vector_m == (0.0, 0.0, 0.0)
@@ -143,7 +143,7 @@ def test_arms_that_stand_give_reasons_and_no_nonsense() -> None:
     still = run(size=0.0)
     found = compare(still, still)
     for arm in found.arms:
-        assert "stood still" in arm.lag.reason
+        assert "the arm did not move" in arm.lag.reason
         assert arm.free is None
         assert arm.found.flange_m.most == 0.0
     assert np.isnan(found.vector_free_m.rms)
@@ -249,7 +249,7 @@ def test_targets_of_other_control_periods_are_not_held_against_each_other() -> N
     assert "control periods differ" in " ".join(found.notes)
 
 
-# Actions that came too late, and clocks that do not run through.
+# Actions that missed their deadline, and clocks that do not run steadily.
 
 
 @pytest.mark.parametrize("latency", [0, 5])
@@ -267,8 +267,8 @@ def test_behind_a_rest_the_same_actions_are_compared(late: tuple[int, ...], late
     apart = np.linalg.norm(pair.flange_m[0] - pair.flange_m[1], axis=-1)[quiet]
     assert len(apart) > 100
     assert apart.max() < 1e-4
-    word = "1 action came" if len(late) == 1 else f"{len(late)} actions came"
-    assert f"run B: {word} too late" in " ".join(found.notes)
+    word = "1 action missed its" if len(late) == 1 else f"{len(late)} actions missed their"
+    assert f"run B: {word} deadline" in " ".join(found.notes)
     assert np.diff(tracks(rested(at=late), 0)[0].task_s).min() > 0.0
 
 
@@ -308,7 +308,7 @@ def test_a_clock_that_loses_time_mistimes_no_state(seed: int) -> None:
         assert mistimed_s.max() < 0.015
     notes = " ".join(compare(plain, made).notes)
     for arm in ("left", "right"):
-        assert f"run B: the clock of the {arm} controller did not run through" in notes
+        assert f"run B: the clock of the {arm} controller did not run steadily" in notes
     assert "off by up to 1.4" in notes or "off by up to 1.5" in notes
     assert "run A: the clock" not in notes
 
@@ -382,7 +382,7 @@ def test_late_and_missed_targets_are_counted() -> None:
     period[200:] += 3
     found = timing(with_arm(made, 0, sent={"late_s": late_s, "period": period})).arms[0].late
     assert (found.targets, found.late, found.missed, found.most_s) == (750, (4, 1), 3, 9e-3)
-    assert found.shares == pytest.approx((4 / 750, 1 / 750))
+    assert found.ratios == pytest.approx((4 / 750, 1 / 750))
     assert LATE_S == (0.002, 0.008)
 
 
@@ -474,17 +474,17 @@ def test_interpolation_hits_samples_and_follows_straight_lines(seed: int, count:
     rng = np.random.default_rng(seed)
     times = np.cumsum(rng.uniform(0.001, 0.02, count))
     values = rng.normal(size=(count, 3))
-    assert (at(times, values, times) == values).all()
+    assert (interpolate(times, values, times) == values).all()
     line = np.outer(times, [1.0, -2.0, 0.5])
     between = rng.uniform(times[0], times[-1], 20)
-    assert at(times, line, between) == pytest.approx(np.outer(between, [1.0, -2.0, 0.5]))
-    assert at(times, values, np.array([times[0] - 1, times[-1] + 1])) == pytest.approx(values[[0, -1]])
+    assert interpolate(times, line, between) == pytest.approx(np.outer(between, [1.0, -2.0, 0.5]))
+    assert interpolate(times, values, np.array([times[0] - 1, times[-1] + 1])) == pytest.approx(values[[0, -1]])
 
 
 def test_interpolation_follows_parabolas_between_its_ends() -> None:
     times = np.arange(12) * 0.008
     between = np.linspace(times[1], times[-2], 99)
-    assert at(times, times[:, None] ** 2, between)[:, 0] == pytest.approx(between**2, abs=1e-12)
+    assert interpolate(times, times[:, None] ** 2, between)[:, 0] == pytest.approx(between**2, abs=1e-12)
 
 
 def test_smoothing_keeps_cubics() -> None:

@@ -107,13 +107,13 @@ def test_targets_that_come_unevenly_are_taken_as_they_came() -> None:
 
 def test_what_cannot_be_fitted_says_why() -> None:
     still = fit(run(size=0.0))[0]
-    assert "not asked to move" in still.law.reason
-    assert "not asked to move" in still.arm.reason
+    assert "targets of the arm do not move" in still.law.reason
+    assert "targets of the arm do not move" in still.arm.reason
     assert np.isnan([still.arm.lookahead_s, still.arm.latency_s, still.arm.latency_sigma_s]).all()
     assert "too short" in fit(run(seconds=0.4))[0].arm.reason
     made = run()
     stuck = np.repeat(made.arms[0].state["q_rad"][:1], 751, axis=0)
-    assert "stood still" in fit(with_arm(made, 0, state={"q_rad": stuck}))[0].arm.reason
+    assert "the arm did not move" in fit(with_arm(made, 0, state={"q_rad": stuck}))[0].arm.reason
     other = made.arms[0].state["q_rad"][::-1]
     found = fit(with_arm(made, 0, state={"q_rad": other, "target_q_rad": other}))[0].law
     assert "law" in found.reason
@@ -211,7 +211,11 @@ def test_a_latency_just_below_zero_is_none(tmp_path: Path) -> None:
         (emulated(), fits(latency_sigma_s=float("nan")), "too uncertain"),
         (emulated(), fits(latency_s=-0.02), "no figures of a controller"),
         (emulated(), fits(lookahead_s=0.6), "no figures of a controller"),
-        (emulated(), [ArmFit(estimate(), estimate(reason="it stood still"), 0.03, 2000.0)] * 2, "left: .* it stood"),
+        (
+            emulated(),
+            [ArmFit(estimate(), estimate(reason="it did not move"), 0.03, 2000.0)] * 2,
+            "left: .* it did not move",
+        ),
     ],
 )
 def test_what_must_not_be_written_is_refused(tmp_path: Path, head: Any, found: Any, words: str) -> None:
@@ -249,8 +253,8 @@ def test_an_illegal_cell_file_stays_as_it_is(tmp_path: Path) -> None:
     [
         (0.0, ""),
         (0.004, ""),
-        (-0.004217, "counts as none"),
-        (-0.0081, "counts as none"),
+        (-0.004217, "counts as 0"),
+        (-0.0081, "counts as 0"),
         (-0.012, "no controller's is"),
     ],
 )
@@ -268,5 +272,5 @@ def test_fit_says_so_at_the_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyP
     with cli_fit.console.capture() as shown:
         cli_fit.fit(tmp_path)
     text = shown.get()
-    assert text.count("counts as none") == 2
+    assert text.count("counts as 0") == 2
     assert "note: left, controller alone: the latency is below 0" in text

@@ -54,7 +54,7 @@ def test_the_report_holds_everything_and_fetches_nothing(tmp_path: Path) -> None
 def test_a_report_without_figures_says_why() -> None:
     still = run(2.0, size=0.0)
     text = report(compare(still, still))
-    assert "stood still" in text
+    assert "the arm did not move" in text
     assert "two episodes or more are needed" in text
     assert "nan" not in re.sub(r"base64,[A-Za-z0-9+/=]*", "", text)
     made = run(2.0)

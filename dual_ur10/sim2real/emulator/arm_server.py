@@ -196,7 +196,7 @@ class ArmServer:
     def _take_script(self, text: str) -> None:
         self.controller.received.upload(self.controller.ticks)
         if len(self._scripts) >= _MOST_SCRIPTS:
-            raise ProtocolError(f"{_MOST_SCRIPTS} programs wait to be started already")
+            raise ProtocolError(f"{_MOST_SCRIPTS} programs are waiting already")
         found = self._reader.submit(read, text, self.controller.program.builtins)
         self._scripts.append((self.controller.time_s + self.script_delay_s, text, found))
 

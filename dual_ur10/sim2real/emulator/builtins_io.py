@@ -132,7 +132,7 @@ def io_builtins(controller: Controller) -> Builtins:
 
 def _watchdog(controller: Controller, name: str, frequency: float, action: str) -> Watchdog | None:
     if not isinstance(name, str):
-        raise MotionError(f"a watchdog is set on the name of a register, found {name!r}")
+        raise MotionError(f"a watchdog needs the name of a register, found {name!r}")
     if not math.isfinite(frequency):
         raise MotionError(f"a watchdog's frequency is {frequency!r}: it must be a number of Hz")
     if action == "ignore" or frequency <= 0.0:

@@ -68,7 +68,7 @@ class MotionOwner:
                 self._controller.motion.halt()
                 raise
             if handle.aborted:
-                raise MotionError("the motion was ended by a stop: start the program again")
+                raise MotionError("a stop ended the motion: start the program again")
 
 
 def joints_of(controller: Controller, q: Sequence[float], near: Sequence[float] | None = None) -> list[float]:

@@ -219,7 +219,7 @@ class Emulator:
         self.world.advance(plans, widths, [server.controller.payload.mass_kg for server in self.servers])
         if self.world.failed and not self._diverged:
             self._diverged = True
-            log.error("the simulation diverged: the arms stand where they were last well; start the cell again")
+            log.error("the simulation diverged: the arms hold their last valid state; start the cell again")
             for server in self.servers:
                 server.controller.safety.stop(SafetyMode.FAULT, "the simulation diverged")
         self.ticks += 1
@@ -303,7 +303,7 @@ def write_cell_file(path: str | Path, description: Mapping[str, Any]) -> None:
             kind = None
         if kind != "emulated":
             raise SettingsError(
-                f"{path} exists and is no file of an emulated cell: it was left as it is. Name another with --cell"
+                f"{path} exists and is no file of an emulated cell: it was not changed. Name another with --cell"
             )
     write_text(path, toml_text(description))
 

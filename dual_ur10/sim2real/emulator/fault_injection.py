@@ -234,7 +234,7 @@ class FaultInjection:
         """Place the object of the task, at rest."""
         pose = [*position_m, *quat]
         if len(pose) != 7 or abs(math.hypot(*pose[3:]) - 1.0) > 1e-3:
-            raise SettingsError("an object is put at three coordinates with a unit quaternion (w, x, y, z)")
+            raise SettingsError("an object needs three coordinates and a unit quaternion (w, x, y, z)")
         if max(map(abs, pose[:3])) > _FARTHEST_M:
             raise SettingsError(f"an object cannot be put at {pose[:3]}: allowed are ±{_FARTHEST_M:g} m")
         self._cell.world.place(np.array(pose, dtype=np.float64))
@@ -278,7 +278,7 @@ class FaultInjection:
                 raise UnknownNameError("variable", name, tuple(controller.values))
             now = controller.values[name]
             if value is not None and np.shape(value) != np.shape(now):
-                raise SettingsError(f"{name} is {now!r}: {value!r} does not have its shape")
+                raise SettingsError(f"{name} is {now!r}: {value!r} has another shape")
         reported = {name: tuple(each) if isinstance(each, list) else each for name, each in values.items()}
         server.check({name: value for name, value in reported.items() if value is not None})
         for name, value in reported.items():

@@ -122,7 +122,7 @@ class Pendant:
 
     def stop(self) -> None:
         """Stop the program."""
-        self._controller.program.stop("it was stopped by hand")
+        self._controller.program.stop("the operator stopped it")
 
     def load(self, name: str) -> None:
         """Load a stored program.

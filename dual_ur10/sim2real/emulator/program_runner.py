@@ -65,7 +65,7 @@ class ProgramRunner:
         program = read(text, self.builtins) if found is None else found
         if isinstance(program, ScriptError):
             if not text.lstrip().startswith("sec "):
-                self.stop("a program that could not be read took its place")
+                self.stop("an invalid program took its place")
             self._failed(program)
         elif program.is_secondary:
             self._start_secondary(program)
@@ -189,7 +189,7 @@ class ProgramRunner:
             self._failed(error)
             return
         if machine.finished and self.machine is machine:
-            self.stop("it came to its end")
+            self.stop("it has finished")
 
     def _run_secondary(self) -> None:
         for machine in list(self._secondary):

@@ -72,7 +72,7 @@ class RtdePort:
     ) -> None:
         missing = zero_values(profile).keys() - values.keys()
         if missing:
-            raise SettingsError(f"values lack {', '.join(sorted(missing))}: begin with zero_values(profile)")
+            raise SettingsError(f"values lack {', '.join(sorted(missing))}: start from zero_values(profile)")
         self.profile, self.registers, self.values, self.inputs = profile, registers, values, inputs
         self.written = written
         self.output_types = output_types(profile)
@@ -139,7 +139,7 @@ class RtdeSession:
                     answers.append(_ANSWERS[kind](self, payload))
                 elif kind == Kind.TEXT_MESSAGE:
                     self.text_messages += 1
-                    log.info("RTDE client says %r", payload[:255])
+                    log.info("RTDE client sent the text %r", payload[:255])
                 else:
                     self.unknown_packages += 1
         except ProtocolError:

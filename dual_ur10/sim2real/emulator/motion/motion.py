@@ -172,7 +172,7 @@ class Motion(ToolMotion):
             joint = int(beyond.argmax())
             self._fail(
                 JOINT_LIMIT,
-                f"position close to joint limits: joint {joint} is to go to {target[joint]:.4f} rad, allowed are "
+                f"position close to joint limits: joint {joint} would go to {target[joint]:.4f} rad, allowed are "
                 f"±{JOINT_RANGE_RAD[joint]:.4f}",
             )
         return self.fault is None

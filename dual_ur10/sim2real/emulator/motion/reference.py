@@ -104,7 +104,7 @@ class Reference:
         self.arm, self.tool = ArmKinematics(dh), Tool()
         q = np.array(q_rad, dtype=np.float64)
         if q.shape != (6,) or not np.isfinite(q).all():
-            raise MotionError(f"an arm stands at six finite joint angles, found {q_rad!r}")
+            raise MotionError(f"initial joint angles must be six finite numbers, found {q_rad!r}")
         self.q: Array = q
         self.qd: Array = ZEROS
         self.qdd: Array = ZEROS
@@ -258,7 +258,7 @@ class Reference:
                 break
         if scale < _SLOWEST or (used > _OVERSPEED and not isinstance(trajectory, JointBrake)):
             if trajectory.governed:
-                raise UnreachableError("its joints would have to move faster than they can")
+                raise UnreachableError("its joints would exceed their speed limits")
             raise _InvalidError(
                 INVALID_SETPOINT,
                 f"invalid setpoint: a joint would move at {used:.3g} times its greatest speed, allowed is {_OVERSPEED}",

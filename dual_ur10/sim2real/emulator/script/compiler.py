@@ -145,7 +145,7 @@ class _FunctionCompiler:
         if node.at == "pass":
             return [ast.Pass(**where)]
         if not self._loops:
-            raise syntax.error(node.at, "it stands in no loop")
+            raise syntax.error(node.at, "it is outside of any loop")
         return [ast.Break(**where) if node.at == "break" else ast.Continue(**where)]
 
     def _return(self, node: syntax.Return) -> list[ast.stmt]:

@@ -151,7 +151,7 @@ def str_empty(str: str) -> bool:  # noqa: A002
 def str_find(src: str, target: str, start_from: int = 0) -> int:
     """Find `target` in `src` from an index on; -1 if it is not there."""
     if integer(start_from) < 0:
-        raise IndexError(f"start_from is at least 0, found {start_from}")
+        raise IndexError(f"start_from must be at least 0, found {start_from}")
     return _text(src).find(_text(target), start_from)
 
 
@@ -163,7 +163,7 @@ def str_len(str: str) -> int:  # noqa: A002
 def str_sub(src: str, index: int, len: int = -1) -> str:  # noqa: A002
     """Substring of `len` characters from an index on, or of all that follow."""
     if integer(index) < 0:
-        raise IndexError(f"the index is at least 0, found {index}")
+        raise IndexError(f"the index must be at least 0, found {index}")
     return _text(src)[index:] if integer(len) < 0 else _text(src)[index : index + len]
 
 

@@ -192,7 +192,7 @@ class Machine:
     def _find(self, handle: object) -> Thread | None:
         """Return the live thread of a handle; None for 0 and for a thread that has ended."""
         if not isinstance(handle, int) or not 0 <= handle <= self._handles:
-            raise ValueError(f"a thread's handle is what run gives, or 0: found {kind(handle)} ({handle})")
+            raise ValueError(f"a thread's handle is the result of run, or 0: found {kind(handle)} ({handle})")
         for thread in self._threads:
             if handle and thread.handle == handle and thread.alive:
                 return thread

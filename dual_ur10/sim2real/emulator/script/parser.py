@@ -209,12 +209,12 @@ def parse_text(text: str) -> list[syntax.Statement]:
     try:
         return cast("list[syntax.Statement]", _LARK.parse(text))
     except UnexpectedCharacters as error:
-        raise ScriptSyntaxError(error.line, text[error.pos_in_stream or 0], "no word of URScript begins so") from None
+        raise ScriptSyntaxError(error.line, text[error.pos_in_stream or 0], "no URScript starts with this") from None
     except UnexpectedToken as error:
         expected = ", ".join(sorted(error.expected - {"$END"}, key=str.lower)).lower()
         if error.token.type == "$END":
             line = text.rstrip().count("\n") + 1
-            raise ScriptSyntaxError(line, "", f"the program ends in the middle: expected {expected}") from None
+            raise ScriptSyntaxError(line, "", f"the program is incomplete: expected {expected}") from None
         raise ScriptSyntaxError(
             error.line, str(error.token), f"this cannot stand here: expected {expected or 'the end of the text'}"
         ) from None

@@ -1,4 +1,4 @@
-"""Measure how well the scripted policies do the three tasks, and what one control cycle costs to compute.
+"""Measure accuracy and success of the scripted policies in the three tasks, and the computing time of a control cycle.
 
 Sine: 0.1 m at 0.5 Hz for 30 s at 25 Hz, on bases that are not symmetric, with action latency L = 0 unless a row says
 otherwise. Flange poses are computed from the joint positions by the package's kinematics. Figures of `nominal` and
@@ -63,7 +63,7 @@ def over_axes(case: Case) -> dict[str, float]:
 
 
 def cycle(calls: int) -> dict[str, float]:
-    """Time of one control cycle in µs: all of it, and its two parts."""
+    """Return the time of one control cycle in µs: all of it, and its two parts."""
     config, limits = ASYMMETRIC_CELL, SineTracking.limits
     mounts = (config.left, config.right)
     ticks = config.servoj.ticks_per_action(RATE_HZ)

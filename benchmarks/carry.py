@@ -1,10 +1,10 @@
-"""Measure how well the scripted policy carries the bar with both arms.
+"""Measure accuracy and success of the scripted policy that carries the bar with both arms.
 
-Rows of figures: payload known, nominal plant, the worst of several seeds, from the begin of the path on. `rigid` and
-`grip` are of the path of 60 s: the bar is welded to the grippers, or friction holds it. `grip_short` is of the path of
-30 s, and `capped` of the same in a cell whose joints may move at 0.5 rad/s, which slows it. Nominal figures are an
-artefact of an exact model. `mild`: successes of the task's defaults (30 s, friction) on plants that are drawn anew for
-each episode. No real arm is in this.
+Rows of figures: known payload, nominal plant, the worst of several seeds, from the beginning of the path. `rigid` and
+`grip` follow the path of 60 s: the bar is welded to the grippers, or friction holds it. `grip_short` follows that of
+30 s, and `capped` the same in a cell with joint speeds of at most 0.5 rad/s, which slows it. Nominal figures are an
+artefact of an exact model. `mild`: successes with the defaults of the task (30 s, friction) on plants that are sampled
+for each episode. No real arm is in this.
 
     python benchmarks/carry.py --json carry.json
 """
@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from speeds import SpeedWatch
+from speed_meter import SpeedMeter
 
 from dual_ur10 import CellConfig, policies
 from dual_ur10.cli.demo_report.carry import CARRY_ID, TASK
@@ -37,7 +37,7 @@ GOAL = 0.99
 CAP_RAD_S = 0.5
 
 KEPT = ("relative_max_mm", "relative_max_deg", "squeeze_max_n", "slip_max_mm")
-"""Of the figures, those that are quoted."""
+"""Figures of each row."""
 
 RUNS: dict[str, dict[str, Any]] = {
     "rigid": {"duration_s": 60.0, "grasp": "rigid"},
@@ -62,9 +62,9 @@ def worst(keywords: dict[str, Any], seeds: int) -> dict[str, float]:
 
 
 def mild(episodes: int) -> dict[str, Any]:
-    """Successes on plants that differ from episode to episode."""
+    """Return the successes on plants that differ from episode to episode."""
     keywords = {"randomization": "mild"}
-    policy = SpeedWatch(policies.load("scripted", CARRY_ID, **keywords), 1 / DEFAULT_RATE_HZ, SyncCarry)
+    policy = SpeedMeter(policies.load("scripted", CARRY_ID, **keywords), 1 / DEFAULT_RATE_HZ, SyncCarry)
     found = evaluate(CARRY_ID, policy, episodes=episodes, env_kwargs=keywords)
     return {
         "successes": found.successes,
@@ -72,13 +72,13 @@ def mild(episodes: int) -> dict[str, Any]:
         "interval": list(found.interval),
         "slip_max_mm": 1e3 * max(found.spreads[f"slip_m/{arm}"].largest for arm in ("left", "right")),
         "median_time_s": found.median_time_s,
-        "speed_share": policy.share,
+        "speed_share": policy.ratio,
     }
 
 
 def run(seeds: int = SEEDS, episodes: int = EPISODES) -> dict[str, dict[str, Any]]:
     """Measure all rows, and print each when it is done."""
-    print(f"carry, payload known, nominal plant, worst of {seeds} seeds, from the path's begin on")
+    print(f"carry, payload known, nominal plant, worst of {seeds} seeds, from the beginning of the path on")
     columns = (
         "relative mm",
         "relative °",

@@ -1,7 +1,7 @@
-"""Measure how often the scripted policy hands the block over, and how well.
+"""Measure success and accuracy of the scripted policy that hands the block over.
 
-Either arm may give, drawn for each episode. `known`: the block's pose is measured exactly; `noisy`: with an error that
-is drawn for each episode, 2 mm along and 1° about each axis (standard deviations). Everything else is an exact model:
+Either arm may give, sampled for each episode. `known`: the block's pose is measured exactly; `noisy`: with an error
+sampled for each episode, 2 mm along and 1° about each axis (standard deviations). Everything else is an exact model:
 no real arm is in this.
 
     python benchmarks/handover.py --json handover.json
@@ -20,7 +20,7 @@ import statistics
 from pathlib import Path
 from typing import Any
 
-from speeds import SpeedWatch
+from speed_meter import SpeedMeter
 
 from dual_ur10 import policies
 from dual_ur10.cli.demo_report.case import Case
@@ -34,7 +34,7 @@ EPISODES = 300
 
 def measure(case: Case, episodes: int) -> dict[str, Any]:
     """Return successes of a case, and figures of the successful episodes."""
-    policy = SpeedWatch(policies.load("scripted", HANDOVER_ID, **case.keywords), 1 / DEFAULT_RATE_HZ, Handover)
+    policy = SpeedMeter(policies.load("scripted", HANDOVER_ID, **case.keywords), 1 / DEFAULT_RATE_HZ, Handover)
     found = evaluate(HANDOVER_ID, policy, episodes=episodes, env_kwargs=case.keywords)
     placed = [1e3 * (each.last["object_error_m"] or 0.0) for each in found.episodes if each.success]
     return {
@@ -47,7 +47,7 @@ def measure(case: Case, episodes: int) -> dict[str, Any]:
         "place_max_mm": max(placed, default=None),
         "stage_scores": found.stage_scores,
         "failed_seeds": [each.seed for each in found.episodes if not each.success],
-        "speed_share": policy.share,
+        "speed_share": policy.ratio,
     }
 
 

@@ -1,11 +1,11 @@
-"""What two arms do that are moved through `ur_rtde`, on the emulated cell: stops, time, accuracy, tasks.
+"""Measure two arms moved through `ur_rtde` on the emulated cell: stops, timing, accuracy, tasks.
 
 python benchmarks/runner.py [--parts stops,kills,sine,carry,handover] [--family cb3] [--latency TICKS] [--share 1.0]
     [--json FILE]
 
-All of it takes an hour; `--share 0.05` is a look. Figures of time depend on what else the machine does: its load is
-printed beside them. A machine that stands still for longer than an action's latency leaves room for makes that action
-late, and both arms rest: 40 ms leave about 10 ms, so tasks are given 80 ms here.
+All parts take an hour; `--share 0.05` gives a first impression. Figures of time depend on the other work of the
+machine: its load is printed beside them. If the machine stalls for longer than the latency of an action allows, the
+action misses its deadline and both arms stop: 40 ms leave about 10 ms, so tasks use 80 ms here.
 """
 
 import argparse
@@ -64,11 +64,11 @@ while True:
 
 
 class Swing:
-    """Lets joints of both arms of a runner swing: around home, for every stop leaves them elsewhere."""
+    """Oscillation of joints of both arms of a runner, towards home, because every stop leaves them elsewhere."""
 
     def __init__(self, runner):
         self.runner, self.home = runner, np.array([each.q_rad for each in runner.statuses()])
-        self.way = np.where(self.home > HOME_Q_RAD, -1.0, 1.0) * np.array([1.0, 0, 0, 1.0, 1.0, 1.0])
+        self.amplitude = np.where(self.home > HOME_Q_RAD, -1.0, 1.0) * np.array([1.0, 0, 0, 1.0, 1.0, 1.0])
         runner.begin(self.home)
         self.first = runner.next
         self.done = 0
@@ -80,20 +80,20 @@ class Swing:
         count = max(0, runner.next + ahead - self.first - self.done)
         if count:
             ticks = self.done + np.arange(count)
-            turn = 2 * math.pi * ticks * runner.tick_s
-            way = SPEED_RAD_S / (2 * math.pi) * (1 - np.cos(turn)) * np.minimum(ticks * runner.tick_s, 1.0)
-            targets = self.home + way[:, None, None] * self.way
+            phase_rad = 2 * math.pi * ticks * runner.tick_s
+            swung_rad = SPEED_RAD_S / (2 * math.pi) * (1 - np.cos(phase_rad)) * np.minimum(ticks * runner.tick_s, 1.0)
+            targets = self.home + swung_rad[:, None, None] * self.amplitude
             runner.write(self.first + self.done, targets)
             self._written.append(targets)
             self.done += count
 
     def written(self, arm):
-        """All targets of an arm, (k, 6)."""
+        """Return all targets of an arm, (k, 6)."""
         return np.concatenate(self._written)[:, arm]
 
 
 def ready(cell):
-    """Wait until both arms can be begun, whatever was before."""
+    """Wait until both arms can start, from any state."""
     for arm in ARMS:
         for mode in CODES:
             cell.ask("release", arm=arm, mode=mode)
@@ -108,18 +108,18 @@ def ready(cell):
 
 
 class SpoiledError(Exception):
-    """This machine stood still in a trial, which tells nothing then."""
+    """Raised when this machine stalled in a trial, which is then void."""
 
 
 class Spoiled:
-    """Counts what is done again, because both arms were stopped or could not begin.
+    """Counter of trials that are repeated, because both arms were stopped or could not start.
 
-    A machine that stands still for 0.1 s does that; whatever else does is told, and counted, too.
+    A machine that stalls for 0.1 s causes that; other causes are printed and counted, too.
 
     Args:
         path: The cell file.
         cell: The emulated cell.
-        most: How many are too many.
+        most: Largest tolerated number.
     """
 
     def __init__(self, path, cell, most):
@@ -128,7 +128,7 @@ class Spoiled:
         self.begin()
 
     def note(self, error):
-        """Count one, and get ready for the next."""
+        """Count one, and prepare the next trial."""
         self.count += 1
         print(f"\nspoiled: {error}", file=sys.stderr)
         if self.count > self._most:
@@ -136,25 +136,25 @@ class Spoiled:
         self.begin()
 
     def begin(self):
-        """Both arms can be begun, whatever was before."""
+        """Prepare both arms for a start, from any state."""
         ready(self._cell)
         self._latch.clear()
 
 
 def stop(file, cell, code, stopped, swing_s):
-    """Control periods from a stop of one arm to the last target of the other's motion, as its controller counts them.
+    """Return the control periods from a stop of one arm to the last target of the other's motion, by its controller.
 
-    A stop takes effect in a control period; what comes for the other controller until its next one begins counts 1.
+    A stop takes effect in a control period; targets that reach the other controller before its next one count as 1.
 
     Args:
         file: The cell.
         cell: The emulated cell.
-        code: Safety mode.
-        stopped: Number of the arm that is stopped.
-        swing_s: For how long both move before.
+        code: Safety mode of the stop.
+        stopped: Index of the stopped arm.
+        swing_s: Time for which both move before.
 
     Raises:
-        SpoiledError: This machine stood still.
+        SpoiledError: This machine stalled.
     """
     try:
         runner = Runner(file, file.config(), coupled=False)
@@ -167,7 +167,7 @@ def stop(file, cell, code, stopped, swing_s):
             swing.feed()
             time.sleep(0.02)
         if any(each.phase >= Phase.STOPPING for each in runner.arms):
-            # A machine that stands still for 0.1 s stops both arms before they are asked to.
+            # A machine that stalls for 0.1 s stops both arms before the trial does.
             raise SpoiledError(runner.arms[stopped].text)
         other = ARMS[1 - stopped]
         before = cell.ask("received", arm=other, since=1 << 40)["motion"]
@@ -176,12 +176,12 @@ def stop(file, cell, code, stopped, swing_s):
         end = time.monotonic() + 2.0
         while time.monotonic() < end and any(each.phase < Phase.STOPPED for each in runner.arms):
             time.sleep(0.005)
-        # What slows down lies between two targets.
+        # Targets of a slowed motion lie between two planned ones.
         planned = {tuple(each) for each in swing.written(1 - stopped).tolist()}
         packages = cell.packages(other, max(0, before - 20))
         moved = [tick for tick, _, target in packages if tuple(target) in planned]
         if not moved:
-            raise SpoiledError("time was lost, so that what was sent lay between two targets")
+            raise SpoiledError("time was lost, so that the sent targets lay between planned ones")
         last = max(moved)
         late = cell.ask("info")["late_ticks"]
         if any(begin - 2 <= tick <= last + 2 for tick in late):
@@ -192,16 +192,16 @@ def stop(file, cell, code, stopped, swing_s):
 
 
 def stops(path, cell, trials):
-    """The same over all codes and both arms."""
+    """Measure stops over all codes and both arms."""
     found, spoiled = [], Spoiled(path, cell, max(3, trials // 5))
-    drawn = random.Random(0)
+    rng = random.Random(0)
     chosen = itertools.cycle(itertools.product(CODES, range(len(ARMS))))
     file = load_cell_file(path)
     code, stopped = next(chosen)
     while len(found) < trials:
         spoiled.begin()
         try:
-            found.append(stop(file, cell, code, stopped, 0.4 + 0.5 * drawn.random()))
+            found.append(stop(file, cell, code, stopped, 0.4 + 0.5 * rng.random()))
         except SpoiledError as error:
             spoiled.note(error)
             continue
@@ -217,8 +217,8 @@ def stops(path, cell, trials):
 
 
 def kills(path, cell, trials):
-    """From SIGKILL to both programs stopped, and to both arms at rest, s: of the program alone, or of all processes."""
-    drawn = random.Random(1)
+    """Measure the time from SIGKILL, of the program or of all processes, to both programs and both arms stopped."""
+    rng = random.Random(1)
     stopped, resting = {"program": [], "all": []}, {"program": [], "all": []}
     spoiled, trial = Spoiled(path, cell, max(3, trials // 5)), 0
     while trial < trials:
@@ -226,7 +226,7 @@ def kills(path, cell, trials):
         folder = str(pathlib.Path(__file__).parent)
         program = subprocess.Popen([sys.executable, "-c", KILLED, str(path), folder], stdout=subprocess.PIPE, text=True)
         line = program.stdout.readline().split()
-        time.sleep(0.4 + 0.5 * drawn.random())
+        time.sleep(0.4 + 0.5 * rng.random())
         states = [cell.ask("state", arm=arm, names=["runtime_state"])["runtime_state"] for arm in ARMS]
         if not line or states != [2, 2]:
             program.kill()
@@ -280,7 +280,7 @@ def wait_for_end(pid):
 
 
 def sine(path, cell, folder, seconds, latency):
-    """Time and accuracy of SineTracking, with the lag taken out, and for a short while without."""
+    """Measure timing and accuracy of SineTracking with compensated lag, and for a short while without compensation."""
     figures = {}
     for name, compensate, length_s in (("", True, seconds), ("_lagging", False, min(seconds, 30.0))):
         keywords = {"cell": str(path), "compensate_lag": compensate, "action_latency_ticks": latency}
@@ -320,7 +320,7 @@ def sine(path, cell, folder, seconds, latency):
 
 
 def times_of(runs):
-    """How late both arms were sent their targets, and how far apart, over runs, those of stopped episodes included."""
+    """Return lateness and skew of the sent targets over runs, those of stopped episodes included."""
     found = [timing(run) for run in runs if run.episodes]
     late = [arm.late for each in found for arm in each.arms]
     counts = [each.late for each in late]
@@ -338,7 +338,7 @@ def times_of(runs):
 
 
 def task(path, cell, name, episodes, latency):
-    """Scripted episodes of a task with an object. One in which both arms were stopped is run again, and counted."""
+    """Run scripted episodes of a task with an object, and repeat those in which both arms were stopped."""
     found, late_actions, spoiled = [], 0, Spoiled(path, cell, max(3, episodes))
     while len(found) < episodes:
         keywords = {"cell": str(path), "action_latency_ticks": latency}
@@ -376,19 +376,19 @@ GOALS = {
     "skew_p99_ms": 1.0,
     "sine_rms_mm": 0.5,
 }
-"""The most that a figure may be. Nothing is refused because of it: on a busy machine it says little."""
+"""Largest value that a figure should have. They are not enforced: a busy machine misses them."""
 
 
 def goal(key, value):
-    """What is asked of a figure, and whether it is so."""
+    """Return the goal of a figure, and whether it is reached."""
     if key not in GOALS:
         return ""
     return f"goal: at most {GOALS[key]:g}, {'reached' if value <= GOALS[key] else 'MISSED'}"
 
 
-def some(most, share):
-    """A share of so many, at least two."""
-    return max(2, round(most * share))
+def some(most, fraction):
+    """Return a fraction of a number, at least two."""
+    return max(2, round(most * fraction))
 
 
 def main() -> None:
@@ -409,7 +409,7 @@ def main() -> None:
             load = os.getloadavg()[0]
             scene = {"carry": "SyncCarry", "handover": "Handover"}.get(part, "SineTracking")
             path = folder / f"{part}.toml"
-            # Its plant is "mild", that is, not what is believed.
+            # Its plant is "mild": it deviates from the nominal model.
             with EmulatedCell(task=scene, cell=str(path), family=args.family) as cell:
                 for arm in ARMS:
                     cell.wait_until(arm, "robot_mode", 7)

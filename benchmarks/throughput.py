@@ -1,13 +1,13 @@
-"""Speed of the environments against the bare physics they contain.
+"""Measure the speed of the environments against the bare physics in them.
 
 Efficiency is the time of MuJoCo's `Batch.rollout` on the same model, states, controls and number of steps, divided by
-the time of the environment's step. Both are taken alternately in one run: block by block the environment repeats an
-episode whose actions are already known, so that nothing else runs in between, and records the controls it applies; then
-the same rollouts are repeated bare from the same states. The median over the blocks is quoted. Absolute figures are of
-the machine that the load is printed of; the ratio is what travels. Scripted blocks begin where the object is held and
-lifted, for contacts are what its physics costs; random ones begin with the episode.
+the time of the environment's step. Both are measured alternately in one run: block by block the environment repeats an
+episode whose actions are already known, so that nothing else runs in between, and records its controls; then the same
+rollouts are repeated bare from the same states. The result is the median over the blocks. Absolute figures hold for
+this machine and its printed load; only the ratio carries over to others. Scripted blocks begin where the object is held and
+lifted, because contacts dominate the cost of physics; random ones begin with the episode.
 
-Quoted, too, is what PettingZoo's parallel view takes per step beyond the Gymnasium environment: see faces.py.
+The extra time per step of PettingZoo's parallel view is measured, too: see interfaces.py.
 
     python benchmarks/throughput.py --json throughput.json
 """
@@ -28,20 +28,20 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from faces import measure_faces
+from interfaces import measure_views
 
 import dual_ur10
 from dual_ur10 import policies
 
 PERIOD_S = 0.04
 HELD_AFTER = {"SyncCarry": 140, "Handover": 60}
-"""Steps of the scripted policy after which the object is held and on its way."""
+"""Steps of the scripted policy after which the object is held and moves."""
 
 VIEW_GOAL_US = 10.0
 
 
 class Recorder:
-    """Stands between an environment's cell and its batch: notes states and controls of every rollout."""
+    """Recorder of states and controls of every rollout, between an environment's cell and its batch."""
 
     def __init__(self, env: Any) -> None:
         self.cell = env.unwrapped.core.cell
@@ -50,13 +50,13 @@ class Recorder:
         self.recorded: list[tuple[np.ndarray, np.ndarray]] = []
 
     def __call__(self, *command: Any) -> np.ndarray:
-        """The controls of a command, noted on the way."""
+        """Record and return the controls of a command."""
         control = self._control(*command)
         self.recorded.append((self.cell._physics._batch.state.copy(), control.copy()))
         return control
 
     def replay(self) -> float:
-        """Time of the recorded rollouts without anything around them."""
+        """Return the time of the recorded rollouts alone."""
         batch, total = self.cell._physics._batch, 0.0
         now = batch.state.copy()
         for state, control in self.recorded:
@@ -70,7 +70,7 @@ class Recorder:
 
 
 def step_on(env: Any, action: np.ndarray, n: int) -> np.ndarray:
-    """The observation after a step, or that of the next episode; a batch begins those by itself."""
+    """Return the observation after a step, or of the next episode, which a batch begins by itself."""
     observation, _, terminated, truncated, _ = env.step(action)
     if n == 1 and (terminated or truncated):
         observation, _ = env.reset()
@@ -80,15 +80,15 @@ def step_on(env: Any, action: np.ndarray, n: int) -> np.ndarray:
 def measure(
     env_id: str, n: int, actions: str, blocks: int, steps: int, threads: int, begin_after: int = 0
 ) -> dict[str, float]:
-    """Efficiency and rates of one environment, or of n of them in a batch.
+    """Return efficiency and rates of one environment, or of n in a batch.
 
     Args:
         env_id: Id of the environment.
         n: Number of cells.
         actions: "scripted" or "random".
-        blocks: Blocks to take the median of.
-        steps: Steps of a block.
-        threads: Of the batch.
+        blocks: Number of blocks, of which the median counts.
+        steps: Steps of each block.
+        threads: Threads of the batch.
         begin_after: Scripted steps before those of the block.
     """
     if n == 1:
@@ -132,12 +132,12 @@ def measure(
 
 
 def measure_task(env_id: str, arguments: argparse.Namespace) -> dict[str, Any]:
-    """All rows of one task, each printed when it is done."""
+    """Measure all rows of one task, and print each when it is done."""
     figures: dict[str, Any] = {}
     task = env_id.split("/")[1].rsplit("-v", 1)[0]
     held = HELD_AFTER.get(task, 0)
     for key, n, steps in (("single", 1, 200), (f"vector{arguments.envs}", arguments.envs, 25)):
-        # A batch of cells with contacts takes long to come to where the object is held.
+        # A batch of cells with contacts needs long until the object is held.
         blocks = arguments.blocks if n == 1 or not held else max(1, arguments.blocks // 5)
         for actions in ("scripted", "random"):
             begin_after = held if actions == "scripted" else 0
@@ -150,7 +150,7 @@ def measure_task(env_id: str, arguments: argparse.Namespace) -> dict[str, Any]:
                 figures[key] = result
             else:
                 figures[key]["random"] = result
-    views = measure_faces(env_id, arguments.rounds, 100)
+    views = measure_views(env_id, arguments.rounds, 100)
     figures["parallel_extra_us"] = {name: views[f"parallel, {name}"] for name in ("shared", "individual")}
     extra = ", ".join(f"{value:.1f} µs with {name} rewards" for name, value in figures["parallel_extra_us"].items())
     print(
@@ -179,7 +179,7 @@ def main() -> None:
         task = env_id.split("/")[1].rsplit("-v", 1)[0]
         if not arguments.task or task in arguments.task:
             figures[task] = measure_task(env_id, arguments)
-    # What was measured before there were other tasks keeps its place.
+    # The figures of SineTracking stand at the top level, too.
     figures = {**figures.get("SineTracking", {}), **figures}
     if arguments.json:
         arguments.json.write_text(json.dumps(figures, indent=2) + "\n")

@@ -1,12 +1,12 @@
-"""What an interface costs per step beyond the Gymnasium environment it is a view on.
+"""Measure the cost per step of each interface beyond the Gymnasium environment behind it.
 
-Every environment plays the same actions from the same seed. Blocks of steps are taken in turn, in an order that
-changes, so that whatever else the machine does meets all alike, and their processor time is taken. Quoted is the median
-over the rounds of the difference to the Gymnasium environment's block in the same round. For the rows of one policy
+Every environment replays the same actions from the same seed. Blocks of steps alternate, in an order that changes, so
+that other work of the machine affects all alike, and their processor time is measured. The result is the median over
+the rounds of the difference to the Gymnasium environment's block in the same round. For the rows of one policy
 (TwoAgentVecEnv, only with Stable-Baselines3) it is the difference to the vector environment with as many cells on one
 thread, per cell and step.
 
-    python benchmarks/faces.py --json faces.json
+    python benchmarks/interfaces.py --json interfaces.json
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Block = Callable[[], float]
 
 
 def timed(reset: Callable[[], Any], step: Callable[[Any], Any], actions: list[Any]) -> Block:
-    """A block: an episode's first steps, and the processor time that they take in s."""
+    """Return a block: it runs the first steps of an episode and returns their processor time in s."""
 
     def block() -> float:
         reset()
@@ -47,8 +47,8 @@ def timed(reset: Callable[[], Any], step: Callable[[Any], Any], actions: list[An
     return block
 
 
-def turns(env: Any) -> Callable[[Any], None]:
-    """Both turns of an AEC environment, as its loop takes them."""
+def aec_step(env: Any) -> Callable[[Any], None]:
+    """Return a function that steps both agents of an AEC environment."""
 
     def step(actions: dict[str, np.ndarray]) -> None:
         for agent in env.agents:
@@ -59,7 +59,7 @@ def turns(env: Any) -> Callable[[Any], None]:
 
 
 def extra(blocks: dict[str, Block], base: str, rounds: int, steps: int) -> dict[str, float]:
-    """Median time of a step of the base, and of what the others take beyond it, in µs."""
+    """Return the median time of a step of the base, and the extra time of the others, in µs."""
     names, taken = list(blocks), {name: [] for name in blocks}
     for block in blocks.values():
         block()
@@ -73,8 +73,8 @@ def extra(blocks: dict[str, Block], base: str, rounds: int, steps: int) -> dict[
     return {name: round(value, 2) for name, value in result.items()}
 
 
-def measure_faces(env_id: str, rounds: int, steps: int) -> dict[str, float]:
-    """Step of the Gymnasium environment in µs, and what each view on one cell takes beyond it."""
+def measure_views(env_id: str, rounds: int, steps: int) -> dict[str, float]:
+    """Return the time of a step of the Gymnasium environment, and the extra time of each view on one cell, in µs."""
     single = gym.make(env_id, disable_env_checker=True).unwrapped
     shape = single.action_space.shape
     joint = list((np.random.default_rng(0).uniform(-0.02, 0.02, (steps, *shape))).astype(np.float32))
@@ -84,14 +84,14 @@ def measure_faces(env_id: str, rounds: int, steps: int) -> dict[str, float]:
         env = parallel_env(env_id, reward=reward)
         blocks[f"parallel, {reward}"] = timed(lambda env=env: env.reset(seed=0), env.step, by_agent)
     aec = aec_env(env_id)
-    blocks["aec"] = timed(lambda: aec.reset(seed=0), turns(aec), by_agent)
+    blocks["aec"] = timed(lambda: aec.reset(seed=0), aec_step(aec), by_agent)
     deepmind = dm_env(env_id)
     blocks["dm_env"] = timed(deepmind.reset, deepmind.step, joint)
     return extra(blocks, "gymnasium", rounds, steps)
 
 
 def measure_rows(env_id: str, cells: int, rounds: int, steps: int) -> dict[str, float]:
-    """Step of the vector environment in µs per cell, and what the rows of one policy take beyond it."""
+    """Return the time of a step of the vector environment, and the extra time of its SB3 rows, in µs per cell."""
     try:
         from dual_ur10.envs.api.sb3_bridge import TwoAgentVecEnv
     except MissingExtraError:
@@ -120,11 +120,11 @@ def main() -> None:
     parser.add_argument("--cells", type=int, default=64)
     arguments = parser.parse_args()
     load = os.getloadavg()[0]
-    print(f"load {load:.2f} on {os.cpu_count()} processors; µs per step, of a view what it takes beyond the first")
+    print(f"load {load:.2f} on {os.cpu_count()} processors; µs per step; of a view the time beyond the first")
     figures: dict[str, Any] = {"load": load}
     for env_id in dual_ur10.ENV_IDS:
         figures[env_id] = {
-            "one": measure_faces(env_id, arguments.rounds, arguments.steps),
+            "one": measure_views(env_id, arguments.rounds, arguments.steps),
             f"cells{arguments.cells}": measure_rows(
                 env_id, arguments.cells, arguments.rounds // 4, arguments.steps // 4
             ),

@@ -4,8 +4,8 @@ Efficiency is the time of MuJoCo's `Batch.rollout` on the same model, states, co
 the time of the environment's step. Both are measured alternately in one run: block by block the environment repeats an
 episode whose actions are already known, so that nothing else runs in between, and records its controls; then the same
 rollouts are repeated bare from the same states. The result is the median over the blocks. Absolute figures hold for
-this machine and its printed load; only the ratio carries over to others. Scripted blocks begin where the object is held and
-lifted, because contacts dominate the cost of physics; random ones begin with the episode.
+this machine and its printed load; only the ratio carries over to others. Scripted blocks begin where the object is held
+and lifted, because contacts dominate the cost of physics; random ones begin with the episode.
 
 The extra time per step of PettingZoo's parallel view is measured, too: see interfaces.py.
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from dual_ur10.errors import UnknownNameError
-from dual_ur10.sim2real.control.servoj import TICK_S, Family
+from dual_ur10.sim2real.control.servoj import TICK_S
+from dual_ur10.sim2real.protocol.primary_messages import ControllerIdentity
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,27 +58,17 @@ class Assumptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ControllerProfile:
+class ControllerProfile(ControllerIdentity):
     """One version of a UR controller with a UR10.
 
     Attributes:
-        family: "cb3" or "e-series".
-        version: Major, minor, bugfix and build.
-        released: Date of the software, as the dashboard reports it.
         serial_number: Digits.
         model: Model name, as the dashboard reports it.
-        robot_type: Number on the primary interface; 2 is the UR10.
-        safety_checksum: Checksum of the safety settings on the primary interface, 0 to 2**32 - 1.
         assumptions: Behaviour that no document specifies.
     """
 
-    family: Family
-    version: tuple[int, int, int, int]
-    released: str
     serial_number: str
     model: str = "UR10"
-    robot_type: int = 2
-    safety_checksum: int = 0x57F4285B
     assumptions: Assumptions = field(default_factory=Assumptions)
 
     @property

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import re
 import struct
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import Final, Protocol
+from typing import Final
 
 from dual_ur10.errors import ScriptError, SettingsError
+from dual_ur10.sim2real.control.servoj import Family
 
 ROBOT_MESSAGE: Final = 20
 """Type of these packets."""
@@ -24,33 +26,23 @@ SOURCE_PROGRAM: Final = -3
 _TEXT, _POPUP, _VERSION, _SAFETY_MODE, _ERROR_CODE, _KEY, _RUNTIME_EXCEPTION = 0, 2, 3, 5, 6, 7, 10
 
 
-class ControllerIdentity(Protocol):
-    """Facts of a controller that its packets report: software, robot and safety settings."""
+@dataclass(frozen=True, kw_only=True)
+class ControllerIdentity:
+    """Identity of a controller, as its packets report it.
 
-    @property
-    def family(self) -> str:
-        """Controller family: "cb3" or "e-series"."""
-        ...
+    Attributes:
+        family: "cb3" or "e-series".
+        version: Major, minor, bugfix and build of the software.
+        released: Release date of the software.
+        robot_type: UR's number of the robot; 2 is the UR10.
+        safety_checksum: Checksum of the safety settings, 0 to 2**32 - 1.
+    """
 
-    @property
-    def version(self) -> tuple[int, int, int, int]:
-        """Major, minor, bugfix and build of the software."""
-        ...
-
-    @property
-    def released(self) -> str:
-        """Release date of the software."""
-        ...
-
-    @property
-    def robot_type(self) -> int:
-        """UR's number of the robot: 2 is the UR10."""
-        ...
-
-    @property
-    def safety_checksum(self) -> int:
-        """Checksum of the safety settings, 32 bits."""
-        ...
+    family: Family
+    version: tuple[int, int, int, int]
+    released: str
+    robot_type: int = 2
+    safety_checksum: int = 0x57F4285B
 
 
 class ReportLevel(IntEnum):

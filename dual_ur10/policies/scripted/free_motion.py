@@ -1,4 +1,4 @@
-"""Free motions of both arms: from rest through passing points to rest, all twelve joints arriving together."""
+"""Time-optimal motions of both arms from rest through passing points to rest; all twelve joints arrive together."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _SAMPLES = 7  # of a mean over time
 
 
 class Waypoint(NamedTuple):
-    """A point that a motion passes, or ends at.
+    """Point that a motion passes, or at which it ends.
 
     Attributes:
         q_rad: (12,) joint positions.
         qd_rad_s: (12,) joint speeds there; zeros to stop.
-        acceleration_rad_s2, jerk_rad_s3: (12,) limits on the way to it; None: those of the motion.
+        acceleration_rad_s2, jerk_rad_s3: (12,) limits of the motion to it; None: those of the motion.
     """
 
     q_rad: Array
@@ -30,16 +30,16 @@ class Waypoint(NamedTuple):
 
 
 class FreeMotion:
-    """The fastest motion within limits of speed, acceleration and jerk through some points.
+    """Fastest motion within limits of speed, acceleration and jerk through some points.
 
     Args:
-        q_rad: (12,) where it begins, at rest.
-        waypoints: Where it goes. The motion has no stop at a point that is passed with a speed.
+        q_rad: (12,) joint positions at rest at its beginning.
+        waypoints: Points in their order. The motion does not stop at a point with a speed.
         speed_rad_s, acceleration_rad_s2, jerk_rad_s3: (12,) or one number: limits.
-        smooth_s: Every position is the mean over so much time before, so that jerk does not jump.
+        smooth_s: Time over which positions are averaged, so that jerk does not jump.
 
     Raises:
-        SettingsError: There is no such motion; the limits or the speeds at the points are not possible.
+        SettingsError: No motion within the limits has these speeds at the points.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class FreeMotion:
         self._back_s = np.linspace(0.0, smooth_s, _SAMPLES if smooth_s else 1)
 
     def at(self, time_s: float) -> Array:
-        """(12,) joint positions at a time since the beginning; before it and after the end, those at rest."""
+        """Return the joint positions, (12,), at a time since the beginning; outside the motion, those at rest."""
         positions = np.array([self._exact(time_s - back_s) for back_s in self._back_s.tolist()])
         result: Array = np.add.reduce(positions, axis=0) / len(positions)
         return result

@@ -1,4 +1,4 @@
-"""Learns, while moving, how far an arm stays away from its commands, and what to add so that it does not."""
+"""Online model of an arm's deviation from its commands."""
 
 from __future__ import annotations
 
@@ -11,28 +11,29 @@ _FEATURES = 4
 
 
 class DeviationModel:
-    """Recursive least squares, per joint, of the deviation from the command along a wanted motion.
+    """Recursive least squares fit, per joint, of the deviation from the command along a wanted motion.
 
     deviation = offset + lag · speed + friction · sign(speed) + inertia · acceleration
 
-    These four are what masses, friction, a wrong lookahead and an unknown latency do to a position servo. The model is
-    of the wanted motion, known ahead, so that what it predicts can be taken off the command without feedback delay.
+    These four terms are the effects of masses, friction, a wrong lookahead and an unknown latency on a position servo.
+    The model depends on the wanted motion, known ahead, so that its prediction can be subtracted from the command
+    without feedback delay.
 
     Args:
         shape: Shape of the joint arrays, such as (n, 12).
     """
 
-    # Deviation that one unit of each scaled feature may explain (rad), what is left to chance, and how long past
-    # samples count (0.99 at 25 Hz: 4 s). Orders of magnitude, not tuned values.
+    # Prior deviation per unit of each scaled feature (rad), noise (rad), and forgetting factor (0.99 at 25 Hz: 4 s).
+    # Orders of magnitude, not tuned values.
     _PRIOR_RAD = 5e-3
     _NOISE_RAD = 1e-4
     _MEMORY = 0.99
-    # What is further from what was expected comes from something else, such as a measurement that was late: it counts
-    # as if it were so far. A deviation that stays is learned all the same, in some more samples.
+    # A larger surprise has another cause, such as a late measurement, and counts as this one. A deviation that persists
+    # is learned nevertheless, from some more samples.
     _SURPRISE_RAD = 1e-3
     _SPEED_RAD_S, _ACCELERATION_RAD_S2 = 0.5, 2.0
-    # A step of the correction at a reversal would be more acceleration than the adapter may command: it is spread over
-    # some periods, and what is learned is put to use gradually, for the same reason.
+    # A step of the correction at a reversal would need more acceleration than the adapter may command. So it is spread
+    # over some periods, and the fit is applied gradually.
     _REVERSAL_RAD_S = 0.25
     _TRUST = 0.4
 
@@ -44,7 +45,7 @@ class DeviationModel:
         self._covariance: Array = np.broadcast_to(prior * np.eye(_FEATURES), (*shape, _FEATURES, _FEATURES)).copy()
 
     def forget(self, rows: NDArray[np.bool_]) -> None:
-        """Know nothing any more of the masked rows of the first axis."""
+        """Forget the fit of the masked rows of the first axis."""
         self._weights[rows] = self._trusted[rows] = 0.0
         self._covariance[rows] = self._limit * np.eye(_FEATURES)
 
@@ -60,16 +61,16 @@ class DeviationModel:
         )
 
     def learn(self, speed: Array, acceleration: Array, deviation: Array, rows: NDArray[np.bool_] | None = None) -> None:
-        """Take in one sample: measured minus commanded position while moving so; of the masked rows, or of all."""
+        """Fit one sample of the masked rows, or of all: the measured minus the commanded position in this motion."""
         feature = self._features(speed, acceleration)
         spread = (self._covariance @ feature[..., None])[..., 0]
         gain = spread / (self._MEMORY + (feature * spread).sum(axis=-1, keepdims=True))
         surprise = deviation - (self._weights * feature).sum(axis=-1)
-        share = self._SURPRISE_RAD / np.maximum(np.abs(surprise), self._SURPRISE_RAD)
-        weights = self._weights + gain * (share * surprise)[..., None]
+        ratio = self._SURPRISE_RAD / np.maximum(np.abs(surprise), self._SURPRISE_RAD)
+        weights = self._weights + gain * (ratio * surprise)[..., None]
         trusted = self._trusted + self._TRUST * (weights - self._trusted)
-        covariance = (self._covariance - (share[..., None] * gain)[..., None] * spread[..., None, :]) / self._MEMORY
-        # What is not excited must not grow without bound.
+        covariance = (self._covariance - (ratio[..., None] * gain)[..., None] * spread[..., None, :]) / self._MEMORY
+        # The covariance of terms that are not excited must not grow without bound.
         trace = np.trace(covariance, axis1=-2, axis2=-1)[..., None, None]
         covariance = covariance * np.minimum(1.0, _FEATURES * self._limit / trace)
         if rows is not None and not rows.all():
@@ -81,6 +82,6 @@ class DeviationModel:
         self._weights, self._trusted, self._covariance = weights, trusted, covariance
 
     def predict(self, speed: Array, acceleration: Array) -> Array:
-        """The deviation to expect while moving so."""
+        """Return the deviation to expect in this motion."""
         prediction: Array = (self._trusted * self._features(speed, acceleration)).sum(axis=-1)
         return prediction

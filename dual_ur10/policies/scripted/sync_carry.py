@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 
 from dual_ur10.assets.props import BAR_WIDTH_M
-from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.tasks.holding import flanges_of
 from dual_ur10.envs.tasks.observation_layout import pose_of
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
 from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.envs.tasks.task import Timing, slower
-from dual_ur10.errors import ActionError, SettingsError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.poses import Poses, compose, relative_to
-from dual_ur10.policies.scripted.carrying import TAUGHT_HIGHER_M, lying, postures
+from dual_ur10.policies.scripted.base import EXPERT_HIGHER_M, ScriptedPolicy, on_table
 from dual_ur10.policies.scripted.free_motion import FreeMotion, Waypoint
-from dual_ur10.policies.scripted.recovery import Rejoin
+from dual_ur10.policies.scripted.recovery import Recovery
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array, Rows
 
@@ -27,84 +25,68 @@ _ABOVE_M: Final = 0.03  # the passing point above the grip
 _DOWN_M_S: Final = 0.04  # speed at which it is passed
 _ACCELERATION_RAD_S2: Final = 0.6
 _JERK_RAD_S3: Final = 4.0
-_SMOOTH_S: Final = 0.2  # what jumps in jerk, the adapter follows late, which is lower than commanded near the table
-_SPEED_SHARE: Final = 0.5  # of the task's limit, in the approach
-_CLOSE_AFTER_S: Final = 0.15  # from the end of the approach until the fingers are told to close
+_SMOOTH_S: Final = 0.2  # the adapter follows jumps of jerk with a lag, which would be too low near the table
+_SPEED_RATIO: Final = 0.5  # of the task's limit, in the approach
+_CLOSE_AFTER_S: Final = 0.15  # from the end of the approach until the fingers close
 
 
-class SyncCarryPolicy:
-    """Goes down to the bar's grips, closes, and moves both flanges with the reference of the bar.
+class SyncCarryPolicy(ScriptedPolicy):
+    """Lowers both grippers to the bar, closes them, and moves both flanges with the bar's reference.
 
-    The reference is a pose of the bar; both arms' postures follow from it at every step, so that the grips keep their
-    distance whatever the way.
-
-    Args:
-        timing: Rate and latency of actions.
-        action_mode: "joint_delta" or "joint_position".
-        mounts: Where the arms stand, and their kinematics.
-        limits: What the arms may do, as the cell allows it.
-        settings: Those of the task.
+    The reference is a pose of the bar. Both arms' configurations follow from it at every step, so that the grips keep
+    their distance on any path.
     """
+
+    task: ClassVar[type[SyncCarry]] = SyncCarry
+    settings: CarrySettings
 
     def __init__(
         self,
         timing: Timing,
-        action_mode: str,
+        action_mode: str = "joint_delta",
         mounts: Sequence[ArmMount] | None = None,
         limits: MotionLimits | None = None,
         settings: CarrySettings | None = None,
     ) -> None:
-        if action_mode not in ("joint_delta", "joint_position"):
-            raise SettingsError(f"the scripted policy commands joints: action_mode {action_mode!r} is not for it")
-        self.timing, self.action_mode = timing, action_mode
-        self.mounts = SceneSettings().mounts if mounts is None else tuple(mounts)
-        self.dh = [mount.dh for mount in self.mounts]
-        self.settings = CarrySettings() if settings is None else settings
-        allowed = limits or SyncCarry.limits
-        self._step = np.tile(allowed.speed_rad_s, 2) * timing.period_s
-        self._speed = np.tile(SyncCarry.limits.speed_rad_s, 2) * (_SPEED_SHARE / slower(SyncCarry.limits, allowed))
-        self._layout = SyncCarry.layout_for(self.settings)
-        self._higher_m, self._teaches = 0.0, False
-        self._rejoin = Rejoin(allowed, timing.period_s)
+        super().__init__(timing, action_mode, mounts, limits, settings)
+        self._speed = np.tile(SyncCarry.limits.speed_rad_s, 2) * (_SPEED_RATIO / slower(SyncCarry.limits, self.limits))
+        self._name = f"SyncCarry with grasp={self.settings.grasp!r}"
+        self._higher_m, self._is_expert = 0.0, False
+        self._recovery = Recovery(self.limits, timing.period_s)
         self.reset()
 
     def teach(self) -> None:
-        """See `dual_ur10.policies.policy.Teaching`: a pupil who is not so exact needs more room above the table.
+        """Grip higher, because a less exact learner needs more room above the table; see `Teaching`.
 
-        And it does not remember where the bar was seen before it was lifted. It is told to take it where its path
-        begins, which is where it lies but for the error of what measures it.
+        An expert does not remember where it measured the bar before the lift. It grips the bar where its path begins,
+        which is where it lies, apart from the error of the measurement.
         """
-        self._higher_m, self._teaches = TAUGHT_HIGHER_M, True
+        self._higher_m, self._is_expert = EXPERT_HIGHER_M, True
 
     def reset(self) -> None:
         """Forget everything: an episode begins."""
         self._clock: Array | None = None
-        self._rejoin.reset()
+        self._recovery.reset()
 
     def begin(self, rows: Rows, seeds: Sequence[int]) -> None:
-        """Rows of the batch begin episodes; see `dual_ur10.policies.evaluation.evaluate.EpisodeAware`."""
+        """Begin episodes in some rows of the batch; see `dual_ur10.policies.policy.EpisodeAware`."""
         if self._clock is not None:
             self._clock[rows] = np.inf
 
-    def _begin(self, n: int) -> None:
-        self._clock = np.full(n, np.inf)
-        self._time_s = np.zeros(n)
-        self._motion: list[FreeMotion | None] = [None] * n
-        self._offset = Poses(np.zeros((n, 2, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (n, 2, 1)))
-
     def __call__(self, observation: Array) -> Array:
-        """Action of float32 for an observation, or one for each row of a batch of observations.
+        """Return the float32 action for an observation, or one for each row of a batch of observations.
 
         Raises:
             ActionError: Not an observation of SyncCarry with these settings.
-            UnreachableError: The bar or its way cannot be reached.
+            UnreachableError: The bar or its path cannot be reached.
         """
-        batch = self._layout.batch(observation, f"SyncCarry with grasp={self.settings.grasp!r}")
+        batch = self._batch(observation, None if self._clock is None else len(self._clock))
         fields, n = self._layout.split(batch), len(batch)
         if self._clock is None:
-            self._begin(n)
-        if self._clock is None or len(self._clock) != n:
-            raise ActionError(f"{n} observations after another number: call reset() first")
+            self._clock = np.full(n, np.inf)
+            self._time_s = np.zeros(n)
+            self._motion: list[FreeMotion | None] = [None] * n
+            self._offset = Poses(np.zeros((n, 2, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (n, 2, 1)))
         commanded = fields["commanded_q_rad"]
         names = ("flange_base", "bar_base", "reference_base", "ahead_base")
         flange, bar, now, ahead = (pose_of(fields, name) for name in names)
@@ -112,10 +94,9 @@ class SyncCarryPolicy:
         fresh = np.flatnonzero(clock < self._clock)
         self._clock = clock
         for row in fresh.tolist():
-            reference = Poses(*(part[row] for part in now))
-            seen = reference if self._teaches else Poses(*(part[row] for part in bar))
-            self._plan(row, commanded[row], Poses(*(part[row] for part in flange)), seen, reference)
-        goal = postures(compose(ahead, self._offset), commanded, self.dh)
+            poses = (Poses(*(part[row] for part in each)) for each in (flange, now if self._is_expert else bar, now))
+            self._plan(row, commanded[row], *poses)
+        goal = self._inverse(compose(ahead, self._offset), commanded)
         closed = np.full(n, -1.0)
         for row, motion in enumerate(self._motion):
             if motion is None:
@@ -127,38 +108,32 @@ class SyncCarryPolicy:
             goal[row] = motion.at(end).reshape(2, 6)
             closed[row] = -1.0 if end > motion.duration_s + _CLOSE_AFTER_S else 1.0
         self._time_s += self.timing.period_s
-        if not self._teaches:
-            self._rejoin.forget(fresh, commanded.reshape(n, 12))
-            whole = self._rejoin(goal.reshape(n, 12), commanded.reshape(n, 12), fields["qd_rad_s"].reshape(n, 12))
-            goal = whole.reshape(n, 2, 6)
-        step = self._step.reshape(2, 6)
-        action = goal if self.action_mode == "joint_position" else (goal - commanded) / step
+        goal, commanded = goal.reshape(n, 12), commanded.reshape(n, 12)
+        if not self._is_expert:
+            self._recovery.forget(fresh, commanded)
+            goal = self._recovery(goal, commanded, fields["qd_rad_s"].reshape(n, 12))
+        action = self._action(goal, commanded).reshape(n, 2, 6)
         if not self.settings.rigid:
             action = np.concatenate([action, np.broadcast_to(closed[:, None, None], (n, 2, 1))], axis=2)
         return action.reshape(*np.shape(observation)[:-1], -1).astype(np.float32)
 
     def _plan(self, row: int, commanded: Array, flange: Poses, bar: Poses, reference: Poses) -> None:
-        """Plan the path of one cell to the grips, and the poses of the flanges in the reference, (2, ...) each."""
+        """Plan the path of one row to the grips, and the flanges' poses in the reference, (2, ...) each."""
         self._time_s[row] = 0.0
         if not self.settings.rigid:
-            flange = flanges_of(compose(lying(bar, self.mounts, BAR_WIDTH_M / 2 + self._higher_m), self.settings.grip))
+            bar = on_table(bar, self.mounts, BAR_WIDTH_M / 2 + self._higher_m)
+            flange = flanges_of(compose(bar, self.settings.grip))
             above = Poses(flange.position_m + np.array([0.0, 0.0, _ABOVE_M]), flange.quat)
             lower = Poses(above.position_m - np.array([0.0, 0.0, 1e-3]), flange.quat)
-            ways = np.concatenate(
-                [
-                    postures(Poses(*(p[None] for p in pose)), commanded[None], self.dh).reshape(1, 12)
-                    for pose in (above, lower, flange)
-                ]
-            )
-            down = (ways[1] - ways[0]) * (_DOWN_M_S / 1e-3)
-            passing = Waypoint(ways[0], down * min(1.0, 0.5 / float((np.abs(down) / self._speed).max())))
+            points = np.concatenate([self._inverse(pose, commanded).reshape(1, 12) for pose in (above, lower, flange)])
+            down = (points[1] - points[0]) * (_DOWN_M_S / 1e-3)
+            passing = Waypoint(points[0], down * min(1.0, 0.5 / float((np.abs(down) / self._speed).max())))
             self._motion[row] = FreeMotion(
                 commanded.reshape(12),
-                [passing, Waypoint(ways[2], np.zeros(12))],
+                [passing, Waypoint(points[2], np.zeros(12))],
                 self._speed,
                 _ACCELERATION_RAD_S2,
                 _JERK_RAD_S3,
                 max(_SMOOTH_S, 3 * self.timing.period_s),
             )
-        offset = relative_to(reference, flange)
-        self._offset.position_m[row], self._offset.quat[row] = offset
+        self._offset.position_m[row], self._offset.quat[row] = relative_to(reference, flange)

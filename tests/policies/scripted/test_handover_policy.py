@@ -10,7 +10,7 @@ from dual_ur10.kinematics.poses import Poses, compose
 from dual_ur10.policies.policy import Policy
 from dual_ur10.policies.scripted.free_motion import FreeMotion, Waypoint
 from dual_ur10.policies.scripted.handover import HandoverPolicy
-from dual_ur10.policies.scripted.handover_paths import Ways
+from dual_ur10.policies.scripted.handover_paths import HandoverPaths
 from dual_ur10.sim2real.config.cell import TYPICAL_PERTURBATION, CellConfig
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from tests.soak import scaled
@@ -110,7 +110,7 @@ def test_a_block_that_is_not_let_go_is_not_placed():
 @pytest.mark.parametrize("giver", [0, 1])
 def test_the_hands_meet_in_one_posture_whichever_way_the_block_lay(giver):
     mounts = SceneSettings().mounts
-    ways = Ways(mounts, np.full(12, 1.0), 0.04)
+    ways = HandoverPaths(mounts, np.full(12, 1.0), 0.04)
     postures = []
     for yaw in (-1.0, 0.0, 1.0):
         block = lying(np.array([[0.0, 0.0, yaw]]), np.array([giver]))

@@ -1,4 +1,4 @@
-"""Scripted policies as teachers of pupils who are not so exact, and do not know what time it is."""
+"""Scripted policies as experts of learners that are less exact and do not know the time."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from dual_ur10.envs.tasks.observation_layout import pose_of
 from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.errors import LostError
 from dual_ur10.policies.scripted import handover
-from dual_ur10.policies.scripted.carrying import TAUGHT_HIGHER_M
+from dual_ur10.policies.scripted.base import EXPERT_HIGHER_M
 
 CARRY, HANDOVER = "DualUR10/SyncCarry-v0", "DualUR10/Handover-v0"
 KEYWORDS = {"action_latency_ticks": 5}
 
 
 def pair(env_id):
-    """An environment at its beginning, and two policies, of which the second teaches."""
+    """Return an environment and two scripted policies, of which the second is an expert."""
     env = gym.make(env_id, disable_env_checker=True, **KEYWORDS)
-    acting, teaching = (policies.load("scripted", env_id, **KEYWORDS) for _ in range(2))
-    teaching.teach()
-    return env, acting, teaching
+    acting, expert = (policies.load("scripted", env_id, **KEYWORDS) for _ in range(2))
+    expert.teach()
+    return env, acting, expert
 
 
 @pytest.mark.parametrize("env_id", [CARRY, HANDOVER])
-def test_a_teacher_grips_higher_and_succeeds(env_id):
+def test_an_expert_grips_higher_and_succeeds(env_id):
     env, *both = pair(env_id)
     lowest = []
     for policy in both:
@@ -40,10 +40,10 @@ def test_a_teacher_grips_higher_and_succeeds(env_id):
         assert info["is_success"]
         lowest.append(height)
     env.close()
-    assert lowest[1] - lowest[0] == pytest.approx(TAUGHT_HIGHER_M, abs=0.001)
+    assert lowest[1] - lowest[0] == pytest.approx(EXPERT_HIGHER_M, abs=0.001)
 
 
-def test_a_pupil_is_told_how_to_go_on_from_where_it_is():
+def test_an_expert_answers_from_where_the_learner_is():
     env, *both = pair(HANDOVER)
     wrong = []
     for policy in both:
@@ -56,15 +56,15 @@ def test_a_pupil_is_told_how_to_go_on_from_where_it_is():
         policy.reset()
         for k in range(15):
             policy(seen[k])
-        wrong.append(np.abs(policy(seen[17]) - told[17]).max())  # the pupil is two periods ahead
+        wrong.append(np.abs(policy(seen[17]) - told[17]).max())  # the learner is two periods ahead
     env.close()
     assert np.abs(told[17]).max() > 0.3
-    assert wrong[0] > 0.5  # by the time, it is to go back
+    assert wrong[0] > 0.5  # by the time, it would have to go back
     assert wrong[1] < 0.2
 
 
 def descended(policy, env):
-    """Observations up to the one at which the giver, which is the left arm, is told to close."""
+    """Return observations up to the one at which the giver, the left arm, has to close its gripper."""
     observation, _ = env.reset(seed=2)
     seen = []
     while True:
@@ -88,7 +88,7 @@ def test_a_motion_is_over_near_its_end():
     assert 1e-3 < off[1] < 4e-3
 
 
-def test_a_pupil_beside_the_way_is_told_to_come_back_before_it_goes_on():
+def test_a_learner_beside_the_path_has_to_come_back_first():
     env, _, policy = pair(HANDOVER)
     seen = [each.copy() for each in descended(policy, env)]
     env.close()
@@ -103,7 +103,7 @@ def test_a_pupil_beside_the_way_is_told_to_come_back_before_it_goes_on():
 
 
 def until(env, policy, phase):
-    """Observations of an episode up to one in the middle of the motion of a phase."""
+    """Return observations of an episode up to one in the middle of the motion of a phase."""
     observation, _ = env.reset(seed=2)
     seen = []
     while True:
@@ -131,7 +131,7 @@ def test_a_block_that_was_let_go_is_lost(phase, opening_m):
     env.close()
     last = seen[-1].copy()
     Handover.layout.split(last)["gripper_m"][0 if phase == handover._MEET else 1] = opening_m
-    with pytest.raises(LostError, match="has left the hand"):
+    with pytest.raises(LostError, match="has left the gripper"):
         told(policy, seen, last)
     told(acting, seen, last)  # on its own it goes on: fingers that are measured wrongly for a moment are no reason
 
@@ -144,7 +144,7 @@ def test_a_block_that_was_let_go_on_the_table_is_left_there():
     fields = Handover.layout.split(last)
     assert told(policy, seen, last)[1, 6] == -1.0  # still carried
     fields["gripper_m"][1] = 0.085
-    height_m = policy._ways.to_cell(pose_of(fields, "block_base")).position_m[1, 2]
+    height_m = policy._paths.to_cell(pose_of(fields, "block_base")).position_m[1, 2]
     fields["block_base_m"][1, 2] -= height_m - 0.021
     assert told(policy, seen, last)[1, 6] == 1.0
     episode = policy._episodes[0]
@@ -152,8 +152,8 @@ def test_a_block_that_was_let_go_on_the_table_is_left_there():
     assert episode.motion.at(episode.motion.duration_s)[6:] == pytest.approx(fields["commanded_q_rad"][1], abs=0.4)
 
 
-def test_a_pupil_takes_the_bar_where_its_path_begins():
-    """What measures the bar errs, and nobody knows by how much when it has been lifted."""
+def test_an_expert_grips_the_bar_where_its_path_begins():
+    """The measured pose of the bar has an error, which is unknown once the bar is lifted."""
     env, *both = pair(CARRY)
     observation, _ = env.reset(seed=2)
     env.close()

@@ -1,0 +1,109 @@
+"""Common base of the scripted policies: checks of arguments and observations, inverse kinematics, and actions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar, Final
+
+import numpy as np
+
+from dual_ur10.assets.settings import SceneSettings
+from dual_ur10.envs.tasks.task import Task, Timing
+from dual_ur10.errors import ActionError, SettingsError
+from dual_ur10.kinematics import nearest
+from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.poses import Poses
+from dual_ur10.kinematics.rotations import quat_to_matrix
+from dual_ur10.sim2real.control.limits import MotionLimits
+from dual_ur10.types import Array
+
+EXPERT_HIGHER_M: Final = 0.013
+"""Extra height of an expert's grips above the task's: fingers pass the table at 4 and 7 mm, less than learners err."""
+
+
+class ScriptedPolicy:
+    """Policy that computes joint positions from observations.
+
+    Args:
+        timing: Rate and latency of actions.
+        action_mode: "joint_delta" or "joint_position".
+        mounts: Poses of the bases and kinematics of the arms; None: those of the default cell.
+        limits: Motion limits of the task, as far as the cell allows them; None: those of the task.
+        settings: Settings of the task; None: the default ones.
+
+    Raises:
+        SettingsError: Actions of this mode are not of joints.
+    """
+
+    task: ClassVar[type[Task[Any, Any]]]
+
+    def __init__(
+        self,
+        timing: Timing,
+        action_mode: str = "joint_delta",
+        mounts: Sequence[ArmMount] | None = None,
+        limits: MotionLimits | None = None,
+        settings: Any = None,
+    ) -> None:
+        if action_mode not in ("joint_delta", "joint_position"):
+            raise SettingsError(f"the scripted policy commands joints: action_mode {action_mode!r} is not for it")
+        self.timing, self.action_mode = timing, action_mode
+        self.mounts = SceneSettings().mounts if mounts is None else tuple(mounts)
+        self.limits = limits or self.task.limits
+        self.settings = self.task.settings_type() if settings is None else settings
+        self._layout, self._name = self.task.layout_for(self.settings), self.task.name  # the name in messages
+        self._step_rad = np.tile(self.limits.speed_rad_s, 2) * timing.period_s
+
+    def _batch(self, observation: Array, count: int | None) -> Array:
+        """Return observations as a batch.
+
+        Args:
+            observation: One, or a batch.
+            count: Number of observations of the call before; None: there was none since the reset.
+
+        Raises:
+            ActionError: The shape is not that of observations of the task, or their number has changed.
+        """
+        batch = self._layout.batch(observation, self._name)
+        if count is not None and len(batch) != count:
+            raise ActionError(f"{len(batch)} observations after {count}: call reset() before another number")
+        return batch
+
+    def _action(self, goal_rad: Array, commanded_rad: Array) -> Array:
+        """Return the action, (..., 12), that leads from the commanded to the goal positions."""
+        return goal_rad if self.action_mode == "joint_position" else (goal_rad - commanded_rad) / self._step_rad
+
+    def _inverse(self, flanges: Poses, near_q_rad: Array) -> Array:
+        """Return the joint positions nearest to others that put the flanges at poses in the arms' `base` frames.
+
+        Args:
+            flanges: (..., 2, 3) and (..., 2, 4).
+            near_q_rad: (..., 2, 6).
+
+        Raises:
+            UnreachableError: A pose cannot be reached.
+        """
+        position, rotation = flanges.position_m, quat_to_matrix(flanges.quat)
+        left, right = (mount.dh for mount in self.mounts)
+        if left == right:
+            # One call for arms with the same kinematics: it costs little more than for a single pose.
+            return nearest(position, rotation, near_q_rad, left)
+        arms = [
+            nearest(position[..., k, :], rotation[..., k, :, :], near_q_rad[..., k, :], dh)
+            for k, dh in enumerate((left, right))
+        ]
+        return np.stack(arms, axis=-2)
+
+
+def on_table(pose: Poses, mounts: Sequence[ArmMount], height_m: float) -> Poses:
+    """Correct measured poses, (..., 2, ...) in the arms' `base` frames, of an object that lies on the table.
+
+    Args:
+        pose: Measured, with errors.
+        mounts: Of the arms, upright.
+        height_m: Height of the object's centre above the table.
+    """
+    position, quat = pose.position_m.copy(), np.zeros_like(pose.quat)
+    position[..., 2] = height_m - np.array([mount.position_m[2] for mount in mounts])
+    quat[..., 0], quat[..., 3] = pose.quat[..., 0], pose.quat[..., 3]
+    return Poses(position, quat / np.linalg.norm(quat, axis=-1, keepdims=True))

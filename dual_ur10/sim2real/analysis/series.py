@@ -66,7 +66,7 @@ def lengths(vectors: Array) -> Array:
 
 
 def interpolate(times_s: Array, values: Array, when_s: Array) -> Array:
-    """Interpolate samples by cubics whose slope interpolate each sample follows from its neighbours.
+    """Interpolate samples by cubics whose slopes at each sample follow from its neighbours.
 
     Args:
         times_s: (k,) two or more times, strictly rising.
@@ -74,18 +74,14 @@ def interpolate(times_s: Array, values: Array, when_s: Array) -> Array:
         when_s: (j,) times within `times_s`; outside, the first or last sample.
 
     Returns:
-        (j, d); interpolate a sample's time, the sample exactly.
+        (j, d); at a sample's time, the sample exactly.
     """
-    slopes = np.gradient(values, times_s, axis=0)
-    when = np.clip(when_s, times_s[0], times_s[-1])
-    left = np.clip(np.searchsorted(times_s, when, side="right") - 1, 0, len(times_s) - 2)
-    length = times_s[left + 1] - times_s[left]
-    part = ((when - times_s[left]) / length)[:, None]
-    rise = values[left + 1] - values[left]
-    begin, end = slopes[left] * length[:, None], slopes[left + 1] * length[:, None]
-    bend = part * (part * (begin + end - 2 * rise) + 3 * rise - 2 * begin - end)
-    result: Array = values[left] + part * (begin + bend)
-    return np.where(part == 1.0, values[left + 1], result)
+    from scipy.interpolate import CubicHermiteSpline
+
+    spline = CubicHermiteSpline(times_s, values, np.gradient(values, times_s, axis=0))
+    result: Array = spline(np.clip(when_s, times_s[0], times_s[-1]))
+    result[when_s >= times_s[-1]] = values[-1]
+    return result
 
 
 def rising(times_s: Array) -> NDArray[np.bool_]:

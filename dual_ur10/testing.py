@@ -1,4 +1,4 @@
-"""For the tests of projects that use this one: an emulated cell as a fixture of pytest, and a check of policies.
+"""Tools for the tests of other projects: an emulated cell as a fixture of pytest, and a check of policies.
 
 In a `conftest.py` at the top of the tests:
 
@@ -38,9 +38,9 @@ MARKER = "emulated_cell"
 
 
 class CellForTests(EmulatedCell):
-    """An emulated cell with a cell file. It ends with the `with` block, with the environment on it.
+    """Emulated cell with a cell file. Leaving the `with` block ends it and closes its environment.
 
-    The fixture `emulated_cell` is one for each test. A cell for several tests is a fixture of one's own:
+    The fixture `emulated_cell` makes one for each test. For a cell that several tests share, define your own fixture:
 
         @pytest.fixture(scope="module")
         def cell(tmp_path_factory):
@@ -48,11 +48,11 @@ class CellForTests(EmulatedCell):
                 yield cell
 
     Args:
-        folder: Where its cell file and its log are written.
+        folder: Folder for its cell file and its log.
         **options: See `dual_ur10.sim2real.emulator.emulator.EmulatorOptions`; without `cell`.
 
     Attributes:
-        path: The cell file, as text: `gym.make(..., cell=cell.path)`.
+        path: Path of the cell file: `gym.make(..., cell=cell.path)`.
         left, right: Addresses of the controllers.
 
     Raises:
@@ -62,16 +62,16 @@ class CellForTests(EmulatedCell):
 
     def __init__(self, folder: str | Path, **options: Any) -> None:
         if "cell" in options:
-            raise SettingsError("the cell file of an emulated cell in tests is written by itself: leave out `cell`")
+            raise SettingsError("an emulated cell in tests writes its own cell file: leave out `cell`")
         self.path = str(Path(folder) / "emulated_cell.toml")
         self._env: Any = None
         super().__init__(log=Path(folder) / "emulated_cell.log", **{**options, "cell": self.path})
 
     def make(self, env_id: str, **keywords: Any) -> Any:
-        """An environment on this cell. The one before is closed: there is one pair of arms.
+        """Make an environment on this cell. The previous one is closed: there is one pair of arms.
 
         Raises:
-            DualUR10Error: What `gym.make` raises.
+            DualUR10Error: As raised by `gym.make`.
         """
         import gymnasium as gym
 
@@ -81,12 +81,12 @@ class CellForTests(EmulatedCell):
 
     @property
     def fault(self) -> str:
-        """Why both arms were stopped for good; "": they were not."""
+        """Reason of the latched stop; "": there is none."""
         found = self._latch.read()
         return "" if found is None else found.text
 
     def clear(self) -> None:
-        """Clear that, as `cell clear` does. An environment that was stopped is to be made anew."""
+        """Clear the latched stop, as `cell clear` does. A stopped environment must be made again."""
         self._latch.clear()
 
     @property
@@ -105,22 +105,22 @@ class CellForTests(EmulatedCell):
             env.close()
 
     def close(self) -> None:
-        """End the environment and the process, and forget the fault. May be called twice."""
+        """Close the environment, end the process and clear the fault. May be called twice."""
         try:
             self._close_env()
         finally:
             super().close()
-            with contextlib.suppress(DualUR10Error):  # there is no file, if it did not start
+            with contextlib.suppress(DualUR10Error):  # without a start there is no file
                 self.clear()
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let pytest know the marker."""
+    """Register the marker."""
     config.addinivalue_line("markers", f"{MARKER}(**options): options of the emulated cell: task, family, plant, ...")
 
 
 def options_of(request: pytest.FixtureRequest) -> dict[str, Any]:
-    """Options of a test's emulated cell: those of its markers, the nearest last, and those of its parameter.
+    """Return options of a test's emulated cell, from its markers, the nearest last, and from its parameter.
 
     Raises:
         SettingsError: A marker has values without names, or the parameter is no mapping.
@@ -141,9 +141,9 @@ if importlib.util.find_spec("pytest") is not None:
 
     @pytest.fixture
     def emulated_cell(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[CellForTests]:
-        """An emulated cell for one test, in real time.
+        """Run an emulated cell for one test, in real time.
 
-        Its options are those of `@pytest.mark.emulated_cell(task="Handover", family="e-series")`, or of a parameter:
+        Its options come from `@pytest.mark.emulated_cell(task="Handover", family="e-series")`, or of a parameter:
         `@pytest.mark.parametrize("emulated_cell", [{"task": "SyncCarry"}], indirect=True)`.
         """
         with CellForTests(tmp_path, **options_of(request)) as cell:

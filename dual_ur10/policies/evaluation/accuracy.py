@@ -1,8 +1,8 @@
 """Accuracy of a recorded episode.
 
 Flange poses are computed from the joint positions with `dual_ur10.kinematics`, not taken from the simulator: a site
-that is one physics step old would count as 0.6 mm at the sine's speed. Speeds are central differences of positions one
-control period apart, so that nothing faster than half the policy's rate is in them.
+that is one physics step old would add 0.6 mm at the sine's speed. Speeds are central differences of positions one
+control period apart: they contain no frequency above half the policy's rate.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from dual_ur10.policies.evaluation.cross_correlation import cross_correlation, p
 from dual_ur10.policies.evaluation.rollout import Record
 from dual_ur10.types import Array
 
-_MOST_PERIODS = 5  # largest delay that is looked for
-_STILL_M = 1e-6  # a reference that moves less stands still
+_MOST_PERIODS = 5  # largest delay considered
+_STILL_M = 1e-6  # a reference that moves less counts as static
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Figures of one episode, the worse arm's where there is one of each.
+    """Accuracy of one episode; of figures per arm, the worse one.
 
-    A constant distance between the flanges proves little: two equal arms in equal postures keep it whatever they do,
-    and errors across the line between them hardly change it. The vector from flange to flange shows those. What both
-    arms do wrong alike, such as lag, shows in the flange error alone.
+    A constant distance between the flanges proves little: two equal arms in equal configurations keep it in any case,
+    and errors across the line between them hardly change it. The vector from flange to flange shows those. Errors that
+    both arms share, such as lag, show in the flange error alone.
 
     Attributes:
         flange_max_mm: Largest distance of a flange to its reference.
@@ -70,18 +70,18 @@ class Errors:
 
 
 def flange_positions(record: Record) -> Array:
-    """Flange positions in the cell frame, (k, 2, 3), from the joint positions."""
+    """Return flange positions in the cell frame, (k, 2, 3), from the joint positions."""
     base_m, from_cell = to_base(record.mounts)
     local = [flange_pose(record.q_rad[:, arm], mount.dh)[0] for arm, mount in enumerate(record.mounts)]
     return np.stack([base_m[arm] + position @ from_cell[arm] for arm, position in enumerate(local)], axis=1)
 
 
 def errors(record: Record, reference_quat: Array = TOOL_DOWN_QUAT) -> Errors:
-    """Errors over time.
+    """Return errors over time.
 
     Args:
         record: An episode of a task with a reference.
-        reference_quat: (4,) orientation that both flanges should have, in each arm's own `base` frame.
+        reference_quat: (4,) reference orientation of both flanges, in each arm's own `base` frame.
 
     Raises:
         SettingsError: The episode has no reference, or fewer than three steps.
@@ -103,15 +103,15 @@ def errors(record: Record, reference_quat: Array = TOOL_DOWN_QUAT) -> Errors:
 
 
 def accuracy(record: Record, reference_quat: Array = TOOL_DOWN_QUAT, *, after_s: float = 0.0) -> Accuracy:
-    """The figures of an episode.
+    """Return the accuracy of an episode.
 
     Args:
         record: See `errors`.
         reference_quat: See `errors`.
-        after_s: Leave out what came before.
+        after_s: Time before which nothing counts.
 
     Raises:
-        SettingsError: See `errors`; or nothing came after `after_s`.
+        SettingsError: See `errors`; or it ended before `after_s`.
     """
     late = record.time_s >= after_s - 1e-9
     if not late.any():
@@ -129,7 +129,7 @@ def accuracy(record: Record, reference_quat: Array = TOOL_DOWN_QUAT, *, after_s:
 
 
 def along_axis(record: Record) -> tuple[Array, Array]:
-    """Displacement of flanges and references along the way of the reference, (k, 2) each; 0 where an arm stands."""
+    """Return displacements of flanges and references along the reference path, (k, 2) each; 0 for a static arm."""
     reference = _reference(record)
     moved = reference - reference.mean(axis=0)
     position = flange_positions(record) - reference.mean(axis=0)
@@ -145,13 +145,13 @@ def along_axis(record: Record) -> tuple[Array, Array]:
 
 
 def lag_s(record: Record) -> Array:
-    """Time, (2,), by which each flange is behind its reference; NaN for an arm that stands."""
+    """Return the lag, (2,), of each flange behind its reference; NaN for a static arm."""
     position, reference = along_axis(record)
     return np.array([delay_s(position[:, arm], reference[:, arm], record.period_s) for arm in range(2)])
 
 
 def skew_s(record: Record) -> float:
-    """Time by which the left arm is behind the right one; NaN if one of them stands."""
+    """Return the lag of the left arm behind the right one; NaN if one of them is static."""
     position, reference = along_axis(record)
     if not np.abs(reference).max(axis=0).all():
         return float("nan")
@@ -178,6 +178,6 @@ def _reference(record: Record) -> Array:
 
 
 def _speed(position: Array, period_s: float) -> Array:
-    """(k, 2) speeds by central differences; at the first and last instant those of their neighbours."""
+    """Return (k, 2) speeds by central differences; the first and last are those of their neighbours."""
     speed: Array = np.linalg.norm(position[2:] - position[:-2], axis=2) / (2 * period_s)
     return np.concatenate([speed[:1], speed, speed[-1:]])

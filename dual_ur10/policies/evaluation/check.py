@@ -1,6 +1,6 @@
-"""Checks what a policy must be before it moves anything: in simulation first, and then on two controllers, if asked to.
+"""Check of a policy before it moves anything: in simulation, and then on two controllers if there is a cell file.
 
-No wall time fails a check: what a policy takes is told, with a note where it is too much for two controllers.
+No wall time fails a check: the report holds the time of an action, with a note if it is too long for two controllers.
 """
 
 from __future__ import annotations
@@ -25,30 +25,30 @@ from dual_ur10.types import Array
 log = logging.getLogger(__name__)
 
 MOST_STEPS: Final = 10_000
-"""Steps after which an episode is looked at no longer, where nothing else is said."""
+"""Default number of steps after which the check of an episode ends."""
 
-_AGAIN: Final = 200  # observations that are shown a second time, after a reset
-_OVER: Final = 1e-6  # by which an action may leave its bounds: rounding to single precision
-_SAME: Final = 1e-4  # by which an action in a batch may differ from that alone: order of additions
-_TAKEN_TICKS, _TAKEN_S = 3, 0.02  # of the action's latency, before a policy sees a state and after it has acted
+_AGAIN: Final = 200  # observations that are repeated after a reset
+_OVER: Final = 1e-6  # tolerance of an action's bounds: rounding to single precision
+_SAME: Final = 1e-4  # tolerance between actions in a batch and alone: order of additions
+_TAKEN_TICKS, _TAKEN_S = 3, 0.02  # part of the action's latency that passes before and after the policy acts
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PolicyReport:
-    """What was found of a policy that is as it must be.
+    """Report on a policy that passed the check.
 
     Attributes:
-        env_id: Of the environment.
-        steps: Of the simulated episode.
-        success: Whether the task says that it was done well.
-        total_reward: Of that episode.
-        batched: Whether it takes batches of observations, too.
-        median_s, worst_s: What it takes for an action, on this machine as busy as it was.
-        budget_s: What it may take on two controllers.
-        cell_steps: Steps on two controllers; None: it was not asked to act there.
-        cell_success: Whether that was done well.
-        late: Actions that came too late there.
-        notes: What deserves a look.
+        env_id: Id of the environment.
+        steps: Steps of the simulated episode.
+        success: True if the task reports success in that episode.
+        total_reward: Sum of its rewards.
+        batched: True if the policy also takes batches of observations.
+        median_s, worst_s: Time of an action, on this machine under its present load.
+        budget_s: Time that an action may take on two controllers.
+        cell_steps: Steps on two controllers; None: there was no cell file.
+        cell_success: True if the task reports success there.
+        late: Actions that missed their deadline there.
+        notes: Remarks that are no errors.
     """
 
     env_id: str
@@ -87,27 +87,27 @@ def check_policy(
 ) -> PolicyReport:
     """Check a policy over one episode in simulation, and over one on two controllers if there is a cell file.
 
-    It must have `reset` and act on single observations. Its actions must be finite numbers of the action space's
-    shape and within its bounds; it must leave observations as they are; after `reset` the same observations must give
-    the same actions; where it takes a batch of observations, each row must get the action that it gets alone; and the
-    safety gate must not have to refuse anything.
+    The policy must have `reset` and act on single observations. Its actions must be finite numbers of the action
+    space's shape and within its bounds. It must not change observations. After `reset` the same observations must give
+    the same actions. If it takes a batch of observations, each row must give the same action as alone. The safety gate
+    must not refuse any of its targets.
 
     Args:
-        policy: What acts.
+        policy: Policy to check.
         env_id: Id of the environment, or a part of it such as "Handover".
-        cell: A cell file. The simulated episode then is that of a cell with its mounts, limits and latency, and another
-            one follows on its controllers: for real arms somebody is asked first, or `confirm` is.
-        steps: After which an episode is looked at no longer; None: at its end, or after `MOST_STEPS`.
-        seed: Of both episodes.
+        cell: A cell file. The simulated cell then has its mounts, limits and latency, and a second episode follows on
+            its controllers. Real arms need operator confirmation first, at the terminal or by `confirm`.
+        steps: Steps after which the check of an episode ends; None: its own end, or `MOST_STEPS`.
+        seed: Seed of both episodes.
         **env_kwargs: Keywords of the environment.
 
     Returns:
-        What else was found.
+        Report on a policy without errors.
 
     Raises:
-        PolicyError: The policy is not as it must be. Arms that it was moving are stopped for good.
+        PolicyError: The policy breaks a rule above. Arms that it was moving have a latched stop.
         SettingsError: `steps` is not a positive number, or `cell` is no path.
-        DualUR10Error: What the environment raises.
+        DualUR10Error: The environment failed.
     """
     name = env_id_of(env_id)
     if steps is not None and (isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1):
@@ -161,7 +161,7 @@ def check_policy(
         finally:
             env.close()
         if late:
-            notes.append(f"{late} actions came too late on two controllers: both arms came to rest each time")
+            notes.append(f"{late} actions missed their deadline on two controllers: both arms stopped each time")
         report = dataclasses.replace(report, cell_steps=len(there.actions), cell_success=there.success, late=int(late))
     for note in notes:
         log.warning("%s", note)
@@ -169,7 +169,7 @@ def check_policy(
 
 
 def _simulated(cell: str | os.PathLike[str]) -> tuple[CellConfig, int]:
-    """The simulated cell that is like the one of a cell file, and its latency in ticks."""
+    """Return the simulated counterpart of a cell file's cell, and its latency in ticks."""
     from dual_ur10.sim2real.config.cell_file import load_cell_file
 
     file = load_cell_file(os.fspath(cell))
@@ -177,27 +177,27 @@ def _simulated(cell: str | os.PathLike[str]) -> tuple[CellConfig, int]:
 
 
 def _budget_s(env: Any) -> float:
-    """What of an action's latency is left to a policy on two controllers."""
+    """Return the part of the action's latency that a policy may use on two controllers."""
     core = env.unwrapped.core
     tick_s: float = core.config.servoj.tick_s
     taken_s = max(_TAKEN_TICKS * tick_s, _TAKEN_S)
     latency_s: float = core.timing.ahead_s - core.timing.period_s
-    # An ideal machine's latency is none: it says nothing about two controllers.
+    # An ideal machine has no latency, unlike two controllers.
     return (LATENCY_S if latency_s <= taken_s else latency_s) - taken_s
 
 
 class _Episode:
-    """One episode, in which every action is looked at.
+    """One episode, in which every action is checked.
 
     Args:
-        policy: What acts.
+        policy: Policy to check.
         env: A Gymnasium environment.
 
     Attributes:
-        observations, actions: Of every step; an observation is the one that its action answers.
-        taken_s: For each action.
-        success: As the task says it.
-        total_reward: Of all steps.
+        observations, actions: Input and output of the policy in every step.
+        taken_s: Time of each action.
+        success: True if the task reports success.
+        total_reward: Sum of all rewards.
     """
 
     def __init__(self, policy: Policy, env: Any) -> None:
@@ -208,7 +208,7 @@ class _Episode:
         self.success, self.total_reward = False, 0.0
 
     def run(self, seed: int, most: int) -> None:
-        """Run it, for at most so many steps.
+        """Run it for at most `most` steps.
 
         Raises:
             PolicyError: See `check_policy`.
@@ -227,7 +227,7 @@ class _Episode:
                         raise PolicyError(f"step {len(self.actions) - 1}: {text}{': ' if text else ''}{info[name]}")
                 over = terminated or truncated
         except PolicyError as error:
-            # On two controllers, nothing may go on with it.
+            # Two controllers must not keep moving with it.
             env.unwrapped.core.stop(f"the policy failed: {error}")
             raise
         self.success = bool(info.get("is_success", False))
@@ -240,8 +240,7 @@ class _Episode:
         self.taken_s.append(time.perf_counter() - begin)
         if not _equal(shown, kept):
             raise PolicyError(
-                f"step {step}: it changed the observation that it was given; whoever else holds that array sees other "
-                "numbers then: let it copy first"
+                f"step {step}: it changed the observation that it received, which others may hold, too: copy it first"
             )
         action = _checked(given, self._env.action_space, f"step {step}")
         self.observations.append(kept)
@@ -250,7 +249,7 @@ class _Episode:
 
 
 def _check_again(policy: Policy, episode: _Episode) -> None:
-    """The same observations after a reset must give the same actions."""
+    """Check that the same observations after a reset give the same actions."""
     _reset(policy)
     for step, (observation, before) in enumerate(zip(episode.observations, episode.actions, strict=True)):
         if step == _AGAIN:
@@ -262,12 +261,12 @@ def _check_again(policy: Policy, episode: _Episode) -> None:
                 away = f"other by up to {float(np.abs(again - before).max()):.3g}"
             raise PolicyError(
                 f"step {step} after a reset: the action is {away} than before with the same observations: let reset() "
-                "forget everything, and draw chance from a generator that reset() seeds anew"
+                "forget everything, and sample from a generator that reset() seeds again"
             )
 
 
 def _check_batch(policy: Policy, env: Any, episode: _Episode, seed: int) -> bool:
-    """Whether it takes batches. If it does, each row must get what it gets alone."""
+    """Return True if the policy takes batches, after a check that each row gives the same action as alone."""
     first = [episode.observations[0], env.reset(seed=seed + 1)[0]]
     alone = []
     for observation in first:
@@ -276,7 +275,7 @@ def _check_batch(policy: Policy, env: Any, episode: _Episode, seed: int) -> bool
     _reset(policy)
     try:
         both = np.asarray(policy(_stacked(first)))
-    except Exception:  # a policy of single observations, whatever it is that it stumbles over
+    except Exception:  # a policy of single observations may fail in any way
         return False
     finally:
         _reset(policy)
@@ -292,11 +291,7 @@ def _check_batch(policy: Policy, env: Any, episode: _Episode, seed: int) -> bool
 
 
 def _checked(given: Any, space: Any, where: str) -> Array:
-    """An action of a policy, once it is one.
-
-    Raises:
-        PolicyError: It is none.
-    """
+    """Return a policy's output as an action, or raise PolicyError."""
     try:
         action = np.asarray(given)
     except (TypeError, ValueError) as error:

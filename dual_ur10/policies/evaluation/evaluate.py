@@ -1,7 +1,7 @@
-"""Runs many seeded episodes of a policy on the vector environment.
+"""Evaluation of a policy over many seeded episodes on the vector environment.
 
-Every number depends on the policy, the environment's keywords and the seeds alone: not on how many episodes run beside
-each other, nor on threads. Row and order of an episode are no part of its result.
+Every number depends on the policy, the environment's keywords and the seeds alone, not on the number of parallel
+episodes or of threads. Row and order of an episode are no part of its result.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from dual_ur10.policies.registry import NAMES, is_path, load, provenance
 from dual_ur10.types import Array, Mask
 
 UNITS = ("_m", "_rad", "_n", "_s")
-"""How the names of those values of `info` end of which an episode keeps the largest and the last."""
+"""Endings of the names of values in `info` whose largest and last value an episode keeps."""
 
-_LONGEST_S = 600.0  # simulated time after which an episode counts as endless, if its task is not set to be longer
+_LONGEST_S = 600.0  # simulated time after which an episode counts as endless, unless its task is longer
 _OWN = ("id", "task", "num_envs", "vectorization_mode", "autoreset_mode", "vector_kwargs", "wrappers")
-_RECORD = ("record", "record_failure", "record_about")  # what is recorded of an evaluation changes nothing in it
+_RECORD = ("record", "record_failure", "record_about")  # recording does not change the results
 _PACKAGES = ("mujoco", "gymnasium", "numpy")
 
 
@@ -44,12 +44,12 @@ def evaluate(
     max_steps: int | None = None,
     on_progress: Callable[[Evaluation], None] | None = None,
 ) -> Evaluation:
-    """Run episodes with the seeds `seed`, `seed + 1`, ..., and keep what came of each.
+    """Run episodes with the seeds `seed`, `seed + 1`, ..., and return their results.
 
-    With a policy that is `EpisodeAware`, a row whose episode ends begins the next one at once. Any other is reset when
-    all rows begin together: that it notices by itself when a row begins anew is not relied upon, for an episode that
-    begins much as the one before went on would inherit what the policy had learned. The policy always gets the
-    observations of all rows; a row with nothing to do runs its last episode again, and nothing is kept of that.
+    With an `EpisodeAware` policy, a row whose episode ends begins the next one at once. For any other policy all rows
+    begin together, and it is reset then. Its own detection of new episodes is not relied upon: an episode that begins
+    much like the state in which the previous one ended would inherit the policy's memory. The policy always receives
+    the observations of all rows; an idle row repeats its last episode without any effect on the results.
 
     Args:
         env_id: Id of the environment.
@@ -57,18 +57,18 @@ def evaluate(
             folder of a checkpoint, made for this environment.
         episodes: Number of episodes, 1 or more.
         seed: Seed of the first episode, 0 or more.
-        num_envs: Number of episodes that run beside each other.
-        env_kwargs: Keywords of the environment, its vector form's `threads` and `max_episode_steps` among them. With
-            `record`, `num_envs` has to be 1: only one cell can be recorded.
-        max_steps: Steps after which an episode that has not ended is an error. None: those of 600 s of simulated time,
-            or twice the task's `duration_s` where that is longer.
-        on_progress: Told what was found whenever the number of leading episodes grows that have ended: the evaluation
-            of exactly these, as it would be without the others.
+        num_envs: Number of parallel episodes.
+        env_kwargs: Keywords of the environment, including `threads` and `max_episode_steps` of its vector form. With
+            `record`, `num_envs` must be 1: only one cell can be recorded.
+        max_steps: Steps after which an episode that has not ended is an error. None: 600 s of simulated time, or twice
+            the task's `duration_s` if that is longer.
+        on_progress: Callback with the evaluation of all leading episodes that have ended, as it would be without the
+            others. Called whenever their number grows.
 
     Raises:
-        SettingsError: A number is out of its range, or a keyword is not one that can be given here.
+        SettingsError: A number is out of its range, or the evaluation itself sets a keyword.
         UnknownNameError: No such environment, policy or keyword.
-        DualUR10Error: An episode did not end within `max_steps`; or what policy and environment raise.
+        DualUR10Error: An episode did not end within `max_steps`, or the policy or the environment failed.
     """
     for name, value, least in (("episodes", episodes, 1), ("seed", seed, 0), ("num_envs", num_envs, 1)):
         _check_whole(name, value, least)
@@ -116,10 +116,10 @@ def _run(
     max_steps: int,
     report: Callable[[Sequence[Episode]], None],
 ) -> list[Episode]:
-    """The episodes with these seeds, in their order."""
+    """Return the episodes with these seeds, in their order."""
     n, kind, one_by_one = env.num_envs, env.single_action_space.dtype, isinstance(actor, EpisodeAware)
     tally = _Tally(n)
-    current = list(range(n))  # the episode in each row, by its place in `seeds`
+    current = list(range(n))  # index into `seeds` of the episode in each row
     upcoming, reported = n, 0
     live, fresh = np.ones(n, dtype=bool), np.ones(n, dtype=bool)
     found: list[Episode | None] = [None] * len(seeds)
@@ -137,7 +137,7 @@ def _run(
         try:
             action = np.asarray(actor(observation), dtype=kind)
         except Exception as error:
-            # On real arms, nothing may go on without it.
+            # Real arms must not keep moving without a policy.
             env.unwrapped.core.stop(f"the policy failed: {type(error).__name__}: {error}")
             raise
         observation, reward, terminated, truncated, info = env.step(action)
@@ -150,7 +150,7 @@ def _run(
             for row in np.flatnonzero(~live).tolist()[: len(seeds) - upcoming]:
                 current[row], upcoming, live[row] = upcoming, upcoming + 1, True
                 fresh = fresh if one_by_one else np.ones(n, dtype=bool)
-        endless = ~fresh & (tally.steps >= max_steps)  # rows without work run for less than the episode that is left
+        endless = ~fresh & (tally.steps >= max_steps)  # an idle row runs shorter than an active one
         if endless.any():
             raise DualUR10Error(
                 f"the episode with seed {seeds[current[int(endless.argmax())]]} has not ended after {max_steps} steps "
@@ -166,7 +166,7 @@ def _run(
 
 
 class _Tally:
-    """What the running episodes of n rows have come to."""
+    """Running totals of the episodes in n rows."""
 
     def __init__(self, n: int) -> None:
         self._n = n
@@ -177,7 +177,7 @@ class _Tally:
         self._last: dict[str, Array] = {}
 
     def begin(self, rows: Mask) -> None:
-        """The masked rows begin episodes."""
+        """Begin episodes in the masked rows."""
         self.steps[rows] = 0
         self._reward[rows] = 0.0
         self._stage[rows] = self._best_stage[rows] = -1
@@ -185,7 +185,7 @@ class _Tally:
             values[rows] = np.nan
 
     def add(self, reward: Array, info: Mapping[str, Any]) -> None:
-        """Take in one step of all rows."""
+        """Add one step of all rows."""
         self.steps += 1
         self._reward += reward
         for name, value in info.items():
@@ -202,15 +202,15 @@ class _Tally:
                 self._last[name] = np.where(known, value, self._last[name])
 
     def _is_kept(self, name: str, value: Any) -> bool:
-        """Whether it is a float for each row, or one for each arm of each row, with a unit."""
+        """Return True for a float with a unit for each row, or for each arm of each row."""
         if name.startswith("_") or not name.endswith(UNITS) or not isinstance(value, np.ndarray):
             return False
         return value.dtype.kind == "f" and value.shape in ((self._n,), (self._n, len(ARMS)))
 
     def episode(self, row: int, seed: int, period_s: float, info: Mapping[str, Any]) -> Episode:
-        """The episode that has ended in a row with this `info`."""
+        """Return the episode that has ended in a row with this `info`."""
         steps, staged = int(self.steps[row]), self._best_stage[row] >= 0
-        # What another row's step has brought in is no part of this one's episode.
+        # A name that only another row's info had is no part of this episode.
         peak = {name: value for name, value in _by_name(self._peak, row).items() if math.isfinite(value)}
         last = {name: value for name, value in _by_name(self._last, row).items() if name in peak}
         return Episode(
@@ -228,12 +228,12 @@ class _Tally:
 
 
 def _value(info: Mapping[str, Any], name: str, row: int, default: Any) -> Any:
-    """A row's value in the info of a vector environment."""
+    """Return a row's value in the info of a vector environment."""
     return info[name][row] if name in info and info["_" + name][row] else default
 
 
 def _by_name(values: Mapping[str, Array], row: int) -> dict[str, float]:
-    """A row's values by name, those of arms apart."""
+    """Return a row's values by name, one entry per arm where there is one value for each."""
     result: dict[str, float] = {}
     for name in sorted(values):
         names = [name] if values[name].ndim == 1 else [f"{name}/{arm}" for arm in ARMS]
@@ -247,7 +247,7 @@ def _check_whole(name: str, value: object, least: int) -> None:
 
 
 def _bound(core: Any, max_steps: int | None) -> int:
-    """Steps after which an episode counts as endless."""
+    """Return the number of steps after which an episode counts as endless."""
     if max_steps is not None:
         return int(max_steps)
     task = core.task
@@ -257,12 +257,12 @@ def _bound(core: Any, max_steps: int | None) -> int:
 
 
 def _make(env_id: str, num_envs: int, keywords: Mapping[str, Any]) -> Any:
-    """The vector environment, which waits with its rows to be reset."""
+    """Make the vector environment, without automatic resets."""
     if env_id not in gym.registry:
         raise UnknownNameError("environment", str(env_id), list(ENTRY_POINTS))
     for name in _OWN:
         if name in keywords:
-            raise SettingsError(f"the keyword {name} is not one of an evaluated environment's: the evaluation sets it")
+            raise SettingsError(f"the keyword {name} is set by the evaluation: leave it out")
     try:
         return gym.make_vec(
             env_id,
@@ -272,18 +272,18 @@ def _make(env_id: str, num_envs: int, keywords: Mapping[str, Any]) -> Any:
             **keywords,
         )
     except TypeError as error:
-        # Gymnasium appends where it was raised and all keywords.
+        # Gymnasium appends its location and all keywords.
         reason = str(error).split(" was raised from the environment creator")[0]
         raise SettingsError(f"a keyword of {env_id} has the wrong type: {reason}") from error
 
 
 def actor_of(policy: Policy | str, env_id: str, keywords: Mapping[str, Any], env: Any) -> Policy:
-    """What acts in a vector environment.
+    """Return the policy that acts in a vector environment.
 
     Args:
-        policy: It, or a name ("random", "zero", or one of `dual_ur10.policies.NAMES`), or the folder of a checkpoint.
+        policy: A policy, or a name or folder as for `evaluate`.
         env_id: Id of the environment.
-        keywords: Of it.
+        keywords: Keywords of the environment.
         env: The vector environment.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Runs as Minari datasets, with one key per agent."""
+"""Export of runs to Minari datasets, with one key per agent."""
 
 from __future__ import annotations
 
@@ -35,26 +35,26 @@ def to_minari(
     """Make a Minari dataset of the episodes of runs.
 
     Observations and actions are dicts with the keys "left" and "right", as of `dual_ur10.envs.api.parallel_env`.
-    Rewards are those of both together. `infos` hold `is_success`, `gated` and `time_s`. An episode's metadata hold its
-    end and the place of its record. The environment's spec is that of the Gymnasium environment.
+    Rewards are those of both together. `infos` hold `is_success`, `gated` and `time_s`. An episode's metadata hold
+    `ended_by` and its place in the run. The environment's spec is that of the Gymnasium environment.
 
     Args:
         runs: One or several, of the same environment.
-        dataset_id: As Minari wants it, such as "ur10/carry/scripted-v0"; it must not exist.
-        author: Of the dataset.
-        author_email: Theirs.
-        code_permalink: Where the code is that made it.
-        description: Of the dataset.
+        dataset_id: Name in Minari's form, such as "ur10/carry/scripted-v0"; it must not exist.
+        author: Author of the dataset.
+        author_email: Author's address.
+        code_permalink: Link to the code that made it.
+        description: Description of the dataset.
 
     Returns:
         The `minari.MinariDataset`.
 
     Raises:
         MissingExtraError: Minari is not installed.
-        RecordingError: There are no steps, no observations, runs that do not belong together, or Minari refuses.
+        RecordingError: No steps, no observations, runs of different environments, or a refusal by Minari.
     """
     try:
-        import h5py  # type: ignore[import-untyped]  # noqa: F401  # what Minari writes with
+        import h5py  # type: ignore[import-untyped]  # noqa: F401  # Minari writes with it
         import minari  # type: ignore[import-untyped]
     except ImportError:
         raise MissingExtraError("Minari", "data", "making a dataset") from None
@@ -64,7 +64,7 @@ def to_minari(
 
     found = [runs] if isinstance(runs, Run) else list(runs)
     if not found or not any(len(episode.reward) for run in found for episode in run.episodes):
-        raise RecordingError("there are no steps that a dataset could be made of")
+        raise RecordingError("the runs have no steps: a dataset needs one or more")
     header = found[0].header
     for run in found[1:]:
         for name in _DIFFER:
@@ -82,7 +82,7 @@ def to_minari(
         core.close()
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # of what may be left out
+            warnings.simplefilter("ignore", UserWarning)  # about optional metadata
             dataset = minari.create_dataset_from_buffers(
                 dataset_id,
                 buffers,
@@ -105,7 +105,7 @@ def to_minari(
 
 
 def _core(header: Header) -> Core:
-    """A simulation of the same task, which knows what each agent observes."""
+    """Make a simulation of the same task, for its spaces and observations of each agent."""
     from dual_ur10.envs.core.core import Core
     from dual_ur10.ids import ENTRY_POINTS, task_name
 
@@ -121,7 +121,7 @@ _NOT_OF_TASK: Final = ("cell", "arm", "confirm", "observation", "cameras", "pixe
 
 
 def _spec(header: Header) -> Any:
-    """The Gymnasium spec of the environment, in simulation."""
+    """Return the Gymnasium spec of the environment, in simulation."""
     import gymnasium as gym
 
     spec = copy.deepcopy(gym.spec(header.env_id))
@@ -134,7 +134,7 @@ def _line(header: Header) -> str:
 
 
 def _buffer(minari: Any, core: Core, number: int, episode: Episode) -> Any:
-    """An episode in Minari's form."""
+    """Return an episode in Minari's form."""
     if episode.observation is None:
         raise RecordingError(f"episode {number} has no observations")
     count, size = len(episode.reward), core.action_space.shape[0]

@@ -1,4 +1,4 @@
-"""What comes of an evaluation: its episodes, what they say together, and both as a table and as files."""
+"""Results of an evaluation: its episodes, their summary, and both as a table and as files."""
 
 from __future__ import annotations
 
@@ -57,20 +57,20 @@ def wilson_interval(successes: int, trials: int, confidence: float = CONFIDENCE)
 
 @dataclass(frozen=True)
 class Episode:
-    """One episode.
+    """Result of one episode.
 
     Attributes:
-        seed: Of its reset.
-        success: Whether the task says that it was done well.
+        seed: Seed of its reset.
+        success: True if the task reports success.
         total_reward: Sum of all rewards; "return" in files.
         steps: Number of steps.
         time_s: Simulated time from the reset to the end.
-        ended_by: What ended it before its natural end, such as the gate's verdict; "" if nothing did.
+        ended_by: Reason of an early end, such as the gate's verdict; "" if there was none.
         stage: Stage of the task at the end, 0 before the first; None if the task has no stages.
         best_stage: Highest stage that was reached; None as above.
-        peak: Largest magnitude over all steps of each number in `info` with a unit, by name; of what there is one per
-            arm as `name/left` and `name/right`. What never was a finite number is not in it.
-        last: The same numbers at the end, with their signs; None: not a finite one.
+        peak: Largest magnitude over all steps of each number in `info` with a unit, by name; values per arm as
+            `name/left` and `name/right`. Numbers that were never finite are left out.
+        last: The same numbers at the end, with their signs; None: not finite.
     """
 
     seed: int
@@ -85,7 +85,7 @@ class Episode:
     last: Mapping[str, float | None] = dataclasses.field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
-        """The episode as it is written to files."""
+        """Return the episode as it is written to files."""
         result: dict[str, Any] = {}
         for each in dataclasses.fields(self):
             result["return" if each.name == "total_reward" else each.name] = getattr(self, each.name)
@@ -119,7 +119,7 @@ class Evaluation:
         stages: Names of the task's stages; empty if it has none.
         episodes: In the order of their seeds, one or more.
         versions: Of the packages that the result depends on, by name.
-        late_actions: How many actions came too late on two controllers, so that both arms came to rest.
+        late_actions: Number of actions that missed their deadline on two controllers, so that both arms stopped.
     """
 
     env_id: str
@@ -142,12 +142,12 @@ class Evaluation:
 
     @property
     def success_rate(self) -> float:
-        """Share of successful episodes."""
+        """Ratio of successful episodes."""
         return self.successes / len(self.episodes)
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Where the true success rate is, with a confidence of 95 %, by Wilson's interval."""
+        """Wilson's interval of the true success rate, with a confidence of 95 %."""
         return wilson_interval(self.successes, len(self.episodes), CONFIDENCE)
 
     @property
@@ -157,7 +157,7 @@ class Evaluation:
 
     @property
     def std_return(self) -> float:
-        """Standard deviation of the sums of rewards, of these episodes."""
+        """Standard deviation of the sums of rewards over these episodes."""
         return float(np.std([each.total_reward for each in self.episodes]))
 
     @property
@@ -167,7 +167,7 @@ class Evaluation:
 
     @property
     def p90_time_s(self) -> float | None:
-        """Duration that nine of ten successful episodes keep; None if none was successful."""
+        """90th percentile of the duration of the successful episodes; None if none was."""
         return self._time_s(90.0)
 
     def _time_s(self, percent: float) -> float | None:
@@ -176,12 +176,12 @@ class Evaluation:
 
     @property
     def cut_short(self) -> tuple[Episode, ...]:
-        """Episodes that the gate or an error ended."""
+        """Episodes that the safety gate or an error ended."""
         return tuple(each for each in self.episodes if each.ended_by)
 
     @property
     def stage_scores(self) -> dict[str, float]:
-        """Share of the episodes that reached each stage or a later one, by its name."""
+        """Ratio of episodes that reached each stage or a later one, by its name."""
         best = [each.best_stage or 0 for each in self.episodes]
         return {name: sum(stage > k for stage in best) / len(best) for k, name in enumerate(self.stages)}
 
@@ -203,7 +203,7 @@ class Evaluation:
         return sorted({name for each in self.episodes for name in each.peak})
 
     def summary(self) -> dict[str, Any]:
-        """What the episodes say together, as it is written to files."""
+        """Return the figures of all episodes together, as they are written to files."""
         return {
             "episodes": len(self.episodes),
             "successes": self.successes,
@@ -221,7 +221,7 @@ class Evaluation:
         }
 
     def as_table(self) -> Table:
-        """What the episodes say together, for people."""
+        """Return the figures of all episodes together as a table for the terminal."""
         from rich.markup import escape
         from rich.table import Table
 
@@ -234,8 +234,8 @@ class Evaluation:
         low, high = self.interval
         table.add_row("success", f"{self.successes} of {count}, [bold]{_percent(self.success_rate)}[/]")
         table.add_row("95 % interval of it", f"{_percent(low)} to {_percent(high)}")
-        for name, share in self.stage_scores.items():
-            table.add_row(f"reached: {escape(name)}", _percent(share))
+        for name, ratio in self.stage_scores.items():
+            table.add_row(f"reached: {escape(name)}", _percent(ratio))
         table.add_row("return", f"{self.mean_return:.2f} ± {self.std_return:.2f}")
         table.add_row("time of successes, median", _seconds(self.median_time_s))
         table.add_row("time of successes, 90 %", _seconds(self.p90_time_s))
@@ -244,7 +244,7 @@ class Evaluation:
             table.add_row("cut short", str(len(self.cut_short)))
             table.add_row("the first of them", f"seed {first.seed}: {escape(first.ended_by)}")
         if self.late_actions:
-            table.add_row("late actions, both arms rested", str(self.late_actions))
+            table.add_row("late actions, both arms stopped", str(self.late_actions))
         if self.spreads:
             table.add_section()
             table.add_row("[dim]peaks of the episodes[/]", "[dim]largest · median · median at the end[/]")
@@ -254,10 +254,10 @@ class Evaluation:
         return table
 
     def to_json(self, path: str | Path) -> None:
-        """Write everything to a JSON file: at once or not at all.
+        """Write everything to a JSON file: all or nothing.
 
         Raises:
-            DualUR10Error: The file cannot be written. One that was there is as it was.
+            DualUR10Error: The file cannot be written. An existing one is unchanged.
         """
         data = {
             "env_id": self.env_id,
@@ -272,10 +272,10 @@ class Evaluation:
         write_text(path, json.dumps(_plain(data), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
     def to_csv(self, path: str | Path) -> None:
-        """Write a row per episode to a CSV file: at once or not at all. None is an empty cell.
+        """Write a row per episode to a CSV file: all or nothing. None is an empty cell.
 
         Raises:
-            DualUR10Error: The file cannot be written. One that was there is as it was.
+            DualUR10Error: The file cannot be written. An existing one is unchanged.
         """
         text, names = io.StringIO(), self._names()
         rows = [each.as_dict() for each in self.episodes]
@@ -289,9 +289,9 @@ class Evaluation:
 
 
 def _plain(value: Any) -> Any:
-    """`value` made of what JSON has. A number that is not finite becomes its name; what is unknown, that of its type.
+    """Return `value` in types of JSON. A number that is not finite becomes its name, an unknown object its type.
 
-    Never an address in memory: equal evaluations give equal files.
+    Equal evaluations give equal files: no address in memory is ever written.
     """
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
@@ -309,8 +309,8 @@ def _plain(value: Any) -> Any:
     return f"<{type(value).__name__}>"
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %"
+def _percent(ratio: float) -> str:
+    return f"{100 * ratio:.1f} %"
 
 
 def _seconds(time_s: float | None) -> str:

@@ -1,4 +1,4 @@
-"""Runs a policy through one episode and keeps what was measured."""
+"""Rollout of a policy: one episode and its measurements."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ Info = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Record:
-    """One episode. Row k of an array is the instant at the end of step k; the reset is not in it.
+    """Measurements of one episode. Row k of an array is the end of step k; the reset is not included.
 
     Attributes:
         period_s: Time between two rows.
-        mounts: Where the arms stand, and their kinematics.
+        mounts: Base poses and kinematics of both arms.
         q_rad: (k, 2, 6) joint positions.
         flange_m: (k, 2, 3) flange positions in the cell frame, as the cell reports them.
         reward: (k,).
-        success: Whether the task says that it was done well.
-        ended_by: What ended the episode before its natural end, such as the gate's verdict; "" if nothing did.
-        reference_m: (k, 2, 3) where the flanges should have been; None where a task has no such reference.
+        success: True if the task reports success.
+        ended_by: Reason of an early end, such as the gate's verdict; "" if there was none.
+        reference_m: (k, 2, 3) reference positions of the flanges; None if the task has none.
         flange_error_m: (k, 2) distance of each flange to its reference, as the task reports it; None as above.
-        orientation_error_rad: (k, 2) turn of each flange from its reference; None as above.
+        orientation_error_rad: (k, 2) angle of each flange to its reference orientation; None as above.
     """
 
     period_s: float
@@ -57,20 +57,20 @@ class Record:
 
 
 class Trace:
-    """Numbers of `info` over one episode: give it to `rollout` as `on_step`. Rows are as in `Record`."""
+    """Recorder of `info` over one episode, for `on_step` of `rollout`. Rows are as in `Record`."""
 
     def __init__(self) -> None:
         self._rows: list[dict[str, Any]] = []
 
     def __call__(self, info: Info) -> None:
-        """Keep those of one step."""
+        """Append the info of one step."""
         self._rows.append(dict(info))
 
     def __len__(self) -> int:
         return len(self._rows)
 
     def __getitem__(self, name: str) -> Array:
-        """(k, ...) a number over time."""
+        """Return a value over time, (k, ...)."""
         return np.array([row[name] for row in self._rows], dtype=np.float64)
 
 
@@ -80,14 +80,14 @@ def rollout(
     """Run one episode. On a cell of two controllers this moves both arms to where it begins.
 
     Args:
-        env: An environment as `gym.make` gives it.
-        policy: What acts. It is reset first.
-        seed: Of the environment's reset.
-        on_step: Called with `info` after every step.
+        env: Environment made by `gym.make`.
+        policy: Policy, which is reset first.
+        seed: Seed of the environment's reset.
+        on_step: Callback with `info` after every step.
 
     Raises:
-        DualUR10Error: What the environment raises; and whatever the policy does, after which arms that are not
-            simulated are stopped for good.
+        DualUR10Error: The environment failed.
+        Exception: As raised by the policy. Arms that are not simulated then have a latched stop.
     """
     observation, _ = env.reset(seed=seed, options={MOVE_TO_START: True})
     policy.reset()
@@ -99,7 +99,7 @@ def rollout(
         try:
             action = np.asarray(policy(observation), dtype=kind)
         except Exception as error:
-            # On real arms, nothing may go on without it.
+            # Real arms must not keep moving without a policy.
             env.unwrapped.core.stop(f"the policy failed: {type(error).__name__}: {error}")
             raise
         observation, reward, terminated, truncated, info = env.step(action)

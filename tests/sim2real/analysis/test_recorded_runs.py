@@ -201,7 +201,7 @@ def test_late_actions_of_an_evaluation_are_in_its_table_and_file() -> None:
     console = Console(width=120)
     with console.capture() as shown:
         console.print(late.as_table())
-    assert re.search(r"late actions, both arms rested[ │]+3", shown.get())
+    assert re.search(r"late actions, both arms stopped[ │]+3", shown.get())
 
 
 # Folders.

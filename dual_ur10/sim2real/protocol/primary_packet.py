@@ -138,41 +138,23 @@ class PrimaryPacket:
 
 
 NAMES: Final = (
-    "timestamp",
-    "robot_mode",
-    "safety_mode",
-    "safety_status_bits",
-    "runtime_state",
-    "target_speed_fraction",
-    "speed_scaling",
-    "actual_q",
-    "target_q",
-    "actual_qd",
-    "actual_current",
-    "actual_joint_voltage",
-    "joint_temperatures",
-    "joint_mode",
-    "actual_TCP_pose",
-    "actual_TCP_force",
-    "tcp_offset",
-    "elbow_position",
-    "actual_digital_input_bits",
-    "actual_digital_output_bits",
-    "analog_io_types",
-    "standard_analog_input0",
-    "standard_analog_input1",
-    "standard_analog_output0",
-    "standard_analog_output1",
-    "actual_robot_voltage",
-    "actual_robot_current",
-    "io_current",
-    "tool_analog_input_types",
-    "tool_analog_input0",
-    "tool_analog_input1",
-    "tool_output_voltage",
-    "tool_output_current",
-    "tool_temperature",
-    "tool_mode",
+    *("timestamp", "robot_mode", "safety_mode", "safety_status_bits", "runtime_state"),
+    *("target_speed_fraction", "speed_scaling"),
+    *(
+        "actual_q",
+        "target_q",
+        "actual_qd",
+        "actual_current",
+        "actual_joint_voltage",
+        "joint_temperatures",
+        "joint_mode",
+    ),
+    *("actual_TCP_pose", "actual_TCP_force", "tcp_offset", "elbow_position"),
+    *("actual_digital_input_bits", "actual_digital_output_bits", "analog_io_types"),
+    *("standard_analog_input0", "standard_analog_input1", "standard_analog_output0", "standard_analog_output1"),
+    *("actual_robot_voltage", "actual_robot_current", "io_current"),
+    *("tool_analog_input_types", "tool_analog_input0", "tool_analog_input1"),
+    *("tool_output_voltage", "tool_output_current", "tool_temperature", "tool_mode"),
 )
 """RTDE output variables that a packet needs."""
 
@@ -195,18 +177,9 @@ _JOINT: Final = struct.Struct(">dddffffB")
 
 
 def _joints(values: Values) -> bytes:
-    temperatures = values["joint_temperatures"]
-    rows = zip(
-        values["actual_q"],
-        values["target_q"],
-        values["actual_qd"],
-        values["actual_current"],
-        values["actual_joint_voltage"],
-        temperatures,
-        temperatures,  # that of the processor is not known
-        values["joint_mode"],
-        strict=True,
-    )
+    names = ("actual_q", "target_q", "actual_qd", "actual_current", "actual_joint_voltage", "joint_temperatures")
+    # The temperature of the processors is not known: that of the joints stands for it.
+    rows = zip(*(values[name] for name in (*names, "joint_temperatures", "joint_mode")), strict=True)
     return _package(1, b"".join([_JOINT.pack(*row) for row in rows]))
 
 

@@ -59,8 +59,8 @@ class ArmConnection:
             raise SettingsError(f"rt_priority is {self.rt_priority!r}: allowed are 0 to {_MOST_PRIORITY}")
 
 
-class ArmProcess:
-    """Handle of an arm's process, which it starts.
+class ArmProcess(Child):
+    """Process of an arm. Once it is killed, the watchdog in the controller stops the arm.
 
     Args:
         connection: Address and settings of the arm.
@@ -81,7 +81,7 @@ class ArmProcess:
     ) -> None:
         self.connection, self.memory = connection, memory
         names = (memory.name, cell.name, *(other.name for other in others))
-        self.process = Child(main, connection, names, os.getpid(), supervised, name=connection.name)
+        super().__init__(main, connection, names, os.getpid(), supervised, name=connection.name)
 
     def wait_until_ready(self, within_s: float = CONNECT_S) -> None:
         """Wait until the arm is ready for targets.
@@ -90,7 +90,7 @@ class ArmProcess:
             LinkError: It is not ready in time. Its process was ended.
         """
         end = time.monotonic() + within_s
-        while time.monotonic() < end and self.process.is_alive:
+        while time.monotonic() < end and self.is_alive:
             if self.memory.phase >= Phase.READY:
                 break
             time.sleep(0.005)
@@ -101,14 +101,6 @@ class ArmProcess:
         )
         self.kill()
         raise LinkError(text)
-
-    def wait(self, within_s: float) -> bool:
-        """Wait for the end of the process; return False if it still runs."""
-        return self.process.wait(within_s)
-
-    def kill(self) -> None:
-        """Kill the process. The watchdog in the controller stops the arm."""
-        self.process.kill()
 
 
 def main(connection: ArmConnection, names: tuple[str, ...], parent: int, supervised: bool) -> None:

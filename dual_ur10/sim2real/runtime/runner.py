@@ -303,7 +303,7 @@ class Runner:
         while time.monotonic() < end:
             if all(memory.phase >= Phase.STOPPED for memory in self.arms):
                 return
-            if not any(process.process.is_alive for process in self.processes):
+            if not any(process.is_alive for process in self.processes):
                 return
             time.sleep(_POLL_S)
 

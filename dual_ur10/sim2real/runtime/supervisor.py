@@ -156,8 +156,8 @@ class Supervisor:
                         self._monitor.note(arm, ArmStatus.from_sample(sample))
 
 
-class SupervisorProcess:
-    """Handle of the supervisor's process, which it starts.
+class SupervisorProcess(Child):
+    """Process of the supervisor.
 
     Args:
         file: Cell file.
@@ -169,7 +169,7 @@ class SupervisorProcess:
     def __init__(self, file: CellFile, settings: MonitorSettings, arms: Sequence[ArmMemory], cell: CellMemory) -> None:
         self._cell = cell
         names = (cell.name, *(memory.name for memory in arms))
-        self.process = Child(main, file, settings, names, os.getpid(), name="supervisor")
+        super().__init__(main, file, settings, names, os.getpid(), name="supervisor")
 
     def wait_until_ready(self, within_s: float) -> None:
         """Wait until it receives the states of both arms.
@@ -179,20 +179,12 @@ class SupervisorProcess:
         """
         end = time.monotonic() + within_s
         while not self._cell.ready:
-            if not self.process.is_alive or time.monotonic() > end:
+            if not self.is_alive or time.monotonic() > end:
                 self.kill()
                 raise LinkError(
                     self._cell.fault or f"the supervisor received no state of both arms within {within_s:g} s"
                 )
             time.sleep(0.005)
-
-    def wait(self, within_s: float) -> bool:
-        """Wait for the end of the process; return False if it still runs."""
-        return self.process.wait(within_s)
-
-    def kill(self) -> None:
-        """Kill the process."""
-        self.process.kill()
 
 
 def main(file: CellFile, settings: MonitorSettings, names: tuple[str, ...], parent: int) -> None:

@@ -200,7 +200,7 @@ def test_an_arm_without_a_link_is_stopped_by_a_ramp():
     try:
         for _ in range(3):
             begun = time.monotonic()
-            assert not sender._hear(begun + 0.02)
+            assert not sender._record(begun + 0.02)
             assert time.monotonic() >= begun + 0.02
     finally:
         os.close(number)

@@ -251,7 +251,7 @@ def test_a_controller_that_falls_silent_stops_both(pair):
 def test_a_killed_process_stops_the_other_arm(pair):
     pair.begin()
     pair.move(60)
-    os.kill(pair.arms[0].process.pid, signal.SIGKILL)
+    os.kill(pair.arms[0].pid, signal.SIGKILL)
     pair.cell.wait_until("left", "runtime_state", 1)
     assert pair.arms[1].wait(20.0)
     assert pair.memories[1].phase == Phase.STOPPED
@@ -305,11 +305,11 @@ def test_a_slower_pace_holds_for_both(pair):
 def test_a_suspended_process_sends_nothing_when_it_wakes(pair):
     pair.begin()
     pair.move(60)
-    os.kill(pair.arms[0].process.pid, signal.SIGSTOP)
+    os.kill(pair.arms[0].pid, signal.SIGSTOP)
     pair.cell.wait_until("left", "runtime_state", 1)
     count = pair.cell.ask("setpoints", arm="left")["count"]
     time.sleep(0.15)  # longer than a program of ours waits, by this clock, too
-    os.kill(pair.arms[0].process.pid, signal.SIGCONT)
+    os.kill(pair.arms[0].pid, signal.SIGCONT)
     assert pair.arms[0].wait(20.0)
     assert pair.memories[0].phase == Phase.FAULTED
     assert pair.cell.ask("setpoints", arm="left")["count"] == count

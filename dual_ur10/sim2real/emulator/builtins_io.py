@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from typing import Any
 
 from dual_ur10.errors import MotionError
 from dual_ur10.sim2real.emulator.controller import Controller
-from dual_ur10.sim2real.emulator.inputs_outputs import CONFIGURABLE, STANDARD, TOOL
-from dual_ur10.sim2real.emulator.registers import Watchdog
+from dual_ur10.sim2real.emulator.inputs_outputs import CONFIGURABLE, STANDARD, TOOL, InputsOutputs
+from dual_ur10.sim2real.emulator.registers import Registers, Watchdog
 from dual_ur10.sim2real.emulator.script import Builtins, text
 from dual_ur10.sim2real.emulator.script.values import number
 
@@ -32,73 +32,7 @@ def _int32(value: float) -> int:
 
 def io_builtins(controller: Controller) -> Builtins:
     """Return the functions by name."""
-    registers, io = controller.registers, controller.io
-
-    def read_input_integer_register(address: int) -> int:
-        return registers.input_int[_register(address, registers.input_int)]
-
-    def read_input_float_register(address: int) -> float:
-        return registers.input_double[_register(address, registers.input_double)]
-
-    def read_input_boolean_register(address: int) -> bool:
-        return registers.input_bits[_register(address, registers.input_bits)]
-
-    def read_output_integer_register(address: int) -> int:
-        return registers.output_int[_register(address, registers.output_int)]
-
-    def read_output_float_register(address: int) -> float:
-        return registers.output_double[_register(address, registers.output_double)]
-
-    def read_output_boolean_register(address: int) -> bool:
-        return registers.output_bits[_register(address, registers.output_bits)]
-
-    def write_output_integer_register(address: int, value: int) -> None:
-        registers.output_int[_register(address, registers.output_int)] = _int32(value)
-
-    def write_output_float_register(address: int, value: float) -> None:
-        registers.output_double[_register(address, registers.output_double)] = float(number(value))
-
-    def write_output_boolean_register(address: int, value: bool) -> None:
-        registers.output_bits[_register(address, registers.output_bits)] = _truth(value)
-
-    def set_standard_digital_out(n: int, b: bool) -> None:
-        io.set_output(STANDARD + _within(n, 8), _truth(b))
-
-    def set_configurable_digital_out(n: int, b: bool) -> None:
-        io.set_output(CONFIGURABLE + _within(n, 8), _truth(b))
-
-    def set_tool_digital_out(n: int, b: bool) -> None:
-        io.set_output(TOOL + _within(n, 2), _truth(b))
-
-    def set_digital_out(n: int, b: bool) -> None:
-        io.set_output(_old(n), _truth(b))
-
-    def get_standard_digital_out(n: int) -> bool:
-        return bool(io.outputs >> STANDARD + _within(n, 8) & 1)
-
-    def get_configurable_digital_out(n: int) -> bool:
-        return bool(io.outputs >> CONFIGURABLE + _within(n, 8) & 1)
-
-    def get_tool_digital_out(n: int) -> bool:
-        return bool(io.outputs >> TOOL + _within(n, 2) & 1)
-
-    def get_digital_out(n: int) -> bool:
-        return bool(io.outputs >> _old(n) & 1)
-
-    def get_standard_digital_in(n: int) -> bool:
-        return bool(io.inputs >> STANDARD + _within(n, 8) & 1)
-
-    def get_configurable_digital_in(n: int) -> bool:
-        return bool(io.inputs >> CONFIGURABLE + _within(n, 8) & 1)
-
-    def get_tool_digital_in(n: int) -> bool:
-        return bool(io.inputs >> TOOL + _within(n, 2) & 1)
-
-    def get_digital_in(n: int) -> bool:
-        return bool(io.inputs >> _old(n) & 1)
-
-    def set_standard_analog_out(n: int, f: float) -> None:
-        io.set_analog(n, f)
+    io = controller.io
 
     def set_analog_out(n: int, f: float) -> None:
         io.set_analog(n, f)
@@ -125,9 +59,67 @@ def io_builtins(controller: Controller) -> Builtins:
         controller.watchdog = _watchdog(controller, variable_name, float(number(min_frequency)), action)
         controller.received.watchdog = (controller.ticks, float(min_frequency), action)
 
-    # Every function above is one of URScript's.
-    own = locals()
-    return {name: value for name, value in own.items() if callable(value)}
+    functions = (set_analog_out, set_analog_outputdomain, set_tool_voltage, textmsg, popup, rtde_set_watchdog)
+    return {
+        **_register_builtins(controller.registers),
+        **_digital_builtins(io),
+        **{each.__name__: each for each in functions},
+        "set_standard_analog_out": set_analog_out,
+    }
+
+
+def _register_builtins(registers: Registers) -> Builtins:
+    def reader(values: list[Any]) -> Callable[..., Any]:
+        def read(address: int) -> Any:
+            return values[_register(address, values)]
+
+        return read
+
+    def writer(values: list[Any], convert: Callable[[Any], Any]) -> Callable[..., None]:
+        def write(address: int, value: Any) -> None:
+            values[_register(address, values)] = convert(value)
+
+        return write
+
+    outputs: dict[str, tuple[list[Any], Callable[[Any], Any]]] = {
+        "integer": (registers.output_int, _int32),
+        "float": (registers.output_double, lambda value: float(number(value))),
+        "boolean": (registers.output_bits, _truth),
+    }
+    inputs: tuple[list[Any], ...] = (registers.input_int, registers.input_double, registers.input_bits)
+    functions: Builtins = {
+        f"read_input_{kind}_register": reader(values) for kind, values in zip(outputs, inputs, strict=True)
+    }
+    for kind, (values, convert) in outputs.items():
+        functions[f"read_output_{kind}_register"] = reader(values)
+        functions[f"write_output_{kind}_register"] = writer(values, convert)
+    return functions
+
+
+def _digital_builtins(io: InputsOutputs) -> Builtins:
+    def group(bit: Callable[[int], int]) -> tuple[Callable[..., Any], ...]:
+        def set_out(n: int, b: bool) -> None:
+            io.set_output(bit(n), _truth(b))
+
+        def get_out(n: int) -> bool:
+            return bool(io.outputs >> bit(n) & 1)
+
+        def get_in(n: int) -> bool:
+            return bool(io.inputs >> bit(n) & 1)
+
+        return set_out, get_out, get_in
+
+    groups: dict[str, Callable[[int], int]] = {
+        "standard_": lambda n: STANDARD + _within(n, 8),
+        "configurable_": lambda n: CONFIGURABLE + _within(n, 8),
+        "tool_": lambda n: TOOL + _within(n, 2),
+        "": _old,
+    }
+    functions: Builtins = {}
+    for name, bit in groups.items():
+        names = (f"set_{name}digital_out", f"get_{name}digital_out", f"get_{name}digital_in")
+        functions.update(zip(names, group(bit), strict=True))
+    return functions
 
 
 def _watchdog(controller: Controller, name: str, frequency: float, action: str) -> Watchdog | None:

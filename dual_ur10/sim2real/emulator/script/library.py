@@ -12,54 +12,19 @@ from typing import Any, Final
 
 from dual_ur10.sim2real.emulator.script import pose_arithmetic as poses
 from dual_ur10.sim2real.emulator.script.machine import machine_functions
-from dual_ur10.sim2real.emulator.script.values import INT_MAX, TEXT_MAX, integer, kind, number, text
+from dual_ur10.sim2real.emulator.script.values import INT_MAX, TEXT_MAX, Builtins, integer, kind, number, text
 
 _BITS: Final = 32
 
 
-def library(tick_s: float) -> dict[str, Callable[..., Any]]:
+def library(tick_s: float) -> Builtins:
     """Return all functions that need no robot, by name; `sleep` counts control periods of `tick_s`."""
     return {**_FUNCTIONS, **machine_functions(tick_s)}
-
-
-def sin(f: float) -> float:
-    """Sine."""
-    return math.sin(number(f))
-
-
-def cos(f: float) -> float:
-    """Cosine."""
-    return math.cos(number(f))
-
-
-def tan(f: float) -> float:
-    """Tangent."""
-    return math.tan(number(f))
-
-
-def asin(f: float) -> float:
-    """Arc sine."""
-    return math.asin(number(f))
-
-
-def acos(f: float) -> float:
-    """Arc cosine."""
-    return math.acos(number(f))
-
-
-def atan(f: float) -> float:
-    """Arc tangent."""
-    return math.atan(number(f))
 
 
 def atan2(x: float, y: float) -> float:
     """Arc tangent of x / y, in the quadrant of both."""
     return math.atan2(number(x), number(y))
-
-
-def sqrt(f: float) -> float:
-    """Square root."""
-    return math.sqrt(number(f))
 
 
 def pow(base: float, exponent: float) -> float:  # noqa: A001
@@ -205,10 +170,19 @@ def _integer(value: int) -> int:
     return value
 
 
-_FUNCTIONS: Final[dict[str, Callable[..., Any]]] = {
+def _of_one_number(function: Callable[[float], float]) -> Callable[..., Any]:
+    def call(f: float) -> float:
+        return function(number(f))
+
+    return call
+
+
+_FUNCTIONS: Final[Builtins] = {
+    name: _of_one_number(getattr(math, name)) for name in ("sin", "cos", "tan", "asin", "acos", "atan", "sqrt")
+} | {
     function.__name__: function
     for function in (
-        *(sin, cos, tan, asin, acos, atan, atan2, sqrt, pow, log, ceil, floor, d2r, r2d, random, norm),
+        *(atan2, pow, log, ceil, floor, d2r, r2d, random, norm),
         *(length, get_list_length, binary_list_to_integer, integer_to_binary_list),
         *(str_at, str_cat, str_empty, str_find, str_len, str_sub, to_num, to_str),
         *(poses.pose_trans, poses.pose_inv, poses.pose_add, poses.pose_sub, poses.interpolate_pose),

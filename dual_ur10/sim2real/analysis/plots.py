@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -10,6 +11,7 @@ from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.analysis.compare import Comparison, Pair
 from dual_ur10.sim2real.analysis.plot_style import ARM_COLORS, INK, SOFT, capital, figure, legend_right
 from dual_ur10.sim2real.analysis.series import lengths
+from dual_ur10.types import Array
 
 _JOINT_COLORS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#555555")
 _AXIS_COLORS: Final = ("#D55E00", "#009E73", "#0072B2")
@@ -38,30 +40,25 @@ def flange_error(found: Comparison) -> str:
 def flange_vector(found: Comparison) -> str:
     """Plot the vector from B's flange to A's along the axes of the cell, lag taken off."""
     pair = _shown(found)
-    with figure(1, 2, 3.4, sharey=True) as (_, axes, address):
-        for arm, axis in enumerate(axes[0]):
-            away = 1e3 * (pair.flange_m[0, :, arm] - pair.free_m[:, arm])
-            for k, name in enumerate("xyz"):
-                axis.plot(pair.time_s, away[:, k], color=_AXIS_COLORS[k], label=name, linewidth=1)
-            axis.set_xlabel("time of the task (s)")
-            axis.set_title(f"{capital(ARMS[arm])} arm")
-        axes[0, 0].set_ylabel("A minus B, lag taken off (mm)")
-        legend_right(axes[0, 1])
-    return address[0]
+    return _lines(pair, 1e3 * (pair.flange_m[0] - pair.free_m), "xyz", _AXIS_COLORS, "mm")
 
 
 def joint_errors(found: Comparison) -> str:
     """Plot the differences of the joints, lag taken off."""
     pair = _shown(found)
+    names = [name.removesuffix("_joint").replace("_", " ") for name in JOINTS]
+    return _lines(pair, 1e3 * (pair.q_rad[0] - pair.free_rad), names, _JOINT_COLORS, "mrad")
+
+
+def _lines(pair: Pair, values: Array, names: Sequence[str], colors: Sequence[str], unit: str) -> str:
+    """Plot (k, 2, d) differences, an axis per arm and a line per name."""
     with figure(1, 2, 3.4, sharey=True) as (_, axes, address):
         for arm, axis in enumerate(axes[0]):
-            away = 1e3 * (pair.q_rad[0, :, arm] - pair.free_rad[:, arm])
-            for joint, name in enumerate(JOINTS):
-                label = name.removesuffix("_joint").replace("_", " ")
-                axis.plot(pair.time_s, away[:, joint], color=_JOINT_COLORS[joint], label=label, linewidth=1)
+            for k, (name, color) in enumerate(zip(names, colors, strict=True)):
+                axis.plot(pair.time_s, values[:, arm, k], color=color, label=name, linewidth=1)
             axis.set_xlabel("time of the task (s)")
             axis.set_title(f"{capital(ARMS[arm])} arm")
-        axes[0, 0].set_ylabel("A minus B, lag taken off (mrad)")
+        axes[0, 0].set_ylabel(f"A minus B, lag taken off ({unit})")
         legend_right(axes[0, 1])
     return address[0]
 

@@ -46,22 +46,9 @@ def describe(
     cell_file: str | None = None,
     extra: Mapping[str, Any] | None = None,
 ) -> Header:
-    """Return the header of a run that begins now.
+    """Return the header of a run that begins now; see `Header` for the arguments.
 
-    Args:
-        env_id: Id of the environment.
-        kwargs: Keywords of the environment. Of dataclasses, fields that differ from their defaults are kept; functions
-            are left out.
-        config: The cell.
-        period_ticks: Control periods per step.
-        latency_ticks: Control periods between an action's step and its first target.
-        source: "mujoco", "emulated" or "real".
-        seed: Seed of the first reset.
-        speed_factor: Fraction of the full speed.
-        policy: Name of the policy.
-        policy_sha256: Hash of the policy's file.
-        cell_file: Text of the cell file.
-        extra: Further entries.
+    Of the dataclasses in `kwargs`, fields that differ from their defaults are kept; functions are left out.
 
     Raises:
         RecordingError: A keyword cannot be described in JSON.

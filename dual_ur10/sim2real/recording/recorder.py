@@ -14,7 +14,17 @@ from typing import TYPE_CHECKING, Final
 from dual_ur10.errors import RecordingError
 from dual_ur10.sim2real.processes.child_process import Child
 from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
-from dual_ur10.sim2real.recording.recorder_process import BLACK_BOX, CLOSE, DONE, FAILED, FRAME, READY, WROTE, serve
+from dual_ur10.sim2real.recording.recorder_process import (
+    BLACK_BOX,
+    CLOSE,
+    DONE,
+    FAILED,
+    FRAME,
+    READY,
+    WROTE,
+    serve,
+    take_frames,
+)
 from dual_ur10.sim2real.recording.rows import BeginRow, StepRow
 from dual_ur10.sim2real.recording.run import Event, Header
 from dual_ur10.sim2real.recording.run_folder import LEAST_FREE_BYTES
@@ -183,13 +193,8 @@ class RecorderProcess:
             self._fail("the recorder has ended")
 
     def _parse(self) -> None:
-        size = struct.calcsize(FRAME)
-        while len(self._received) >= size:
-            kind, length, _ = struct.unpack_from(FRAME, self._received)
-            if len(self._received) < size + length:
-                return
-            text = self._received[size : size + length].decode()
-            del self._received[: size + length]
+        for kind, _, data in take_frames(self._received):
+            text = data.decode()
             if kind == FAILED:
                 self._fail(text)
             elif kind == WROTE:

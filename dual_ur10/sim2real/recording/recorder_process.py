@@ -43,16 +43,23 @@ ORPHAN_S: Final = 3.0
 _MOST_RECEIVED: Final = 64 * 2**20
 
 
+def take_frames(buffer: bytearray) -> list[tuple[int, float, bytes]]:
+    """Remove all whole frames from a buffer, and return kind, time and data of each."""
+    found, at, size = [], 0, struct.calcsize(FRAME)
+    while len(buffer) - at >= size:
+        kind, length, time_s = struct.unpack_from(FRAME, buffer, at)
+        if len(buffer) - at < size + length:
+            break
+        found.append((kind, time_s, bytes(buffer[at + size : at + size + length])))
+        at += size + length
+    del buffer[:at]
+    return found
+
+
 class Recorder:
     """Recorder of the rows in the arms' memories and of the messages of the program.
 
-    Args:
-        memories: Memories of the left and the right arm.
-        folder: Folder of the run; None: only black boxes are written.
-        header: Header of the run.
-        black_boxes: Folder of black boxes.
-        begin_s: Zero of the run's clock on `time.monotonic`.
-        least_free_bytes: Free space required on the disk.
+    See `dual_ur10.sim2real.recording.recorder.RecorderProcess` for the arguments.
 
     Attributes:
         failures: Write errors in order.
@@ -319,12 +326,4 @@ class _Pipe:
             pass
         except OSError:
             self.ended = True
-        found, at, size = [], 0, struct.calcsize(FRAME)
-        while len(self._received) - at >= size:
-            kind, length, time_s = struct.unpack_from(FRAME, self._received, at)
-            if len(self._received) - at < size + length:
-                break
-            found.append((kind, time_s, bytes(self._received[at + size : at + size + length])))
-            at += size + length
-        del self._received[:at]
-        return found
+        return take_frames(self._received)

@@ -19,15 +19,9 @@ _NOTHING: Array = np.zeros(0)
 
 @dataclass(frozen=True, kw_only=True)
 class BeginRow:
-    """Beginning of an episode.
+    """Beginning of an episode, with the first rows of the fields of `dual_ur10.sim2real.recording.run.Episode`.
 
-    Attributes:
-        seed: Seed of the reset; None: none was given.
-        q_rad: (2, 6) joint positions.
-        flange_m: (2, 3) flange positions in the cell frame.
-        observation: (O,) observation; None: not kept.
-        initial_state: MuJoCo's state; None outside simulation.
-        begin_s: Time of tick 0 on the run's clock; None: the recorder's present time.
+    `begin_s` None stands for the recorder's present time.
     """
 
     seed: int | None
@@ -55,24 +49,9 @@ class BeginRow:
 
 @dataclass(frozen=True, kw_only=True)
 class StepRow:
-    """One step of an episode.
+    """One step of an episode, with one row of the fields of `dual_ur10.sim2real.recording.run.Episode`.
 
-    Attributes:
-        action: (A,) action as the policy gave it.
-        targets_rad: (ticks, 2, 6) targets that the gate released.
-        gripper_m: (ticks, 2) commanded gripper widths; None: no grippers.
-        gated: True if the gate refused the step.
-        reward: Reward of both arms together.
-        terminated: True if the step ended the episode.
-        truncated: True if the episode's time ran out.
-        success: True if the task succeeded; None: not known.
-        ended_by: Further reason of the end; empty: none.
-        time_s: Task time at the end of the step.
-        q_rad: (2, 6) joint positions at the end of the step.
-        flange_m: (2, 3) flange positions at the end of the step.
-        observation: (O,) observation at the end of the step; None: not kept.
-        first_target: Number of the first of `targets_rad` among those that are sent; `LATE`: none of them is; None: the
-            recorder counts the targets itself.
+    State and observation are those at the end of the step. `first_target` None: the recorder counts the targets itself.
     """
 
     action: NDArray[Any]

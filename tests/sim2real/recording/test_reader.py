@@ -19,7 +19,7 @@ from dual_ur10.errors import RecordingError
 from dual_ur10.sim2real.recording import mcap_records as mcap
 from dual_ur10.sim2real.recording.cdr import Field, Schema
 from dual_ur10.sim2real.recording.reader import read_run
-from dual_ur10.sim2real.recording.run import Event, Run
+from dual_ur10.sim2real.recording.run import LATE, Event, Run
 from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, EVENT_TOPIC, STEP_TOPIC
 from dual_ur10.sim2real.recording.writer import RunWriter
 from tests.sim2real.recording.runs import SENT_SIZE, begin_row, header, sent_rows, state_rows, step_row, write
@@ -335,6 +335,39 @@ def test_messages_come_back_whatever_stands_before_what(size):
             FLAT.decode(data[:end])
     with pytest.raises(RecordingError, match="malformed"):
         FLAT.decode(data + b"\0")
+
+
+def written(folder, targets, seed=9, **head):
+    """A run of one episode, whose steps begin with these targets."""
+    rng = np.random.default_rng(seed)
+    with RunWriter(folder, header(**head)) as writer:
+        writer.single(EPISODE_TOPIC, 0.0, begin_row(rng).encode(0, 0.0))
+        for step, target in enumerate(targets):
+            writer.single(STEP_TOPIC, 0.1 * step, step_row(rng, step, first_target=target).encode(0, step))
+    return folder
+
+
+def test_steps_tell_with_which_target_they_begin(tmp_path):
+    targets = [40, 45, LATE, 130, 135]
+    (episode,) = read_run(written(tmp_path, targets)).episodes
+    assert episode.first_target.tolist() == targets
+    assert episode.first_target.dtype == np.int64
+
+
+@pytest.mark.parametrize("targets", [[40, 44], [40, LATE, 44], [-2], [-3], [2**60]])
+def test_targets_that_no_run_has_are_refused_with_their_row(tmp_path, targets):
+    with pytest.raises(RecordingError, match=f"/step, row {len(targets) - 1}: first_target is"):
+        read_run(written(tmp_path, targets))
+
+
+def test_the_seed_of_a_run_is_that_of_its_first_reset(tmp_path):
+    assert read_run(written(tmp_path, [5], seed=1)).header.seed == 3  # as its header says
+    (tmp_path / "run.mcap").unlink()
+    rng = np.random.default_rng(0)
+    with RunWriter(tmp_path, header(seed=None)) as writer:
+        writer.single(EPISODE_TOPIC, 0.0, begin_row(rng, seed=71).encode(0, 0.0))
+        writer.single(EPISODE_TOPIC, 1.0, begin_row(rng, seed=72).encode(1, 1.0))
+    assert read_run(tmp_path).header.seed == 71
 
 
 LENGTHS = (0, 1, 2**31, 2**32 - 1, 2**62, 2**64 - 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import sys
+from types import SimpleNamespace
 
 import gymnasium as gym
 import numpy as np
@@ -14,10 +15,14 @@ import dual_ur10  # noqa: F401 - registers the ids
 from dual_ur10.errors import MissingExtraError, RecordingError, SettingsError
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.policies.evaluation.minari_export import to_minari
+from dual_ur10.sim2real.config.cell import CellStep
 from dual_ur10.sim2real.recording.header import describe
+from dual_ur10.sim2real.recording.hook import RecordHook
 from dual_ur10.sim2real.recording.reader import read_run
+from dual_ur10.sim2real.recording.run import LATE
 from dual_ur10.sim2real.recording.run_folder import LOG_FILE, new_folder
 from dual_ur10.sim2real.recording.simulation import SimulationRecord
+from tests.sim2real.recording.runs import TICKS
 from tests.soak import scaled
 
 TASKS = ("SineTracking", "Handover")
@@ -250,3 +255,47 @@ def test_without_minari_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "minari", None)
     with pytest.raises(MissingExtraError, match=r'pip install "dual-ur10\[data\]"'):
         to_minari([], "x-v0")
+
+
+@pytest.mark.parametrize("latency", [0, 3])
+def test_in_simulation_they_are_counted(tmp_path, latency):
+    env = gym.make("DualUR10/SineTracking-v0", record=str(tmp_path), action_latency_ticks=latency)
+    for _ in range(2):
+        env.reset(seed=0)
+        for _ in range(6):
+            env.step(np.full(12, 0.1, dtype=np.float32))
+    env.close()
+    run = read_run(next(tmp_path.iterdir()))
+    for number, episode in enumerate(run.episodes):
+        assert episode.first_target.tolist() == [number * 30 + step * TICKS + latency for step in range(6)]
+        for arm in range(2):
+            sent = run.arms[arm].sent
+            at = np.searchsorted(sent["index"], episode.first_target[:-1])
+            assert (sent["target_rad"][at] == episode.targets_rad[:-1, 0, arm]).all()
+
+
+def test_an_action_that_missed_its_deadline_is_an_event_and_has_no_target():
+    told, events = [], []
+    recorder = SimpleNamespace(
+        begin_episode=lambda row: None,
+        event=lambda kind, text, *_: events.append((kind, text)),
+        step=lambda row, trace: told.append(row.first_target),
+    )
+    hook = RecordHook(recorder, cell=object())
+    state = SimpleNamespace(q_rad=np.zeros((1, 2, 6)), flange_m=np.zeros((1, 2, 3)), time_s=np.zeros(1))
+    command = SimpleNamespace(targets_rad=np.zeros((1, 5, 2, 6)), gripper_m=None)
+    step = SimpleNamespace(
+        terminated=[False], truncated=[False], verdicts={}, reward=[0.0], observation=np.zeros((1, 3)), info={}
+    )
+    for begin in (100, 900):
+        hook.resetting([np.random.default_rng(0)], 1)
+        hook.reset(np.zeros((1, 3)), state, {})
+        events.clear()
+        told.clear()
+        for number in range(4):
+            period = CellStep(state, late=number == 2, first_target=begin + 5 * number)
+            hook.step(np.zeros(12), command, step, period)
+        assert told == [begin, begin + 5, LATE, begin + 15]
+        ((kind, text),) = events
+        assert kind == "late"
+        assert f"the action of step 2 missed the deadline of target {begin + 10}:" in text

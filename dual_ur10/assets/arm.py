@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.assets.settings import GAINS
+from dual_ur10.kinematics.rotations import quat_multiply
 from dual_ur10.kinematics.ur10 import JOINTS, LINKS, NOMINAL_DH, DHParameters
 from dual_ur10.types import Array
 
@@ -70,13 +71,13 @@ def _apply_dh(arm: Any, dh: DHParameters) -> None:
     slide[3] = (slide[2] - dh.d_m[2]) / math.cos(dh.alpha_rad[2])
     nominal, corrected = _link_ends(NOMINAL_DH, np.zeros(7)), _link_ends(dh, slide)
     shoulder = arm.find("body", LINKS[0])
-    shoulder.quat = _quat_product((0.0, 0.0, 0.0, 1.0), quat_z(dh.theta_rad[0]))
+    shoulder.quat = quat_multiply((0.0, 0.0, 0.0, 1.0), quat_z(dh.theta_rad[0]))
     for i, link in enumerate(LINKS):
         body = arm.find("body", link)
         position, twist = corrected[i]
         if i < 5:
             child = arm.find("body", LINKS[i + 1])
-            child.pos, child.quat = position, _quat_product(twist, quat_z(dh.theta_rad[i + 1]))
+            child.pos, child.quat = position, quat_multiply(twist, quat_z(dh.theta_rad[i + 1]))
         else:
             site = arm.find("site", "flange")
             site.pos, site.quat = position, twist
@@ -111,17 +112,6 @@ def _move_inertia(inertial: Any, old: _Pose, new: _Pose) -> None:
     inertia = rotation @ np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]) @ rotation.T
     inertial.pos = new[0] + rotation @ (inertial.pos - old[0])
     inertial.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-
-
-def _quat_product(a: _Quat, b: _Quat) -> _Quat:
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
-    return (
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    )
 
 
 def _matrix(quat: _Quat) -> Array:

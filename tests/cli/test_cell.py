@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import re
+import functools
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from dual_ur10.cli import main as cli
 from dual_ur10.sim2real.config.cell_file import load_cell_file
+from tests.cli import command
 
 HOSTS = ("--left", "192.168.1.10", "--right", "192.168.1.11")
 
 
-def run(*arguments: str) -> tuple[int, str]:
-    result = CliRunner().invoke(cli.app, ["cell", *arguments], env={"COLUMNS": "160"})
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result.exit_code, re.sub(r"\x1b\[[0-9;]*m", "", result.output)
+run = functools.partial(command.run, "cell")
 
 
 @pytest.mark.parametrize(
-    ("command", "words"),
+    ("names", "words"),
     [
         ((), ("new", "check", "show")),
         (("new",), ("FILE", "--kind", "--left", "--right", "--family", "--task", "ever overwritten")),
@@ -30,8 +25,8 @@ def run(*arguments: str) -> tuple[int, str]:
         (("show",), ("FILE", "defaults")),
     ],
 )
-def test_help_lists_commands_and_options(command: tuple[str, ...], words: tuple[str, ...]) -> None:
-    code, text = run(*command, "--help")
+def test_help_lists_commands_and_options(names: tuple[str, ...], words: tuple[str, ...]) -> None:
+    code, text = run(*names, "--help")
     assert code == 0
     for word in words:
         assert word in text
@@ -146,13 +141,13 @@ def test_check_refuses_arms_of_two_families(tmp_path: Path) -> None:
     assert text.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", ["check", "show"])
+@pytest.mark.parametrize("name", ["check", "show"])
 @pytest.mark.parametrize("content", [None, "no toml ["])
-def test_an_unreadable_file_is_one_line(tmp_path: Path, command: str, content: str | None) -> None:
+def test_an_unreadable_file_is_one_line(tmp_path: Path, name: str, content: str | None) -> None:
     path = tmp_path / "lab.toml"
     if content is not None:
         path.write_text(content)
-    code, text = run(command, str(path))
+    code, text = run(name, str(path))
     assert code == 2
     assert text.startswith("error: ")
     assert str(path) in text

@@ -188,8 +188,8 @@ def test_the_videos_show_motion_and_the_report_their_key_frames(made: tuple[Path
         assert np.ptp(frames[0]) > 150  # not one colour
         scene = [frame[:500].astype(int) for frame in (frames[0], frames[len(frames) // 2])]
         assert np.abs(scene[0] - scene[1]).max() > 60  # beside its caption, too
-    assert counts["sine"] == run.QUICK.sine_film_s * film.FPS
-    assert counts["carry"] == -(-900 // run.QUICK.carry_every)
+    assert counts["sine"] == run.QUICK.film_s * film.FPS
+    assert counts["carry"] == -(-900 // run.QUICK.every["carry"])
     page = Page((made[0] / "report.html").read_text(encoding="utf-8"))
     pictures = [address for tag, address in page.sources if address.startswith("data:image/jpeg")]
     stages = 7
@@ -207,7 +207,7 @@ def test_without_opengl_there_is_a_report_and_no_video(tmp_path: Path, monkeypat
         dataclasses.replace(task, cases=[each for each in task.cases if each.name != "friction"]) for task in TASKS
     ]
     monkeypatch.setattr(run, "TASKS", tasks)
-    monkeypatch.setattr(run, "QUICK", run.Extent(sine_s=1.0, episodes=1))  # all tasks on emulated controllers
+    monkeypatch.setattr(run, "QUICK", run.Extent(duration_s=1.0, episodes=1))  # all tasks on emulated controllers
     monkeypatch.setitem(sys.modules, "rtde_control", None)
     monkeypatch.setattr(run, "shoot", fail)
     reported: list[tuple[float, float]] = []

@@ -282,5 +282,7 @@ TASK = Task(
     filmed=CASES[-1],
     script=script,
     video="sync_carry.mp4",
+    step_s=0.004,
+    steps=900,
     page_only=("lateral", "bar RMS", "least load"),
 )

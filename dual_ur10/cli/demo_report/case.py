@@ -110,6 +110,8 @@ class Task:
         filmed: The case of the video: not one of the nominal model.
         script: Contents of the video, from its environment.
         video: File name of the video.
+        step_s: Computing time of a step, for the estimate of the time left.
+        steps: Approximate steps of an episode; 0: its length is chosen by the keyword `duration_s`.
         view: Keywords of the filmed environment.
         replayed: True: emulated controllers replay the actions of the simulation; False: the policy acts there, too.
         many: True: a case has several episodes, which may be cut short; False: one, which must be complete.
@@ -127,6 +129,8 @@ class Task:
     filmed: Case
     script: Callable[[Any], Script]
     video: str
+    step_s: float
+    steps: int = 0
     page_only: Sequence[str] = ()
     view: Mapping[str, Any] = field(default_factory=dict)
     replayed: bool = False

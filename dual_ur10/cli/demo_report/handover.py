@@ -196,6 +196,8 @@ TASK = Task(
     filmed=CASES[-1],
     script=script,
     video="handover.mp4",
+    step_s=0.002,
+    steps=300,
     view={"camera": "front"},
     many=True,
 )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from dual_ur10.cli.demo_report.case import Case, Result, Task, make
@@ -22,9 +22,7 @@ from dual_ur10.cli.demo_report.report import TASKS, Findings, write_report
 from dual_ur10.errors import DualUR10Error, MissingExtraError, RenderError
 
 # In seconds on two cores without a GPU, for the estimate of the time left.
-_STEP = {"sine": 0.0006, "carry": 0.004, "handover": 0.002}
-_RIGID_STEP, _FRAME, _SHADED_FRAME, _DRAWING = 0.0015, 0.07, 0.13, 4.0
-_STEPS = {"carry": 900, "handover": 300}  # of an episode, about
+_FRAME_S, _SHADED_FRAME_S, _DRAWING_S = 0.07, 0.13, 4.0
 
 Progress = Callable[[str, float, float], None]
 """Called with a description of the work, how much is done, and how much there is in all."""
@@ -37,27 +35,25 @@ class Extent:
     """Size of the demonstration.
 
     Attributes:
-        sine_s: Length of the runs of SineTracking.
-        sine_film_s: Length of its video.
-        episodes: Episodes of each case of Handover.
-        carry_every, handover_every: Steps from one frame of a video to the next.
+        duration_s: Length of an episode, where the task lets it be chosen.
+        film_s: The same of an episode that is filmed.
+        episodes: Episodes of each case of a task that has many.
+        every: Steps from one frame of a video to the next, by the task's short name; 1 elsewhere.
         emulated: Runs on emulated controllers.
     """
 
-    sine_s: float = 30.0
-    sine_film_s: float = 10.0
+    duration_s: float = 30.0
+    film_s: float = 10.0
     episodes: int = 6
-    carry_every: int = 4
-    handover_every: int = 2
+    every: Mapping[str, int] = field(default_factory=lambda: {"carry": 4, "handover": 2})
     emulated: tuple[EmulatedRun, ...] = (sine_run(20.0), CARRY, HANDOVER)
 
 
 QUICK = Extent(
-    sine_s=10.0,
-    sine_film_s=1.2,
+    duration_s=10.0,
+    film_s=1.2,
     episodes=2,
-    carry_every=30,
-    handover_every=10,
+    every={"carry": 30, "handover": 10},
     emulated=(sine_run(2.0), HANDOVER),
 )
 
@@ -101,21 +97,18 @@ def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: 
 
     def measuring(task: Task, case: Case) -> _Job:
         seeds = range(extent.episodes if task.many else 1)
-        if task.name == "sine":
-            case = case.given(duration_s=extent.sine_s)
-        steps = len(seeds) * _STEPS.get(task.name, round(extent.sine_s * FPS))
-        step_s = _RIGID_STEP if case.name == "rigid" else _STEP[task.name]
+        case, steps = sized(task, case, extent.duration_s)
+        total = len(seeds) * steps
 
         def do(on_ratio: OnRatio) -> None:
-            results[task.name] += task.measure(case, seeds, lambda done: on_ratio(done / steps))
+            results[task.name] += task.measure(case, seeds, lambda done: on_ratio(done / total))
 
-        return _Job(f"{task.title}: {case.title}", steps * step_s, do)
+        return _Job(f"{task.title}: {case.title}", total * task.step_s, do)
 
     def filming(task: Task) -> _Job:
-        case = task.filmed.given(duration_s=extent.sine_film_s) if task.name == "sine" else task.filmed
-        every = {"carry": extent.carry_every, "handover": extent.handover_every}.get(task.name, 1)
-        steps = _STEPS.get(task.name, round(extent.sine_film_s * FPS))
-        frame_s = _SHADED_FRAME if "shadows" in task.view else _FRAME
+        case, steps = sized(task, task.filmed, extent.film_s)
+        every = extent.every.get(task.name, 1)
+        frame_s = _SHADED_FRAME_S if "shadows" in task.view else _FRAME_S
 
         def do(on_ratio: OnRatio) -> None:
             if missing:
@@ -125,7 +118,7 @@ def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: 
             except RenderError as error:
                 missing.append(str(error))
 
-        return _Job(f"drawing {task.video}", steps * (_STEP[task.name] + frame_s / every), do)
+        return _Job(f"drawing {task.video}", steps * (task.step_s + frame_s / every), do)
 
     def emulating(run: EmulatedRun) -> _Job:
         def do(on_ratio: OnRatio) -> None:
@@ -144,9 +137,14 @@ def run_demo(out: Path, *, quick: bool = False, progress: Progress = lambda *_: 
     jobs += map(filming, TASKS)
     # In real time: nothing else may run beside them.
     jobs += map(emulating, extent.emulated)
-    jobs.append(_Job("writing the report", _DRAWING, lambda _: write_report(out / "report.html", findings())))
+    jobs.append(_Job("writing the report", _DRAWING_S, lambda _: write_report(out / "report.html", findings())))
     _do(jobs, progress)
     return findings()
+
+
+def sized(task: Task, case: Case, duration_s: float) -> tuple[Case, int]:
+    """Return a case with episodes of this length, if the task lets it be chosen, and their approximate steps."""
+    return (case, task.steps) if task.steps else (case.given(duration_s=duration_s), round(duration_s * FPS))
 
 
 def film(task: Task, case: Case, path: Path, every: int, on_step: Callable[[int], None] = lambda _: None) -> Film:

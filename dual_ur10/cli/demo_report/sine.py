@@ -304,6 +304,7 @@ TASK = Task(
     filmed=CASES[1],
     script=script,
     video="sine_tracking.mp4",
+    step_s=0.0006,
     view={"shadows": True},
     replayed=True,
 )

@@ -60,6 +60,16 @@ def test_gymnasium_checks_it_without_a_warning(env_id):
     env.close()
 
 
+@pytest.mark.parametrize("env_id", IDS)
+def test_stable_baselines_checks_it_without_a_warning(env_id):
+    checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the extra train")
+    env = gym.make(env_id)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        checker.check_env(env.unwrapped, warn=True)
+    env.close()
+
+
 def test_importing_the_package_loads_nothing_heavy():
     code = (
         "import sys, dual_ur10; heavy = {'mujoco', 'torch', 'rtde_control', 'rtde_receive', 'matplotlib', 'dm_control',"

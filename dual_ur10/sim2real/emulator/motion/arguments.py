@@ -1,4 +1,4 @@
-"""Input validation of motion commands."""
+"""Input validation of motion commands. Every function raises `MotionError` for a value that it refuses."""
 
 from __future__ import annotations
 
@@ -14,11 +14,7 @@ _LONGEST_ROTVEC_RAD: Final = 100.0
 
 
 def number(value: Any, what: str) -> float:
-    """Return a finite number.
-
-    Raises:
-        MotionError: The value is not one.
-    """
+    """Return a finite number."""
     try:
         found = float(0.0 + value)  # which text does not pass
     except (TypeError, ValueError, OverflowError):
@@ -29,11 +25,7 @@ def number(value: Any, what: str) -> float:
 
 
 def six(values: Iterable[Any], what: str) -> tuple[float, ...]:
-    """Return six finite numbers.
-
-    Raises:
-        MotionError: The values are not six finite numbers.
-    """
+    """Return six finite numbers."""
     try:
         found = tuple([float(0.0 + each) for each in values])
     except (TypeError, ValueError, OverflowError):
@@ -44,11 +36,7 @@ def six(values: Iterable[Any], what: str) -> tuple[float, ...]:
 
 
 def positive(value: Any, what: str) -> float:
-    """Return a number greater than zero.
-
-    Raises:
-        MotionError: The value is not one.
-    """
+    """Return a number greater than zero."""
     found = number(value, what)
     if found <= 0.0:
         raise MotionError(f"{what} is {value!r}: it must be greater than zero")
@@ -56,11 +44,7 @@ def positive(value: Any, what: str) -> float:
 
 
 def not_negative(value: Any, what: str) -> float:
-    """Return a number of at least zero.
-
-    Raises:
-        MotionError: The value is not one.
-    """
+    """Return a number of at least zero."""
     found = number(value, what)
     if found < 0.0:
         raise MotionError(f"{what} is {value!r}: it must not be negative")
@@ -68,11 +52,7 @@ def not_negative(value: Any, what: str) -> float:
 
 
 def checked_frame(pose: Iterable[Any], what: str) -> Frame:
-    """Return position and rotation of a pose.
-
-    Raises:
-        MotionError: The values are no pose, or are out of any arm's range.
-    """
+    """Return position and rotation of a pose within any arm's range."""
     numbers = six(pose, what)
     if max(map(abs, numbers[:3])) > _FARTHEST_M or max(map(abs, numbers[3:])) > _LONGEST_ROTVEC_RAD:
         raise MotionError(f"{what} is {numbers}: that is out of any arm's range")

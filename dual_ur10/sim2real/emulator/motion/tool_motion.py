@@ -23,7 +23,11 @@ from dual_ur10.types import Array
 
 
 class ToolMotion(Reference):
-    """Reference motion of an arm with a tool, whose TCP can be compliant. See `Motion`."""
+    """Reference motion of an arm with a tool, whose TCP can be compliant. See `Motion`.
+
+    Raises:
+        MotionError: An argument of a method is invalid.
+    """
 
     _force_damping: float = 0.025
     _force_gain: float = 1.0
@@ -35,11 +39,7 @@ class ToolMotion(Reference):
         return self.tool.pose
 
     def set_tcp(self, pose: Iterable[Any]) -> None:
-        """`set_tcp`: use the TCP at this pose (6,) on the flange for later commands.
-
-        Raises:
-            MotionError: It is no pose.
-        """
+        """`set_tcp`: use the TCP at this pose (6,) on the flange for later commands."""
         numbers = six(pose, "the TCP")
         checked_frame(numbers, "the TCP")
         self.tool = Tool(numbers)
@@ -63,21 +63,13 @@ class ToolMotion(Reference):
         return self.tcp_poses_and_speeds(np.array([q], dtype=np.float64), np.array([qd], dtype=np.float64))[1][0]
 
     def forward(self, q: Sequence[float] | Array, tcp: Sequence[float] | None = None) -> UrPose:
-        """`get_forward_kin`: return the pose of a TCP, by default the one that is set, at joint angles (6,).
-
-        Raises:
-            MotionError: The angles are not six finite numbers, or the TCP is no pose.
-        """
+        """`get_forward_kin`: return the pose of a TCP, by default the one that is set, at joint angles (6,)."""
         return pose_of(self.arm.tcp(six(q, "joint positions"), self._tool(tcp)))
 
     def inverse(
         self, pose: Iterable[Any], qnear: Sequence[float] | Array, tcp: Sequence[float] | None = None
     ) -> Array | None:
-        """`get_inverse_kin`: return the joint angles (6,) nearest to `qnear` at a pose, or None if it is out of reach.
-
-        Raises:
-            MotionError: An argument is invalid.
-        """
+        """`get_inverse_kin`: return the joint angles (6,) nearest to `qnear` at a pose, or None if unreachable."""
         target = checked_frame(pose, "the pose of get_inverse_kin")
         near = np.array(six(qnear, "qnear of get_inverse_kin"))
         q, ok = self.arm.joints(Frame(target.position[None], target.rotation[None]), near, self._tool(tcp))
@@ -98,9 +90,6 @@ class ToolMotion(Reference):
                 used as given. 3: it is rotated so that its x axis is the direction of the TCP's speed.
             limits: (6,) greatest speeds in compliant axes, m/s and rad/s, capped at 0.5 m/s and 1 rad/s by this
                 project. Those of the other axes are ignored: the arm follows its path there.
-
-        Raises:
-            MotionError: An argument is invalid.
         """
         at = checked_frame(frame, "the frame of force_mode")
         wanted = np.clip(six(wrench, "the wrench of force_mode"), -1e4, 1e4)
@@ -119,11 +108,7 @@ class ToolMotion(Reference):
             self._stiffen()
 
     def force_mode_settings(self, damping: float | None = None, gain_scaling: float | None = None) -> None:
-        """`force_mode_set_damping`, 0 to 1, and `force_mode_set_gain_scaling`, 0 to 2, for the next force mode.
-
-        Raises:
-            MotionError: A value is not finite.
-        """
+        """`force_mode_set_damping`, 0 to 1, and `force_mode_set_gain_scaling`, 0 to 2, for the next force mode."""
         if damping is not None:
             self._force_damping = min(max(number(damping, "the damping of force mode"), 0.0), 1.0)
         if gain_scaling is not None:
@@ -135,9 +120,6 @@ class ToolMotion(Reference):
         Args:
             free_axes: (6,) true in free axes.
             feature: (6,) frame of the axes, in base.
-
-        Raises:
-            MotionError: An argument is invalid.
         """
         at = checked_frame(feature, "the feature of freedrive_mode")
         axes = np.array([float(bool(each)) for each in six(free_axes, "the free axes of freedrive_mode")])

@@ -1,6 +1,5 @@
 """The doctor passes an arm in order, and names each fault with its remedy."""
 
-import contextlib
 import dataclasses
 import re
 import time
@@ -46,18 +45,47 @@ BARE = {
 }  # fmt: skip
 
 
+SERIAL_NUMBERS = {"cb3": "2010300002", "e-series": "2021500002"}
+"""Serial numbers of right arms: emulated controllers of a family have the same one."""
+
+
 @pytest.fixture(scope="module")
-def cb3():
+def started_cb3():
     with EmulatedCell(plant="nominal") as cell:
-        cell.ask("pretend", arm="right", serial_number="2010300002")
         yield cell
 
 
 @pytest.fixture(scope="module")
-def e_series():
+def started_e_series():
     with EmulatedCell(plant="nominal", family="e-series") as cell:
-        cell.ask("pretend", arm="right", serial_number="2021500002")
         yield cell
+
+
+@pytest.fixture
+def cb3(started_cb3):
+    return restored(started_cb3)
+
+
+@pytest.fixture
+def e_series(started_e_series):
+    return restored(started_e_series)
+
+
+def restored(cell):
+    """Return the cell in order, whatever a test before has changed."""
+    profile = PROFILES[cell.description["left"]["family"]]
+    shown = {name: getattr(profile, name) for name in ("version", "model", "robot_type", "safety_checksum")}
+    cell.ask("pretend", arm="left", **shown)
+    cell.ask("pretend", arm="right", serial_number=SERIAL_NUMBERS[profile.family])
+    cell.ask("override", arm="left", **dict.fromkeys(cell.ask("state", arm="left")))
+    for do, values in (
+        ("heal", {}),
+        ("slider", {"fraction": 1.0}),
+        ("remote", {"on": True}),
+        ("calibration", {"error_m": 0.0}),
+    ):
+        cell.ask(do, arm="left", **values)
+    return cell
 
 
 def expected(cell, arm="left", **values):
@@ -75,15 +103,6 @@ def findings_of(cell, **values):
 
 def faults(findings):
     return {name: each for name, each in findings.items() if each.level != "ok"}
-
-
-@contextlib.contextmanager
-def override(cell, **values):
-    cell.ask("override", arm="left", **values)
-    try:
-        yield
-    finally:
-        cell.ask("override", arm="left", **dict.fromkeys(values))
 
 
 ALL = {
@@ -155,8 +174,8 @@ def test_values_without_expectation_are_reported_with_a_warning(cb3):
     ],
 )
 def test_a_wrong_state(cb3, values, name, found, remedy):
-    with override(cb3, **values):
-        findings = faults(findings_of(cb3))
+    cb3.ask("override", arm="left", **values)
+    findings = faults(findings_of(cb3))
     assert findings.keys() == {name}
     assert findings[name].level == "fail"
     assert found in findings[name].found
@@ -167,18 +186,12 @@ def test_a_wrong_state(cb3, values, name, found, remedy):
 
 def test_the_slider_itself(cb3):
     cb3.ask("slider", arm="left", fraction=0.1)
-    try:
-        assert faults(findings_of(cb3))["speed slider"].found == "10 %"
-    finally:
-        cb3.ask("slider", arm="left", fraction=1.0)
+    assert faults(findings_of(cb3))["speed slider"].found == "10 %"
 
 
 def test_local_control(e_series):
     e_series.ask("remote", arm="left", on=False)
-    try:
-        findings = faults(findings_of(e_series))
-    finally:
-        e_series.ask("remote", arm="left", on=True)
+    findings = faults(findings_of(e_series))
     assert findings.keys() == {"remote control"}
     assert findings["remote control"].remedy == "switch left to Remote Control on its pendant"
 
@@ -195,10 +208,7 @@ def test_local_control(e_series):
 def test_another_robot(cb3, reported, names, found):
     cb3.ask("remote", arm="left", on=False)
     cb3.ask("pretend", arm="left", **reported)
-    try:
-        findings = faults(findings_of(cb3))
-    finally:
-        cb3.ask("pretend", arm="left", version=[3, 15, 8, 106339], model="UR10", robot_type=2)
+    findings = faults(findings_of(cb3))
     assert findings.keys() == names
     assert {each.level for each in findings.values()} == {"fail"}
     assert {*found} <= {each.found for each in findings.values()}
@@ -206,11 +216,8 @@ def test_another_robot(cb3, reported, names, found):
 
 def test_an_old_controller_has_no_serial_number_and_no_model(cb3):
     cb3.ask("pretend", arm="left", version=[3, 10, 0, 1])
-    try:
-        findings = findings_of(cb3, serial_number="1")
-        cell = check_cell(expected(cb3), expected(cb3, "right"), observe_s=0.05)[0]
-    finally:
-        cb3.ask("pretend", arm="left", version=[3, 15, 8, 106339])
+    findings = findings_of(cb3, serial_number="1")
+    cell = check_cell(expected(cb3), expected(cb3, "right"), observe_s=0.05)[0]
     assert faults(findings).keys() == {"serial number"}
     assert (findings["serial number"].level, findings["serial number"].found) == (
         "warn",
@@ -238,10 +245,7 @@ def test_another_arm_of_the_same_kind(e_series):
 @pytest.mark.parametrize(("error_m", "level"), [(0.00002, "ok"), (0.0002, "warn"), (0.003, "fail")])
 def test_another_calibration(cb3, error_m, level):
     cb3.ask("calibration", arm="left", error_m=error_m)
-    try:
-        finding = findings_of(cb3)["calibration"]
-    finally:
-        cb3.ask("calibration", arm="left", error_m=0.0)
+    finding = findings_of(cb3)["calibration"]
     assert finding.level == level
     assert "nominal UR10's, which the cell file uses" in finding.found  # it gives no other
     off_m = float(re.search(r"([\d.]+) mm", finding.found)[1]) / 1e3
@@ -267,10 +271,7 @@ def test_registers_in_use(cb3):
 def test_a_closed_port_is_named_and_the_rest_is_checked(cb3):
     cb3.ask("refuse", arm="left", port="realtime")
     cb3.ask("refuse", arm="left", port="dashboard")
-    try:
-        findings = findings_of(cb3)
-    finally:
-        cb3.ask("heal", arm="left")
+    findings = findings_of(cb3)
     assert faults(findings).keys() == {"port 30003", "port 29999"}
     assert f"{cb3.left}:30003: no connection" in findings["port 30003"].found
     assert "cable" in findings["port 30003"].remedy
@@ -280,10 +281,7 @@ def test_a_closed_port_is_named_and_the_rest_is_checked(cb3):
 @pytest.mark.parametrize("fault", [{"half_open": True}, {"mute": True}])
 def test_a_silent_controller_runs_into_the_time_limit(cb3, fault):
     cb3.ask("link", arm="left", port="all", **fault)
-    try:
-        findings = check_cell(expected(cb3), expected(cb3, "right"), timeout_s=_SILENT_S, observe_s=0.05)
-    finally:
-        cb3.ask("heal", arm="left")
+    findings = check_cell(expected(cb3), expected(cb3, "right"), timeout_s=_SILENT_S, observe_s=0.05)
     wrong = {(each.arm, each.name) for each in findings if each.level == "fail"}
     assert wrong - {("right", name) for name in TIMED} == {
         ("left", "dashboard"), ("left", "primary interface"), ("left", "RTDE"),
@@ -292,8 +290,8 @@ def test_a_silent_controller_runs_into_the_time_limit(cb3, fault):
 
 
 def test_a_controller_whose_time_does_not_advance(cb3):
-    with override(cb3, timestamp=1e6):
-        findings = check_arm("left", expected(cb3), observe_s=0.05)
+    cb3.ask("override", arm="left", timestamp=1e6)
+    findings = check_arm("left", expected(cb3), observe_s=0.05)
     (rate,) = [each for each in findings if each.name == "RTDE rate"]
     assert rate.level == "fail"
     assert "does not advance" in rate.found
@@ -301,10 +299,7 @@ def test_a_controller_whose_time_does_not_advance(cb3):
 
 def test_a_slow_network_is_found(cb3):
     cb3.ask("link", arm="left", port="rtde", delay_s=0.02)
-    try:
-        findings = check_arm("left", expected(cb3), timeout_s=5.0, observe_s=0.05)
-    finally:
-        cb3.ask("heal", arm="left")
+    findings = check_arm("left", expected(cb3), timeout_s=5.0, observe_s=0.05)
     (finding,) = [each for each in findings if each.name == "round trip"]
     assert finding.level == "fail"
     assert "4 ms" in finding.expected
@@ -320,10 +315,7 @@ def test_one_host_for_both_arms(cb3):
 
 def test_two_addresses_of_one_controller(cb3):
     cb3.ask("pretend", arm="right", serial_number="2010300001")
-    try:
-        first = check_cell(expected(cb3), expected(cb3, "right"), observe_s=0.05)[0]
-    finally:
-        cb3.ask("pretend", arm="right", serial_number="2010300002")
+    first = check_cell(expected(cb3), expected(cb3, "right"), observe_s=0.05)[0]
     assert (first.arm, first.level) == ("cell", "fail")
     assert "2010300001 and 2010300001" in first.found
 
@@ -407,10 +399,7 @@ def test_findings_of_payloads(mass, cog, level):
 
 def test_other_safety_settings_fail(cb3):
     cb3.ask("pretend", arm="left", safety_checksum=0xBEEF)
-    try:
-        finding = findings_of(cb3)["safety checksum"]
-    finally:
-        cb3.ask("pretend", arm="left", safety_checksum=SAFETY)
+    finding = findings_of(cb3)["safety checksum"]
     assert (finding.level, finding.found, finding.expected) == ("fail", "0x0000beef", f"0x{SAFETY:08x}")
     assert "assess the risk" in finding.remedy
 
@@ -467,8 +456,8 @@ def run(*arguments):
 
 
 def test_the_command_prints_and_fails_if_something_does(cb3):
-    with override(cb3, safety_mode=3):
-        code, text = run("--left", cb3.left, "--right", cb3.right)
+    cb3.ask("override", arm="left", safety_mode=3)
+    code, text = run("--left", cb3.left, "--right", cb3.right)
     assert code == 1
     for word in ("safety mode", "PROTECTIVE", "speed slider", "two controllers", "fail", "warn", "ok"):
         assert word in text

@@ -20,6 +20,9 @@ Mask: TypeAlias = NDArray[np.bool_]
 Rows: TypeAlias = NDArray[np.intp]
 """Indices into the batch axis."""
 
+Vector3: TypeAlias = tuple[float, float, float]
+"""Three plain numbers, as in settings: a position in m, or a rotation vector in rad."""
+
 
 def constant(values: object) -> Array:
     """Return a read-only array of floats."""

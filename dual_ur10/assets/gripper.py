@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.assets.settings import GRIP_FORCE_N, SceneSettings
+from dual_ur10.types import Vector3
 
 OPENING_M: Final = 0.085
 """Stroke: largest distance of the pads (data sheet of the 2F-85)."""
@@ -187,7 +188,7 @@ def _solid(body: Any) -> Any:
     return body.root.find("default", "collision")
 
 
-def box_inertia(mass_kg: float, x_m: float, y_m: float, z_m: float) -> tuple[float, float, float]:
+def box_inertia(mass_kg: float, x_m: float, y_m: float, z_m: float) -> Vector3:
     """Return the diagonal inertia, kg·m², of a box of these sides about its centre."""
     twelfth = mass_kg / 12
     return twelfth * (y_m**2 + z_m**2), twelfth * (x_m**2 + z_m**2), twelfth * (x_m**2 + y_m**2)

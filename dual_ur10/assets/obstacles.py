@@ -12,8 +12,7 @@ from typing import Any, ClassVar, Final
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.frames import finite_floats
-
-Three = tuple[float, float, float]
+from dual_ur10.types import Vector3
 
 ROOM_M: Final = 20.0
 """Farthest that a coordinate of an obstacle may be from the cell's origin, and the longest edge of a box."""
@@ -37,9 +36,9 @@ class Box:
 
     kind: ClassVar[str] = "box"
     name: str
-    position_m: Three
-    size_m: Three
-    rotation_rad: Three = (0.0, 0.0, 0.0)
+    position_m: Vector3
+    size_m: Vector3
+    rotation_rad: Vector3 = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         _take(self, ROOM_M, "position_m")
@@ -57,8 +56,8 @@ class Capsule:
 
     kind: ClassVar[str] = "capsule"
     name: str
-    from_m: Three
-    to_m: Three
+    from_m: Vector3
+    to_m: Vector3
     radius_m: float
 
     def __post_init__(self) -> None:
@@ -79,8 +78,8 @@ class Plane:
 
     kind: ClassVar[str] = "plane"
     name: str
-    point_m: Three
-    normal: Three
+    point_m: Vector3
+    normal: Vector3
 
     def __post_init__(self) -> None:
         _take(self, ROOM_M, "point_m")

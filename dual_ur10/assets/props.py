@@ -11,6 +11,7 @@ from dual_ur10.assets.gripper import box_inertia, stiff
 from dual_ur10.assets.settings import PROPS, SceneSettings
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.types import Vector3
 
 BAR_LENGTH_M: Final = 1.2
 """Along the bar's own y."""
@@ -56,7 +57,7 @@ def prop_width_m(prop: str) -> float:
     return BAR_WIDTH_M if prop == "bar" else BLOCK_SIZE_M[1]
 
 
-def prop_size_m(prop: str) -> tuple[float, float, float]:
+def prop_size_m(prop: str) -> Vector3:
     """Return the sides in m along the prop's own x, y, z.
 
     Raises:

@@ -20,10 +20,9 @@ from dual_ur10.assets.settings import TABLE_THICKNESS_M, SceneSettings
 from dual_ur10.errors import DualUR10Error, MissingExtraError
 from dual_ur10.kinematics.frames import FLOOR_Z_M
 from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.types import Vector3
 
-_Point = tuple[float, float, float]
-
-_CAMERAS: Final[dict[str, tuple[_Point, _Point]]] = {
+_CAMERAS: Final[dict[str, tuple[Vector3, Vector3]]] = {
     "front": ((1.8, 0.0, 1.0), (-0.4, 0.0, 0.3)),
     "side": ((-0.1, -2.6, 0.9), (-0.25, 0.0, 0.3)),
     "overhead": ((-0.25, 0.0, 3.2), (-0.2, 0.0, 0.0)),
@@ -67,7 +66,7 @@ def add_surroundings(root: Any, settings: SceneSettings) -> None:
     _add_furniture(root, settings)
 
 
-def _camera_axes(position: _Point, target: _Point) -> list[float]:
+def _camera_axes(position: Vector3, target: Vector3) -> list[float]:
     """Return axes x and y of a camera that faces a target, the cell's z (or x, from above) upwards in the image."""
     backward = np.subtract(position, target)
     backward /= np.linalg.norm(backward)

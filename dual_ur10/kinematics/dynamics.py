@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.forward import checked_joints, fixed_transforms
 from dual_ur10.kinematics.ur10 import LINK_COM_M, LINK_INERTIA_KG_M2, LINK_MASS_KG, NOMINAL_DH
-from dual_ur10.types import Array
+from dual_ur10.types import Array, Vector3
 
 
 @lru_cache(maxsize=32)
-def _model(payload_kg: float, payload_com_m: tuple[float, float, float], gravity: bool) -> tuple[Any, Any, Any]:
+def _model(payload_kg: float, payload_com_m: Vector3, gravity: bool) -> tuple[Any, Any, Any]:
     """Return pinocchio's module, model and data of a nominal arm with a point mass at the flange."""
     pin = importlib.import_module("pinocchio")  # here, because it takes longer to import than the rest of the package
     model = pin.Model()

@@ -16,7 +16,7 @@ from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, quat_to_matrix
 from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
-from dual_ur10.types import Array, constant
+from dual_ur10.types import Array, Vector3, constant
 
 
 def finite_floats(name: str, values: Any, length: int) -> tuple[Any, ...]:
@@ -79,7 +79,7 @@ class ArmMount:
         SettingsError: A number is not finite, more than 3 m from the cell's origin, below the floor, or beyond ±2π.
     """
 
-    position_m: tuple[float, float, float]
+    position_m: Vector3
     yaw_rad: float = 0.0
     dh: DHParameters = NOMINAL_DH
 

@@ -22,9 +22,9 @@ from dual_ur10.errors import RateError, SettingsError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, checked_base_uncertainty
-from dual_ur10.sim2real.control.limits import MotionLimits, Three, checked_tcp
+from dual_ur10.sim2real.control.limits import MotionLimits, checked_tcp
 from dual_ur10.sim2real.control.servoj import MEASURED_LOOKAHEAD_S, ServojProfile
-from dual_ur10.types import Array, Rows
+from dual_ur10.types import Array, Rows, Vector3
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.config.cell_file import CellFile
@@ -327,7 +327,7 @@ class CellConfig:
     meshes: bool = False
     speed_rad_s: float | None = None
     tcp_speed_m_s: float | None = None
-    tcp_m: tuple[Three, Three] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    tcp_m: tuple[Vector3, Vector3] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     acceleration_rad_s2: float | None = None
     jerk_rad_s3: float | None = None
     measured_lookahead_s: float | None = None

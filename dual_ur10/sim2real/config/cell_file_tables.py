@@ -24,7 +24,6 @@ from dual_ur10.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, DHParameters
 from dual_ur10.sim2real.control.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S, MEASURED_LOOKAHEAD_S, Family, ServojProfile
 
 Kind = Literal["real", "emulated"]
-Three = tuple[float, float, float]
 
 ZERO: Final = (0.0, 0.0, 0.0)
 MAX_OBSTACLES: Final = 64

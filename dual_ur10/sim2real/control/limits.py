@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics import ur10
 from dual_ur10.kinematics.forward import elbow_flange_and_tcp
-from dual_ur10.types import Array
+from dual_ur10.types import Array, Vector3
 
 Six = tuple[float, float, float, float, float, float]
-Three = tuple[float, float, float]
 
 POINTS = ("elbow", "flange", "TCP")
 """Points of an arm whose speed is limited."""
@@ -60,7 +59,7 @@ REACH_FROM_JOINT_M: Array = np.array(
 )
 
 
-def checked_tcp(values: Any) -> tuple[Three, Three]:
+def checked_tcp(values: Any) -> tuple[Vector3, Vector3]:
     """Return the tool centre points of both arms as plain numbers.
 
     Raises:
@@ -114,7 +113,7 @@ class MotionLimits:
     tcp_speed_m_s: float = ur10.HARD_TCP_SPEED_M_S
     lower_rad: Six = _LOWER_RAD
     upper_rad: Six = _UPPER_RAD
-    tcp_m: tuple[Three, Three] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    tcp_m: tuple[Vector3, Vector3] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
     def __post_init__(self) -> None:
         for name in ("speed_rad_s", "lower_rad", "upper_rad"):

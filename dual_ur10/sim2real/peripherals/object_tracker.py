@@ -18,9 +18,8 @@ from dual_ur10.kinematics.rotations import quat_from_rotvec
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config import cell_file_tables as entries
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.config.cell_file_tables import Three
 from dual_ur10.sim2real.links.json_link import JsonLink
-from dual_ur10.types import Array, Closing
+from dual_ur10.types import Array, Closing, Vector3
 
 log = logging.getLogger(__name__)
 
@@ -83,7 +82,7 @@ class FlangeTracker(ObjectTracker):
         quat: (4,) its orientation there.
     """
 
-    def __init__(self, arm: str, position_m: Three, quat: Array) -> None:
+    def __init__(self, arm: str, position_m: Vector3, quat: Array) -> None:
         self._arm, self._position_m, self._quat = ARMS.index(arm), np.array(position_m), quat
 
     def pose(self, now_s: float, flanges: Flanges) -> ObjectPose:
@@ -100,7 +99,7 @@ class FixedTracker(ObjectTracker):
         quat: (4,) its orientation.
     """
 
-    def __init__(self, position_m: Three, quat: Array) -> None:
+    def __init__(self, position_m: Vector3, quat: Array) -> None:
         self._position_m, self._quat = np.array(position_m), quat
 
     def pose(self, now_s: float, flanges: Flanges) -> ObjectPose:

@@ -14,11 +14,11 @@ from dual_ur10.errors import StartError
 from dual_ur10.kinematics.forward import elbow_flange_and_tcp
 from dual_ur10.kinematics.ur10 import ARMS, JOINT_RANGE_RAD, JOINTS
 from dual_ur10.sim2real.control.clearance import Clearance
-from dual_ur10.types import Array
+from dual_ur10.types import Array, Vector3
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.config.cell import CellConfig
-    from dual_ur10.sim2real.control.limits import MotionLimits, Three
+    from dual_ur10.sim2real.control.limits import MotionLimits
 
 SPEED_RAD_S: Final = 0.2
 TCP_SPEED_M_S: Final = 0.25
@@ -51,7 +51,7 @@ class Rates:
     tcp_speed_m_s: float = TCP_SPEED_M_S
     acceleration_rad_s2: float = ACCELERATION_RAD_S2
     jerk_rad_s3: float = math.inf
-    tcp_m: tuple[Three, Three] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    tcp_m: tuple[Vector3, Vector3] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
     def capped(self, config: CellConfig) -> Rates:
         """Return these rates capped by a cell's limits."""

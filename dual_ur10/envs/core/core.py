@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.envs.core.cells import make_cell, make_recorder
 from dual_ur10.envs.core.options import EnvOptions
-from dual_ur10.envs.core.randomization import on_top
+from dual_ur10.envs.core.randomization import apply_sample
 from dual_ur10.envs.core.sensing import Sensing
 from dual_ur10.envs.core.setup import EnvSetup, check_for_controllers, check_reset
 from dual_ur10.envs.tasks.task import Task, Timing
@@ -33,13 +33,13 @@ PHYSICS_ERROR = "the simulation diverged: the observation is that of the last go
 
 
 class Agents(NamedTuple):
-    """What concerns the agents `left` and `right` one by one, computed when it is asked for.
+    """Observations and rewards of the agents `left` and `right`, computed on demand.
 
     Attributes:
         task: The task.
-        both: (n, size) observation of both.
-        terms: (n, 2, terms) reward terms of each; None after a reset.
-        weights: (terms,).
+        both: (n, size) observations of both agents together.
+        terms: (n, 2, terms) reward terms of each agent; None after a reset.
+        weights: (terms,) weights of the reward terms.
     """
 
     task: Task[Any, Any]
@@ -49,12 +49,12 @@ class Agents(NamedTuple):
 
     @property
     def observations(self) -> Array:
-        """(n, 2, size) each agent's own observation."""
+        """Each agent's own observation, (n, 2, size)."""
         return self.task.observe_agents(self.both)
 
     @property
     def rewards(self) -> Array:
-        """(n, 2) each agent's own reward; their mean is the reward of both."""
+        """Each agent's own reward, (n, 2); their mean is the reward of both."""
         if self.terms is None:
             return np.zeros((len(self.both), 2))
         rewards: Array = np.add.reduce(self.terms * self.weights, axis=2)
@@ -62,17 +62,17 @@ class Agents(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What a step of n cells gives.
+    """Result of a step of n cells.
 
     Attributes:
         observation: (n, size).
         reward: (n,).
-        terminated: (n,) refused by the gate, diverged, or at a state from which there is nothing more to do.
-        truncated: (n,) the time of the episode ran out.
+        terminated: (n,) True if the gate refused, the physics diverged, or the task reached a terminal state.
+        truncated: (n,) True if the time of the episode has run out.
         info: Arrays (n, ...) by name.
-        verdicts: Why the gate refused, by row.
-        diverged: (n,) whether the physics diverged.
-        agents: What concerns the two agents one by one.
+        verdicts: Reasons of the gate's refusals, by row.
+        diverged: (n,) True if the physics diverged.
+        agents: Observations and rewards of the two agents.
     """
 
     observation: Array
@@ -86,24 +86,24 @@ class Step(NamedTuple):
 
 
 def _spread(values: Array, rows: Rows, n: int) -> Array:
-    """Values of some rows, (len(rows), ...), as an array of all, (n, ...), with NaN in the others."""
+    """Return an array of all rows, (n, ...), with the values of some, (len(rows), ...), and NaN in the others."""
     result = np.full((n, *values.shape[1:]), np.nan)
     result[rows] = values
     return result
 
 
 class Core:
-    """Task, pipeline and cell of n cells.
+    """Stepping loop of n cells: task, pipeline and cell.
 
     Args:
         task: Name of the task.
         keywords: Those of every environment, `dual_ur10.envs.core.options.EnvOptions`, and the task's own.
         n: Number of cells.
-        threads: Threads to step on; None: as many as there are processors.
-        autoreset: Whether episodes will begin without anybody asking for it.
+        threads: Threads to step on; None: one per processor, at most n.
+        autoreset: Episodes will begin without a call of `reset`.
 
     Raises:
-        SettingsError: Or one of its kinds: a value is not legal. Nothing is left behind.
+        SettingsError: Or one of its kinds: a value is not legal. Nothing is left open.
 
     Attributes:
         late_actions: Number of actions that missed their deadline, so that both arms stopped.
@@ -183,7 +183,7 @@ class Core:
         Args:
             rngs: One generator per cell to reset.
             rows: The cells to reset; None: all.
-            seed: That the generator comes from, to be recorded; None: it goes on.
+            seed: Seed of the generator, for the record; None: the generator continues.
             move_to_start: Consent to the motion to the start, see `check_reset`.
 
         Returns:
@@ -196,15 +196,15 @@ class Core:
         if self.config.file is not None:
             check_reset(begun=self._begun, consent=move_to_start or self.options.confirm is not None)
         rows = np.arange(self.n) if rows is None else rows
-        self._state = None  # should anything fail from here on, the episode must be begun again
+        self._state = None  # if anything fails from here on, a reset is needed
         if self._hook is not None:
             self._hook.resetting(rngs, seed)
         start = self.task.start(rows, rngs)
-        drawn = {} if self._randomization.is_none else self._randomization.draw(rngs)
+        sampled = {} if self._randomization.is_none else self._randomization.sample(rngs)
         seeds = [int(rng.integers(2**31)) for rng in rngs]
         self._clearance.check_start(start.q_rad, rows)
         self.pipeline.reset(start.q_rad, rows, start.gripper_m)
-        plant = on_top({name: value[rows] for name, value in self._plant.items()}, drawn)
+        plant = apply_sample({name: value[rows] for name, value in self._plant.items()}, sampled)
         try:
             begun = cell.reset(start, rows, seeds=seeds, perturbation=plant)
         except DualUR10Error as error:
@@ -212,16 +212,16 @@ class Core:
             raise
         self._continue_from_stop(begun, start.gripper_m)
         state = begun.state
-        self._sensing.reset(state, rows, seeds, drawn)
+        self._sensing.reset(state, rows, seeds, sampled)
         sensed = state if self._sensing.is_exact else self._sensing.begun(state)
         observation = self.task.observe(sensed, self.task.measure(sensed), self.pipeline.adapter.commanded_q_rad)
-        # The other rows go on: what was observed of them last stays as it was.
+        # The other rows continue with their last observations.
         self._observation = self._observation.copy()
         self._observation[rows] = observation[rows]
         self._state, self._begun = state, True
         self.agents = Agents(self.task, self._observation, None, self._weights)
         info: dict[str, Any] = self._measurements(state)
-        randomized = {**start.sampled, **drawn}
+        randomized = {**start.sampled, **sampled}
         if randomized:
             info["randomization"] = {name: _spread(value, rows, self.n) for name, value in randomized.items()}
         if self._hook is not None:
@@ -229,10 +229,10 @@ class Core:
         return self._observation.copy(), info
 
     def step(self, action: object) -> Step:
-        """One control period of all cells.
+        """Advance all cells by one control period.
 
         Args:
-            action: Numbers that fit (n, action size).
+            action: Numbers of a shape that fits (n, action size).
 
         Raises:
             ActionError: The action is malformed. Nothing has moved.
@@ -243,7 +243,7 @@ class Core:
             raise ResetNeededError(
                 "step was called before the first reset, or after a step that failed: call reset() first"
             )
-        # Should anything fail from here on, pipeline and cell are apart, and the episode must be begun again.
+        # If anything fails from here on, pipeline and cell disagree, and a reset is needed.
         before, self._state = self._state, None
         try:
             command, verdicts = self.pipeline(action)
@@ -254,7 +254,7 @@ class Core:
         try:
             period = self._advance(cell, command._replace(payload_kg=self.task.payload_kg()))
         except CellFaulted:
-            self._state = before  # it stays so, and says so again
+            self._state = before  # a fault persists, and the next step reports it again
             raise
         self._continue_from_stop(period, None if command.gripper_m is None else command.gripper_m[:, -1])
         state = true = period.state
@@ -294,11 +294,11 @@ class Core:
             self.pipeline.reset(period.stopped_q_rad, gripper_m=gripper_m)
 
     def finish(self) -> None:
-        """The episode is over for a reason that the task does not know: arms that do not stand come to rest."""
+        """End the episode for a reason that the task does not know; moving arms stop."""
         self._open().finish()
 
     def stop(self, reason: str) -> None:
-        """Stop the arms for good, because of who commands them. In simulation there is nothing to stop."""
+        """Latch a stop of both arms, for a reason on the side of the policy. A simulation has nothing to stop."""
         if self.cell is not None:
             self.cell.stop(reason)
 
@@ -306,7 +306,7 @@ class Core:
         return {"q_rad": state.q_rad.copy(), "flange_m": state.flange_m.copy()}
 
     def cell_data(self, row: int) -> tuple[Any, Any]:
-        """MuJoCo's model and data of one cell, to be drawn."""
+        """Return MuJoCo's model and data of one cell, for rendering."""
         return self._open().model_and_data(row)
 
     def _advance(self, cell: Cell, command: Command) -> CellStep:
@@ -338,11 +338,11 @@ class Core:
 
     @property
     def clipped_actions(self) -> int:
-        """How many actions so far were beyond the action space, so that they were clipped to it; of all cells."""
+        """Number of actions so far, of all cells, that were clipped to the action space."""
         return self.pipeline.clipped_actions
 
     def record(self, recorder: RunRecorder) -> None:
-        """Let `recorder` take note of every episode from the next reset on. It is the caller's to close.
+        """Record every episode from the next reset on. The caller closes the recorder.
 
         Raises:
             SettingsError: There are several cells.

@@ -37,10 +37,10 @@ class EnvOptions:
         action_mode: "joint_delta", "joint_position" or "tcp_delta"; see
             `dual_ur10.sim2real.control.adapter.ServojAdapter`.
         action_latency_ticks: Ticks from an observation to the first target of its action. 0 is an ideal machine;
-            a policy meant for real arms should be developed with the latency it will have. None: 0 in simulation, and
-            the ticks of 40 ms on two controllers.
-        compensate_lag: Whether the adapter takes the lag of `servoj` out.
-        randomization: What differs from episode to episode: a name of
+            develop a policy for real arms with the latency that it will have. None: 0 in simulation, and the ticks of
+            40 ms on two controllers.
+        compensate_lag: Compensate the lag of `servoj` in the adapter.
+        randomization: Variation from episode to episode: a name of
             `dual_ur10.envs.core.randomization.PRESETS`, a mapping of single values, or a `Randomization`.
         observation: "state" gives an array; "pixels" a dict of images by camera; "both" a dict of both.
         cameras: Cameras of an observation with pixels: names of `dual_ur10.assets.visuals.cameras`.
@@ -54,10 +54,10 @@ class EnvOptions:
         arm: "left" or "right": on two controllers, the one that moves while the other stays where it is. None: both.
         record: Folder in which a folder with the record of this run is made; None: no record. On two controllers, the
             last ten seconds before a stop are kept in any case.
-        record_failure: What to do on two controllers when the record cannot be written any more, because the disk is
+        record_failure: Reaction on two controllers when the record cannot be written any more, because the disk is
             full: "go on", which is logged, or "stop".
-        record_about: What the record is to say of the run: `policy` (a name), `policy_sha256`, and anything else that
-            JSON can hold. None: nothing.
+        record_about: Description of the run in its record: `policy` (a name), `policy_sha256`, and any other value that
+            JSON can hold. None: no description.
     """
 
     cell: object = "mujoco"
@@ -111,16 +111,16 @@ class EnvOptions:
 
     @property
     def held_arm(self) -> int | None:
-        """Number of the arm that stays where it is, if one does."""
+        """Index of the arm that does not move; None: both move."""
         return None if self.arm is None else 1 - ARMS.index(self.arm)
 
     def latency_ticks(self, cell: CellConfig) -> int:
-        """The action's latency in this cell."""
+        """Return the latency of actions in this cell, in ticks."""
         return cell.latency_ticks if self.action_latency_ticks is None else self.action_latency_ticks
 
 
 def _check_about(about: object) -> None:
-    """Make sure that this can be said of a run."""
+    """Check the description of a run."""
     if not isinstance(about, Mapping) or not all(isinstance(name, str) for name in about):
         raise SettingsError(f"record_about is {about!r:.200}: it must be a mapping, such as {{'policy': 'mine'}}")
     for name in ("policy", "policy_sha256"):
@@ -133,7 +133,7 @@ OPTION_NAMES = tuple(each.name for each in dataclasses.fields(EnvOptions))
 
 
 def split_keywords(keywords: Mapping[str, Any]) -> tuple[EnvOptions, dict[str, Any]]:
-    """The options among the keywords of an environment, and the rest, which are its task's.
+    """Split the keywords of an environment into its options and those of its task.
 
     Raises:
         UnknownNameError: `observation` is none of its names.

@@ -1,4 +1,4 @@
-"""What differs from episode to episode, so that what is learned does not depend on one exact plant."""
+"""Variation of plant and sensing from episode to episode, so that a policy does not depend on one exact plant."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from dual_ur10.types import Array
 JOINT_FRICTION_NM: Final = (5.0, 5.0, 3.0, 1.0, 1.0, 1.0)
 """Coulomb friction of the joints at `joint_friction` 1: that of `dual_ur10.TYPICAL_PERTURBATION`."""
 
-_LOOKAHEAD_DIGITS: Final = 3  # of a lookahead drawn, so that discretisations are met again
+_LOOKAHEAD_DIGITS: Final = 3  # of a sampled lookahead, so that cached discretisations are reused
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Randomization:
-    """How far each value may be from what is believed of it. 0 is: not at all.
+    """Ranges of the deviations from the nominal model. 0 means no deviation.
 
-    Every episode of every cell draws its own values. "±" is uniform between minus and plus; "up to" is uniform from 0;
-    "σ" is normal. Values of an arm are drawn for each arm.
+    Every episode of every cell samples its own values. "±" is uniform between minus and plus; "up to" is uniform from
+    0; "σ" is normal. Values per arm are sampled for each arm.
 
     Attributes:
-        mass: ± share of the links' masses and inertias, per arm.
-        joint_friction: Up to this share of `JOINT_FRICTION_NM`, per joint.
-        lookahead: ± share of the servos' lookahead time, per arm.
-        latency_s: Up to this latency of commands, the same of both arms.
-        skew_s: Up to this much more latency, per arm.
+        mass: ± fraction of the links' masses and inertias, per arm.
+        joint_friction: Up to this fraction of `JOINT_FRICTION_NM`, per joint.
+        lookahead: ± fraction of the servos' lookahead time, per arm.
+        latency_s: Up to this latency of commands, common to both arms.
+        skew_s: Up to this additional latency, per arm.
         jitter_s: Largest additional delay of each command, per arm.
         joint_noise_rad: σ of each measured joint position, at every observation.
         joint_speed_noise_rad_s: σ of each measured joint speed, at every observation.
         object_noise_m: σ along each axis of the object's measured position, constant in an episode.
         object_noise_rad: σ about each axis of its measured orientation, constant in an episode.
         observation_delay_s: Up to this age of an observation, at most a control period.
-        base_shift_m: ± distance of a base along each axis from where it is believed to stand, per arm.
-        base_turn_rad: ± turn of a base about the vertical, per arm.
-        object_mass: ± share of the object's mass and inertia.
-        grip_friction: ± share of the pads' friction, per arm.
-        object_spread: Factor on the task's own ranges of where an object begins; 1 is: as the task says.
+        base_shift_m: ± offset of a base along each axis from its nominal position, per arm.
+        base_turn_rad: ± rotation of a base about the vertical, per arm.
+        object_mass: ± fraction of the object's mass and inertia.
+        grip_friction: ± fraction of the pads' friction, per arm.
+        object_spread: Factor on the task's ranges of the object's initial pose.
 
     Raises:
         SettingsError: A value is not possible.
@@ -91,7 +91,7 @@ class Randomization:
 
     @property
     def is_none(self) -> bool:
-        """Whether nothing is drawn. Where objects begin is the task's to draw."""
+        """True if nothing varies except initial poses of objects, which the task samples."""
         return dataclasses.replace(self, object_spread=1.0) == Randomization()
 
     @property
@@ -111,20 +111,20 @@ class Randomization:
         return tuple(name for name, value in by_name.items() if value)
 
     def spread(self, settings: Any, given: Mapping[str, Any]) -> Any:
-        """A task's settings with wider ranges of where its object begins, unless the user gave them."""
+        """Return a task's settings with wider ranges of the object's initial pose, unless the user gave them."""
         own = {each.name for each in dataclasses.fields(settings)}
         names = [name for name in ("object_range_m", "object_turn_rad") if name in own and name not in given]
         if self.object_spread == 1.0 or not names:
             return settings
         return dataclasses.replace(settings, **{name: self.object_spread * getattr(settings, name) for name in names})
 
-    def draw(self, rngs: Sequence[np.random.Generator]) -> dict[str, Array]:
-        """Values of one episode for each generator, (len(rngs), ...) by name.
+    def sample(self, rngs: Sequence[np.random.Generator]) -> dict[str, Array]:
+        """Sample the values of one episode for each generator, (len(rngs), ...) by name.
 
-        Those that `dual_ur10.sim2real.config.cell.Perturbation` has are named as there, and are factors or differences
-        to be put on top of the cell's own; the others are for `dual_ur10.envs.core.sensing.Sensing`.
+        Values of `dual_ur10.sim2real.config.cell.Perturbation` have its names, and are factors or differences on top of
+        the cell's own. The others are for `dual_ur10.envs.core.sensing.Sensing`.
         """
-        # Always the same numbers from the stream, whatever is used of them.
+        # The stream advances equally, whichever numbers are used.
         unit = np.array([rng.uniform(-1.0, 1.0, 40) for rng in rngs])
         normal = np.array([rng.standard_normal(6) for rng in rngs])
         up = (unit + 1.0) / 2
@@ -147,12 +147,12 @@ class Randomization:
         }
 
 
-def on_top(plant: Mapping[str, Array], drawn: Mapping[str, Array]) -> dict[str, Array]:
+def apply_sample(plant: Mapping[str, Array], sampled: Mapping[str, Array]) -> dict[str, Array]:
     """Apply sampled values on top of those of `Perturbation`; return {} if nothing was sampled."""
     return {
-        name: value * drawn[name] if name.endswith("_scale") else value + drawn[name]
+        name: value * sampled[name] if name.endswith("_scale") else value + sampled[name]
         for name, value in plant.items()
-        if name in drawn
+        if name in sampled
     }
 
 
@@ -194,12 +194,12 @@ PRESETS: Final = {
         object_spread=1.5,
     ),
 }
-"""Named randomizations. "mild" is about what a well kept pair of cells differs from its model by; "wide" is several
-times that, for training policies that are to be robust."""
+"""Named randomizations. "mild" is about the deviation of well maintained arms from their model; "wide" is several times
+that, for training robust policies."""
 
 
 def resolve_randomization(value: object) -> Randomization:
-    """What the keyword `randomization` stands for.
+    """Resolve the keyword `randomization`.
 
     A mapping may name a preset to start from: `{"preset": "mild", "mass": 0.1}`.
 

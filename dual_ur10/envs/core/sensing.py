@@ -1,4 +1,4 @@
-"""What is measured of a cell, as opposed to what is true of it: noise, age, and bases that stand elsewhere."""
+"""Measured state of a cell: noise, delay and base pose errors on top of the true state."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _TURNING = ("flange_base_quat", "flange_quat", "object_quat")
 
 
 class Sensing:
-    """Turns the true state of n cells into the measured one.
+    """Sensor model from the true state of n cells to the measured one.
 
     Args:
         config: The cell.
-        randomization: What noise there is beside that of the cell's own wrench.
+        randomization: Noise, in addition to that of the cell's wrench.
         period_s: Time between two observations.
         n: Number of cells.
     """
@@ -31,12 +31,11 @@ class Sensing:
         self._frames = Frames((config.left, config.right))
         self._period_s, self.n = period_s, n
         joint, speed = randomization.joint_noise_rad, randomization.joint_speed_noise_rad_s
-        # What two controllers say has been measured: nothing is added to it.
+        # Values of two controllers are measured already: no noise is added.
         simulated = config.file is None
         force, torque = config.wrench_noise if simulated and config.equipment.grippers else (0.0, 0.0)
         self._sigma = np.repeat([joint, speed, force, torque], [12, 12, 6, 6])
         self._noisy = bool(self._sigma.any())
-        # Which of the drawn values there are at all.
         self._offset = bool(randomization.object_noise_m or randomization.object_noise_rad)
         plant = config.perturbation.expanded(n)
         moved = plant["base_shift_m"].any() or plant["base_turn_rad"].any()
@@ -51,29 +50,29 @@ class Sensing:
 
     @property
     def is_exact(self) -> bool:
-        """Whether what is measured is what is true."""
+        """True if the measured state is the true one."""
         return not (self._noisy or self._offset or self._moved or self._late)
 
     @property
     def keeps_poses(self) -> bool:
-        """Whether poses and openings are measured as they are; joints and wrenches may have noise."""
+        """True if poses and gripper widths are measured without error; joints and wrenches may have noise."""
         return not (self._offset or self._moved or self._late)
 
-    def reset(self, state: CellState, rows: Rows, seeds: Sequence[int], drawn: Mapping[str, Array]) -> None:
+    def reset(self, state: CellState, rows: Rows, seeds: Sequence[int], sampled: Mapping[str, Array]) -> None:
         """Begin episodes in `rows`.
 
         Args:
             state: The true state.
-            rows: The cells that begin.
-            seeds: One per cell that begins, of its noise.
-            drawn: As `Randomization.draw` gives it, (len(rows), ...) each.
+            rows: Cells that begin.
+            seeds: Seed of the noise, one per cell that begins.
+            sampled: Result of `Randomization.sample`, (len(rows), ...) each.
         """
         for row, seed in zip(rows.tolist(), seeds, strict=True):
             self._rngs[row] = np.random.default_rng(seed)
-        if drawn:
-            self._shift[rows] = drawn["object_offset_m"]
-            self._turn[rows] = quat_from_rotvec(drawn["object_offset_rad"])
-            self._age[rows] = np.minimum(drawn["observation_delay_s"] / self._period_s, 1.0)
+        if sampled:
+            self._shift[rows] = sampled["object_offset_m"]
+            self._turn[rows] = quat_from_rotvec(sampled["object_offset_rad"])
+            self._age[rows] = np.minimum(sampled["observation_delay_s"] / self._period_s, 1.0)
         if self._late:
             fresh = _copy(state)
             if self._before is not None:
@@ -83,22 +82,22 @@ class Sensing:
             else:
                 self._before = fresh
         if self._noisy:
-            self._draw(rows)
+            self._sample_noise(rows)
 
     def begun(self, state: CellState) -> CellState:
-        """What is measured where episodes begin, after `reset`; of no meaning for rows that go on."""
+        """Return the measured state after `reset`; rows that continue have no meaning in it."""
         return self._measured(state, _copy(state) if self._late else None)
 
     def __call__(self, state: CellState) -> CellState:
-        """What is measured after a step. Called once per step, for it draws noise and keeps the state."""
+        """Return the measured state after a step. Call it once per step: it samples noise and keeps the state."""
         if self.is_exact:
             return state
         if self._noisy:
-            self._draw(np.arange(self.n))
+            self._sample_noise(np.arange(self.n))
         before, self._before = self._before, _copy(state) if self._late else None
         return self._measured(state, before)
 
-    def _draw(self, rows: Rows) -> None:
+    def _sample_noise(self, rows: Rows) -> None:
         for row in rows.tolist():
             self._noise[row] = self._rngs[row].standard_normal(36)
 

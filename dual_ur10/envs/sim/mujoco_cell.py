@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.envs.sim.physics import Physics
-from dual_ur10.envs.sim.servo_reference import ServojReference, SlowedTargets, TargetDelay
+from dual_ur10.envs.sim.servo_reference import ServojReference, TargetDelay, TimeScaledTargets
 from dual_ur10.errors import ClosedError, SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig, CellStep, Start, TickTrace
 from dual_ur10.sim2real.control.adapter import Command
@@ -47,7 +47,7 @@ class MujocoCell:
         self.steps = ticks * config.substeps
         self._queue = CommandQueue(n, latency_ticks)
         slow = config.speed_factor
-        self._slowed = None if slow == 1.0 else SlowedTargets(n, config.substeps, slow)
+        self._slowed = None if slow == 1.0 else TimeScaledTargets(n, config.substeps, slow)
         self._delay = TargetDelay(n, 1 if self._slowed else config.substeps)
         self._reference = ServojReference(config.servoj, n, config.substeps, ticks, slow)
         self._elapsed = np.zeros(n, dtype=np.int64)

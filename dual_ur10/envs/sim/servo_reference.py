@@ -76,7 +76,7 @@ class TargetDelay:
         self._arrivals = np.where(np.arange(first, known.shape[1])[None, :, None] < latest[:, None], _NEVER, kept)
 
 
-class SlowedTargets:
+class TimeScaledTargets:
     """What controllers are sent where a task's time is slowed down: a curve through its targets.
 
     Each of their control periods is a small part of one of the task's; here each physics step is one. The next targets

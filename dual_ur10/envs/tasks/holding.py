@@ -26,7 +26,7 @@ _WIDTH_MARGIN_M: Final = 0.001  # fingers that hold are stopped by what they hol
 
 def tools(state: CellState) -> Poses:
     """Tool centre points in the cell frame, (n, 2, ...), with the flanges' orientations."""
-    quat = given(state.flange_quat)
+    quat = required(state.flange_quat)
     return Poses(state.flange_m + rotate(quat, np.broadcast_to(TCP_LEVER, state.flange_m.shape)), quat)
 
 
@@ -36,7 +36,7 @@ def flanges_of(tools: Poses) -> Poses:
     return Poses(tools.position_m - away, tools.quat)
 
 
-def between(grip_in_tool_m: Array) -> Mask:
+def between_fingers(grip_in_tool_m: Array) -> Mask:
     """(...) whether what a gripper is to hold is between its fingers, open or not.
 
     Args:
@@ -55,11 +55,11 @@ def holds(state: CellState, grip_in_tool_m: Array, width_m: float) -> Mask:
         grip_in_tool_m: (n, 2, 3) where on the object the gripper should be, in its tool's frame.
         width_m: Width of the object there.
     """
-    on_it: Mask = np.abs(given(state.gripper_m) - width_m) < _WIDTH_MARGIN_M
-    return on_it & between(grip_in_tool_m)
+    on_it: Mask = np.abs(required(state.gripper_m) - width_m) < _WIDTH_MARGIN_M
+    return on_it & between_fingers(grip_in_tool_m)
 
 
-def given(values: Array | None) -> Array:
+def required(values: Array | None) -> Array:
     """Values that a cell with grippers always has.
 
     Raises:

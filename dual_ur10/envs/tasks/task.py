@@ -150,7 +150,7 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         return None
 
 
-def slower(wanted: MotionLimits, allowed: MotionLimits) -> float:
+def duration_ratio(wanted: MotionLimits, allowed: MotionLimits) -> float:
     """How many times longer a motion takes within `allowed` than within `wanted`, at most."""
     joints = max(a / b for a, b in zip(wanted.speed_rad_s, allowed.speed_rad_s, strict=True))
     return max(1.0, joints, wanted.tcp_speed_m_s / allowed.tcp_speed_m_s)

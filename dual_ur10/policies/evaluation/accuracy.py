@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.envs.tasks.sine_tracking.path import TOOL_DOWN_QUAT
+from dual_ur10.envs.tasks.sine_tracking.settings import TOOL_DOWN_QUAT
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.frames import to_base

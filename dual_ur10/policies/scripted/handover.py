@@ -14,7 +14,7 @@ from dual_ur10.envs.tasks.handover.stages import WIDTH_M
 from dual_ur10.envs.tasks.handover.task import Handover
 from dual_ur10.envs.tasks.holding import TCP_LEVER
 from dual_ur10.envs.tasks.observation_layout import pose_of
-from dual_ur10.envs.tasks.task import Timing, slower
+from dual_ur10.envs.tasks.task import Timing, duration_ratio
 from dual_ur10.errors import LostError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.poses import Poses
@@ -91,7 +91,7 @@ class HandoverPolicy(ScriptedPolicy):
         settings: HandoverSettings | None = None,
     ) -> None:
         super().__init__(timing, action_mode, mounts, limits, settings)
-        calm = np.tile(Handover.limits.speed_rad_s, 2) / slower(Handover.limits, self.limits)
+        calm = np.tile(Handover.limits.speed_rad_s, 2) / duration_ratio(Handover.limits, self.limits)
         self._speed = np.minimum(np.tile(self.limits.speed_rad_s, 2), calm) * _SPEED_RATIO
         self._paths = HandoverPaths(self.mounts, self._speed, timing.period_s)
         self._is_expert = False

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.envs.tasks.sine_tracking.path import SineSettings
+from dual_ur10.envs.tasks.sine_tracking.settings import SineSettings
 from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.envs.tasks.task import Timing
 from dual_ur10.kinematics.frames import ArmMount

@@ -12,7 +12,7 @@ from dual_ur10.envs.tasks.holding import flanges_of
 from dual_ur10.envs.tasks.observation_layout import pose_of
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
 from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
-from dual_ur10.envs.tasks.task import Timing, slower
+from dual_ur10.envs.tasks.task import Timing, duration_ratio
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.poses import Poses, compose, relative_to
 from dual_ur10.policies.scripted.base import EXPERT_HIGHER_M, ScriptedPolicy, on_table
@@ -49,7 +49,9 @@ class SyncCarryPolicy(ScriptedPolicy):
         settings: CarrySettings | None = None,
     ) -> None:
         super().__init__(timing, action_mode, mounts, limits, settings)
-        self._speed = np.tile(SyncCarry.limits.speed_rad_s, 2) * (_SPEED_RATIO / slower(SyncCarry.limits, self.limits))
+        self._speed = np.tile(SyncCarry.limits.speed_rad_s, 2) * (
+            _SPEED_RATIO / duration_ratio(SyncCarry.limits, self.limits)
+        )
         self._name = f"SyncCarry with grasp={self.settings.grasp!r}"
         self._higher_m, self._is_expert = 0.0, False
         self._recovery = Recovery(self.limits, timing.period_s)

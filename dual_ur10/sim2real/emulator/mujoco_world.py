@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.assets.gripper import OPENING_M
-from dual_ur10.envs.core.randomization import PRESETS, on_top
+from dual_ur10.envs.core.randomization import PRESETS, apply_sample
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.physics import Physics
 from dual_ur10.errors import SettingsError, UnknownNameError
@@ -75,8 +75,8 @@ class EmulatedWorld:
         true = _with_dh_errors(config, options.dh_error_m, rng)
         self._physics = Physics(true, 1, 1)
         values = config.perturbation.expanded(1)
-        self.drawn: Mapping[str, Array] = {} if options.plant == "nominal" else PRESETS[options.plant].draw([rng])
-        values |= on_top(values, self.drawn)
+        self.drawn: Mapping[str, Array] = {} if options.plant == "nominal" else PRESETS[options.plant].sample([rng])
+        values |= apply_sample(values, self.drawn)
         self._physics.perturb(values, np.arange(1))
         self.lookahead_scale: Array = values["lookahead_scale"][0]
         step_s = config.scene.timestep_s

@@ -6,13 +6,13 @@ import pytest
 
 import dual_ur10
 from dual_ur10 import errors
-from dual_ur10.envs.core.randomization import PRESETS, Randomization, on_top, resolve_randomization
+from dual_ur10.envs.core.randomization import PRESETS, Randomization, apply_sample, resolve_randomization
 
 CARRY, SINE = "DualUR10/SyncCarry-v0", "DualUR10/SineTracking-v0"
 
 
-def draw(randomization, seed=0, n=1):
-    return randomization.draw([np.random.default_rng(seed + k) for k in range(n)])
+def sample(randomization, seed=0, n=1):
+    return randomization.sample([np.random.default_rng(seed + k) for k in range(n)])
 
 
 @pytest.mark.parametrize("env_id", dual_ur10.ENV_IDS)
@@ -66,7 +66,7 @@ def test_none_draws_nothing_and_changes_nothing():
 @pytest.mark.parametrize("preset", ["mild", "wide"])
 def test_values_are_within_their_ranges_and_fill_them(preset):
     wanted = PRESETS[preset]
-    values = draw(wanted, n=400)
+    values = sample(wanted, n=400)
     for name, half, middle in (
         ("mass_scale", wanted.mass, 1.0),
         ("lookahead_scale", wanted.lookahead, 1.0),
@@ -129,7 +129,7 @@ def test_presets_can_be_changed_value_by_value():
 def test_what_is_drawn_comes_on_top_of_the_cells_own():
     plant = {"mass_scale": np.full((2, 2), 1.1), "latency_s": np.full((2, 2), 0.002), "loss": np.zeros((2, 2))}
     drawn = {"mass_scale": np.full((2, 2), 0.9), "latency_s": np.full((2, 2), 0.003), "observation_delay_s": np.ones(2)}
-    result = on_top(plant, drawn)
+    result = apply_sample(plant, drawn)
     assert set(result) == {"mass_scale", "latency_s"}
     assert np.allclose(result["mass_scale"], 0.99)
     assert np.allclose(result["latency_s"], 0.005)
@@ -189,7 +189,7 @@ def test_a_row_does_not_depend_on_what_others_drew(env_id, randomization, seed):
 def test_what_may_vary_is_told_by_its_names():
     assert Randomization().varied == ()
     assert set(Randomization(skew_s=0.001, mass=0.1).varied) == {"latency_s", "mass_scale"}
-    assert set(draw(PRESETS["wide"])) >= set(PRESETS["wide"].varied)
+    assert set(sample(PRESETS["wide"])) >= set(PRESETS["wide"].varied)
     assert Randomization(mass=np.float32(0.1)).mass == pytest.approx(0.1)
 
 

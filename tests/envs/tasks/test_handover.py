@@ -4,7 +4,7 @@ import pytest
 from dual_ur10 import errors
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.tasks.handover.settings import GRIPS, HandoverSettings, laid_quat, lying, presented_quat
-from dual_ur10.envs.tasks.handover.stages import STAGES, WIDTH_M, Facts, Hand, advance, passed, terms
+from dual_ur10.envs.tasks.handover.stages import STAGES, WIDTH_M, Facts, GripperFacts, advance, passed, terms
 from dual_ur10.envs.tasks.handover.task import SETTLED_S, Handover, _between_long_axes
 from dual_ur10.kinematics import flange_pose_quat
 from dual_ur10.kinematics.frames import ArmMount
@@ -29,7 +29,7 @@ def put(core, position_m, quat=(1.0, 0.0, 0.0, 0.0)):
 
 
 def hand(between=False, holds=False, opening=0.085, away=0.5):
-    return Hand(*(np.array([value]) for value in (between, holds, opening, away)))
+    return GripperFacts(*(np.array([value]) for value in (between, holds, opening, away)))
 
 
 def facts(giving=None, receiving=None, height=0.02, meeting=0.5, target=1.0, turn=0.3, placed=False):

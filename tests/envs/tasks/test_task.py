@@ -4,7 +4,7 @@ from dm_control.utils import rewards
 
 from dual_ur10 import errors
 from dual_ur10.envs.core.setup import EnvSetup
-from dual_ur10.envs.tasks.sine_tracking.path import SineSettings
+from dual_ur10.envs.tasks.sine_tracking.settings import SineSettings
 from dual_ur10.envs.tasks.task import gaussian
 from dual_ur10.kinematics.frames import ArmMount, to_base
 

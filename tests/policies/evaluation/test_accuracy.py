@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import dual_ur10  # noqa: F401 - registers the ids
 from dual_ur10.assets.settings import HOME_Q_RAD
-from dual_ur10.envs.tasks.sine_tracking.path import TOOL_DOWN_QUAT
+from dual_ur10.envs.tasks.sine_tracking.settings import TOOL_DOWN_QUAT
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics import nearest
 from dual_ur10.kinematics.frames import ArmMount, to_base

@@ -33,7 +33,7 @@ STILL_M_S: Final = 0.02
 _REACH_M, _PRESENT_M, _APPROACH_M, _PLACE_M, _TURN_RAD = 0.15, 0.5, 0.5, 0.3, 0.5
 
 
-class Hand(NamedTuple):
+class GripperFacts(NamedTuple):
     """What is so of the hand in one role.
 
     Attributes:
@@ -60,8 +60,8 @@ class Facts(NamedTuple):
         placed: (n,) whether the block lies on the target as it should, and nobody holds it.
     """
 
-    giving: Hand
-    receiving: Hand
+    giving: GripperFacts
+    receiving: GripperFacts
     height_m: Array
     meeting_m: Array
     target_m: Array

@@ -12,8 +12,8 @@ from dual_ur10.assets.gripper import OPENING_M, TCP_M
 from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment
 from dual_ur10.envs.tasks.handover.settings import GRIPS, MEETING_M, HandoverSettings, check_reach, lying
-from dual_ur10.envs.tasks.handover.stages import STAGES, STILL_M_S, WIDTH_M, Facts, Hand, advance, passed, terms
-from dual_ur10.envs.tasks.holding import PICKING, between, given, holds, tools
+from dual_ur10.envs.tasks.handover.stages import STAGES, STILL_M_S, WIDTH_M, Facts, GripperFacts, advance, passed, terms
+from dual_ur10.envs.tasks.holding import PICKING, between_fingers, holds, required, tools
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     OTHER_FLANGE_FIELDS,
@@ -27,7 +27,7 @@ from dual_ur10.envs.tasks.observation_layout import (
     wrench_fields,
     wrench_values,
 )
-from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, slower
+from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, duration_ratio
 from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.poses import Poses, length, relative_to
 from dual_ur10.kinematics.rotations import cross, rotate
@@ -237,7 +237,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         self._frames = Frames(mounts)
         self._shoulders = np.array([mount.position_m for mount in mounts]) + _SHOULDER_M
         check_reach(settings, cell.scene)
-        self.duration_s = settings.duration_s * slower(type(self).limits, self.limits)
+        self.duration_s = settings.duration_s * duration_ratio(type(self).limits, self.limits)
         self._steps = max(1, math.ceil(self.duration_s / timing.period_s - 1e-9))
         self._settled_steps = max(1, math.ceil(SETTLED_S / timing.period_s - 1e-9))
         self._giver = np.zeros(n, dtype=np.intp)
@@ -280,23 +280,23 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
 
     def measure(self, state: CellState) -> HandoverMeasured:
         """Poses of all cells."""
-        block = Poses(given(state.object_m)[:, None], given(state.object_quat)[:, None])
-        target = Poses(given(state.target_m)[:, None], given(state.target_quat)[:, None])
+        block = Poses(required(state.object_m)[:, None], required(state.object_quat)[:, None])
+        target = Poses(required(state.target_m)[:, None], required(state.target_quat)[:, None])
         tool = tools(state)
         flange = Poses(state.flange_m, tool.quat)
         relative = relative_to(flange, Poses(flange.position_m[:, ::-1], flange.quat[:, ::-1]))
         grip = Poses(block.position_m + rotate(block.quat, self._grip_m), block.quat)
         grip_in_tool_m = relative_to(tool, grip).position_m
         holding = holds(state, grip_in_tool_m, WIDTH_M)
-        return HandoverMeasured(block, target, relative, grip_in_tool_m, between(grip_in_tool_m), holding)
+        return HandoverMeasured(block, target, relative, grip_in_tool_m, between_fingers(grip_in_tool_m), holding)
 
     def observe(self, state: CellState, measured: HandoverMeasured, commanded_q_rad: Array) -> Array:
         """Assemble the observations, (n, 112)."""
-        gripper_m = given(state.gripper_m)[..., None]
+        gripper_m = required(state.gripper_m)[..., None]
         return self.layout.join(
             {
                 **arm_values(state, commanded_q_rad),
-                **wrench_values(given(state.wrench)),
+                **wrench_values(required(state.wrench)),
                 **pose_values("block_base", self._frames.poses_to_base(measured.block)),
                 **pose_values("target_base", self._frames.poses_to_base(measured.target)),
                 **pose_values("other_flange", measured.relative),
@@ -336,9 +336,9 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         return Outcome(earned, placed & ~lost & (terminal | over), over & ~terminal, info, terminal)
 
     def _facts(self, state: CellState, measured: HandoverMeasured) -> Facts:
-        rows, opening, away_m = np.arange(self.n), given(state.gripper_m), length(measured.grip_in_tool_m)
+        rows, opening, away_m = np.arange(self.n), required(state.gripper_m), length(measured.grip_in_tool_m)
         giving, receiving = (
-            Hand(measured.between[at], measured.holding[at], opening[at], away_m[at])
+            GripperFacts(measured.between[at], measured.holding[at], opening[at], away_m[at])
             for at in ((rows, self._giver), (rows, 1 - self._giver))
         )
         position = measured.block.position_m[:, 0]

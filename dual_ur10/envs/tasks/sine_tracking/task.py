@@ -16,7 +16,7 @@ from dual_ur10.envs.tasks.observation_layout import (
     arm_values,
     pose_fields,
 )
-from dual_ur10.envs.tasks.sine_tracking.path import CENTER_RANGE_M, TOOL_DOWN_QUAT, SineSettings, check_path
+from dual_ur10.envs.tasks.sine_tracking.settings import CENTER_RANGE_M, TOOL_DOWN_QUAT, SineSettings, check_path
 from dual_ur10.envs.tasks.task import Outcome, Task, Timing, gaussian
 from dual_ur10.kinematics import nearest
 from dual_ur10.kinematics.frames import Frames
@@ -37,7 +37,7 @@ class SineMeasured(NamedTuple):
     Attributes:
         reference_base_m: (n, 2, 3) where the flanges should be, in each arm's own `base` frame.
         ahead_base_m: (n, 2, 3) where they should be when the motion of the next action ends, in that frame.
-        turn: (n, 2, 3) rotation from flange to reference in that frame: twice the vector part of its quaternion,
+        rotation: (n, 2, 3) rotation from flange to reference in that frame: twice the vector part of its quaternion,
             which is the rotation vector as long as it is small.
         reference_m: (n, 2, 3) where the flanges should be, in the cell frame.
         error_m: (n, 2, 3) reference minus flange, in the cell frame.
@@ -45,7 +45,7 @@ class SineMeasured(NamedTuple):
 
     reference_base_m: Array
     ahead_base_m: Array
-    turn: Array
+    rotation: Array
     reference_m: Array
     error_m: Array
 
@@ -224,7 +224,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
                 **arm_values(state, commanded_q_rad),
                 "reference_base_m": measured.reference_base_m,
                 "ahead_base_m": measured.ahead_base_m,
-                "rotation": measured.turn,
+                "rotation": measured.rotation,
             }
         )
 
@@ -246,7 +246,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     def evaluate(self, state: CellState, measured: SineMeasured) -> Outcome:
         """Reward terms, and success at the end."""
         error = measured.error_m
-        vectors = np.concatenate([error, measured.turn, error[:, :1] - error[:, 1:]], axis=1)
+        vectors = np.concatenate([error, measured.rotation, error[:, :1] - error[:, 1:]], axis=1)
         squares = np.add.reduce(vectors * vectors, axis=2)
         sizes = np.sqrt(squares)
         terms = gaussian(sizes, _MARGINS)[:, _TERMS]

@@ -11,7 +11,7 @@ import numpy as np
 from dual_ur10.assets.gripper import OPENING_M
 from dual_ur10.assets.props import BAR_MASS_KG, BAR_WIDTH_M
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment
-from dual_ur10.envs.tasks.holding import PICKING, flanges_of, given, holds, tools
+from dual_ur10.envs.tasks.holding import PICKING, flanges_of, holds, required, tools
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     OTHER_FLANGE_FIELDS,
@@ -83,7 +83,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
 
     The path begins 5 s after the episode does, so that there is time to grasp; with `grasp="rigid"` the grippers are
     welded to the bar from the start and the path begins after 1.5 s. If the cell's speed limits are too tight for the
-    path, its clock runs slower, for both arms.
+    path, its clock runs duration_ratio, for both arms.
 
     ## Action Space
 
@@ -281,7 +281,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     def measure(self, state: CellState) -> CarryMeasured:
         """Poses, references and forces of all cells."""
         clock = (state.time_s[:, None] + self._when - self._grasp_s) * self._rate
-        bar = Poses(given(state.object_m)[:, None], given(state.object_quat)[:, None])
+        bar = Poses(required(state.object_m)[:, None], required(state.object_quat)[:, None])
         tool = tools(state)
         flange = Poses(state.flange_m, tool.quat)
         relative = relative_to(flange, Poses(flange.position_m[:, ::-1], flange.quat[:, ::-1]))
@@ -291,7 +291,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             holding = np.ones((self.n, 2), dtype=bool)
         else:
             holding = holds(state, grip_in_tool.position_m, BAR_WIDTH_M)
-        force = self._frames.vector_to_cell(given(state.wrench)[..., :3])
+        force = self._frames.vector_to_cell(required(state.wrench)[..., :3])
         references = self._path(clock, self._bar)
         return CarryMeasured(clock[:, 0], references, bar, relative, grip_in_tool, holding, force)
 
@@ -301,7 +301,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         now, ahead = (Poses(*(part[:, [k]] for part in measured.references)) for k in (0, 1))
         values = {
             **arm_values(state, commanded_q_rad),
-            **wrench_values(given(state.wrench)),
+            **wrench_values(required(state.wrench)),
             **pose_values("bar_base", self._frames.poses_to_base(measured.bar)),
             **pose_values("reference_base", self._frames.poses_to_base(now)),
             **pose_values("ahead_base", self._frames.poses_to_base(ahead)),
@@ -310,7 +310,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             "progress": per_arm(np.clip(clock / self._path.duration_s, 0.0, 1.0)),
         }
         if not self.settings.rigid:
-            values["gripper_m"] = given(state.gripper_m)[..., None]
+            values["gripper_m"] = required(state.gripper_m)[..., None]
         return self.layout.join(values)
 
     def evaluate(self, state: CellState, measured: CarryMeasured) -> Outcome:

@@ -78,13 +78,10 @@ def restored(cell):
     cell.ask("pretend", arm="left", **shown)
     cell.ask("pretend", arm="right", serial_number=SERIAL_NUMBERS[profile.family])
     cell.ask("override", arm="left", **dict.fromkeys(cell.ask("state", arm="left")))
-    for do, values in (
-        ("heal", {}),
-        ("slider", {"fraction": 1.0}),
-        ("remote", {"on": True}),
-        ("calibration", {"error_m": 0.0}),
-    ):
-        cell.ask(do, arm="left", **values)
+    cell.ask("heal", arm="left")
+    cell.ask("slider", arm="left", fraction=1.0)
+    cell.ask("remote", arm="left", on=True)
+    cell.ask("calibration", arm="left", error_m=0.0)
     return cell
 
 

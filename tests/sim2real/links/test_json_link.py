@@ -1,4 +1,4 @@
-"""The client of JSON lines: answers that are not valid, that are too large, and that come too late."""
+"""Client of JSON lines: answers that are not valid, that are too large, and that come too late."""
 
 import pytest
 

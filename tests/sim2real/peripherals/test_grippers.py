@@ -147,7 +147,7 @@ def test_a_held_object_stays_held(cell, file):
         grippers.command((OPENING_M, OPENING_M), 0.0)
 
 
-def test_a_gripper_without_power_is_a_fault_and_comes_back_only_by_activation(grippers, cell):
+def test_a_gripper_without_power_needs_activation(grippers, cell):
     cell.ask("press", arm="left", button="power_off")
     try:
         until(lambda: "the controller does not reach its gripper" in grippers.fault)

@@ -1,11 +1,11 @@
-"""How fast rollouts are collected for PPO: cells in one batch against a process for each environment.
+"""Rate of rollout collection for PPO: cells in one batch, compared with one process per environment.
 
 python benchmarks/collection.py [--task SineTracking] [--envs 64] [--blocks 9] [--json FILE]
 
-Both are the same PPO of Stable-Baselines3 that collects rollouts with its own network, torch on one thread: with
-`JointVecEnv` of 64 cells, and with Stable-Baselines3's `SubprocVecEnv` of as many environments as there are cores.
-Blocks of both alternate in one run; the median ratio is quoted, for it travels better than rates. The rate of a whole
-training, updates included, is that of PPO with the first.
+Both run the same PPO of Stable-Baselines3, which collects rollouts with its own network, torch on one thread: with
+`JointVecEnv` of 64 cells, and with `SubprocVecEnv` of Stable-Baselines3 with one environment per core. Blocks of both
+alternate in one run. The median ratio is quoted: it depends less on the machine than rates do. The rate of a whole
+training, updates included, is that of PPO with the batch.
 """
 
 import argparse
@@ -33,7 +33,7 @@ KEYWORDS = {"randomization": "mild", "action_latency_ticks": 5}
 
 
 def make_one(env_id: str):
-    """What makes one environment in a process of its own."""
+    """Return a function that makes one environment, for a process of its own."""
 
     def make() -> gym.Env:
         return gym.make(env_id, **KEYWORDS)
@@ -42,7 +42,7 @@ def make_one(env_id: str):
 
 
 class Collector:
-    """A model that collects rollouts and does nothing else."""
+    """Model that collects rollouts without learning."""
 
     def __init__(self, env: VecEnv, steps: int) -> None:
         self.env = VecNormalize(VecMonitor(env))
@@ -54,14 +54,14 @@ class Collector:
         self.steps = batch
 
     def __call__(self) -> float:
-        """Steps of the environment per second of one rollout."""
+        """Return environment steps per second of one rollout."""
         begin = time.perf_counter()
         self.model.collect_rollouts(self.env, self.callback, self.model.rollout_buffer, self.model.n_steps)
         return self.steps / (time.perf_counter() - begin)
 
 
 def whole(env: VecEnv, updates: int) -> float:
-    """Steps per second of a training with five epochs per update."""
+    """Return steps per second of a training with five epochs per update."""
     around = VecNormalize(VecMonitor(env))
     model = PPO("MlpPolicy", around, n_steps=64, batch_size=1024, n_epochs=5, device="cpu", seed=0)
     begin = time.perf_counter()

@@ -1,9 +1,9 @@
-"""How well the learned policies do that come with the package.
+"""Success rates of the learned policies that come with the package.
 
 python benchmarks/learning.py [--episodes 300] [--randomization mild,none] [--tasks SineTracking] [--json FILE]
 
-Seeds begin at 0; trainings learn from others, and look at their progress with others. The intervals are Wilson's, of
-95 %. On the emulated cell: `python -m dual_ur10 evaluate ENV --policy learned --cell FILE`.
+Seeds begin at 0; trainings use other seeds to learn and to check their progress. The intervals are
+Wilson's, of 95 %. On the emulated cell: `python -m dual_ur10 evaluate ENV --policy learned --cell FILE`.
 """
 
 import argparse
@@ -74,7 +74,7 @@ def main() -> None:
 
 
 def rms_mm(found: Evaluation) -> float:
-    """Root mean square of the error of both flanges, over all steps of all episodes."""
+    """Return the RMS error of both flanges in mm, over all steps of all episodes."""
     values = [each.last[f"flange_rms_m/{arm}"] or 0.0 for each in found.episodes for arm in ("left", "right")]
     return 1e3 * float(np.sqrt(np.mean(np.square(values))))
 

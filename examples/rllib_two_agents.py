@@ -3,8 +3,8 @@
 import os
 import sys
 
-# Read when Ray is imported. It then opens no port but on 127.0.0.1; its _node_ip_address does not see to that. On a
-# cluster leave out the first, and call ray.init("auto").
+# Ray reads these on import. With the first it opens ports on 127.0.0.1 only, which its _node_ip_address does not
+# ensure. On a cluster leave out the first, and call ray.init("auto").
 os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
 os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
 
@@ -21,7 +21,7 @@ KEYWORDS = {"duration_s": 10.0, "randomization": "mild", "action_latency_ticks":
 
 
 def ppo(agents: int) -> PPOConfig:
-    """What both ways of training have in common."""
+    """Return the settings that both ways of training share."""
     config = PPOConfig().framework("torch").debugging(seed=0)
     config.env_runners(
         num_env_runners=RUNNERS,
@@ -32,15 +32,15 @@ def ppo(agents: int) -> PPOConfig:
 
 
 def two_agents() -> PPOConfig:
-    """The PettingZoo view: a policy for each arm."""
+    """Use the PettingZoo interface: a policy for each arm."""
     register_env("two_arms", lambda config: ParallelPettingZooEnv(parallel_env("SineTracking", **config)))
     config = ppo(agents=2).environment("two_arms", env_config={"reward": "individual", **KEYWORDS})
-    # For one policy that acts for either arm: policies={"either"}, and a function that always gives "either".
+    # For one policy that moves either arm: policies={"either"}, and a function that always returns "either".
     return config.multi_agent(policies={"left", "right"}, policy_mapping_fn=lambda agent, episode, **keywords: agent)
 
 
 def joint_policy() -> PPOConfig:
-    """The Gymnasium view: one policy for both arms. Workers import what stands before the colon, to know the id."""
+    """Use the Gymnasium interface: one policy for both arms. The part before the colon registers the id."""
     return ppo(agents=1).environment("dual_ur10:DualUR10/SineTracking-v0", env_config=KEYWORDS)
 
 

@@ -17,6 +17,6 @@ env = VecNormalize(VecMonitor(JointVecEnv("SineTracking", 32, **keywords)))
 model = PPO("MlpPolicy", env, n_steps=64, batch_size=512, device="cpu", verbose=1)
 model.learn(steps)
 
-# A checkpoint holds numbers and text only, is checked against the environment, and runs without torch.
+# A checkpoint holds numbers and text only, is checked against its environment, and runs without torch.
 checkpoint.save(folder, *converted(model, "DualUR10/SineTracking-v0", vec_normalize=env, **keywords))
 env.close()

@@ -21,7 +21,7 @@ DOCUMENT = Path(__file__).parents[1] / "docs" / "how-to" / "policy-in-ci.md"
 
 
 class Good:
-    """Acts on single observations and on batches; each of the following classes breaks one rule."""
+    """A policy of single observations and batches; each of the following classes breaks one rule."""
 
     def reset(self):
         self.step = 0
@@ -41,7 +41,7 @@ class Single(Good):
 
 
 class Flat(Good):
-    """Does not look at how many observations there are."""
+    """Ignores the number of observations."""
 
     def __call__(self, observation):
         return super().__call__(observation.reshape(-1)[:68])
@@ -70,7 +70,7 @@ class Changes(Good):
 
 
 class Bends(Good):
-    """Every action is changed on its way out."""
+    """Changes every action."""
 
     def bent(self, action):
         raise NotImplementedError
@@ -112,7 +112,7 @@ class Nothing(Bends):
 
 
 class Remembers(Good):
-    """Its reset forgets nothing."""
+    """A reset that forgets nothing."""
 
     def __init__(self):
         self.step = 0
@@ -129,7 +129,7 @@ class Chance(Bends):
 
 
 class Mixes(Good):
-    """A row of a batch sees the others."""
+    """A row of a batch depends on the others."""
 
     def __call__(self, observation):
         action = super().__call__(observation)
@@ -137,7 +137,7 @@ class Mixes(Good):
 
 
 class Bows(Bends):
-    """Bows to the table, where the gate has to step in."""
+    """Moves down to the table until the gate refuses."""
 
     def bent(self, action):
         action[..., [1, 7]] = 1.0
@@ -163,20 +163,20 @@ ZOO = {
 
 
 @pytest.mark.parametrize("name", ZOO)
-def test_what_a_policy_must_not_be(name):
+def test_policies_that_break_a_rule_are_refused(name):
     policy, text = ZOO[name]
     with pytest.raises(PolicyError) as found:
         check_policy(policy, SINE, steps=12, **SHORT)
     assert text in str(found.value)
 
 
-def test_a_policy_that_the_gate_has_to_stop():
+def test_a_policy_refused_by_the_gate_fails_the_check():
     with pytest.raises(PolicyError, match=r"step \d+: the safety gate refused it: .*distance"):
         check_policy(Bows(), SINE)
 
 
 @pytest.mark.parametrize(("policy", "batched"), [(Good(), True), (Single(), False), (Flat(), False)])
-def test_what_a_good_policy_is_told(policy, batched):
+def test_the_report_of_a_good_policy(policy, batched):
     report = check_policy(policy, "SineTracking", **SHORT)
     assert report.env_id == SINE
     assert report.steps == 20
@@ -188,18 +188,18 @@ def test_what_a_good_policy_is_told(policy, batched):
     assert "20 steps, success no" in str(report)
 
 
-def test_the_scripted_policy_is_good_and_succeeds():
+def test_the_scripted_policy_passes_and_succeeds():
     report = check_policy(policies.load("scripted", SINE, duration_s=2.0), SINE, duration_s=2.0)
     assert report.success
     assert report.batched
     assert report.total_reward > 0.0
 
 
-def test_steps_end_an_episode_that_would_go_on():
+def test_steps_limit_the_episode():
     assert check_policy(Good(), SINE, steps=3).steps == 3
 
 
-def test_observations_with_pictures():
+def test_observations_with_pixels():
     class Looks(Good):
         def __call__(self, observation):
             assert set(observation) == {"state", "pixels"}
@@ -238,7 +238,7 @@ def test_a_slow_policy_is_a_note_and_no_error(monkeypatch, caplog):
         ({"amplitude": 3}, UnknownNameError),
     ],
 )
-def test_what_is_no_setting(keywords, error):
+def test_illegal_settings_are_refused(keywords, error):
     with pytest.raises(error):
         check_policy(Good(), SINE, **keywords)
 
@@ -259,7 +259,7 @@ def test_options(emulated_cell):
 
 @pytest.mark.emulated
 @pytest.mark.real_time
-def test_the_documents_example_in_another_project(tmp_path, monkeypatch):
+def test_the_documented_example_runs_in_another_project(tmp_path, monkeypatch):
     conftest, tests = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)
     (tmp_path / "conftest.py").write_text(conftest)
     (tmp_path / "test_it.py").write_text(tests + MORE)
@@ -283,7 +283,7 @@ WRONG = {
 }
 
 
-def test_options_that_are_none(tmp_path):
+def test_illegal_options_are_refused(tmp_path):
     (tmp_path / "conftest.py").write_text('pytest_plugins = ["dual_ur10.testing"]\n')
     tests = [f"{mark}\ndef test_{row}(emulated_cell): pass\n" for row, mark in enumerate(WRONG)]
     (tmp_path / "test_it.py").write_text("import pytest\n" + "".join(tests))

@@ -1,4 +1,4 @@
-"""Figures of accuracy on records whose answers are known."""
+"""Accuracy of records with known errors."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_perfect_tracking_has_no_error() -> None:
     assert all(value < 1e-6 for value in asdict(accuracy(made(reference, reference))).values())
 
 
-def test_an_error_along_the_line_between_the_flanges_counts_in_all_figures() -> None:
+def test_an_error_along_the_connecting_line_counts_in_all_figures() -> None:
     position = still()
     position[:, 0, 1] += 1e-3
     figures = accuracy(made(position, still()))
@@ -76,7 +76,7 @@ def test_an_error_along_the_line_between_the_flanges_counts_in_all_figures() -> 
     assert figures.orientation_max_deg < 1e-6
 
 
-def test_a_distance_hides_an_error_across_the_line_and_the_vector_does_not() -> None:
+def test_the_vector_shows_an_error_that_the_distance_hides() -> None:
     position = still()
     position[:, 1, 0] -= 2e-3
     figures = accuracy(made(position, still()))
@@ -114,7 +114,7 @@ def test_ripple_is_the_difference_of_the_speeds() -> None:
     assert accuracy(made(position, reference)).ripple_max_m_s == pytest.approx(0.03, abs=1e-6)
 
 
-def test_what_came_before_can_be_left_out() -> None:
+def test_accuracy_can_leave_out_the_beginning() -> None:
     position = still(10)
     position[2, 0, 2] += 1e-3
     record = made(position, still(10))
@@ -131,7 +131,7 @@ def test_delay_between_samples_is_found(delay: float) -> None:
     assert delay_s(late, early, PERIOD_S) == pytest.approx(delay, abs=1e-4)
 
 
-def test_equal_signals_have_no_delay_at_all_however_they_end() -> None:
+def test_equal_signals_have_exactly_no_delay() -> None:
     signal = np.cumsum(np.random.default_rng(3).normal(size=200))
     assert abs(delay_s(signal, signal, PERIOD_S)) < 1e-12
 
@@ -147,7 +147,7 @@ def test_lag_and_skew_of_two_arms() -> None:
     assert skew_s(record) == pytest.approx(0.008, abs=2e-4)
 
 
-def test_an_arm_that_stands_has_neither_lag_nor_skew() -> None:
+def test_a_static_arm_has_neither_lag_nor_skew() -> None:
     path = sine(60)
     path[:, 1] = CENTER[1]
     record = made(path, path)

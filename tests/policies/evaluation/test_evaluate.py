@@ -1,4 +1,4 @@
-"""Evaluation: many seeded episodes, what they say together, and the command that runs them."""
+"""Evaluation: seeded episodes, their summary and files, and the command."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ PUSHES = np.resize(np.array([1, 1, -1, 0.5], dtype=np.float32), 12)
 
 
 class Push:
-    """Moves both arms until something is in the way: after a time that depends on where they start."""
+    """Move both arms until the gate refuses: after a time that depends on their start."""
 
     def reset(self) -> None:
         """There is nothing to forget."""
@@ -104,7 +104,7 @@ class Push:
     ],
     ids=["scripted", "fast", "random", "push"],
 )
-def test_no_number_depends_on_what_runs_beside_it(policy: Any, keywords: dict[str, Any]) -> None:
+def test_no_number_depends_on_parallel_episodes(policy: Any, keywords: dict[str, Any]) -> None:
     episodes = 7 + scaled(60)
     alone = evaluate(SINE, policy, episodes=episodes, seed=3, num_envs=1, env_kwargs=keywords)
     assert [each.seed for each in alone.episodes] == list(range(3, 3 + episodes))
@@ -121,7 +121,7 @@ def test_no_number_depends_on_what_runs_beside_it(policy: Any, keywords: dict[st
 
 
 class Mixed(Push):
-    """The scripted policy, but for each third seed `Push`: so rows of the scripted one begin one by one."""
+    """The scripted policy, except `Push` for each third seed, so that rows begin one by one."""
 
     def __init__(self, keywords: dict[str, Any]) -> None:
         self.scripted = policies.load("scripted", SINE, **keywords)
@@ -138,7 +138,7 @@ class Mixed(Push):
         return np.where(pushes[:, None], super().__call__(observation), self.scripted(observation))
 
 
-def test_a_policy_that_learns_begins_anew_in_single_rows() -> None:
+def test_an_adaptive_policy_begins_single_rows() -> None:
     keywords = {"duration_s": 3.0, "cell": WILD}
     alone, three, eight = (
         evaluate(SINE, Mixed(keywords), episodes=9, num_envs=num_envs, env_kwargs=keywords).episodes
@@ -149,7 +149,7 @@ def test_a_policy_that_learns_begins_anew_in_single_rows() -> None:
 
 
 class Winding:
-    """Turns more and more since its reset, and does not look at what comes of it."""
+    """Actions that grow with the time since the reset, regardless of observations."""
 
     def reset(self) -> None:
         self.calls = 0
@@ -159,7 +159,7 @@ class Winding:
         return np.tile(PUSHES * np.float32(np.sin(self.calls / 20)), (len(observation), 1))
 
 
-def test_a_policy_that_notices_nothing_is_reset_for_every_episode() -> None:
+def test_a_stateful_policy_is_reset_for_every_episode() -> None:
     keywords = {"duration_s": 4.0}
     alone, three, eight = (
         evaluate(SINE, Winding(), episodes=10, num_envs=num_envs, env_kwargs=keywords).episodes
@@ -169,7 +169,7 @@ def test_a_policy_that_notices_nothing_is_reset_for_every_episode() -> None:
     assert len({each.steps for each in alone}) > 2
 
 
-def test_an_episode_is_what_a_rollout_gives() -> None:
+def test_an_episode_equals_a_rollout() -> None:
     keywords = {"duration_s": 1.2, "cell": WILD}
     found = evaluate(SINE, "scripted", episodes=5, num_envs=3, env_kwargs=keywords)
     env = gym.make(SINE, **keywords)
@@ -185,7 +185,7 @@ def test_an_episode_is_what_a_rollout_gives() -> None:
     env.close()
 
 
-def test_a_policy_may_be_an_object_and_is_taken_as_it_is() -> None:
+def test_a_policy_object_is_used_without_changes() -> None:
     keywords = {"duration_s": 0.4, "cell": WILD, "action_mode": "joint_position"}
     policy = policies.load("scripted", SINE, **keywords)
     given_one = evaluate(SINE, policy, episodes=4, num_envs=2, env_kwargs=keywords)
@@ -196,14 +196,14 @@ def test_a_policy_may_be_an_object_and_is_taken_as_it_is() -> None:
     assert given_one.success_rate == 1.0
 
 
-def test_random_actions_differ_between_episodes_whose_start_does_not() -> None:
+def test_random_actions_differ_between_episodes() -> None:
     found = evaluate(SINE, "random", episodes=4, env_kwargs={"duration_s": 0.4, "randomize": False})
     assert len({each.total_reward for each in found.episodes}) == 4
     still = evaluate(SINE, "zero", episodes=4, env_kwargs={"duration_s": 0.4, "randomize": False})
     assert len({each.total_reward for each in still.episodes}) == 1
 
 
-def test_what_is_evaluated_is_named() -> None:
+def test_an_evaluation_names_its_subject() -> None:
     found = evaluate(SINE, "zero", episodes=2, seed=9, env_kwargs={"duration_s": 0.2})
     assert (found.env_id, found.policy, found.kwargs, found.seed) == (SINE, "zero", {"duration_s": 0.2}, 9)
     assert found.versions["dual_ur10"] == dual_ur10.__version__
@@ -331,7 +331,7 @@ class Stub(VectorEnv[Any, Any, Any]):
 
 
 class Watching:
-    """A policy that checks what it is told against what it sees."""
+    """A policy that checks its notifications against its observations."""
 
     def __init__(self) -> None:
         self.resets = 0
@@ -397,7 +397,7 @@ def test_numbers_of_info_are_kept_with_their_peaks() -> None:
     }
 
 
-def test_what_is_known_of_one_row_alone_is_in_no_other() -> None:
+def test_info_of_one_row_stays_out_of_the_others() -> None:
     for num_envs in (1, 4):
         found = stub_evaluation(num_envs=num_envs)
         assert [each.seed for each in found.episodes if "rare_m" in each.peak] == [6]
@@ -415,7 +415,7 @@ def test_stages_that_were_reached_count_even_if_lost_again() -> None:
     assert (without.episodes[0].stage, without.stages, without.stage_scores) == (None, (), {})
 
 
-def test_a_policy_is_told_of_every_beginning() -> None:
+def test_a_policy_is_notified_of_every_beginning() -> None:
     policy = Watching()
     assert isinstance(policy, EpisodeAware)
     evaluate(STUB, policy, episodes=9, num_envs=4)
@@ -425,7 +425,7 @@ def test_a_policy_is_told_of_every_beginning() -> None:
     assert policy.resets == 1 + 9
 
 
-def test_a_policy_that_is_not_told_begins_all_rows_together() -> None:
+def test_other_policies_begin_all_rows_together() -> None:
     class Counting:
         resets = 0
 
@@ -443,7 +443,7 @@ def test_a_policy_that_is_not_told_begins_all_rows_together() -> None:
         assert len(Stub.made.order) == 9
 
 
-def test_an_endless_episode_is_an_error_and_a_row_without_work_is_not() -> None:
+def test_an_endless_episode_is_an_error_but_an_idle_row_is_not() -> None:
     for num_envs in (1, 4):
         with pytest.raises(errors.DualUR10Error, match="seed 5 has not ended after 40 steps \\(20 s\\)"):
             stub_evaluation(num_envs=num_envs, max_steps=40, env_kwargs={"endless": 5})
@@ -459,7 +459,7 @@ def test_an_endless_episode_is_an_error_and_a_row_without_work_is_not() -> None:
 
 
 @pytest.mark.parametrize("num_envs", [1, 4])
-def test_progress_tells_of_evaluations_that_could_have_been_asked_for(num_envs: int) -> None:
+def test_progress_equals_smaller_evaluations(num_envs: int) -> None:
     seen: list[Evaluation] = []
     whole = stub_evaluation(num_envs=num_envs, on_progress=seen.append)
     sizes = [len(each.episodes) for each in seen]
@@ -512,12 +512,12 @@ def test_spreads() -> None:
     assert (found["y_m"].largest, found["y_m"].median, found["y_m"].last) == (1.0, 1.0, None)
 
 
-def test_an_evaluation_of_nothing_is_none() -> None:
+def test_an_evaluation_needs_an_episode() -> None:
     with pytest.raises(errors.SettingsError):
         evaluation()
 
 
-def test_table_says_it_all() -> None:
+def test_the_table_has_every_figure() -> None:
     found = replace(stub_evaluation(), policy="[b]me[/b]")
     console = Console(file=io.StringIO(), width=120)
     console.print(found.as_table())
@@ -536,7 +536,7 @@ def test_table_says_it_all() -> None:
     assert re.search(r"cut short\s*│\s*4 ", text)
 
 
-def test_json_is_whole_and_the_same_however_it_was_run(tmp_path: Path) -> None:
+def test_json_is_complete_and_independent_of_the_rows(tmp_path: Path) -> None:
     for num_envs in (1, 4):
         stub_evaluation(num_envs=num_envs, episodes=4).to_json(tmp_path / f"{num_envs}.json")
     text = (tmp_path / "1.json").read_text()
@@ -707,7 +707,7 @@ def test_randomization_is_a_keyword_of_the_environment(monkeypatch: pytest.Monke
     assert (seen["episodes"], seen["seed"], seen["num_envs"]) == (300, 0, 8)
 
 
-def test_ctrl_c_prints_what_was_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_ctrl_c_prints_the_episodes_so_far(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     path.write_text("before")
     load, calls = policies.load, []

@@ -1,4 +1,4 @@
-"""Checkpoints: what was saved comes back, and nothing else is let in."""
+"""Checkpoints: saving, loading, and refusal of everything that was not saved."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def saved(master: Path, tmp_path: Path) -> Path:
 
 
 def sealed(value: dict[str, Any]) -> bytes:
-    """A manifest's text with the checksum that it must have."""
+    """Return a manifest's text with a valid checksum."""
     value = {name: each for name, each in value.items() if name != "sha256"}
     text = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
     return json.dumps({**value, "sha256": hashlib.sha256(text.encode()).hexdigest()}).encode()
@@ -124,12 +124,12 @@ def put(value: Any, path: tuple[Any, ...], new: Any) -> Any:
     return result
 
 
-# What was saved comes back.
+# Saving and loading.
 
 
 @pytest.mark.parametrize("agents", KINDS)
 @pytest.mark.parametrize("env_id", dual_ur10.ENV_IDS)
-def test_what_was_saved_comes_back_bit_for_bit(env_id: str, agents: str, tmp_path: Path) -> None:
+def test_a_saved_checkpoint_loads_bit_for_bit(env_id: str, agents: str, tmp_path: Path) -> None:
     networks, made = parts(env_id, agents, action_latency_ticks=5, randomization="mild")
     written = checkpoint.save(tmp_path / "x", networks, made)
     weights = (tmp_path / "x/policy.safetensors").read_bytes()
@@ -185,7 +185,7 @@ def test_two_agents_act_on_their_own_observations(env_id: str, agents: str, tmp_
 
 
 @pytest.mark.parametrize("agents", KINDS)
-def test_a_batch_gives_what_single_observations_give(agents: str, tmp_path: Path) -> None:
+def test_a_batch_gives_the_bits_of_single_observations(agents: str, tmp_path: Path) -> None:
     checkpoint.save(tmp_path / "x", *parts(SINE, agents, hidden=256))
     policy = checkpoint.load(tmp_path / "x")
     batch = np.random.default_rng(0).normal(size=(9, 68))
@@ -197,7 +197,7 @@ def test_a_batch_gives_what_single_observations_give(agents: str, tmp_path: Path
 
 
 @pytest.mark.parametrize("shape", [(67,), (2, 69), (1, 2, 68), ()])
-def test_what_is_no_observation_is_refused(saved: Path, shape: tuple[int, ...]) -> None:
+def test_malformed_observations_are_refused(saved: Path, shape: tuple[int, ...]) -> None:
     with pytest.raises(ActionError, match="an observation of"):
         checkpoint.load(saved)(np.zeros(shape))
 
@@ -220,14 +220,14 @@ def test_a_policy_is_found_by_its_path(saved: Path, monkeypatch: pytest.MonkeyPa
         policies.load(Path("a/no\0ne"), SINE)
 
 
-def test_it_can_be_evaluated(saved: Path) -> None:
+def test_a_checkpoint_can_be_evaluated(saved: Path) -> None:
     keywords = {"action_latency_ticks": 5, "amplitude_m": 0.08, "duration_s": 0.4}
     policy = policies.load(saved, SINE, **keywords)
     found = [evaluate(SINE, policy, episodes=3, num_envs=n, env_kwargs=keywords).episodes for n in (1, 2)]
     assert found[0] == found[1]
 
 
-def test_its_folder_stands_for_it_on_the_command_line(saved: Path, tmp_path: Path, monkeypatch: Any) -> None:
+def test_commands_take_the_folder_of_a_checkpoint(saved: Path, tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     settings = ("--set", "action_latency_ticks=5", "--set", "amplitude_m=0.08", "--set", "duration_s=0.4")
     for command in (("rollout", "--no-record"), ("evaluate", "--envs", "1")):
@@ -244,7 +244,7 @@ def test_its_folder_stands_for_it_on_the_command_line(saved: Path, tmp_path: Pat
     assert returns[0] == returns[1]
 
 
-def test_it_needs_no_torch(saved: Path) -> None:
+def test_loading_needs_no_torch(saved: Path) -> None:
     script = (
         "import sys\nsys.modules['torch'] = sys.modules['stable_baselines3'] = None\nimport numpy as np\n"
         "from dual_ur10 import policies\n"
@@ -255,7 +255,7 @@ def test_it_needs_no_torch(saved: Path) -> None:
     assert result.stdout == "(12,)\n"
 
 
-def test_every_interface_is_an_environment(tmp_path: Path) -> None:
+def test_environments_of_every_interface_are_accepted(tmp_path: Path) -> None:
     keywords: dict[str, Any] = {"action_latency_ticks": 5, "amplitude_m": 0.08}
     saved = tmp_path / "x"
     checkpoint.save(saved, *parts(SINE, "shared", **keywords))
@@ -275,10 +275,10 @@ def test_every_interface_is_an_environment(tmp_path: Path) -> None:
         checkpoint.load(saved, object())
 
 
-# Saving loses nothing.
+# Atomic saving.
 
 
-def test_nothing_is_written_over(saved: Path, tmp_path: Path) -> None:
+def test_nothing_is_overwritten(saved: Path, tmp_path: Path) -> None:
     before = {path.name: path.read_bytes() for path in saved.iterdir()}
     (tmp_path / "file").write_text("mine")
     (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
@@ -291,8 +291,8 @@ def test_nothing_is_written_over(saved: Path, tmp_path: Path) -> None:
     assert sorted(os.listdir(tmp_path)) == ["copy", "dangling", "empty", "file"]
 
 
-def test_what_comes_between_is_not_written_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Somebody makes the folder while the files are written."""
+def test_a_folder_made_meanwhile_is_not_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another program makes the folder while the files are written."""
     write = checkpoint._write
 
     def slow(path: Path, data: bytes) -> None:
@@ -308,19 +308,19 @@ def test_what_comes_between_is_not_written_over(tmp_path: Path, monkeypatch: pyt
 
 
 @pytest.mark.parametrize("name", [".hidden", "-x", "a b", "ä", "x" * 65, "a\n", "a;b"])
-def test_names_that_are_none(name: str, tmp_path: Path) -> None:
+def test_illegal_folder_names_are_refused(name: str, tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match="no name of a checkpoint"):
         checkpoint.save(tmp_path / name, *parts())
     assert not os.listdir(tmp_path)
 
 
-def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
+def test_an_absent_parent_folder_is_reported(tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match="No such file"):
         checkpoint.save(tmp_path / "none" / "x", *parts())
 
 
 @pytest.mark.parametrize("most", [0, 10, 1000, 4000])
-def test_a_full_disk_leaves_what_was(most: int, saved: Path, tmp_path: Path) -> None:
+def test_a_full_disk_changes_nothing(most: int, saved: Path, tmp_path: Path) -> None:
     before = {path.name: path.read_bytes() for path in saved.iterdir()}
     script = (
         "import resource, sys\n"
@@ -340,12 +340,12 @@ def test_a_full_disk_leaves_what_was(most: int, saved: Path, tmp_path: Path) -> 
     assert {path.name: path.read_bytes() for path in saved.iterdir()} == before
 
 
-def test_weights_that_are_not_those_of_the_manifest(tmp_path: Path) -> None:
+def test_weights_that_contradict_the_manifest_are_refused(tmp_path: Path) -> None:
     networks, made = parts()
     (weight, bias), last = networks[0]
     nan = weight.copy()
     nan[0, 0] = np.nan
-    for wrong, said in (
+    for wrong, message in (
         ([[(nan, bias), last]], "NaN or infinity"),
         ([[(weight.astype(np.float64), bias), last]], "must be float32"),
         ([[(weight.T, bias), last]], "of shape"),
@@ -353,13 +353,13 @@ def test_weights_that_are_not_those_of_the_manifest(tmp_path: Path) -> None:
         (networks * 2, "layers"),
         ([], "layers"),
     ):
-        with pytest.raises(CheckpointError, match=said):
+        with pytest.raises(CheckpointError, match=message):
             checkpoint.save(tmp_path / "x", wrong, made)
     assert not os.listdir(tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"training": {"f": print}}, "cannot be written"),
         ({"training": {"f": float("nan")}}, "finite"),
@@ -369,15 +369,15 @@ def test_weights_that_are_not_those_of_the_manifest(tmp_path: Path) -> None:
         ({"evaluation": []}, "evaluation"),
     ],
 )
-def test_manifests_that_could_not_be_read_are_not_written(changes: Any, said: str, tmp_path: Path) -> None:
+def test_unreadable_manifests_are_not_written(changes: Any, message: str, tmp_path: Path) -> None:
     networks, made = parts()
-    with pytest.raises(CheckpointError, match=said):
+    with pytest.raises(CheckpointError, match=message):
         checkpoint.save(tmp_path / "x", networks, dataclasses.replace(made, **changes))
     assert not os.listdir(tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"normalisers": (Normaliser((0.0,), (1.0,)),)}, "means for"),
         ({"normalisers": (Normaliser((0.0,) * 68, (1.0,) * 68),) * 2}, "normalisers for"),
@@ -389,8 +389,8 @@ def test_manifests_that_could_not_be_read_are_not_written(changes: Any, said: st
         ({"weights_sha256": "x"}, "64 digits"),
     ],
 )
-def test_parts_that_do_not_fit_each_other(changes: Any, said: str) -> None:
-    with pytest.raises(CheckpointError, match=said):
+def test_inconsistent_manifests_are_refused(changes: Any, message: str) -> None:
+    with pytest.raises(CheckpointError, match=message):
         dataclasses.replace(parts()[1], **changes)
 
 
@@ -399,7 +399,7 @@ def test_parts_that_do_not_fit_each_other(changes: Any, said: str) -> None:
 
 @pytest.mark.parametrize("resealed", [False, True])
 @pytest.mark.parametrize("name", ["manifest.json", "policy.safetensors"])
-def test_truncated_at_any_length(name: str, resealed: bool, saved: Path) -> None:
+def test_files_truncated_at_any_length_are_refused(name: str, resealed: bool, saved: Path) -> None:
     data = (saved / name).read_bytes()
     if name == "manifest.json":
         data = data.rstrip()  # without its last line break it says the same
@@ -412,7 +412,7 @@ def test_truncated_at_any_length(name: str, resealed: bool, saved: Path) -> None
             checkpoint.load(saved)
 
 
-def test_any_byte_of_the_weights_changed(saved: Path) -> None:
+def test_any_changed_byte_of_the_weights_is_refused(saved: Path) -> None:
     path = saved / "policy.safetensors"
     data = path.read_bytes()
     for k in range(0, len(data), 1 if SOAK else 20):
@@ -423,7 +423,7 @@ def test_any_byte_of_the_weights_changed(saved: Path) -> None:
             checkpoint.load(saved)
 
 
-def test_any_value_of_the_manifest_changed(saved: Path) -> None:
+def test_any_changed_value_of_the_manifest_is_refused(saved: Path) -> None:
     value = content(saved)
     found = [path for path in leaves(value) if path and not isinstance(at(value, path), dict | list)]
     for path in found[:: 1 if SOAK else 5] + [each for each in found if not isinstance(each[-1], int)]:
@@ -434,7 +434,7 @@ def test_any_value_of_the_manifest_changed(saved: Path) -> None:
             checkpoint.load(saved)
 
 
-def test_any_value_of_another_type_under_a_right_checksum(saved: Path) -> None:
+def test_any_value_of_another_type_is_refused(saved: Path) -> None:
     value = content(saved)
     free = ("kwargs", "training", "evaluation")
     found = [path for path in leaves(value) if path and not any(name in path[:-1] for name in free)]
@@ -457,7 +457,7 @@ def test_any_value_of_another_type_under_a_right_checksum(saved: Path) -> None:
                 checkpoint.load(saved)
 
 
-def test_any_value_missing_or_more_of_them(saved: Path) -> None:
+def test_missing_and_unknown_keys_are_refused(saved: Path) -> None:
     value = content(saved)
     for path in leaves(value):
         here = at(value, path)
@@ -524,14 +524,14 @@ def test_all_findings_are_reported_with_their_paths(saved: Path) -> None:
         b" " * (2 << 20),
     ],
 )
-def test_texts_that_are_no_manifest(text: bytes, saved: Path) -> None:
+def test_malformed_manifests_are_refused(text: bytes, saved: Path) -> None:
     (saved / "manifest.json").write_bytes(text)
     with pytest.raises(CheckpointError):
         checkpoint.load(saved)
 
 
-def test_a_key_that_is_there_twice(saved: Path) -> None:
-    """Python takes the last one, others the first."""
+def test_duplicate_keys_are_refused(saved: Path) -> None:
+    """Python takes the last value, other readers the first."""
     path = saved / "manifest.json"
     path.write_text(path.read_text().replace("{", '{"seed": 9,', 1))
     with pytest.raises(CheckpointError, match="a key twice"):
@@ -539,7 +539,7 @@ def test_a_key_that_is_there_twice(saved: Path) -> None:
 
 
 @pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999"])
-def test_numbers_that_are_not_finite(number: str, saved: Path) -> None:
+def test_non_finite_numbers_are_refused(number: str, saved: Path) -> None:
     text = sealed(put(content(saved), ("normalisers", 0, "clip"), 987654.25)).decode()
     bare = text.replace("987654.25", number)
     (saved / "manifest.json").write_text(bare)
@@ -549,7 +549,7 @@ def test_numbers_that_are_not_finite(number: str, saved: Path) -> None:
         schema.read(Normaliser, {"mean": [1.0], "var": [1.0], "clip": float("inf"), "epsilon": 1.0}, "x")
 
 
-def test_weights_of_another_layout(saved: Path) -> None:
+def test_weights_of_another_layout_are_refused(saved: Path) -> None:
     _, layers = checkpoint._read(saved)
     good = {
         f"policy.{k}.{kind}": array
@@ -570,14 +570,14 @@ def test_weights_of_another_layout(saved: Path) -> None:
     ]
     exchange_weights(saved, serialised(good))
     checkpoint.load(saved)
-    for tensors, said in bad:
+    for tensors, message in bad:
         exchange_weights(saved, serialised(tensors))
-        with pytest.raises(CheckpointError, match=said):
+        with pytest.raises(CheckpointError, match=message):
             checkpoint.load(saved)
 
 
-def test_files_that_promise_more_than_they_hold(saved: Path) -> None:
-    """Sizes in the header, or of the file, that would have to be allocated."""
+def test_files_that_announce_huge_sizes_are_refused(saved: Path) -> None:
+    """The sizes stand in the header, or are those of a sparse file."""
     header = json.dumps({"policy.0.bias": {"dtype": "F32", "shape": [2**40], "data_offsets": [0, 2**42]}}).encode()
     for data in (
         len(header).to_bytes(8, "little") + header,
@@ -624,7 +624,7 @@ def test_links_and_special_files_are_not_followed(name: str, saved: Path) -> Non
     checkpoint.load(saved)
 
 
-def test_a_folder_that_is_none(saved: Path) -> None:
+def test_a_path_that_is_no_folder_is_refused(saved: Path) -> None:
     link = saved.parent / "link"
     link.symlink_to(saved)
     for path in (link, saved / "manifest.json", saved.parent / "none", Path("/dev/null")):
@@ -636,7 +636,7 @@ def test_a_folder_that_is_none(saved: Path) -> None:
 
 
 class Payload:
-    """Makes a file when it is unpickled."""
+    """Make a folder when unpickled."""
 
     def __init__(self, sentinel: Path) -> None:
         self.sentinel = sentinel
@@ -646,7 +646,7 @@ class Payload:
 
 
 def corpus(sentinel: Path) -> dict[str, bytes]:
-    """Files of the kinds that run code where they are read by those who trust them."""
+    """Return files of all kinds that run code if a reader trusts them."""
     payload = Payload(sentinel)
     found = {f"pickle {protocol}": pickle.dumps(payload, protocol) for protocol in range(6)}
     found["in a dict"] = pickle.dumps({"state_dict": {"weight": payload}})
@@ -666,8 +666,8 @@ def corpus(sentinel: Path) -> dict[str, bytes]:
     return found
 
 
-def test_the_payloads_are_sharp(tmp_path: Path) -> None:
-    """What follows would prove nothing otherwise."""
+def test_the_payloads_run_code_where_they_are_trusted(tmp_path: Path) -> None:
+    """Otherwise the tests below would prove nothing."""
     sentinel = tmp_path / "sentinel"
     found = corpus(sentinel)
     for name in ("pickle 0", "pickle 5", "in a dict", "python"):
@@ -699,7 +699,7 @@ def test_no_file_runs_code(saved: Path, tmp_path: Path) -> None:
 
 
 def test_no_field_runs_code(saved: Path, tmp_path: Path) -> None:
-    """In every field of the manifest and every name in the weights: refused, or kept as the text that it is."""
+    """A payload in any field or name is refused, or kept as plain text."""
     sentinel = tmp_path / "sentinel"
     value = content(saved)
     found = [path for path in leaves(value) if path and path[0] != "sha256"]
@@ -734,7 +734,7 @@ def test_no_field_runs_code(saved: Path, tmp_path: Path) -> None:
 
 
 def test_keywords_from_the_file_open_nothing(saved: Path, tmp_path: Path) -> None:
-    """Those that say where things are belong to whoever loads it."""
+    """Keywords with paths and cells come from the caller alone."""
     pipe = tmp_path / "lab.toml"
     os.mkfifo(pipe)  # reading it would never end
     for name, new in (
@@ -765,7 +765,7 @@ def test_keywords_from_the_file_open_nothing(saved: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("env_id", "keywords", "said"),
+    ("env_id", "keywords", "message"),
     [
         (CARRY, {}, "is of DualUR10/SineTracking-v0"),
         (SINE, {"policy_rate_hz": 12.5}, "period_ticks 5, the environment has 10: set policy_rate_hz"),
@@ -778,9 +778,9 @@ def test_keywords_from_the_file_open_nothing(saved: Path, tmp_path: Path) -> Non
         (SINE, {"cell": dual_ur10.CellConfig(servoj=dual_ur10.ServojProfile("e-series"))}, "tick_s 0.008"),
     ],
 )
-def test_a_checkpoint_of_another_environment(saved: Path, env_id: str, keywords: dict[str, Any], said: str) -> None:
+def test_a_checkpoint_of_another_environment(saved: Path, env_id: str, keywords: dict[str, Any], message: str) -> None:
     keywords = {"action_latency_ticks": 5, **keywords}
-    with pytest.raises(CheckpointError, match=said):
+    with pytest.raises(CheckpointError, match=message):
         policies.load(saved, env_id, **keywords)
     if "policy_rate_hz" not in keywords:
         env = gym.make(env_id, **keywords)
@@ -789,7 +789,7 @@ def test_a_checkpoint_of_another_environment(saved: Path, env_id: str, keywords:
         env.close()
 
 
-def test_keywords_that_are_none(saved: Path) -> None:
+def test_illegal_keywords_are_refused(saved: Path) -> None:
     with pytest.raises(UnknownNameError, match="colour"):
         policies.load(saved, SINE, colour="red")
     with pytest.raises(SettingsError):
@@ -833,8 +833,8 @@ def test_a_checkpoint_of_another_version(version: str, saved: Path) -> None:
         (("action", "dtype"), "float64"),
     ],
 )
-def test_what_it_says_of_its_environment_must_be_true(path: tuple[Any, ...], new: Any, saved: Path) -> None:
-    """Also when everything else in it fits."""
+def test_a_false_signature_is_refused(path: tuple[Any, ...], new: Any, saved: Path) -> None:
+    """Every single wrong value is refused, although all others are right."""
     (saved / "manifest.json").write_bytes(sealed(put(content(saved), ("signature", *path), new)))
     with pytest.raises(CheckpointError):
         policies.load(saved, SINE, action_latency_ticks=5, amplitude_m=0.08)
@@ -863,7 +863,7 @@ def test_the_networks_of_two_agents_must_fit_their_observations(tmp_path: Path) 
         checkpoint.load(tmp_path / "x")
 
 
-def test_what_does_not_matter_is_told(saved: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_differences_without_effect_are_warnings(saved: Path, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         policies.load(saved, SINE, action_latency_ticks=5, amplitude_m=0.08, randomization="mild")
         assert not caplog.records
@@ -882,7 +882,7 @@ def test_what_does_not_matter_is_told(saved: Path, caplog: pytest.LogCaptureFixt
     assert "calibrated" in caplog.text
 
 
-def test_another_family_loads_by_itself(tmp_path: Path) -> None:
+def test_a_checkpoint_of_another_family_loads_without_keywords(tmp_path: Path) -> None:
     profile = dual_ur10.ServojProfile("e-series", gain=1800.0)
     networks, made = parts(HANDOVER, "shared", cell=dual_ur10.CellConfig(servoj=profile), action_latency_ticks=20)
     checkpoint.save(tmp_path / "x", networks, made)

@@ -27,7 +27,7 @@ KEYWORDS: dict[str, Any] = {"action_latency_ticks": 5}
 
 
 class Spaces(gym.Env[Any, Any]):
-    """An environment of which models need the spaces alone."""
+    """Environment with spaces alone, for models that are never stepped."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         self.observation_space = gym.spaces.Box(-10, 10, (inputs,), np.float64)
@@ -61,7 +61,7 @@ def model_of(algorithm: str, inputs: int = 68, outputs: int = 12, seed: int = 0,
         ("sac", {"net_arch": [32, 16, 8], "activation_fn": torch.nn.Tanh}),
     ],
 )
-def test_it_acts_as_the_model_does(algorithm: str, policy: Any, tmp_path: Path) -> None:
+def test_a_converted_policy_acts_as_the_model(algorithm: str, policy: Any, tmp_path: Path) -> None:
     model = model_of(algorithm, **dict(policy))
     checkpoint.save(tmp_path / "x", *converted(model, SINE, **KEYWORDS))
     loaded = checkpoint.load(tmp_path / "x", SINE, **KEYWORDS)
@@ -87,7 +87,7 @@ def test_observations_are_normalised_as_in_training() -> None:
     assert normaliser_of(around) is None
 
 
-def test_two_models_of_two_arms() -> None:
+def test_two_models_convert_for_independent_agents() -> None:
     models = [model_of("sac", 56, 7, seed) for seed in range(2)]
     networks, manifest = converted(models, HANDOVER, agents="independent", **KEYWORDS)
     loaded = checkpoint.LearnedPolicy(manifest, networks, checkpoint.view_of(HANDOVER, KEYWORDS))
@@ -101,7 +101,7 @@ def test_two_models_of_two_arms() -> None:
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
-def test_a_file_is_read_if_it_is_trusted(algorithm: Any, tmp_path: Path) -> None:
+def test_a_trusted_file_is_read(algorithm: Any, tmp_path: Path) -> None:
     model = model_of(algorithm)
     model.save(tmp_path / "model.zip")
     loaded = from_sb3(tmp_path / "model.zip", SINE, algorithm=algorithm, trust_pickle=True, **KEYWORDS)
@@ -129,7 +129,7 @@ def test_a_file_that_is_not_trusted_runs_no_code(tmp_path: Path) -> None:
     assert not sentinel.exists()
 
 
-def test_files_and_names_that_are_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unreadable_files_and_unknown_names_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "x.zip").write_bytes(b"PK")
     for path in (tmp_path / "x.zip", tmp_path / "none.zip"):
         with pytest.raises(CheckpointError, match="cannot be read"):

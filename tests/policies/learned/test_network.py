@@ -27,7 +27,7 @@ def bounds(size: int) -> tuple[Any, Any]:
 @pytest.mark.parametrize("activation", ["tanh", "relu"])
 @pytest.mark.parametrize("squashing", ["clip", "tanh"])
 @pytest.mark.parametrize("sizes", [(7, 3), (68, 256, 256, 12), (41, 33, 65, 7), (3, 4096, 2), (4096, 5, 1)])
-def test_it_computes_what_torch_computes(activation: Any, squashing: Any, sizes: tuple[int, ...]) -> None:
+def test_outputs_equal_those_of_torch(activation: Any, squashing: Any, sizes: tuple[int, ...]) -> None:
     torch = pytest.importorskip("torch")
     shape = NetworkShape(sizes, activation, squashing)
     weights, (low, high) = layers(shape), bounds(sizes[-1])
@@ -50,7 +50,7 @@ def test_it_computes_what_torch_computes(activation: Any, squashing: Any, sizes:
 
 
 @pytest.mark.parametrize("sizes", [(68, 256, 256, 12), (112, 64, 64, 14), (41, 300, 7)])
-def test_a_row_of_a_batch_gets_what_it_gets_alone(sizes: tuple[int, ...]) -> None:
+def test_a_row_of_a_batch_gives_the_bits_of_a_single_one(sizes: tuple[int, ...]) -> None:
     shape = NetworkShape(sizes, "tanh", "clip")
     network = Network(shape, layers(shape), *bounds(sizes[-1]), None)
     batch = np.random.default_rng(0).normal(size=(64, sizes[0]))
@@ -70,14 +70,14 @@ def test_actions_stay_within_their_bounds() -> None:
     assert (found == high).any()
 
 
-def test_what_overflows_warns_of_nothing_and_stays_within_bounds() -> None:
+def test_overflow_gives_no_warning_and_stays_within_bounds() -> None:
     shape = NetworkShape((1, 1, 1), "relu", "clip")
     huge = [(np.float32([[3e38]]), np.float32([0])), (np.float32([[3e38]]), np.float32([0]))]
     found = Network(shape, huge, np.float32([-1]), np.float32([1]), None)(np.array([[100.0]]))
     assert found.tolist() == [[1.0]]
 
 
-def test_an_observation_is_left_as_it_is() -> None:
+def test_the_observation_is_not_changed() -> None:
     shape = NetworkShape((2, 2), "tanh", "clip")
     network = Network(shape, layers(shape), *bounds(2), Normaliser((1.0, 2.0), (1.0, 1.0)))
     observation = np.array([[5.0, -50.0]])
@@ -94,7 +94,7 @@ def test_impossible_sizes_are_refused(sizes: tuple[int, ...]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "said"),
+    ("values", "message"),
     [
         ({"mean": (1.0,), "var": (1.0, 2.0)}, "one each"),
         ({"mean": (1.0,), "var": (-1.0,)}, "variance of -1"),
@@ -102,6 +102,6 @@ def test_impossible_sizes_are_refused(sizes: tuple[int, ...]) -> None:
         ({"mean": (1.0,), "var": (1.0,), "epsilon": 0.0}, "above 0"),
     ],
 )
-def test_impossible_normalisers_are_refused(values: Any, said: str) -> None:
-    with pytest.raises(CheckpointError, match=said):
+def test_impossible_normalisers_are_refused(values: Any, message: str) -> None:
+    with pytest.raises(CheckpointError, match=message):
         Normaliser(**values)

@@ -20,14 +20,14 @@ ALL = [(name, env_id) for env_id in dual_ur10.ENV_IDS for name in shipped_names(
 KEYWORDS = {"action_latency_ticks": 5}
 
 
-def test_there_are_some_for_one_agent_and_for_two():
+def test_shipped_policies_cover_one_agent_and_two():
     kinds = {checkpoint.read_manifest(shipped_folder(*each)).agents for each in ALL}
     assert "joint" in kinds
     assert kinds & {"shared", "independent"}
 
 
 @pytest.mark.parametrize(("name", "env_id"), ALL)
-def test_its_card_says_what_its_manifest_says(name, env_id):
+def test_the_card_agrees_with_the_manifest(name, env_id):
     folder = shipped_folder(name, env_id)
     manifest, card = checkpoint.read_manifest(folder), (folder / "card.md").read_text()
     assert manifest.signature.env_id == env_id
@@ -42,7 +42,7 @@ def test_its_card_says_what_its_manifest_says(name, env_id):
 
 
 @pytest.mark.parametrize(("name", "env_id"), ALL)
-def test_it_is_loaded_by_name_and_acts(name, env_id):
+def test_a_shipped_policy_loads_by_name_and_acts(name, env_id):
     policy = policies.load(name, env_id, **KEYWORDS)
     env = gym.make(env_id, **KEYWORDS)
     observation, _ = env.reset(seed=0)
@@ -55,14 +55,14 @@ def test_it_is_loaded_by_name_and_acts(name, env_id):
 
 
 @pytest.mark.parametrize(("name", "env_id"), ALL)
-def test_it_succeeds(name, env_id):
+def test_a_shipped_policy_succeeds(name, env_id):
     episodes = 300 if SOAK else 4 if "SyncCarry" in env_id else 8  # its physics is the slowest
     keywords = checkpoint.read_manifest(shipped_folder(name, env_id)).signature.kwargs  # what it was trained for
     found = evaluate(env_id, name, episodes=episodes, num_envs=64, env_kwargs=dict(keywords))
     assert found.successes >= (0.9 if SOAK else 0.75) * episodes
 
 
-def test_names_that_are_none_are_refused():
+def test_unknown_names_are_refused():
     with pytest.raises(UnknownNameError, match="learned"):
         policies.load("learnt", dual_ur10.ENV_IDS[0])
     without = [env_id for env_id in dual_ur10.ENV_IDS if "learned-two-agents" not in shipped_names(env_id)]

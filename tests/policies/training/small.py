@@ -13,11 +13,11 @@ REINFORCEMENT: dict[str, dict[str, Any]] = {
 }
 SHORT: dict[str, Any] = {"duration_s": 2.0}
 STEPS = 50
-"""Of an episode."""
+"""Steps of an episode."""
 
 
 def small(algorithm: str = "dagger", agents: str = "joint", *, rounds: int = 2, **given: Any) -> Training:
-    """A training of SineTracking in two cells, of so many episodes each."""
+    """Return a training of SineTracking in two cells, with so many episodes in each."""
     changes = IMITATION if algorithm in ("bc", "dagger") else REINFORCEMENT[algorithm]
     keywords = {**SHORT, **given.pop("keywords", {})}
     changes = {**changes, **given.pop("changes", {})}

@@ -22,7 +22,7 @@ def env():
 
 
 def plays(side, seed, steps, seen):
-    """A learner that acts at random and keeps what it sees."""
+    """Return a learner that acts at random and appends its observations to `seen`."""
     rng = np.random.default_rng(seed)
 
     def learner():
@@ -35,7 +35,7 @@ def plays(side, seed, steps, seen):
     return learner
 
 
-def test_each_sees_its_rows_of_one_environment(env):
+def test_each_learner_sees_the_rows_of_its_arm(env):
     learners, seen = AlternatingLearners(env), ([], [])
     learners.run([plays(learners.sides[k], k, 60, seen[k]) for k in (0, 1)])
     alone = TwoAgentVecEnv("SineTracking", 3, **KEYWORDS)
@@ -64,7 +64,7 @@ def test_each_sees_its_rows_of_one_environment(env):
     alone.close()
 
 
-def test_an_error_of_one_ends_both_and_is_handed_on(env):
+def test_an_error_of_one_learner_ends_both_and_is_raised(env):
     learners, seen = AlternatingLearners(env), ([], [])
 
     def fails():
@@ -76,7 +76,7 @@ def test_an_error_of_one_ends_both_and_is_handed_on(env):
     assert len(seen[0]) < 10
 
 
-def test_one_that_ends_early_ends_the_other(env):
+def test_the_end_of_one_learner_ends_the_other(env):
     learners, seen = AlternatingLearners(env), ([], [])
     learners.run([plays(learners.sides[0], 0, 3, seen[0]), plays(learners.sides[1], 1, 10_000, seen[1])])
     assert len(seen[0]) == 4
@@ -103,7 +103,7 @@ def test_an_interrupt_ends_both(env, monkeypatch):
     learners.run([plays(learners.sides[k], k, 2, []) for k in (0, 1)])  # and again
 
 
-def test_one_resets_where_the_other_steps(env):
+def test_learners_out_of_step_are_an_error(env):
     learners = AlternatingLearners(env)
 
     def resets():

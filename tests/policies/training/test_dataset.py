@@ -1,4 +1,4 @@
-"""Datasets of Minari, made and read."""
+"""Minari datasets: collection and reading."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def made(name="ur10/sine/scripted-v0", **given):
     return collect(given.pop("env_id", "SineTracking"), name, **given)
 
 
-def test_anyone_with_minari_can_use_it():
-    told = []
-    made(on_progress=lambda *counts: told.append(counts))
+def test_minari_alone_reads_a_dataset():
+    counts_seen = []
+    made(on_progress=lambda *counts: counts_seen.append(counts))
     dataset = minari.load_dataset("ur10/sine/scripted-v0")
     assert dataset.total_episodes == 3
     assert dataset.total_steps == 150
-    assert told == [(2, 2), (3, 3)]
+    assert counts_seen == [(2, 2), (3, 3)]
     assert dataset.spec.env_spec.id == SINE
     assert dataset.spec.env_spec.kwargs["action_latency_ticks"] == 5
     alone = evaluate(SINE, "scripted", episodes=3, num_envs=1, seed=4, env_kwargs=KEYWORDS)
@@ -52,16 +52,16 @@ def test_anyone_with_minari_can_use_it():
     assert [each["seed"] for each in metadata] == [4, 5, 6]
 
 
-def test_what_is_read_is_what_was_seen_and_done():
+def test_read_samples_are_the_recorded_ones():
     made(episodes=1)
     observation, action = read_dataset("ur10/sine/scripted-v0", view_of(SINE, KEYWORDS))
     policy = policies.load("scripted", SINE, **KEYWORDS)
     assert observation.shape == (50, 68)
-    said = np.array([policy(row) for row in observation.astype(np.float64)])
-    np.testing.assert_allclose(said, action, atol=2e-4)  # single precision of what was seen
+    expected = np.array([policy(row) for row in observation.astype(np.float64)])
+    np.testing.assert_allclose(expected, action, atol=2e-4)  # single precision of what was seen
 
 
-def test_only_what_went_well_is_learned_from():
+def test_only_successful_episodes_are_read():
     made("ur10/other-v0", policy="scripted", episodes=2)
     view = view_of(SINE, KEYWORDS)
     whole, _ = read_dataset("ur10/other-v0", view)
@@ -72,7 +72,7 @@ def test_only_what_went_well_is_learned_from():
     np.testing.assert_array_equal(half, whole[50:])
 
 
-def test_nothing_is_learned_where_nothing_went_well():
+def test_a_dataset_without_success_is_refused():
     made(episodes=2)
     storage = minari.load_dataset("ur10/sine/scripted-v0").storage
     view = view_of(SINE, KEYWORDS)
@@ -83,7 +83,7 @@ def test_nothing_is_learned_where_nothing_went_well():
     assert len(read_dataset("ur10/sine/scripted-v0", view)[0]) == 100
 
 
-def test_a_damaged_one_is_named(tmp_path):
+def test_a_damaged_dataset_is_refused(tmp_path):
     made(episodes=2)
     path = minari.load_dataset("ur10/sine/scripted-v0").storage.data_path / "main_data.hdf5"
     view, whole = view_of(SINE, KEYWORDS), path.read_bytes()
@@ -124,7 +124,7 @@ def test_only_states_in_simulation_are_collected(tmp_path, monkeypatch, keywords
         ({"action_mode": "joint_position"}, "action"),
     ],
 )
-def test_one_of_another_environment_is_refused(other, match):
+def test_a_dataset_of_another_environment_is_refused(other, match):
     made()
     env_id = other.pop("env_id", SINE)
     keywords = {name: value for name, value in {**KEYWORDS, **other}.items() if value is not None}
@@ -132,7 +132,7 @@ def test_one_of_another_environment_is_refused(other, match):
         read_dataset("ur10/sine/scripted-v0", view_of(env_id, keywords))
 
 
-def test_nothing_is_written_over():
+def test_nothing_is_overwritten():
     made()
     with pytest.raises(DatasetError, match="exists"):
         made()
@@ -140,29 +140,29 @@ def test_nothing_is_written_over():
 
 
 @pytest.mark.parametrize("name", ["", "no version", "a/b", "../x-v0", "a b-v0"])
-def test_names_that_are_none_are_refused_before_anything_runs(name, monkeypatch):
+def test_illegal_names_are_refused_before_anything_runs(name, monkeypatch):
     monkeypatch.setattr("dual_ur10.policies.evaluation.evaluate.load", lambda *_, **__: pytest.fail("it ran"))
     with pytest.raises(DatasetError, match="no name of a dataset"):
         made(name)
 
 
 @pytest.mark.parametrize("name", ["no/such-v0", "nonsense"])
-def test_one_that_is_not_there_is_refused(name):
+def test_an_absent_dataset_is_refused(name):
     with pytest.raises(DatasetError, match="cannot be read"):
         read_dataset(name, view_of(SINE, KEYWORDS))
 
 
-def test_one_that_does_not_say_what_it_is_of_is_refused():
+def test_a_dataset_without_an_environment_is_refused():
     made(episodes=1)
     path = minari.load_dataset("ur10/sine/scripted-v0").storage.data_path / "metadata.json"
-    told = json.loads(path.read_text())
+    metadata = json.loads(path.read_text())
     for spec in (None, "", "{}", '{"id": "CartPole-v1"}'):
-        path.write_text(json.dumps({**told, "env_spec": spec}))
+        path.write_text(json.dumps({**metadata, "env_spec": spec}))
         with pytest.raises(DatasetError, match=r"does not specify its environment|cannot be read"):
             read_dataset("ur10/sine/scripted-v0", view_of(SINE, KEYWORDS))
 
 
-def test_cloning_learns_from_one_and_from_nothing_else(tmp_path, monkeypatch):
+def test_cloning_learns_from_a_dataset_alone(tmp_path, monkeypatch):
     pytest.importorskip("stable_baselines3")
     from dual_ur10.policies.learned import checkpoint
     from dual_ur10.policies.training import imitation as imitate
@@ -187,7 +187,7 @@ def test_cloning_learns_from_one_and_from_nothing_else(tmp_path, monkeypatch):
         assert again.weights_sha256 == manifest.weights_sha256
 
 
-def test_dagger_begins_with_one(tmp_path):
+def test_dagger_begins_with_a_dataset(tmp_path):
     pytest.importorskip("stable_baselines3")
     from dual_ur10.policies.learned import checkpoint
     from dual_ur10.policies.training.train import train
@@ -205,7 +205,7 @@ def test_dagger_begins_with_one(tmp_path):
     assert any(each["steps"] == 0 for each in looked)  # a pupil drives from the beginning
 
 
-def test_one_that_does_not_fit_is_refused_before_anything_is_made(tmp_path):
+def test_a_misfit_is_refused_before_anything_is_made(tmp_path):
     pytest.importorskip("stable_baselines3")
     from dual_ur10.policies.training.train import train
     from tests.policies.training.small import small

@@ -1,4 +1,4 @@
-"""Episodes to learn from."""
+"""Samples for imitation."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ def run(learner=None, *, expert_ratio=0.0, within=1, noise=0.0, patience=np.inf,
     low, high = env.core.action_space.low, env.core.action_space.high
     try:
         rng = np.random.default_rng(seed)
-        teacher = Expert(SINE, rows, low, high, **KEYWORDS)
+        expert = Expert(SINE, rows, low, high, **KEYWORDS)
         given = {"expert_ratio": expert_ratio, "within": within, "noise": noise, "patience": patience, "rng": rng}
         if on_step is not None:
             given["on_step"] = on_step
-        return gather(env, teacher, learner, range(rows), **given)
+        return gather(env, expert, learner, range(rows), **given)
     finally:
         env.close()
 
 
-def test_an_expert_that_drives_does_as_it_does_alone():
+def test_a_driving_expert_acts_as_it_does_alone():
     counted = []
     found = run(on_step=counted.append)
     policy = policies.load("scripted", SINE, **KEYWORDS)
@@ -43,7 +43,7 @@ def test_an_expert_that_drives_does_as_it_does_alone():
     assert found.observation.dtype == found.action.dtype == np.float32
 
 
-def test_it_is_asked_where_the_learner_has_led_the_arms():
+def test_the_expert_labels_states_that_the_learner_led_to():
     away = np.full(12, 0.05, dtype=np.float32)
     found = run(lambda observation: np.tile(away, (len(observation), 1)), expert_ratio=0.0)
     # The learner drifts away, and the expert says: back.
@@ -51,7 +51,7 @@ def test_it_is_asked_where_the_learner_has_led_the_arms():
     assert found.returns.max() < run().returns.min()
 
 
-def test_the_expert_begins_a_share_of_the_episodes_and_hands_over():
+def test_the_expert_begins_some_episodes_and_hands_over():
     def learner(observation):
         return np.full((len(observation), 12), 0.02)
 
@@ -71,7 +71,7 @@ def test_the_expert_begins_a_share_of_the_episodes_and_hands_over():
         assert not same[handed[row] + 2 :].any()
 
 
-def test_the_expert_helps_one_that_wants_something_quite_different():
+def test_the_expert_helps_a_learner_that_differs_too_much():
     def learner(observation):
         return np.full((len(observation), 12), 0.5)
 
@@ -85,7 +85,7 @@ def test_the_expert_helps_one_that_wants_something_quite_different():
     assert calm.observation.tobytes() == again.observation.tobytes()
 
 
-def test_noise_is_in_what_is_done_and_not_in_what_is_said():
+def test_noise_is_in_the_motion_and_not_in_the_labels():
     calm, noisy = run(), run(noise=0.3)
     first = calm.action[:3]
     np.testing.assert_allclose(noisy.action[:3], first, atol=1e-6)  # nothing has been done yet
@@ -93,13 +93,13 @@ def test_noise_is_in_what_is_done_and_not_in_what_is_said():
     assert np.abs(noisy.observation - calm.observation)[:, :6].max() < 0.1  # joints: it comes back
 
 
-def test_the_same_numbers_again():
+def test_the_same_seeds_give_the_same_samples():
     first, second = run(noise=0.2, seed=5), run(noise=0.2, seed=5)
     assert first.observation.tobytes() == second.observation.tobytes()
     assert first.action.tobytes() == second.action.tobytes()
 
 
-def test_one_who_does_not_know_leaves_the_others_alone(monkeypatch):
+def test_a_lost_row_leaves_the_others_alone(monkeypatch):
     rows, low, high = 3, -np.ones(12, np.float32), np.ones(12, np.float32)
     expert = Expert(SINE, rows, low, high, **KEYWORDS)
 
@@ -133,7 +133,7 @@ def test_one_who_does_not_know_leaves_the_others_alone(monkeypatch):
     assert expert(np.zeros((3, 68)), np.zeros(3, dtype=bool))[1].tolist() == [False] * 3
 
 
-def test_there_is_no_noise_where_the_expert_rests(monkeypatch):
+def test_a_resting_expert_has_no_noise(monkeypatch):
     monkeypatch.setattr(
         Expert, "__call__", lambda self, seen, live: (np.zeros((len(seen), 12), np.float32), live.copy())
     )
@@ -141,7 +141,7 @@ def test_there_is_no_noise_where_the_expert_rests(monkeypatch):
     assert calm.observation.tobytes() == noisy.observation.tobytes()
 
 
-def test_fingers_do_not_shake():
+def test_fingers_have_no_noise():
     keywords = {"action_latency_ticks": 5, "max_time_s": 2.0}
     env = DualArmVectorEnv(2, "Handover", autoreset_mode="Disabled", action_latency_ticks=5, max_episode_steps=30)
     del keywords["max_time_s"]

@@ -1,4 +1,4 @@
-"""Cloning and DAgger, whole, in seconds."""
+"""Behaviour cloning and DAgger: complete trainings that take seconds."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def whole(tmp_path_factory):
     return train(small(rounds=3), out)
 
 
-def test_its_folder_has_all_that_it_says(whole):
+def test_the_folder_holds_every_documented_file(whole):
     folder = whole.parent
     names = {each.name.split(".out")[0] for each in folder.iterdir()}
     samples = {f"samples-000{k}.safetensors" for k in range(3)}
@@ -51,7 +51,7 @@ def test_its_folder_has_all_that_it_says(whole):
     assert json.loads((folder / "training.json").read_text())["algorithm"] == "dagger"
 
 
-def test_what_comes_of_it_says_where_it_is_from(whole):
+def test_the_result_states_its_origin(whole):
     manifest = checkpoint.read_manifest(whole)
     assert manifest.signature.env_id == SINE
     assert manifest.signature.rate.latency_ticks == 5
@@ -64,8 +64,8 @@ def test_what_comes_of_it_says_where_it_is_from(whole):
     assert str(whole.parent.parent) not in text  # nobody's folders
 
 
-def test_the_best_at_a_look_comes_of_it(tmp_path, monkeypatch):
-    """Of four fits, the second is as good as the third, and the fourth is worse."""
+def test_the_best_check_is_the_result(tmp_path, monkeypatch):
+    """Among four fits, the third equals the second, and the fourth is worse."""
     rates, seen = [0.0, 1.0, 1.0, 0.5], []
     real = folders.check_of
 
@@ -88,7 +88,7 @@ def test_the_same_seed_gives_the_same_bits_on_any_number_of_threads(whole, tmp_p
 
 
 @pytest.mark.parametrize("at", [0, 1, 2])
-def test_one_that_was_interrupted_comes_to_the_same(whole, tmp_path, monkeypatch, at):
+def test_an_interrupted_training_gives_the_same_result(whole, tmp_path, monkeypatch, at):
     real, calls = imitate.gather, []
 
     def interrupted(*arguments, **keywords):
@@ -107,7 +107,7 @@ def test_one_that_was_interrupted_comes_to_the_same(whole, tmp_path, monkeypatch
 
 @pytest.mark.parametrize("name", ["rounds", "longest", "steps"])
 @pytest.mark.parametrize("value", ["x", None, []])
-def test_a_state_that_cannot_be_is_named(whole, tmp_path, name, value):
+def test_an_impossible_state_is_refused(whole, tmp_path, name, value):
     copied = shutil.copytree(whole.parent, tmp_path / "out")
     path = copied / "state" / "values.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), name: value}))
@@ -115,7 +115,7 @@ def test_a_state_that_cannot_be_is_named(whole, tmp_path, name, value):
         resume(copied)
 
 
-def test_more_steps_can_be_asked_for(tmp_path):
+def test_a_training_can_be_extended(tmp_path):
     first = train(small(rounds=1), tmp_path / "out")
     more = resume(tmp_path / "out", steps=2 * 2 * STEPS)
     assert (first.name, more.name) == ("policy", "policy-2")
@@ -125,7 +125,7 @@ def test_more_steps_can_be_asked_for(tmp_path):
 
 
 @pytest.mark.parametrize("agents", ["joint", "shared", "independent"])
-def test_every_kind_of_agents_acts(tmp_path, agents):
+def test_every_kind_of_agents_trains(tmp_path, agents):
     asked = small("bc", agents, rounds=1)
     path = train(asked, tmp_path / "out")
     policy = policies.load(path, SINE, **asked.keywords)
@@ -159,13 +159,13 @@ def test_unknown_unseen_fields_are_refused_before_training(tmp_path):
     assert not list((tmp_path / "out").glob("samples*"))
 
 
-def test_the_two_of_independent_agents_differ(tmp_path):
+def test_independent_networks_differ(tmp_path):
     policy = checkpoint.load(train(small("bc", "independent", rounds=1), tmp_path / "out"))
     left, right = policy.layers
     assert left[0][0].tobytes() != right[0][0].tobytes()
 
 
-def test_it_learns(tmp_path):
+def test_imitation_learns(tmp_path):
     changes = {"hidden": (64, 64), "fit_steps": 1000, "batch_size": 256}
     keywords = {"randomize": False, "randomization": "none"}
     asked = small(envs=8, rounds=1, steps=3 * 8 * STEPS, changes=changes, keywords=keywords)
@@ -176,7 +176,7 @@ def test_it_learns(tmp_path):
     assert learned > 3 * raw
 
 
-def test_a_checkpoint_can_be_begun_with(whole, tmp_path):
+def test_imitation_can_begin_with_a_checkpoint(whole, tmp_path):
     asked = small("bc", rounds=1, init=str(whole), changes={"fit_steps": 1, "learning_rate": 1e-9})
     after, before = checkpoint.load(train(asked, tmp_path / "out")), checkpoint.load(whole)
     for (a, b), (c, d) in zip(before.layers[0], after.layers[0], strict=True):
@@ -188,7 +188,7 @@ def test_a_checkpoint_can_be_begun_with(whole, tmp_path):
 
 
 @pytest.mark.parametrize("nth", [0, 1, 3])
-def test_a_full_disk_loses_nothing_that_was_saved(whole, tmp_path, monkeypatch, nth):
+def test_a_full_disk_loses_no_saved_state(whole, tmp_path, monkeypatch, nth):
     real, count = os.fsync, []
 
     def full(descriptor):
@@ -208,7 +208,7 @@ def test_a_full_disk_loses_nothing_that_was_saved(whole, tmp_path, monkeypatch, 
         assert nth < 3
 
 
-def test_a_disk_that_is_full_for_the_logs_is_a_named_error(tmp_path, monkeypatch):
+def test_a_full_disk_for_the_logs_is_a_training_error(tmp_path, monkeypatch):
     from stable_baselines3.common.logger import CSVOutputFormat
 
     def full(*_, **__):
@@ -221,7 +221,7 @@ def test_a_disk_that_is_full_for_the_logs_is_a_named_error(tmp_path, monkeypatch
     assert resume(tmp_path / "out").name == "policy"
 
 
-def test_a_folder_with_something_in_it_is_left_alone(whole, tmp_path):
+def test_a_folder_that_is_not_empty_is_left_alone(whole, tmp_path):
     before = sorted(each.name for each in whole.parent.iterdir())
     with pytest.raises(TrainingError, match="not empty"):
         train(small(), whole.parent)

@@ -34,7 +34,7 @@ def network(fit):
     return Network(fit.shape(), fit.layers(), -one, one, fit.normaliser)
 
 
-def test_a_policy_of_the_layers_does_what_was_shown():
+def test_the_fitted_layers_reproduce_the_actions():
     fit, loss = fitted()
     observation, action = samples(500, seed=1)
     found = network(fit)(observation.astype(np.float64))
@@ -44,7 +44,7 @@ def test_a_policy_of_the_layers_does_what_was_shown():
     assert fit.shape().layers == (5, 32, 32, 2)
 
 
-def test_what_hardly_varies_is_not_blown_up():
+def test_nearly_constant_values_are_not_amplified():
     observation, _ = samples()
     normaliser = normaliser_of(observation)
     assert normaliser.mean[4] == 4.0
@@ -53,14 +53,14 @@ def test_what_hardly_varies_is_not_blown_up():
 
 
 def nearly_together(count, seed):
-    """Two numbers that move together, and what their small difference asks for."""
+    """Two values that move together, and an action that follows their small difference."""
     rng = np.random.default_rng(seed)
     first, apart = rng.standard_normal(count), 0.004 * rng.standard_normal(count)
     observation = np.stack([first, first + apart, np.full(count, 2.0)], axis=1).astype(np.float32)
     return observation, (-50.0 * apart[:, None]).astype(np.float32)
 
 
-def test_a_small_difference_of_numbers_that_move_together_is_seen():
+def test_small_differences_of_correlated_values_are_learned():
     fit = Fit(SETTINGS)
     with reproducible(0):
         fit(*nearly_together(2000, 0), 400, np.random.default_rng(0))
@@ -74,7 +74,7 @@ def test_a_small_difference_of_numbers_that_move_together_is_seen():
     np.testing.assert_allclose(act(moved), found, atol=0.2)
 
 
-def test_it_is_blind_to_what_it_is_not_to_see():
+def test_unseen_values_have_no_effect():
     observation, action = samples()
     fit = Fit(SETTINGS, unseen=[1, 3])
     with reproducible(0):
@@ -94,7 +94,7 @@ def test_the_same_seed_gives_the_same_bits():
     assert first[0][0].tobytes() != other[0][0].tobytes()
 
 
-def test_it_begins_with_what_it_is_given():
+def test_a_fit_begins_with_the_initial_layers():
     before, _ = fitted(steps=200)
     after, _ = fitted(steps=0, seed=9, layers=before.layers(), normaliser=before.normaliser)
     for (a, b), (c, d) in zip(before.layers(), after.layers(), strict=True):
@@ -102,7 +102,7 @@ def test_it_begins_with_what_it_is_given():
         np.testing.assert_allclose(b, d, rtol=1e-5, atol=1e-6)
 
 
-def test_torch_is_left_as_it_was():
+def test_the_state_of_torch_is_restored():
     before = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled(), torch.get_rng_state()
     strict = []
 

@@ -1,4 +1,4 @@
-"""PPO and SAC, whole, in seconds."""
+"""PPO and SAC: complete trainings that take seconds."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ def test_the_same_seed_gives_the_same_bits(tmp_path, algorithm, agents):
     assert {"state", "training.json", "curve.png", "progress.csv"} <= {each.name for each in (tmp_path / "a").iterdir()}
 
 
-def test_steps_are_those_of_the_environment(tmp_path):
+def test_steps_count_environment_steps(tmp_path):
     for agents in ("joint", "shared", "independent"):
         train(small("ppo", agents, steps=128), tmp_path / agents)
         assert state.load(tmp_path / agents / "state")[1]["steps"] == 128
 
 
 @pytest.mark.parametrize(("algorithm", "agents"), [("ppo", "joint"), ("ppo", "independent"), ("sac", "joint")])
-def test_one_that_was_interrupted_goes_on_from_what_it_had_learned(tmp_path, monkeypatch, algorithm, agents):
+def test_an_interrupted_training_continues_from_its_state(tmp_path, monkeypatch, algorithm, agents):
     real, saved = reinforce.Reinforcer.watch, []
 
     def interrupted(self, infos, steps):
@@ -84,11 +84,11 @@ def test_one_that_was_interrupted_goes_on_from_what_it_had_learned(tmp_path, mon
     assert path.name == "policy"
 
 
-def test_ppo_begins_with_what_dagger_has_learned(tmp_path):
-    teacher = train(small("dagger", changes={"hidden": (16,)}), tmp_path / "dagger")
-    asked = small("ppo", init=str(teacher), steps=32)
+def test_ppo_can_begin_with_the_result_of_dagger(tmp_path):
+    expert = train(small("dagger", changes={"hidden": (16,)}), tmp_path / "dagger")
+    asked = small("ppo", init=str(expert), steps=32)
     seen = []
-    learned = policies.load(teacher, SINE, **asked.keywords)
+    learned = policies.load(expert, SINE, **asked.keywords)
     env = JointVecEnv("SineTracking", 2, **asked.keywords)
     model, around = models.make("ppo", env, asked.settings, 0)
     models.begin_with([(model, around)], learned)
@@ -116,19 +116,19 @@ def test_ppo_begins_with_what_dagger_has_learned(tmp_path):
         ("sac", "joint", (16,), "use ppo"),
     ],
 )
-def test_a_checkpoint_that_does_not_fit_is_refused_before_anything_is_made(tmp_path, algorithm, agents, hidden, match):
-    teacher = train(small("bc", rounds=1), tmp_path / "bc")
+def test_a_misfit_is_refused_before_anything_is_made(tmp_path, algorithm, agents, hidden, match):
+    expert = train(small("bc", rounds=1), tmp_path / "bc")
     with pytest.raises((TrainingError, SettingsError), match=match):
         train(
-            small(algorithm, agents, init=str(teacher), steps=32, changes={"hidden": hidden}),
+            small(algorithm, agents, init=str(expert), steps=32, changes={"hidden": hidden}),
             tmp_path / "out",
         )
     assert not (tmp_path / "out").exists()
 
 
-def test_one_that_began_without_a_normaliser_goes_on_without(tmp_path):
-    teacher = train(small("bc", rounds=1), tmp_path / "bc")
-    learned = checkpoint.load(teacher)
+def test_a_training_without_a_normaliser_continues_without(tmp_path):
+    expert = train(small("bc", rounds=1), tmp_path / "bc")
+    learned = checkpoint.load(expert)
     checkpoint.save(tmp_path / "bare", learned.layers, dataclasses.replace(learned.manifest, normalisers=()))
     asked = small("ppo", init=str(tmp_path / "bare"), steps=32)
     path = train(asked, tmp_path / "out")
@@ -140,7 +140,7 @@ def test_one_that_began_without_a_normaliser_goes_on_without(tmp_path):
     around.close()
 
 
-def test_one_that_diverges_is_told(tmp_path, monkeypatch):
+def test_divergence_is_a_training_error(tmp_path, monkeypatch):
     real = reinforce.Reinforcer.watch
 
     def spoiled(self, infos, steps):
@@ -154,7 +154,7 @@ def test_one_that_diverges_is_told(tmp_path, monkeypatch):
         train(small("ppo", steps=128), tmp_path / "out")
 
 
-def test_an_error_that_is_no_divergence_is_told_as_it_is(tmp_path, monkeypatch):
+def test_other_errors_are_raised_unchanged(tmp_path, monkeypatch):
     def broken(self, infos, steps):
         raise ValueError("something else")
 
@@ -172,7 +172,7 @@ def test_the_state_of_another_training_is_refused(tmp_path):
         resume(tmp_path / "b", steps=128)
 
 
-def test_the_best_look_is_kept(tmp_path, monkeypatch):
+def test_the_best_checks_are_kept(tmp_path, monkeypatch):
     ranks = iter([0.2, 0.9, 0.5, 0.1])
     real = folder.check_of
 

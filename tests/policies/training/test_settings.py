@@ -1,4 +1,4 @@
-"""What a training is asked to do."""
+"""Specifications of trainings."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_every_task_has_settings_for_every_algorithm(env_id, algorithm):
     assert isinstance(asked.settings, Imitation if algorithm in ("bc", "dagger") else Reinforcement)
 
 
-def test_what_is_given_counts():
+def test_arguments_override_the_defaults():
     asked = defaults(
         "SyncCarry",
         "bc",
@@ -104,7 +104,7 @@ def test_impossible_values_are_refused(wrong):
         {"envs": 1, "changes": {"steps_per_update": 1}},
     ],
 )
-def test_what_ppo_cannot_learn_with_is_refused(wrong):
+def test_impossible_settings_of_ppo_are_refused(wrong):
     with pytest.raises(SettingsError):
         defaults("SineTracking", "ppo", **wrong)
 
@@ -117,7 +117,7 @@ def test_nothing_is_trained_on_two_controllers(tmp_path, algorithm):
         defaults("SineTracking", algorithm, envs=1, randomization="none", keywords={"cell": str(path)})
 
 
-def test_no_training_learns_from_episodes_it_is_judged_by():
+def test_training_and_check_seeds_are_disjoint():
     shown = range(10_000)  # figures that are published begin at 0
     checks = range(CHECK_SEED, CHECK_SEED + 10_000)
     first, last = first_seed_of(0), first_seed_of(1_999_999) + 999_999

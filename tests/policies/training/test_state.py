@@ -1,4 +1,4 @@
-"""What a training keeps so that it can go on."""
+"""State of a training."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def same(found, wanted):
         assert (found[name].dtype, found[name].shape) == (value.dtype, value.shape)
 
 
-def test_what_is_saved_is_loaded(tmp_path):
+def test_a_saved_state_is_loaded(tmp_path):
     state.save(tmp_path / "state", TENSORS, {"steps": 3, "text": "ü"})
     tensors, values = state.load(tmp_path / "state")
     same(tensors, TENSORS)
@@ -54,7 +54,7 @@ def test_a_full_disk_leaves_the_state_before(tmp_path, monkeypatch, call, nth):
     assert values == {"steps": 3}
 
 
-def test_an_end_between_two_renames_loses_nothing(tmp_path):
+def test_an_end_between_two_renames_loses_no_state(tmp_path):
     state.save(tmp_path / "state", TENSORS, {"steps": 3})
     (tmp_path / "state").rename(tmp_path / "state.old")
     assert state.load(tmp_path / "state")[1] == {"steps": 3}
@@ -69,7 +69,7 @@ class Hostile:
 
 @pytest.mark.parametrize("name", ["tensors.safetensors", "values.json"])
 @pytest.mark.parametrize("content", [b"", b"[]", b"{", b"[" * 100_000, b"\xff" * 64, pickle.dumps(Hostile())])
-def test_files_that_are_none_are_refused_and_run_nothing(tmp_path, monkeypatch, name, content):
+def test_malformed_files_are_refused_and_run_no_code(tmp_path, monkeypatch, name, content):
     monkeypatch.chdir(tmp_path)
     state.save(tmp_path / "state", TENSORS, {"steps": 3})
     (tmp_path / "state" / name).write_bytes(content)
@@ -78,12 +78,12 @@ def test_files_that_are_none_are_refused_and_run_nothing(tmp_path, monkeypatch, 
     assert not (tmp_path / "pwned").exists()
 
 
-def test_nothing_saved_is_said(tmp_path):
+def test_an_absent_state_is_refused(tmp_path):
     with pytest.raises(TrainingError, match="nothing was saved"):
         state.load(tmp_path / "state")
 
 
-def test_single_files_are_written_at_once_or_not_at_all(tmp_path, monkeypatch):
+def test_single_files_are_written_completely_or_not(tmp_path, monkeypatch):
     path = tmp_path / "samples.safetensors"
     state.save_tensors(path, TENSORS)
     same(state.load_tensors(path), TENSORS)

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, get_args
+from typing import Any, Literal, NamedTuple, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,6 @@ from dual_ur10.sim2real.control.clearance import MINIMUM_M, checked_base_uncerta
 from dual_ur10.sim2real.control.limits import MotionLimits, checked_tcp
 from dual_ur10.sim2real.control.servoj import MEASURED_LOOKAHEAD_S, ServojProfile
 from dual_ur10.types import Array, Rows, Vector3
-
-if TYPE_CHECKING:
-    from dual_ur10.sim2real.config.cell_file import CellFile
 
 Numbers = float | Array | tuple[Any, ...]
 
@@ -138,6 +135,20 @@ class CellStep(NamedTuple):
     late: bool = False
     first_target: int | None = None
     trace: TickTrace | None = None
+
+
+class CellSource(Protocol):
+    """Cell file from which a configuration was made, as far as the configuration knows it."""
+
+    @property
+    def source(self) -> str:
+        """Path of the file, for messages."""
+
+    def config(self) -> CellConfig:
+        """Return the configuration that the file describes."""
+
+    def text(self) -> str:
+        """Return the content of the file."""
 
 
 class Cell(Protocol):
@@ -334,7 +345,7 @@ class CellConfig:
     speed_factor: float = 1.0
     obstacles: tuple[Obstacle, ...] = ()
     uncertainty: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
-    file: CellFile | None = None
+    file: CellSource | None = None
     wrench_noise: tuple[float, float] = (2.0, 0.2)
     grippers_mounted: bool = False
     equipment: Equipment = field(default_factory=Equipment)

@@ -23,6 +23,7 @@ from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, qua
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm, prompt_for
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, CellStep, Start
+from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.control.adapter import GRIPPER_OPENING_M, Command
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.command_queue import MAX_LATENCY_TICKS
@@ -85,7 +86,7 @@ class RtdeCell:
         confirm: Confirm | None = None,
         only: str | None = None,
     ) -> None:
-        if config.file is None:
+        if not isinstance(config.file, CellFile):
             raise SettingsError("a cell of two controllers needs a cell file: pass its path as `cell`")
         least = margin_ticks(config.servoj.tick_s) + 1
         if not (isinstance(latency_ticks, int | np.integer) and least <= latency_ticks <= MAX_LATENCY_TICKS):

@@ -1,4 +1,4 @@
-"""Feed-forward of the joint servos: the torque that the wanted motion takes, by the controller's model of the arm."""
+"""Feed-forward of the joint servos: torque of the wanted motion, by the controller's model of the arm."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.assets.collision_model import build_collision_model
 from dual_ur10.assets.settings import GAINS, SceneSettings
-from dual_ur10.envs.sim.payload import write_masses
+from dual_ur10.envs.sim.plant import write_masses
 from dual_ur10.kinematics.rotations import cross
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.types import Array
@@ -21,11 +21,11 @@ STEPS_PER_EVALUATION = 20
 
 
 class FeedForward:
-    """Turns a wanted motion into the position servos' controls.
+    """Controls of the position servos for a wanted motion.
 
     `ctrl = q + (kv v + M(q) a + c(q, v)) / kp`, with v after the step, as MuJoCo's implicit integrator applies it.
-    Gravity is left out: the model compensates it. Inertia and velocity terms come from a batch of the nominal arm,
-    which knows of a payload only what was declared.
+    Gravity is absent, because the model compensates it. Inertia and velocity terms come from a batch of nominal arms
+    with the declared payload.
 
     Args:
         settings: The scene.
@@ -46,26 +46,26 @@ class FeedForward:
         self._entries = _dense_entries(model)
         kp, kv = (np.tile(gains, 2) for gains in GAINS[settings.gains])
         self._compliance, self._damping = 1.0 / kp, kv / kp
-        # Torques are columns where accelerations stand on the left. One arm's inertia does not concern the other.
+        # Accelerations multiply from the left, so torques are columns. The arms' inertias do not couple.
         self._weight_of_entries = np.kron(np.eye(2), np.ones((6, 6))) * self._compliance
         self.n = n
         self._declared_kg: Array = np.zeros((n, 2))
         self._payload = PayloadTorque(self._batch, kp) if settings.equipment.grippers else None
 
     def declare_payload(self, mass_kg: Array) -> None:
-        """Tell the controller of a mass at each flange, (n, 2), in place of the one before."""
+        """Declare a mass at each flange, (n, 2), to the controller, in place of the one before."""
         if (mass_kg != self._declared_kg).any():
             write_masses(self._batch, np.ones_like(mass_kg), mass_kg)
             self._declared_kg = mass_kg.copy()
 
     def __call__(self, q: Array, v: Array, a: Array, payload_kg: Array | None = None) -> Array:
-        """Controls of every physics step, (n, steps, 12).
+        """Return the controls of every physics step, (n, steps, 12).
 
         Args:
-            q: (n, steps, 12) positions wanted before each step.
-            v: (n, steps, 12) speeds wanted after it.
-            a: (n, steps, 12) accelerations wanted in it.
-            payload_kg: (n, steps, 2) what the controller was told that each gripper holds, or None.
+            q: (n, steps, 12) wanted positions before each step.
+            v: (n, steps, 12) wanted speeds after it.
+            a: (n, steps, 12) wanted accelerations in it.
+            payload_kg: (n, steps, 2) declared mass in each gripper, or None.
         """
         control: Array = v * self._damping
         control += q
@@ -77,7 +77,7 @@ class FeedForward:
         return control
 
     def _shift(self, q: Array, v: Array, a: Array) -> Array:
-        """By how much the controls must lead for the servos to give the torque of this motion, (n, steps, 12)."""
+        """Return the lead of the controls, (n, steps, 12), with which the servos exert the torque of this motion."""
         middle = q.shape[1] // 2
         self._qpos[:], self._qvel[:] = q[:, middle], v[:, middle]
         self._batch.forward(stage=self._stage)
@@ -89,10 +89,10 @@ class FeedForward:
 
 
 class PayloadTorque:
-    """By how much the controls must lead for the servos to carry and accelerate a point mass between the fingers.
+    """Lead of the controls with which the servos carry and accelerate a point mass between the fingers.
 
     Args:
-        batch: The batch of the nominal arm, computed at the posture in question.
+        batch: Batch of nominal arms, evaluated at the configuration.
         kp: (12,) stiffness of the servos.
     """
 
@@ -103,7 +103,7 @@ class PayloadTorque:
         self._compliance = (1.0 / kp).reshape(2, 1, 6)
 
     def __call__(self, a: Array, payload_kg: Array) -> Array:
-        """(n, steps, 12) from the accelerations, (n, steps, 12), and masses, (n, steps, 2)."""
+        """Return the lead, (n, steps, 12), for accelerations, (n, steps, 12), and masses, (n, steps, 2)."""
         n, steps = a.shape[:2]
         away = self._point[:, self._points][:, :, None] - self._anchor[:, :12].reshape(n, 2, 6, 3)
         jacobian = cross(self._axis[:, :12].reshape(n, 2, 6, 3), away)
@@ -116,7 +116,7 @@ class PayloadTorque:
 
 
 def _dense_entries(model: Any) -> NDArray[np.intp]:
-    """(12, 12) indices into MuJoCo's sparse inertia matrix; 0 where the dense one has no entry."""
+    """Return the indices, (12, 12), into MuJoCo's sparse inertia matrix; 0 where the dense one has no entry."""
     entries = np.zeros((12, 12), dtype=np.intp)
     for i in range(12):
         start = int(model.M_rowadr[i])

@@ -1,15 +1,16 @@
-"""Grippers and what they handle, in a batch of models: where they are, and what the controllers feel of them."""
+"""Grippers, object and target in a batch of MuJoCo models: poses, wrenches, and the grippers' controllers."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from dual_ur10.assets.gripper import OPENING_M, SPEED_M_S
 from dual_ur10.assets.scene import sensor_slices
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.sim.feedforward import GRAVITY_M_S2
-from dual_ur10.envs.sim.grippers import GripperServos
+from dual_ur10.errors import ActionError
 from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig, Start
@@ -17,11 +18,71 @@ from dual_ur10.types import Array, Rows
 
 _SLACK = 1.5  # of the way that the servo's reference must lead by for full force
 
-_HELD_M = 0.04  # opening of grippers that are welded to the bar
+_WELDED_M = 0.04  # width of grippers that are welded to the bar
+
+
+LATENCY_S: Final = 0.1
+"""Delay from a command to the first motion, as in UMI's deployment configuration for its grippers."""
+
+
+class GripperServos:
+    """Controllers of both grippers of n cells: the width follows the delayed command at the gripper's speed.
+
+    A finger that touches something stops there and presses. Its reference then stays a little ahead, so that it lets go
+    at once when commanded, as a real gripper does, which measures its width.
+
+    Args:
+        n: Number of cells.
+        tick_s: Time between two commands.
+        substeps: Physics steps per tick.
+        slack_m: Largest distance of the reference ahead of the fingers: more than full force needs.
+    """
+
+    def __init__(self, n: int, tick_s: float, substeps: int, slack_m: float) -> None:
+        self.substeps, self.slack_m = substeps, slack_m
+        self._step_m = SPEED_M_S * tick_s
+        self._delay = round(LATENCY_S / tick_s)
+        self._waiting: Array = np.full((n, self._delay, 2), OPENING_M)
+        self._reference: Array = np.full((n, 2), OPENING_M)
+
+    def reset(self, opening_m: Array, rows: Rows) -> None:
+        """Start `rows` at rest at the widths, (len(rows), 2)."""
+        self._waiting[rows] = opening_m[:, None]
+        self._reference[rows] = opening_m
+
+    def __call__(self, commanded_m: Array, opening_m: Array) -> Array:
+        """Return the references of every physics step, (n, ticks * substeps, 2).
+
+        Args:
+            commanded_m: (n, ticks, 2) commanded widths.
+            opening_m: (n, 2) widths.
+
+        Raises:
+            ActionError: A width is beyond the gripper's range, or not a number.
+        """
+        if not ((commanded_m >= 0.0) & (commanded_m <= OPENING_M)).all():
+            row, tick, arm = np.argwhere(~((commanded_m >= 0.0) & (commanded_m <= OPENING_M)))[0]
+            raise ActionError(
+                f"gripper {('left', 'right')[arm]} is asked for an opening of {commanded_m[row, tick, arm]:.4g} m "
+                f"(cell {row}): it has 0 to {OPENING_M} m"
+            )
+        ticks = commanded_m.shape[1]
+        queue = np.concatenate([self._waiting, commanded_m], axis=1)
+        self._waiting = queue[:, ticks:]
+        now = np.clip(self._reference, opening_m - self.slack_m, opening_m + self.slack_m)
+        points = [now]
+        for tick in range(ticks):
+            now = now + np.clip(queue[:, tick] - now, -self._step_m, self._step_m)
+            points.append(now)
+        self._reference = now
+        nodes = np.stack(points, axis=1)
+        share = np.arange(1, self.substeps + 1) / self.substeps
+        between = nodes[:, :-1, None] + share[:, None] * np.diff(nodes, axis=1)[:, :, None]
+        return between.reshape(len(nodes), -1, 2)
 
 
 class Handled(NamedTuple):
-    """The part of `CellState` that is about grippers and what they handle."""
+    """Last fields of `CellState`: grippers, object and target."""
 
     flange_quat: Array
     gripper_m: Array
@@ -33,7 +94,7 @@ class Handled(NamedTuple):
 
 
 class Handling:
-    """Reads and sets grippers, object and target of n cells.
+    """State of grippers, object and target of n cells.
 
     Args:
         batch: A batch of models composed by `dual_ur10.assets.scene`.
@@ -61,19 +122,19 @@ class Handling:
         self._wrench: Array = np.zeros((n, 2, 6))
 
     def servos(self, config: CellConfig) -> GripperServos:
-        """The controllers of the grippers."""
+        """Make the controllers of the grippers."""
         slack_m = _SLACK * config.equipment.grip_force_n / self._kp
         return GripperServos(self.n, config.servoj.tick_s, config.substeps, slack_m)
 
     @property
     def opening_m(self) -> Array:
-        """(n, 2) where the fingers are."""
+        """Width of each gripper, (n, 2)."""
         opening: Array = np.add.reduce(self._fingers, axis=2)
         return opening
 
     def reset(self, start: Start, rows: Rows) -> Array:
-        """Put fingers, object and target of `rows` where an episode begins. Returns the openings, (len(rows), 2)."""
-        opening = np.full((len(rows), 2), _HELD_M) if start.gripper_m is None else np.asarray(start.gripper_m)
+        """Put fingers, object and target of `rows` at the start of an episode; return the widths, (len(rows), 2)."""
+        opening = np.full((len(rows), 2), _WELDED_M) if start.gripper_m is None else np.asarray(start.gripper_m)
         self._fingers[rows] = opening[..., None] / 2
         self._wrench[rows] = 0.0
         if self._object is not None and start.object_pose is not None:
@@ -88,24 +149,24 @@ class Handling:
             self._object[:] = pose
 
     def feel(self) -> None:
-        """Read the forces of the last physics step; to be called before anything else is computed.
+        """Read the forces of the last physics step; call it before anything else is computed.
 
-        Stages of the batch that stop before accelerations leave in the sensors of forces what any cell felt last.
+        Stages of the batch that stop before accelerations leave stale values of any cell in the force sensors.
         """
-        # The sensors give what the wrist does to the gripper.
+        # The sensors report the force of the wrist on the gripper.
         self._felt = -self._forces.swapaxes(1, 2)
 
     def state(self, flange_base_quat: Array, moved: Rows | None) -> Handled:
-        """What can be measured.
+        """Return the measurable state.
 
         Args:
             flange_base_quat: (n, 2, 4) orientation of the flanges in the arms' `base` frames.
-            moved: The rows that have just made a step, so that there is a force to be read; None: none.
+            moved: Rows that have just made a step, and thus have a force; None: none.
         """
         if moved is not None:
             rotation = quat_to_matrix(flange_base_quat)
             felt = self._felt @ rotation.swapaxes(2, 3)
-            # Bases stand upright: their z is against gravity.
+            # Bases are upright: their z points against gravity.
             weight = np.zeros((self.n, 2, 2, 3))
             weight[..., 0, 2] = -self._mass_kg * GRAVITY_M_S2
             lever = rotation @ self._lever_m
@@ -118,7 +179,7 @@ class Handling:
 
 
 def _weight(model: Any) -> tuple[float, Array]:
-    """Mass of a gripper, and its centre in the flange's frame, (3,), with half open fingers on its axis."""
+    """Return the mass of a gripper, and its centre in the flange's frame, (3,), with the fingers on its axis."""
     mass, moment = 0.0, np.zeros(3)
     for name in ("gripper", "finger_1", "finger_2"):
         body = model.body(f"left/{name}")

@@ -1,4 +1,4 @@
-"""The simulated cell: n times two arms in MuJoCo, with the lag of real UR controllers."""
+"""Simulated cell: n times two arms in MuJoCo, with the lag of real UR controllers."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from dual_ur10.types import Array, Rows
 class MujocoCell:
     """n simulated cells, stepped together.
 
-    One call of `advance` is one rollout of MuJoCo's batch: targets are delayed, the servoj law turns them into motion,
-    the joint servos follow with feed-forward, and the state is that of the last instant.
+    One call of `advance` is one rollout of MuJoCo's batch: targets are delayed, the servoj law converts them to motion,
+    and the joint servos follow with feed-forward. The state is that of the last instant.
 
     Args:
         config: The cell, with a task's equipment.
         ticks: Controller ticks per call of `advance`.
         n: Number of cells.
         threads: Threads to step on.
-        latency_ticks: L: what is commanded acts so many ticks later.
-        varied: Names of the values of `Perturbation` that a reset may change. How targets are computed follows from
-            them and the configuration alone, so that a row does not depend on what others drew.
+        latency_ticks: L: delay of commands in ticks.
+        varied: Names of the values of `Perturbation` that a reset may change. They and the configuration determine how
+            targets are computed, so that a row does not depend on the samples of others.
     """
 
     def __init__(
@@ -47,27 +47,27 @@ class MujocoCell:
         self.steps = ticks * config.substeps
         self._queue = CommandQueue(n, latency_ticks)
         slow = config.speed_factor
-        self._slowed = None if slow == 1.0 else TimeScaledTargets(n, config.substeps, slow)
-        self._delay = TargetDelay(n, 1 if self._slowed else config.substeps)
+        self._scaled = None if slow == 1.0 else TimeScaledTargets(n, config.substeps, slow)
+        self._delay = TargetDelay(n, 1 if self._scaled else config.substeps)
         self._reference = ServojReference(config.servoj, n, config.substeps, ticks, slow)
         self._elapsed = np.zeros(n, dtype=np.int64)
         self._tick_s = np.float64(config.servoj.tick_s)
         self._values = config.perturbation.expanded(n)
-        late = any(name in varied or self._values[name].any() for name in ("latency_s", "jitter_s", "loss"))
-        self._delayed = late
+        delayed = any(name in varied or self._values[name].any() for name in ("latency_s", "jitter_s", "loss"))
+        self._delayed = delayed
         self._uneven = "lookahead_scale" in varied or len(np.unique(self._values["lookahead_scale"])) > 1
         self._physics: Physics | None = Physics(config, n, threads)
         self._perturb(np.arange(n))
 
     def _perturb(self, rows: Rows) -> None:
-        """Let the plant of `rows` differ from what is believed of it, as `_values` says."""
+        """Perturb the plant of `rows` by `_values`."""
         values = self._values
-        # Time that passes for controllers is less of the task's, where that is slowed down.
+        # With time scaling, a physics step takes longer on the controllers' clock.
         step_s = (self.config.timestep_s or self.config.scene.timestep_s) / self.config.speed_factor
         self._delay.latency = np.rint(values["latency_s"] / step_s).astype(np.int64)
         self._delay.jitter = np.rint(values["jitter_s"] / step_s).astype(np.int64)
         self._delay.loss = values["loss"]
-        delayed = self._delayed or self._slowed is not None
+        delayed = self._delayed or self._scaled is not None
         self._reference.set_lookahead(values["lookahead_scale"], delayed=delayed, uneven=self._uneven)
         self._open.perturb(values, rows)
 
@@ -79,12 +79,12 @@ class MujocoCell:
         seeds: Sequence[int] | None = None,
         perturbation: Mapping[str, Array] | None = None,
     ) -> CellStep:
-        """Put the arms, and what they handle, to rest where an episode begins.
+        """Put the arms, and their object, at rest at the start of an episode.
 
         Args:
-            start: How it begins, in all cells or in `rows`.
-            rows: The cells to reset; None: all.
-            seeds: One per cell to reset, of the jitter and loss that follow; None: zeros.
+            start: Start of the episode, in all cells or in `rows`.
+            rows: Cells to reset; None: all.
+            seeds: Seeds of jitter and loss, one per cell to reset; None: zeros.
             perturbation: Values of `Perturbation` for the cells to reset, (len(rows), ...) each, from this episode on.
         """
         physics = self._open
@@ -97,8 +97,8 @@ class MujocoCell:
         physics.reset(start, rows)
         self._queue.reset(q, rows, start.gripper_m)
         self._delay.reset(q, rows, [0] * len(rows) if seeds is None else seeds)
-        if self._slowed is not None:
-            self._slowed.reset(q, rows)
+        if self._scaled is not None:
+            self._scaled.reset(q, rows)
         self._reference.reset(q, rows)
         self._elapsed[rows] = 0
         return CellStep(physics.state(self._elapsed * self._tick_s, moved=False))
@@ -106,16 +106,16 @@ class MujocoCell:
     def advance(self, command: Command) -> CellStep:
         """Command [now + L, now + L + period), and return the state at the end of [now, now + period).
 
-        A row whose physics diverged stays where it was last well, marked as failed, until it is reset.
+        A row whose physics diverged keeps its last good state, marked as failed, until a reset.
 
         Raises:
-            ActionError: A gripper is asked for an opening that it does not have.
+            ActionError: A width is beyond the gripper's range.
             SettingsError: The command is for grippers, and the cell has none.
         """
         physics, command = self._open, self._queue(command)
         targets = command.targets_rad
-        if self._slowed is not None:
-            targets = self._slowed(targets)
+        if self._scaled is not None:
+            targets = self._scaled(targets)
         if self._delayed:
             targets = self._delay(targets)
         motion = self._reference(targets)
@@ -135,11 +135,10 @@ class MujocoCell:
         self._open.tracing = True
 
     def integration_state(self) -> bytes:
-        """All that MuJoCo needs to go on from here with the first cell."""
+        """Return MuJoCo's full state of the first cell."""
         return self._open.integration_state(0)
 
     def _traced(self, targets: Array, before: Array, speed: Array) -> TickTrace:
-        """Of a single cell, from the targets that went out and what the law made of them."""
         substeps = self.config.substeps
         end = before[:, -1:] + speed[:, -1:] * (self.config.servoj.tick_s / substeps)
         after = np.concatenate([before, end], axis=1)[0, substeps::substeps]
@@ -148,13 +147,13 @@ class MujocoCell:
         return TickTrace(targets[0].copy(), after.reshape(-1, 2, 6), q, qd)
 
     def finish(self) -> None:
-        """Nothing moves that is not stepped."""
+        """Do nothing: a simulation moves only in `advance`."""
 
     def stop(self, reason: str) -> None:
-        """Nothing moves that is not stepped."""
+        """Do nothing: a simulation moves only in `advance`."""
 
     def model_and_data(self, row: int) -> tuple[Any, Any]:
-        """MuJoCo's model and data of one cell, to be drawn: the same objects at every call, brought up to date."""
+        """Return MuJoCo's model and data of one cell for rendering: the same objects at every call, updated."""
         return self._open.model_and_data(row)
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""The physics of n cells: arms whose joint servos follow a wanted motion, grippers, and what they handle."""
+"""Physics of n cells: arms whose joint servos follow a wanted motion, grippers, and their object."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from dual_ur10.types import Array, Rows
 
 Motion = tuple[Array, Array, Array]
 
-# What belongs to MuJoCo: built anew by unpickling, dropped by close.
+# Attributes that hold MuJoCo's memory: not pickled, and built anew.
 _LIVE = ("_batch", "_warnings", "_arms_q", "_arms_qd", "_flange", "_handling", "_plant", "_feedforward", "_drawn")
 
 
 class Physics:
-    """n simulated cells whose arms are moved by what their controllers want, physics step by physics step.
+    """n simulated cells whose arms follow the motion of their controllers, physics step by physics step.
 
     Args:
         config: The cell, with a task's equipment.
@@ -30,9 +30,9 @@ class Physics:
         threads: Threads to step on.
 
     Attributes:
-        failed: (n,) rows whose physics diverged. They stay where they were last well until they are reset.
-        tracing: Whether `advance` keeps where the arms were after every physics step.
-        trace: Of the last `advance`: positions and speeds of the joints, (n, steps, 2, 6) each; None: not kept.
+        failed: (n,) rows whose physics diverged. They keep their last good state until a reset.
+        tracing: True to keep the joint states of every physics step in `trace`.
+        trace: Joint positions and speeds of the last `advance`, (n, steps, 2, 6) each; None: not kept.
     """
 
     tracing = False
@@ -45,14 +45,14 @@ class Physics:
         self._build()
         self._grippers = self._handling.servos(config) if self._handling else None
         self._payload: Array = np.zeros((n, 2))
-        self._held_m: Array = np.zeros((n, 2))  # what grippers that are not commanded are held at
+        self._held_m: Array = np.zeros((n, 2))  # width of grippers without a command
 
     def _build(self) -> None:
         import mujoco
         from mujoco.batch import Batch
 
         scene, n = self.config.scene, self.n
-        # Everything measured is of positions, or part of the state, or of the last physics step.
+        # All measurements depend on positions, the state, or the last physics step.
         self._stage = int(mujoco.mjtStage.mjSTAGE_POS)
         self._batch: Any = Batch(build_model(scene, visuals=False), n, self.threads)
         self._warnings = self._batch.warning[:, :, 1]
@@ -73,12 +73,11 @@ class Physics:
         self._drawn: tuple[Any, Any] | None = None
 
     def _joints(self, values: Array) -> Array:
-        """Of what is recorded after every physics step, that of the arms' joints."""
         joints = 8 if self._handling is not None else 6
         return values[..., : 2 * joints].reshape(*values.shape[:-1], 2, joints)[..., :6]
 
     def integration_state(self, row: int) -> bytes:
-        """All that MuJoCo needs to go on from here with one cell: `mjSTATE_INTEGRATION`, as float64."""
+        """Return MuJoCo's full state of one cell: `mjSTATE_INTEGRATION`, as float64."""
         state: bytes = self._batch.state[row].tobytes()
         return state
 
@@ -88,17 +87,17 @@ class Physics:
         return self._batch.model
 
     def bind(self, name: str) -> Array:
-        """A view, (n, ...), of one of MuJoCo's arrays, as of the last step or the last change of positions."""
+        """Return a view, (n, ...), of one of MuJoCo's arrays, as of the last step or change of positions."""
         view: Array = self._batch.bind(name)
         return view
 
     def perturb(self, values: Mapping[str, Array], rows: Rows) -> None:
-        """Let the plant of `rows` differ from what is believed of it; `values` as of `Perturbation.expanded`."""
+        """Perturb the plant of `rows` by values of `Perturbation.expanded`."""
         self._plant.write(values, rows)
         self._feedforward.declare_payload(values["declared_payload_kg"])
 
     def reset(self, start: Start, rows: Rows) -> None:
-        """Put the arms of `rows`, and what they handle, to rest where an episode begins."""
+        """Put the arms of `rows`, and their object, at rest at the start of an episode."""
         self._batch.reset(ids=rows, stage=0)
         self._arms_q[rows] = np.asarray(start.q_rad, dtype=np.float64).reshape(-1, 2, 6)
         if self._handling is not None and self._grippers is not None:
@@ -113,25 +112,25 @@ class Physics:
         """Put the object of every cell at a pose, (7,), at rest.
 
         Raises:
-            SettingsError: There is none.
+            SettingsError: The cell has no object.
         """
         if self._handling is None or not self.config.scene.equipment.prop:
-            raise SettingsError("there is no object in this cell that could be put somewhere")
+            raise SettingsError("this cell has no object to place")
         self._handling.place(pose)
         self._batch.bind("qvel")[:, -6:] = 0.0
         self._good = self._batch.state.copy()
         self._batch.forward(stage=self._stage)
 
     def advance(self, motion: Motion, gripper_m: Array | None = None, payload_kg: Array | None = None) -> None:
-        """Move all cells on.
+        """Advance all cells.
 
         Args:
             motion: Position before, speed after and acceleration in every physics step, (n, steps, 12) each.
-            gripper_m: Commanded openings, (n, ticks, 2); None: held.
-            payload_kg: What the controllers are told that each gripper holds, (n, 2); None: as before.
+            gripper_m: Commanded widths, (n, ticks, 2); None: as they are.
+            payload_kg: Declared mass in each gripper, (n, 2); None: as before.
 
         Raises:
-            ActionError: A gripper is asked for an opening that it does not have.
+            ActionError: A width is beyond the gripper's range.
             SettingsError: The command is for grippers, and the cell has none.
         """
         control = self._control(motion, gripper_m, payload_kg)
@@ -147,7 +146,7 @@ class Physics:
         self._batch.forward(stage=self._stage)
 
     def _control(self, motion: Motion, commanded: Array | None, payload_kg: Array | None) -> Array:
-        """Controls of both arms' servos, (n, steps, 12), or with their grippers, (n, steps, 14)."""
+        """Return the controls of both arms' servos, (n, steps, 12), or with their grippers, (n, steps, 14)."""
         handling, grippers = self._handling, self._grippers
         steps = motion[0].shape[1]
         if handling is None or grippers is None:
@@ -162,17 +161,17 @@ class Physics:
         before, self._payload = self._payload, self._payload if payload_kg is None else payload_kg
         payload = None
         if before.any() or self._payload.any():
-            share = np.arange(1, steps + 1)[:, None] / steps
-            payload = before[:, None] + share * (self._payload - before)[:, None]
+            ratio = np.arange(1, steps + 1)[:, None] / steps
+            payload = before[:, None] + ratio * (self._payload - before)[:, None]
         control[..., :6] = self._feedforward(*motion, payload).reshape(self.n, steps, 2, 6)
         return control.reshape(self.n, steps, 14)
 
     def state(self, time_s: Array, *, moved: bool) -> CellState:
-        """What can be measured.
+        """Return the measurable state.
 
         Args:
             time_s: (n,) time since the reset.
-            moved: Whether a step has just been made, so that there is a force to be read.
+            moved: True after a step, which gives a force.
         """
         base_m, base_quat, flange_m = self._flange
         return CellState(
@@ -191,14 +190,14 @@ class Physics:
         )
 
     def model_and_data(self, row: int) -> tuple[Any, Any]:
-        """MuJoCo's model and data of one cell, to be drawn: the same objects at every call, brought up to date."""
+        """Return MuJoCo's model and data of one cell for rendering: the same objects at every call, updated."""
         import mujoco
 
         if self._drawn is None:
             model = build_model(self.config.scene)
             self._drawn = model, mujoco.MjData(model)
         model, data = self._drawn
-        # The drawn model has more geoms and the same state, and stands where the bases truly are.
+        # The rendered model has more geoms, the same state, and the true base poses.
         self._plant.place_bases(model, row)
         mujoco.mj_setState(model, data, self._batch.state[row], int(mujoco.mjtState.mjSTATE_INTEGRATION))
         mujoco.mj_forward(model, data)
@@ -217,6 +216,6 @@ class Physics:
         self._build()
 
     def restore(self) -> None:
-        """Go back to where pickling left off, once the plant is as it was."""
+        """Restore the pickled state, once the plant is perturbed as before."""
         self._batch.state[:] = self._integration
         self._batch.forward(stage=self._stage)

@@ -1,4 +1,4 @@
-"""What differs in the simulated plant from what is believed of it, written into a batch of models."""
+"""Deviations of the simulated plant from the nominal model, written into a batch of MuJoCo models."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.envs.sim.payload import write_masses
-from dual_ur10.kinematics.rotations import quat_from_rotvec
-from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
+from dual_ur10.kinematics.ur10 import ARMS, LINKS
 from dual_ur10.sim2real.config.cell import Perturbation
 from dual_ur10.types import Array, Rows
 
@@ -18,15 +17,15 @@ _MASSES = ("mass_scale", "payload_kg", "declared_payload_kg")
 
 
 class Plant:
-    """Writes masses, friction and base poses of each cell.
+    """Writer of masses, friction and base poses of each cell.
 
-    A model field gets values of its own for each cell, which costs a little, when a value first differs from what is
-    believed; from then on it is kept up.
+    A model field gets separate values for each cell, which costs some time, once a value first differs from the nominal
+    one; from then on it is kept up to date.
 
     Args:
         batch: A batch of models composed by `dual_ur10.assets.scene`.
-        settings: The scene.
-        arm_dofs: (12,) the arms' degrees of freedom.
+        settings: Settings of the scene.
+        arm_dofs: (12,) degrees of freedom of the arms.
     """
 
     def __init__(self, batch: Any, settings: SceneSettings, arm_dofs: Rows) -> None:
@@ -66,7 +65,7 @@ class Plant:
             batch.set_const(ids=rows)
 
     def place_bases(self, model: Any, row: int) -> None:
-        """Put the bases of another model of the same scene where they are in one cell."""
+        """Copy the base poses of one cell into another model of the same scene."""
         if "base" in self._own:
             position, quat = self._batch.expand("body_pos")[row], self._batch.expand("body_quat")[row]
             for own, other in zip(_bases(self._batch.model), _bases(model), strict=True):
@@ -79,6 +78,44 @@ class Plant:
 
 
 def _bases(model: Any) -> list[int]:
-    """The bodies that carry the arms."""
+    """Return the bodies that carry the arms."""
     links = [model.body(f"{name}/base_link").id for name in ARMS]
     return [int(model.body_parentid[link]) or link for link in links]
+
+
+def write_masses(
+    batch: Any, mass_scale: Array, payload_kg: Array, declared_kg: Array | None = None, *, rows: Rows | None = None
+) -> None:
+    """Write link masses and inertias, and the gravity compensation of a controller with the nominal model.
+
+    It starts from the values of the model, so that it may be called again.
+
+    Args:
+        batch: A batch of models composed by `dual_ur10.assets.scene`.
+        mass_scale: (n, 2) factor on every link's mass and inertia.
+        payload_kg: (n, 2) point mass at each flange.
+        declared_kg: (n, 2) payload that the controller compensates; None for a model without gravity.
+        rows: Cells to write; None: all.
+    """
+    model = batch.model
+    rows = np.arange(batch.nsim) if rows is None else rows
+    mass_scale, payload_kg = mass_scale[rows], payload_kg[rows]
+    mass, inertia, centre = (batch.expand(name) for name in ("body_mass", "body_inertia", "body_ipos"))
+    for arm, name in enumerate(ARMS):
+        bodies = np.array([model.body(f"{name}/{link}").id for link in LINKS])
+        links = np.ix_(rows, bodies)
+        mass[links] = model.body_mass[bodies] * mass_scale[:, arm, None]
+        inertia[links] = model.body_inertia[bodies] * mass_scale[:, arm, None, None]
+        last, lever = bodies[-1], model.site(f"{name}/flange").pos - model.body_ipos[bodies[-1]]
+        ratio = (payload_kg[:, arm] / (mass[rows, last] + payload_kg[:, arm]))[:, None]
+        # Two point masses about their common centre, along the axes in which the link's inertia is diagonal; its own
+        # products stay zero because the lever is parallel to one of them.
+        along = quat_to_matrix(model.body_iquat[last]).T @ lever
+        inertia[rows, last] += mass[rows, last][:, None] * ratio * (lever @ lever - along**2)
+        centre[rows, last] = model.body_ipos[last] + ratio * lever
+        mass[rows, last] += payload_kg[:, arm]
+        if declared_kg is not None:
+            nominal = np.repeat(model.body_mass[None, bodies], len(rows), axis=0)
+            nominal[:, -1] += declared_kg[rows, arm]
+            batch.expand("body_gravcomp")[links] = nominal / mass[links]
+    batch.set_const(ids=rows)

@@ -1,4 +1,4 @@
-"""What the controllers make of the targets: delay, the servoj law, and the motion it asks of the joint servos."""
+"""Motion that the controllers derive from targets: transport delay, time scaling and the servoj law."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _NEVER = 2**40  # physics step at which a lost target arrives
 class TargetDelay:
     """Latency, jitter and loss of targets on their way to the controllers, in whole physics steps.
 
-    A target that comes late leaves the one before it in force; targets never overtake each other.
+    While a target is delayed, the one before it stays in force; targets never overtake each other.
 
     Args:
         n: Number of cells.
@@ -36,18 +36,18 @@ class TargetDelay:
 
     @property
     def is_none(self) -> bool:
-        """Whether every target acts in its own tick, so that nothing has to be computed."""
+        """True if every target acts in its own tick, so that nothing has to be computed."""
         return not (self.latency.any() or self.jitter.any() or self.loss.any())
 
     def reset(self, q_rad: Array, rows: Rows, seeds: Sequence[int]) -> None:
-        """Start `rows` with the target `q_rad`, (len(rows), 2, 6), in force, and a new stream of chance each."""
+        """Start `rows` with the target `q_rad`, (len(rows), 2, 6), in force, and a random stream each."""
         self._held[rows] = q_rad[:, None]
         self._arrivals[rows] = -_NEVER
         for row, seed in zip(rows.tolist(), seeds, strict=True):
             self._rngs[row] = np.random.default_rng(seed)
 
     def __call__(self, targets: Array) -> Array:
-        """Targets in force during each physics step, (n, ticks * substeps, 2, 6), from those sent, (n, ticks, 2, 6)."""
+        """Return the target in force in each physics step, (n, ticks * substeps, 2, 6), for (n, ticks, 2, 6) sent."""
         ticks = targets.shape[1]
         sent = np.arange(ticks)[None, :, None] * self.substeps
         arrivals = np.broadcast_to(self.latency[:, None] + sent, (self.n, ticks, 2)).copy()
@@ -57,7 +57,7 @@ class TargetDelay:
                 arrivals[row][rng.random((ticks, 2)) < self.loss[row]] = _NEVER
         arrivals = np.concatenate([self._arrivals, arrivals], axis=1)
         known = np.concatenate([self._held, targets], axis=1)
-        # The latest target that has arrived is in force. What is overtaken by a later one never acts.
+        # The latest target that has arrived is in force. A target that a later one overtakes never acts.
         steps = np.arange(ticks * self.substeps)
         arrived = arrivals[:, None] <= steps[None, :, None, None]
         order = np.arange(known.shape[1])[None, None, :, None]
@@ -67,7 +67,7 @@ class TargetDelay:
         return in_force
 
     def _forget(self, known: Array, arrivals: NDArray[np.int64], latest: Rows, steps: int) -> None:
-        """Keep what may still act: the targets in force at the end, and those on their way."""
+        """Keep the targets in force at the end, and those still on their way."""
         first = min(int(latest.min()), known.shape[1] - 1)
         self._held = known[:, first:]
         kept = arrivals[:, first:].copy()
@@ -77,30 +77,30 @@ class TargetDelay:
 
 
 class TimeScaledTargets:
-    """What controllers are sent where a task's time is slowed down: a curve through its targets.
+    """Interpolation of the targets of a task whose time is scaled down.
 
-    Each of their control periods is a small part of one of the task's; here each physics step is one. The next targets
-    are not known yet, so the curve goes on from the last three by a parabola.
+    The controllers' period is a small part of a scaled tick; here it is one physics step. The next targets are
+    unknown, so a parabola extrapolates the last three.
 
     Args:
         n: Number of cells.
         substeps: Physics steps per tick.
-        speed_factor: How fast the task's time passes.
+        speed_factor: Rate of the task's time.
     """
 
     def __init__(self, n: int, substeps: int, speed_factor: float) -> None:
-        # What is held for a control period is late by half of it, which is so much of the task's.
+        # A value held for a control period lags by half of it, which is this part of the task's tick.
         ahead = (np.arange(substeps) + 0.5) / substeps - speed_factor / 2
         weights = [1.0 + ahead * (1.5 + 0.5 * ahead), -ahead * (2.0 + ahead), ahead * (0.5 + 0.5 * ahead)]
         self._weights: Array = np.array(weights)[:, :, None, None]
         self._past: Array = np.zeros((n, 2, 2, 6))
 
     def reset(self, q_rad: Array, rows: Rows) -> None:
-        """Start `rows` with nothing but the target `q_rad`, (len(rows), 2, 6)."""
+        """Start `rows` with the target `q_rad`, (len(rows), 2, 6)."""
         self._past[rows] = q_rad[:, None]
 
     def __call__(self, targets: Array) -> Array:
-        """Targets of each physics step, (n, ticks * substeps, 2, 6), from those of each tick, (n, ticks, 2, 6)."""
+        """Return the targets of all physics steps, (n, ticks * substeps, 2, 6), for those of ticks, (n, ticks, 2, 6)."""
         known = np.concatenate([self._past, targets], axis=1)
         self._past = known[:, -2:]
         last, before, first = known[:, 2:, None], known[:, 1:-1, None], known[:, :-2, None]
@@ -109,18 +109,18 @@ class TimeScaledTargets:
 
 
 class ServojReference:
-    """The servoj law of every arm, and the motion it asks for at every physics step.
+    """Servoj law of every arm, and its motion at every physics step.
 
-    Positions come from the exact discretisation. Speeds and accelerations are their differences over the physics
-    step, because that is what MuJoCo's semi-implicit integrator makes of accelerations: a servo fed with them follows
-    the positions exactly when its model of the arm is right.
+    Positions come from the exact discretisation. Speeds and accelerations are their differences over the physics step,
+    as MuJoCo's semi-implicit integrator computes them: a servo that receives them follows the positions exactly if its
+    model of the arm is right.
 
     Args:
         profile: Servoj settings.
         n: Number of cells.
         substeps: Physics steps per tick.
         ticks: Ticks per call.
-        speed_factor: How fast the time of the targets passes: seen from there, the law is so much quicker.
+        speed_factor: Rate of the targets' time; measured in it, the law is quicker by this factor.
     """
 
     def __init__(self, profile: ServojProfile, n: int, substeps: int, ticks: int, speed_factor: float = 1.0) -> None:
@@ -137,9 +137,8 @@ class ServojReference:
 
         Args:
             scale: (n, 2) factors on that of the profile.
-            delayed: Whether targets come per physics step instead of per tick.
-            uneven: Whether the factors may differ; else they are all the same. To be the same for all batches that are
-                to give equal bits.
+            delayed: True if targets come per physics step instead of per tick.
+            uneven: True if the factors may differ. Batches with equal bits need the same value.
         """
         hold = 1 if delayed else self.substeps
         unique, which = np.unique(scale, return_inverse=True)
@@ -148,7 +147,7 @@ class ServojReference:
         self._matrices: Array = matrices[which.reshape(self.n, 2)] if uneven else matrices[0]
 
     def _known(self, scale: float, hold: int) -> Array:
-        """As `_matrix`, which takes a millisecond, kept for when the same scale comes again."""
+        """Return a cached `_matrix`, which takes a millisecond to compute."""
         found = self._cache.get((scale, hold))
         if found is None:
             found = self._matrix(scale, hold)
@@ -158,7 +157,7 @@ class ServojReference:
         return found
 
     def _matrix(self, scale: float, hold: int) -> Array:
-        """Rows: positions before, speeds after and accelerations in every step; then the state at the end."""
+        """Return the rows: positions before, speeds after and accelerations in every step; then the final state."""
         law = ServojLaw(self.profile.lookahead_s * scale * self._slow, self.profile.gain / self._slow**2)
         dt, steps = self.profile.tick_s / self.substeps, self.steps
         response = law.response(dt, steps, hold)
@@ -180,7 +179,7 @@ class ServojReference:
         self._state[rows, 0] = q_rad.reshape(-1, 12)
 
     def __call__(self, targets: Array) -> tuple[Array, Array, Array]:
-        """Position before, speed after and acceleration in every physics step, (n, steps, 12) each.
+        """Return position before, speed after and acceleration in every physics step, (n, steps, 12) each.
 
         Args:
             targets: (n, m, 2, 6), one per tick, or one per physics step after a delay.

@@ -5,7 +5,7 @@ import pytest
 
 from dual_ur10.assets.gripper import OPENING_M, SPEED_M_S
 from dual_ur10.assets.settings import Equipment
-from dual_ur10.envs.sim.grippers import LATENCY_S, GripperServos
+from dual_ur10.envs.sim.handling import LATENCY_S, GripperServos
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.errors import ActionError, SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig, Start

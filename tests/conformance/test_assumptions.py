@@ -15,7 +15,7 @@ UNSEEN = {
     "deviation_ticks": "something has to hold the arm back",
     "restart_safety_s": "a violation or a fault has to come first",
 }
-"""Why no client can ask a controller. Each has a test of the emulated one in tests/controller."""
+"""Assumptions that no client can test, with the reason. `tests/sim2real/emulator` tests them on emulated ones."""
 
 TRACE = "timestamp,runtime_state,output_int_register_10,output_double_register_10,output_bit_registers32_to_63"
 

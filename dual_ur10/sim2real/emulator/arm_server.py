@@ -27,7 +27,7 @@ from dual_ur10.sim2real.protocol.text_lines import LineReader
 
 log = logging.getLogger(__name__)
 
-_MOST_SCRIPTS: Final = 64  # programs waiting for their start
+_MAX_SCRIPTS: Final = 64  # programs waiting for their start
 
 
 class RtdePeer:
@@ -195,8 +195,8 @@ class ArmServer:
 
     def _take_script(self, text: str) -> None:
         self.controller.received.upload(self.controller.ticks)
-        if len(self._scripts) >= _MOST_SCRIPTS:
-            raise ProtocolError(f"{_MOST_SCRIPTS} programs are waiting already")
+        if len(self._scripts) >= _MAX_SCRIPTS:
+            raise ProtocolError(f"{_MAX_SCRIPTS} programs are waiting already")
         found = self._reader.submit(read, text, self.controller.program.builtins)
         self._scripts.append((self.controller.time_s + self.script_delay_s, text, found))
 

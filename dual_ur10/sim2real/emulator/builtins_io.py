@@ -44,12 +44,12 @@ def io_builtins(controller: Controller) -> Builtins:
         io.set_tool_voltage(voltage)
 
     def textmsg(s1: Any, s2: Any = "") -> None:
-        controller.say(f"{text(s1)}{text(s2)}")
+        controller.send_text(f"{text(s1)}{text(s2)}")
 
     def popup(
         s: Any, title: Any = "Popup", warning: bool = False, error: bool = False, blocking: bool = False
     ) -> Generator[None, None, None]:
-        controller.show(text(title), text(s))
+        controller.open_popup(text(title), text(s))
         while blocking and controller.popup:
             yield
 

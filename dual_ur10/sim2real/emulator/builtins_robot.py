@@ -17,7 +17,7 @@ from dual_ur10.sim2real.emulator.script.values import number
 # ruff: noqa: N803
 
 _CONTACT_N: Final = 15.0  # against a direction; UR publishes no threshold of tool_contact
-_MOST_PAYLOAD_KG: Final = 10.0
+_MAX_PAYLOAD_KG: Final = 10.0
 
 
 def _numbers(values: Any, count: int, what: str) -> list[float]:
@@ -32,8 +32,8 @@ def _six(values: Any, what: str) -> list[float]:
 
 
 def _mass(m: Any) -> float:
-    if not 0.0 <= number(m) <= _MOST_PAYLOAD_KG:
-        raise MotionError(f"a payload of {m!r} kg cannot be set: allowed are 0 to {_MOST_PAYLOAD_KG:g} kg")
+    if not 0.0 <= number(m) <= _MAX_PAYLOAD_KG:
+        raise MotionError(f"a payload of {m!r} kg cannot be set: allowed are 0 to {_MAX_PAYLOAD_KG:g} kg")
     return float(m)
 
 
@@ -166,7 +166,7 @@ def robot_builtins(controller: Controller) -> Builtins:
     def get_target_payload_inertia() -> list[float]:
         return list(payload.inertia_kg_m2)
 
-    def set_gravity(d: Any) -> None:
+    def set_severity(d: Any) -> None:
         _numbers(d, 3, "gravity")  # without effect: the arms stand upright in every cell
 
     def enable_external_ft_sensor(

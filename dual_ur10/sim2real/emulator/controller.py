@@ -162,7 +162,7 @@ class Controller:
         self.ticks += 1
         self.reading = reading
         self._measure(reading)
-        self.safety.tick(self.profile.tick_s, at_rest=not self.motion.moving or self.program.speed == 0.0)
+        self.safety.tick(self.profile.tick_s, at_rest=not self.motion.moving or self.program.scaling == 0.0)
         demand = self.safety.demand
         limit = REDUCED_SPEED if self.safety.reduced else 1.0
         self.program.tick(
@@ -175,7 +175,7 @@ class Controller:
                 self.registers.clear_outputs()
         self._ran = self.program.machine is not None
         before = self.motion.qd.copy()
-        plan: Array = self.motion.plan(self.program.speed, wrench=self.wrench, q_actual=reading.q_rad)
+        plan: Array = self.motion.plan(self.program.scaling, wrench=self.wrench, q_actual=reading.q_rad)
         self._check_faults(reading)
         self._publish((self.motion.qd - before) / self.profile.tick_s)
         return plan
@@ -195,7 +195,7 @@ class Controller:
             joint = int(away.argmax())
             text = f"position deviates from path: joint {joint} by {away[joint]:.3f} rad, allowed are "
             self.protective_stop("C153A0", f"{text}{assumed.deviation_rad:g} rad")
-            self.motion.rest_at(reading.q_rad)
+            self.motion.hold_at(reading.q_rad)
             self._wanted = self.motion.q
 
     def note_setpoint(self, q_rad: Sequence[float], t_s: float, lookahead_s: float, gain: float) -> None:
@@ -222,11 +222,11 @@ class Controller:
         self.messages.append(messages.error_code_message(self.time_s, code, text))
         self.messages.append(messages.safety_mode_message(self.time_s, SafetyMode.PROTECTIVE_STOP, code))
 
-    def say(self, text: str) -> None:
+    def send_text(self, text: str) -> None:
         """Send a text message of a program to clients of the primary interface."""
         self.messages.append(messages.text_message(self.time_s, text))
 
-    def show(self, title: str, text: str) -> None:
+    def open_popup(self, title: str, text: str) -> None:
         """Open a popup."""
         self.popup = text
         self.messages.append(messages.popup_message(self.time_s, title, text))
@@ -338,7 +338,7 @@ class Controller:
         values["safety_status_bits"] = int(safety.safety_bits)
         values["robot_status_bits"] = int(self.robot_bits)
         values["runtime_state"] = int(program.state)
-        values["speed_scaling"] = program.speed
+        values["speed_scaling"] = program.scaling
         values["target_speed_fraction"] = self.io.slider
         values["payload"] = self.payload.mass_kg
         values["payload_cog"] = self.payload.cog_m

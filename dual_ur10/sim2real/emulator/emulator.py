@@ -42,7 +42,7 @@ from dual_ur10.sim2real.protocol.modes import RobotMode, SafetyMode
 
 log = logging.getLogger(__name__)
 
-MOST_BEHIND_S: Final = 0.25
+MAX_STALL_S: Final = 0.25
 """Longest stall of the machine that is caught up with. The time of longer stalls is lost."""
 
 _FRAME_S: Final = 1 / 30
@@ -197,7 +197,7 @@ class Emulator:
             self.lateness_s.append(late)
             if late > self.tick_s:
                 self.late_ticks.append(self.ticks)
-            if late > MOST_BEHIND_S:
+            if late > MAX_STALL_S:
                 log.warning("the machine stalled for %.0f ms: the cell's time stalled, too", 1e3 * late)
                 self.lost_s += late
                 due += late

@@ -25,17 +25,17 @@ from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply
 from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.emulator.arm_server import ArmServer, RtdePeer
-from dual_ur10.sim2real.emulator.link_faults import MOST_LATE_S, LinkFaults
+from dual_ur10.sim2real.emulator.link_faults import MAX_LATE_S, LinkFaults
 from dual_ur10.sim2real.emulator.mujoco_world import EmulatedWorld
 
-_MOST_DELAY_S: Final = 2.0
-_FARTHEST_M: Final = 10.0
-_MOST_SETPOINTS: Final = 1000  # per answer, which must not delay a control period
+_MAX_DELAY_S: Final = 2.0
+_MAX_DISTANCE_M: Final = 10.0
+_MAX_SETPOINTS: Final = 1000  # per answer, which must not delay a control period
 
-_Delay = Annotated[float, Field(ge=0.0, le=_MOST_DELAY_S)]
+_Delay = Annotated[float, Field(ge=0.0, le=_MAX_DELAY_S)]
 _NoiseM = Annotated[float, Field(ge=0.0, le=1.0)]
 _NoiseRad = Annotated[float, Field(ge=0.0, le=3.0)]
-_Late = Annotated[float, Field(ge=0.0, le=MOST_LATE_S)]
+_Late = Annotated[float, Field(ge=0.0, le=MAX_LATE_S)]
 _Mode = Annotated[int, Field(ge=0, le=255)]  # as far as the primary interface can encode it
 _Since = Annotated[int, Field(le=2**53)]
 _Version = Annotated[list[int], Field(min_length=4, max_length=4)]
@@ -130,7 +130,7 @@ class FaultInjection:
         for body, seen in self._seen.items():
             position, quat = self._cell.world.pose(body)
             seen.append((time_s, position.tolist(), quat.tolist()))
-            while seen[0][0] < time_s - _MOST_DELAY_S:
+            while seen[0][0] < time_s - _MAX_DELAY_S:
                 seen.popleft()
 
     # Queries.
@@ -235,8 +235,8 @@ class FaultInjection:
         pose = [*position_m, *quat]
         if len(pose) != 7 or abs(math.hypot(*pose[3:]) - 1.0) > 1e-3:
             raise SettingsError("an object needs three coordinates and a unit quaternion (w, x, y, z)")
-        if max(map(abs, pose[:3])) > _FARTHEST_M:
-            raise SettingsError(f"an object cannot be put at {pose[:3]}: allowed are ±{_FARTHEST_M:g} m")
+        if max(map(abs, pose[:3])) > _MAX_DISTANCE_M:
+            raise SettingsError(f"an object cannot be put at {pose[:3]}: allowed are ±{_MAX_DISTANCE_M:g} m")
         self._cell.world.place(np.array(pose, dtype=np.float64))
 
     # Faults.
@@ -343,7 +343,7 @@ def _page(name: str, kept: deque[Any], count: int, since: int) -> dict[str, Any]
     """Return the kept items from number `since` on, with the number of the first and the count of all."""
     first = count - len(kept)
     begin = max(0, since - first)
-    chosen = [list(each) for each in itertools.islice(kept, begin, begin + _MOST_SETPOINTS)]
+    chosen = [list(each) for each in itertools.islice(kept, begin, begin + _MAX_SETPOINTS)]
     return {"first": first + begin, "count": count, name: chosen}
 
 

@@ -9,10 +9,10 @@ from typing import Annotated, Final
 
 from pydantic import Field
 
-MOST_LATE_S: Final = 60.0
+MAX_LATE_S: Final = 60.0
 """Longest injected delay of packets and programs, which are queued meanwhile."""
 
-_Seconds = Annotated[float, Field(ge=0.0, le=MOST_LATE_S)]
+_Seconds = Annotated[float, Field(ge=0.0, le=MAX_LATE_S)]
 _Count = Annotated[int, Field(ge=0)]
 
 

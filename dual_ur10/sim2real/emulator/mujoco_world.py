@@ -21,7 +21,7 @@ from dual_ur10.types import Array
 PLANTS: Final = ("nominal", "mild", "wide")
 """Deviation of the plant from its nominal model: none, or the randomization of that name."""
 
-_MOST_DH_ERROR_M: Final = 0.02
+_MAX_DH_ERROR_M: Final = 0.02
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -44,8 +44,8 @@ class PlantOptions:
             raise UnknownNameError("plant", self.plant, PLANTS)
         if not isinstance(self.seed, int) or self.seed < 0:
             raise SettingsError(f"seed is {self.seed!r}: it must be a whole number, 0 or above")
-        if not 0.0 <= self.dh_error_m <= _MOST_DH_ERROR_M:
-            raise SettingsError(f"dh_error_m is {self.dh_error_m!r}: allowed are 0 to {_MOST_DH_ERROR_M:g} m")
+        if not 0.0 <= self.dh_error_m <= _MAX_DH_ERROR_M:
+            raise SettingsError(f"dh_error_m is {self.dh_error_m!r}: allowed are 0 to {_MAX_DH_ERROR_M:g} m")
 
 
 class EmulatedWorld:

@@ -12,7 +12,7 @@ from dual_ur10.sim2real.protocol.modes import RobotMode, RuntimeState
 
 log = logging.getLogger(__name__)
 
-_MOST_PROGRAMS = 64
+_MAX_PROGRAMS = 64
 
 
 class Pendant:
@@ -74,7 +74,7 @@ class Pendant:
         program = parse(text, self._controller.program.builtins)
         self.programs.pop(name, None)
         self.programs[name] = program
-        while len(self.programs) > _MOST_PROGRAMS:
+        while len(self.programs) > _MAX_PROGRAMS:
             del self.programs[next(iter(self.programs))]
 
     def power_on(self) -> None:
@@ -146,7 +146,7 @@ class Pendant:
 
     def popup(self, text: str) -> None:
         """Show a message."""
-        self._controller.show("Popup", text)
+        self._controller.open_popup("Popup", text)
 
     def close_popup(self) -> None:
         """Close the message."""

@@ -34,7 +34,7 @@ class ProgramRunner:
     Attributes:
         state: RTDE's `runtime_state`.
         name: Name of the program that plays or played last, or "".
-        speed: Time scaling of the motion in this tick, 0 to 1.
+        scaling: Time scaling of the motion in this tick, 0 to 1.
         machine: The program that plays, or None.
         last: Program that `play` starts: the one that was loaded or played last, or None.
     """
@@ -45,13 +45,13 @@ class ProgramRunner:
         self.profile, self.motion, self.builtins, self._failed = profile, motion, builtins, failed
         self.state = RuntimeState.STOPPED
         self.name = ""
-        self.speed = 1.0
+        self.scaling = 1.0
         self.machine: Machine | None = None
         self._secondary: list[Machine] = []
         self.last: Program | None = None
         self._paused_by_safety = False
         self._demand = Demand.NONE
-        self._unrun = False
+        self._unstarted = False
 
     def load(self, text: str, found: Program | ScriptError | None = None) -> None:
         """Play a program in place of the present one, or a secondary program beside it.
@@ -74,14 +74,14 @@ class ProgramRunner:
 
     def start(self, program: Program) -> None:
         """Play a program in place of the present one."""
-        if self._unrun and self._demand is Demand.NONE:
+        if self._unstarted and self._demand is Demand.NONE:
             self._run()  # two programs in one control period: keep the immediate effects of the first
         self.stop("another program took its place")
         if self._demand is not Demand.NONE:
             self._failed(ScriptRuntimeError(1, program.name, "not started: the arm is stopped or has no power"))
             return
         self.last, self.name = program, program.name
-        self.machine, self._unrun = self._started(program), True
+        self.machine, self._unstarted = self._started(program), True
         self.state = RuntimeState.PLAYING
 
     def _start_secondary(self, program: Program) -> None:
@@ -139,17 +139,17 @@ class ProgramRunner:
             log.info("program %s ends: %s", self.name, reason)
             self.machine.kill()
             self.machine = None
-            self._rest()
+            self._brake()
             self.state = RuntimeState.STOPPING
         self._paused_by_safety = False
 
-    def _rest(self) -> None:
+    def _brake(self) -> None:
         """Brake from the present speed."""
-        if self.speed == 0.0:
+        if self.scaling == 0.0:
             self.motion.hold()  # paused: the rest of its path is given up
         elif self._demand is Demand.NONE:
-            self.motion.halt(self.speed)
-            self.speed = 1.0  # from here on, time is not scaled
+            self.motion.halt(self.scaling)
+            self.scaling = 1.0  # from here on, time is not scaled
         else:
             self.motion.halt()  # the safety stop in progress goes on reducing the time scaling, too
 
@@ -176,10 +176,10 @@ class ProgramRunner:
         if self.state in _PLAYS:
             self._run()
         self._run_secondary()
-        self._pass_time(demand, may_move, slider)
+        self._update_scaling(demand, may_move, slider)
 
     def _run(self) -> None:
-        machine, self._unrun = self.machine, False
+        machine, self._unstarted = self.machine, False
         if machine is None:
             return
         try:
@@ -206,23 +206,23 @@ class ProgramRunner:
             machine.kill()
         self._secondary.clear()
 
-    def _pass_time(self, demand: Demand, may_move: bool, slider: float) -> None:
+    def _update_scaling(self, demand: Demand, may_move: bool, slider: float) -> None:
         tick_s = self.profile.tick_s
         if self.state == RuntimeState.STOPPING:
             # The brake ignores the slider. A safety stop takes no longer than any other.
             if demand is not Demand.NONE:
-                self.speed = max(0.0, self.speed - tick_s / self.profile.assumptions.stopping_s)
-            if self.speed == 0.0 or not self.motion.moving:
+                self.scaling = max(0.0, self.scaling - tick_s / self.profile.assumptions.stopping_s)
+            if self.scaling == 0.0 or not self.motion.moving:
                 self.state = RuntimeState.STOPPED
                 self.motion.hold()
             return
         halts = self.state in (RuntimeState.PAUSING, RuntimeState.PAUSED) or demand is not Demand.NONE
         goal = 0.0 if halts else slider
         step = tick_s / (self.profile.assumptions.stopping_s if halts else SLIDER_S)
-        self.speed = max(goal, self.speed - step) if self.speed > goal else min(goal, self.speed + step)
-        if self.state == RuntimeState.PAUSING and self.speed == 0.0:
+        self.scaling = max(goal, self.scaling - step) if self.scaling > goal else min(goal, self.scaling + step)
+        if self.state == RuntimeState.PAUSING and self.scaling == 0.0:
             self.state = RuntimeState.PAUSED
-        elif self.state == RuntimeState.RESUMING and self.speed == goal:
+        elif self.state == RuntimeState.RESUMING and self.scaling == goal:
             self.state = RuntimeState.PLAYING
         if self.state == RuntimeState.STOPPED and not may_move:
             self.motion.hold()

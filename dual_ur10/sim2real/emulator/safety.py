@@ -71,7 +71,7 @@ class Safety:
     def safety_mode(self) -> int:
         """RTDE's `safety_mode`: the gravest active condition."""
         if self._stopped:
-            return max(self._stopped, key=_gravity)
+            return max(self._stopped, key=_severity)
         return SafetyMode.REDUCED if self._reduced else SafetyMode.NORMAL
 
     @property
@@ -219,7 +219,7 @@ class Safety:
 
 _KNOWN: Final = frozenset(int(mode) for mode in SafetyMode)
 
-_GRAVEST: Final = (
+_BY_SEVERITY: Final = (
     SafetyMode.RECOVERY,
     SafetyMode.SAFEGUARD_STOP,
     SafetyMode.PROTECTIVE_STOP,
@@ -230,6 +230,6 @@ _GRAVEST: Final = (
 )
 
 
-def _gravity(mode: int) -> int:
+def _severity(mode: int) -> int:
     """Rank simultaneous modes. An unknown number is graver than all known ones."""
-    return _GRAVEST.index(SafetyMode(mode)) if mode in _GRAVEST else len(_GRAVEST)
+    return _BY_SEVERITY.index(SafetyMode(mode)) if mode in _BY_SEVERITY else len(_BY_SEVERITY)

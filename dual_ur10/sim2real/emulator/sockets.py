@@ -18,11 +18,11 @@ from dual_ur10.sim2real.emulator.link_faults import DelayLine, LinkFaults
 
 log = logging.getLogger(__name__)
 
-MOST_CONNECTIONS: Final = 32
+MAX_CONNECTIONS: Final = 32
 """Concurrent clients of one port. More are closed at once. UR publishes no figure."""
 
 _RECEIVE_BYTES: Final = 8192  # per read, so that a busy client cannot delay the others
-_MOST_WAITING_BYTES: Final = 262_144  # unread by a client: beyond this, packets are dropped or it is disconnected
+_MAX_WAITING_BYTES: Final = 262_144  # unread by a client: beyond this, packets are dropped or it is disconnected
 _SEND_BUFFER_BYTES: Final = 65_536
 _SERVED_S: Final = 0.001  # time for clients in a control period that is already late
 _RESET: Final = struct.pack("ii", 1, 0)  # SO_LINGER that makes close() send RST
@@ -94,7 +94,7 @@ class Connection:
             return
         self._out += data
         self.flush()
-        if len(self._out) > _MOST_WAITING_BYTES:
+        if len(self._out) > _MAX_WAITING_BYTES:
             self.close("it does not read its answers")
 
     def flush(self) -> None:
@@ -160,7 +160,7 @@ class Connection:
         """Arrival time of the next delayed bytes."""
         return min(self._coming.next_s, self._going.next_s)
 
-    def pass_time(self, now_s: float) -> None:
+    def deliver(self, now_s: float) -> None:
         """Deliver delayed bytes that are due."""
         for data, _ in self._coming.due(now_s):
             self._take(data)
@@ -243,7 +243,7 @@ class Port:
         except OSError as error:
             log.warning("%s: a client could not be accepted: %s", self.name, error)
             return
-        if len(self.connections) >= MOST_CONNECTIONS:
+        if len(self.connections) >= MAX_CONNECTIONS:
             log.warning("%s: a client is refused: there are %d already", self.name, len(self.connections))
             sock.close()
             return
@@ -347,7 +347,7 @@ class Hub:
                     break  # the others are served after the control period
             now = time.monotonic()
             for connection in [each for port in self.ports for each in port.connections]:
-                connection.pass_time(now)
+                connection.deliver(now)
             left = until_s - time.monotonic()
             if left <= 0.0:
                 return

@@ -9,7 +9,7 @@ import pytest
 from dual_ur10.errors import AddressError, ProtocolError
 from dual_ur10.sim2real.emulator.addresses import check_loopback, listening
 from dual_ur10.sim2real.emulator.link_faults import LinkFaults
-from dual_ur10.sim2real.emulator.sockets import MOST_CONNECTIONS, Hub
+from dual_ur10.sim2real.emulator.sockets import MAX_CONNECTIONS, Hub
 from dual_ur10.sim2real.protocol.rtde import FrameReader, Kind
 from tests.sim2real.emulator import rtde_bytes
 
@@ -169,10 +169,10 @@ def test_a_client_that_never_reads_its_answers_is_closed(harness, caplog):
 
 
 def test_excess_clients_are_refused(harness):
-    clients = [harness.client() for _ in range(MOST_CONNECTIONS)]
+    clients = [harness.client() for _ in range(MAX_CONNECTIONS)]
     late = harness.client(greeted=False)
     assert harness.read(late) in (b"", None)
-    assert len(harness.port.connections) == MOST_CONNECTIONS
+    assert len(harness.port.connections) == MAX_CONNECTIONS
     assert harness.answer(clients[-1], b"fine") == b"fine"
     clients[0].close()
     harness.serve()

@@ -9,8 +9,8 @@ from typing import Any, Final
 from dual_ur10.errors import MotionError
 from dual_ur10.sim2real.emulator.motion.tool_kinematics import Frame, frame_of
 
-_FARTHEST_M: Final = 100.0
-_LONGEST_ROTVEC_RAD: Final = 100.0
+_MAX_DISTANCE_M: Final = 100.0
+_MAX_ROTVEC_RAD: Final = 100.0
 
 
 def number(value: Any, what: str) -> float:
@@ -54,6 +54,6 @@ def not_negative(value: Any, what: str) -> float:
 def checked_frame(pose: Iterable[Any], what: str) -> Frame:
     """Return position and rotation of a pose within any arm's range."""
     numbers = six(pose, what)
-    if max(map(abs, numbers[:3])) > _FARTHEST_M or max(map(abs, numbers[3:])) > _LONGEST_ROTVEC_RAD:
+    if max(map(abs, numbers[:3])) > _MAX_DISTANCE_M or max(map(abs, numbers[3:])) > _MAX_ROTVEC_RAD:
         raise MotionError(f"{what} is {numbers}: that is out of any arm's range")
     return frame_of(numbers)

@@ -35,7 +35,7 @@ from dual_ur10.sim2real.emulator.motion.trajectories import (
 from dual_ur10.types import Array
 
 _LIMIT: Final = JOINT_RANGE_RAD + 1e-9
-_MOST_TICKS: Final = 2**31
+_MAX_TICKS: Final = 2**31
 
 
 class Motion(ToolMotion):
@@ -281,7 +281,7 @@ class Motion(ToolMotion):
             self._handle.abort()
             self._brake(self.assumptions.program_stop_rad_s2)
 
-    def rest_at(self, q_rad: Array) -> None:
+    def hold_at(self, q_rad: Array) -> None:
         """Hold the arm at measured joint positions (6,) after it was pushed off its path."""
         self.q = np.array(q_rad, dtype=np.float64)
         self.hold()
@@ -300,7 +300,7 @@ class Motion(ToolMotion):
         return twist
 
     def _ticks(self, t: float, what: str) -> int:
-        return min(math.ceil(min(not_negative(t, what) / self.tick_s, _MOST_TICKS) - 1e-6), _MOST_TICKS)
+        return min(math.ceil(min(not_negative(t, what) / self.tick_s, _MAX_TICKS) - 1e-6), _MAX_TICKS)
 
 
 def _move_arguments(name: str, a: float, v: float, t: float, r: float) -> tuple[float, float, float, float]:

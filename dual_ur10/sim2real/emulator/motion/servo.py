@@ -10,7 +10,7 @@ from dual_ur10.sim2real.control.servoj import ServojLaw
 from dual_ur10.sim2real.emulator.motion.trajectories import Trajectory
 from dual_ur10.types import Array
 
-_MOST_KEPT: Final = 256  # discretisations; a ramp of the time scaling needs one per tick
+_MAX_KEPT: Final = 256  # discretisations; a ramp of the time scaling needs one per tick
 _AT_TARGET: Final = 1e-12  # rad and rad/s
 
 _known: dict[tuple[float, float, float, int], tuple[Array, Array]] = {}
@@ -26,7 +26,7 @@ def _discretised(lookahead_s: float, gain: float, step: float, steps: int) -> tu
         for row in range(steps):
             state = transition @ state
             rows[row] = state[0]
-        if len(_known) >= _MOST_KEPT:
+        if len(_known) >= _MAX_KEPT:
             _known.clear()
         found = _known[key] = (rows, state)
     return found

@@ -16,7 +16,7 @@ from dual_ur10.types import Array
 
 UrPose = tuple[float, ...]
 
-FARTHEST_M = 10.0
+MAX_DISTANCE_M = 10.0
 """Farthest position that is solved for. The arm reaches less, and squares of the numbers stay finite."""
 
 
@@ -128,7 +128,7 @@ class ArmKinematics:
         """Return the joint angles (n, 6) nearest to `near` (6,) for n poses of the TCP, and if all are in reach."""
         flange = tool.flange(tcp)
         position = flange.position
-        if not np.abs(position).max() < FARTHEST_M:
+        if not np.abs(position).max() < MAX_DISTANCE_M:
             return np.broadcast_to(near, (len(position), 6)), False
         q, ok = try_nearest(position, flange.rotation, near, self.dh)
         return q, bool(ok.all())

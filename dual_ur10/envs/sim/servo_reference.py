@@ -100,7 +100,7 @@ class TimeScaledTargets:
         self._past[rows] = q_rad[:, None]
 
     def __call__(self, targets: Array) -> Array:
-        """Return the targets of all physics steps, (n, ticks * substeps, 2, 6), for those of ticks, (n, ticks, 2, 6)."""
+        """Return targets of physics steps, (n, ticks * substeps, 2, 6), from those of ticks, (n, ticks, 2, 6)."""
         known = np.concatenate([self._past, targets], axis=1)
         self._past = known[:, -2:]
         last, before, first = known[:, 2:, None], known[:, 1:-1, None], known[:, :-2, None]

@@ -1,4 +1,4 @@
-"""Recorded runs that were made up: what is in them is known."""
+"""Synthetic runs of known content."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ def motion(count: int, tick_s: float, size: float = 0.1) -> Array:
     """(count, 2, 6) targets from rest: sines that differ from joint to joint."""
     times = np.arange(count)[:, None] * tick_s
     phase = np.arange(12) * 0.7
-    share = np.minimum(times / 1.5, 1.0)
-    soft = share**3 * (10 - 15 * share + 6 * share**2)
+    fade = np.minimum(times / 1.5, 1.0)
+    soft = fade**3 * (10 - 15 * fade + 6 * fade**2)
     moves = size * soft * (np.sin(np.pi * times + phase) - np.sin(phase))
     return np.tile(START, 2).reshape(1, 2, 6) + moves.reshape(count, 2, 6)
 
 
-def led(targets: Array, lookahead_s: float, gain: float, tick_s: float, delay_parts: int) -> Array:
-    """(ticks + 1, 6) where the law leads the joints: each target acts `delay_parts` parts of a tick late."""
+def response(targets: Array, lookahead_s: float, gain: float, tick_s: float, delay_parts: int) -> Array:
+    """(ticks + 1, 6) joints that follow the law; each target acts `delay_parts` parts of a tick late."""
     step = ServojLaw(lookahead_s, gain).transition(tick_s / PARTS)
     acting = np.repeat(targets, PARTS, axis=0)
     acting = np.concatenate([np.repeat(targets[:1], delay_parts, axis=0), acting])[: len(targets) * PARTS]
@@ -80,10 +80,10 @@ def run(
     offset_rad: float = 0.0,
     **values: Any,
 ) -> Run:
-    """A run of `episodes` times the same motion.
+    """A run that repeats one motion `episodes` times.
 
     Args:
-        slower: By how much slower than the task the cell runs: targets in between, as an arm's process sends them.
+        slower: Factor by which the cell is slower than the task; targets then lie between two ticks.
     """
     head, rng = header(**values), np.random.default_rng(seed)
     tick_s, ticks, late = head.tick_s, head.period_ticks, head.latency_ticks
@@ -102,13 +102,13 @@ def run(
     for arm in range(2):
         state: dict[str, list[Array]] = {name: [] for name in ("arrival_s", "timestamp_s", "q_rad", "target_q_rad")}
         sent: dict[str, list[Array]] = {name: [] for name in ("period", "index", "sent_s", "late_s", "target_rad")}
-        way = led(targets[:, arm], lookahead_s[arm], head.servoj[arm]["gain"], tick_s, delay_parts[arm])
+        path = response(targets[:, arm], lookahead_s[arm], head.servoj[arm]["gain"], tick_s, delay_parts[arm])
         for number in range(episodes):
             begin = 1.0 + number * length_s
             state["arrival_s"].append(begin + np.arange(sends + 1) * tick_s)
             state["timestamp_s"].append(500.0 + begin + np.arange(sends + 1) * tick_s)
-            state["q_rad"].append(way + offset_rad + noise_rad * rng.standard_normal(way.shape))
-            state["target_q_rad"].append(way)
+            state["q_rad"].append(path + offset_rad + noise_rad * rng.standard_normal(path.shape))
+            state["target_q_rad"].append(path)
             sent["period"].append(np.arange(sends) + 0.0)
             sent["index"].append(first_index + index)
             sent["sent_s"].append(begin + np.arange(sends) * tick_s)
@@ -152,7 +152,7 @@ def with_arm(made: Run, arm: int, **logs: dict[str, Array]) -> Run:
     return replace(made, arms=(arms[0], arms[1]))
 
 
-def rested(
+def with_stops(
     seconds: float = 6.0,
     *,
     at: tuple[int, ...] = (40,),
@@ -161,11 +161,11 @@ def rested(
     first_index: int = 4711,
     **values: Any,
 ) -> Run:
-    """The motion of `run` where the actions of some steps came too late: both arms then stand for `pause` targets.
+    """The motion of `run` where some actions missed their deadline: both arms then stand for `pause` targets.
 
     Args:
         at: These steps.
-        sent_later_s: By how much later the right arm's targets are sent.
+        sent_later_s: Delay of the right arm's targets.
     """
     head = header(source="emulated", **values)
     tick_s, ticks, late = head.tick_s, head.period_ticks, head.latency_ticks
@@ -180,9 +180,9 @@ def rested(
     sends = len(targets)
     arms = []
     for arm in range(2):
-        way = led(targets[:, arm], 0.03, head.servoj[arm]["gain"], tick_s, 0)
+        path = response(targets[:, arm], 0.03, head.servoj[arm]["gain"], tick_s, 0)
         times = 1.0 + np.arange(sends) * tick_s
-        state = {"arrival_s": np.append(times, times[-1] + tick_s), "q_rad": way, "target_q_rad": way}
+        state = {"arrival_s": np.append(times, times[-1] + tick_s), "q_rad": path, "target_q_rad": path}
         sent = {
             "period": np.arange(sends) + 0.0,
             "index": first_index + np.arange(sends) + 0.0,

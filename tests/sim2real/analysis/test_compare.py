@@ -16,7 +16,7 @@ from dual_ur10.sim2real.analysis.series import interpolate, lag, smoothed, sprea
 from dual_ur10.sim2real.analysis.timing import LATE_S, ripple_of, timing
 from dual_ur10.sim2real.analysis.tracks import flange_of, track, tracks
 from dual_ur10.sim2real.recording.header import mounts_of
-from tests.sim2real.analysis.made import DH, header, rested, run, with_arm
+from tests.sim2real.analysis.made import DH, header, run, with_arm, with_stops
 from tests.soak import scaled
 
 TICK_S = 0.008
@@ -139,7 +139,7 @@ def test_nothing_sent_is_not_exact() -> None:
     assert not parity([]).is_exact
 
 
-def test_arms_that_stand_give_reasons_and_no_nonsense() -> None:
+def test_arms_that_do_not_move_give_reasons_instead_of_figures() -> None:
     still = run(size=0.0)
     found = compare(still, still)
     for arm in found.arms:
@@ -193,7 +193,7 @@ def test_fewer_episodes_and_a_cut_off_run_are_noted() -> None:
 
 
 @pytest.mark.parametrize("short", [0, 1, 2])
-def test_an_episode_that_says_too_little_is_left_out_and_the_others_are_compared(short: int) -> None:
+def test_an_episode_with_too_little_is_left_out(short: int) -> None:
     made, whole = run(seconds=2.0, episodes=3), run(seconds=2.0, episodes=3)
     episodes = list(made.episodes)
     # It was ended by a reset before its first step.
@@ -243,7 +243,7 @@ def test_environments_that_differ_are_mentioned() -> None:
     assert "randomization of" not in text
 
 
-def test_targets_of_other_control_periods_are_not_held_against_each_other() -> None:
+def test_targets_of_other_control_periods_are_not_compared() -> None:
     found = compare(run(seconds=2.0), run(seconds=2.0, family="e-series", tick_s=0.002))
     assert found.arms[0].sent.compared == 0
     assert "control periods differ" in " ".join(found.notes)
@@ -254,8 +254,8 @@ def test_targets_of_other_control_periods_are_not_held_against_each_other() -> N
 
 @pytest.mark.parametrize("latency", [0, 5])
 @pytest.mark.parametrize("late", [(40,), (40, 41), (30, 90), (0, 60), (60, 149)])
-def test_behind_a_rest_the_same_actions_are_compared(late: tuple[int, ...], latency: int) -> None:
-    found = compare(run(latency_ticks=latency), rested(at=late, latency_ticks=latency, pause=77))
+def test_after_a_stop_the_same_actions_are_compared(late: tuple[int, ...], latency: int) -> None:
+    found = compare(run(latency_ticks=latency), with_stops(at=late, latency_ticks=latency, pause=77))
     for arm in found.arms:
         assert arm.sent.is_exact, arm.sent
         # Ticks of the dropped actions are compared with nothing, and at the end, those of which nothing was sent.
@@ -269,11 +269,11 @@ def test_behind_a_rest_the_same_actions_are_compared(late: tuple[int, ...], late
     assert apart.max() < 1e-4
     word = "1 action missed its" if len(late) == 1 else f"{len(late)} actions missed their"
     assert f"run B: {word} deadline" in " ".join(found.notes)
-    assert np.diff(tracks(rested(at=late), 0)[0].task_s).min() > 0.0
+    assert np.diff(tracks(with_stops(at=late), 0)[0].task_s).min() > 0.0
 
 
-def test_a_run_with_rests_is_read_to_its_end() -> None:
-    plain, made = tracks(run(), 0), tracks(rested(at=(20, 50, 80), pause=60), 0)
+def test_a_run_with_stops_is_read_to_its_end() -> None:
+    plain, made = tracks(run(), 0), tracks(with_stops(at=(20, 50, 80), pause=60), 0)
     for ours, theirs in zip(plain, made, strict=True):
         assert theirs.index[-1] == ours.index[-1] == 749
         assert theirs.task_s[-1] == pytest.approx(ours.task_s[-1], abs=1e-9)
@@ -282,7 +282,7 @@ def test_a_run_with_rests_is_read_to_its_end() -> None:
 
 
 def test_skew_is_between_equal_targets_whatever_stops_there_were() -> None:
-    found = timing(rested(at=(20, 90), sent_later_s=0.7e-3))
+    found = timing(with_stops(at=(20, 90), sent_later_s=0.7e-3))
     assert np.abs(found.skews_s + 0.7e-3).max() < 1e-9
     assert len(found.skews_s) > 700
 
@@ -294,13 +294,13 @@ def test_a_clock_that_loses_time_mistimes_no_state(seed: int) -> None:
     for arm in range(2):
         state = plain.arms[arm].state
         at_s = state["arrival_s"]
-        # It stands still for long, and then goes on at half the speed for a while: what it does not tell, it never was.
+        # The clock stalls for long, and then runs at half the speed for a while.
         lives = ~((at_s > 3.1) & (at_s < 4.0)) & ~((at_s > 4.5) & (at_s < 5.7) & (np.arange(len(at_s)) % 2 == 0))
         delayed_s = np.where(rng.random(len(at_s)) < 0.3, rng.exponential(0.002, len(at_s)), 0.0)
-        told = {name: values[lives] for name, values in state.items()}
-        told["arrival_s"] = np.maximum.accumulate(at_s + delayed_s)[lives]
-        told["timestamp_s"] = 500.0 + TICK_S * np.arange(lives.sum())
-        made = with_arm(made, arm, state=told)
+        kept = {name: values[lives] for name, values in state.items()}
+        kept["arrival_s"] = np.maximum.accumulate(at_s + delayed_s)[lives]
+        kept["timestamp_s"] = 500.0 + TICK_S * np.arange(lives.sum())
+        made = with_arm(made, arm, state=kept)
         found, expected = track(made, 0, arm), track(plain, 0, arm)
         mistimed_s = np.abs(found.time_s - expected.time_s[lives[-len(expected.time_s) :]])
         assert len(mistimed_s) == lives.sum() - 1
@@ -348,15 +348,15 @@ def test_seeds_that_differ_are_mentioned() -> None:
     assert not any("seeds" in each for each in compare(made, replayed).notes)
 
 
-# What a run says of itself.
+# Timing of one run.
 
 
 @pytest.mark.parametrize(("lookahead_s", "parts"), [(0.03, 0), (0.05, 4), (0.1, 24)])
 def test_the_lag_behind_the_targets_is_that_of_the_law(lookahead_s: float, parts: int) -> None:
     made = run(8.0, lookahead_s=(lookahead_s, 0.03), delay_parts=(parts, 0))
     # The phase of the law at the motion's frequency is nearly its lookahead; a held target is half a tick later.
-    turn = np.pi
-    expected = np.arctan2(lookahead_s * turn, 1 - turn**2 / 2000) / turn + TICK_S / 2 + parts * TICK_S / 8
+    rate = np.pi
+    expected = np.arctan2(lookahead_s * rate, 1 - rate**2 / 2000) / rate + TICK_S / 2 + parts * TICK_S / 8
     found = timing(made)
     assert found.arms[0].behind.value == pytest.approx(expected, abs=7e-4)
     assert found.arms[1].behind.value == pytest.approx(0.034, abs=5e-4)
@@ -386,16 +386,16 @@ def test_late_and_missed_targets_are_counted() -> None:
     assert LATE_S == (0.002, 0.008)
 
 
-def test_ripple_is_what_shakes_and_not_what_moves() -> None:
+def test_ripple_excludes_slow_motion() -> None:
     times = np.arange(2000) * 0.002
-    way = np.stack([0.1 * np.sin(np.pi * times), 0 * times, 0 * times], axis=1)
-    assert ripple_of(way, 0.002).max() < 2e-5
-    shaking = way + np.stack([0 * times, 1e-5 * np.sin(2 * np.pi * 40 * times), 0 * times], axis=1)
+    path = np.stack([0.1 * np.sin(np.pi * times), 0 * times, 0 * times], axis=1)
+    assert ripple_of(path, 0.002).max() < 2e-5
+    shaking = path + np.stack([0 * times, 1e-5 * np.sin(2 * np.pi * 40 * times), 0 * times], axis=1)
     speed = 1e-5 * 2 * np.pi * 40
     found = spread(ripple_of(shaking, 0.002))
     assert found.rms == pytest.approx(speed / np.sqrt(2), rel=0.1)
-    assert len(ripple_of(way[:10], 0.002)) == 0
-    assert len(ripple_of(0 * way, 0.002)) == 0
+    assert len(ripple_of(path[:10], 0.002)) == 0
+    assert len(ripple_of(0 * path, 0.002)) == 0
 
 
 def test_repeatability_is_the_spread_of_the_first_poses() -> None:
@@ -419,7 +419,7 @@ def test_repeatability_is_the_spread_of_the_first_poses() -> None:
     assert "no other begins" in timing(replace(made, episodes=other)).arms[0].repeatability.reason
 
 
-def test_states_are_on_the_controllers_clock_and_not_when_they_came() -> None:
+def test_states_are_timed_by_the_controllers_clock() -> None:
     made = run()
     rng = np.random.default_rng(0)
     arrival_s = made.arms[0].state["arrival_s"]

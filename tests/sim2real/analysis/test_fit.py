@@ -90,7 +90,7 @@ def test_both_are_found_from_measured_joints_alone(lookahead_s: float, late: int
         assert each.lookahead_s == pytest.approx(true_s, abs=1e-3)
 
 
-def test_targets_that_come_unevenly_are_taken_as_they_came() -> None:
+def test_uneven_targets_are_fitted_at_their_times() -> None:
     made = run(noise_rad=0.0)
     rng = np.random.default_rng(1)
     sent_s = made.arms[0].sent["sent_s"] + rng.uniform(0, 0.004, 750)
@@ -99,13 +99,13 @@ def test_targets_that_come_unevenly_are_taken_as_they_came() -> None:
     sent |= {"sent_s": np.delete(sent_s, [200, 201, 400]), "period": period}
     begin = made.episodes[0].begin_s
     state_s = made.arms[0].state["arrival_s"]
-    way = respond(sent["sent_s"] - begin, sent["target_rad"], sent["target_rad"][0], 0.05, 2000.0, state_s - begin)
-    found = fit(with_arm(made, 0, sent=sent, state={"q_rad": way, "target_q_rad": way}))[0]
+    path = respond(sent["sent_s"] - begin, sent["target_rad"], sent["target_rad"][0], 0.05, 2000.0, state_s - begin)
+    found = fit(with_arm(made, 0, sent=sent, state={"q_rad": path, "target_q_rad": path}))[0]
     assert found.law.lookahead_s == pytest.approx(0.05, abs=1e-7)
     assert found.law.latency_s == pytest.approx(0.0, abs=1e-7)
 
 
-def test_what_cannot_be_fitted_says_why() -> None:
+def test_what_cannot_be_fitted_has_a_reason() -> None:
     still = fit(run(size=0.0))[0]
     assert "targets of the arm do not move" in still.law.reason
     assert "targets of the arm do not move" in still.arm.reason
@@ -264,7 +264,7 @@ def test_a_latency_below_zero_is_explained(latency_s: float, words: str) -> None
     assert not remark(replace(Estimate(0.03, latency_s, 1e-4, 1e-4, 1e-5), reason="too short"), 0.008)
 
 
-def test_fit_says_so_at_the_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fit_reports_it_at_the_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     early = Estimate(0.03, -0.004217, 1e-4, 1e-4, 1e-5)
     arm = ArmFit(early, replace(early, latency_s=0.001), 0.03, 2000.0)
     monkeypatch.setattr("dual_ur10.sim2real.analysis.fit.fit", lambda run, episode: (arm, arm))

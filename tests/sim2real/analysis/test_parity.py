@@ -60,8 +60,8 @@ def test_the_same_actions_give_the_same_targets_to_the_last_bit(tmp_path):
         whole = all(tuple(expected[-1, arm]) in {tuple(each) for each in received[arm]} for arm in range(2))
         if whole and not shifted:
             break
-    assert not shifted, "a machine that stands still again and again: clocks were shifted in every try"
-    assert whole, "a machine that stands still again and again: the last targets came too late in every try"
+    assert not shifted, "a machine that stalls again and again: clocks were shifted in every try"
+    assert whole, "a machine that stalls again and again: the last targets missed their deadline in every try"
     for arm in range(2):
         found, followed = aligned(received[arm], expected[:, arm])
         assert found[-1] == len(expected) - 1
@@ -73,7 +73,7 @@ def test_the_same_actions_give_the_same_targets_to_the_last_bit(tmp_path):
 def received_by_controllers(folder, keywords, actions):
     """Targets that each emulated controller received, and whether a stall has shifted a clock against them.
 
-    Where a controller stands still for a while its periods lie between targets afterwards, until the shift is gone.
+    Where a controller stalls its periods lie between targets afterwards, until the shift is gone.
     """
     folder.mkdir()
     with EmulatedCell(plant="mild", seed=5, cell=str(folder / "lab.toml")) as cell:

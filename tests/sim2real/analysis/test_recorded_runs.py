@@ -42,7 +42,7 @@ def only_run(folder: str = "runs") -> Run:
 # Policy, hash, seed.
 
 
-def test_a_rollout_says_policy_and_seed() -> None:
+def test_a_rollout_records_policy_and_seed() -> None:
     assert run("rollout", "SineTracking", "-n", "2", "--seed", "41", *SHORT)[0] == 0
     made = only_run()
     assert (made.header.policy, made.header.policy_sha256, made.header.seed) == ("scripted", None, 41)
@@ -50,7 +50,7 @@ def test_a_rollout_says_policy_and_seed() -> None:
     assert "record_about" not in made.header.kwargs
 
 
-def test_a_checkpoint_is_told_by_the_hash_of_its_manifest() -> None:
+def test_a_checkpoint_is_identified_by_the_hash_of_its_manifest() -> None:
     more = ("--set", "action_latency_ticks=5", *SHORT)
     assert run("rollout", "SineTracking", "-p", "learned", "-n", "1", *more)[0] == 0
     folder = shipped_folder("learned", SINE)
@@ -66,7 +66,7 @@ def test_a_checkpoint_is_told_by_the_hash_of_its_manifest() -> None:
     assert provenance("zero", SINE) == {"policy": "zero"}
 
 
-def test_a_replay_says_what_it_replays() -> None:
+def test_a_replay_records_its_source() -> None:
     assert run("rollout", "SineTracking", "-n", "2", "--seed", "5", *SHORT)[0] == 0
     (first,) = Path("runs").iterdir()
     code, text = run("replay", str(first), "--episode", "1", "--record", "again")
@@ -78,7 +78,7 @@ def test_a_replay_says_what_it_replays() -> None:
 
 
 @pytest.mark.parametrize("value", ["scripted", {"policy": 3}, {3: "x"}, {"policy_sha256": b"x"}])
-def test_what_cannot_be_said_of_a_run_is_refused(value: Any) -> None:
+def test_values_that_json_cannot_hold_are_refused(value: Any) -> None:
     with pytest.raises(SettingsError, match="record_about"):
         gym.make(SINE, record_about=value)
 
@@ -86,7 +86,7 @@ def test_what_cannot_be_said_of_a_run_is_refused(value: Any) -> None:
 # evaluate.
 
 
-def test_an_evaluation_in_simulation_is_recorded_if_that_is_asked_for() -> None:
+def test_an_evaluation_in_simulation_is_recorded_on_request() -> None:
     assert run("evaluate", "SineTracking", "-n", "2", *SHORT)[0] == 0
     assert not Path("runs").exists()
     arguments = ("evaluate", "SineTracking", "-n", "3", "--seed", "8", *SHORT)
@@ -99,7 +99,7 @@ def test_an_evaluation_in_simulation_is_recorded_if_that_is_asked_for() -> None:
     assert Path("plain.json").read_text() == Path("recorded.json").read_text()
 
 
-def test_an_evaluation_with_a_policy_of_ones_own_says_its_class(tmp_path: Path) -> None:
+def test_an_evaluation_with_an_own_policy_records_its_class(tmp_path: Path) -> None:
     class Mine:
         def reset(self) -> None:
             """There is nothing to forget."""
@@ -222,7 +222,7 @@ def test_a_run_that_cannot_be_recorded_leaves_no_folder(tmp_path: Path, monkeypa
 
 
 @pytest.mark.parametrize("name", ["/dev/full", "file"])
-def test_what_is_no_folder_is_no_place_for_records(name: str, tmp_path: Path) -> None:
+def test_records_need_a_folder(name: str, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(RecordingError, match="it is no folder"):
         gym.make(SINE, record=name)

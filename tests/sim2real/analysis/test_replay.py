@@ -64,7 +64,7 @@ def test_a_simulated_run_is_replayed_to_the_last_bit(tmp_path: Path, env_id: str
         assert (found.targets_rad == run.episodes[number].targets_rad).all()
 
 
-def test_without_what_was_drawn_from_seeds_will_do(sine: Run) -> None:
+def test_without_the_generator_seeds_suffice(sine: Run) -> None:
     forgetful = replace(sine, events=[])
     assert resets_of(forgetful, 1) == [5, None]
     assert resets_of(forgetful, 2) == [7]
@@ -124,7 +124,7 @@ def test_another_motion_is_ended(sine: Run) -> None:
     assert replay(changed).steps == STEPS  # where nothing but numbers can differ
 
 
-def test_a_run_of_controllers_is_played_in_simulation(sine: Run) -> None:
+def test_a_run_of_controllers_is_replayed_in_simulation(sine: Run) -> None:
     emulated = replace(sine, header=replace(sine.header, source="emulated", kwargs={"cell": "gone.toml"}))
     found = replay(emulated)
     assert found.is_exact
@@ -258,7 +258,7 @@ def test_a_cell_is_refused_before_anything_is_made(sine: Run, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("cell", ["lab.toml", "/some/where/lab.toml", "./x/y"])
-def test_a_recording_that_says_it_is_simulated_moves_no_arms(sine: Run, tmp_path: Path, cell: str) -> None:
+def test_a_recording_marked_as_simulated_moves_no_arms(sine: Run, tmp_path: Path, cell: str) -> None:
     with pytest.raises(RecordingError, match="a simulated run's is not a file"):
         replay(replace(sine, header=replace(sine.header, kwargs={"cell": cell})))
 
@@ -269,7 +269,7 @@ def test_keywords_that_no_environment_takes_are_refused(sine: Run, keywords: dic
         replay(replace(sine, header=replace(sine.header, kwargs=keywords)))
 
 
-def test_what_begins_within_an_episode_is_not_played(sine: Run) -> None:
+def test_an_episode_without_its_beginning_is_not_replayed(sine: Run) -> None:
     within = replace(
         sine, episodes=[replace(sine.episodes[0], first_step=3), *sine.episodes[1:]], events=sine.events[1:]
     )
@@ -282,7 +282,7 @@ def test_what_begins_within_an_episode_is_not_played(sine: Run) -> None:
     assert replay(replace(within, events=events), episode=1).is_exact
 
 
-def test_on_controllers_nothing_of_simulation_is_asked_for(tmp_path: Path) -> None:
+def test_keywords_of_simulation_are_not_passed_to_controllers(tmp_path: Path) -> None:
     path = tmp_path / "lab.toml"
     path.write_text("kind = 'emulated'\n[left]\nhost='127.0.0.2'\n[right]\nhost='127.0.0.3'\n")
     head = header(

@@ -64,7 +64,7 @@ def test_a_report_without_figures_says_why() -> None:
         compare(apart, made)
 
 
-def test_the_report_tells_policies_seeds_and_what_was_replayed() -> None:
+def test_the_report_names_policies_seeds_and_the_replayed_run() -> None:
     replays = {"replays": {"run": "20260101T000000-Sine", "sha256": "ab" * 32, "episode": 4}}
     ours, theirs = run(2.0, policy="learned", policy_sha256="cd" * 32), run(2.0, policy="", extra=replays)
     ours = replace(ours, header=replace(ours.header, seed=7))
@@ -105,7 +105,7 @@ def test_replay_compare_and_fit_from_the_command_line(tmp_path: Path) -> None:
     assert load_cell_file(cell).left.measured.lookahead_s is None
 
 
-def test_what_does_not_work_is_said_before_it_takes_time(tmp_path: Path) -> None:
+def test_errors_are_reported_before_work_begins(tmp_path: Path) -> None:
     record(tmp_path / "one", "DualUR10/SineTracking-v0", [3], 3)
     one = str(tmp_path / "one")
     with pytest.raises(DualUR10Error, match="does not exist"):

@@ -112,8 +112,8 @@ def write(writer, rng, *, steps=6, episodes=2):
 def status(number, at_s):
     """The state number `number` of an arm: all its numbers say which it is."""
     values = {name: (float(number),) * 6 for name in _SIXES}
-    rest = {name: float(number) for name in _ONES}
-    return ArmStatus(arrival_s=at_s, timestamp_s=number * 0.002, **values, **rest)
+    others = {name: float(number) for name in _ONES}
+    return ArmStatus(arrival_s=at_s, timestamp_s=number * 0.002, **values, **others)
 
 
 _SIXES = [name for name, size in STATE_COLUMNS if size == 6 and name != "tcp_offset"]

@@ -1,4 +1,4 @@
-"""Files that somebody made: damaged, nonsensical, hostile."""
+"""Damaged, illegal and hostile files."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def refused(tmp_path, *parts, **keywords):
 
 @pytest.mark.parametrize("field", ["q_rad", "qd_rad_s", "timestamp_s", "target_q_rad"])
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_states_that_are_no_numbers_are_refused_with_their_row(tmp_path, rng, field, value):
+def test_states_that_are_not_finite_are_refused_with_their_row(tmp_path, rng, field, value):
     from tests.sim2real.recording.test_writer import columns
 
     with RunWriter(tmp_path, header()) as writer:
@@ -53,12 +53,12 @@ def test_states_that_are_no_numbers_are_refused_with_their_row(tmp_path, rng, fi
         columns(rows)[field][7] = value
         writer.states(1, rows)
     refused(tmp_path, "/right/state, row 7", field)
-    # What a controller told is the very thing to look at after a fault.
+    # Reports of a controller matter most after a fault.
     assert len(read_run(tmp_path, allow_partial=True).arms[1].state["q_rad"]) == 10
 
 
 @pytest.mark.parametrize("column", range(SENT_SIZE))
-def test_targets_that_are_no_numbers_are_refused_with_their_row(tmp_path, rng, column):
+def test_targets_that_are_not_finite_are_refused_with_their_row(tmp_path, rng, column):
     with RunWriter(tmp_path, header()) as writer:
         rows = sent_rows(rng, np.arange(10) * 0.008)
         rows[3, column] = math.nan
@@ -86,7 +86,7 @@ def test_times_that_go_back_are_refused_with_their_row(tmp_path, rng):
         ({"success": 5}, "success is 5"),
     ],
 )
-def test_steps_that_make_no_sense_are_refused_with_their_row(tmp_path, rng, changes, message):
+def test_illegal_steps_are_refused_with_their_row(tmp_path, rng, changes, message):
     with RunWriter(tmp_path, header()) as writer:
         begun(writer, rng)
         for number in range(2):
@@ -126,7 +126,7 @@ def test_episodes_that_do_not_follow_are_refused(tmp_path, rng, number, at):
         ({"q_rad": np.full(12, np.nan)}, "not finite"),
     ],
 )
-def test_an_episode_that_makes_no_sense_is_refused(tmp_path, rng, changes, message):
+def test_an_illegal_episode_is_refused(tmp_path, rng, changes, message):
     from dual_ur10.sim2real.recording.schemas import BEGIN
 
     with RunWriter(tmp_path, header()) as writer:
@@ -158,7 +158,7 @@ def test_an_episode_that_makes_no_sense_is_refused(tmp_path, rng, changes, messa
         ({"kwargs": []}, "kwargs is []"),
     ],
 )
-def test_a_header_that_makes_no_sense_is_refused(tmp_path, changes, message):
+def test_an_illegal_header_is_refused(tmp_path, changes, message):
     RunWriter(tmp_path, header(**changes)).close()
     refused(tmp_path, message)
 
@@ -190,7 +190,7 @@ def preamble(line, **changes):
         (json.dumps(asdict(header())), {}, "cut off"),
     ],
 )
-def test_a_header_that_is_none_is_refused(tmp_path, line, changes, message):
+def test_a_damaged_header_is_refused(tmp_path, line, changes, message):
     (tmp_path / "run.mcap").write_bytes(preamble(line, **changes))
     refused(tmp_path, message, allow_partial=True)
 
@@ -290,7 +290,7 @@ def test_what_is_no_regular_file_is_refused(tmp_path, rng):
         ({"time_s": 0.0, "arm": "middle"}, "not legal"),
     ],
 )
-def test_events_that_make_no_sense_are_refused(tmp_path, values, message):
+def test_illegal_events_are_refused(tmp_path, values, message):
     from dual_ur10.sim2real.recording.schemas import EVENT
 
     with RunWriter(tmp_path, header()) as writer:
@@ -323,7 +323,7 @@ FLAT = Schema(
 
 
 @pytest.mark.parametrize("size", [0, 1, 3])
-def test_messages_come_back_whatever_stands_before_what(size):
+def test_messages_come_back_at_every_alignment(size):
     values = {"a": np.arange(size) + 0.5, "b": "ü" * size, "c": np.arange(3.0), "d": bytes(size)}
     found = FLAT.decode(FLAT.encode(values))
     assert (found["b"], found["d"]) == (values["b"], values["d"])
@@ -338,7 +338,7 @@ def test_messages_come_back_whatever_stands_before_what(size):
 
 
 def written(folder, targets, seed=9, **head):
-    """A run of one episode, whose steps begin with these targets."""
+    """Write a run of one episode whose steps begin with these targets."""
     rng = np.random.default_rng(seed)
     with RunWriter(folder, header(**head)) as writer:
         writer.single(EPISODE_TOPIC, 0.0, begin_row(rng).encode(0, 0.0))
@@ -347,7 +347,7 @@ def written(folder, targets, seed=9, **head):
     return folder
 
 
-def test_steps_tell_with_which_target_they_begin(tmp_path):
+def test_steps_hold_the_number_of_their_first_target(tmp_path):
     targets = [40, 45, LATE, 130, 135]
     (episode,) = read_run(written(tmp_path, targets)).episodes
     assert episode.first_target.tolist() == targets
@@ -355,7 +355,7 @@ def test_steps_tell_with_which_target_they_begin(tmp_path):
 
 
 @pytest.mark.parametrize("targets", [[40, 44], [40, LATE, 44], [-2], [-3], [2**60]])
-def test_targets_that_no_run_has_are_refused_with_their_row(tmp_path, targets):
+def test_illegal_first_targets_are_refused_with_their_row(tmp_path, targets):
     with pytest.raises(RecordingError, match=f"/step, row {len(targets) - 1}: first_target is"):
         read_run(written(tmp_path, targets))
 
@@ -438,7 +438,7 @@ def test_mutated_files_give_a_run_or_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("package", ["mcap", "mcap_ros2"])
-def test_without_the_libraries_the_extra_is_named_and_records_are_still_written(tmp_path, package):
+def test_without_the_libraries_only_writing_works(tmp_path, package):
     code = (
         "import sys, pathlib, numpy as np\n"
         f"sys.modules[{package!r}] = None\n"

@@ -85,7 +85,7 @@ def test_states_targets_steps_and_events_are_recorded(recorder, memories, tmp_pa
     assert "left note: größer" in (tmp_path / LOG_FILE).read_text()
 
 
-def test_what_was_in_the_memories_before_is_not_of_this_run(memories, tmp_path):
+def test_earlier_rows_of_the_memories_are_not_recorded(memories, tmp_path):
     feed(memories, 0, 50)
     recorder = RecorderProcess((memories[0].name, memories[1].name), tmp_path, header(), tmp_path)
     recorder.wait_until_ready()
@@ -109,15 +109,15 @@ def test_a_stop_leaves_a_black_box_with_the_stop_in_it(recorder, memories, tmp_p
     assert run.header.extra["black_box"]
     assert run.arms[0].state["q_rad"][:, 0].tolist() == list(range(25))
     assert len(run.episodes[0].reward) == 1
-    told = [(event.kind, event.arm, event.text) for event in run.events if event.kind != "tick"]
-    assert told == [
+    found_events = [(event.kind, event.arm, event.text) for event in run.events if event.kind != "tick"]
+    assert found_events == [
         ("phase", "left", "stopping: left: protective stop"),
         ("phase", "left", "stopped: left: protective stop"),
         ("stop", "", "left: protective stop"),
     ]
 
 
-def test_a_stop_that_was_asked_for_is_none_to_look_into(recorder, memories):
+def test_a_requested_stop_leaves_no_black_box(recorder, memories):
     memories[0].enter(Phase.STOPPED, "left: a stop was requested")
     waited(lambda: recorder.event("tick", "") or recorder.now_s > 0.3)
     recorder.close()
@@ -136,7 +136,7 @@ def test_black_boxes_are_written_without_a_run_too(memories, tmp_path):
     assert [event.text for event in run.events] == ["a test", "a test"]
 
 
-def test_a_black_box_keeps_the_last_seconds_and_where_their_episode_stands(tmp_path, rng):
+def test_a_black_box_keeps_the_last_seconds_and_their_episode(tmp_path, rng):
     box = BlackBox(tmp_path, header())
     rows = []
     box.single(EPISODE_TOPIC, 0.0, begin_row(rng).encode(4, 0.0))
@@ -162,7 +162,7 @@ def test_a_black_box_keeps_the_last_seconds_and_where_their_episode_stands(tmp_p
     assert box.write(20.0, "again").name == "blackbox-2.mcap"
 
 
-def test_rows_that_were_lost_are_said(memories, tmp_path):
+def test_lost_rows_are_an_event(memories, tmp_path):
     recorder = Recorder(memories, tmp_path, header(), tmp_path, time.monotonic(), 0)
     feed(memories, 0, RING + 99)
     recorder.poll()
@@ -188,7 +188,7 @@ class _Overtaken(ArmMemory):
         return rows, count
 
 
-def test_rows_that_may_be_written_over_while_they_are_read_are_not_taken(memories, tmp_path):
+def test_rows_overwritten_while_they_are_read_are_dropped(memories, tmp_path):
     pair = _Overtaken(memories[0].name), memories[1]
     recorder = Recorder(pair, tmp_path, header(), tmp_path, time.monotonic(), 0)
     feed(memories, 0, RING - 10)
@@ -201,7 +201,7 @@ def test_rows_that_may_be_written_over_while_they_are_read_are_not_taken(memorie
     assert [event.text.split(":")[0] for event in run.events] == ["41 states"]
 
 
-def test_what_stands_in_the_way_is_said_at_the_start(memories, tmp_path):
+def test_what_prevents_recording_is_reported_at_the_start(memories, tmp_path):
     names = memories[0].name, memories[1].name
     (tmp_path / "run.mcap").touch()
     cases = (
@@ -219,7 +219,7 @@ def test_what_stands_in_the_way_is_said_at_the_start(memories, tmp_path):
         recorder.close()
 
 
-def test_the_program_does_not_wait_for_a_recorder_that_hangs_and_is_told(recorder, memories, tmp_path, rng):
+def test_a_recorder_that_hangs_does_not_block_the_program(recorder, memories, tmp_path, rng):
     recorder.begin_episode(begin_row(rng))
     os.kill(recorder.process.pid, signal.SIGSTOP)
     woken = threading.Timer(30.0, os.kill, (recorder.process.pid, signal.SIGCONT))  # lest it wait for ever
@@ -234,7 +234,7 @@ def test_the_program_does_not_wait_for_a_recorder_that_hangs_and_is_told(recorde
     assert len(read_run(tmp_path).episodes[0].reward) == 300
 
 
-def test_a_recorder_that_dies_is_noticed_and_disturbs_nobody(recorder, memories, tmp_path, rng):
+def test_a_recorder_that_dies_is_reported_and_blocks_nothing(recorder, memories, tmp_path, rng):
     recorder.begin_episode(begin_row(rng))
     feed(memories, 0, 10)
     waited(lambda: recorder.event("tick", "") or (tmp_path / "run.mcap").stat().st_size > 20_000)
@@ -248,7 +248,7 @@ def test_a_recorder_that_dies_is_noticed_and_disturbs_nobody(recorder, memories,
     assert not run.complete
 
 
-def test_ctrl_c_is_the_programs_matter(recorder, memories, tmp_path):
+def test_ctrl_c_is_left_to_the_program(recorder, memories, tmp_path):
     for _ in range(3):
         os.kill(recorder.process.pid, signal.SIGINT)
     feed(memories, 0, 5)
@@ -298,7 +298,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.parametrize("end", ["time.sleep(60)", "sys.exit()"])
-def test_a_recorder_outlives_its_program_until_the_arms_rest(memories, tmp_path, end):
+def test_a_recorder_outlives_its_program_until_the_arms_stop(memories, tmp_path, end):
     code = tmp_path / "program.py"
     code.write_text(MAIN.replace("{end}", end))
     process = subprocess.Popen(

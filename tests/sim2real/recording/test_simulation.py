@@ -116,13 +116,13 @@ def test_recording_changes_no_number(tmp_path):
     env.close()
 
 
-def test_a_record_holds_what_its_episodes_can_be_run_again_from(tmp_path):
+def test_a_record_holds_all_that_repeats_its_episodes(tmp_path):
     where, given = recorded(tmp_path, "SyncCarry", randomization="mild")
     run = read_run(where)
     generators = [json.loads(event.text) for event in run.events if event.kind == "generator"]
-    drawn = [json.loads(event.text) for event in run.events if event.kind == "drawn"]
-    assert len(generators) == len(drawn) == 2
-    assert drawn[0] != drawn[1]
+    sampled = [json.loads(event.text) for event in run.events if event.kind == "drawn"]
+    assert len(generators) == len(sampled) == 2
+    assert sampled[0] != sampled[1]
     env = gym.make(run.header.env_id, **run.header.kwargs)
     env.reset(seed=1)
     for number in (1, 0):
@@ -258,7 +258,7 @@ def test_without_minari_the_message_says_what_to_install(monkeypatch):
 
 
 @pytest.mark.parametrize("latency", [0, 3])
-def test_in_simulation_they_are_counted(tmp_path, latency):
+def test_a_simulation_counts_its_targets(tmp_path, latency):
     env = gym.make("DualUR10/SineTracking-v0", record=str(tmp_path), action_latency_ticks=latency)
     for _ in range(2):
         env.reset(seed=0)
@@ -275,11 +275,11 @@ def test_in_simulation_they_are_counted(tmp_path, latency):
 
 
 def test_an_action_that_missed_its_deadline_is_an_event_and_has_no_target():
-    told, events = [], []
+    firsts, events = [], []
     recorder = SimpleNamespace(
         begin_episode=lambda row: None,
         event=lambda kind, text, *_: events.append((kind, text)),
-        step=lambda row, trace: told.append(row.first_target),
+        step=lambda row, trace: firsts.append(row.first_target),
     )
     hook = RecordHook(recorder, cell=object())
     state = SimpleNamespace(q_rad=np.zeros((1, 2, 6)), flange_m=np.zeros((1, 2, 3)), time_s=np.zeros(1))
@@ -291,11 +291,11 @@ def test_an_action_that_missed_its_deadline_is_an_event_and_has_no_target():
         hook.resetting([np.random.default_rng(0)], 1)
         hook.reset(np.zeros((1, 3)), state, {})
         events.clear()
-        told.clear()
+        firsts.clear()
         for number in range(4):
             period = CellStep(state, late=number == 2, first_target=begin + 5 * number)
             hook.step(np.zeros(12), command, step, period)
-        assert told == [begin, begin + 5, LATE, begin + 15]
+        assert firsts == [begin, begin + 5, LATE, begin + 15]
         ((kind, text),) = events
         assert kind == "late"
         assert f"the action of step 2 missed the deadline of target {begin + 10}:" in text

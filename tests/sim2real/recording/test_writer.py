@@ -92,7 +92,7 @@ def test_what_is_not_there_is_none(tmp_path, rng):
     assert [len(each) for each in (second.action, second.targets_rad, second.reward, second.time_s)] == [0] * 4
 
 
-def test_the_readers_of_the_field_decode_every_message(tmp_path, rng):
+def test_other_readers_decode_every_message(tmp_path, rng):
     path, given = written(tmp_path, rng)
     found = {}
     with path.open("rb") as file:
@@ -326,7 +326,7 @@ def test_names_that_lead_elsewhere_are_refused(tmp_path, name):
         ({"started_utc": "yesterday"}, "started_utc"),
     ],
 )
-def test_a_header_that_nobody_could_read_is_refused(tmp_path, changes, message):
+def test_a_header_that_json_cannot_hold_is_refused(tmp_path, changes, message):
     with pytest.raises(RecordingError, match=message):
         RunWriter(tmp_path, header(**changes))
 

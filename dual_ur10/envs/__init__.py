@@ -4,8 +4,8 @@
 
     env = parallel_env("SineTracking", reward="individual", max_cycles=100)
 
-These three take the name of a task or an id, load MuJoCo only when called, and have the names of their modules: import
-the classes from those (`from dual_ur10.envs.api.parallel_env import DualArmParallelEnv`).
+These three take the name of a task or an id, and load MuJoCo only when called. Their classes are in the modules of the
+same names (`from dual_ur10.envs.api.parallel_env import DualArmParallelEnv`).
 """
 
 # Bound at import: a module imported later would otherwise replace the function of the same name.

@@ -53,7 +53,7 @@ class Payload:
 
 
 def hostile(sentinel: Path, data: bytes | None = None) -> bytes:
-    """A file as Stable-Baselines3 saves one, with the payload wherever it unpickles; `data` in place of its JSON."""
+    """Return a file of Stable-Baselines3 with the payload wherever it unpickles; `data` replaces its JSON."""
     payload = pickle.dumps(Payload(sentinel))
     item = {":type:": "<class 'x'>", ":serialized:": base64.b64encode(payload).decode()}
     good = dict.fromkeys(("policy_class", "action_space", "clip_range", "policy_kwargs", "lr_schedule"), item)
@@ -198,7 +198,7 @@ def test_a_model_of_another_environment(
 
 
 def test_a_file_with_a_false_observation_size(made: Any, tmp_path: Path) -> None:
-    """What counts in the end is the network."""
+    """The network decides, not the size in the file."""
     made("ppo", 50, 6).save(tmp_path / "true.zip")
     for size, expected in ((68, "the network has 6 outputs: joint"), (41, "the network has 50 inputs")):
         with zipfile.ZipFile(tmp_path / "true.zip") as old, zipfile.ZipFile(tmp_path / "lie.zip", "w") as new:

@@ -241,14 +241,14 @@ def test_the_report_has_the_emulated_runs_or_the_reason(made: tuple[Path, str]) 
 
 
 def undisturbed(found: emulated.EmulatedPair) -> bool:
-    """Whether every target was sent in its own period: no action was late, and no stall has shifted a clock."""
+    """Return True if every target was sent in its own period: no action was late, and no stall has shifted a clock."""
     indices = [arm.sent["index"][:250] for arm in read_run(found.emulated.folder).arms]  # what ends is a ramp
     return found.emulated.late_actions == 0 and all(bool((each == np.rint(each)).all()) for each in indices)
 
 
 @pytest.fixture(scope="module")
 def beside(tmp_path_factory: pytest.TempPathFactory) -> emulated.EmulatedPair:
-    """A short sine, simulated and emulated. Arms on a machine that is too busy stop, and that is no fault of this."""
+    """Run a short sine, simulated and emulated. It is repeated if arms stop because the machine is too busy."""
     result = None
     for _ in range(4):
         reported: list[float] = []
@@ -398,7 +398,7 @@ def test_a_film_cut_short_leaves_no_file(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def carried(**columns: Any) -> Trace:
-    """A trace of three steps, the last two of them on the path."""
+    """Return a trace of three steps, of which the last two are on the path."""
     trace = Trace()
     rows: dict[str, Any] = {
         "clock_s": [-1.0, 0.5, 1.0],

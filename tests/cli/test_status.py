@@ -32,7 +32,7 @@ def cell(made):
 
 @pytest.fixture
 def show(made, monkeypatch):
-    """What the command prints, as one text, and its exit code."""
+    """Function that returns the output of the command, as one text, and its exit code."""
     _, path = made
     app = typer.Typer()
     app.command()(status)
@@ -48,7 +48,7 @@ def show(made, monkeypatch):
 
 
 def row(text, label):
-    """What stands in a row, and in those below it without a label, in the left arm's column and in the right one's."""
+    """Return the left and the right cell of a row, joined with those of the rows below it without a label."""
     found, inside = [[], []], False
     for line in text.splitlines():
         cells = [each.strip() for each in line.split("│")[1:-1]]

@@ -16,6 +16,7 @@ from dual_ur10 import errors
 from dual_ur10.envs import aec_env, parallel_env
 from dual_ur10.envs.api.parallel_env import DualArmParallelEnv
 from dual_ur10.kinematics.ur10 import ARMS
+from tests.envs.equality import equal
 from tests.soak import scaled
 
 IDS = dual_ur10.ENV_IDS
@@ -41,13 +42,6 @@ def by_agent(action):
 
 def zeros(env):
     return {agent: np.zeros(env.action_space(agent).shape, dtype=np.float32) for agent in env.possible_agents}
-
-
-def equal(one, other):
-    """Whether two infos are the same."""
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(equal(one[name], other[name]) for name in one)
-    return np.array_equal(one, other)
 
 
 @checks

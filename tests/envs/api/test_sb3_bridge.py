@@ -8,6 +8,7 @@ import dual_ur10
 from dual_ur10 import errors
 from dual_ur10.envs import parallel_env
 from dual_ur10.kinematics.ur10 import ARMS
+from tests.envs.equality import equal
 from tests.soak import scaled
 
 IDS = dual_ur10.ENV_IDS
@@ -24,13 +25,6 @@ from dual_ur10.envs.api.sb3_bridge import TwoAgentVecEnv  # noqa: E402  # as abo
 
 def zeros(env):
     return np.zeros((env.num_envs, *env.action_space.shape), dtype=np.float32)
-
-
-def equal(one, other):
-    """Whether two infos are the same."""
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(equal(one[name], other[name]) for name in one)
-    return np.array_equal(one, other)
 
 
 @pytest.mark.parametrize("reward", ["shared", "individual"])

@@ -17,6 +17,7 @@ from dual_ur10.envs.api.dual_arm_env import DualArmEnv
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.rendering.images import Renderer
 from dual_ur10.ids import ENV_IDS, task_name
+from tests.envs.equality import equal
 
 SINE = "DualUR10/SineTracking-v0"
 WITH_GRIPPERS = [name for name in map(task_name, ENV_IDS) if EnvSetup.resolve(name, {}).config.equipment.grippers]
@@ -37,12 +38,6 @@ def actions(steps, n=None, seed=0):
     return np.random.default_rng(seed).uniform(-1, 1, shape).astype(np.float32)
 
 
-def same(left, right):
-    if isinstance(left, dict):
-        return left.keys() == right.keys() and all(same(left[name], right[name]) for name in left)
-    return np.array_equal(left, right)
-
-
 def row(observation, k):
     if isinstance(observation, dict):
         return {name: row(value, k) for name, value in observation.items()}
@@ -58,7 +53,7 @@ def arrays(observation):
 
 
 def changes(env, steps, every_row=lambda image: image):
-    """Whether the image of the first camera is a new one, at each step."""
+    """Return, for each step, True if the image of the first camera is a new one."""
     last, result = every_row(env.reset(seed=0)[0]["front"]), []
     for action in actions(steps, getattr(env, "num_envs", None)):
         image = every_row(env.step(action)[0]["front"])
@@ -68,7 +63,7 @@ def changes(env, steps, every_row=lambda image: image):
 
 
 def counted(monkeypatch):
-    """Counts images from here on."""
+    """Return a list to which each image drawn from now on adds its camera."""
     drawn = []
     image = Renderer.image
 
@@ -91,7 +86,7 @@ def test_gymnasium_checks_it_without_a_warning(kind):
 
 
 def flat(env):
-    """What Stable-Baselines3 can take: one dict without another in it."""
+    """Return the environment with a flat dict, as Stable-Baselines3 needs it."""
     space = env.observation_space
     return TransformObservation(
         env,
@@ -155,14 +150,14 @@ def test_drawing_changes_no_bit_of_the_physics(kind):
     keywords = {"render_mode": "rgb_array", "pixels_rate_hz": 12.5, "shadows": True}
     plain, rendered = gym.make(SINE), single(kind, **keywords)
     left, right = plain.reset(seed=5), rendered.reset(seed=5)
-    assert same(left[1], right[1])
+    assert equal(left[1], right[1])
     for action in actions(12):
         left, right = plain.step(action), rendered.step(action)
         rendered.render()
         if kind == "both":
             assert np.array_equal(left[0], right[0]["state"])
         assert left[1:4] == right[1:4]
-        assert same(left[4], right[4])
+        assert equal(left[4], right[4])
         states = [each.unwrapped.core.cell._physics._batch.state for each in (plain, rendered)]
         assert np.array_equal(*states)
 
@@ -172,21 +167,21 @@ def test_same_seed_gives_same_images_after_other_episodes():
     for seed in range(3):
         used.reset(seed=seed)
         used.step(actions(1)[0])
-    assert same(fresh.reset(seed=7)[0], used.reset(seed=7)[0])
+    assert equal(fresh.reset(seed=7)[0], used.reset(seed=7)[0])
     for action in actions(5):
-        assert same(fresh.step(action)[0], used.step(action)[0])
-    assert not same(fresh.reset(seed=8)[0], used.reset(seed=9)[0])
+        assert equal(fresh.step(action)[0], used.step(action)[0])
+    assert not equal(fresh.reset(seed=8)[0], used.reset(seed=9)[0])
 
 
 def test_a_row_of_a_batch_sees_what_the_single_environment_sees():
     envs, singles = vector(3, "both", pixels_rate_hz=12.5), [single("both", pixels_rate_hz=12.5) for _ in range(3)]
     observation, _ = envs.reset(seed=4)
     for k, env in enumerate(singles):
-        assert same(row(observation, k), env.reset(seed=4 + k)[0])
+        assert equal(row(observation, k), env.reset(seed=4 + k)[0])
     for action in actions(5, 3):
         observation = envs.step(action)[0]
         for k, env in enumerate(singles):
-            assert same(row(observation, k), env.step(action[k])[0])
+            assert equal(row(observation, k), env.step(action[k])[0])
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -198,7 +193,7 @@ def test_observations_are_copies(kind, make):
     for action in actions(7, getattr(env, "num_envs", None)):
         kept.append(env.step(action)[0])
         copies.append(pickle.loads(pickle.dumps(kept[-1])))
-    assert all(same(a, b) for a, b in zip(kept, copies, strict=True))
+    assert all(equal(a, b) for a, b in zip(kept, copies, strict=True))
     every = [each for observation in kept for each in arrays(observation)]
     assert not any(np.shares_memory(a, b) for k, a in enumerate(every) for b in every[:k])
     for each in arrays(kept[-1]):
@@ -222,9 +217,9 @@ def test_an_episode_begins_with_a_new_image_and_its_own_count():
     for action in actions(4):
         last, *_ = env.step(action)
     first, _ = env.reset(seed=1)
-    assert not same(first, last)
-    assert same(first, single().reset(seed=1)[0])
-    changed = [not same(env.step(action)[0], first) for action in actions(3)]
+    assert not equal(first, last)
+    assert equal(first, single().reset(seed=1)[0])
+    changed = [not equal(env.step(action)[0], first) for action in actions(3)]
     assert changed == [False, False, True]
 
 
@@ -237,8 +232,8 @@ def test_a_partial_reset_draws_only_the_reset_rows(kind, monkeypatch):
     drawn = counted(monkeypatch)
     after, _ = env.reset(seed=[None, 50, None], options={"reset_mask": np.array([False, True, False])})
     assert len(drawn) == 2
-    assert [same(row(before, k), row(after, k)) for k in range(3)] == [True, False, True]
-    assert same(row(after, 1), single(kind).reset(seed=50)[0])
+    assert [equal(row(before, k), row(after, k)) for k in range(3)] == [True, False, True]
+    assert equal(row(after, 1), single(kind).reset(seed=50)[0])
     images = []
     for action in actions(3, 3):
         observation = env.step(action)[0]
@@ -258,7 +253,7 @@ def test_next_step_autoreset_draws_each_row_once(monkeypatch):
     for action in actions(5, 2):
         observation, _, _, truncated, _ = env.step(action)
     assert truncated.all()
-    assert not same(row(observation, 0), single("both", cameras=("front",)).reset(seed=0)[0])
+    assert not equal(row(observation, 0), single("both", cameras=("front",)).reset(seed=0)[0])
     drawn = counted(monkeypatch)
     observation, *_ = env.step(actions(1, 2)[0])
     assert len(drawn) == 2
@@ -266,7 +261,7 @@ def test_next_step_autoreset_draws_each_row_once(monkeypatch):
     control.reset(seed=0)
     for action in actions(5, 2):
         control.step(action[0])
-    assert same(row(observation, 0), control.reset()[0])
+    assert equal(row(observation, 0), control.reset()[0])
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -279,12 +274,12 @@ def test_same_step_autoreset_gives_the_last_images_too(kind):
         observation, _, _, truncated, info = env.step(action)
         last = control.step(action[0])[0]
     assert truncated.all()
-    assert same(info["final_obs"][0], last)
+    assert equal(info["final_obs"][0], last)
     assert info["final_obs"][1] in env.single_observation_space
-    assert same(row(observation, 0), control.reset()[0])
+    assert equal(row(observation, 0), control.reset()[0])
     copy = pickle.loads(pickle.dumps(info["final_obs"][0]))
     env.step(actions(1, 2)[0])
-    assert same(info["final_obs"][0], copy)
+    assert equal(info["final_obs"][0], copy)
 
 
 def test_disabled_autoreset_leaves_the_images_of_other_rows():
@@ -293,7 +288,7 @@ def test_disabled_autoreset_leaves_the_images_of_other_rows():
     for action in actions(5, 2):
         before, *_ = env.step(action)
     after, _ = env.reset(options={"reset_mask": np.array([True, False])})
-    assert [same(row(before, k), row(after, k)) for k in range(2)] == [False, True]
+    assert [equal(row(before, k), row(after, k)) for k in range(2)] == [False, True]
 
 
 @pytest.mark.parametrize("make", [single, vector])
@@ -305,7 +300,7 @@ def test_a_pickled_copy_continues_bit_for_bit(make):
         env.step(action)
     copy = pickle.loads(pickle.dumps(env))
     for action in steps[4:]:
-        assert same(env.step(action)[0], copy.step(action)[0])
+        assert equal(env.step(action)[0], copy.step(action)[0])
 
 
 @pytest.mark.parametrize("make", [single, vector])
@@ -464,4 +459,4 @@ def test_shadows_and_reflections_are_drawn_on_request_only():
         flags = env.unwrapped._observer.renderer._offscreen.scene.flags
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             assert bool(flags[flag]) is bool(keywords)
-    assert not same(*images)
+    assert not equal(*images)

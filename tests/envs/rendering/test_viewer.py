@@ -1,4 +1,4 @@
-"""The viewer without a display: a server on the loopback interface and nowhere else."""
+"""Viewer without a display: a server on the loopback interface alone."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def opened(scene: tuple[Any, Any]) -> Iterator[Viewer]:
 
 
 def listening() -> set[tuple[str, int]]:
-    """What this process and the viewers that it started listen on."""
+    """Return the addresses on which this process and its viewers listen."""
     me = psutil.Process()
     found = [each for process in (me, *me.children()) for each in process.net_connections(kind="inet")]
     return {tuple(each.laddr) for each in found if each.status == psutil.CONN_LISTEN}
@@ -139,7 +139,7 @@ def test_it_prints_nothing(opened: Viewer, capfd: pytest.CaptureFixture[str]) ->
 
 def test_a_later_mujoco_that_ignores_the_host_is_refused_before_it_listens() -> None:
     class Open:
-        """A web viewer that takes its socket from all interfaces, whatever its host is."""
+        """Web viewer that opens its socket on all interfaces, whatever its host is."""
 
         def __init__(self) -> None:
             self._host = "::"

@@ -346,8 +346,8 @@ class ServojAdapter:
         """Return the width of each gripper in every tick, (n, ticks, 2), in m."""
         if not self.gripper:
             return None
-        opening = (np.clip(action[..., 6], -1.0, 1.0) + 1.0) * (GRIPPER_OPENING_M / 2)
-        return np.repeat(opening[:, None], self.ticks, axis=1)
+        width = (np.clip(action[..., 6], -1.0, 1.0) + 1.0) * (GRIPPER_OPENING_M / 2)
+        return np.repeat(width[:, None], self.ticks, axis=1)
 
 
 def _parabola(after: float) -> Array:

@@ -39,12 +39,12 @@ class CommandQueue:
     def __init__(self, n: int, latency_ticks: int) -> None:
         self.latency_ticks = checked_latency(latency_ticks)
         self._targets: Array = np.zeros((n, self.latency_ticks, 2, 6))
-        self._openings: Array = np.full((n, self.latency_ticks, 2), GRIPPER_OPENING_M)
+        self._widths: Array = np.full((n, self.latency_ticks, 2), GRIPPER_OPENING_M)
 
     def reset(self, q_rad: Array, rows: Rows, gripper_m: Array | None = None) -> None:
         """Start `rows` at rest at `q_rad`, (len(rows), 2, 6), with gripper widths (len(rows), 2), or open grippers."""
         self._targets[rows] = q_rad[:, None]
-        self._openings[rows] = GRIPPER_OPENING_M if gripper_m is None else np.asarray(gripper_m)[:, None]
+        self._widths[rows] = GRIPPER_OPENING_M if gripper_m is None else np.asarray(gripper_m)[:, None]
 
     def __call__(self, command: Command) -> Command:
         """Queue a command and return the one that acts now."""
@@ -53,8 +53,8 @@ class CommandQueue:
         ticks = command.targets_rad.shape[1]
         targets = np.concatenate([self._targets, command.targets_rad], axis=1)
         self._targets = targets[:, ticks:]
-        openings = command.gripper_m
-        if openings is not None:
-            queue = np.concatenate([self._openings, openings], axis=1)
-            openings, self._openings = queue[:, :ticks], queue[:, ticks:]
-        return command._replace(targets_rad=targets[:, :ticks], gripper_m=openings)
+        widths = command.gripper_m
+        if widths is not None:
+            queue = np.concatenate([self._widths, widths], axis=1)
+            widths, self._widths = queue[:, :ticks], queue[:, ticks:]
+        return command._replace(targets_rad=targets[:, :ticks], gripper_m=widths)

@@ -33,7 +33,7 @@ class ServojPipeline:
         low, high = adapter.action_bounds
         self._lowest, self._highest = low - _ROUNDING, high + _ROUNDING
         self.clipped_actions = 0
-        self._openings: Array = np.zeros((adapter.n, 2))  # released last: where the gripper of a stopped arm is held
+        self._widths: Array = np.zeros((adapter.n, 2))  # released last: where the gripper of a stopped arm is held
 
     def reset(self, q_rad: Array, rows: Rows | None = None, gripper_m: Array | None = None) -> None:
         """Start from rest.
@@ -46,7 +46,7 @@ class ServojPipeline:
         self.adapter.reset(q_rad, rows)
         self.gate.reset(q_rad, rows)
         index = slice(None) if rows is None else rows
-        self._openings[index] = GRIPPER_OPENING_M if gripper_m is None else gripper_m
+        self._widths[index] = GRIPPER_OPENING_M if gripper_m is None else gripper_m
 
     def __call__(self, action: object) -> tuple[Command, dict[int, Verdict]]:
         """Return the command of an action as far as the gate releases it.
@@ -70,8 +70,8 @@ class ServojPipeline:
         if gripper is not None:
             stopped = list(result.verdicts)
             if stopped:
-                gripper[stopped] = self._openings[stopped, None]
-            self._openings = gripper[:, -1]
+                gripper[stopped] = self._widths[stopped, None]
+            self._widths = gripper[:, -1]
         return Command(result.targets_rad, gripper), result.verdicts
 
     def check(self, action: object) -> Array:

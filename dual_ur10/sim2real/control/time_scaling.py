@@ -130,7 +130,7 @@ def scaling_from_slider(fraction: float) -> float:
 def interpolate(before: Array, start: Array, stop: Array, after: Array, share: float) -> Array:
     """Interpolate between two targets on the cubic whose slopes are those between their neighbours."""
     leaving, arriving = (stop - before) / 2, (after - start) / 2
-    way = start - stop
-    cubic = share * (share * (2 * way + leaving + arriving) - 3 * way - 2 * leaving - arriving)
+    step = start - stop
+    cubic = share * (share * (2 * step + leaving + arriving) - 3 * step - 2 * leaving - arriving)
     result: Array = start + share * (leaving + cubic)
     return result

@@ -369,21 +369,21 @@ class RtdeCell:
             warn(status)
         slow = self.file.speed_factor
         q, qd = (np.array([getattr(each, name) for each in statuses]) for name in ("q_rad", "qd_rad_s"))
-        opening = wrench = thing = None
+        widths = wrench = thing = None
         if self._grippers is not None:
             fault = self._grippers.fault_except(None if self._only is None else ARMS[1 - self._only])
             if fault:
                 raise LinkError(f"a gripper does not follow its command: {fault}")
             # One without a measurement counts as open.
-            opening = np.array([GRIPPER_OPENING_M if each is None else each for each in self._grippers.opening_m])
+            widths = np.array([GRIPPER_OPENING_M if each is None else each for each in self._grippers.opening_m])
             wrench = np.array([_wrench_at_flange(each) for each in statuses])
         time_s = self._elapsed * self._tick_s
-        state = self._mirror.follow(time_s, q, qd / slow, gripper_m=opening, wrench=wrench)
+        state = self._mirror.follow(time_s, q, qd / slow, gripper_m=widths, wrench=wrench)
         if self._tracker is None or state.flange_quat is None:
             return state
         seen = self._tracker.pose(time.monotonic(), Flanges(state.flange_m[0], state.flange_quat[0]))
         thing = (np.asarray(seen.position_m), np.asarray(seen.quat))
-        return self._mirror.follow(time_s, q, qd / slow, gripper_m=opening, wrench=wrench, thing=thing)
+        return self._mirror.follow(time_s, q, qd / slow, gripper_m=widths, wrench=wrench, thing=thing)
 
 
 def _check_against_file(config: CellConfig) -> None:

@@ -74,7 +74,7 @@ def test_50_what_is_carried_meets_nothing(lab):
     lab.assert_within_limits()
 
 
-def test_34_what_two_arms_hold_is_not_torn_by_a_slider(lab):
+def test_34_a_slider_does_not_tear_a_held_object(lab):
     observation = go(lab, lab.begin(steps=0), 10)
     lab.cell.ask("slider", arm="left", fraction=0.1)
     observation = go(lab, observation, 5)

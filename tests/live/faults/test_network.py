@@ -69,13 +69,13 @@ def test_25_one_address_for_both_arms_is_refused(lab):
 
 
 @pytest.mark.parametrize("host", ["localhost", "left.lab", "127.0.0.300", "2130706433"])
-def test_28_names_of_hosts_are_not_looked_up(lab, host):
+def test_28_host_names_are_not_resolved(lab, host):
     lab.rewrite(lab.cell.left, host)
     with pytest.raises(CellFileError, match=r"left\.host"):
         lab.make()
 
 
-def test_27_registers_that_somebody_else_has_are_refused(lab):
+def test_27_registers_in_use_are_refused(lab):
     deadline_s = time.monotonic() + 20.0
     client = RtdeClient("", lab.cell.right, 30004, deadline_s)
     client.set_up(Kind.SETUP_INPUTS, ["input_int_register_0"], b"", deadline_s)
@@ -117,7 +117,7 @@ def test_19_ur_rtde_does_not_restart_a_lost_connection(lab, trial):
 
 
 @pytest.mark.parametrize("arm", ARMS if soak.SOAK else ["right"])
-def test_19_the_second_way_to_stop_is_not_lost_unseen(lab, arm):
+def test_19_the_loss_of_the_backup_stop_is_noticed(lab, arm):
     lab.begin()
     lab.do("drop", arm=arm, port="dashboard")
     error = lab.step_until_faulted()
@@ -164,7 +164,7 @@ def test_22_a_network_that_becomes_slow_stops_both(lab):
     lab.begin()
     lab.turn("link", {"delay_s": 0.0}, arm="right", port="rtde", delay_s=0.09)
     error = lab.step_until_faulted()
-    words = "right: ", "from what was sent", "the controller does not follow"
+    words = "right: ", "from the one sent", "the controller does not follow"
     lab.assert_stopped(error, *words, seen_ticks=UNFOLLOWED_TICKS)
 
 

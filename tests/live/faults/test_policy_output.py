@@ -218,7 +218,7 @@ def test_12_a_policy_that_raises_stops_both(lab):
 
 
 @pytest.mark.parametrize("wrong", ["missing", "extra"] if soak.SOAK else ["missing"])
-def test_13_agents_are_told_by_their_names_and_there_are_two(lab, wrong):
+def test_13_both_agents_are_identified_by_name(lab, wrong):
     from dual_ur10.envs.api.parallel_env import parallel_env
 
     lab.close_env()

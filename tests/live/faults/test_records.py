@@ -57,7 +57,7 @@ def recorded(tmp_path_factory):
     return run
 
 
-def test_60_a_recording_is_played_by_the_arms(lab, recorded):
+def test_60_the_arms_replay_a_recording(lab, recorded):
     lab.mark()
     found = replay(read_run(recorded), str(lab.path))
     assert found.steps == found.recorded == 25
@@ -82,7 +82,7 @@ def test_60_a_recording_of_another_robot_or_rate_is_refused(lab, recorded, chang
     lab.assert_nothing_has_moved((uploads, uploads))
 
 
-def test_60_numbers_that_are_none_are_refused_by_their_row(lab, recorded):
+def test_60_nonfinite_numbers_are_refused_with_their_row(lab, recorded):
     run = read_run(recorded)
     (episode,) = run.episodes
     action = np.array(episode.action)

@@ -66,7 +66,7 @@ def test_32_a_program_that_is_stopped_at_the_pendant_stops_both(lab):
     lab.assert_stopped(lab.step_until_faulted(), "left: program state", ramped=["right"])
 
 
-def test_33_a_program_that_is_paused_and_resumed_does_not_go_on(lab):
+def test_33_a_program_paused_and_resumed_does_not_continue(lab):
     lab.begin()
     lab.do("press", arm="right", button="pause")
     error = lab.step_until_faulted()
@@ -112,7 +112,7 @@ def test_35_reduced_mode_stops_both_and_nothing_begins_in_it(lab):
     lab.assert_nothing_has_moved()
 
 
-def test_42_an_arm_that_does_not_go_where_it_is_led_stops_both(lab):
+def test_42_a_tracking_error_stops_both(lab):
     lab.begin()
     here = list(lab.ask("left", "target_q")[0])
     here[4] += 0.2
@@ -120,7 +120,7 @@ def test_42_an_arm_that_does_not_go_where_it_is_led_stops_both(lab):
     lab.assert_stopped(lab.step_until_faulted(), "left: wrist_2_joint is ", "allowed are 0.100", seen_ticks=6)
 
 
-def test_42_a_joint_that_gets_hot_is_told(lab, caplog):
+def test_42_a_hot_joint_is_reported(lab, caplog):
     lab.begin()
     lab.override("right", joint_temperatures=[30.0, 30.0, 81.0, 30.0, 30.0, 30.0])
     with caplog.at_level(logging.WARNING):
@@ -130,14 +130,14 @@ def test_42_a_joint_that_gets_hot_is_told(lab, caplog):
     assert any("right: elbow_joint has 81 °C" in each.message for each in caplog.records)
 
 
-def test_43_a_controller_whose_time_goes_back_stops_both(lab):
+def test_43_a_controller_clock_that_goes_back_stops_both(lab):
     lab.begin()
     lab.override("right", timestamp=1.0)
     lab.assert_stopped(lab.step_until_faulted(), "right: ", "time")
 
 
 @pytest.mark.parametrize("values", [{"robot_mode": 5}, {"robot_status_bits": 2}, {"actual_q": [float("nan")] * 6}])
-def test_38_an_arm_that_loses_its_power_or_its_senses_stops_both(lab, values):
+def test_38_a_loss_of_power_or_sensors_stops_both(lab, values):
     if not soak.SOAK and "robot_mode" not in values:
         pytest.skip("in a soak")
     lab.begin()

@@ -176,7 +176,7 @@ def test_46_an_extra_turn_is_undone_completely_or_refused(lab):
     assert f"left turns a joint by up to {6.1 - home:.2f} rad" in asked[0]
 
 
-def test_26_arms_that_are_swapped_show_in_what_is_asked(lab):
+def test_26_the_confirmation_shows_swapped_arms(lab):
     text = lab.path.read_text()
     left, right = lab.cell.left, lab.cell.right
     lab.path.write_text(text.replace(left, "HERE").replace(right, left).replace("HERE", right))
@@ -189,7 +189,7 @@ def test_26_arms_that_are_swapped_show_in_what_is_asked(lab):
 # Who moves them.
 
 
-def test_58_a_second_runner_is_refused_and_the_first_goes_on(lab):
+def test_58_a_second_runner_is_refused_and_the_first_continues(lab):
     lab.begin(steps=3)
     lab.env.unwrapped.core.cell.finish()  # between two episodes nobody waits for a policy
     with pytest.raises(CellBusyError, match=rf"the left arm at {lab.cell.left} is moved by this program already"):

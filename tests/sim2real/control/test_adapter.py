@@ -70,7 +70,7 @@ def sine_error(profile: ServojProfile, compensate_lag: bool, true_s: float | Non
     transition = ServojLaw(true_s or profile.lookahead_s, profile.gain).transition(profile.tick_s)
     start = adapter.commanded_q_rad.reshape(12).copy()
     state, worst, phase = np.stack([start, np.zeros(12)]), 0.0, np.linspace(0.0, 1.0, 12)
-    # All joints together would be too fast for the tip.
+    # All joints together would exceed the Cartesian speed.
     amplitude = 0.25 * np.array([1.0, 0, 0, 0, 0, 1.0, 0, 0, 0, 1.0, -1.0, 1.0])
     for k in range(1, 175):
         time = k * 0.04
@@ -95,13 +95,13 @@ def test_compensated_the_arm_is_where_it_was_commanded(family: str, lookahead_s:
 
 
 @pytest.mark.parametrize("true_s", [0.024, 0.045])
-def test_the_lag_that_was_measured_is_taken_out(true_s: float) -> None:
+def test_a_measured_lag_is_compensated(true_s: float) -> None:
     assert sine_error(CB3, True, true_s) > 0.2 * np.pi * abs(true_s - CB3.lookahead_s)
     assert sine_error(CB3, True, true_s, lookahead_s=true_s) < 1e-5
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_what_is_measured_as_told_changes_no_bit(mode: str) -> None:
+def test_a_measured_lag_equal_to_the_nominal_changes_no_bit(mode: str) -> None:
     actions = actions_of_all_kinds(5, 40)
     plain, measured = (at_home(5, mode=mode, **more) for more in ({}, {"lookahead_s": CB3.lookahead_s}))
     np.testing.assert_array_equal(played(measured, actions), played(plain, actions))
@@ -163,7 +163,7 @@ def slowed_error(profile: ServojProfile, factor: float, told: float, compensate_
 
 @pytest.mark.parametrize("profile", [CB3, E_SERIES, ServojProfile("cb3", 0.05, 500.0)])
 @pytest.mark.parametrize("factor", [0.5, 0.25])
-def test_slowed_down_the_arm_goes_the_same_way_without_lag(profile: ServojProfile, factor: float) -> None:
+def test_a_scaled_arm_follows_the_same_path_without_lag(profile: ServojProfile, factor: float) -> None:
     assert slowed_error(profile, factor, factor) < 1e-5
     # As if time were not slowed down, the arms would be ahead; without compensation they lag behind.
     way = 0.25 * np.pi * profile.lookahead_s
@@ -174,7 +174,7 @@ def test_slowed_down_the_arm_goes_the_same_way_without_lag(profile: ServojProfil
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("profile", [CB3, E_SERIES, ServojProfile("cb3", 0.05, 501.0)])
 @pytest.mark.parametrize("limits", [HARD, TIGHT])
-def test_at_full_speed_no_bit_is_another(mode: str, profile: ServojProfile, limits: MotionLimits) -> None:
+def test_full_speed_changes_no_bit(mode: str, profile: ServojProfile, limits: MotionLimits) -> None:
     actions = actions_of_all_kinds(5, 40)
     plain, full = (at_home(5, profile, limits=limits, mode=mode, **more) for more in ({}, {"speed_factor": 1.0}))
     assert (full._law.lookahead_s, full._law.gain) == (profile.lookahead_s, profile.gain)
@@ -252,7 +252,7 @@ def test_action_bounds_are_those_of_the_mode() -> None:
     np.testing.assert_allclose(high, np.tile(np.subtract(NARROW.upper_rad, JOINT_MARGIN_RAD), (2, 1)))
 
 
-def test_joint_delta_moves_in_shares_of_the_speed_limit() -> None:
+def test_joint_delta_moves_in_fractions_of_the_speed_limit() -> None:
     adapter = at_home(limits=TIGHT)
     before = adapter.commanded_q_rad.copy()
     action = np.zeros((1, 2, 6))
@@ -296,7 +296,7 @@ def test_tcp_delta_steps_along_the_axes_of_the_cell(arm: int, axis: int) -> None
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_tcp_delta_turns_about_the_axes_of_the_cell(axis: int) -> None:
+def test_tcp_delta_rotates_about_the_axes_of_the_cell(axis: int) -> None:
     adapter = at_home(mode="tcp_delta", yaw_rad=(0.7, 0.0))
     action = np.zeros((1, 2, 6))
     action[0, 0, 3 + axis] = 0.5
@@ -360,13 +360,13 @@ def test_after_a_limit_was_met_the_arms_follow_again(
 
 
 @pytest.mark.parametrize(("profile", "ticks"), [(CB3, 5), (E_SERIES, 20)])
-def test_commands_that_jump_lead_no_arm_the_wrong_way(profile: ServojProfile, ticks: int) -> None:
+def test_discontinuous_commands_lead_no_arm_astray(profile: ServojProfile, ticks: int) -> None:
     """As after a late action has stopped both arms: a little back, then on as before."""
     adapter = at_home(profile=profile, ticks=ticks, limits=MotionLimits(speed_rad_s=(1.0,) * 6))
     direction = np.array([[0.1, 0.5, -0.5, 0.1, 0.0, 1.0], [-0.1, -0.8, 1.0, -0.2, 0.0, 0.8]])
     behind = []
-    for share in [0.1] + 24 * [-0.23]:
-        adapter(share * direction[None])
+    for fraction in [0.1] + 24 * [-0.23]:
+        adapter(fraction * direction[None])
         now = adapter._state[:, _NOW].reshape(1, 2, 6)
         behind.append(float(np.abs(adapter.commanded_q_rad - now).max()))
     assert max(behind) < 0.03  # beyond 0.08, if a cubic through the commands is followed wherever it leads
@@ -432,19 +432,19 @@ def test_a_limited_step_keeps_the_direction_of_all_twelve_joints(
         fits = []
         for kind, base in zip(("coast", "brake"), bases, strict=True):
             way, went = (planned - base)[row], (limited - base)[row]
-            share = (went * way).sum() / (way * way).sum()
-            fits.append((np.abs(went - share * way).max(), kind, share))
-        off, kind, share = min(fits)
+            fraction = (went * way).sum() / (way * way).sum()
+            fits.append((np.abs(went - fraction * way).max(), kind, fraction))
+        off, kind, fraction = min(fits)
         assert off < 1e-10
-        assert -1e-9 <= share < 1.0
-        found.add((kind, share > 1e-9))
+        assert -1e-9 <= fraction < 1.0
+        found.add((kind, fraction > 1e-9))
     assert ("coast", True) in found
     window = np.concatenate([past, limited], axis=1)
     assert envelope.use(envelope.rows @ window).max() <= 1.0
     assert envelope.cartesian_use(window)[0].max() <= 1.0
 
 
-def test_a_share_is_as_large_as_the_limits_allow() -> None:
+def test_a_fraction_is_as_large_as_the_limits_allow() -> None:
     envelope = Envelope(TIGHT, 0.008, 5)
     past = np.tile(HOME_Q_RAD.reshape(12), (1, HISTORY, 1))
     planned = past[:, -1:] + np.linspace(0, 0.5, 6)[1:, None] * np.eye(12)[5]
@@ -479,7 +479,7 @@ def test_equal_actions_give_equal_targets_after_pickling(mode: str, through) -> 
     first, second = at_home(n=9, mode=mode), at_home(n=9, mode=mode)
     np.testing.assert_array_equal(played(first, actions[:20]), played(second, actions[:20]))
     copied = through(second)
-    played(second, actions[::-1])  # the copy is nobody's twin
+    played(second, actions[::-1])  # the copy is independent
     np.testing.assert_array_equal(played(first, actions[20:]), played(copied, actions[20:]))
 
 
@@ -501,11 +501,11 @@ def test_neither_actions_nor_results_are_held_on_to() -> None:
 
 def test_resetting_rows_resets_only_them() -> None:
     actions = actions_of_all_kinds(4, 30, seed=4)
-    adapter, twin, fresh = at_home(n=4), at_home(n=4), at_home(n=4)
+    adapter, other, fresh = at_home(n=4), at_home(n=4), at_home(n=4)
     played(adapter, actions[:15])
-    played(twin, actions[:15])
+    played(other, actions[:15])
     adapter.reset(HOME_Q_RAD[None], np.array([2]))
-    went_on, reset, expected = (played(each, actions[15:]) for each in (twin, adapter, fresh))
+    went_on, reset, expected = (played(each, actions[15:]) for each in (other, adapter, fresh))
     np.testing.assert_array_equal(reset[[0, 1, 3]], went_on[[0, 1, 3]])
     np.testing.assert_array_equal(reset[2], expected[2])
 

@@ -34,22 +34,22 @@ def test_the_condition_is_that_of_the_jacobian(q):
 @settings(max_examples=300)
 @given(POSTURES, arrays(np.float64, (4, 6), elements=st.floats(-0.2, 0.2)), st.floats(1.0, 10.0))
 def test_a_step_is_made_smaller_only_towards_a_singularity(q, step, ahead):
-    share = fraction_of_step(q, step, ahead, NOMINAL_DH)
-    assert set(share * 8) <= set(range(9))
+    fraction = fraction_of_step(q, step, ahead, NOMINAL_DH)
+    assert set(fraction * 8) <= set(range(9))
     for row in range(len(q)):
         on_way = condition(q[row] + np.arange(9)[:, None] / 8 * ahead * step[row], NOMINAL_DH)
         here, most = on_way[0], on_way.max()
         assume(most < 1e6)  # beyond, its last digits are noise
         if most <= max(SLOW_CONDITION, here):
-            assert share[row] == 1.0
+            assert fraction[row] == 1.0
         elif most > max(SLOW_CONDITION, here * (1 + 2e-6)):
-            assert share[row] < 1.0
-            most = on_way[: int(share[row] * 8) + 1].max()
-            assert most <= max(here * (1 + 2e-6), HALT_CONDITION - share[row] * (HALT_CONDITION - SLOW_CONDITION))
-            more = on_way[: int(share[row] * 8) + 2].max() * (1 + 2e-6)
-            assert more > HALT_CONDITION - (share[row] + 1 / 8) * (HALT_CONDITION - SLOW_CONDITION)
+            assert fraction[row] < 1.0
+            most = on_way[: int(fraction[row] * 8) + 1].max()
+            assert most <= max(here * (1 + 2e-6), HALT_CONDITION - fraction[row] * (HALT_CONDITION - SLOW_CONDITION))
+            more = on_way[: int(fraction[row] * 8) + 2].max() * (1 + 2e-6)
+            assert more > HALT_CONDITION - (fraction[row] + 1 / 8) * (HALT_CONDITION - SLOW_CONDITION)
         if here >= HALT_CONDITION and on_way[1] > here * (1 + 2e-6):
-            assert share[row] == 0.0
+            assert fraction[row] == 0.0
 
 
 @given(POSTURES)
@@ -65,9 +65,9 @@ def along(adapter, joint, way):
     q = adapter.commanded_q_rad[0, 0]
     twist = jacobian(q)[:, joint] * way
     twist[[0, 1, 3, 4]] *= -1.0  # `base` is half a turn from the cell's frame
-    share = np.concatenate([twist[:3] / TCP_STEP_M_S, twist[3:] / TCP_ROTATION_RAD_S])
+    fraction = np.concatenate([twist[:3] / TCP_STEP_M_S, twist[3:] / TCP_ROTATION_RAD_S])
     action = np.zeros((1, 2, 6))
-    action[0, 0] = 0.9 * share / np.abs(share).max()
+    action[0, 0] = 0.9 * fraction / np.abs(fraction).max()
     return action
 
 
@@ -95,7 +95,7 @@ def test_flange_steps_end_before_a_singularity_and_lead_back(joint, at_rad):
     assert condition(adapter.commanded_q_rad[0, :1], NOMINAL_DH)[0] < conditions[-1]
 
 
-def test_turning_the_base_near_a_singularity_is_not_held_back():
+def test_rotating_the_base_near_a_singularity_is_free():
     q = np.array([[0.3, -1.2, 0.4, -1.0, 1.2, 0.0]])
     assert condition(q, NOMINAL_DH)[0] > SLOW_CONDITION
     for turn in np.linspace(-0.1, 0.1, 201):

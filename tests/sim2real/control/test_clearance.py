@@ -28,11 +28,11 @@ def test_distances_are_never_longer_than_they_are(clearance: Clearance) -> None:
     model = build_collision_model(SceneSettings())
     data, points = mujoco.MjData(model), np.zeros(6)
     rng = np.random.default_rng(0)
-    postures = np.stack([HOME, ON_TABLE, CROSSED, rng.uniform(-3, 3, 12)])
-    found = clearance.distances_m(postures).copy()
+    configurations = np.stack([HOME, ON_TABLE, CROSSED, rng.uniform(-3, 3, 12)])
+    found = clearance.distances_m(configurations).copy()
     assert found.shape == (4, len(clearance_pairs(SceneSettings())))
-    for row, posture in enumerate(postures):
-        data.qpos[:] = posture
+    for row, configuration in enumerate(configurations):
+        data.qpos[:] = configuration
         mujoco.mj_kinematics(model, data)
         for pair, (first, second) in enumerate(clearance_pairs(SceneSettings())):
             expected = mujoco.mj_geomDistance(
@@ -49,17 +49,17 @@ def test_distances_are_never_longer_than_they_are(clearance: Clearance) -> None:
 
 def test_a_row_does_not_depend_on_the_others(clearance: Clearance) -> None:
     alone = Clearance(SceneSettings())
-    postures = np.random.default_rng(1).uniform(-3, 3, (4, 12))
-    together = clearance.distances_m(postures).copy()
+    configurations = np.random.default_rng(1).uniform(-3, 3, (4, 12))
+    together = clearance.distances_m(configurations).copy()
     for row in range(4):
-        np.testing.assert_array_equal(alone.distances_m(postures[row : row + 1])[0], together[row])
+        np.testing.assert_array_equal(alone.distances_m(configurations[row : row + 1])[0], together[row])
 
 
 def test_home_is_clear_and_table_and_other_arm_are_not(clearance: Clearance) -> None:
     assert clearance.is_clear(np.stack([HOME, ON_TABLE, CROSSED, HOME])).tolist() == [True, False, False, True]
 
 
-def test_a_posture_after_a_wild_one_is_measured_afresh(clearance: Clearance) -> None:
+def test_a_configuration_after_a_wild_one_is_measured_afresh(clearance: Clearance) -> None:
     wild = np.stack([HOME, HOME, HOME, HOME])
     wild[0, 3], wild[1, 3] = 1e300, -1e18
     clearance.distances_m(wild)
@@ -148,10 +148,10 @@ def test_an_unknown_pair_is_refused_at_construction(pair: tuple[str, str]) -> No
 def test_pickling_keeps_everything() -> None:
     first = Clearance(SceneSettings(), n=2, minimum_m=0.05, closer={clearance_pairs(SceneSettings())[0]: 0.01})
     second = pickle.loads(pickle.dumps(first))
-    postures = np.stack([HOME, ON_TABLE])
-    np.testing.assert_array_equal(first.distances_m(postures), second.distances_m(postures))
+    configurations = np.stack([HOME, ON_TABLE])
+    np.testing.assert_array_equal(first.distances_m(configurations), second.distances_m(configurations))
     assert second.minimum_m == 0.05
-    np.testing.assert_array_equal(first.is_clear(postures), second.is_clear(postures))
+    np.testing.assert_array_equal(first.is_clear(configurations), second.is_clear(configurations))
 
 
 def test_starts_are_checked_by_row(clearance: Clearance) -> None:

@@ -21,7 +21,7 @@ FACING = HOME_Q_RAD + np.array([[-0.7], [0.7]]) * np.eye(6)[0]  # the grippers a
 
 
 @pytest.fixture(scope="module")
-def twin():
+def collision():
     return build_collision_model(GRIPPERS)
 
 
@@ -29,15 +29,15 @@ def with_fingers(q, opening):
     return np.pad(np.reshape(q, (2, 6)), ((0, 0), (0, 2)), constant_values=opening / 2).ravel()
 
 
-def test_pairs(twin):
+def test_pairs(collision):
     pairs = clearance_pairs(GRIPPERS)
     assert clearance_pairs(SceneSettings()) is CLEARANCE_PAIRS
     assert clearance_pairs(SceneSettings(equipment=Equipment(prop="bar"))) is CLEARANCE_PAIRS
     assert pairs[: len(CLEARANCE_PAIRS)] == CLEARANCE_PAIRS
-    assert len({frozenset(pair) for pair in pairs}) == len(pairs) == twin.nsensordata
-    assert [twin.sensor(i).name for i in range(twin.nsensor)] == [":".join(pair) for pair in pairs]
-    assert [twin.joint(i).name for i in range(twin.njnt)] == list(joint_names(SceneSettings()))
-    assert (twin.nu, twin.neq, twin.ntendon) == (0, 0, 0)
+    assert len({frozenset(pair) for pair in pairs}) == len(pairs) == collision.nsensordata
+    assert [collision.sensor(i).name for i in range(collision.nsensor)] == [":".join(pair) for pair in pairs]
+    assert [collision.joint(i).name for i in range(collision.njnt)] == list(joint_names(SceneSettings()))
+    assert (collision.nu, collision.neq, collision.ntendon) == (0, 0, 0)
 
 
 @pytest.mark.parametrize("apart_m", [1.2, 0.3])
@@ -72,10 +72,10 @@ def reach(name):
     return f"{arm}/fingers" if part.startswith(("finger", "pad")) else name
 
 
-def test_what_touches_in_the_cell_overlaps_in_the_twin(twin):
+def test_contacts_of_the_cell_overlap_in_the_collision_model(collision):
     model = build_model(GRIPPERS, visuals=False)
     pairs = {frozenset(pair): i for i, pair in enumerate(clearance_pairs(GRIPPERS))}
-    data, distances = mujoco.MjData(model), mujoco.MjData(twin)
+    data, distances = mujoco.MjData(model), mujoco.MjData(collision)
     rng = np.random.default_rng(3)
     compared = 0
     for _ in range(1500):
@@ -83,7 +83,7 @@ def test_what_touches_in_the_cell_overlaps_in_the_twin(twin):
         data.qpos[:] = with_fingers(q, rng.uniform(0, OPENING_M))
         distances.qpos[:] = q.ravel()
         mujoco.mj_forward(model, data)
-        mujoco.mj_forward(twin, distances)
+        mujoco.mj_forward(collision, distances)
         for contact in data.contact:
             names = frozenset(reach(model.geom(g).name) for g in contact.geom)
             if contact.dist < 0.0 and any("fingers" in name or "palm" in name for name in names):
@@ -92,12 +92,12 @@ def test_what_touches_in_the_cell_overlaps_in_the_twin(twin):
     assert compared > 300
 
 
-def test_the_box_of_the_fingers_holds_them_at_any_opening(twin):
+def test_the_box_of_the_fingers_contains_them_at_any_width(collision):
     model = build_model(GRIPPERS)
-    data, distances = mujoco.MjData(model), mujoco.MjData(twin)
+    data, distances = mujoco.MjData(model), mujoco.MjData(collision)
     distances.qpos[:] = HOME_Q_RAD.ravel()
-    mujoco.mj_kinematics(twin, distances)
-    box = twin.geom("left/fingers").id
+    mujoco.mj_kinematics(collision, distances)
+    box = collision.geom("left/fingers").id
     corners = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(-1, 3)
     for opening in (0.0, OPENING_M):
         data.qpos[:] = with_fingers(HOME_Q_RAD, opening)
@@ -112,10 +112,10 @@ def test_the_box_of_the_fingers_holds_them_at_any_opening(twin):
                 points = data.geom_xpos[geom] + corners * size @ data.geom_xmat[geom].reshape(3, 3).T
                 inside = (points - distances.geom_xpos[box]) @ distances.geom_xmat[box].reshape(3, 3)
                 found.append(np.abs(inside).max(axis=0))
-                assert (found[-1] <= twin.geom_size[box] + 0.0003).all(), opening
-        assert (twin.geom_size[box] - np.max(found, axis=0))[2] < 1e-6  # and no longer than they are
+                assert (found[-1] <= collision.geom_size[box] + 0.0003).all(), opening
+        assert (collision.geom_size[box] - np.max(found, axis=0))[2] < 1e-6  # and no longer than they are
     tip = distances.site("left/flange").xpos[2] - FINGERTIP_M
-    assert distances.geom_xpos[box][2] - twin.geom_size[box, 2] == pytest.approx(tip)
+    assert distances.geom_xpos[box][2] - collision.geom_size[box, 2] == pytest.approx(tip)
 
 
 def test_the_capsule_of_the_palm_hugs_the_drawn_palm():
@@ -123,9 +123,9 @@ def test_the_capsule_of_the_palm_hugs_the_drawn_palm():
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     line = segment(model, data, model.geom("left/palm").id, 501)
-    turns = np.linspace(0, 2 * np.pi, 24)
+    angles = np.linspace(0, 2 * np.pi, 24)
     corners = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(-1, 3)
-    rims = np.array([[np.cos(t), np.sin(t), end] for t in turns for end in (-1, 1)])
+    rims = np.array([[np.cos(t), np.sin(t), end] for t in angles for end in (-1, 1)])
     away = []
     for geom in np.flatnonzero(model.geom_bodyid == model.body("left/gripper").id):
         if model.geom_group[geom] == 2:
@@ -136,20 +136,20 @@ def test_the_capsule_of_the_palm_hugs_the_drawn_palm():
     assert 0.0 < max(away) - model.geom("left/palm").size[0] < 0.012
 
 
-def test_the_capsule_of_the_fingers_holds_their_box(twin):
-    data = mujoco.MjData(twin)
+def test_the_capsule_of_the_fingers_contains_their_box(collision):
+    data = mujoco.MjData(collision)
     data.qpos[:] = FACING.ravel()
-    mujoco.mj_kinematics(twin, data)
+    mujoco.mj_kinematics(collision, data)
     corners = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(-1, 3)
     for arm in ("left", "right"):
-        box, capsule = (twin.geom(f"{arm}/{name}").id for name in ("fingers", "fingers_round"))
-        points = data.geom_xpos[box] + corners * twin.geom_size[box] @ data.geom_xmat[box].reshape(3, 3).T
-        line = segment(twin, data, capsule, 2001)
-        away = np.linalg.norm(points[:, None] - line, axis=-1).min(axis=1) - twin.geom_size[capsule, 0]
+        box, capsule = (collision.geom(f"{arm}/{name}").id for name in ("fingers", "fingers_round"))
+        points = data.geom_xpos[box] + corners * collision.geom_size[box] @ data.geom_xmat[box].reshape(3, 3).T
+        line = segment(collision, data, capsule, 2001)
+        away = np.linalg.norm(points[:, None] - line, axis=-1).min(axis=1) - collision.geom_size[capsule, 0]
         assert away.max() < 1e-6
         # It reaches beyond the box by what the docstring says, at most.
-        assert twin.geom_size[capsule, 0] - twin.geom_size[box, 0] < 0.037
-        assert twin.geom_size[capsule, :2].sum() - twin.geom_size[box, 1] < 0.037
+        assert collision.geom_size[capsule, 0] - collision.geom_size[box, 0] < 0.037
+        assert collision.geom_size[capsule, :2].sum() - collision.geom_size[box, 1] < 0.037
 
 
 def box_to_box(model, data, a, b):
@@ -174,8 +174,8 @@ def box_to_capsule(model, data, box, capsule):
     return np.linalg.norm(beyond, axis=1).min() - model.geom_size[capsule, 0]
 
 
-def test_distances_from_boxes_are_exact(twin):
-    data = mujoco.MjData(twin)
+def test_distances_from_boxes_are_exact(collision):
+    data = mujoco.MjData(collision)
     rng = np.random.default_rng(4)
     boxed = [
         (i, pair)
@@ -189,17 +189,17 @@ def test_distances_from_boxes_are_exact(twin):
     for _ in range(1500):
         q = FACING + rng.uniform(-0.5, 0.5, (2, 6))
         data.qpos[:] = q.ravel()
-        mujoco.mj_forward(twin, data)
+        mujoco.mj_forward(collision, data)
         for i, pair in boxed:
-            a, b = (twin.geom(name).id for name in pair)
+            a, b = (collision.geom(name).id for name in pair)
             # The palm is measured against a mesh of the same shape as the box.
-            other = twin.geom(f"{pair[1]}:hull").id if pair[0].endswith("palm") and pair[1] == "table" else b
-            assert {a, other} == {twin.sensor_objid[i], twin.sensor_refid[i]}
+            other = collision.geom(f"{pair[1]}:hull").id if pair[0].endswith("palm") and pair[1] == "table" else b
+            assert {a, other} == {collision.sensor_objid[i], collision.sensor_refid[i]}
             if data.sensordata[i] >= CLEARANCE_CUTOFF_M:
                 continue
-            boxes = [g for g in (a, b) if twin.geom_type[g] == BOX]
-            others = [g for g in (a, b) if twin.geom_type[g] != BOX]
-            by_hand = (box_to_capsule if others else box_to_box)(twin, data, *boxes, *others)
+            boxes = [g for g in (a, b) if collision.geom_type[g] == BOX]
+            others = [g for g in (a, b) if collision.geom_type[g] != BOX]
+            by_hand = (box_to_capsule if others else box_to_box)(collision, data, *boxes, *others)
             if by_hand > 0.0:
                 apart[i, pair] += 1
                 assert data.sensordata[i] == pytest.approx(by_hand, abs=1e-6)
@@ -212,20 +212,20 @@ def test_distances_from_boxes_are_exact(twin):
     assert min(overlapping.values()) > 2
 
 
-def test_home_is_clear_with_grippers(twin):
-    data = mujoco.MjData(twin)
+def test_home_is_clear_with_grippers(collision):
+    data = mujoco.MjData(collision)
     data.qpos[:] = HOME_Q_RAD.ravel()
-    mujoco.mj_forward(twin, data)
+    mujoco.mj_forward(collision, data)
     assert data.sensordata.min() > 0.04
     assert not contacts(build_model(GRIPPERS), with_fingers(HOME_Q_RAD, 0.0)[:12])
 
 
 @pytest.mark.parametrize("settings", [SceneSettings(), UNEQUAL], ids=["nominal", "calibrated"])
-def test_the_twin_has_the_inertia_of_the_cell(settings):
-    # The controller's model of the arms is made of it. Fingers half open, for they are so in the twin.
+def test_the_collision_model_has_the_inertia_of_the_cell(settings):
+    # The controller's model of the arms is made of it. Fingers half open, for they are so in the collision.
     settings = dataclasses.replace(settings, equipment=Equipment(grippers=True))
-    model, twin = build_model(settings), build_collision_model(settings)
-    data, rigid = mujoco.MjData(model), mujoco.MjData(twin)
+    model, collision = build_model(settings), build_collision_model(settings)
+    data, rigid = mujoco.MjData(model), mujoco.MjData(collision)
     model.opt.gravity[:] = 0.0
     arms = np.r_[0:6, 8:14]
     rng = np.random.default_rng(4)
@@ -233,10 +233,10 @@ def test_the_twin_has_the_inertia_of_the_cell(settings):
         data.qpos[:], rigid.qpos[:] = with_fingers(q, OPENING_M / 2), q.ravel()
         data.qvel[arms] = rigid.qvel[:] = rng.normal(size=12)
         mujoco.mj_forward(model, data)
-        mujoco.mj_forward(twin, rigid)
+        mujoco.mj_forward(collision, rigid)
         for j, dof in enumerate(arms):
             found, expected = np.zeros(model.nv), np.zeros(12)
             mujoco.mj_mulM(model, data, found, np.eye(model.nv)[dof])
-            mujoco.mj_mulM(twin, rigid, expected, np.eye(12)[j])
+            mujoco.mj_mulM(collision, rigid, expected, np.eye(12)[j])
             assert np.abs(found[arms] - expected).max() < 1e-9
         assert np.abs(data.qfrc_bias[arms] - rigid.qfrc_bias).max() < 1e-9

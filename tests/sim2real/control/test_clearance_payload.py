@@ -31,10 +31,10 @@ GRIPS_OF += [("block", grips) for grips in GRIPS]
 @pytest.mark.parametrize("prop", PROPS)
 def test_pairs(prop):
     pairs = clearance_pairs(PROPS[prop])
-    twin = build_collision_model(PROPS[prop])
+    collision = build_collision_model(PROPS[prop])
     bare = clearance_pairs(EMPTY)
     assert pairs == bare + PAYLOAD_PAIRS
-    assert [twin.sensor(i).name for i in range(twin.nsensor)] == [":".join(pair) for pair in pairs]
+    assert [collision.sensor(i).name for i in range(collision.nsensor)] == [":".join(pair) for pair in pairs]
     near = clearance_pairs(dataclasses.replace(PROPS[prop], obstacles=(ROD,)))
     assert near[: len(pairs)] == pairs
     assert {f"{arm}/held" for arm in ARMS} <= {first for first, _ in near[len(pairs) :]}
@@ -42,23 +42,23 @@ def test_pairs(prop):
 
 @pytest.mark.parametrize(("prop", "grips"), GRIPS_OF)
 @pytest.mark.parametrize("arm", [0, 1])
-def test_it_is_where_the_prop_is_when_it_is_gripped(prop: str, grips: Poses, arm: int):
+def test_the_payload_is_at_the_gripped_prop(prop: str, grips: Poses, arm: int):
     """Inside it, to its ends, or of the bar to its middle, and with all corners near."""
     model = build_model(PROPS[prop])
-    twin = build_collision_model(PROPS[prop])
-    data, cell = mujoco.MjData(twin), mujoco.MjData(model)
+    collision = build_collision_model(PROPS[prop])
+    data, cell = mujoco.MjData(collision), mujoco.MjData(model)
     data.qpos[:] = HOME_Q_RAD.ravel()
     cell.qpos[: model.nq - 7] = np.pad(HOME_Q_RAD, ((0, 0), (0, 2))).ravel()
-    mujoco.mj_kinematics(twin, data)
+    mujoco.mj_kinematics(collision, data)
     mujoco.mj_kinematics(model, cell)
     tool = cell.site(f"{ARMS[arm]}/tcp")
     grip = quat_to_matrix(grips.quat[arm])
     half = np.array(prop_size_m(prop)) / 2
     long = int(half.argmax())
-    geom = twin.geom(f"{ARMS[arm]}/held").id
-    line = (segment(twin, data, geom, 101) - tool.xpos) @ tool.xmat.reshape(3, 3)
+    geom = collision.geom(f"{ARMS[arm]}/held").id
+    line = (segment(collision, data, geom, 101) - tool.xpos) @ tool.xmat.reshape(3, 3)
     in_prop = line @ grip.T + grips.position_m[arm]
-    radius = twin.geom_size[geom, 0]
+    radius = collision.geom_size[geom, 0]
     across = np.delete(np.abs(in_prop), long, axis=1) + radius
     assert (across <= np.delete(half, long) + 0.0061).all()  # the grip is that much before the middle
     low, high = in_prop[:, long].min() - radius, in_prop[:, long].max() + radius
@@ -69,27 +69,27 @@ def test_it_is_where_the_prop_is_when_it_is_gripped(prop: str, grips: Poses, arm
 
 
 @pytest.mark.parametrize("prop", PROPS)
-def test_what_it_can_meet_is_measured(prop):
+def test_every_pair_of_the_payload_is_measured(prop):
     """Except the other gripper's fingers, which take it, and the other gripper's payload, which is the same object."""
-    twin = build_collision_model(PROPS[prop])
-    data = mujoco.MjData(twin)
+    collision = build_collision_model(PROPS[prop])
+    data = mujoco.MjData(collision)
     measured = set(PAYLOAD_PAIRS)
     fromto = np.zeros(6)
     parts = ("base_link", *LINKS, "palm")
     seen = set()
     for q in random_q(np.random.default_rng(0), 3000):
         data.qpos[:] = q.ravel()
-        mujoco.mj_kinematics(twin, data)
+        mujoco.mj_kinematics(collision, data)
         for arm in ARMS:
-            thing = twin.geom(f"{arm}/held").id
+            thing = collision.geom(f"{arm}/held").id
             for other in (f"{each}/{part}" for each in ARMS for part in parts):
-                if mujoco.mj_geomDistance(twin, data, thing, twin.geom(other).id, 0.02, fromto) < 0.01:
+                if mujoco.mj_geomDistance(collision, data, thing, collision.geom(other).id, 0.02, fromto) < 0.01:
                     seen.add((f"{arm}/held", other))
     assert seen <= measured
     assert {(f"{arm}/held", f"{arm}/forearm_link") for arm in ARMS} <= seen
 
 
-def test_the_bar_is_not_lifted_against_what_is_above_its_middle():
+def test_the_bar_is_not_lifted_against_an_obstacle():
     """Both grippers are half a metre away from it."""
     settings = {"action_latency_ticks": 5, "cell": CellConfig(obstacles=(ROD,))}
     env = gym.make("DualUR10/SyncCarry-v0", **settings)

@@ -138,7 +138,7 @@ def test_a_calibration_that_shifts_frames_changes_no_reach() -> None:
     assert found[0][0] == 0
 
 
-def test_what_a_task_brings_together_on_purpose_is_exempt() -> None:
+def test_pairs_that_a_task_brings_together_are_exempt() -> None:
     pair = ("left/forearm_link", "table")
     row = Clearance(SceneSettings()).pairs.index(pair)
     plain = allowed(Clearance(SceneSettings(), closer={pair: 0.001}))
@@ -149,7 +149,7 @@ def test_what_a_task_brings_together_on_purpose_is_exempt() -> None:
     assert (grown[others] > plain[others]).any()
 
 
-def test_more_is_refused_the_less_is_known() -> None:
+def test_a_larger_uncertainty_refuses_more() -> None:
     nearest = float(Clearance(SceneSettings()).distances_m(HOME_Q_RAD.reshape(1, 12)).min())
     pairs = Clearance(SceneSettings()).pairs
     own = pairs[int(Clearance(SceneSettings()).distances_m(HOME_Q_RAD.reshape(1, 12))[0].argmin())]
@@ -202,7 +202,7 @@ def test_a_row_does_not_depend_on_the_others() -> None:
         ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
     ],
 )
-def test_uncertainties_that_are_none_are_refused(uncertainty) -> None:
+def test_invalid_uncertainties_are_refused(uncertainty) -> None:
     with pytest.raises(SettingsError, match="uncertainty of the bases is"):
         Clearance(SceneSettings(), uncertainty=uncertainty)
 

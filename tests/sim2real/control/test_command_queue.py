@@ -15,12 +15,12 @@ TICKS = 5
 def commands(n, periods, *, gripper=True):
     rng = np.random.default_rng(0)
     for _ in range(periods):
-        openings = rng.uniform(0, 0.08, (n, TICKS, 2)) if gripper else None
-        yield Command(rng.uniform(-1, 1, (n, TICKS, 2, 6)), openings)
+        widths = rng.uniform(0, 0.08, (n, TICKS, 2)) if gripper else None
+        yield Command(rng.uniform(-1, 1, (n, TICKS, 2, 6)), widths)
 
 
 @pytest.mark.parametrize("latency", [-1, MAX_LATENCY_TICKS + 1, 2.0, "3", None, float("nan")])
-def test_a_latency_that_is_none_is_refused(latency):
+def test_an_invalid_latency_is_refused(latency):
     with pytest.raises(SettingsError, match="action_latency_ticks"):
         CommandQueue(1, latency)
 
@@ -45,26 +45,26 @@ def test_commands_come_later_by_exactly_the_latency(latency, gripper):
     np.testing.assert_array_equal(then[:, :latency], 0.03)
 
 
-def test_what_is_told_of_a_payload_passes():
+def test_a_payload_passes():
     queue = CommandQueue(1, 3)
     command = next(commands(1, 1))._replace(payload_kg=np.array([[0.5, 1.0]]))
     np.testing.assert_array_equal(queue(command).payload_kg, [[0.5, 1.0]])
 
 
 def test_a_reset_empties_the_queue_of_its_rows_only():
-    queue, twin = CommandQueue(3, 7), CommandQueue(3, 7)
+    queue, other = CommandQueue(3, 7), CommandQueue(3, 7)
     for each in commands(3, 4):
         queue(each)
-        twin(each)
+        other(each)
     start = np.full((1, 2, 6), 0.25)
     queue.reset(start, np.array([1]))
-    some, other = (np.concatenate([each(c).targets_rad for c in commands(3, 4)], axis=1) for each in (queue, twin))
+    some, other = (np.concatenate([each(c).targets_rad for c in commands(3, 4)], axis=1) for each in (queue, other))
     np.testing.assert_array_equal(some[[0, 2]], other[[0, 2]])
     np.testing.assert_array_equal(some[1, :7], np.full((7, 2, 6), 0.25))
     np.testing.assert_array_equal(some[1, 7:], other[1, 7:])
 
 
-def test_a_queue_goes_on_after_pickling():
+def test_a_queue_continues_after_pickling():
     queue = CommandQueue(2, 8)
     first, *others = commands(2, 6)
     queue(first)

@@ -213,7 +213,7 @@ def test_a_refusal_names_joint_found_and_allowed() -> None:
     assert again.verdicts[1] == verdict  # the first reason stays
 
 
-def test_a_position_beyond_its_range_is_told_with_the_nearer_end() -> None:
+def test_a_position_out_of_range_is_reported_with_the_nearer_end() -> None:
     for sign, allowed in ((1, np.pi), (-1, -np.pi)):
         gate = gate_at_home()
         start = HOME_Q_RAD.copy()
@@ -229,7 +229,7 @@ def test_a_position_beyond_its_range_is_told_with_the_nearer_end() -> None:
             assert abs(verdict.found) > np.pi
 
 
-def test_a_tip_that_is_too_fast_is_named() -> None:
+def test_a_point_that_is_too_fast_is_named() -> None:
     limits = MotionLimits(tcp_speed_m_s=0.1)
     gate, motion = gate_at_home(1, limits), None
     adapter = ServojAdapter(ServojProfile(), MotionLimits(acceleration_rad_s2=2.0, jerk_rad_s3=100.0), TICKS)
@@ -271,12 +271,12 @@ def test_other_rows_continue_and_a_reset_frees_only_its_rows() -> None:
     assert gate(np.tile(HOME_Q_RAD, (n, TICKS, 1, 1))).verdicts == {}
 
 
-def test_nobody_outside_holds_the_gates_own_record() -> None:
+def test_no_caller_holds_the_gates_own_record() -> None:
     gate, motion = gate_at_home(), legal_motion(1, 20)
-    twin = copy.deepcopy(gate)
+    other = copy.deepcopy(gate)
     for k, targets in enumerate(motion):
         given = targets + (1.0 if k >= 10 else 0.0)
-        expected = twin(given.copy()).targets_rad.copy()
+        expected = other(given.copy()).targets_rad.copy()
         result = gate(given)
         np.testing.assert_array_equal(result.targets_rad, expected)
         given[:] = np.nan
@@ -286,7 +286,7 @@ def test_nobody_outside_holds_the_gates_own_record() -> None:
     assert 0 in gate(motion[-1]).verdicts
 
 
-def test_what_leaves_does_not_change_with_what_was_given() -> None:
+def test_released_targets_do_not_change_with_the_input() -> None:
     gate, targets = gate_at_home(), legal_motion(1, 1)[0]
     expected = targets.copy()
     leaving = gate(targets).targets_rad
@@ -322,7 +322,7 @@ def test_an_arm_stops_before_it_comes_too_near(action: np.ndarray, other: str) -
     assert verdict.found < verdict.allowed == MINIMUM_M
     assert f"at least {MINIMUM_M}" in str(verdict)
     along = Clearance(SceneSettings(), n=sent.shape[1]).distances_m(sent.reshape(-1, 12))
-    assert along.min() >= MINIMUM_M - 1e-4  # up to and at the posture where it rests
+    assert along.min() >= MINIMUM_M - 1e-4  # up to and at the configuration where it rests
     assert along.min() < 0.1  # and it did come near
     np.testing.assert_array_equal(sent[0, -1], sent[0, -100])
     assert_within(sent, MotionLimits(speed_rad_s=1.0), 0.008)
@@ -351,7 +351,7 @@ def test_a_wild_target_in_one_cell_does_not_blind_the_others() -> None:
     assert gate(still).verdicts == {}
 
 
-def test_a_gate_goes_on_after_pickling() -> None:
+def test_a_gate_continues_after_pickling() -> None:
     gate, motion = gate_at_home(2, clearance=Clearance(SceneSettings(), n=2)), legal_motion(2, 10)
     for targets in motion[:4]:
         gate(targets)

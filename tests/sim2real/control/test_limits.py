@@ -172,10 +172,10 @@ def test_the_cartesian_speed_is_never_underestimated(
         axis=1,
     ).reshape(len(windows), -1, 2, 6)
     peak = cartesian_speed(motion, tick_s, limits.tcp_m).max(axis=1) / limits.tcp_speed_m_s
-    share = envelope.cartesian_use(windows)[0].max(axis=1)
+    fraction = envelope.cartesian_use(windows)[0].max(axis=1)
     assert len(windows) > 20
-    assert (share >= peak * (1 - 1e-9)).all()
-    assert (share <= peak * 1.0061).all()
+    assert (fraction >= peak * (1 - 1e-9)).all()
+    assert (fraction <= peak * 1.0061).all()
     assert (envelope.cartesian_bound(use) >= peak * (1 - 1e-9)).all()
 
 
@@ -186,15 +186,15 @@ def test_the_cartesian_use_names_the_faster_point() -> None:
     pan[0, :, 7] = np.arange(4) * 0.001
     pan[0, :, 8] = -np.arange(4) * 0.004  # folds while it lifts
     pan[0, :, 8] -= 2.6
-    share, point = envelope.cartesian_use(pan)
-    assert share.shape == point.shape == (1, 2)
+    fraction, point = envelope.cartesian_use(pan)
+    assert fraction.shape == point.shape == (1, 2)
     assert POINTS[point[0, 0]] == "flange"
     turn = np.zeros((1, 4, 12))
     turn[0, :, 5] = np.arange(4) * 0.001  # the last joint moves no flange, but a tool beside its axis
     turn[0, :, 11] = np.arange(4) * 0.001
     beside = Envelope(MotionLimits(tcp_speed_m_s=0.25, tcp_m=((0.2, 0.0, 0.1), (0.0, 0.0, 0.1))), 0.008, 1)
-    (share,), (point,) = beside.cartesian_use(turn)
-    np.testing.assert_allclose(share, [0.2 * 0.001 / 0.008 / 0.25, 0.0], rtol=1e-2, atol=1e-9)
+    (fraction,), (point,) = beside.cartesian_use(turn)
+    np.testing.assert_allclose(fraction, [0.2 * 0.001 / 0.008 / 0.25, 0.0], rtol=1e-2, atol=1e-9)
     assert POINTS[point[0]] == "TCP"
 
 
@@ -218,8 +218,8 @@ def test_the_assumed_reach_from_each_axis_is_an_upper_bound() -> None:
 @pytest.mark.parametrize("tick_s", TICKS_S)
 def test_very_slow_limits_work_too(speed: float, tick_s: float) -> None:
     envelope = Envelope(MotionLimits(speed_rad_s=speed, tcp_speed_m_s=0.001), tick_s, 2)
-    share, _ = envelope.cartesian_use(np.zeros((1, 5, 12)))
-    assert share.max() == 0.0
+    fraction, _ = envelope.cartesian_use(np.zeros((1, 5, 12)))
+    assert fraction.max() == 0.0
     assert envelope.rest_speed_rad_s <= 1e-4
 
 

@@ -124,7 +124,7 @@ def test_other_shapes_are_refused_and_never_broadcast(n: int, shape: tuple[int, 
         object(),
     ],
 )
-def test_what_is_no_numbers_is_refused(action: object) -> None:
+def test_other_types_are_refused(action: object) -> None:
     with pytest.raises(ActionError, match="numbers"):
         pipeline_at_home()(action)
 
@@ -150,7 +150,7 @@ def test_nan_and_infinity_are_refused_with_the_arms_name(value: float, arm: int,
 @pytest.mark.parametrize("mode", MODES)
 def test_a_refused_action_changes_nothing(mode: str) -> None:
     rng = np.random.default_rng(0)
-    pipeline, twin = (pipeline_at_home(2, mode=mode) for _ in range(2))
+    pipeline, other = (pipeline_at_home(2, mode=mode) for _ in range(2))
     spoiled = np.zeros((2, 2, 6))
     spoiled[1, 0, 0] = np.nan
     for _ in range(15):
@@ -158,14 +158,14 @@ def test_a_refused_action_changes_nothing(mode: str) -> None:
         for bad in (spoiled, np.zeros(5), "x"):
             with pytest.raises(ActionError):
                 pipeline(bad)
-        np.testing.assert_array_equal(pipeline(action)[0].targets_rad, twin(action)[0].targets_rad)
+        np.testing.assert_array_equal(pipeline(action)[0].targets_rad, other(action)[0].targets_rad)
 
 
 def test_an_action_is_copied() -> None:
-    pipeline, twin = pipeline_at_home(), pipeline_at_home()
+    pipeline, other = pipeline_at_home(), pipeline_at_home()
     action = np.full((1, 2, 6), 0.5)
     for _ in range(10):
-        expected = twin(action)[0].targets_rad
+        expected = other(action)[0].targets_rad
         given = action.copy()
         checked = pipeline.check(given)
         checked[:] = np.nan
@@ -174,7 +174,7 @@ def test_an_action_is_copied() -> None:
         np.testing.assert_array_equal(sent, expected)
 
 
-def test_a_pipeline_goes_on_after_pickling() -> None:
+def test_a_pipeline_continues_after_pickling() -> None:
     pipeline, rng = pipeline_at_home(2, clearance=Clearance(SceneSettings(), n=2)), np.random.default_rng(0)
     for _ in range(5):
         pipeline(rng.uniform(-1, 1, (2, 2, 6)))
@@ -316,32 +316,32 @@ def test_after_another_start_a_held_arm_is_held_there() -> None:
 
 def test_distances_are_measured_to_where_a_held_arm_stays() -> None:
     class Seen(AlwaysClear):
-        postures: list[np.ndarray] = []  # noqa: RUF012
+        configurations: list[np.ndarray] = []  # noqa: RUF012
 
         def spare_m(self, q_rad):
-            self.postures.append(np.array(q_rad).reshape(-1, 2, 6))
+            self.configurations.append(np.array(q_rad).reshape(-1, 2, 6))
             return super().spare_m(q_rad)
 
     seen = Seen()
     pipeline = pipeline_at_home(clearance=seen, held=0)
     for _ in range(20):
         pipeline(np.ones((1, 2, 6)))
-    postures = np.concatenate(seen.postures)
-    assert np.abs(postures[:, 0] - HOME_Q_RAD[0]).max() < 1e-12
-    assert np.ptp(postures[:, 1], axis=0).max() > 0.05
+    configurations = np.concatenate(seen.configurations)
+    assert np.abs(configurations[:, 0] - HOME_Q_RAD[0]).max() < 1e-12
+    assert np.ptp(configurations[:, 1], axis=0).max() > 0.05
 
 
 # ------------------------------------------------------------------------------------------------ grippers
 
 
-def with_grippers(openings: np.ndarray) -> np.ndarray:
+def with_grippers(widths: np.ndarray) -> np.ndarray:
     """Return actions that hold the arms still with gripper widths between -1 and 1, (n, 2)."""
-    action = np.zeros((len(openings), 2, 7))
-    action[..., 6] = openings
+    action = np.zeros((len(widths), 2, 7))
+    action[..., 6] = widths
     return action
 
 
-def test_a_refused_row_keeps_its_openings() -> None:
+def test_a_refused_row_keeps_its_gripper_widths() -> None:
     class Closed(AlwaysClear):
         """Nothing is clear in row 1 from the third period on."""
 
@@ -356,8 +356,8 @@ def test_a_refused_row_keeps_its_openings() -> None:
 
     pipeline = pipeline_at_home(2, gripper=True, clearance=Closed())
     both = [pipeline(with_grippers(np.full((2, 2), value))) for value in (0.5, -0.2, 0.9, -1.0, 1.0, 1.0)]
-    openings = np.concatenate([command.gripper_m for command, _ in both], axis=1)
+    widths = np.concatenate([command.gripper_m for command, _ in both], axis=1)
     assert 1 in both[2][1]
-    last = openings[1, 9]  # what was sent last before the refusal
-    np.testing.assert_array_equal(openings[1, 10:], np.broadcast_to(last, (20, 2)))
-    assert np.ptp(openings[0, 10:, 0]) > 0.01  # the other row goes on
+    last = widths[1, 9]  # what was sent last before the refusal
+    np.testing.assert_array_equal(widths[1, 10:], np.broadcast_to(last, (20, 2)))
+    assert np.ptp(widths[0, 10:, 0]) > 0.01  # the other row goes on

@@ -33,10 +33,10 @@ class Post(AlwaysClear):
     """Thin obstacle at an angle of the left arm's first joint, in a cell whose arms are levers of 1 m."""
 
     def __init__(self, at_rad, n=1):
-        self.at_rad, self.n, self.looks = at_rad, n, 0
+        self.at_rad, self.n, self.checks = at_rad, n, 0
 
     def spare_m(self, q_rad):
-        self.looks += 1
+        self.checks += 1
         assert q_rad.shape == (self.n, 12)
         return np.stack([np.abs(q_rad[:, 0] - self.at_rad) - WIDE_M, np.full(self.n, 5.0)], axis=1)
 
@@ -76,7 +76,7 @@ TURN = np.array([1.0] + [0.0] * 11)
 
 
 @pytest.mark.parametrize("phase", np.linspace(0.0, 0.08, 8, endpoint=False))
-def test_a_thin_thing_between_two_looks_is_seen(phase):
+def test_a_thin_obstacle_between_two_checks_is_seen(phase):
     post = Post(HOME[0] + 0.9 + phase)
     sent, verdicts = driven(post, TURN, 60)
     assert np.abs(np.diff(sent[0, :, 0])).max() > 0.01  # 8 cm a period: it would be by
@@ -99,13 +99,13 @@ def test_each_row_is_checked_by_itself():
     assert set(verdicts) == {0, 3}
 
 
-def test_where_there_is_room_nothing_more_is_measured():
+def test_distant_pairs_need_no_further_checks():
     post = Post(HOME[0] + 3.0)
     driven(post, TURN, 30)
-    assert post.looks == 30
+    assert post.checks == 30
 
 
-def test_what_moves_along_something_is_not_refused():
+def test_motion_along_an_obstacle_is_not_refused():
     """Joints that do not move a pair are free, however near it is."""
     post = Post(HOME[0] + WIDE_M)
     post.spare_m = lambda q: np.array([[0.0 if abs(q[0, 0] - HOME[0]) < 1e-9 else -1.0, 5.0]])
@@ -146,24 +146,24 @@ def test_no_distance_changes_by_more_than_the_joints_move_it(settings, keywords)
 
 
 @pytest.mark.parametrize(("settings", "keywords"), SCENES)
-def test_balls_are_nearer_than_what_they_are_around(settings, keywords):
+def test_bounding_spheres_are_nearer_than_their_geoms(settings, keywords):
     wall = Plane(name="wall", point_m=(2.0, 0.0, 0.0), normal=(-1.0, 0.0, 0.0))
     settings = dataclasses.replace(settings, obstacles=(*settings.obstacles, wall))
     clearance = Clearance(settings, n=400, **keywords)
     spare = clearance.spare_m(random_q(np.random.default_rng(3), 400).reshape(400, 12)).copy()
-    balls = clearance.spare_of_spheres_m()
+    spheres = clearance.spare_of_spheres_m()
     measured = clearance.distances_m(random_q(np.random.default_rng(3), 400).reshape(400, 12)) < CLEARANCE_CUTOFF_M
-    assert (balls <= spare + 1e-9)[measured].all()
-    assert balls.max() > 0.5  # they tell what is not measured
+    assert (spheres <= spare + 1e-9)[measured].all()
+    assert spheres.max() > 0.5  # they tell what is not measured
 
 
 def test_a_single_one_measures_what_a_batch_does():
     clearance = Clearance(SceneSettings(obstacles=CLUTTER), n=3, uncertainty=((0.004, 0.01), (0.002, 0.02)))
     one = clearance.alone()
-    postures = HOME + np.random.default_rng(1).uniform(-0.5, 0.5, (3, 12))
-    whole = clearance.spare_m(postures).copy()
+    configurations = HOME + np.random.default_rng(1).uniform(-0.5, 0.5, (3, 12))
+    whole = clearance.spare_m(configurations).copy()
     for row in range(3):
-        np.testing.assert_array_equal(one.spare_m(postures[[row]])[0], whole[row])
+        np.testing.assert_array_equal(one.spare_m(configurations[[row]])[0], whole[row])
     assert one.alone() is one
     assert clearance.alone() is one
 
@@ -189,8 +189,8 @@ def test_arms_at_full_speed_keep_away_from_thin_rods(ticks, steady):
 @pytest.mark.parametrize("ticks", [25, 125])
 def test_a_joint_that_moves_forth_and_back_is_seen(ticks):
     """As far as limits allow, from rest to rest: the end of the brake alone does not show it."""
-    share = np.minimum(np.arange(1, ticks + 1) / (ticks - 3), 1.0)
-    way = 64.0 * (share * (1.0 - share)) ** 3 * 9.0 * (0.008 * (ticks - 3)) ** 2 / 24.0
+    fraction = np.minimum(np.arange(1, ticks + 1) / (ticks - 3), 1.0)
+    way = 64.0 * (fraction * (1.0 - fraction)) ** 3 * 9.0 * (0.008 * (ticks - 3)) ** 2 / 24.0
     targets = np.tile(HOME, (1, ticks, 1))
     targets[0, :, 0] += way
     gate = SafetyGate(HARD, 0.008, ticks, Post(HOME[0] + WIDE_M + 2e-3))
@@ -201,7 +201,7 @@ def test_a_joint_that_moves_forth_and_back_is_seen(ticks):
 
 
 @pytest.mark.parametrize("jump", [0.3, 30.0, 1e6, 1e17, 1e300])
-def test_what_no_arm_can_do_is_refused_before_anybody_looks(jump):
+def test_impossible_motion_is_refused_without_checks(jump):
     post = Post(HOME[0] + 0.05)
     gate = SafetyGate(HARD, 0.008, 5, post)
     gate.reset(HOME_Q_RAD[None])
@@ -209,14 +209,14 @@ def test_what_no_arm_can_do_is_refused_before_anybody_looks(jump):
     targets[..., 0] += jump
     (verdict,) = gate(targets.reshape(1, 5, 2, 6)).verdicts.values()
     assert verdict.kind != "distance"
-    assert post.looks == 1
+    assert post.checks == 1
 
 
 class Corridor(Post):
     """Walls on all sides, 0.1 mm from too close."""
 
     def spare_m(self, q_rad):
-        self.looks += 1
+        self.checks += 1
         return np.full((1, 1), 1e-4)
 
     def spare_of_spheres_m(self):
@@ -226,11 +226,11 @@ class Corridor(Post):
         return 10.0 * path_rad.sum(axis=1, keepdims=True)
 
 
-def test_looks_are_bounded():
+def test_checks_are_bounded():
     corridor = Corridor(0.0)
     sent, verdicts = driven(corridor, np.ones(12), 40)
     assert verdicts[0].kind == "distance"
-    assert corridor.looks < 40 * 2 + 8 * 100
+    assert corridor.checks < 40 * 2 + 8 * 100
     assert np.ptp(sent[0, -3:], axis=0).max() < 1e-4  # at rest
 
 
@@ -255,13 +255,16 @@ class Scripted:
 
 
 def test_a_row_does_not_depend_on_its_neighbours():
-    def posture(x, y, z, kind=0.0):
+    def q(x, y, z, kind=0.0):
         return np.array([x, y, z, kind] + [0.0] * 8)
 
-    there = posture(0, 0.06, 0)
-    mine = [(posture(-0.005, 0, 0), posture(0, 0, 0), posture(0, 0, 0.01)), (posture(0, 0, 0), there, there)]
-    near = posture(0, 0.004, 0, 1.0)
-    busy = [(posture(0, 0, 0, 1.0), near, near), (near, near, near)]
+    there = q(0, 0.06, 0)
+    mine = [
+        (q(-0.005, 0, 0), q(0, 0, 0), q(0, 0, 0.01)),
+        (q(0, 0, 0), there, there),
+    ]
+    near = q(0, 0.004, 0, 1.0)
+    busy = [(q(0, 0, 0, 1.0), near, near), (near, near, near)]
     answers = []
     for rows in ([mine], [busy, mine]):
         distances = Scripted(len(rows))

@@ -35,7 +35,7 @@ def scalings(draw):
 
 
 @given(st.integers(0, 2**40))
-def test_at_pace_1_each_target_has_its_period_bit_for_bit(period):
+def test_at_a_scaling_of_1_each_target_has_its_period(period):
     assert TimeScaling().at(float(period)) == period
     assert TimeScaling().period_of(float(period)) == period
     assert TimeScaling().rate_at(float(period)) == 1.0

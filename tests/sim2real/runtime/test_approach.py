@@ -62,7 +62,7 @@ def in_real_time(targets, start, tick_s, speed_factor):
     return np.stack(sent, axis=1)
 
 
-def random_way(seed, size):
+def random_path(seed, size):
     rng = np.random.default_rng(seed)
     return [HOME, HOME + size * rng.uniform(-1, 1, 12)]
 
@@ -70,8 +70,8 @@ def random_way(seed, size):
 @pytest.mark.parametrize("speed_factor", [1.0, 0.5, 0.25])
 @pytest.mark.parametrize("tick_s", TICKS_S)
 @pytest.mark.parametrize("size", [1.5, 0.2, 1e-3])
-def test_it_is_as_slow_in_real_time_as_it_says(speed_factor, tick_s, size):
-    parts = random_way(round(size * 1000), size)
+def test_its_real_time_rates_are_those_configured(speed_factor, tick_s, size):
+    parts = random_path(round(size * 1000), size)
     approach = Approach([*parts, HOME], speed_factor)
     sent = in_real_time(approach.targets(tick_s), HOME, tick_s, speed_factor)
     moved = np.diff(sent, axis=0, prepend=sent[:1], append=sent[-1:]) / tick_s
@@ -97,9 +97,9 @@ def test_it_is_as_slow_in_real_time_as_it_says(speed_factor, tick_s, size):
         ({"jerk_rad_s3": 0.05}, 3),
     ],
 )
-def test_what_a_cell_allows_holds_on_the_way_too(caps, which, speed_factor):
+def test_the_limits_of_a_cell_hold_in_an_approach(caps, which, speed_factor):
     rates = Rates().capped(CellConfig(**caps))
-    parts = random_way(3, 0.4)
+    parts = random_path(3, 0.4)
     approach = plan(*np.array(parts).reshape(2, 2, 6), Anywhere(), speed_factor, rates)
     sent = in_real_time(approach.targets(0.008), HOME, 0.008, speed_factor)
     moved = np.diff(sent, axis=0, prepend=sent[:1], append=sent[-1:]) / 0.008
@@ -109,7 +109,7 @@ def test_what_a_cell_allows_holds_on_the_way_too(caps, which, speed_factor):
         np.abs(moved).max(),
         cartesian_speed(sent[None], 0.008).max(),
         np.abs(changed).max(),
-        np.abs(np.diff(changed[::20], axis=0)).max() / 0.16,  # of the way, not of its numbers' last digits
+        np.abs(np.diff(changed[::20], axis=0)).max() / 0.16,  # of the path, not of its numbers' last digits
     ]
     assert 0.9 * value < found[which] <= 1.02 * value
     assert found[0] <= 1.01 * SPEED_RAD_S
@@ -120,7 +120,7 @@ def test_what_a_cell_allows_holds_on_the_way_too(caps, which, speed_factor):
 
 @pytest.mark.parametrize("speed_factor", [1.0, 0.3])
 @pytest.mark.parametrize("size", [1.5, 1e-3, 1e-6])
-def test_it_begins_and_ends_exactly_where_it_should(speed_factor, size):
+def test_it_begins_and_ends_exactly(speed_factor, size):
     goal = HOME + size * np.random.default_rng(1).uniform(-1, 1, 12)
     targets = plan(HOME.reshape(2, 6), goal.reshape(2, 6), Anywhere(), speed_factor).targets(0.008)
     assert targets.shape[1:] == (2, 6)
@@ -132,7 +132,7 @@ def test_it_begins_and_ends_exactly_where_it_should(speed_factor, size):
     assert (np.diff(along[:, 0]) >= -1e-9).all()
 
 
-def test_who_is_there_stays_there():
+def test_arms_at_the_goal_stay_there():
     approach = plan(HOME.reshape(2, 6), HOME.reshape(2, 6), Anywhere())
     assert approach.duration_s == 0.0
     assert (approach.targets(0.008) == HOME_Q_RAD).all()
@@ -150,7 +150,7 @@ def test_between_two_parts_both_arms_rest():
     assert middle * 0.008 == pytest.approx(approach.durations_s[0], abs=0.01)
 
 
-# What is in the way.
+# What is in the path.
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +169,7 @@ def nearest_m(clearance, approach, every=0.005):
     return min(found)
 
 
-def test_a_free_way_is_gone_by_both_at_once(clearance):
+def test_both_arms_share_a_free_path(clearance):
     goal = HOME_Q_RAD + 0.1
     approach = plan(HOME_Q_RAD, goal, clearance)
     assert len(approach.parts) == 2
@@ -188,7 +188,7 @@ def close():
     return Clearance(SceneSettings(ArmMount((0.0, 0.4, 0.0)), ArmMount((0.0, -0.4, 0.0))))
 
 
-def test_where_both_at_once_may_not_one_goes_after_the_other(close):
+def test_on_a_blocked_path_one_arm_moves_after_the_other(close):
     kinds, nearest = set(), []
     for q, goal in crossings():
         ends = np.array([q, goal]).reshape(2, 12)
@@ -214,11 +214,11 @@ def test_where_both_at_once_may_not_one_goes_after_the_other(close):
         if len(kinds) == 4 and len(nearest) > 60:
             break
     assert kinds == {"both", "left", "right", "none"}
-    # Between the postures that are looked at, they may come nearer by a little.
+    # Between the configurations that are looked at, they may come nearer by a little.
     assert min(nearest) > MINIMUM_M - 0.004
 
 
-def test_an_arm_that_stands_too_close_may_go_away_and_not_nearer(clearance):
+def test_an_arm_that_is_too_close_may_only_separate(clearance):
     down = HOME_Q_RAD.copy()
     while clearance.shortfall_m(down.reshape(12)).max() < 0.06:
         down[0, 1] += 0.01  # towards the table, the arm comes too close to it
@@ -247,13 +247,13 @@ class Somewhere:
 @pytest.mark.parametrize(
     ("shortfall", "free"),
     [
-        (lambda way: 0.01 if 0.5 < way < 0.53 else -0.1, False),  # narrow, and in the way
-        (lambda way: 0.05 - 0.1 * way, True),  # ever farther apart
-        (lambda way: 0.05 - 0.2 * way + 0.2 * way**2, False),  # away, and nearer again
-        (lambda way: 0.05 + 0.001 * way, False),
+        (lambda path: 0.01 if 0.5 < path < 0.53 else -0.1, False),  # narrow, and in the path
+        (lambda path: 0.05 - 0.1 * path, True),  # ever farther apart
+        (lambda path: 0.05 - 0.2 * path + 0.2 * path**2, False),  # away, and nearer again
+        (lambda path: 0.05 + 0.001 * path, False),
     ],
 )
-def test_everything_on_the_way_is_looked_at(shortfall, free):
+def test_the_whole_path_is_checked(shortfall, free):
     goal = HOME_Q_RAD + 1.0
     if free:
         assert len(plan(HOME_Q_RAD, goal, Somewhere(shortfall)).parts) == 2
@@ -272,7 +272,7 @@ def test_a_joint_out_of_its_range_is_refused(clearance, arm, name, joint, sign):
         plan(q, HOME_Q_RAD, clearance)
 
 
-# The gate on the way.
+# The gate on the path.
 
 
 class Pairs:
@@ -299,14 +299,14 @@ class Pairs:
         ((-0.1, -0.1), (np.nan, 0.0), False, "first"),
     ],
 )
-def test_what_is_too_close_may_go_apart_and_no_closer(start, then, clear, blamed):
-    def posture(values):
+def test_a_pair_that_is_too_close_may_only_separate(start, then, clear, blamed):
+    def configuration(values):
         return np.concatenate([values, np.zeros(10)])
 
-    leaving = RetreatClearance(Pairs(), posture(start).reshape(2, 6))
-    assert bool((leaving.spare_m(posture(then)[None]) >= 0.0).all()) == clear
+    leaving = RetreatClearance(Pairs(), configuration(start).reshape(2, 6))
+    assert bool((leaving.spare_m(configuration(then)[None]) >= 0.0).all()) == clear
     if not clear:  # of a pair that stands too close and comes no closer nothing is to be said
-        assert leaving.worst(posture(then))[0] == blamed
+        assert leaving.worst(configuration(then))[0] == blamed
 
 
 @pytest.mark.parametrize("tick_s", TICKS_S)
@@ -316,11 +316,11 @@ def test_what_is_too_close_may_go_apart_and_no_closer(start, then, clear, blamed
     [MotionLimits(), MotionLimits(speed_rad_s=(0.2,) * 6, tcp_speed_m_s=0.1, acceleration_rad_s2=0.5, jerk_rad_s3=5.0)],
 )
 @pytest.mark.parametrize("size", [1.0, 1e-3])
-def test_a_way_passes_the_gate_whatever_the_limits(tick_s, factor, limits, size):
-    way = [HOME, HOME + size * np.tile([0.5, -0.2, 0.2, 0.3, -0.3, 1.0], 2)]
+def test_an_approach_passes_the_gate_under_any_limits(tick_s, factor, limits, size):
+    path = [HOME, HOME + size * np.tile([0.5, -0.2, 0.2, 0.3, -0.3, 1.0], 2)]
     rates = Rates().within(limits, factor)
     assert rates.speed_rad_s <= Rates().speed_rad_s
-    targets = Approach(way, factor, rates).targets(tick_s)
+    targets = Approach(path, factor, rates).targets(tick_s)
     ticks = round(0.04 / tick_s)
     count = -(-len(targets) // ticks)
     targets = np.concatenate([targets, np.repeat(targets[-1:], count * ticks - len(targets), axis=0)])
@@ -338,10 +338,10 @@ def test_a_tool_is_no_faster_than_a_flange_may_be():
     end = start.copy()
     end[5] += 1.5  # turns about the flange's own axis
     rates = Rates(tcp_speed_m_s=0.04, tcp_m=tool)
-    way = Approach([start, end], rates=rates)
-    fastest = cartesian_speed(way.targets(0.008)[None], 0.008, tool).max()
+    path = Approach([start, end], rates=rates)
+    fastest = cartesian_speed(path.targets(0.008)[None], 0.008, tool).max()
     assert 0.039 < fastest <= 0.04 * (1 + 1e-6)
-    assert way.duration_s > 1.3 * Approach([start, end], rates=Rates(tcp_speed_m_s=0.04)).duration_s
+    assert path.duration_s > 1.3 * Approach([start, end], rates=Rates(tcp_speed_m_s=0.04)).duration_s
 
 
 @pytest.mark.parametrize(("tick_s", "ticks"), [(0.008, 5), (0.002, 1), (0.002, 20)])
@@ -377,9 +377,9 @@ def test_checking_many_windows_delays_the_first_target(monkeypatch, tick_s, tick
         alone=lambda: clearance,
         **{name: getattr(AlwaysClear(), name) for name in ("spare_of_spheres_m", "travel_m")},
     )
-    way = PathToStart(MotionLimits(), clearance, tick_s, ticks, 1.0, targets)
+    path = PathToStart(MotionLimits(), clearance, tick_s, ticks, 1.0, targets)
     led = Approach([HOME, HOME + np.eye(12)[5]]).targets(tick_s)
-    way.follow(runner, HOME.reshape(2, 6), led)
+    path.follow(runner, HOME.reshape(2, 6), led)
     assert sum(count for _, count in written) >= len(led)
     firsts = [first for first, _ in written]
     assert firsts == list(np.cumsum([firsts[0], *(count for _, count in written[:-1])]))

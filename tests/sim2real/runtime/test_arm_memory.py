@@ -46,7 +46,7 @@ def test_targets_arrive_bit_for_bit_beyond_the_end_of_the_ring(pair):
             assert (theirs.target(float(number)) == target).all()
 
 
-def test_what_lies_ahead_is_written_again(pair):
+def test_future_targets_are_overwritten(pair):
     mine, theirs = pair
     mine.put(0, rows(0, 50))  # a motion, and the brake behind it
     mine.put(10, rows(100, 5))  # goes on over the brake
@@ -131,7 +131,7 @@ def test_targets_that_leave_a_gap_are_refused(pair):
 
 
 @given(st.lists(st.floats(-3, 3), min_size=4, max_size=4), st.integers(0, 20), st.floats(0, 1))
-def test_between_two_targets_is_a_smooth_way_through_them(cubic, number, share):
+def test_targets_are_interpolated_smoothly(cubic, number, share):
     memory = ArmMemory()
     numbers = np.arange(30.0)[:, None]
     memory.put(0, np.polyval(cubic, numbers / 30) + np.zeros(6))
@@ -176,7 +176,7 @@ def test_targets_may_be_written_while_they_are_read(pair):
 # What was sent, and what was told.
 
 
-def test_what_was_sent_is_kept_and_read_once(pair):
+def test_sent_targets_are_kept_and_read_once(pair):
     mine, theirs = pair
     sent, following = mine.sent()
     assert (len(sent.period), following) == (0, 0)
@@ -192,7 +192,7 @@ def test_what_was_sent_is_kept_and_read_once(pair):
     assert len(mine.sent(following)[0].period) == 0
 
 
-def test_of_what_was_sent_and_told_the_newest_is_kept(pair):
+def test_the_newest_packets_and_states_are_kept(pair):
     mine, theirs = pair
     count = RING + 100
     for number in range(count):
@@ -219,7 +219,7 @@ def test_states_arrive_as_they_are(pair):
     assert [type(told[0]).from_row(row) for row in states] == told[1:]
 
 
-def test_what_was_read_does_not_change(pair):
+def test_a_result_does_not_change_later(pair):
     mine, theirs = pair
     mine.put(0, rows(0, 4))
     theirs.note_sent(0, 0.0, 1.0, 0.0, rows(0, 1)[0])
@@ -260,7 +260,7 @@ def test_a_text_may_be_cut_anywhere():
         block.close()
 
 
-def test_signs_of_life_and_a_stop_are_told(pair):
+def test_signs_of_life_and_a_stop_arrive(pair):
     mine, theirs = pair
     assert (mine.beat_s, theirs.stop_requested, mine.skipped) == (0.0, False, 0)
     theirs.beat(12.5)
@@ -284,7 +284,7 @@ def test_memory_that_is_closed_is_gone():
         ArmMemory(name)
 
 
-def test_memory_of_others_is_refused():
+def test_foreign_memory_is_refused():
     block = SharedBlock({"ints": (np.int64, (16,))})
     with pytest.raises(SettingsError, match="is another's"):
         ArmMemory(block.name)

@@ -158,7 +158,7 @@ def assert_rests_on_path(pair, arm):
     assert advance.sum() <= longest_s / TICK_S
 
 
-def test_what_is_put_is_what_the_controllers_execute(pair):
+def test_controllers_execute_the_written_targets(pair):
     pair.begin()
     pair.move(300)
     pair.memories[0].stop()
@@ -271,7 +271,7 @@ def test_a_fault_of_the_cell_stops_both(pair):
         assert_rests_on_path(pair, arm)
 
 
-def test_behind_the_last_target_the_arms_rest(pair):
+def test_after_the_last_target_the_arms_rest(pair):
     pair.begin()
     end = time.monotonic() + 20.0
     while time.monotonic() < end and min(memory.sent_count for memory in pair.memories) < 90:
@@ -285,7 +285,7 @@ def test_behind_the_last_target_the_arms_rest(pair):
     pair.stand()
 
 
-def test_a_slower_pace_holds_for_both(pair):
+def test_a_slower_scaling_holds_for_both(pair):
     pair.begin()
     pair.move(30)
     period = float(pair.memories[0].sent_count + 5)
@@ -327,7 +327,7 @@ def test_a_suspended_process_sends_nothing_when_it_wakes(pair):
         (0, 0.03, "where the arm is"),
     ],
 )
-def test_what_no_gate_lets_out_is_not_sent(pair, tick, value, words):
+def test_targets_that_no_gate_releases_are_not_sent(pair, tick, value, words):
     true = pair.target
 
     def spoiled(arm, number):

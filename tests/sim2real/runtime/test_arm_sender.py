@@ -113,7 +113,7 @@ def test_an_arm_with_missed_periods_still_stops_on_its_path(monkeypatch, memory,
 
 
 @pytest.mark.parametrize("family", list(PROFILES))
-def test_a_ramp_that_is_held_up_goes_on_where_time_is(monkeypatch, memory, family):
+def test_a_delayed_ramp_skips_missed_periods(monkeypatch, memory, family):
     sent, periods, memory = stopped(monkeypatch, memory, family, 0.001, hiccup_s=0.02)
     assert memory.text == "left: a reason"
     assert len(sent) < periods  # those of the hiccup were left out

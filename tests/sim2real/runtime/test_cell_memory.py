@@ -23,14 +23,14 @@ def pair():
     mine.close()
 
 
-def test_at_first_nothing_is_so(pair):
+def test_initial_values(pair):
     for memory in pair:
         assert memory.time_scaling == TimeScaling()
         assert (memory.begin_s, memory.supervisor_beat_s, memory.fresh) == (0.0, 0.0, 0.0)
         assert (memory.ready, memory.ending, memory.live, memory.fault) == (False, False, False, "")
 
 
-def test_whoever_joins_changes_no_pace(pair):
+def test_opening_memory_changes_no_scaling(pair):
     mine, _ = pair
     mine.set_time_scaling(TimeScaling(1.0, 2.0, 0.5, 0.25, 0.01))
     third = CellMemory(mine.name)
@@ -38,17 +38,17 @@ def test_whoever_joins_changes_no_pace(pair):
     third.close()
 
 
-def test_everything_is_told_to_all(pair):
+def test_all_processes_see_all_values(pair):
     mine, theirs = pair
-    for says, hears in (pair, pair[::-1]):
-        says.begin(12.5)
-        says.expect(40.5, live=True)
-        says.note_supervisor(13.5)
-        assert (hears.begin_s, hears.fresh, hears.live, hears.supervisor_beat_s) == (12.5, 40.5, True, 13.5)
-        says.expect(0.0, live=False)
+    for writer, reader in (pair, pair[::-1]):
+        writer.begin(12.5)
+        writer.expect(40.5, live=True)
+        writer.note_supervisor(13.5)
+        assert (reader.begin_s, reader.fresh, reader.live, reader.supervisor_beat_s) == (12.5, 40.5, True, 13.5)
+        writer.expect(0.0, live=False)
         # Who has just seen that the policy owed targets must not read another number of them.
-        assert (hears.fresh, hears.live) == (40.5, False)
-        says.begin(0.0)
+        assert (reader.fresh, reader.live) == (40.5, False)
+        writer.begin(0.0)
     assert not theirs.ready
     mine.enter_ready()
     assert theirs.ready
@@ -57,7 +57,7 @@ def test_everything_is_told_to_all(pair):
     assert theirs.ending
 
 
-def test_paces_follow_each_other(pair):
+def test_scalings_follow_each_other(pair):
     mine, theirs = pair
     scaling = TimeScaling()
     for number in range(50):
@@ -66,9 +66,9 @@ def test_paces_follow_each_other(pair):
         assert astuple(theirs.time_scaling) == astuple(scaling)
 
 
-def test_a_pace_is_there_before_it_is_the_newest(pair):
+def test_a_scaling_is_written_before_it_is_the_newest(pair):
     mine, theirs = pair
-    numbers, told = mine._ints, []
+    numbers, seen = mine._ints, []
 
     class Watched:
         """Looks, as another process may, after every write."""
@@ -78,14 +78,14 @@ def test_a_pace_is_there_before_it_is_the_newest(pair):
 
         def __setitem__(self, key, value):
             numbers[key] = value
-            told.append(theirs.time_scaling)
+            seen.append(theirs.time_scaling)
 
     mine._ints = Watched()
     mine.set_time_scaling(TimeScaling(1.0, 2.0, 0.5, 0.25, 0.01))
-    assert told == [TimeScaling(1.0, 2.0, 0.5, 0.25, 0.01)]
+    assert seen == [TimeScaling(1.0, 2.0, 0.5, 0.25, 0.01)]
 
 
-def test_a_pace_is_read_whole_while_it_is_written(pair):
+def test_a_scaling_is_read_whole_while_it_is_written(pair):
     mine, _ = pair
     code = (
         "import sys\nfrom dual_ur10.sim2real.runtime.cell_memory import CellMemory\n"

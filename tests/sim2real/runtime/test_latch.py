@@ -75,7 +75,7 @@ def test_a_folder_that_cannot_be_or_is_anothers_is_refused(home, monkeypatch):
 # Faults.
 
 
-def test_a_fault_stays_until_somebody_clears_it(cell, home):
+def test_a_fault_stays_until_it_is_cleared(cell, home):
     Latch(cell).check()
     Latch(cell).set("left: größer als erlaubt")
     again = Latch(cell)
@@ -178,7 +178,7 @@ def test_a_link_is_a_fault_and_not_followed(cell, tmp_path, target):
     assert (tmp_path / "a fault").exists() == (target == "a fault")
 
 
-def test_a_pipe_in_its_place_stops_nobody_from_looking(cell):
+def test_a_pipe_in_its_place_does_not_block_a_read(cell):
     latch = Latch(cell)
     os.mkfifo(latch._paths[0])
     assert latch.read() is not None  # and does not wait for a writer

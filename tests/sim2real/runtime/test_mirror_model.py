@@ -55,7 +55,7 @@ def assert_equal(found, expected):
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_it_shows_what_the_simulated_cell_shows(name):
+def test_its_states_equal_those_of_the_simulated_cell(name):
     cell, start = simulated(name)
     mirror = MirrorModel(cell.config.scene)
     states = 0
@@ -68,7 +68,7 @@ def test_it_shows_what_the_simulated_cell_shows(name):
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_what_it_has_shown_does_not_change(name):
+def test_returned_states_do_not_change(name):
     cell, start = simulated(name)
     mirror = MirrorModel(cell.config.scene)
     states = moving(cell, start)
@@ -81,7 +81,7 @@ def test_what_it_has_shown_does_not_change(name):
     cell.close()
 
 
-def test_without_a_thing_or_a_target_it_shows_none():
+def test_without_object_and_target_it_returns_none():
     cell, start = simulated("Handover")
     state = cell.reset(start).state
     mirror = MirrorModel(cell.config.scene)
@@ -98,7 +98,7 @@ def test_without_a_thing_or_a_target_it_shows_none():
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_what_is_drawn_stands_where_it_stands(name):
+def test_the_rendered_model_has_the_same_state(name):
     cell, start = simulated(name)
     mirror = MirrorModel(cell.config.scene)
     *_, state = moving(cell, start)

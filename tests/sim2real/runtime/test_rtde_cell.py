@@ -324,7 +324,7 @@ def test_the_collector_ignores_objects_from_before_the_episode(lab, monkeypatch)
     assert gc.get_freeze_count() == 0
 
 
-def test_a_program_that_ends_with_its_supervisor_leaves_word(lab):
+def test_a_program_that_ends_with_its_supervisor_is_noted(lab):
     lab.make().reset(seed=0)
     lock = next(path for path in state_folder().glob(f"lock-{lab.cell.left}"))
     note = lock.read_text()
@@ -403,7 +403,7 @@ def test_a_make_interrupted_twice_leaves_nothing_behind(lab, after_s):
     lab.make()  # the lock is free
 
 
-def test_ctrl_c_while_arms_move_says_that_they_are_at_rest(lab):
+def test_ctrl_c_reports_that_both_arms_are_at_rest(lab):
     process = lab.program("rollout", "SineTracking", "-n", "1", "--no-record")
     lab.wait_until_moving(process)
     process.send_signal(signal.SIGINT)
@@ -419,7 +419,7 @@ def test_a_make_that_fails_late_leaves_nothing_behind(lab):
     assert kept.value is not None
 
 
-def test_the_same_program_is_told_that_it_has_one_already(lab):
+def test_a_second_cell_of_one_program_is_refused(lab):
     lab.make()
     with pytest.raises(CellBusyError, match=r"env\.close\(\)"):
         gym.make(HANDOVER, cell=str(lab.path), disable_env_checker=True)

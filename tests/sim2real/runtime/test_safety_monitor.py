@@ -80,14 +80,14 @@ def test_a_program_must_play_while_targets_are_sent(parts, phase):
     assert monitor.state(0, status_of(runtime_state=2)) is None
 
 
-def test_a_state_of_long_ago_is_not_its_business(parts):
+def test_old_states_are_not_judged(parts):
     monitor = watch(parts)
     status = status_of(timestamp=1.0)
     assert [monitor.state(0, status) for _ in range(200)] == [None] * 200
 
 
 @pytest.mark.parametrize("arm", [0, 1])
-def test_an_arm_that_is_not_where_it_is_led_stops_both(parts, arm):
+def test_a_tracking_error_stops_both(parts, arm):
     monitor = watch(parts)
     bad, good = at(HOME_Q_RAD[arm] + [0, 0, 0.2, 0, 0, 0], HOME_Q_RAD[arm]), at(HOME_Q_RAD[1 - arm])
     found = []
@@ -134,7 +134,7 @@ def test_a_slider_that_is_no_number_stops(parts, values):
 
 
 @pytest.mark.parametrize("phase", list(Phase))
-def test_whether_anything_moves(parts, phase):
+def test_moving(parts, phase):
     monitor = watch(parts, phase=Phase.READY)
     parts[0][1].enter(phase)
     assert not monitor.moving  # a start that failed has moved nothing
@@ -207,7 +207,7 @@ def apart(parts, left, right, **more):
         ((0, 0, -0.02), (0, 0, 0), "20"),
     ],
 )
-def test_arms_that_are_not_where_they_should_be_to_each_other(parts, arm, away_m, turn_rad, words):
+def test_an_error_of_the_relative_pose_stops_both(parts, arm, away_m, turn_rad, words):
     q = [HOME_Q_RAD[0], HOME_Q_RAD[1]]
     q[arm] = moved(arm, away_m, turn_rad)
     found = apart(parts, *q)
@@ -220,7 +220,7 @@ def test_arms_that_are_not_where_they_should_be_to_each_other(parts, arm, away_m
 
 
 @pytest.mark.parametrize("arm", [0, 1])
-def test_what_is_allowed_of_it(parts, arm):
+def test_small_errors_of_the_relative_pose_are_allowed(parts, arm):
     near = 0.95
     q = [HOME_Q_RAD[0], HOME_Q_RAD[1]]
     q[arm] = moved(arm, (near * APART_M, 0.0, 0.0))
@@ -248,7 +248,7 @@ def test_a_common_lag_is_no_error(parts, seed):
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("yaw", [(0.0, 0.0), (0.7, -0.9), (0.0, np.pi / 2)])
-def test_a_held_object_may_be_off_as_a_whole(parts, axis, yaw):
+def test_a_common_displacement_is_no_error(parts, axis, yaw):
     """Moved in the cell as one, it is not torn; one arm alone would tear it."""
     mounts = (ArmMount((-0.75, 0.6, 0.0), yaw[0]), ArmMount((-0.75, -0.6, 0.0), yaw[1]))
     frames = Frames(mounts)
@@ -283,7 +283,7 @@ def test_arms_on_target_have_no_error_in_any_configuration(parts, seed):
         assert monitor.relative_pose() is None
 
 
-def test_one_state_alone_is_let_pass(parts):
+def test_a_single_state_is_tolerated(parts):
     monitor = watch(parts, coupled=True)
     good, bad = at(HOME_Q_RAD[1]), at(moved(1, (0.0, 0.02, 0.0)), HOME_Q_RAD[1])
     for _ in range(6):
@@ -311,7 +311,7 @@ def test_delayed_states_are_compared_with_those_of_their_time(parts):
         assert monitor.relative_pose() is None
 
 
-def test_an_e_series_may_be_apart_for_as_long_as_a_cb3(parts):
+def test_an_e_series_tolerates_errors_as_long_as_a_cb3(parts):
     arms, cell = parts
     monitor = SafetyMonitor(MonitorSettings(MOUNTS, 0.002, coupled=True), arms, cell)
     bad = at(moved(1, (0.0, 0.02, 0.0)), HOME_Q_RAD[1])
@@ -339,7 +339,7 @@ def test_an_arm_that_stops_stops_both_with_its_reason(parts, arm, phase):
     assert monitor.processes(10.0) == f"{ARM[arm]}: its own reason"
 
 
-def test_one_that_stops_without_a_word(parts):
+def test_an_arm_that_stops_without_a_reason(parts):
     monitor = watch(parts)
     for memory in parts[0]:
         memory.beat(10.0)
@@ -349,7 +349,7 @@ def test_one_that_stops_without_a_word(parts):
 
 @pytest.mark.parametrize("arm", [0, 1])
 @pytest.mark.parametrize(("phase", "most_s"), [(Phase.STREAMING, STALE_S), (Phase.READY, WAITING_S)])
-def test_a_process_that_does_nothing_any_more_stops_both(parts, arm, phase, most_s):
+def test_a_process_that_no_longer_responds_stops_both(parts, arm, phase, most_s):
     monitor = watch(parts, phase=phase)
     parts[0][1 - arm].beat(10.0 + most_s)
     parts[0][arm].beat(10.0)
@@ -357,12 +357,12 @@ def test_a_process_that_does_nothing_any_more_stops_both(parts, arm, phase, most
     assert monitor.processes(10.0 + 1.01 * most_s) == f"{ARM[arm]}: its process no longer responds"
 
 
-def test_one_that_connects_may_take_its_time(parts):
+def test_a_process_may_connect_slowly(parts):
     assert watch(parts, phase=Phase.STARTING).processes(1e6) is None
 
 
 @pytest.mark.parametrize("arm", [0, 1])
-def test_one_that_does_not_begin_when_both_should_stops_both(parts, arm):
+def test_a_process_that_does_not_begin_stops_both(parts, arm):
     monitor = watch(parts, phase=Phase.READY)
     parts[0][1 - arm].enter(Phase.STREAMING)
     parts[1].begin(10.0)
@@ -377,7 +377,7 @@ def test_one_that_does_not_begin_when_both_should_stops_both(parts, arm):
 
 
 @pytest.mark.parametrize(("told", "ended"), [(0, False), (1, True), (2, False), (4, False)])
-def test_a_program_has_ended_when_its_controller_says_so(parts, told, ended):
+def test_a_program_has_ended_when_its_controller_reports_it(parts, told, ended):
     monitor = watch(parts)
     assert monitor.ended == [False, False]
     monitor.note(1, status_of(runtime_state=told))
@@ -403,7 +403,7 @@ def owing(parts, scaling, fresh, *, live=True, begin_s=100.0):
 
 
 @pytest.mark.parametrize("rate", [1.0, 0.5, 0.25, 1 / 16])
-def test_a_policy_may_be_so_late_in_real_time_at_any_pace(parts, rate):
+def test_the_deadline_of_a_policy_is_in_real_time(parts, rate):
     fresh = 50.0
     late = owing(parts, TimeScaling(0.0, 0.0, rate, rate), fresh)
     due_s = 100.0 + fresh / rate * TICK_S
@@ -416,7 +416,7 @@ def test_a_policy_may_be_so_late_in_real_time_at_any_pace(parts, rate):
         )
 
 
-def test_what_changes_the_pace_changes_what_is_late(parts):
+def test_a_change_of_scaling_changes_the_deadline(parts):
     scaling = TimeScaling().towards(0.25, 1000.0, TICK_S)
     fresh = scaling.at(1100.0)
     late = owing(parts, scaling, fresh)
@@ -425,7 +425,7 @@ def test_what_changes_the_pace_changes_what_is_late(parts):
     assert late(due_s + 1.001 * POLICY_S) is not None
 
 
-def test_while_time_stands_still_nothing_is_late(parts):
+def test_nothing_is_late_while_time_is_stopped(parts):
     late = owing(parts, TimeScaling(0.0, 0.0, 1.0, 0.0, TICK_S), 1000.0)
     assert late(1e6) is None
     late = owing(parts, TimeScaling(0.0, 0.0, 0.0, 0.0), 3.0)

@@ -23,7 +23,7 @@ def targets_of(speed, tick_s):
 
 @settings(max_examples=300, deadline=None)
 @given(speeds, st.sampled_from([0.008, 0.002]))
-def test_it_ends_within_its_limits_and_goes_straight(speed, tick_s):
+def test_a_ramp_is_straight_and_within_its_limits(speed, tick_s):
     targets = targets_of(speed, tick_s)
     rates = np.diff(targets, axis=0) / tick_s
     slowing = -np.diff(np.abs(rates).max(axis=1)) / tick_s
@@ -42,7 +42,7 @@ def test_half_a_radian_per_second_takes_no_longer_than_promised(tick_s):
     assert targets[-1][0] - targets[1][0] <= 0.05
 
 
-def test_an_arm_that_stands_stays():
+def test_an_arm_at_rest_stays():
     ramp = StopRamp(np.ones((2, 6)), 0.008)
     assert ramp.at_rest
     assert np.array_equal(ramp(), np.ones(6))

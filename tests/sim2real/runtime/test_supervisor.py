@@ -41,12 +41,12 @@ def supervisor(parts, tick_s=0.008):
 
 @pytest.mark.parametrize("tick_s", [0.008, 0.002])
 @pytest.mark.parametrize("late_s", [0.0, 0.05])
-def test_a_new_pace_holds_from_a_time_on_that_is_still_to_come(parts, monkeypatch, tick_s, late_s):
+def test_a_new_scaling_begins_in_the_future(parts, monkeypatch, tick_s, late_s):
     cell, made = parts[2], supervisor(parts, tick_s)
     cell.set_time_scaling(TimeScaling(0.0, 0.0, 1.0, 1.0))
     cell.begin(time.monotonic() - 2.0)
     for arm in (0, 1):
-        made._watch.note(arm, status_of(target_speed_fraction=0.5, speed_scaling=1.0))
+        made._monitor.note(arm, status_of(target_speed_fraction=0.5, speed_scaling=1.0))
     set_time_scaling = cell.set_time_scaling
 
     def slowly(scaling):
@@ -56,12 +56,12 @@ def test_a_new_pace_holds_from_a_time_on_that_is_still_to_come(parts, monkeypatc
 
     ahead = []
     monkeypatch.setattr(cell, "set_time_scaling", slowly)
-    said = made._follow_speed_sliders()
+    reason = made._follow_speed_sliders()
     assert len(ahead) == 1
     if late_s:
-        assert "stalled while it changed the time scaling" in said
+        assert "stalled while it changed the time scaling" in reason
     else:
-        assert said is None or "stalled" in said  # this machine may do so, too
+        assert reason is None or "stalled" in reason  # this machine may do so, too
         assert cell.time_scaling.goal == 0.5
         assert made._follow_speed_sliders() is None
 
@@ -88,7 +88,7 @@ def test_a_program_that_outlives_its_process_is_a_fault(parts, monkeypatch):
     cell.begin(time.monotonic())
     for arm, memory in enumerate(arms):
         memory.enter(Phase.STOPPED, "a stop was requested")
-        made._watch.note(arm, status_of(runtime_state=1 if arm == 0 else 4))
+        made._monitor.note(arm, status_of(runtime_state=1 if arm == 0 else 4))
     made._end()
     assert Dashboard.asked == 1
     assert "right: its program had not ended after 0.05 s" in Latch(file).read().text
@@ -97,11 +97,11 @@ def test_a_program_that_outlives_its_process_is_a_fault(parts, monkeypatch):
 
 @pytest.mark.parametrize("begun", [False, True])
 @pytest.mark.parametrize("ready", [False, True])
-def test_a_start_that_failed_is_no_stop(parts, begun, ready):
+def test_a_failed_start_is_not_latched(parts, begun, ready):
     file, _, cell = parts
     made = supervisor(parts)
     made._enforcer = types.SimpleNamespace(
-        begin=lambda: None, look=lambda ended: 0.0, waits=False, close=lambda: None, unended=[]
+        begin=lambda: None, poll=lambda ended: 0.0, waits=False, close=lambda: None, unended=[]
     )
     made._ready = ready
     if begun:

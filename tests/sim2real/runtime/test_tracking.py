@@ -39,7 +39,7 @@ def test_a_deviation_stops_the_arm_at_the_third_state(joint, sign):
     assert tracking(bad) == reason
 
 
-def test_one_bad_state_alone_is_let_pass():
+def test_a_single_bad_state_is_tolerated():
     tracking = Tracking()
     good, bad = state(HOME), state(HOME, off(2, 0.5))
     for _ in range(20):
@@ -48,7 +48,7 @@ def test_one_bad_state_alone_is_let_pass():
         assert tracking(good) is None
 
 
-def test_what_is_allowed_is_let_pass():
+def test_allowed_deviations_are_tolerated():
     tracking = Tracking()
     for _ in range(20):
         assert tracking(state(HOME, off(4, DEVIATION_RAD - 1e-6))) is None
@@ -103,13 +103,13 @@ def wave(profile, speed, seconds=1.7):
 
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("speed", [0.0, 0.1, 0.5, 2.0])
-def test_a_controller_that_follows_is_let_go_on(profile, speed):
+def test_a_controller_that_follows_may_continue(profile, speed):
     for delay in (0, 4):
         assert follow(Following(profile), profile, wave(profile, speed), delay=delay) is None
 
 
 @pytest.mark.parametrize("profile", PROFILES)
-def test_a_stop_from_full_speed_is_let_pass(profile):
+def test_a_stop_from_full_speed_is_tolerated(profile):
     """The arm catches up with targets at rest."""
     moving = HOME + 0.5 * profile.tick_s * np.arange(200)[:, None]
     assert follow(Following(profile), profile, np.concatenate([moving, np.repeat(moving[-1:], 200, 0)])) is None
@@ -117,7 +117,7 @@ def test_a_stop_from_full_speed_is_let_pass(profile):
 
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("speed", [0.1, 0.5])
-def test_a_controller_that_takes_nothing_is_noticed(profile, speed):
+def test_a_controller_that_takes_no_targets_is_noticed(profile, speed):
     found = follow(Following(profile), profile, wave(profile, speed), taken=False)
     assert found is not None
     number, reason = found
@@ -142,7 +142,7 @@ def test_a_deviation_at_rest_is_noticed():
     assert [fine(state(off(3, 0.019))) for _ in range(5)] == [None] * 5
 
 
-def test_speed_of_long_ago_allows_nothing():
+def test_old_speeds_allow_no_deviation():
     following = Following(ServojProfile())
     following.sent(HOME, np.full(6, 2.0))
     assert [following(state(off(3, 0.1))) for _ in range(5)] == [None] * 5  # it is coming in

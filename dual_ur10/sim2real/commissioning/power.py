@@ -25,8 +25,8 @@ BRAKES_S: Final = 30.0
 
 _POLL_S: Final = 0.1
 _OFF, _IDLE, _RUNNING = (each.name for each in (RobotMode.POWER_OFF, RobotMode.IDLE, RobotMode.RUNNING))
-_STANDING: Final = (_OFF, RobotMode.POWER_ON.name, _IDLE, _RUNNING)
-_ON_THE_WAY: Final = (*_STANDING, RobotMode.BOOTING.name)  # joints boot when they get power
+_BEFORE: Final = (_OFF, RobotMode.POWER_ON.name, _IDLE, _RUNNING)
+_MEANWHILE: Final = (*_BEFORE, RobotMode.BOOTING.name)  # joints boot when they get power
 _NORMAL: Final = SafetyMode.NORMAL.name
 _STOPPED: Final = "STOPPED"  # of the program
 
@@ -38,7 +38,7 @@ class _DashboardArm:
         self.name, self.link = name, link
         self.mode = ""
 
-    def faults(self, modes: Sequence[str] = _STANDING) -> list[str]:
+    def faults(self, modes: Sequence[str] = _BEFORE) -> list[str]:
         """Return its faults other than missing power, and store its mode, which must be one of `modes`."""
         found = []
         self.mode = self.link.robot_mode()
@@ -154,7 +154,7 @@ def _wait(arms: Sequence[_DashboardArm], modes: Sequence[str], within_s: float) 
     """
     end_s = time.monotonic() + within_s
     while True:
-        found = [text for arm in arms for text in arm.faults(_ON_THE_WAY)]
+        found = [text for arm in arms for text in arm.faults(_MEANWHILE)]
         if found:
             raise OperationRefusedError("; ".join(found))
         late = [arm for arm in arms if arm.mode not in modes]

@@ -32,7 +32,7 @@ from dual_ur10.sim2real.links.rtde_link import RtdeClient
 from dual_ur10.sim2real.links.rtde_stream import Sample
 from dual_ur10.sim2real.protocol.primary_packet import kinematics_checksums
 from dual_ur10.sim2real.protocol.rtde import Kind
-from tests.sim2real.links.test_arm_status import status_of
+from tests.sim2real.statuses import status_of
 
 TIMED = ("RTDE rate", "RTDE jitter", "round trip")
 """Findings that depend on the load of this machine. The pure functions behind them have tests of their own."""

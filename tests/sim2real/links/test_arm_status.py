@@ -22,15 +22,7 @@ from dual_ur10.sim2real.links.arm_status import (
 )
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
 from dual_ur10.sim2real.links.rtde_stream import Sample
-
-MOVING = {"robot_mode": 7, "safety_mode": 1, "robot_status_bits": 3, "safety_status_bits": 1, "runtime_state": 2}
-
-
-def status_of(**values):
-    """Return a status in which an arm may move, with other values for these fields."""
-    zeros = zero_values(PROFILES["cb3"])
-    all_values = {name: zeros[name] for name in (*STATUS_VARIABLES, *OPTIONAL_VARIABLES)}
-    return ArmStatus.from_sample(Sample({**all_values, "speed_scaling": 1.0, **MOVING, **values}, 5.0))
+from tests.sim2real.statuses import status_of
 
 
 def test_an_arm_may_move_in_one_state():

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.processes.shared_memory import SharedBlock
 from dual_ur10.sim2real.runtime.arm_memory import RING, ArmMemory, Phase
-from tests.sim2real.links.test_arm_status import status_of
+from tests.sim2real.statuses import status_of
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ from dual_ur10.sim2real.runtime.safety_monitor import (
     MonitorSettings,
     SafetyMonitor,
 )
-from tests.sim2real.links.test_arm_status import status_of
+from tests.sim2real.statuses import status_of
 
 TICK_S = 0.008
 MOUNTS = SceneSettings().mounts

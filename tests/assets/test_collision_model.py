@@ -58,7 +58,7 @@ def test_capsules_enclose_the_visual_arm_closely(model):
 
 
 def test_neighbours_never_touch(model):
-    """Nor do parts that the arm's design keeps apart in every configuration."""
+    """Neighbours never touch, nor do parts that the design of the arm keeps apart."""
     chain = ("base_link", *LINKS)
     filtered = {frozenset(pair) for pair in itertools.pairwise(chain)}
     filtered |= {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
 from dual_ur10.kinematics.ur10 import ARMS
@@ -195,7 +195,7 @@ class KeyList:
         return Key(f"{path}.kind", {**value, "description": schema.get("description", "")}, required=default is None)
 
     def _resolved(self, schema: Schema) -> Schema:
-        """Without reference and without the null of an optional value."""
+        """Return the schema with its reference replaced, and without the null of an optional value."""
         for each in schema.get("anyOf", ()):
             if each.get("type") != "null":
                 schema = {**each, **{name: value for name, value in schema.items() if name != "anyOf"}}
@@ -218,13 +218,14 @@ class KeyList:
 
     def _varied(self, schema: Schema, path: str) -> Iterator[Key]:
         yield self.kind(schema, path)
-        found = [list(self._table(each, path, kind)) for kind, each in self.variants(schema).items()]
-        for key in [key for each in found for key in each]:
-            same = [each for row in found for each in row if (each.path, each.schema) == (key.path, key.schema)]
-            if len(same) < len(found) or len(found) == 1:
+        variants = self.variants(schema)
+        found = [key for kind, each in variants.items() for key in self._table(each, path, kind)]
+        for key in found:
+            same = [each for each in found if replace(each, variant=key.variant) == key]
+            if len(same) < len(variants):
                 yield key
             elif key is same[0]:
-                yield Key(key.path, key.schema, key.required)
+                yield replace(key, variant="")  # a key that all variants have
 
 
 def joined(path: str, name: str) -> str:
@@ -277,7 +278,7 @@ def toml_value(value: Any) -> str:
 
 
 def _blocks(values: Mapping[str, Any], header: str, path: str, comment: Comment) -> list[str]:
-    """One text per table, the given one first."""
+    """Return one text per table, that of `values` first."""
     above = comment(path) if path else None
     lines = ([f"# {above}"] if above else []) + ([header] if header else [])
     inner: list[str] = []

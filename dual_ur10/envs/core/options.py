@@ -49,7 +49,8 @@ class EnvOptions:
         camera: Camera of `render`, of the same names.
         width, height: Size of images in pixels, those of `render` and those observed.
         shadows: Draw shadows and reflections; see `dual_ur10.envs.rendering.images.Renderer`.
-        confirm: On two controllers, asked with a text before the arms go to where an episode begins; True lets them.
+        confirm: On two controllers, called with a text before the arms move to where an episode begins; True permits
+            it. With it, later resets need no other consent.
             None: an emulated cell needs nobody, and for real arms somebody at the terminal is asked.
         arm: "left" or "right": on two controllers, the one that moves while the other stays where it is. None: both.
         record: Folder in which a folder with the record of this run is made; None: no record. On two controllers, the

@@ -27,7 +27,7 @@ from tests.live.faults.wire import SPARE_TICKS, Wire, demand, ramp_ticks
 
 ARMS = ("left", "right")
 _MOST_STEPS = 250
-_SEEN_TICKS = 3  # from a stop of one arm until both slow down, and what is on its way then
+_SEEN_TICKS = 3  # from a stop of one arm until both slow down, and packets in transit
 _FAST_RAD_S = 0.1
 _NOTED_S = 2.0
 _PROGRAM = re.compile(r"program .* ends:|program is refused|program stopped:|not started")
@@ -258,7 +258,7 @@ class Lab:
             near = (ticks >= around[0]) & (ticks <= around[1])
             speed = max(speed, float(wire.speeds_rad_s(self.tick_s)[near].max(initial=0.0)))
         allowed = seen_ticks + ramp_ticks(speed, self.tick_s) + SPARE_TICKS
-        # Packages wait while the emulated controllers stand still, and come at once.
+        # Packets wait while the emulated controllers stall, and come at once.
         allowed += sum(self._tick - 5 <= tick <= self._tick + allowed for tick in self.cell.ask("info")["late_ticks"])
         asleep = math.ceil(STALE_S / self.tick_s)  # a process may be, on a busy machine, before it counts as lost
         for wire, ticks in zip(self.wires, packages, strict=True):

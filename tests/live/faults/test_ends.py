@@ -23,7 +23,7 @@ def test_11_a_process_that_dies_before_the_start_stops_both(lab, arm, wait_s):
     lab.make()
     lab.note()
     os.kill(lab.pids[arm], signal.SIGKILL)
-    time.sleep(wait_s)  # somebody reads the question meanwhile
+    time.sleep(wait_s)  # the operator reads the question meanwhile
     with pytest.raises((CellFaulted, StartError), match="no longer responds"):
         lab.env.reset(seed=0)
     lab.assert_nothing_executed()
@@ -62,7 +62,7 @@ def test_11_close_latches_a_stop_without_a_supervisor(lab):
     end = time.monotonic() + 5.0
     while any(memory.phase < Phase.STOPPED for memory in lab.runner.arms) and time.monotonic() < end:
         time.sleep(0.01)
-    assert lab.latch.read() is None  # nobody has looked
+    assert lab.latch.read() is None  # not latched yet
     lab.close_env()
     lab.assert_latched("the supervisor no longer responds")
 
@@ -165,7 +165,7 @@ def test_measured_states_of_a_stop_are_in_the_black_box(lab, tmp_path):
     run = read_run(box)
     state = run.arms[1].state
     assert np.abs(state["qd_rad_s"]).max() > 0.1
-    assert np.abs(state["qd_rad_s"][-1]).max() < 0.02  # the other arm was led to rest, and is seen to come there
+    assert np.abs(state["qd_rad_s"][-1]).max() < 0.02  # the record shows the stop of the other arm
     assert run.arms[1].sent["sent_s"][-1] < state["arrival_s"][-1] + 2 * lab.tick_s
 
 

@@ -48,8 +48,8 @@ def test_54_a_short_stall_skips_late_targets(lab, periods):
     lab.assert_within_limits()
 
 
-DASHBOARD_TICKS = 30  # 0.1 s until it counts as lost, and then it is asked for
-SILENT_TICKS = 17  # 0.1 s until what is silent counts as lost, and what is on its way
+DASHBOARD_TICKS = 30  # 0.1 s until it counts as lost, then the request
+SILENT_TICKS = 17  # 0.1 s until a silent peer counts as lost, and packets in transit
 
 
 @pytest.mark.parametrize("who", ["left", "right", "supervisor"] if soak.SOAK else ["left", "supervisor"])
@@ -99,11 +99,11 @@ def test_56_a_machine_sends_nothing_when_it_wakes(lab, who):
     lab.wake(*chosen[who])
     assert process.wait(30.0) == 2
     assert_gone(started)
-    # A call that was under way comes to its end: one package for an arm, which meets no program.
+    # A pending call ends: one packet for an arm, which meets no program.
     more = [now - before for now, before in zip(lab.traffic(), count, strict=True)]
     packages = [more.pop(at) for at in (4, 2)]
     demand(not any(more) and max(packages) <= 1, f"what woke up sent something: {count} before, {lab.traffic()} now")
-    # The policy alone: its targets come to rest, and 0.5 s later it is a fault.
+    # The policy alone: its targets end at rest, and 0.5 s later it is a fault.
     lab.assert_nothing_more(80 if who == "program" else SILENT_TICKS)
     lab.assert_latched()
 
@@ -133,7 +133,7 @@ def test_57_a_killed_runner_leaves_arms_at_rest_and_a_record(lab, number, tmp_pa
     for wire in lab.wires if alone else ():
         wire.assert_rested(tick, TICK_S)
     lab.assert_within_hard_limits()
-    if not alone:  # nobody was left to say so: the next program finds it
+    if not alone:  # no process was left to latch it: the next program finds it
         with pytest.raises(CellFaulted, match="ended without stopping"):
             lab.make()
     lab.assert_latched(LATCHED if alone else "ended without stopping")
@@ -178,7 +178,7 @@ def test_57_an_interrupted_runner_leaves_both_arms_at_rest(lab, number, tmp_path
             assert (folder / "run.mcap").read_bytes()[:1] in (b"", b"\x89")
             if moves:
                 read_run(folder, allow_partial=True)
-    # A person clears it where it was a fault, and then all goes on.
+    # A person clears a fault, and everything continues.
     lab.latch.clear()
     lab.make()
 

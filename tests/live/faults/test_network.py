@@ -14,7 +14,7 @@ from tests.live.faults.lab import ARMS
 pytestmark = pytest.mark.streams
 
 PORTS = {"dashboard": 29999, "primary": 30001, "realtime": 30003, "rtde": 30004}
-SILENT_TICKS = 17  # 0.1 s until what is silent counts as lost, and what is on its way
+SILENT_TICKS = 17  # 0.1 s until a silent peer counts as lost, and packets in transit
 # Until what was sent is farther ahead than a controller may be behind. Slow arms take long; in a whole period of the
 # swing they are as fast as they get.
 UNFOLLOWED_TICKS = 250
@@ -33,7 +33,7 @@ def test_17_an_arm_without_connections_is_named(lab, port):
         assert word in str(found.value)
     lab.assert_nothing_has_moved()
     lab.cell.ask("heal", arm="right")
-    lab.make()  # nothing was left behind that would be in the way
+    lab.make()  # nothing was left behind
 
 
 @pytest.mark.parametrize("port", ["all", *PORTS] if soak.SOAK else ["rtde"])
@@ -136,7 +136,7 @@ def test_20_a_controller_that_falls_silent_stops_both(lab, arm):
 def test_21_23_a_deaf_controller_stops_both(lab, arm):
     lab.begin()
     starved = lab.starved()
-    lab.turn("watchdog", {"on": True}, arm=arm, on=False)  # it would be starved, too: this shows who else stops the arm
+    lab.turn("watchdog", {"on": True}, arm=arm, on=False)  # it would act, too: this shows the other stop
     lab.turn("link", {"frozen": False}, arm=arm, port="rtde", frozen=True)
     error = lab.step_until_faulted()
     lab.assert_at_rest()
@@ -186,7 +186,7 @@ def test_24_damaged_packets_stop_both(lab, arm, damage):
 def test_24_changed_bytes_stop_both_or_are_ignored(lab, arm, corrupt):
     lab.begin()
     lab.turn("link", {"corrupt": 0}, arm=arm, port="rtde", corrupt=corrupt)
-    if corrupt < 1000:  # bytes of numbers that nobody looks at may go unnoticed
+    if corrupt < 1000:  # changes of unused numbers may go unnoticed
         for _ in range(10):
             lab.env.step(lab.policy()) if lab.latch.read() is None else None
         if lab.latch.read() is None:

@@ -9,7 +9,7 @@ import pytest
 
 pytestmark = pytest.mark.streams
 
-LATENCY = 16  # ticks: two processes that take turns need more of them than one
+LATENCY = 16  # ticks: two alternating processes need more than one
 
 POLICY = """
 import sys

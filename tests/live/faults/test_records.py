@@ -70,7 +70,7 @@ def test_60_the_arms_replay_a_recording(lab, recorded):
     ("change", "word", "uploads"),
     [
         ({"tick_s": 0.002, "family": "e-series"}, "e-series", 0),
-        ({"period_ticks": 3}, "ticks per action: 3", 1),  # which the environment says, on arms that are connected
+        ({"period_ticks": 3}, "ticks per action: 3", 1),  # reported by the environment, with connected arms
         ({"speed_factor": 2.0}, "speed_factor", 0),
     ],
 )

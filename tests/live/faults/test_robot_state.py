@@ -155,7 +155,7 @@ def test_30_nothing_moves_after_an_emergency_stop(lab):
         lab.cell.ask("press", arm="left", button=button)
         lab.cell.wait_until("left", "robot_mode", mode)
     lab.assert_stopped(error, "left: ", "7 (ROBOT_EMERGENCY_STOP)")
-    # A person has looked: everything is checked from the beginning, and the way to the start is gone slowly.
+    # After a clear everything is checked again, and the approach is slow.
     lab.latch.clear()
     lab.begin(steps=5)
     for arm in ARMS:

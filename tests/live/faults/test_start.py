@@ -191,7 +191,7 @@ def test_26_the_confirmation_shows_swapped_arms(lab):
 
 def test_58_a_second_runner_is_refused_and_the_first_continues(lab):
     lab.begin(steps=3)
-    lab.env.unwrapped.core.cell.finish()  # between two episodes nobody waits for a policy
+    lab.env.unwrapped.core.cell.finish()  # between two episodes the policy has no deadline
     with pytest.raises(CellBusyError, match=rf"the left arm at {lab.cell.left} is moved by this program already"):
         gym.make("DualUR10/SineTracking-v0", cell=str(lab.path))
     process = lab_program(lab)

@@ -10,7 +10,7 @@ from dual_ur10.kinematics.ur10 import HARD_SPEED_RAD_S
 SERVOJ = 11  # ur_rtde's number of the command
 STOP_RAD_S2, STOP_RAD_S3 = 4.0, 200.0  # of a stop, by docs/explanation/safety.md
 RAMP_TICKS = 3  # more than v/a + a/j
-SPARE_TICKS = 2  # for what is on its way
+SPARE_TICKS = 2  # for packets in transit
 _OVER = 5  # packages over which a speed is taken: a busy machine delivers two in one control period
 _EARLY_S = 0.004  # by which a package may come early or late; less than a control period of a CB3
 _ARRIVED_S = 0.5  # until what was noted as sent has come, however busy the machine is
@@ -130,7 +130,7 @@ class Wire:
         same = (came == noted[:count, 2:]).all(axis=1)
         demand(same.all(), f"{self.arm}: target {int(same.argmin())} that came is not the one that was noted")
         demand((np.diff(period) >= 1).all(), f"{self.arm}: two targets for one control period")
-        # What lies between two targets, where clocks drift or a pace slows both down, is on a cubic through them.
+        # Between two targets, under clock drift or time scaling, packets lie on a cubic through them.
         between = np.abs(noted[:count, 1] - np.rint(noted[:count, 1])).max(initial=0.0) > 1e-9
         allowed = _BETWEEN if between else 1.0 + 1e-6
         for order, (name, limit) in enumerate(
@@ -154,7 +154,7 @@ class Wire:
                 place < len(known), f"{self.arm}: {row.tolist()} was executed, and did not come, or not in this order"
             )
         if count and tick_s > _EARLY_S:  # at 500 Hz no machine of this kind keeps step
-            # Where a controller stood still its periods are others from then on, for a while.
+            # After a stall a controller's periods are offset for a while.
             late = [each - np.median(each) for each in np.array_split(ticks - period, -(-count // _NEAR))]
             share = float((np.abs(np.concatenate(late)) * tick_s <= _EARLY_S).mean())
             assert share >= _IN_STEP, (

@@ -284,7 +284,7 @@ def test_tcp_delta_steps_along_the_axes_of_the_cell(arm: int, axis: int) -> None
     for _ in range(25):
         adapter(action)
     end, turned_after = flange_pose(adapter.commanded_q_rad[0])
-    # `base` is half a turn from base_link, which is turned by the yaw in the cell.
+    # `base` is rotated by π from base_link, which is rotated by the yaw in the cell.
     cos, sin = np.cos(yaw[arm] + np.pi), np.sin(yaw[arm] + np.pi)
     moved = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ (end - start)[arm]
     wanted = np.zeros(3)

@@ -14,7 +14,7 @@ from dual_ur10.sim2real.control.cartesian_step import HALT_CONDITION, SLOW_CONDI
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from tests.sim2real.control.test_adapter import HARD
 
-# Which joint leads an arm at home, or near it, into a singularity, and which way.
+# Joint that leads an arm near home into a singularity, and its angle there.
 SINGULARITIES = {"elbow": (2, 0.0), "wrist": (4, 0.0)}
 POSTURES = arrays(np.float64, (4, 6), elements=st.floats(-3.0, 3.0))
 
@@ -64,7 +64,7 @@ def along(adapter, joint, way):
     """Return the action that rotates one joint of the left arm alone, as far as flange steps can."""
     q = adapter.commanded_q_rad[0, 0]
     twist = jacobian(q)[:, joint] * way
-    twist[[0, 1, 3, 4]] *= -1.0  # `base` is half a turn from the cell's frame
+    twist[[0, 1, 3, 4]] *= -1.0  # `base` is rotated by π from the cell's frame
     fraction = np.concatenate([twist[:3] / TCP_STEP_M_S, twist[3:] / TCP_ROTATION_RAD_S])
     action = np.zeros((1, 2, 6))
     action[0, 0] = 0.9 * fraction / np.abs(fraction).max()
@@ -83,7 +83,7 @@ def test_flange_steps_end_before_a_singularity_and_lead_back(joint, at_rad):
         after = adapter.commanded_q_rad[0, 0]
         conditions.append(float(condition(after[None], NOMINAL_DH)[0]))
         steps.append(float(np.abs(after - before).max()))
-    # Nothing that is sent is nearer, either, although arms come to rest behind what they are told.
+    # No target is nearer, either, although arms stop after their last command.
     assert condition(np.concatenate(sent), NOMINAL_DH).max() <= HALT_CONDITION
     assert conditions[-1] >= 0.85 * HALT_CONDITION
     assert steps[-1] < 1e-9

@@ -147,7 +147,7 @@ def test_the_capsule_of_the_fingers_contains_their_box(collision):
         line = segment(collision, data, capsule, 2001)
         away = np.linalg.norm(points[:, None] - line, axis=-1).min(axis=1) - collision.geom_size[capsule, 0]
         assert away.max() < 1e-6
-        # It reaches beyond the box by what the docstring says, at most.
+        # It exceeds the box by at most the documented margin.
         assert collision.geom_size[capsule, 0] - collision.geom_size[box, 0] < 0.037
         assert collision.geom_size[capsule, :2].sum() - collision.geom_size[box, 1] < 0.037
 

@@ -188,7 +188,7 @@ def test_a_row_does_not_depend_on_the_others() -> None:
     found = together.allowed_m(q)
     for row in range(3):
         np.testing.assert_array_equal(alone.allowed_m(q[[row]])[0], found[row])
-    assert len(np.unique(found, axis=0)) == 3  # a turn moves the further, the further away an arm is
+    assert len(np.unique(found, axis=0)) == 3  # a rotation moves distant arms further
 
 
 @pytest.mark.parametrize(

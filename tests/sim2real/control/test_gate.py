@@ -220,7 +220,7 @@ def test_a_position_out_of_range_is_reported_with_the_nearer_end() -> None:
         start[0, 2] = sign * (np.pi - 1e-3)
         gate.reset(start[None])
         beyond = np.tile(start, (1, TICKS, 1, 1))
-        beyond[0, :, 0, 2] += sign * 3e-8 * np.arange(1, TICKS + 1) ** 4  # comes to rest beyond
+        beyond[0, :, 0, 2] += sign * 3e-8 * np.arange(1, TICKS + 1) ** 4  # stops beyond
         beyond[0, :, 0, 2] += sign * 1e-3 * np.linspace(0, 1, TICKS) ** 3
         verdict = gate(beyond).verdicts.get(0)
         assert verdict is not None
@@ -322,7 +322,7 @@ def test_an_arm_stops_before_it_comes_too_near(action: np.ndarray, other: str) -
     assert verdict.found < verdict.allowed == MINIMUM_M
     assert f"at least {MINIMUM_M}" in str(verdict)
     along = Clearance(SceneSettings(), n=sent.shape[1]).distances_m(sent.reshape(-1, 12))
-    assert along.min() >= MINIMUM_M - 1e-4  # up to and at the configuration where it rests
+    assert along.min() >= MINIMUM_M - 1e-4  # up to and at its final configuration
     assert along.min() < 0.1  # and it did come near
     np.testing.assert_array_equal(sent[0, -1], sent[0, -100])
     assert_within(sent, MotionLimits(speed_rad_s=1.0), 0.008)

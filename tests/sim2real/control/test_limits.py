@@ -92,7 +92,7 @@ def random_windows(envelope: Envelope, rng: np.random.Generator, count: int) -> 
 def test_an_accepted_window_can_be_braked_within_all_limits(limits: MotionLimits, tick_s: float) -> None:
     envelope = Envelope(limits, tick_s, 5)
     windows = random_windows(envelope, np.random.default_rng(0), 200)
-    # Each joint is a sample of its own: the rest of its cell stands still.
+    # Each joint is a sample of its own: the rest of its cell is at rest.
     accepted = envelope.use(envelope.rows @ windows).max(axis=1) <= 1.0
     still = (np.asarray(limits.lower_rad) + limits.upper_rad) / 2
     sent = np.where(accepted[:, None, :], windows, np.tile(still, 2))

@@ -360,4 +360,4 @@ def test_a_refused_row_keeps_its_gripper_widths() -> None:
     assert 1 in both[2][1]
     last = widths[1, 9]  # what was sent last before the refusal
     np.testing.assert_array_equal(widths[1, 10:], np.broadcast_to(last, (20, 2)))
-    assert np.ptp(widths[0, 10:, 0]) > 0.01  # the other row goes on
+    assert np.ptp(widths[0, 10:, 0]) > 0.01  # the other row continues

@@ -109,7 +109,7 @@ def test_the_limits_of_a_cell_hold_in_an_approach(caps, which, speed_factor):
         np.abs(moved).max(),
         cartesian_speed(sent[None], 0.008).max(),
         np.abs(changed).max(),
-        np.abs(np.diff(changed[::20], axis=0)).max() / 0.16,  # of the path, not of its numbers' last digits
+        np.abs(np.diff(changed[::20], axis=0)).max() / 0.16,  # of the path, not of rounding
     ]
     assert 0.9 * value < found[which] <= 1.02 * value
     assert found[0] <= 1.01 * SPEED_RAD_S
@@ -150,7 +150,7 @@ def test_between_two_parts_both_arms_rest():
     assert middle * 0.008 == pytest.approx(approach.durations_s[0], abs=0.01)
 
 
-# What is in the path.
+# Obstacles.
 
 
 @pytest.fixture(scope="module")
@@ -214,7 +214,7 @@ def test_on_a_blocked_path_one_arm_moves_after_the_other(close):
         if len(kinds) == 4 and len(nearest) > 60:
             break
     assert kinds == {"both", "left", "right", "none"}
-    # Between the configurations that are looked at, they may come nearer by a little.
+    # Between the checked configurations they may come slightly nearer.
     assert min(nearest) > MINIMUM_M - 0.004
 
 
@@ -247,7 +247,7 @@ class Somewhere:
 @pytest.mark.parametrize(
     ("shortfall", "free"),
     [
-        (lambda path: 0.01 if 0.5 < path < 0.53 else -0.1, False),  # narrow, and in the path
+        (lambda path: 0.01 if 0.5 < path < 0.53 else -0.1, False),  # narrow, and on the path
         (lambda path: 0.05 - 0.1 * path, True),  # ever farther apart
         (lambda path: 0.05 - 0.2 * path + 0.2 * path**2, False),  # away, and nearer again
         (lambda path: 0.05 + 0.001 * path, False),
@@ -272,7 +272,7 @@ def test_a_joint_out_of_its_range_is_refused(clearance, arm, name, joint, sign):
         plan(q, HOME_Q_RAD, clearance)
 
 
-# The gate on the path.
+# The gate during an approach.
 
 
 class Pairs:
@@ -295,7 +295,7 @@ class Pairs:
         ((0.003, -0.1), (-0.1, 0.001), False, "second"),  # another pair
         ((0.003, -0.1), (0.0029, 0.001), False, "second"),
         ((-0.1, -0.1), (0.0, 0.0), True, ""),
-        ((-0.1, -0.1), (0.0, 1e-6), False, "second"),  # far apart at first does not mean that all is allowed
+        ((-0.1, -0.1), (0.0, 1e-6), False, "second"),  # a large distance at first does not permit everything
         ((-0.1, -0.1), (np.nan, 0.0), False, "first"),
     ],
 )
@@ -305,7 +305,7 @@ def test_a_pair_that_is_too_close_may_only_separate(start, then, clear, blamed):
 
     leaving = RetreatClearance(Pairs(), configuration(start).reshape(2, 6))
     assert bool((leaving.spare_m(configuration(then)[None]) >= 0.0).all()) == clear
-    if not clear:  # of a pair that stands too close and comes no closer nothing is to be said
+    if not clear:  # a pair that is too close and comes no closer is not reported
         assert leaving.worst(configuration(then))[0] == blamed
 
 
@@ -336,7 +336,7 @@ def test_a_tool_is_no_faster_than_a_flange_may_be():
     tool = ((0.0, 0.3, 0.1), (0.0, 0.0, 0.0))
     start = np.asarray(HOME_Q_RAD, dtype=np.float64).reshape(12)
     end = start.copy()
-    end[5] += 1.5  # turns about the flange's own axis
+    end[5] += 1.5  # rotates about the flange's own axis
     rates = Rates(tcp_speed_m_s=0.04, tcp_m=tool)
     path = Approach([start, end], rates=rates)
     fastest = cartesian_speed(path.targets(0.008)[None], 0.008, tool).max()

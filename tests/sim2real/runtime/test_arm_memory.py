@@ -49,7 +49,7 @@ def test_targets_arrive_bit_for_bit_beyond_the_end_of_the_ring(pair):
 def test_future_targets_are_overwritten(pair):
     mine, theirs = pair
     mine.put(0, rows(0, 50))  # a motion, and the brake behind it
-    mine.put(10, rows(100, 5))  # goes on over the brake
+    mine.put(10, rows(100, 5))  # overwrites the brake
     assert theirs.end == 15
     np.testing.assert_array_equal(theirs.target(9), rows(9, 1)[0])
     np.testing.assert_array_equal(theirs.target(10), rows(100, 1)[0])
@@ -141,7 +141,7 @@ def test_targets_are_interpolated_smoothly(cubic, number, share):
     inside = max(1.0, index)
     found = memory.target(inside)
     np.testing.assert_allclose(found, np.polyval(cubic, inside / 30), atol=third / 6 + 1e-12)
-    # Position and speed go on over every target.
+    # Position and speed are continuous at every target.
     step = 1e-6
     for at in (number + 1, number + 2):
         before, here, after = (memory.target(at + way) for way in (-step, 0.0, step))
@@ -173,7 +173,7 @@ def test_targets_may_be_written_while_they_are_read(pair):
     assert wrong == 0
 
 
-# What was sent, and what was told.
+# Packets and states.
 
 
 def test_sent_targets_are_kept_and_read_once(pair):

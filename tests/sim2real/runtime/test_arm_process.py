@@ -28,7 +28,7 @@ def cell():
         yield cell
 
 
-STEP_RAD = 1e-9  # by which joints that do not swing tell the number of a target
+STEP_RAD = 1e-9  # per target, in joints that do not swing: it encodes the target's number
 
 
 class Pair:
@@ -67,7 +67,7 @@ class Pair:
 
     def feed(self, ahead=60):
         for arm, memory in enumerate(self.memories):
-            passed = memory.sent_count + memory.skipped  # a busy machine leaves periods out, and time goes on
+            passed = memory.sent_count + memory.skipped  # a busy machine skips periods
             fresh = [self.target(arm, tick) for tick in range(memory.end, passed + ahead)]
             if fresh:
                 memory.put(memory.end, np.array(fresh))
@@ -148,7 +148,7 @@ def assert_rests_on_path(pair, arm):
     last = sent.index[int(np.flatnonzero(slower)[0])]  # before it is slowed down
     begin = int(np.flatnonzero(numbers < last + 1e-3)[-1])
     executed = np.array(pair.executed(arm))
-    # Everything lies on the way; between two targets, within what a cubic differs from it.
+    # All targets lie on the path, up to the error of the cubic between two.
     for q, number in zip(executed[begin:], numbers[begin:], strict=True):
         np.testing.assert_allclose(q, pair.target(arm, number), atol=2e-5)
     advance = np.diff(numbers[begin:])
@@ -221,7 +221,7 @@ def test_a_stop_of_one_arm_stops_the_other(pair, mode):
     assert_rests_on_path(pair, 0)
     pair.cell.ask("release", arm="right", mode=mode)
     pair.stand()
-    # Nothing goes on by itself.
+    # Nothing continues by itself.
     count = [len(pair.executed(arm)) for arm in range(2)]
     time.sleep(0.3)
     assert count == [len(pair.executed(arm)) for arm in range(2)]

@@ -193,7 +193,7 @@ def test_one_program_at_a_time_moves_an_arm(cell, tmp_path):
         CellLock(cell)
     with pytest.raises(CellBusyError, match=r"right arm at 127\.0\.0\.3") as caught:
         CellLock(made(tmp_path, "127.0.0.8", "127.0.0.3"))
-    # Whoever gets but one of two lets go of it, also while somebody looks at the error.
+    # A program that gets one of two locks releases it, also while the error is kept.
     assert caught.value.__traceback__ is not None
     CellLock(made(tmp_path, "127.0.0.8", "127.0.0.9")).release()
     lock.release()
@@ -285,7 +285,7 @@ def test_a_forked_process_does_not_keep_the_lock(cell):
     if not child:
         os.close(write)
         os.read(read, 1)
-        lock.release()  # it does not let others in, for the parent still moves the arms, or somebody else
+        lock.release()  # it must not release the lock of the parent, which still moves the arms
         os._exit(0)
     try:
         os.close(read)

@@ -111,7 +111,7 @@ def test_one_policy_hands_over_on_both_cells_with_a_record(lab, tmp_path):
     assert len(run.episodes[0].action) == found.steps
     for arm in run.arms:
         assert np.unique(np.diff(arm.state["timestamp_s"]).round(4)).tolist() == [0.008]
-        assert len(arm.sent["late_s"]) > 4.8 * found.steps  # what would come too late is left out
+        assert len(arm.sent["late_s"]) > 4.8 * found.steps  # late targets are skipped
     # The block is where the camera of the cell sees it.
     np.testing.assert_array_equal(run.episodes[0].q_rad.shape, (found.steps + 1, 2, 6))
 
@@ -288,10 +288,10 @@ def test_nothing_goes_to_a_start_past_the_gate(lab, spoiled):
     cell.runner.wait_for(cell.runner.end)
     sent = np.array([each[1] for each in lab.cell.setpoints("left", first)])
     assert np.isfinite(sent).all()
-    # Two periods of the slow way: a busy machine leaves one out. The jump is more.
+    # Two periods of the approach, as a busy machine skips one. The jump is larger.
     assert np.abs(np.diff(sent, axis=0)).max() < 8e-3
     assert cell._clearance.shortfall_m(cell.runner.last().reshape(12)).max() <= 0.0
-    lab.reset(seed=0)  # and from there it goes on
+    lab.reset(seed=0)  # and continues from there
 
 
 def test_dead_processes_are_a_fault(lab):

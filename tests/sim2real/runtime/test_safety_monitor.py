@@ -50,7 +50,7 @@ def at(q, wanted=None, **values):
     return status_of(actual_q=tuple(q), target_q=tuple(q if wanted is None else wanted), **values)
 
 
-# What controllers say.
+# States of controllers.
 
 
 @pytest.mark.parametrize("arm", [0, 1])
@@ -214,7 +214,7 @@ def test_an_error_of_the_relative_pose_stops_both(parts, arm, away_m, turn_rad, 
     assert found[:2] == [None, None]
     assert found[2] is not None
     assert "which hold one object" in found[2]
-    if arm == 1 or not any(turn_rad):  # a turn of the left one moves the right one, seen from it
+    if arm == 1 or not any(turn_rad):  # a rotation of the left one moves the right one in its frame
         assert words in found[2]
     assert apart(parts, *q, coupled=False) == [None] * 4
 
@@ -239,7 +239,7 @@ def test_a_common_lag_is_no_error(parts, seed):
     away *= 0.03 / np.linalg.norm(away)
     q = []
     for arm in (0, 1):
-        turn = np.pi + yaw[arm]  # `base` is half a turn from base_link
+        turn = np.pi + yaw[arm]  # `base` is rotated by π from base_link
         back = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
         q.append(moved(arm, back @ away, mounts=mounts))
     assert apart(parts, *q, mounts=mounts) == [None] * 4

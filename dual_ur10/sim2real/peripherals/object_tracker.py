@@ -16,8 +16,8 @@ from dual_ur10.errors import CellFileError, DualUR10Error, LinkError
 from dual_ur10.kinematics.poses import Poses, compose
 from dual_ur10.kinematics.rotations import quat_from_rotvec
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.config import cell_file_tables as entries
 from dual_ur10.sim2real.config.cell_file import CellFile
+from dual_ur10.sim2real.config.cell_file_tables import AttachedTrackerEntry, EmulatedTrackerEntry, GivenTrackerEntry
 from dual_ur10.sim2real.links.json_link import JsonLink
 from dual_ur10.types import Array, Closing, Vector3
 
@@ -129,9 +129,7 @@ class CameraTracker(ObjectTracker):
         LinkError: The camera does not answer, or knows no such body.
     """
 
-    def __init__(
-        self, link: JsonLink, body: str, entry: entries.EmulatedTrackerEntry, rate_hz: float = RATE_HZ
-    ) -> None:
+    def __init__(self, link: JsonLink, body: str, entry: EmulatedTrackerEntry, rate_hz: float = RATE_HZ) -> None:
         self._link, self._body, self._entry, self._period_s = link, body, entry, 1.0 / rate_hz
         self.where = f"{link.where}, looking for {body!r}"
         self._lost = ""
@@ -207,9 +205,9 @@ def tracker_of(cell_file: CellFile, prop: str) -> ObjectTracker | None:
     if not prop:
         return None
     entry = cell_file.tracker
-    if isinstance(entry, entries.AttachedTrackerEntry):
+    if isinstance(entry, AttachedTrackerEntry):
         return FlangeTracker(entry.arm, entry.position_m, quat_from_rotvec(entry.rotation_rad))
-    if isinstance(entry, entries.GivenTrackerEntry):
+    if isinstance(entry, GivenTrackerEntry):
         return FixedTracker(entry.position_m, quat_from_rotvec(entry.rotation_rad))
     if cell_file.emulator is None:
         raise CellFileError(
@@ -217,4 +215,4 @@ def tracker_of(cell_file: CellFile, prop: str) -> ObjectTracker | None:
             'kind "attached" or "given"' + (", or a table [emulator]" if cell_file.kind == "emulated" else "")
         )
     link = JsonLink("emulated camera", cell_file.left.host, cell_file.emulator.port, _ANSWER_S)
-    return CameraTracker(link, prop, entry or entries.EmulatedTrackerEntry())
+    return CameraTracker(link, prop, entry or EmulatedTrackerEntry())

@@ -11,8 +11,8 @@ import pytest
 
 from dual_ur10.errors import CellFileError, EmulatorError, LinkError, SettingsError
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, rotate
-from dual_ur10.sim2real.config import cell_file_tables as entries
 from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.config.cell_file_tables import AttachedTrackerEntry, EmulatedTrackerEntry, GivenTrackerEntry
 from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.links.json_link import JsonLink
 from dual_ur10.sim2real.peripherals.object_placer import placer_of
@@ -45,7 +45,7 @@ def tracked(file, entry, prop="block"):
 
 @pytest.mark.parametrize("arm", [0, 1])
 def test_an_object_on_a_flange_moves_with_it(file, arm):
-    entry = entries.AttachedTrackerEntry(
+    entry = AttachedTrackerEntry(
         arm=("left", "right")[arm], position_m=(0.0, 0.1, 0.2), rotation_rad=(0.0, 0.0, math.pi / 2)
     )
     found = tracked(file, entry).pose(7.0, FLANGES)
@@ -56,7 +56,7 @@ def test_an_object_on_a_flange_moves_with_it(file, arm):
 
 
 def test_an_object_at_a_fixed_pose(file):
-    entry = entries.GivenTrackerEntry(position_m=(0.1, 0.2, 0.3), rotation_rad=(0.0, 0.0, math.pi / 2))
+    entry = GivenTrackerEntry(position_m=(0.1, 0.2, 0.3), rotation_rad=(0.0, 0.0, math.pi / 2))
     tracker = tracked(file, entry)
     found = tracker.pose(7.0, FLANGES)
     assert found.position_m.tolist() == [0.1, 0.2, 0.3]
@@ -97,7 +97,7 @@ def near(pose, x_m):
 
 def test_noise_and_delay_come_from_the_file(cell, file):
     cell.ask("place", position_m=[0.3, 0.0, 0.0], quat=[1.0, 0.0, 0.0, 0.0])
-    entry = entries.EmulatedTrackerEntry(noise_m=0.02, noise_rad=0.1, delay_s=0.2)
+    entry = EmulatedTrackerEntry(noise_m=0.02, noise_rad=0.1, delay_s=0.2)
     with tracked(file, entry) as tracker:
         found = {}
         while len(found) < 40:
@@ -113,7 +113,7 @@ def test_noise_and_delay_come_from_the_file(cell, file):
 def test_a_delay_that_makes_every_pose_too_old(file):
     assert STALE_S > 0.499
     with pytest.raises(SettingsError, match=r"delay_s is 0\.5: allowed is a number, 0 to 0\.499"):
-        tracked(file, entries.EmulatedTrackerEntry().replace(delay_s=0.5))
+        tracked(file, EmulatedTrackerEntry().replace(delay_s=0.5))
 
 
 def test_an_object_that_is_not_in_this_cell(file):
@@ -170,7 +170,7 @@ def test_answers_that_are_no_pose(value):
         connection.sendall(json.dumps({"ok": True, "value": value}).encode() + b"\n")
 
     with serving(talk) as port, pytest.raises(LinkError, match=r"emulated camera.*expected"):
-        CameraTracker(JsonLink("emulated camera", HERE, port), "block", entries.EmulatedTrackerEntry())
+        CameraTracker(JsonLink("emulated camera", HERE, port), "block", EmulatedTrackerEntry())
 
 
 # The placer.

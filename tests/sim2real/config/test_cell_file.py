@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from dual_ur10 import ENV_IDS
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
@@ -27,6 +28,7 @@ from dual_ur10.sim2real.config.cell import CellConfig, Perturbation
 from dual_ur10.sim2real.config.cell_file import CellFile, examine_text, keys, load_cell_file
 from dual_ur10.sim2real.config.cell_file_reference import EXAMPLES, reference_page, starting_text, write_new
 from dual_ur10.sim2real.config.cell_file_tables import (
+    ArmEntry,
     ArmLimits,
     AttachedTrackerEntry,
     DigitalGripper,
@@ -80,6 +82,11 @@ def edited(base: dict[str, Any], **edits: Any) -> dict[str, Any]:
     return result
 
 
+def cell_of(base: dict[str, Any], **edits: Any) -> CellFile:
+    """Return the cell of a text with edits at paths such as `left__servoj__gain`."""
+    return CellFile.read(tomllib.loads(toml_text(edited(base, **edits))), "lab.toml")
+
+
 def loaded(tmp_path: Path, content: dict[str, Any] | str | bytes) -> CellFile:
     path = tmp_path / "lab.toml"
     text = toml_text(content) if isinstance(content, dict) else content
@@ -100,28 +107,25 @@ def refused(tmp_path: Path, content: dict[str, Any] | str | bytes) -> str:
 # Content of a file.
 
 
-def test_every_key_is_read(tmp_path: Path) -> None:
-    cell = loaded(
-        tmp_path,
-        edited(
-            GOOD,
-            task="DualUR10/SyncCarry-v0",
-            rt_priority=80,
-            left__serial_number="2010300001",
-            left__safety_checksum=0x57F4285B,
-            left__gripper={"kind": "robotiq", "port": 1234},
-            right__gripper={"kind": "digital_output", "output": 16, "open_level": True},
-            left__servoj={"lookahead_s": 0.05, "gain": 500},
-            left__limits={"speed_rad_s": 1, "jerk_rad_s3": 150.0},
-            left__measured={"lookahead_s": 0.031, "latency_s": 0},
-            left__calibration={"theta_rad": [1e-4, 0, 0, 0, 0, 0], "checksum": [1, 2, 3, 4, 5, 4294967295]},
-            tracker={"kind": "given", "position_m": [0, 0, 0.1], "rotation_rad": [0, 0, 1.5]},
-            obstacle=[
-                {"name": "wall", "kind": "plane", "point_m": [1, 0, 0], "normal": [-1, 0, 0]},
-                {"name": "box", "kind": "box", "position_m": [0, 1.5, 0.2], "size_m": [0.1, 0.2, 0.3]},
-                {"name": "post", "kind": "capsule", "from_m": [1, 1, 0], "to_m": [1, 1, 2], "radius_m": 0.1},
-            ],
-        ),
+def test_every_key_is_read() -> None:
+    cell = cell_of(
+        GOOD,
+        task="DualUR10/SyncCarry-v0",
+        rt_priority=80,
+        left__serial_number="2010300001",
+        left__safety_checksum=0x57F4285B,
+        left__gripper={"kind": "robotiq", "port": 1234},
+        right__gripper={"kind": "digital_output", "output": 16, "open_level": True},
+        left__servoj={"lookahead_s": 0.05, "gain": 500},
+        left__limits={"speed_rad_s": 1, "jerk_rad_s3": 150.0},
+        left__measured={"lookahead_s": 0.031, "latency_s": 0},
+        left__calibration={"theta_rad": [1e-4, 0, 0, 0, 0, 0], "checksum": [1, 2, 3, 4, 5, 4294967295]},
+        tracker={"kind": "given", "position_m": [0, 0, 0.1], "rotation_rad": [0, 0, 1.5]},
+        obstacle=[
+            {"name": "wall", "kind": "plane", "point_m": [1, 0, 0], "normal": [-1, 0, 0]},
+            {"name": "box", "kind": "box", "position_m": [0, 1.5, 0.2], "size_m": [0.1, 0.2, 0.3]},
+            {"name": "post", "kind": "capsule", "from_m": [1, 1, 0], "to_m": [1, 1, 2], "radius_m": 0.1},
+        ],
     )
     left = cell.left
     assert (cell.kind, cell.name, cell.task, cell.speed_factor, cell.rt_priority) == (
@@ -157,8 +161,8 @@ def test_every_key_is_read(tmp_path: Path) -> None:
     assert cell.source.endswith("lab.toml")
 
 
-def test_defaults_of_an_emulated_cell(tmp_path: Path) -> None:
-    cell = loaded(tmp_path, SMALL)
+def test_defaults_of_an_emulated_cell() -> None:
+    cell = cell_of(SMALL)
     assert [each.mount for each in cell.arms] == list(SceneSettings().mounts)
     assert dataclasses.replace(cell.config(), kind="mujoco", file=None) == CellConfig()
     assert (cell.speed_factor, cell.rt_priority, cell.name, cell.task) == (1.0, 0, "cell", None)
@@ -173,15 +177,15 @@ def test_defaults_of_an_emulated_cell(tmp_path: Path) -> None:
     )
     assert cell.tracker is cell.emulator is None
     assert cell.obstacles == ()
-    assert loaded(tmp_path, edited(SMALL, left__gripper={"kind": "robotiq"})).left.gripper == RobotiqSocket(port=63352)
-    only = loaded(tmp_path, edited(SMALL, left__tcp_position_m=[0, 0, 0.1]))
+    assert cell_of(SMALL, left__gripper={"kind": "robotiq"}).left.gripper == RobotiqSocket(port=63352)
+    only = cell_of(SMALL, left__tcp_position_m=[0, 0, 0.1])
     assert only.left.tcp == (0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("kind", ["attached", "emulated"])
-def test_trackers_by_kind(tmp_path: Path, kind: str) -> None:
+def test_trackers_by_kind(kind: str) -> None:
     emulator = {"port": 4000, "task": ENV_IDS[0], "pid": 17}
-    cell = loaded(tmp_path, edited(SMALL, tracker={"kind": kind}, emulator=emulator))
+    cell = cell_of(SMALL, tracker={"kind": kind}, emulator=emulator)
     assert cell.tracker == {"attached": AttachedTrackerEntry(), "emulated": EmulatedTrackerEntry()}[kind]
     assert cell.emulator == EmulatorEntry(port=4000, task=ENV_IDS[0], pid=17)
 
@@ -311,19 +315,17 @@ def test_what_is_written_is_read_again(content: dict[str, Any]) -> None:
 
 
 def test_the_hash_covers_the_content_of_a_file(tmp_path: Path) -> None:
-    plain = loaded(tmp_path, GOOD)
+    plain = cell_of(GOOD)
     again = loaded(tmp_path, "# a comment\r\n" + toml_text(GOOD).replace("\n", "\r\n").replace("= 0.5", "= 5e-1"))
     assert (again, again.sha256) == (plain, plain.sha256)
     assert examine_text(toml_text(GOOD), "elsewhere").cell == plain
-    assert loaded(tmp_path, edited(GOOD, left__base_yaw_rad=-0.0)) == loaded(
-        tmp_path, edited(GOOD, left__base_yaw_rad=0)
-    )
-    zeros = [loaded(tmp_path, edited(GOOD, left__base_yaw_rad=each)).sha256 for each in (-0.0, 0.0, 0)]
+    assert cell_of(GOOD, left__base_yaw_rad=-0.0) == cell_of(GOOD, left__base_yaw_rad=0)
+    zeros = [cell_of(GOOD, left__base_yaw_rad=each).sha256 for each in (-0.0, 0.0, 0)]
     assert len(set(zeros)) == 1
-    assert loaded(tmp_path, edited(GOOD, left__payload_kg=1.3)).sha256 != plain.sha256
+    assert cell_of(GOOD, left__payload_kg=1.3).sha256 != plain.sha256
     # Records name cell files by this hash: it may not change.
     small = "4f78c7628465d172adc488b1456e9e6ca2d7f5eb38727c2b25e6fed3920bdb91"
-    assert loaded(tmp_path, SMALL).sha256 == small
+    assert cell_of(SMALL).sha256 == small
 
 
 def test_odd_texts_are_valid_toml() -> None:
@@ -332,13 +334,18 @@ def test_odd_texts_are_valid_toml() -> None:
     assert tomllib.loads(toml_text({"a": 1, "empty": {}})) == {"a": 1, "empty": {}}
 
 
-def test_changed_cells_are_checked_too(tmp_path: Path) -> None:
-    cell = loaded(tmp_path, GOOD)
+def test_changed_cells_are_checked_too() -> None:
+    cell = cell_of(GOOD)
     assert cell.replace(speed_factor=0.5).speed_factor == 0.5
     with pytest.raises(CellFileError, match=r"lab\.toml: speed_factor is 2"):
         cell.replace(speed_factor=2.0)
     with pytest.raises(CellFileError, match=r"right\.host is 192\.168\.1\.10, as left\.host is"):
         cell.replace(right=cell.right.replace(host="192.168.1.10"))
+    left, right = ArmEntry(host="127.0.0.2"), ArmEntry(host="127.0.0.3")
+    assert CellFile(kind="emulated", left=left, right=right) == cell_of(SMALL)
+    for wrong in ({"kind": "real"}, {"right": left}):
+        with pytest.raises(ValidationError):
+            CellFile(**{"kind": "emulated", "left": left, "right": right, **wrong})
 
 
 # Refusals.
@@ -592,13 +599,13 @@ def test_mutated_texts_are_refused_or_right() -> None:
 # Configuration for the rest of the package.
 
 
-def test_its_configuration_has_mounts_servoj_and_caps(tmp_path: Path) -> None:
+def test_its_configuration_has_mounts_servoj_and_caps() -> None:
     edits: dict[str, Any] = {}
     for arm in ur10.ARMS:
         edits |= {f"{arm}__family": "e-series", f"{arm}__servoj": {"lookahead_s": 0.1, "gain": 300}}
     edits |= {"left__limits": {"speed_rad_s": 0.5, "tcp_speed_m_s": 0.4}, "right__limits": {"tcp_speed_m_s": 0.25}}
     edits |= {"left__calibration": {"theta_rad": [1e-3, 0, 0, 0, 0, 0]}, "right__tcp_position_m": [0.0, 0.1, 0.2]}
-    cell = loaded(tmp_path, edited(GOOD, **edits))
+    cell = cell_of(GOOD, **edits)
     config = cell.config()
     assert config.servoj == ServojProfile("e-series", 0.1, 300.0)
     assert (config.left, config.right) == (cell.left.mount, cell.right.mount)
@@ -606,12 +613,12 @@ def test_its_configuration_has_mounts_servoj_and_caps(tmp_path: Path) -> None:
     assert (config.speed_rad_s, config.tcp_speed_m_s) == (0.5, 0.25)
     assert config.tcp_m == (tuple(GOOD["left"]["tcp_position_m"]), (0.0, 0.1, 0.2))
     assert config.capped(MotionLimits()).tcp_m == config.tcp_m
-    assert loaded(tmp_path, edited(GOOD, commissioned=True)).config().speed_rad_s is None
+    assert cell_of(GOOD, commissioned=True).config().speed_rad_s is None
 
 
-def test_mounted_grippers_are_measured_in_every_task(tmp_path: Path) -> None:
+def test_mounted_grippers_are_measured_in_every_task() -> None:
     gripper = {"right__gripper": {"kind": "digital_output", "output": 16}}
-    bare, equipped = (loaded(tmp_path, edited(GOOD, **edits)) for edits in ({}, gripper))
+    bare, equipped = (cell_of(GOOD, **edits) for edits in ({}, gripper))
     assert not bare.config().grippers_mounted
     assert equipped.config().grippers_mounted
     assert equipped.simulated().grippers_mounted
@@ -629,43 +636,43 @@ def test_mounted_grippers_are_measured_in_every_task(tmp_path: Path) -> None:
         DualArmEnv("SineTracking", cell=equipped.simulated(), **low)
 
 
-def test_a_real_cell_is_slow_until_it_is_commissioned(tmp_path: Path) -> None:
+def test_a_real_cell_is_slow_until_it_is_commissioned() -> None:
     limits = {"speed_rad_s": 1.5, "tcp_speed_m_s": 1.0}
     fast = edited(GOOD, left__limits=limits, right__limits=limits)
     for values in (GOOD, fast):
-        config = loaded(tmp_path, values).config()
+        config = cell_of(values).config()
         assert (config.speed_rad_s, config.tcp_speed_m_s) == (0.5, 0.25)
         assert (config.acceleration_rad_s2, config.jerk_rad_s3) == (None, None)
-    tight = loaded(tmp_path, edited(GOOD, right__limits={"speed_rad_s": 0.1, "tcp_speed_m_s": 0.05})).config()
+    tight = cell_of(GOOD, right__limits={"speed_rad_s": 0.1, "tcp_speed_m_s": 0.05}).config()
     assert (tight.speed_rad_s, tight.tcp_speed_m_s) == (0.1, 0.05)
-    signed = loaded(tmp_path, edited(fast, commissioned=True)).config()
+    signed = cell_of(fast, commissioned=True).config()
     assert (signed.speed_rad_s, signed.tcp_speed_m_s) == (1.5, 1.0)
-    emulated = loaded(tmp_path, SMALL).config()
+    emulated = cell_of(SMALL).config()
     assert (emulated.speed_rad_s, emulated.tcp_speed_m_s) == (None, None)
 
 
-def test_notes_name_limits_beyond_those_of_first_runs(tmp_path: Path) -> None:
+def test_notes_name_limits_beyond_those_of_first_runs() -> None:
     edits = {"left__limits": {"speed_rad_s": 0.6, "tcp_speed_m_s": 0.25}, "commissioned": True}
-    notes = [each for each in loaded(tmp_path, edited(GOOD, **edits)).notes() if "limits" in each]
+    notes = [each for each in cell_of(GOOD, **edits).notes() if "limits" in each]
     assert notes == [
         "left.limits.speed_rad_s is 0.6: first runs are made at 0.5 rad/s",
         "right.limits.speed_rad_s is missing: first runs are made at 0.5 rad/s",
         "right.limits.tcp_speed_m_s is missing: first runs are made at 0.25 m/s",
     ]
-    text = "\n".join(loaded(tmp_path, GOOD).notes())
+    text = "\n".join(cell_of(GOOD).notes())
     assert "commissioned is false: no arm exceeds 0.5 rad/s and 0.25 m/s" in text
 
 
-def test_measured_figures_serve_compensation_and_simulation(tmp_path: Path) -> None:
-    bare = loaded(tmp_path, GOOD)
+def test_measured_figures_serve_compensation_and_simulation() -> None:
+    bare = cell_of(GOOD)
     assert bare.config().measured_lookahead_s is None
     assert bare.simulated() == dataclasses.replace(bare.config(), kind="mujoco", file=None)
     edits: dict[str, Any] = {"left__measured": {"lookahead_s": 0.036, "latency_s": 0.004}}
-    one = loaded(tmp_path, edited(GOOD, **edits))
+    one = cell_of(GOOD, **edits)
     assert one.config().measured_lookahead_s == pytest.approx((0.036 + 0.03) / 2)
     assert one.config().perturbation == Perturbation()
     edits |= {"right__measured": {"lookahead_s": 0.045, "latency_s": 0.3}}
-    cell = loaded(tmp_path, edited(GOOD, **edits))
+    cell = cell_of(GOOD, **edits)
     assert cell.config().measured_lookahead_s == pytest.approx(0.0405)
     found = cell.simulated()
     assert (found.kind, found.file, found.measured_lookahead_s) == ("mujoco", None, cell.config().measured_lookahead_s)
@@ -673,9 +680,9 @@ def test_measured_figures_serve_compensation_and_simulation(tmp_path: Path) -> N
     assert found.perturbation.latency_s == (0.004, 0.2)  # the most that a simulation takes
 
 
-def test_the_environment_compensates_the_measured_lag(tmp_path: Path) -> None:
+def test_the_environment_compensates_the_measured_lag() -> None:
     edits = {"left__measured": {"lookahead_s": 0.05}, "speed_factor": 1.0, "commissioned": True}
-    cell = loaded(tmp_path, edited(GOOD, **edits)).simulated()
+    cell = cell_of(GOOD, **edits).simulated()
     env = DualArmEnv("SineTracking", cell=cell)
     law = env.core.pipeline.adapter._law
     assert (law.lookahead_s, law.gain) == (0.04, cell.servoj.gain)
@@ -688,9 +695,9 @@ def test_a_measured_lookahead_has_bounds(value: Any) -> None:
         CellConfig(measured_lookahead_s=value)
 
 
-def test_the_tighter_limits_of_both_arms_hold(tmp_path: Path) -> None:
+def test_the_tighter_limits_of_both_arms_hold() -> None:
     tight = {"left__limits": {"speed_rad_s": 0.5, "jerk_rad_s3": 100}, "right__limits": {"acceleration_rad_s2": 3}}
-    cell = loaded(tmp_path, edited(GOOD, **tight, right__limits__jerk_rad_s3=90, speed_factor=1.0, commissioned=True))
+    cell = cell_of(GOOD, **tight, right__limits__jerk_rad_s3=90, speed_factor=1.0, commissioned=True)
     upper = (1.0,) * 6
     found = cell.config().capped(MotionLimits(tcp_speed_m_s=1.2, upper_rad=upper))
     assert found.speed_rad_s == (0.5,) * 6
@@ -698,7 +705,7 @@ def test_the_tighter_limits_of_both_arms_hold(tmp_path: Path) -> None:
     assert found.upper_rad == upper
     hard = MotionLimits()
     bare = edited(SMALL, left__family="cb3")
-    assert loaded(tmp_path, bare).config().capped(hard) == hard
+    assert cell_of(bare).config().capped(hard) == hard
     np.testing.assert_array_equal(hard.speed_rad_s, ur10.HARD_SPEED_RAD_S)
 
 
@@ -713,14 +720,14 @@ def test_the_tighter_limits_of_both_arms_hold(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_arms_that_differ_are_refused_for_now(tmp_path: Path, edits: dict[str, Any], words: str) -> None:
-    cell = loaded(tmp_path, edited(GOOD, **edits))
+def test_arms_that_differ_are_refused_for_now(edits: dict[str, Any], words: str) -> None:
+    cell = cell_of(GOOD, **edits)
     with pytest.raises(CellFileError, match=rf"lab\.toml: {words}.*both arms need the same"):
         cell.config()
 
 
-def test_notes_name_what_a_real_cell_leaves_out(tmp_path: Path) -> None:
-    text = "\n".join(loaded(tmp_path, edited(GOOD, speed_factor=0.5)).notes())
+def test_notes_name_what_a_real_cell_leaves_out() -> None:
+    text = "\n".join(cell_of(GOOD, speed_factor=0.5).notes())
     for word in (
         "left.calibration is",
         "right.calibration.checksum",
@@ -735,11 +742,11 @@ def test_notes_name_what_a_real_cell_leaves_out(tmp_path: Path) -> None:
         sure |= {f"{arm}__calibration": {"theta_rad": [1e-4, 0, 0, 0, 0, 0], "checksum": [1] * 6}}
         sure |= {f"{arm}__limits": {"speed_rad_s": 0.5, "tcp_speed_m_s": 0.25}}
     sure |= {"commissioned": True}
-    (note,) = loaded(tmp_path, edited(GOOD, **sure, right__gripper={"kind": "robotiq"})).notes()
+    (note,) = cell_of(GOOD, **sure, right__gripper={"kind": "robotiq"}).notes()
     assert note.startswith("left.tcp_position_m is not at the flange and left.gripper is none: ")
     sure |= {f"{arm}__gripper": {"kind": "robotiq"} for arm in ur10.ARMS}
-    assert loaded(tmp_path, edited(GOOD, **sure)).notes() == []
-    assert loaded(tmp_path, SMALL).notes() == []
+    assert cell_of(GOOD, **sure).notes() == []
+    assert cell_of(SMALL).notes() == []
 
 
 # Template and documents.

@@ -419,7 +419,7 @@ def test_a_file_in_place_of_a_checkpoint(tmp_path: Path) -> None:
 
 
 def test_a_checkpoint_stores_its_environment(tmp_path: Path) -> None:
-    from tests.policies.learned.test_checkpoint import parts
+    from tests.policies.learned.checkpoints import parts
 
     checkpoint.save(tmp_path / "x", *parts(CARRY, action_latency_ticks=5))
     observation = np.random.default_rng(0).normal(size=124)

@@ -249,7 +249,6 @@ class _Episode:
 
 
 def _check_again(policy: Policy, episode: _Episode) -> None:
-    """Check that the same observations after a reset give the same actions."""
     _reset(policy)
     for step, (observation, before) in enumerate(zip(episode.observations, episode.actions, strict=True)):
         if step == _AGAIN:

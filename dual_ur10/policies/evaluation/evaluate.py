@@ -116,7 +116,6 @@ def _run(
     max_steps: int,
     report: Callable[[Sequence[Episode]], None],
 ) -> list[Episode]:
-    """Return the episodes with these seeds, in their order."""
     n, kind, one_by_one = env.num_envs, env.single_action_space.dtype, isinstance(actor, EpisodeAware)
     tally = _Tally(n)
     current = list(range(n))  # index into `seeds` of the episode in each row
@@ -228,7 +227,6 @@ class _Tally:
 
 
 def _value(info: Mapping[str, Any], name: str, row: int, default: Any) -> Any:
-    """Return a row's value in the info of a vector environment."""
     return info[name][row] if name in info and info["_" + name][row] else default
 
 
@@ -247,7 +245,6 @@ def _check_whole(name: str, value: object, least: int) -> None:
 
 
 def _bound(core: Any, max_steps: int | None) -> int:
-    """Return the number of steps after which an episode counts as endless."""
     if max_steps is not None:
         return int(max_steps)
     task = core.task

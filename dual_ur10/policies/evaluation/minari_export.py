@@ -121,7 +121,6 @@ _NOT_OF_TASK: Final = ("cell", "arm", "confirm", "observation", "cameras", "pixe
 
 
 def _spec(header: Header) -> Any:
-    """Return the Gymnasium spec of the environment, in simulation."""
     import gymnasium as gym
 
     spec = copy.deepcopy(gym.spec(header.env_id))
@@ -134,7 +133,6 @@ def _line(header: Header) -> str:
 
 
 def _buffer(minari: Any, core: Core, number: int, episode: Episode) -> Any:
-    """Return an episode in Minari's form."""
     if episode.observation is None:
         raise RecordingError(f"episode {number} has no observations")
     count, size = len(episode.reward), core.action_space.shape[0]

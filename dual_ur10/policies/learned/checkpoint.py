@@ -124,7 +124,7 @@ def load(folder: str | os.PathLike[str], env: Any = None, **keywords: Any) -> Le
         DualUR10Error: The keywords make no environment.
     """
     path = Path(os.path.abspath(folder))
-    manifest, weights = _read(path)
+    manifest, weights, _ = _read(path)
     if env is None and not keywords:
         view = view_of_signature(manifest.signature)
     elif env is None or isinstance(env, str):
@@ -153,13 +153,8 @@ def sha256_of(folder: str | os.PathLike[str]) -> str:
     Raises:
         CheckpointError: It cannot be read, or was changed since it was saved.
     """
-    path = Path(os.path.abspath(folder))
-    read_manifest(path)
-    number = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
-    try:
-        return hashlib.sha256(_content(number, MANIFEST, schema.MOST_BYTES, f"{path}/{MANIFEST}")).hexdigest()
-    finally:
-        os.close(number)
+    text = _read(Path(os.path.abspath(folder)))[2]
+    return hashlib.sha256(text).hexdigest()
 
 
 def signature_of(env: Any, **keywords: Any) -> EnvironmentSignature:
@@ -176,7 +171,6 @@ def signature_of(env: Any, **keywords: Any) -> EnvironmentSignature:
 
 
 def _tensors(networks: Networks, manifest: Manifest) -> dict[str, NDArray[np.float32]]:
-    """Return the arrays by their names in the file, after a check against the manifest."""
     names, pairs = manifest.names, manifest.network.pairs
     if len(networks) != len(names) or any(len(layers) != len(pairs) for layers in networks):
         raise CheckpointError(
@@ -219,7 +213,7 @@ def _reason(error: OSError) -> str:
     return error.strerror or str(error)
 
 
-def _read(path: Path) -> tuple[Manifest, list[list[Layer]]]:
+def _read(path: Path) -> tuple[Manifest, list[list[Layer]], bytes]:
     try:
         # Everything through one handle: exchanging the folder meanwhile has no effect.
         folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
@@ -231,7 +225,8 @@ def _read(path: Path) -> tuple[Manifest, list[list[Layer]]]:
         ) from None
     try:
         where = f"{path}/{MANIFEST}"
-        manifest = parse(_content(folder, MANIFEST, schema.MOST_BYTES, where), where)
+        text = _content(folder, MANIFEST, schema.MOST_BYTES, where)
+        manifest = parse(text, where)
         size = 4 * manifest.network.parameters * len(manifest.names)
         where = f"{path}/{WEIGHTS}"
         weights = _content(folder, WEIGHTS, size + _MOST_HEADER, where)
@@ -243,7 +238,7 @@ def _read(path: Path) -> tuple[Manifest, list[list[Layer]]]:
             f"{where} is not the file that was saved: its sha256 is {found[:12]}..., the manifest says "
             f"{manifest.weights_sha256[:12] or 'none'}...: get the checkpoint anew"
         )
-    return manifest, _layers(weights, manifest, where)
+    return manifest, _layers(weights, manifest, where), text
 
 
 def _remedy_of(path: Path) -> str:
@@ -282,7 +277,6 @@ def _content(folder: int, name: str, most: int, where: str) -> bytes:
 
 
 def _layers(content: bytes, manifest: Manifest, where: str) -> list[list[Layer]]:
-    """Return the weights in a file's content, for each network."""
     try:
         parts = safetensors.deserialize(content)  # type: ignore[no-untyped-call]  # has no types
         found = {name: (value["dtype"], value["shape"], value["data"]) for name, value in parts}
@@ -335,7 +329,6 @@ _REMEDIES: Final = {
 
 
 def _check(path: Path, manifest: Manifest, view: EnvironmentView) -> None:
-    """Compare the environment that a policy was made for with the one to act in."""
     made, version = manifest.signature, manifest.versions["dual_ur10"]
     if version.split(".")[:2] != __version__.split(".")[:2]:
         raise CheckpointError(
@@ -368,7 +361,6 @@ def _check(path: Path, manifest: Manifest, view: EnvironmentView) -> None:
 
 
 def _flat(signature: EnvironmentSignature) -> dict[str, Any]:
-    """Return a signature's values by their dotted names."""
     result: dict[str, Any] = {}
     for name, value in dataclasses.asdict(signature).items():
         if isinstance(value, Mapping) and name != "kwargs":

@@ -141,7 +141,6 @@ class Imitator:
         self._add((found.observation, found.action), begun)
 
     def _add(self, samples: tuple[Single, Single], begun: float) -> None:
-        """Save the samples of a round."""
         path = self._path(self._rounds)
         state.save_tensors(path, {"observation": samples[0], "action": samples[1]})
         self._samples.append(samples)
@@ -194,7 +193,6 @@ class Imitator:
         return self._folder.policy_of(networks, self._manifest(fits))
 
     def _split(self, observation: Single, action: Single) -> list[tuple[Single, Single]]:
-        """Return the samples for each network."""
         if self._asked.agents == "joint":
             return [(observation, action)]
         own = self._view.split(observation.astype(np.float64)).astype(np.float32)
@@ -221,7 +219,6 @@ class Imitator:
         return sum(len(observation) for observation, _ in self._samples)
 
     def _initial(self, count: int) -> list[tuple[Any, Any]]:
-        """Return initial layers and normaliser of each network."""
         if not self._asked.init:
             return [(None, None)] * count
         policy = initial_policy(self._asked, self._view)

@@ -85,7 +85,6 @@ def resume(
 
 
 def _check_installed(training: Training) -> None:
-    """Raise MissingExtraError before anything is made."""
     module = "imitation" if training.algorithm in IMITATION else "reinforcement"
     importlib.import_module(f"dual_ur10.policies.training.{module}")
 

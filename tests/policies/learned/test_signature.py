@@ -1,0 +1,154 @@
+"""Checkpoints in environments with another signature."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from safetensors.numpy import save as serialised
+
+import dual_ur10
+from dual_ur10 import policies
+from dual_ur10.errors import CheckpointError, SettingsError, UnknownNameError
+from dual_ur10.policies.learned import checkpoint
+from tests.policies.learned.checkpoints import (
+    CARRY,
+    HANDOVER,
+    SINE,
+    content,
+    edit,
+    exchange_weights,
+    parts,
+    put,
+    sealed,
+)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "keywords", "message"),
+    [
+        (CARRY, {}, "is of DualUR10/SineTracking-v0"),
+        (SINE, {"policy_rate_hz": 12.5}, "period_ticks 5, the environment has 10: set policy_rate_hz"),
+        (SINE, {"action_latency_ticks": 0}, "latency_ticks 5, the environment has 0: set action_latency_ticks"),
+        (SINE, {"action_mode": "joint_position"}, "actions.mode 'joint_delta', the environment has 'joint_position'"),
+        (SINE, {"compensate_lag": False}, "compensate_lag True, the environment has False"),
+        (SINE, {"cell": dual_ur10.CellConfig(speed_rad_s=0.9)}, "joint_step_rad"),
+        (SINE, {"cell": dual_ur10.CellConfig(servoj=dual_ur10.ServojProfile(lookahead_s=0.05))}, "lookahead_s"),
+        (SINE, {"cell": dual_ur10.CellConfig(servoj=dual_ur10.ServojProfile(gain=1500))}, "gain"),
+        (SINE, {"cell": dual_ur10.CellConfig(servoj=dual_ur10.ServojProfile("e-series"))}, "tick_s 0.008"),
+    ],
+)
+def test_a_checkpoint_of_another_environment(saved: Path, env_id: str, keywords: dict[str, Any], message: str) -> None:
+    keywords = {"action_latency_ticks": 5, **keywords}
+    with pytest.raises(CheckpointError, match=message):
+        policies.load(saved, env_id, **keywords)
+    if "policy_rate_hz" not in keywords:
+        env = gym.make(env_id, **keywords)
+        with pytest.raises(CheckpointError):
+            checkpoint.load(saved, env)
+        env.close()
+
+
+def test_illegal_keywords_are_refused(saved: Path) -> None:
+    with pytest.raises(UnknownNameError, match="colour"):
+        policies.load(saved, SINE, colour="red")
+    with pytest.raises(SettingsError):
+        policies.load(saved, SINE, policy_rate_hz=33.0)
+    with pytest.raises(UnknownNameError):
+        policies.load(saved, "DualUR10/Juggling-v0")
+
+
+@pytest.mark.parametrize("version", ["0.2.0", "1.1.0", "0.10.0", "9.9"])
+def test_a_checkpoint_of_another_version(version: str, saved: Path) -> None:
+    edit(saved, lambda value: value["versions"].update(dual_ur10=version))
+    with pytest.raises(CheckpointError, match=f"made with dual_ur10 {version}, this is {dual_ur10.__version__}"):
+        checkpoint.load(saved)
+    edit(saved, lambda value: value["versions"].update(dual_ur10=f"{dual_ur10.__version__.rpartition('.')[0]}.99"))
+    checkpoint.load(saved)
+
+
+@pytest.mark.parametrize(
+    ("path", "new"),
+    [
+        (("env_id",), HANDOVER),
+        (("env_id",), "CartPole-v1"),
+        (("rate", "tick_s"), 0.002),
+        (("rate", "period_ticks"), 4),
+        (("rate", "latency_ticks"), 4),
+        (("actions", "mode"), "tcp_delta"),
+        (("actions", "gripper"), True),
+        (("actions", "compensate_lag"), False),
+        (("actions", "joint_step_rad", 3), 0.05),
+        (("actions", "joint_step_rad"), []),
+        (("robot", "model"), "UR5"),
+        (("robot", "family"), "e-series"),
+        (("robot", "lookahead_s"), 0.04),
+        (("robot", "gain"), 1999.0),
+        (("observation", "low", 5), -6.4),
+        (("observation", "high", 5), 6.4),
+        (("observation", "dtype"), "float32"),
+        (("observation", "shape", 0), 66),
+        (("action", "low", 11), -0.9),
+        (("action", "high", 0), 0.9),
+        (("action", "dtype"), "float64"),
+    ],
+)
+def test_a_false_signature_is_refused(path: tuple[Any, ...], new: Any, saved: Path) -> None:
+    """Every single wrong value is refused, although all others are right."""
+    (saved / "manifest.json").write_bytes(sealed(put(content(saved), ("signature", *path), new)))
+    with pytest.raises(CheckpointError):
+        policies.load(saved, SINE, action_latency_ticks=5, amplitude_m=0.08)
+    if path[-1] not in ("lookahead_s", "gain"):  # of which an environment of its own can be made
+        with pytest.raises(CheckpointError):
+            checkpoint.load(saved)
+
+
+def test_the_networks_of_two_agents_must_fit_their_observations(tmp_path: Path) -> None:
+    networks, made = parts(SINE, "shared")
+    checkpoint.save(tmp_path / "x", networks, made)
+    edit(tmp_path / "x", lambda value: value["network"].update(layers=[40, 4, 6]))
+    edit(tmp_path / "x", lambda value: value.update(normalisers=[]))
+    exchange_weights(
+        tmp_path / "x",
+        serialised(
+            {
+                "policy.0.weight": np.zeros((4, 40), np.float32),
+                "policy.0.bias": np.zeros(4, np.float32),
+                "policy.1.weight": np.zeros((6, 4), np.float32),
+                "policy.1.bias": np.zeros(6, np.float32),
+            }
+        ),
+    )
+    with pytest.raises(CheckpointError, match="each agent observes 41"):
+        checkpoint.load(tmp_path / "x")
+
+
+def test_differences_without_effect_are_warnings(saved: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        policies.load(saved, SINE, action_latency_ticks=5, amplitude_m=0.08, randomization="mild")
+        assert not caplog.records
+        policies.load(saved, SINE, action_latency_ticks=5)
+    assert "amplitude_m" in caplog.text
+    caplog.clear()
+    mount = dual_ur10.CellConfig().left
+    off = dataclasses.replace(mount.dh, theta_rad=(1e-3, 0.0, 0.0, 0.0, 0.0, 0.0))
+    policies.load(
+        saved,
+        SINE,
+        action_latency_ticks=5,
+        amplitude_m=0.08,
+        cell=dual_ur10.CellConfig(left=dataclasses.replace(mount, dh=off)),
+    )
+    assert "calibrated" in caplog.text
+
+
+def test_a_checkpoint_of_another_family_loads_without_keywords(tmp_path: Path) -> None:
+    profile = dual_ur10.ServojProfile("e-series", gain=1800.0)
+    networks, made = parts(HANDOVER, "shared", cell=dual_ur10.CellConfig(servoj=profile), action_latency_ticks=20)
+    checkpoint.save(tmp_path / "x", networks, made)
+    assert checkpoint.load(tmp_path / "x").manifest.signature.robot.gain == 1800.0

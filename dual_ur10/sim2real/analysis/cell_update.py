@@ -94,7 +94,7 @@ def _check_same_cell(cell: CellFile, header: Header) -> None:
         ):
             raise RecordingError(
                 f"{arm}: the run was made with servoj lookahead_s = {used['lookahead_s']:g} and gain = "
-                f"{used['gain']:g}, the cell file says {entry.servoj.lookahead_s:g} and {entry.servoj.gain:g}: they "
+                f"{used['gain']:g}, the cell file has {entry.servoj.lookahead_s:g} and {entry.servoj.gain:g}: they "
                 "have to be the same. Record a run with this file"
             )
     if header.cell_file is None:
@@ -130,7 +130,7 @@ def _updated(text: str, wanted: CellFile, measured: Sequence[Measured]) -> str:
     if found != wanted:
         reason = findings[0] if findings else "it would say something else"
         raise CellFileError(
-            f"{wanted.source}: what was measured cannot be put into this file: {reason}. Nothing was changed; put "
+            f"{wanted.source}: the measured values cannot be put into this file: {reason}. Nothing was changed; put "
             + "".join(f"[{arm}.measured] {each}, " for arm, each in zip(ARMS, measured, strict=True))
             + "into it by hand"
         )

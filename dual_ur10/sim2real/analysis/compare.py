@@ -309,7 +309,7 @@ def _notes(runs: tuple[Run, Run], mounts: tuple[Mounts, Mounts], count: int) -> 
         if left != right and not replayed:
             notes.append(f"{what} differ: {left} in run A, {right} in run B")
     if a.tick_s != b.tick_s:
-        notes.append("control periods differ: whether the same targets were sent is not compared")
+        notes.append("control periods differ: the targets that were sent are not compared")
     ours, theirs = (replayed_keywords(each) for each in (a, b))
     for name in sorted({*ours, *theirs}):
         left, right = (repr(each[name]) if name in each else "not given" for each in (ours, theirs))

@@ -108,7 +108,7 @@ def remark(found: Estimate, tick_s: float) -> str:
     if found.latency_s < -tick_s - 3 * found.latency_sigma_s:
         return (
             f"the latency is below 0 by more than a control period of {1e3 * tick_s:g} ms, which no controller's is: "
-            "clocks or settings of servoj are not what the recording says. Fit another run"
+            "clocks or settings of servoj differ from the recorded ones. Fit another run"
         )
     return (
         "the latency is below 0 by a part of a control period, which counts as 0: the instant of a state within its "
@@ -150,8 +150,8 @@ def estimate(track: Track, joints_rad: Array, lookahead_s: float, gain: float, *
     sent_s, targets = track.sent_s[ordered], track.target_rad[ordered]
 
     def residuals(values: Array) -> Array:
-        led = respond(sent_s + values[1], targets, targets[0], float(values[0]), gain, time_s)
-        away: Array = joints - led
+        response = respond(sent_s + values[1], targets, targets[0], float(values[0]), gain, time_s)
+        away: Array = joints - response
         return np.ravel(away - away.mean(axis=0))
 
     values, left = np.array([lookahead_s, 0.0]), np.zeros(0)

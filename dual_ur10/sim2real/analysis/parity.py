@@ -37,7 +37,7 @@ class Parity:
 
 
 def parity(episodes: Sequence[tuple[Track, Track]], later: int = 0) -> Parity:
-    """Compare what was sent to one arm, episode by episode.
+    """Compare the targets sent to one arm, episode by episode.
 
     Targets between two numbers and targets of a stop are left out.
 

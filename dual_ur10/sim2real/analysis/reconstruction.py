@@ -181,7 +181,7 @@ def resets_of(run: Run, number: int) -> list[int | None]:
 
 
 def check_replayable(header: Header, config: CellConfig) -> None:
-    """Make sure that a recorded run can be played on a cell: the same robot at the same rate, where it stood.
+    """Make sure that a cell can replay a recorded run: the same robot at the same rate, with the bases where they were.
 
     Raises:
         RecordingError: It cannot. The message names what was found, what was expected and what to do.
@@ -238,11 +238,11 @@ def check_same_actions(header: Header, episode: Episode, core: Any) -> None:
         if found != expected:
             raise RecordingError(
                 f"{what}: {found} in the recording, {expected} in the environment: they have to be the same. Make the "
-                "environment as the recording says, or record it anew"
+                "environment like the recorded one, or record the run anew"
             )
     latency = core.options.latency_ticks(core.config)
     if latency < header.latency_ticks:
         raise RecordingError(
             f"action latency in ticks: {header.latency_ticks} in the recording, {latency} in the environment: it must "
-            "not be shorter. Make the environment as the recording says, or record it anew"
+            "not be shorter. Make the environment like the recorded one, or record the run anew"
         )

@@ -144,14 +144,14 @@ def episode_of(run: Run, number: int) -> Episode:
     if episode.first_step:
         raise RecordingError(
             f"episode {number} of the recording begins with its step {episode.first_step}, as in a black box: it "
-            "cannot be played from where it began. Replay the run that it is of"
+            "cannot be source from where it began. Replay the run that it is of"
         )
     if not len(episode.action):
-        raise RecordingError(f"episode {number} of the recording has no action: there is nothing to play. Name another")
+        raise RecordingError(f"episode {number} of the recording has no action to replay. Name another")
     if not np.isfinite(episode.action).all():
         row = int(np.argmin(np.isfinite(episode.action.reshape(len(episode.action), -1)).all(axis=1)))
         raise RecordingError(
-            f"action {row} of episode {number} holds what is no finite number: the recording is damaged. Record it anew"
+            f"action {row} of episode {number} is not finite: the recording is damaged. Record it anew"
         )
     return episode
 
@@ -178,7 +178,7 @@ def replay(
             the reset has moved then.
         DualUR10Error: An error of the environment or the cell.
     """
-    played = episode_of(run, episode)
+    source = episode_of(run, episode)
     header = run.header
     again = cell is None and header.source == "mujoco"
     if cell is not None:
@@ -196,7 +196,7 @@ def replay(
     try:
         core = env.unwrapped.core  # type: ignore[attr-defined]  # Gymnasium knows only Env
         check_replayable(header, core.config)
-        check_same_actions(header, played, core)
+        check_same_actions(header, source, core)
         core.pipeline = tap = _Tap(core.pipeline)
         info: dict[str, Any] = {}
         consent = {MOVE_TO_START: True}
@@ -205,9 +205,9 @@ def replay(
             env.unwrapped.np_random = generator
             _, info = env.reset(options=consent)
         else:
-            for seed in resets_of(run, episode) if again else [played.seed]:
+            for seed in resets_of(run, episode) if again else [source.seed]:
                 _, info = env.reset(seed=seed, options=consent)
-        found = _play(env, tap, played, info, exact=again, on_step=on_step)
+        found = _play(env, tap, source, info, exact=again, on_step=on_step)
         if found.success is None:  # the recording was shorter than an episode: no more targets come
             core.cell.finish()
         return found
@@ -234,39 +234,39 @@ class _Tap:
 def _play(
     env: Any,
     tap: _Tap,
-    played: Episode,
+    source: Episode,
     info: Mapping[str, Any],
     *,
     exact: bool,
     on_step: Callable[[int, int], None] | None,
 ) -> Replay:
     start = np.array(info["q_rad"], dtype=np.float64)
-    gap = np.abs(start - played.q_rad[0])
+    gap = np.abs(start - source.q_rad[0])
     if gap.max() > START_GAP_RAD:
         arm, joint = np.unravel_index(int(gap.argmax()), gap.shape)
         raise RecordingError(
             f"{ARMS[arm]}: {JOINTS[joint]} is {start[arm, joint]:.4f} rad at the start, and was "
-            f"{played.q_rad[0, arm, joint]:.4f} rad in the recording: {START_GAP_RAD} rad apart is the most. The "
-            "episode began elsewhere. Replay one that was begun with a seed"
+            f"{source.q_rad[0, arm, joint]:.4f} rad in the recording: {START_GAP_RAD} rad apart is the most. The "
+            "episode began elsewhere. Replay one that began with a seed"
         )
     joints, flanges, targets = [start], [np.array(info["flange_m"])], []
-    equal, difference = 0, _unequal("joints", start, played.q_rad[0], "after the reset") if exact else ""
+    equal, difference = 0, _unequal("joints", start, source.q_rad[0], "after the reset") if exact else ""
     ended_by, success, over = "", None, False
-    for step, action in enumerate(played.action):
+    for step, action in enumerate(source.action):
         _, reward, terminated, truncated, info = env.step(action)
         targets.append(tap.targets_rad)
         joints.append(np.array(info["q_rad"]))
         flanges.append(np.array(info["flange_m"]))
         where = f"in step {step}"
-        equal += int(bits_equal(tap.targets_rad, played.targets_rad[step]).all(axis=(1, 2)).sum())
-        difference = difference or _unequal("targets", tap.targets_rad, played.targets_rad[step], where)
+        equal += int(bits_equal(tap.targets_rad, source.targets_rad[step]).all(axis=(1, 2)).sum())
+        difference = difference or _unequal("targets", tap.targets_rad, source.targets_rad[step], where)
         if exact:
-            difference = difference or _unequal("joints", joints[-1], played.q_rad[step + 1], where)
-            if not difference and float(reward) != float(played.reward[step]):
-                difference = f"the reward {where} is {float(reward)!r}, and was {float(played.reward[step])!r}"
+            difference = difference or _unequal("joints", joints[-1], source.q_rad[step + 1], where)
+            if not difference and float(reward) != float(source.reward[step]):
+                difference = f"the reward {where} is {float(reward)!r}, and was {float(source.reward[step])!r}"
         if on_step is not None:
-            on_step(step + 1, len(played.action))
-        away = float(np.abs(tap.targets_rad - played.targets_rad[step]).max())
+            on_step(step + 1, len(source.action))
+        away = float(np.abs(tap.targets_rad - source.targets_rad[step]).max())
         if not exact and away > AWAY_RAD:
             ended_by = f"targets {where} are {away:.3f} rad from the recorded ones: {AWAY_RAD} rad are the most"
             break
@@ -274,12 +274,12 @@ def _play(
         if over:
             ended_by = str(info.get("safety", info.get("physics_error", "")))
             success = bool(info.get("is_success", False))
-            if not difference and step + 1 < len(played.action):
-                difference = f"the episode ended {where}, and was {len(played.action)} steps long: {ended_by or 'over'}"
+            if not difference and step + 1 < len(source.action):
+                difference = f"the episode ended {where}, and was {len(source.action)} steps long: {ended_by or 'over'}"
             break
     return Replay(
         steps=len(targets),
-        recorded=len(played.action),
+        recorded=len(source.action),
         targets_rad=np.array(targets),
         q_rad=np.array(joints),
         flange_m=np.array(flanges),

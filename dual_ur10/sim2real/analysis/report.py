@@ -92,7 +92,7 @@ def _tiles(found: Comparison) -> list[tuple[str, str, str]]:
     return [
         (f"{number(1e3 * max(free, default=math.nan))} mm", "flange A to B, RMS, lag taken off", "main"),
         (f"{number(1e3 * max(each.found.flange_m.rms for each in found.arms))} mm", "the same with the lag", ""),
-        (f"{number(1e3 * max(lags, key=abs, default=math.nan))} ms", "B behind A, the arm where it is more", ""),
+        (f"{number(1e3 * max(lags, key=abs, default=math.nan))} ms", "B behind A, the arm with the larger lag", ""),
         (f"{equal} of {compared}", "targets equal in every bit, both arms", "main" if equal == compared else ""),
     ]
 
@@ -102,7 +102,7 @@ def _runs(found: Comparison, names: tuple[str, str]) -> Table:
     rows: list[tuple[str, tuple[object, object]]] = [
         ("recording", names),
         ("arms", (_SOURCES.get(a.source, a.source), _SOURCES.get(b.source, b.source))),
-        ("begun", (a.started_utc, b.started_utc)),
+        ("started", (a.started_utc, b.started_utc)),
         ("policy", (a.policy or "—", b.policy or "—")),
         ("its sha256", (_short(a.policy_sha256), _short(b.policy_sha256))),
         ("replays", (_replays(a), _replays(b))),

@@ -41,7 +41,7 @@ SAME_START_RAD: Final = 0.02
 
 @dataclass(frozen=True)
 class Late:
-    """Targets that came late.
+    """Late and missed targets.
 
     Attributes:
         targets: Number of targets that were sent.

@@ -145,7 +145,7 @@ class _Scan:
 
     def _take(self, count: int, *, partly: bool = False) -> bytes:
         if count > self._size - self._at and not partly:
-            raise _CutOffError(f"it is cut off at byte {self._size}, within what begins at byte {self._at}")
+            raise _CutOffError(f"it is cut off at byte {self._size}, within the data that begin at byte {self._at}")
         data = self._file.read(count)
         if len(data) < count and not partly:
             raise _CutOffError(f"it became shorter while it was read, at byte {self._at + len(data)}")

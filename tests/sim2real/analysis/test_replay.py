@@ -220,7 +220,7 @@ def test_another_action_mode_is_another_size_or_refused(tmp_path: Path, sine: Ru
     ("change", "words"),
     [
         ({"action": np.zeros((0, 12))}, "has no action"),
-        ({"action": np.full((STEPS, 12), np.nan)}, "action 0 of episode 0 holds what is no finite number"),
+        ({"action": np.full((STEPS, 12), np.nan)}, "action 0 of episode 0 is not finite"),
         ({"action": np.zeros((STEPS, 14))}, "numbers of an action: 14 in the recording, 12"),
         ({"q_rad": np.zeros((STEPS, 2, 6))}, "joints of an episode"),
         ({"targets_rad": np.zeros((STEPS, 4, 2, 6))}, "targets of an episode"),

@@ -237,21 +237,17 @@ class CellFile(Table):
             return []
         notes = []
         for name, arm in zip(ARMS, self.arms, strict=True):
-            if arm.mount.dh.is_nominal:
-                notes.append(f"{name}.calibration is the nominal UR10's: flange poses may be off by some millimetres")
-            if arm.calibration.checksum is None:
-                notes.append(f"{name}.calibration.checksum is missing: another calibration would not be noticed")
-            if arm.serial_number is None:
-                notes.append(f"{name}.serial_number is missing: swapped arms may not be noticed")
-            if arm.safety_checksum is None:
-                notes.append(f"{name}.safety_checksum is missing: other safety settings would not be noticed")
-            if not (arm.base_uncertainty_m and arm.base_uncertainty_rad):
-                notes.append(f"{name}.base_uncertainty_m or _rad is 0: no base stands exactly at its nominal pose")
-            if isinstance(arm.gripper, NoGripper) and any(arm.tcp_position_m or ZERO):
-                notes.append(
-                    f"{name}.tcp_position_m is not at the flange and {name}.gripper is none: the safety gate "
-                    "does not know of a tool that is mounted there"
-                )
+            exact = not (arm.base_uncertainty_m and arm.base_uncertainty_rad)
+            tool = isinstance(arm.gripper, NoGripper) and any(arm.tcp_position_m or ZERO)
+            for noted, note in (
+                (arm.mount.dh.is_nominal, "calibration is the nominal UR10's: flange poses may be off by millimetres"),
+                (arm.calibration.checksum is None, "calibration.checksum is missing: others would not be noticed"),
+                (arm.serial_number is None, "serial_number is missing: swapped arms may not be noticed"),
+                (arm.safety_checksum is None, "safety_checksum is missing: other settings would not be noticed"),
+                (exact, "base_uncertainty_m or _rad is 0: no base stands exactly at its nominal pose"),
+                (tool, "tcp_position_m is not at the flange and gripper is none: the safety gate knows no tool there"),
+            ):
+                notes += [f"{name}.{note}"] if noted else []
             for limited, (first, unit) in _FIRST.items():
                 limit = getattr(arm.limits, limited)
                 if limit is None:

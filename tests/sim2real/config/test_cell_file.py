@@ -743,7 +743,7 @@ def test_notes_name_what_a_real_cell_leaves_out() -> None:
         sure |= {f"{arm}__limits": {"speed_rad_s": 0.5, "tcp_speed_m_s": 0.25}}
     sure |= {"commissioned": True}
     (note,) = cell_of(GOOD, **sure, right__gripper={"kind": "robotiq"}).notes()
-    assert note.startswith("left.tcp_position_m is not at the flange and left.gripper is none: ")
+    assert note.startswith("left.tcp_position_m is not at the flange and gripper is none: ")
     sure |= {f"{arm}__gripper": {"kind": "robotiq"} for arm in ur10.ARMS}
     assert cell_of(GOOD, **sure).notes() == []
     assert cell_of(SMALL).notes() == []

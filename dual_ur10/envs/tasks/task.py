@@ -1,4 +1,4 @@
-"""What a task is: where an episode starts, what is observed, what is rewarded, when it ends."""
+"""Interface of a task: start of an episode, observations, rewards and end."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from dual_ur10.types import Array, Mask, Rows
 
 
 class Outcome(NamedTuple):
-    """What a task says of n cells after a step.
+    """Evaluation of n cells after a step.
 
     Attributes:
         terms: (n, 2, terms) raw reward terms of each arm, in the order of `Task.weights`. An arm's own reward is their
             weighted sum; the reward of both together is the mean of the two.
-        success: (n,) whether the task is done well. True only where `over` or `terminal` is.
-        over: (n,) whether the time of the episode has run out.
-        info: Values for `info` by name, (n, ...) each. One with an axis of 2 behind that is of the left and the right
-            arm; others must not have one there.
-        terminal: (n,) whether a state is reached from which there is nothing more to do, well done or not; None: none.
+        success: (n,) True if the episode ends with success; only where `over` or `terminal` is True.
+        over: (n,) True if the time of the episode has run out.
+        info: Values for `info` by name, (n, ...) each. A second axis of 2 is for the left and the right arm; other
+            values must not have one.
+        terminal: (n,) True in a terminal state, with success or failure; None: there is none.
     """
 
     terms: Array
@@ -40,11 +40,11 @@ class Outcome(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Timing:
-    """When things happen.
+    """Rate and latency of actions.
 
     Attributes:
         period_s: Time between two actions.
-        ahead_s: Time from an observation to where the motion of its action ends: period and action latency.
+        ahead_s: Time from an observation to the end of the motion of its action: period plus action latency.
     """
 
     period_s: float
@@ -57,8 +57,8 @@ class SceneRequirements:
 
     Attributes:
         equipment: Grippers and what they handle.
-        timestep_s: Physics step, if the cell does not say otherwise.
-        gains: Joint servos, if the cell does not say otherwise.
+        timestep_s: Physics step, unless the cell specifies another.
+        gains: Joint servos, unless the cell specifies others.
         closer: Smallest legal distance in m of pairs of bodies that may come closer than the cell's own smallest
             distance, by their names in `dual_ur10.assets.collision_model.clearance_pairs`.
     """
@@ -74,21 +74,20 @@ MeasuredT = TypeVar("MeasuredT")
 
 
 class Task(ABC, Generic[SettingsT, MeasuredT]):
-    """A task for n cells. It sees nothing but `CellState`, and keeps what belongs to the running episodes.
+    """Task for n cells. It receives nothing but `CellState`, and keeps the state of the running episodes.
 
     Attributes:
-        name: As in the id.
-        limits: What the arms may do in this task, in simulation and in reality; of an object, as far as its cell
-            allows it.
+        name: Name in the id.
+        limits: Motion limits of the task, in simulation and on real arms; those of an instance respect its cell.
         weights: Weight of each reward term, by its name.
-        coupled: Whether both arms hold one object between them.
+        coupled: True if both arms hold one object between them.
         stages: Names of the stages that `info["stage"]` counts, if there are any; 0 is before the first.
-        settings_type: Dataclass of what the user may set.
-        layout: Fields of an observation; of an object, as its settings ask for them.
+        settings_type: Dataclass of the task's keywords.
+        layout: Fields of an observation; those of an instance depend on its settings.
 
     Args:
-        settings: What the user may set.
-        cell: The cell it runs in.
+        settings: Values of the task's keywords.
+        cell: The cell.
         timing: Rate and latency of actions.
         n: Number of cells.
     """
@@ -123,19 +122,19 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
 
     @abstractmethod
     def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
-        """Draw new episodes for `rows`, one generator each. Returns how they begin, (len(rows), ...) each."""
+        """Sample new episodes for `rows`, one generator each, and return their starts, (len(rows), ...) each."""
 
     @abstractmethod
     def measure(self, state: CellState) -> MeasuredT:
-        """Everything about a state that observation and reward share.
+        """Compute the quantities that observation and reward share.
 
-        It keeps nothing, for it may be called for the true state and for the measured one. What `observe` takes from it
-        depends on poses and openings alone: noise of joints and wrenches does not ask for another call.
+        It keeps no state, because it may be called for the true state and for the measured one. The part that `observe`
+        uses may depend on poses and gripper widths alone: noise of joints and wrenches needs no other call.
         """
 
     @abstractmethod
     def observe(self, state: CellState, measured: MeasuredT, commanded_q_rad: Array) -> Array:
-        """Observations, (n, size): the left arm's numbers, then the right arm's."""
+        """Assemble the observations, (n, 2 * layout.size)."""
 
     def observe_agents(self, observation: Array) -> Array:
         """Return each agent's own observation, (n, 2, size), from those of both, (n, size); for any n."""
@@ -143,24 +142,24 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
 
     @abstractmethod
     def evaluate(self, state: CellState, measured: MeasuredT) -> Outcome:
-        """Reward terms and success. Called once per step, for it may keep count of an episode."""
+        """Evaluate the state after a step. Call it once per step, because it may count steps of an episode."""
 
     def payload_kg(self) -> Array | None:
-        """(n, 2) mass that each gripper holds at the end of the period to come, as told to the controllers."""
+        """Return the payload at the end of the next period to declare to the controllers, (n, 2); None: none."""
         return None
 
 
 def duration_ratio(wanted: MotionLimits, allowed: MotionLimits) -> float:
-    """How many times longer a motion takes within `allowed` than within `wanted`, at most."""
+    """Return an upper bound of the ratio of a motion's durations within `allowed` and within `wanted`."""
     joints = max(a / b for a, b in zip(wanted.speed_rad_s, allowed.speed_rad_s, strict=True))
     return max(1.0, joints, wanted.tcp_speed_m_s / allowed.tcp_speed_m_s)
 
 
 def check_numbers(settings: Any, *ranges: tuple[str, float, float]) -> None:
-    """Make fields of frozen settings plain floats.
+    """Convert fields of frozen settings to plain floats.
 
     Raises:
-        SettingsError: One is not a number within its range.
+        SettingsError: A value is not a number within its range.
     """
     for name, low, high in ranges:
         value = getattr(settings, name)
@@ -173,7 +172,7 @@ _LOG_TENTH = float(np.log(0.1))
 
 
 def gaussian(distance: Array, margin: float | Array) -> Array:
-    """1 at distance 0, 0.1 at `margin`: dm_control's `tolerance` with bounds (0, 0) and its gaussian sigmoid."""
+    """Return 1 at distance 0 and 0.1 at `margin`: dm_control's `tolerance` with its gaussian sigmoid."""
     scaled = distance / margin
     result: Array = np.exp(scaled * scaled * _LOG_TENTH)
     return result

@@ -245,14 +245,14 @@ def test_docstring_tables_match_the_spaces(name):
     kinds = ((model.njnt, model.joint), (model.nsite, model.site), (model.nbody, model.body))
     names = {kind(i).name for count, kind in kinds for i in range(count)}
     rows = table_rows(task, "Action Space")
-    assert [int(row[0]) for row in rows] == list(range(env.action_space.shape[0]))
     driven = [*JOINTS, "gripper"] if env.action_space.shape == (14,) else JOINTS
-    assert [row[4] for row in rows] == [f"{arm}/{name}" for arm in ("left", "right") for name in driven]
-    assert [float(row[2]) for row in rows] == env.action_space.low.tolist()
-    assert [float(row[3]) for row in rows] == env.action_space.high.tolist()
+    assert [int(row[0]) for row in rows] == list(range(len(driven)))
+    assert [row[4] for row in rows] == [f"left/{name}" for name in driven]
+    assert [float(row[2]) for row in rows] * 2 == env.action_space.low.tolist()
+    assert [float(row[3]) for row in rows] * 2 == env.action_space.high.tolist()
     step = task.limits.speed_rad_s[0] * env.core.timing.period_s
     opening = "-1 is 0, 1 is 0.085 (m)"
-    assert all(row[6] == (opening if "gripper" in row[4] else f"share of {step:.3f} (rad)") for row in rows)
+    assert all(row[6] == (opening if "gripper" in row[4] else f"fraction of {step:.3f} (rad)") for row in rows)
     lines = task.__doc__.split("## Observation Space")[1].split("## Rewards")[0].splitlines()
     assert [line.strip() for line in lines if re.match(r"\s*\| \d", line)] == task.layout.table()
     for field in task.layout.fields:

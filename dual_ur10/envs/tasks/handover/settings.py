@@ -1,4 +1,4 @@
-"""What may be set of `Handover`, and where block, hands and target are in it."""
+"""Settings of `Handover`, and the poses of block, grips and target."""
 
 from __future__ import annotations
 
@@ -28,18 +28,17 @@ SIDE_M: Final = 0.5
 """Nominal distance of block and target from the middle, each on its arm's side, along the cell's y."""
 
 MEETING_M: Final = np.array([-0.1, -0.1, 0.35])
-"""Where the block changes hands, in the cell frame. Not in the middle: see `MEETING_YAW_RAD`."""
+"""Position of the block at the transfer, in the cell frame. It is off the middle, see `MEETING_YAW_RAD`."""
 
 MEETING_YAW_RAD: Final = math.pi / 4
-"""How far the block is turned about the vertical there. The wrists of both arms are offset to the same side: across the
-cell's y the left arm's hand would have to fold back onto its own forearm. So the hands meet on a diagonal, a little to
-the right."""
+"""Yaw of the block at the transfer. The wrists of both arms are offset to the same side: along the cell's y the left
+gripper would have to fold back onto its own forearm. So the grippers meet on a diagonal, a little to the right."""
 
 GRIP_HEIGHT_M: Final = 0.006
-"""How far before the block's middle the fingers' middle grips, so that their tips stay off the table."""
+"""Distance of the fingers' middle before the block's middle, so that the fingertips stay off the table."""
 
 APPROACH_M: Final = 0.1
-"""From where the hands begin or wait, along their approach, to where they grip."""
+"""Length of the straight approach of a tool to its grip."""
 
 _HALF: Final = math.sqrt(0.5)
 # Tools in the block's frame: the giver comes from above, along the block's -z, the receiver from the other side.
@@ -49,10 +48,10 @@ _RECEIVER_QUAT: Final = (0.0, 0.0, 0.0, 1.0)
 
 @dataclasses.dataclass(frozen=True)
 class HandoverSettings:
-    """What may be set of `Handover`. See there.
+    """Keywords of `Handover`, described there.
 
     Raises:
-        UnknownNameError: `giver` is no name of one.
+        UnknownNameError: `giver` is none of its names.
         SettingsError: Another value is not legal.
     """
 
@@ -82,7 +81,7 @@ class HandoverSettings:
 
     @property
     def givers(self) -> tuple[int, ...]:
-        """The arms that may give, as indices of `dual_ur10.kinematics.ur10.ARMS`."""
+        """Arms that may give, as indices of `dual_ur10.kinematics.ur10.ARMS`."""
         return (0, 1) if self.giver == "random" else (ARMS.index(self.giver),)
 
 
@@ -100,11 +99,11 @@ GRIPS: Final = tuple(_grips(giver) for giver in (0, 1))
 
 
 def lying(where: Array, side: Array) -> Poses:
-    """Blocks that lie on the table, (n, 3) and (n, 4).
+    """Return poses of blocks that lie on the table, (n, 3) and (n, 4).
 
     Args:
-        where: (n, 3) x and y (m) from the nominal place of a side, and yaw (rad).
-        side: (n,) index of the arm whose side it is.
+        where: (n, 3) x and y (m) from the nominal position of a side, and yaw (rad).
+        side: (n,) index of the arm on that side.
     """
     position = np.empty((len(where), 3))
     position[:, 0], position[:, 2] = where[:, 0], BLOCK_SIZE_M[2] / 2
@@ -113,22 +112,22 @@ def lying(where: Array, side: Array) -> Poses:
 
 
 def presented_quat(giver: int) -> Array:
-    """Orientation, (4,), of the block as it is handed over, where the cell's y leads from the right arm to the left."""
+    """Return the orientation, (4,), of the block at the transfer, with the cell's y from the right to the left arm."""
     tilt = np.array([_HALF, -_HALF if giver == 0 else _HALF, 0.0, 0.0])
     return quat_multiply(yaw_quat(np.array(MEETING_YAW_RAD)), tilt)
 
 
 def laid_quat(yaw_rad: Array) -> Array:
-    """Orientations, (..., 4), of blocks that the receiver lays down: upside down, for it holds them from below."""
+    """Return orientations, (..., 4), of placed blocks: upside down, because the receiver grips them from below."""
     return quat_multiply(yaw_quat(yaw_rad), np.broadcast_to([0.0, 1.0, 0.0, 0.0], (*np.shape(yaw_rad), 4)))
 
 
 @lru_cache(maxsize=64)
 def check_reach(settings: HandoverSettings, scene: SceneSettings) -> None:
-    """Refuse places that an arm cannot reach.
+    """Refuse poses that an arm cannot reach.
 
     Raises:
-        WorkspaceError: The block where it may lie, where it changes hands, or where it may be wanted.
+        WorkspaceError: An arm cannot reach the block at its start, at the transfer, or at the target.
     """
     for giver in settings.givers:
         receiver = 1 - giver
@@ -160,7 +159,7 @@ def _corners(settings: HandoverSettings, arm: int, kind: str) -> Array:
 
 
 def _unreached(scene: SceneSettings, giver: int, arm: int, blocks: Poses) -> list[int]:
-    """Which blocks, (n, ...), an arm cannot grip, or not come to on the way that a hand should take."""
+    """Return the indices of the blocks, (n, ...), that an arm cannot grip or approach."""
     grip, frames, mount = GRIPS[giver], Frames(scene.mounts), scene.mounts[arm]
     missed: set[int] = set()
     for back in (APPROACH_M, 0.0):

@@ -1,4 +1,4 @@
-"""The stages of a handover: what passes each, how near a cell is to passing it, and how far it has come."""
+"""Stages of a handover: their conditions, and the reward terms of progress towards them."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ Counts = NDArray[np.int64]
 STAGES: Final = ("reach", "grasp", "lift", "present", "mutual_grasp", "release", "place")
 
 WIDTH_M: Final = BLOCK_SIZE_M[1]
-"""Of the block between the fingers."""
+"""Width of the block between the fingers."""
 
 LIFTED_M: Final = 0.08
-"""Height of the block's middle above the table from which on it is lifted."""
+"""Height of the block's middle above the table at which it counts as lifted."""
 
 MEETING_RANGE_M: Final = 0.12
-"""How near its place the block must be to be presented."""
+"""Distance from the meeting place within which the block counts as presented."""
 
 STILL_M_S: Final = 0.02
-"""A block that is slower lies still."""
+"""Speed below which the block counts as still."""
 
-# Distance at which a term is 0.1: tool to grip, block to the meeting, receiver to its grip, block to the target, its
-# turn.
+# Distance at which a term is 0.1: tool to grip, block to the meeting, receiver to its grip, block to the target, angle
+# of the block.
 _REACH_M, _PRESENT_M, _APPROACH_M, _PLACE_M, _TURN_RAD = 0.15, 0.5, 0.5, 0.3, 0.5
 
 
 class GripperFacts(NamedTuple):
-    """What is so of the hand in one role.
+    """State of the gripper in one role.
 
     Attributes:
-        between: (n,) whether its grip of the block is between its fingers.
-        holds: (n,) whether it holds the block.
-        opening_m: (n,) opening of the gripper.
+        between: (n,) True if its grip of the block is between its fingers.
+        holds: (n,) True if it holds the block.
+        opening_m: (n,) width of the gripper.
         away_m: (n,) distance of the tool from its grip.
     """
 
@@ -50,14 +50,14 @@ class GripperFacts(NamedTuple):
 
 
 class Facts(NamedTuple):
-    """What the stages depend on.
+    """Quantities on which the stages depend.
 
     Attributes:
-        giving, receiving: The hands in their roles.
-        height_m: (n,) of the block's middle above the table.
-        meeting_m: (n,) distance of the block from where it changes hands.
+        giving, receiving: Grippers in their roles.
+        height_m: (n,) height of the block's middle above the table.
+        meeting_m: (n,) distance of the block from the meeting place.
         target_m, target_rad: (n,) distance of the block from its target, and angle between their long axes.
-        placed: (n,) whether the block lies on the target as it should, and nobody holds it.
+        placed: (n,) True if the block lies still on its target, and no gripper holds it.
     """
 
     giving: GripperFacts
@@ -70,7 +70,7 @@ class Facts(NamedTuple):
 
 
 def passed(facts: Facts) -> Mask:
-    """(n, 7) whether what passes each stage is so now, whatever came before."""
+    """Return an (n, 7) mask of stage conditions that hold now, regardless of order."""
     giving, receiving, lifted = facts.giving, facts.receiving, facts.height_m > LIFTED_M
     return np.stack(
         [
@@ -87,17 +87,17 @@ def passed(facts: Facts) -> Mask:
 
 
 def advance(stage: Counts, conditions: Mask) -> None:
-    """Count on, (n,), the stages passed in their order; several at once where they hold at once."""
+    """Advance the number of stages passed in their order, (n,), in place; by several if they hold at once."""
     for k in range(len(STAGES)):
         stage += (stage == k) & conditions[:, k]
 
 
 def terms(facts: Facts, stage: Counts, giver: NDArray[np.intp]) -> Array:
-    """(n, 2, 7) reward terms of each arm, 0 to 1 in their mean: 1 for a stage passed, less for the one under way.
+    """Return the reward terms of each arm, (n, 2, 7), 0 to 1 in their mean: 1 for a passed stage, less for progress.
 
     Args:
-        facts: What is so now.
-        stage: (n,) stages passed.
+        facts: Current quantities.
+        stage: (n,) number of stages passed.
         giver: (n,) index of the giving arm.
     """
     giving, receiving = facts.giving, facts.receiving
@@ -107,7 +107,7 @@ def terms(facts: Facts, stage: Counts, giver: NDArray[np.intp]) -> Array:
     on_target = 0.7 * gaussian(facts.target_m, _PLACE_M) + 0.3 * gaussian(facts.target_rad, _TURN_RAD)
     mutual = np.where(giving.holds, np.where(both, 1.0, 0.5 * near + 0.5 * closing), 0.0)
     zero = np.zeros(len(stage))
-    # Per stage what the giver and the receiver earn for it: their mean is the term.
+    # Terms of the giver and of the receiver per stage; their mean is the reward term.
     of_giver = [
         2 * gaussian(giving.away_m, _REACH_M),
         2 * np.where(giving.between, _closed(giving.opening_m), 0.0),
@@ -121,7 +121,7 @@ def terms(facts: Facts, stage: Counts, giver: NDArray[np.intp]) -> Array:
     of_receiver.append(2 * np.where(carried, on_target, 0.0))
     done = np.array([[2, 0], [2, 0], [2, 0], [1, 1], [1, 1], [2, 0], [0, 2]], dtype=np.float64)
     order = np.arange(len(STAGES))
-    # Both begin to come together as soon as the block is held.
+    # "present" begins as soon as the block is held.
     begun = (stage[:, None] >= order) | ((order == STAGES.index("present")) & (stage[:, None] >= 2))
     dense = np.stack([np.stack(of_giver, axis=1), np.stack(of_receiver, axis=1)], axis=2)
     values = np.where((stage[:, None] > order)[..., None], done, np.where(begun[..., None], dense, 0.0))
@@ -132,6 +132,6 @@ def terms(facts: Facts, stage: Counts, giver: NDArray[np.intp]) -> Array:
 
 
 def _closed(opening_m: Array) -> Array:
-    """1 with the fingers on the block, 0 wide open or with nothing between them."""
+    """Return 1 for a gripper at the block's width, 0 fully open or closed beyond it."""
     result: Array = np.clip(1.0 - np.abs(opening_m - WIDTH_M) / (OPENING_M - WIDTH_M), 0.0, 1.0)
     return result

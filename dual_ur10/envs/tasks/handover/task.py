@@ -37,22 +37,22 @@ from dual_ur10.sim2real.control.limits import REACH_FROM_JOINT_M, MotionLimits
 from dual_ur10.types import Array, Mask, Rows
 
 SETTLED_S = 0.5
-"""How long the block must have lain on its target for an episode to end well."""
+"""Time that the block must lie on its target before an episode ends with success."""
 
 _FALLEN_M = -0.03  # height of the middle of a block that is no longer on the table
-_FAR_M = float(REACH_FROM_JOINT_M[1]) + TCP_M + BLOCK_SIZE_M[0] / 2  # from a shoulder: nobody reaches it
+_FAR_M = float(REACH_FROM_JOINT_M[1]) + TCP_M + BLOCK_SIZE_M[0] / 2  # from a shoulder: out of reach
 _SHOULDER_M = np.array([0.0, 0.0, DH_D_M[0]])
 
 
 class HandoverMeasured(NamedTuple):
-    """Poses at one instant. Positions in the cell frame where nothing else is said.
+    """Poses at one instant; positions in the cell frame unless another is named.
 
     Attributes:
         block, target: Poses, (n, 1, ...).
         relative: Pose of the other flange in each flange's frame, (n, 2, ...).
-        grip_in_tool_m: (n, 2, 3) where each arm's grip of the block is in its tool's frame.
-        between: (n, 2) whether it is between the fingers.
-        holding: (n, 2) whether the gripper holds the block.
+        grip_in_tool_m: (n, 2, 3) position of each arm's grip of the block in its tool's frame.
+        between: (n, 2) True if the grip is between the fingers.
+        holding: (n, 2) True if the gripper holds the block.
     """
 
     block: Poses
@@ -64,7 +64,7 @@ class HandoverMeasured(NamedTuple):
 
 
 class Handover(Task[HandoverSettings, HandoverMeasured]):
-    """One arm picks a block up and hands it to the other in the air, which lays it on a target.
+    """One arm picks up a block and hands it in the air to the other, which places it on a target.
 
     ## Description
 
@@ -80,25 +80,20 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     ## Action Space
 
     The action space is a `Box(-1.0, 1.0, (14,), float32)` with the default `action_mode="joint_delta"`: steps of the
-    six joints of an arm from the last command, in shares of the speed limit (1.2 rad/s) times the period (40 ms), and
+    six joints of an arm from the last command, in fractions of the speed limit (1.2 rad/s) times the period (40 ms), and
     the opening of its gripper.
+
+    The table shows the left arm; the right arm's numbers follow in the same order.
 
     | Num | Action | Control Min | Control Max | Name (in XML file) | Joint | Type (Unit) |
     |-----|--------|-------------|-------------|--------------------|-------|-------------|
-    | 0 | step of the left shoulder pan | -1 | 1 | left/shoulder_pan_joint | hinge | share of 0.048 (rad) |
-    | 1 | step of the left shoulder lift | -1 | 1 | left/shoulder_lift_joint | hinge | share of 0.048 (rad) |
-    | 2 | step of the left elbow | -1 | 1 | left/elbow_joint | hinge | share of 0.048 (rad) |
-    | 3 | step of the left wrist 1 | -1 | 1 | left/wrist_1_joint | hinge | share of 0.048 (rad) |
-    | 4 | step of the left wrist 2 | -1 | 1 | left/wrist_2_joint | hinge | share of 0.048 (rad) |
-    | 5 | step of the left wrist 3 | -1 | 1 | left/wrist_3_joint | hinge | share of 0.048 (rad) |
-    | 6 | opening of the left gripper | -1 | 1 | left/gripper | tendon | -1 is 0, 1 is 0.085 (m) |
-    | 7 | step of the right shoulder pan | -1 | 1 | right/shoulder_pan_joint | hinge | share of 0.048 (rad) |
-    | 8 | step of the right shoulder lift | -1 | 1 | right/shoulder_lift_joint | hinge | share of 0.048 (rad) |
-    | 9 | step of the right elbow | -1 | 1 | right/elbow_joint | hinge | share of 0.048 (rad) |
-    | 10 | step of the right wrist 1 | -1 | 1 | right/wrist_1_joint | hinge | share of 0.048 (rad) |
-    | 11 | step of the right wrist 2 | -1 | 1 | right/wrist_2_joint | hinge | share of 0.048 (rad) |
-    | 12 | step of the right wrist 3 | -1 | 1 | right/wrist_3_joint | hinge | share of 0.048 (rad) |
-    | 13 | opening of the right gripper | -1 | 1 | right/gripper | tendon | -1 is 0, 1 is 0.085 (m) |
+    | 0 | step of the shoulder pan | -1 | 1 | left/shoulder_pan_joint | hinge | fraction of 0.048 (rad) |
+    | 1 | step of the shoulder lift | -1 | 1 | left/shoulder_lift_joint | hinge | fraction of 0.048 (rad) |
+    | 2 | step of the elbow | -1 | 1 | left/elbow_joint | hinge | fraction of 0.048 (rad) |
+    | 3 | step of the wrist 1 | -1 | 1 | left/wrist_1_joint | hinge | fraction of 0.048 (rad) |
+    | 4 | step of the wrist 2 | -1 | 1 | left/wrist_2_joint | hinge | fraction of 0.048 (rad) |
+    | 5 | step of the wrist 3 | -1 | 1 | left/wrist_3_joint | hinge | fraction of 0.048 (rad) |
+    | 6 | opening of the gripper | -1 | 1 | left/gripper | tendon | -1 is 0, 1 is 0.085 (m) |
 
     ## Observation Space
 
@@ -109,7 +104,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
 
     | Num | Observation | Min | Max | Name (in XML file) | Type (Unit) |
     |-----|-------------|-----|-----|--------------------|-------------|
-        | 0-5 | joint positions | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
+    | 0-5 | joint positions | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
     | 6-11 | joint speeds | -10 | 10 | left/shoulder_pan_joint ... left/wrist_3_joint | speed (rad/s) |
     | 12-17 | commanded joint positions | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
     | 18-20 | position of the flange | -2 | 2 | left/flange | position (m) |
@@ -252,12 +247,12 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
 
     @classmethod
     def requirements(cls, settings: HandoverSettings) -> SceneRequirements:
-        """Two grippers and the block."""
+        """Return the requirements: two grippers and the block."""
         equipment = Equipment(grippers=True, prop="block", grip_force_n=settings.grip_force_n)
         return SceneRequirements(equipment, 0.002, "stiff", PICKING)
 
     def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
-        """Draw who gives, where the block lies and where it is wanted. The arms stand above the table, open."""
+        """Sample giver, block pose and target pose. The arms are above the table, with open grippers."""
         settings, givers = self.settings, self.settings.givers
         drawn = np.array([rng.uniform(-1.0, 1.0, 7) for rng in rngs]).reshape(len(rows), 7)
         giver = np.where(drawn[:, 6] < 0.0, givers[0], givers[-1])
@@ -279,7 +274,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         )
 
     def measure(self, state: CellState) -> HandoverMeasured:
-        """Poses of all cells."""
+        """Compute the poses of all cells."""
         block = Poses(required(state.object_m)[:, None], required(state.object_quat)[:, None])
         target = Poses(required(state.target_m)[:, None], required(state.target_quat)[:, None])
         tool = tools(state)
@@ -308,7 +303,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         )
 
     def evaluate(self, state: CellState, measured: HandoverMeasured) -> Outcome:
-        """Stages, reward terms, success and the end."""
+        """Evaluate stages, reward terms, success and end."""
         position = measured.block.position_m[:, 0]
         facts = self._facts(state, measured)
         advance(self._stage, passed(facts))
@@ -350,14 +345,14 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         return Facts(giving, receiving, position[:, 2], length(position - MEETING_M), target_m, target_rad, placed)
 
     def _lost(self, position_m: Array) -> Mask:
-        """(n,) whether the block fell from the table, or lies where no arm can reach it."""
+        """Return a mask, (n,), of blocks that fell from the table or are out of both arms' reach."""
         away = length(position_m[:, None] - self._shoulders)
         result: Mask = (position_m[:, 2] < _FALLEN_M) | np.logical_and.reduce(away > _FAR_M, axis=1)
         return result
 
 
 def _between_long_axes(first: Array, second: Array) -> Array:
-    """Angles in rad, (...), between the long axes of blocks. Which long side is up does not matter."""
+    """Return the angles, (...) in rad, between the long axes of blocks, whichever long side is up."""
     axis = np.array([1.0, 0.0, 0.0])
     one, other = (rotate(quat, np.broadcast_to(axis, (*quat.shape[:-1], 3))) for quat in (first, second))
     result: Array = np.arctan2(length(cross(one, other)), np.add.reduce(one * other, axis=-1))

@@ -1,4 +1,4 @@
-"""The reference of the sine task, and whether two arms can follow it."""
+"""Settings of `SineTracking`, and the check that two arms can follow its reference."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ CENTER_RANGE_M = 0.05
 """Largest shift of the centre along each axis of the cell frame when an episode is randomised."""
 
 _SAMPLES = 25
-_OVERSHOOT = 0.2  # share of the amplitude by which a stop may end beyond a turning point
-_ROOM = 0.9  # share of a speed limit that a reference may need: correcting an error takes the rest
+_OVERSHOOT = 0.2  # of the amplitude: distance beyond a turning point at which a stop may end
+_ROOM = 0.9  # of a speed limit, for the reference; corrections need the rest
 
 
 @dataclasses.dataclass(frozen=True)
 class SineSettings:
-    """What may be set of `SineTracking`. See there.
+    """Keywords of `SineTracking`, described there.
 
     Raises:
         SettingsError: A value is not legal.
@@ -83,7 +83,7 @@ class SineSettings:
 
     @property
     def direction(self) -> Array:
-        """(3,) unit vector of the axis in the cell frame."""
+        """Unit vector of the axis in the cell frame, (3,)."""
         if isinstance(self.axis, str):
             unit: Array = np.eye(3)[get_args(Axis).index(self.axis)]
             return unit
@@ -91,7 +91,7 @@ class SineSettings:
 
     @property
     def tracking(self) -> Array:
-        """(2,) 1 for each arm that follows the sine, 0 for one that holds its centre."""
+        """Factor of each arm, (2,): 1 if it follows the sine, 0 if it holds its centre."""
         return np.array([float(self.arms in ("both", arm)) for arm in ARMS])
 
     @property
@@ -104,7 +104,7 @@ class SineSettings:
         return float(self.amplitude_m * np.hypot(rate, growth * omega).max())
 
     def displacement_m(self, time_s: Array, phase_rad: Array) -> Array:
-        """Displacement along the axis. It begins at rest and without acceleration.
+        """Return the displacement along the axis. It begins at rest and without acceleration.
 
         Args:
             time_s: Times since the start.
@@ -118,7 +118,6 @@ class SineSettings:
 
 
 def _vectors(values: object) -> Array:
-    """As an array; of no size if they are no numbers."""
     try:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -133,7 +132,7 @@ def check_path(
     minimum_clearance_m: float,
     uncertainty: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0)),
 ) -> None:
-    """Refuse a sine that the arms cannot follow, at any centre that an episode may draw.
+    """Refuse a sine that the arms cannot follow at some centre of an episode.
 
     Raises:
         WorkspaceError: The path leaves the workspace, needs a joint faster than the task's limit allows, or comes
@@ -153,11 +152,11 @@ def check_path(
                 f"the sine needs {speed[joint]:.3g} rad/s of {ARMS[arm]}/{JOINTS[joint]}, allowed are "
                 f"{speed_limit[joint]:.3g} rad/s: choose a smaller amplitude_m or frequency_hz, or another center_m"
             )
-    postures = np.stack(paths, axis=2)
-    # The gate looks at where a stop would end, which is beyond the turning points.
+    configurations = np.stack(paths, axis=2)
+    # The gate checks the end of a stop, which is beyond the turning points.
     beyond = _OVERSHOOT * (_SAMPLES - 1) / 2
-    ends = [postures[k] + beyond * (postures[k] - postures[inner]) for k, inner in ((0, 1), (-1, -2))]
-    flat = np.concatenate([postures, np.stack(ends)]).reshape(-1, 12)
+    ends = [configurations[k] + beyond * (configurations[k] - configurations[inner]) for k, inner in ((0, 1), (-1, -2))]
+    flat = np.concatenate([configurations, np.stack(ends)]).reshape(-1, 12)
     clearance = Clearance(scene, n=len(flat), minimum_m=minimum_clearance_m, uncertainty=uncertainty)
     close = np.flatnonzero(~clearance.is_clear(flat))
     if close.size:
@@ -169,7 +168,7 @@ def check_path(
 
 
 def _joint_path(settings: SineSettings, scene: SceneSettings, arm: int, centers: Array) -> Array:
-    """Joint positions along the sine about every centre, (samples, centres, 6)."""
+    """Return the joint positions along the sine about every centre, (samples, centres, 6)."""
     mount, (position, rotation) = scene.mounts[arm], to_base(scene.mounts)
     reach = settings.amplitude_m * settings.tracking[arm]
     down = np.broadcast_to(quat_to_matrix(TOOL_DOWN_QUAT), (len(centers), 3, 3))

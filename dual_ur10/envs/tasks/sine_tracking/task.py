@@ -25,9 +25,9 @@ from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array, Rows
 
-# Distance at which a term is 0.1: errors of both flanges, turns of both, error of the vector between them.
+# Distance at which a term is 0.1: position errors of both flanges, angles of both, error of the vector between them.
 _MARGINS = np.array([0.01, 0.01, 0.02, 0.02, 0.005])
-# Which of them is each arm's value of each reward term.
+# Index among them of each arm's reward terms.
 _TERMS = np.array([[0, 2, 4], [1, 3, 4]])
 
 
@@ -35,11 +35,11 @@ class SineMeasured(NamedTuple):
     """Reference and errors at one instant.
 
     Attributes:
-        reference_base_m: (n, 2, 3) where the flanges should be, in each arm's own `base` frame.
-        ahead_base_m: (n, 2, 3) where they should be when the motion of the next action ends, in that frame.
+        reference_base_m: (n, 2, 3) reference positions of the flanges in each arm's own `base` frame.
+        ahead_base_m: (n, 2, 3) references at the end of the next motion in that frame.
         rotation: (n, 2, 3) rotation from flange to reference in that frame: twice the vector part of its quaternion,
             which is the rotation vector as long as it is small.
-        reference_m: (n, 2, 3) where the flanges should be, in the cell frame.
+        reference_m: (n, 2, 3) reference positions of the flanges in the cell frame.
         error_m: (n, 2, 3) reference minus flange, in the cell frame.
     """
 
@@ -51,7 +51,7 @@ class SineMeasured(NamedTuple):
 
 
 class SineTracking(Task[SineSettings, SineMeasured]):
-    """Both flanges follow a sine along one axis, in step, with their tools pointing straight down.
+    """Both flanges follow a sine along one axis, synchronously, with their tools pointing straight down.
 
     ## Description
 
@@ -62,32 +62,29 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     ## Action Space
 
     The action space is a `Box(-1.0, 1.0, (12,), float32)` with the default `action_mode="joint_delta"`: steps of the
-    twelve joints from the last command, in shares of the speed limit (1.2 rad/s) times the period (40 ms).
+    twelve joints from the last command, in fractions of the speed limit (1.2 rad/s) times the period (40 ms).
+
+    The table shows the left arm; the right arm's numbers follow in the same order.
 
     | Num | Action | Control Min | Control Max | Name (in XML file) | Joint | Type (Unit) |
     |-----|--------|-------------|-------------|--------------------|-------|-------------|
-    | 0 | step of the left shoulder pan | -1 | 1 | left/shoulder_pan_joint | hinge | share of 0.048 (rad) |
-    | 1 | step of the left shoulder lift | -1 | 1 | left/shoulder_lift_joint | hinge | share of 0.048 (rad) |
-    | 2 | step of the left elbow | -1 | 1 | left/elbow_joint | hinge | share of 0.048 (rad) |
-    | 3 | step of the left wrist 1 | -1 | 1 | left/wrist_1_joint | hinge | share of 0.048 (rad) |
-    | 4 | step of the left wrist 2 | -1 | 1 | left/wrist_2_joint | hinge | share of 0.048 (rad) |
-    | 5 | step of the left wrist 3 | -1 | 1 | left/wrist_3_joint | hinge | share of 0.048 (rad) |
-    | 6 | step of the right shoulder pan | -1 | 1 | right/shoulder_pan_joint | hinge | share of 0.048 (rad) |
-    | 7 | step of the right shoulder lift | -1 | 1 | right/shoulder_lift_joint | hinge | share of 0.048 (rad) |
-    | 8 | step of the right elbow | -1 | 1 | right/elbow_joint | hinge | share of 0.048 (rad) |
-    | 9 | step of the right wrist 1 | -1 | 1 | right/wrist_1_joint | hinge | share of 0.048 (rad) |
-    | 10 | step of the right wrist 2 | -1 | 1 | right/wrist_2_joint | hinge | share of 0.048 (rad) |
-    | 11 | step of the right wrist 3 | -1 | 1 | right/wrist_3_joint | hinge | share of 0.048 (rad) |
+    | 0 | step of the shoulder pan | -1 | 1 | left/shoulder_pan_joint | hinge | fraction of 0.048 (rad) |
+    | 1 | step of the shoulder lift | -1 | 1 | left/shoulder_lift_joint | hinge | fraction of 0.048 (rad) |
+    | 2 | step of the elbow | -1 | 1 | left/elbow_joint | hinge | fraction of 0.048 (rad) |
+    | 3 | step of the wrist 1 | -1 | 1 | left/wrist_1_joint | hinge | fraction of 0.048 (rad) |
+    | 4 | step of the wrist 2 | -1 | 1 | left/wrist_2_joint | hinge | fraction of 0.048 (rad) |
+    | 5 | step of the wrist 3 | -1 | 1 | left/wrist_3_joint | hinge | fraction of 0.048 (rad) |
 
     ## Observation Space
 
     The observation space is a `Box(low, high, (68,), float64)` with the bounds of the table: 34 numbers of the left
     arm, which the table shows, then the same 34 of the right arm, with left and right exchanged. All of them can be
-    measured on a real cell. Poses are in the arm's own `base` frame, the one in which UR's controller reports its TCP; quaternions are (w, x, y, z).
+    measured on a real cell. Poses are in the arm's own `base` frame, the one in which UR's controller reports its TCP;
+    quaternions are (w, x, y, z).
 
     | Num | Observation | Min | Max | Name (in XML file) | Type (Unit) |
     |-----|-------------|-----|-----|--------------------|-------------|
-        | 0-5 | joint positions | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
+    | 0-5 | joint positions | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
     | 6-11 | joint speeds | -10 | 10 | left/shoulder_pan_joint ... left/wrist_3_joint | speed (rad/s) |
     | 12-17 | commanded joint positions | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
     | 18-20 | position of the flange | -2 | 2 | left/flange | position (m) |
@@ -169,12 +166,12 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         others[1, pose, 0], others[0, pose, 1] = frames.others_pose[0, :7], frames.others_pose[1, :7]
         self._others = others.reshape(2 * size, 14), frames.others_pose[:, 7].reshape(14)
         along_base = (self._to_base @ settings.direction) * settings.tracking[:, None]
-        # What follows the sine: the reference in `base` now and ahead, and in the cell frame now.
+        # Directions of the reference in `base` now and ahead, and in the cell frame now.
         self._along = np.stack([along_base, along_base, settings.direction * settings.tracking[:, None]])
-        # Quaternion of the turn from flange to reference = this matrix times the flange's quaternion.
+        # Quaternion from flange to reference = this matrix times the flange's quaternion.
         unit = np.eye(4)
         columns = [quat_multiply(TOOL_DOWN_QUAT, quat_conjugate(unit[k])) for k in range(4)]
-        self._turn: Array = np.ascontiguousarray(np.array(columns))
+        self._to_reference: Array = np.ascontiguousarray(np.array(columns))
         self._steps = max(1, math.ceil(settings.duration_s / timing.period_s - 1e-9))
         self._center: Array = np.zeros((n, 3, 2, 3))
         self._when = np.array([0.0, timing.ahead_s, 0.0])
@@ -183,7 +180,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         self._count = np.zeros(n, dtype=np.int64)
 
     def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
-        """Draw phase and centre. The postures have the flanges at the centres."""
+        """Sample phase and centre. The flanges start at the centres."""
         settings = self.settings
         for row, rng in zip(rows.tolist(), rngs, strict=True):
             shift, phase = np.zeros(3), settings.phase_rad
@@ -196,18 +193,18 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         self._squares[rows] = 0.0
         self._count[rows] = 0
         down = quat_to_matrix(TOOL_DOWN_QUAT)
-        postures = [
+        configurations = [
             nearest(self._center[rows, 0, arm], np.broadcast_to(down, (len(rows), 3, 3)), HOME_Q_RAD[arm], mount.dh)
             for arm, mount in enumerate((self.cell.left, self.cell.right))
         ]
-        return Start(np.stack(postures, axis=1))
+        return Start(np.stack(configurations, axis=1))
 
     def measure(self, state: CellState) -> SineMeasured:
-        """Reference and errors of all cells."""
+        """Compute reference and errors of all cells."""
         displacement = self.settings.displacement_m(state.time_s[:, None] + self._when, self._phase)
         references = self._center + displacement[..., None, None] * self._along
         reference = references[:, 2]
-        turn = state.flange_base_quat @ self._turn
+        turn = state.flange_base_quat @ self._to_reference
         turn *= np.copysign(2.0, turn[..., :1])
         return SineMeasured(
             references[:, 0],
@@ -244,7 +241,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         return result
 
     def evaluate(self, state: CellState, measured: SineMeasured) -> Outcome:
-        """Reward terms, and success at the end."""
+        """Evaluate reward terms, success and end."""
         error = measured.error_m
         vectors = np.concatenate([error, measured.rotation, error[:, :1] - error[:, 1:]], axis=1)
         squares = np.add.reduce(vectors * vectors, axis=2)

@@ -1,4 +1,4 @@
-"""The way of the carried bar: where its centre is and how it is turned, at any time."""
+"""Path of the carried bar: its pose at any time."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _X, _Y, _Z, _ROLL, _PITCH, _YAW = range(6)
 _LIFT_M: Final = 0.25
 _DEGREE: Final = math.pi / 180
 
-# From, to (s), which number of the pose, by how much (m, rad). Overlapping moves add up, so that nothing stops between
-# them. Roll tilts the bar's ends against each other, pitch turns it about its own length. The longer path turns more
-# slowly and ends with all of it at once.
+# Begin, end (s), coordinate, change (m, rad). Overlapping moves add up, so that the bar does not stop between them.
+# Roll tilts the bar's ends against each other, pitch rotates it about its own length. The longer path rotates more
+# slowly and ends with all moves at once.
 MOVES: Final = {
     30.0: (
         (0.0, 3.0, _Z, _LIFT_M),
@@ -96,19 +96,19 @@ class CarryPath:
             self._change[row, number] = change
 
     def __call__(self, time_s: Array, start: Poses) -> Poses:
-        """Poses at times on the path, (n, k); before 0 the start, after the end where it was lowered.
+        """Return the poses at times on the path, (n, k); before 0 that of the start, after the end the last one.
 
         Args:
             time_s: (n, k).
-            start: Poses of the bar before it is lifted, (n, 3) and (n, 4); turned about the vertical only.
+            start: Poses of the bar before it is lifted, (n, 3) and (n, 4); rotated about the vertical only.
         """
-        share = np.clip((time_s[..., None] - self._begin) / self._length, 0.0, 1.0)
-        change = (share * share * share * (10.0 + share * (6.0 * share - 15.0))) @ self._change
+        ratio = np.clip((time_s[..., None] - self._begin) / self._length, 0.0, 1.0)
+        change = (ratio * ratio * ratio * (10.0 + ratio * (6.0 * ratio - 15.0))) @ self._change
         half = change[..., 3:] / 2
         cosine, sine = np.cos(half), np.sin(half)
-        turns = [np.zeros((*time_s.shape, 4)) for _ in range(3)]
-        for axis, turn in enumerate(turns):
-            turn[..., 0], turn[..., 1 + axis] = cosine[..., axis], sine[..., axis]
-        roll, pitch, yaw = turns
-        turned = quat_multiply(quat_multiply(quat_multiply(start.quat[:, None], yaw), roll), pitch)
-        return Poses(start.position_m[:, None] + change[..., :3], turned)
+        rotations = [np.zeros((*time_s.shape, 4)) for _ in range(3)]
+        for axis, rotation in enumerate(rotations):
+            rotation[..., 0], rotation[..., 1 + axis] = cosine[..., axis], sine[..., axis]
+        roll, pitch, yaw = rotations
+        quat = quat_multiply(quat_multiply(quat_multiply(start.quat[:, None], yaw), roll), pitch)
+        return Poses(start.position_m[:, None] + change[..., :3], quat)

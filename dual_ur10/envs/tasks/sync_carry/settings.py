@@ -1,4 +1,4 @@
-"""What may be set of `SyncCarry`, and how fast two arms can do it."""
+"""Settings of `SyncCarry`, and the largest speed of its path for two arms."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from dual_ur10.types import Array
 Grasp = Literal["friction", "rigid"]
 Payload = Literal["known", "unknown"]
 
-_ROOM = 0.85  # share of a speed limit that the path may need: correcting an error takes the rest
+_ROOM = 0.85  # of a speed limit, for the path; corrections need the rest
 _STEP_S = 0.1
 
 FRICTION_HEIGHT_M = 0.003
-"""How far above the bar's middle the fingers' middle grips, so that their tips stay off the table."""
+"""Height of the fingers' middle above the bar's middle, so that the fingertips stay off the table."""
 
 
 @dataclasses.dataclass(frozen=True)
 class CarrySettings:
-    """What may be set of `SyncCarry`. See there.
+    """Keywords of `SyncCarry`, described there.
 
     Raises:
         SettingsError: A value is not legal.
@@ -69,7 +69,7 @@ class CarrySettings:
 
     @property
     def rigid(self) -> bool:
-        """Whether the bar is welded to the grippers from the start."""
+        """True if the bar is welded to the grippers from the start."""
         return self.grasp == "rigid"
 
     @property
@@ -82,7 +82,7 @@ class CarrySettings:
 
 @lru_cache(maxsize=64)
 def path_rate(settings: CarrySettings, scene: SceneSettings, limits: MotionLimits) -> float:
-    """How fast the clock of the path may run, at most 1, for every bar that an episode may draw.
+    """Return the largest rate of the path's clock, at most 1, for every initial pose of the bar.
 
     Raises:
         WorkspaceError: The path leaves an arm's workspace, with the bar where `object_range_m` may put it.
@@ -118,7 +118,7 @@ def path_rate(settings: CarrySettings, scene: SceneSettings, limits: MotionLimit
 
 
 def bar_pose(where: Array) -> Poses:
-    """Bars that lie on the table, (n, 3) and (n, 4), from x, y (m) and yaw (rad), (n, 3)."""
+    """Return poses of bars that lie on the table, (n, 3) and (n, 4), for x, y (m) and yaw (rad), (n, 3)."""
     n = len(where)
     position = np.zeros((n, 3))
     position[:, :2], position[:, 2] = where[:, :2], BAR_WIDTH_M / 2
@@ -126,6 +126,6 @@ def bar_pose(where: Array) -> Poses:
 
 
 def ideal_relative(grip: Poses) -> Poses:
-    """Pose of the right flange in the left flange's frame while both grip the bar as they should, (3,) and (4,)."""
+    """Return the nominal pose of the right flange in the left flange's frame while both grip the bar, (3,) and (4,)."""
     left, right = (Poses(grip.position_m[arm], grip.quat[arm]) for arm in (0, 1))
     return Poses(relative_to(left, right).position_m, np.array([1.0, 0.0, 0.0, 0.0]))

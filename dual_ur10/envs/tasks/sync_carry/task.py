@@ -1,4 +1,4 @@
-"""SyncCarry: both arms take a bar, carry it along a path, and put it down."""
+"""SyncCarry: both arms grasp a bar, carry it along a path, and put it down."""
 
 from __future__ import annotations
 
@@ -37,28 +37,28 @@ from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array, Mask, Rows
 
 APPROACH_M = 0.10
-"""Height of the open grippers above the bar's nominal place when an episode begins."""
+"""Height of the open grippers above the bar's nominal position at the start of an episode."""
 
 _GRASP_S = {True: 1.5, False: 5.0}  # time before the path begins: rigid, friction
 _SETTLE_S = 1.0  # time after it
-_LOAD_S = 1.0  # in which the controllers are told of the load before it is lifted, and after it is put down
-_LOST_M = 0.15  # a bar so far from its reference will not come back
-_SHARE = 0.25  # of the load that each arm must carry
+_LOAD_S = 1.0  # in which the declared load ramps up before the lift, and down after it
+_LOST_M = 0.15  # distance of a bar from its reference at which it is lost
+_LOAD_RATIO = 0.25  # of the load, that each arm must carry
 
-# Distance at which a term is 0.1: tool to grip, bar to its reference, its turn, relative pose, squeeze.
-_REACH_M, _BAR_M, _TURN_RAD, _RELATIVE_M, _SQUEEZE_N = 0.15, 0.03, 0.1, 0.005, 30.0
+# Distance at which a term is 0.1: tool to grip, bar to its reference, its angle, relative pose, internal force.
+_REACH_M, _BAR_M, _TURN_RAD, _RELATIVE_M, _INTERNAL_N = 0.15, 0.03, 0.1, 0.005, 30.0
 
 
 class CarryMeasured(NamedTuple):
-    """Poses and forces at one instant. Positions in the cell frame where nothing else is said.
+    """Poses and forces at one instant; positions in the cell frame unless another is named.
 
     Attributes:
         clock_s: (n,) time on the path, negative before it begins.
-        references: Poses of the bar as it should be now and when the motion of the next action ends, (n, 2, ...).
+        references: Reference poses of the bar now and at the end of the next motion, (n, 2, ...).
         bar: Pose of the bar, (n, 1, ...).
         relative: Pose of the other flange in each flange's frame, (n, 2, ...).
-        grip_in_tool: Where each grip of the bar is in its tool's frame, (n, 2, ...).
-        holding: (n, 2) whether each gripper holds it.
+        grip_in_tool: Pose of each grip of the bar in its tool's frame, (n, 2, ...).
+        holding: (n, 2) True if the gripper holds the bar.
         force_n: (n, 2, 3) force of the bar on each gripper.
     """
 
@@ -72,7 +72,7 @@ class CarryMeasured(NamedTuple):
 
 
 class SyncCarry(Task[CarrySettings, CarryMeasured]):
-    """Both arms take a bar by its ends, carry it along a path and put it down, together.
+    """Both arms grasp a bar by its ends, carry it along a path and put it down, together.
 
     ## Description
 
@@ -88,25 +88,20 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     ## Action Space
 
     The action space is a `Box(-1.0, 1.0, (14,), float32)` with the default `action_mode="joint_delta"`: steps of the
-    six joints of an arm from the last command, in shares of the speed limit (1 rad/s) times the period (40 ms), and the
+    six joints of an arm from the last command, in fractions of the speed limit (1 rad/s) times the period (40 ms), and the
     opening of its gripper. With `grasp="rigid"` there are no openings: `Box(-1.0, 1.0, (12,), float32)`.
+
+    The table shows the left arm; the right arm's numbers follow in the same order.
 
     | Num | Action | Control Min | Control Max | Name (in XML file) | Joint | Type (Unit) |
     |-----|--------|-------------|-------------|--------------------|-------|-------------|
-    | 0 | step of the left shoulder pan | -1 | 1 | left/shoulder_pan_joint | hinge | share of 0.040 (rad) |
-    | 1 | step of the left shoulder lift | -1 | 1 | left/shoulder_lift_joint | hinge | share of 0.040 (rad) |
-    | 2 | step of the left elbow | -1 | 1 | left/elbow_joint | hinge | share of 0.040 (rad) |
-    | 3 | step of the left wrist 1 | -1 | 1 | left/wrist_1_joint | hinge | share of 0.040 (rad) |
-    | 4 | step of the left wrist 2 | -1 | 1 | left/wrist_2_joint | hinge | share of 0.040 (rad) |
-    | 5 | step of the left wrist 3 | -1 | 1 | left/wrist_3_joint | hinge | share of 0.040 (rad) |
-    | 6 | opening of the left gripper | -1 | 1 | left/gripper | tendon | -1 is 0, 1 is 0.085 (m) |
-    | 7 | step of the right shoulder pan | -1 | 1 | right/shoulder_pan_joint | hinge | share of 0.040 (rad) |
-    | 8 | step of the right shoulder lift | -1 | 1 | right/shoulder_lift_joint | hinge | share of 0.040 (rad) |
-    | 9 | step of the right elbow | -1 | 1 | right/elbow_joint | hinge | share of 0.040 (rad) |
-    | 10 | step of the right wrist 1 | -1 | 1 | right/wrist_1_joint | hinge | share of 0.040 (rad) |
-    | 11 | step of the right wrist 2 | -1 | 1 | right/wrist_2_joint | hinge | share of 0.040 (rad) |
-    | 12 | step of the right wrist 3 | -1 | 1 | right/wrist_3_joint | hinge | share of 0.040 (rad) |
-    | 13 | opening of the right gripper | -1 | 1 | right/gripper | tendon | -1 is 0, 1 is 0.085 (m) |
+    | 0 | step of the shoulder pan | -1 | 1 | left/shoulder_pan_joint | hinge | fraction of 0.040 (rad) |
+    | 1 | step of the shoulder lift | -1 | 1 | left/shoulder_lift_joint | hinge | fraction of 0.040 (rad) |
+    | 2 | step of the elbow | -1 | 1 | left/elbow_joint | hinge | fraction of 0.040 (rad) |
+    | 3 | step of the wrist 1 | -1 | 1 | left/wrist_1_joint | hinge | fraction of 0.040 (rad) |
+    | 4 | step of the wrist 2 | -1 | 1 | left/wrist_2_joint | hinge | fraction of 0.040 (rad) |
+    | 5 | step of the wrist 3 | -1 | 1 | left/wrist_3_joint | hinge | fraction of 0.040 (rad) |
+    | 6 | opening of the gripper | -1 | 1 | left/gripper | tendon | -1 is 0, 1 is 0.085 (m) |
 
     ## Observation Space
 
@@ -118,7 +113,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
 
     | Num | Observation | Min | Max | Name (in XML file) | Type (Unit) |
     |-----|-------------|-----|-----|--------------------|-------------|
-        | 0-5 | joint positions | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
+    | 0-5 | joint positions | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
     | 6-11 | joint speeds | -10 | 10 | left/shoulder_pan_joint ... left/wrist_3_joint | speed (rad/s) |
     | 12-17 | commanded joint positions | -6.5 | 6.5 | left/shoulder_pan_joint ... left/wrist_3_joint | angle (rad) |
     | 18-20 | position of the flange | -2 | 2 | left/flange | position (m) |
@@ -251,12 +246,12 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
 
     @classmethod
     def requirements(cls, settings: CarrySettings) -> SceneRequirements:
-        """Two grippers and the bar. A friction grip needs a physics step of 1 ms."""
+        """Return the requirements: two grippers and the bar. A friction grip needs a physics step of 1 ms."""
         equipment = Equipment(grippers=True, prop="bar", welded=settings.rigid, grip_force_n=settings.grip_force_n)
         return SceneRequirements(equipment, 0.002 if settings.rigid else 0.001, "compliant", PICKING)
 
     def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
-        """Draw where the bar lies. The grippers are open above its nominal place, or hold it if they are welded."""
+        """Sample the bar's pose. The grippers are open above its nominal position, or welded to it."""
         settings = self.settings
         reach = np.array([settings.object_range_m] * 2 + [settings.object_turn_rad])
         where = np.array([rng.uniform(-reach, reach) for rng in rngs]).reshape(len(rows), 3)
@@ -268,7 +263,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             tool.position_m[..., 2] += APPROACH_M
         flange = flanges_of(tool)
         position, quat = self._frames.position_to_base(flange.position_m), self._frames.quat_to_base(flange.quat)
-        postures = [
+        configurations = [
             nearest(position[:, arm], quat_to_matrix(quat[:, arm]), HOME_Q_RAD[arm], mount.dh)
             for arm, mount in enumerate((self.cell.left, self.cell.right))
         ]
@@ -276,10 +271,10 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             values[rows] = 0
         self._squares[:, rows] = 0.0
         opening = None if settings.rigid else np.full((len(rows), 2), OPENING_M)
-        return Start(np.stack(postures, axis=1), opening, np.concatenate(bar, axis=1), None, {"object": where})
+        return Start(np.stack(configurations, axis=1), opening, np.concatenate(bar, axis=1), None, {"object": where})
 
     def measure(self, state: CellState) -> CarryMeasured:
-        """Poses, references and forces of all cells."""
+        """Compute poses, references and forces of all cells."""
         clock = (state.time_s[:, None] + self._when - self._grasp_s) * self._rate
         bar = Poses(required(state.object_m)[:, None], required(state.object_quat)[:, None])
         tool = tools(state)
@@ -314,14 +309,14 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         return self.layout.join(values)
 
     def evaluate(self, state: CellState, measured: CarryMeasured) -> Outcome:
-        """Reward terms; success at the end."""
+        """Evaluate reward terms, success and end."""
         clock, grip = measured.clock_s, measured.grip_in_tool.position_m
         now = Poses(measured.references.position_m[:, 0], measured.references.quat[:, 0])
         error = relative_to(now, Poses(measured.bar.position_m[:, 0], measured.bar.quat[:, 0]))
         bar_m, bar_rad = length(error.position_m), rotation_angle(error.quat)
         relative_m = length(measured.relative.position_m[:, 0] - self._ideal.position_m)
         relative_rad = rotation_angle(measured.relative.quat[:, 0])
-        # What both arms press against each other is half the difference of their forces, along the bar and across it.
+        # The internal force is half the difference of both arms' forces, along the bar and across it.
         along = quat_to_matrix(measured.bar.quat[:, 0])[:, :, 1]
         inner = (measured.force_n[:, 0] - measured.force_n[:, 1]) / 2
         squeeze = np.add.reduce(inner * along, axis=1)
@@ -339,7 +334,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         over = self._count >= self._steps
         lost = begun & (bar_m > _LOST_M)
         there = (bar_m <= self.settings.success_error_m) & (bar_rad <= self.settings.success_turn_rad)
-        success = over & ~lost & there & self._done_well(begun, measured.holding)
+        success = over & ~lost & there & self._carried_well(begun, measured.holding)
         share = load / np.maximum(np.add.reduce(load, axis=1, keepdims=True), 1e-9)
         info = {
             "slip_m": slip,
@@ -355,32 +350,32 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         }
         both: Mask = np.logical_and.reduce(measured.holding, axis=1)
         shared = [gaussian(bar_m, _BAR_M), gaussian(bar_rad, _TURN_RAD), gaussian(relative_m, _RELATIVE_M)]
-        shared.append(gaussian(squeeze, _SQUEEZE_N))
+        shared.append(gaussian(squeeze, _INTERNAL_N))
         terms = np.empty((self.n, 2, 6))
         terms[..., 0] = np.where(measured.holding, 1.0, gaussian(length(grip), _REACH_M))
         terms[..., 1] = measured.holding
         terms[..., 2:] = np.where(both[:, None], np.stack(shared, axis=1), 0.0)[:, None]
         return Outcome(terms, success, over & ~lost, info, lost)
 
-    def _done_well(self, begun: Mask, holding: Mask) -> Mask:
-        """Whether the bar kept to its path and its turns, in both grippers, each with its share of the load."""
+    def _carried_well(self, begun: Mask, holding: Mask) -> Mask:
+        """Return a mask, (n,), of bars that followed their path, in both grippers, each with enough of the load."""
         steps = np.maximum(self._count - self._grasp_s / self.timing.period_s, 1.0)
         settings = self.settings
         carried = self._carried / np.maximum(np.add.reduce(self._carried, axis=1, keepdims=True), 1e-9)
-        result: Mask = begun & np.logical_and.reduce(holding, axis=1) & (carried.min(axis=1) >= _SHARE)
+        result: Mask = begun & np.logical_and.reduce(holding, axis=1) & (carried.min(axis=1) >= _LOAD_RATIO)
         limits = np.array([[settings.success_error_m], [settings.success_turn_rad]])
         result &= np.logical_and.reduce(self._squares <= limits * limits * steps, axis=0)
         result &= self._worst_slip <= settings.success_slip_m
         return result
 
     def _wanted_load(self, clock: Array, holding: Mask) -> Array:
-        """(n, 2) what the controllers should know to be held: half the bar each, while it is off the table."""
+        """Return the payload to declare, (n, 2): half the bar for each arm, while it is off the table."""
         due = (clock > -_LOAD_S) & (clock < self._path.duration_s)
         both = np.logical_and.reduce(holding, axis=1)
         return np.where((due & both)[:, None], np.full((1, 2), BAR_MASS_KG / 2), 0.0)
 
     def payload_kg(self) -> Array | None:
-        """(n, 2) what the controllers are told: the load, going up and down evenly, or nothing if it is unknown."""
+        """Return the declared payload, (n, 2), with ramps up and down; None: the load is unknown."""
         if self.settings.payload == "unknown":
             return None
         most = BAR_MASS_KG / 2 * self.timing.period_s / _LOAD_S

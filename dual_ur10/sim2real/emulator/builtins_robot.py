@@ -166,7 +166,7 @@ def robot_builtins(controller: Controller) -> Builtins:
     def get_target_payload_inertia() -> list[float]:
         return list(payload.inertia_kg_m2)
 
-    def set_severity(d: Any) -> None:
+    def set_gravity(d: Any) -> None:
         _numbers(d, 3, "gravity")  # without effect: the arms stand upright in every cell
 
     def enable_external_ft_sensor(

@@ -130,7 +130,7 @@ actual_robot_energy_consumed             DOUBLE        -      5.15?
 actual_robot_braking_energy_dissipated   DOUBLE        -      5.15?
 encoder0_raw                             INT32         -      5.15?
 encoder1_raw                             INT32         -      5.15?
-target_severity                           VECTOR3D      -      5.23?
+target_gravity                           VECTOR3D      -      5.23?
 target_base_acceleration                 VECTOR6D      -      5.23?
 target_base_wrench                       VECTOR6D      -      5.26?
 control_step                             UINT64        -      5.26

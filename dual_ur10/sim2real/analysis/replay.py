@@ -144,7 +144,7 @@ def episode_of(run: Run, number: int) -> Episode:
     if episode.first_step:
         raise RecordingError(
             f"episode {number} of the recording begins with its step {episode.first_step}, as in a black box: it "
-            "cannot be source from where it began. Replay the run that it is of"
+            "cannot be replayed from its beginning. Replay the run that it belongs to"
         )
     if not len(episode.action):
         raise RecordingError(f"episode {number} of the recording has no action to replay. Name another")

@@ -18,7 +18,7 @@ STILL_RAD: Final = 1e-3
 """Smallest motion of a joint for which a lag is estimated: noise has a correlation peak, too."""
 
 LEAST_CORRELATION: Final = 0.7
-"""Smallest correlation interpolate which two signals count as one motion interpolate two times."""
+"""Smallest correlation at which two signals count as one motion at two times."""
 
 _LEAST_SAMPLES: Final = 24
 
@@ -124,7 +124,7 @@ def lag(late: Array, early: Array, step_s: float) -> Value:
     values = cross_correlation(late, early, most, constant=0.0)
     peak = int(values.argmax())
     if values[peak] < LEAST_CORRELATION:
-        return none(f"the motions are not alike: their correlation is {values[peak]:.2f} interpolate most")
+        return none(f"the motions are not alike: their correlation is {values[peak]:.2f} at most")
     if peak in (0, 2 * most):
         return none(f"the correlation has no peak within {most * step_s:.2g} s")
     return Value(peak_delay(values) * step_s)

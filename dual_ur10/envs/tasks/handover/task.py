@@ -69,13 +69,12 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     ## Description
 
     A block of 4 x 4 x 20 cm and 0.5 kg lies on the table on the side of the giver, its target on the side of the
-    receiver. Neither arm can do it alone: the giver grips one half of the block from above, lifts it and turns its tool
-    to the horizontal; the receiver grips the other half from the opposite side; the giver lets go and leaves; the
-    receiver lowers the block onto its target and opens.
+    receiver. One arm alone cannot reach both: the giver grips one half of the block from above, lifts it and rotates
+    its tool to the horizontal; the receiver grips the other half from the opposite side; the giver lets go and leaves;
+    the receiver lowers the block onto its target and opens.
 
-    The left hand is meant to hold the half at -x of the block's own x, the right hand that at +x, each within 6 cm
-    around the middle of its half. The block counts as presented within 0.12 m of (-0.1, -0.1, 0.35) m, whichever way it
-    is turned.
+    The left gripper must hold the half at -x of the block's own x, the right gripper that at +x, each within 6 cm of
+    the middle of its half. The block counts as presented within 0.12 m of (-0.1, -0.1, 0.35) m, in any orientation.
 
     ## Action Space
 
@@ -99,8 +98,9 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
 
     The observation space is a `Box(low, high, (112,), float64)` with the bounds of the table: 56 numbers of the left
     arm, which the table shows, then the same 56 of the right arm, with left and right exchanged. All of them can be
-    measured on a real cell. Poses, forces and torques are in the arm's own `base` frame if nothing else is said; quaternions are (w, x, y, z). The gripper's own weight is taken
-    off the force; it has the noise that `CellConfig.wrench_noise` says.
+    measured on a real cell. Poses, forces and torques are in the arm's own `base` frame unless another is named;
+    quaternions are (w, x, y, z). The weight of the gripper is subtracted from the force, which has the noise of
+    `CellConfig.wrench_noise`.
 
     | Num | Observation | Min | Max | Name (in XML file) | Type (Unit) |
     |-----|-------------|-----|-----|--------------------|-------------|
@@ -124,35 +124,36 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
 
     ## Rewards
 
-    The reward is the weighted sum of terms between 0 and 1, one for each stage, and of one for the end; each raw term is
-    in `info` as `reward/<term>`. A term is 1 once its stage is passed, 0 before the stage begins, and in between tells how near the
-    cell is to passing it. The stages whose motion takes longer count double. Each agent earns the terms of what is its
-    to do, twice, so that the mean of both is the term; what both do they earn alike.
+    The reward is the weighted sum of terms between 0 and 1, one for each stage, and one for the end; each raw term is in
+    `info` as `reward/<term>`. A term is 1 once its stage is passed, 0 before the stage begins, and measures progress in
+    between. Stages with a longer motion count double. An agent earns the terms of its own actions twice, so that the
+    mean of both agents is the term; both earn the terms of joint actions.
 
-    - *reach* (0.1): giver. Passed when its grip of the block is between its fingers; till then
+    - *reach* (0.1): giver. Passed when its grip of the block is between its fingers; until then
       0.1^((distance from tool to grip / 0.15 m)²).
-    - *grasp* (0.1): giver. Passed when it holds the block: fingers at the block's width, around the grip. Till then how
-      far they have closed.
-    - *lift* (0.1): giver. Passed when it holds the block with its middle more than 8 cm above the table; till then the
-      share of that height.
-    - *present* (0.2): both. Passed when the lifted block is where it is handed over; till then, from when it is held,
-      0.1^((distance / 0.5 m)²) of the block from there for the giver, of the tool from its grip for the receiver.
-    - *mutual_grasp* (0.2): both. Passed when both hold the lifted block; till then half for the receiver's tool at its
-      grip, half for closing its fingers.
-    - *release* (0.1): giver. Passed when the receiver alone holds the lifted block; till then how far the giver's
-      fingers have opened while the receiver holds it.
+    - *grasp* (0.1): giver. Passed when it holds the block: fingers at the block's width, around the grip; until then the
+      closed fraction of the gripper.
+    - *lift* (0.1): giver. Passed when it holds the block with its middle more than 8 cm above the table; until then
+      the fraction of that height.
+    - *present* (0.2): both. Passed when the lifted block is at the transfer; until then, while it is held, 0.1^((distance /
+      0.5 m)²) of the block from there for the giver, of the tool from its grip for the receiver.
+    - *mutual_grasp* (0.2): both. Passed when both hold the lifted block; until then half for the receiver's tool at its
+      grip, half for closing its gripper.
+    - *release* (0.1): giver. Passed when the receiver alone holds the lifted block; until then the opened fraction of
+      the giver's gripper while the receiver holds the block.
     - *place* (0.2): receiver. Passed when the block lies still on its target, within `success_error_m` and
-      `success_turn_rad`, and nobody holds it; till then the nearness to the target, in the receiver's hand or let go.
-    - *finish* (1.0): both. 0, and at the step that ends an episode well the number of steps that are left of its time:
-      what staying there would have earned, so that nothing is gained by hovering near the target instead.
+      `success_turn_rad`, and no gripper holds it; until then its proximity to the target, held by the receiver or let
+      go.
+    - *finish* (1.0): both. 0, and at a step that ends an episode with success the number of its remaining steps: the
+      reward of staying there, so that hovering near the target does not pay.
 
     `info["stage"]` is the number of stages passed in their order, 0 to 7, and never falls in an episode. `info` also
     holds, each without noise: `giver` (0 left, 1 right); `object_m` (3,); `object_error_m` and `object_error_rad` from
-    the block to its target; `slip_m` (2,) how far each grip has moved in its gripper since that took hold,
-    or had when it let go.
+    the block to its target; `slip_m` (2,) displacement of each grip in its gripper since the grasp,
+    or at its end.
 
-    The turn from block to target is the angle between their long axes: which end points where matters, which long side
-    is up does not (the receiver takes the block from below and lays it down upside down).
+    `object_error_rad` is the angle between the long axes of block and target: the direction of the ends matters, the
+    long side that is up does not (the receiver grips the block from below and places it upside down).
 
     `info["is_success"]` is true at the end of an episode in which all stages were passed in their order and the block
     lies on its target.
@@ -160,9 +161,9 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     ## Starting State
 
     Both arms are at rest with open grippers above the table. The block lies at (0, ±0.5) m on the giver's side along
-    the cell's x, shifted by up to `object_range_m` along x and y and turned by up to `object_turn_rad`; the target on
-    the other side likewise, by `target_range_m` and `target_turn_rad`. With `giver="random"` every episode draws who
-    gives.
+    the cell's x, shifted by up to `object_range_m` along x and y and rotated by up to `object_turn_rad`; the target
+    on the other side likewise, by `target_range_m` and `target_turn_rad`. With `giver="random"` every episode samples
+    the giver.
 
     ## Episode End
 
@@ -174,7 +175,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
 
     ### Truncation
 
-    After `duration_s`, 500 steps with the defaults; longer by as much as the cell's speed limits are tighter than the
+    After `duration_s`, 500 steps with the defaults; longer in proportion if the cell's speed limits are tighter than the
     task's. No time limit is registered, because a registered one would not follow the settings.
 
     ## Arguments
@@ -184,12 +185,12 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     | `giver` | str | `"left"` | "left", "right" or "random": the arm that picks the block up |
     | `duration_s` | float | `20.0` | length of an episode at the task's own speed limits (s) |
     | `grip_force_n` | float | `60.0` | force of each finger, 20 to 235 (N) |
-    | `object_range_m` | float | `0.02` | where the block begins, ± along x and y (m) |
-    | `object_turn_rad` | float | `0.5236` | how it is turned when it begins, ± (rad) |
-    | `target_range_m` | float | `0.03` | where the target is, ± along x and y (m) |
-    | `target_turn_rad` | float | `0.3` | how the target is turned, ± (rad) |
+    | `object_range_m` | float | `0.02` | initial position of the block, ± along x and y (m) |
+    | `object_turn_rad` | float | `0.5236` | initial yaw of the block, ± (rad) |
+    | `target_range_m` | float | `0.03` | position of the target, ± along x and y (m) |
+    | `target_turn_rad` | float | `0.3` | yaw of the target, ± (rad) |
     | `success_error_m` | float | `0.015` | largest distance from the target of a success (m) |
-    | `success_turn_rad` | float | `0.15` | largest turn from the target of a success (rad) |
+    | `success_turn_rad` | float | `0.15` | largest angle from the target of a success (rad) |
 
     Those of every environment are described in `dual_ur10.envs.core.options.EnvOptions`.
 

@@ -55,9 +55,9 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     ## Description
 
-    The smallest task that shows what a dual-arm cell is worth: 0.1 m at 0.5 Hz is a peak speed of 0.31 m/s, at which
-    the 34 ms by which `servoj` lags are 10 mm. The sine begins softly, from rest. Both arms share time, axis and
-    phase, so that the vector from flange to flange stays as it was.
+    The smallest task that measures a dual-arm cell: 0.1 m at 0.5 Hz has a peak speed of 0.31 m/s, at which the lag of
+    `servoj`, 34 ms, is 10 mm. The sine begins smoothly from rest. Both arms share time, axis and phase, so that the
+    vector from flange to flange is constant.
 
     ## Action Space
 
@@ -98,16 +98,16 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     The reward is the weighted sum of terms between 0 and 1; each raw term is in `info` as `reward/<term>`.
 
     - *position* (0.6): mean over the arms of 0.1^((flange error / 10 mm)²).
-    - *orientation* (0.2): mean over the arms of 0.1^((turn / 0.02 rad)²).
+    - *orientation* (0.2): mean over the arms of 0.1^((angle / 0.02 rad)²).
     - *synchrony* (0.2): 0.1^((error of the vector from flange to flange / 5 mm)²), which one arm alone cannot earn.
 
     `info["is_success"]` is true at the end of an episode in which both arms kept `success_rms_m`, as root mean square
-    over all steps; `info["flange_rms_m"]` is each arm's so far.
+    over all steps; `info["flange_rms_m"]` is the value of each arm so far.
 
     ## Starting State
 
-    Both arms at rest with their flanges at the centres of the sine. With `randomize`, the phase is drawn uniformly
-    from the circle, and both centres are shifted by the same vector, uniform within ±0.05 m along each axis.
+    Both arms at rest with their flanges at the centres of the sine. With `randomize`, the phase is uniform on the
+    circle, and both centres are shifted by the same vector, uniform within ±0.05 m along each axis.
 
     ## Episode End
 
@@ -130,7 +130,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     | `soft_start_s` | float | `2.0` | time in which the amplitude grows to its value (s) |
     | `phase_rad` | float | `0.0` | phase, if not randomised (rad) |
     | `center_m` | 2 positions | `((0, 0.6, 0.4), (0, -0.6, 0.4))` | centre of each flange's sine in the cell frame (m) |
-    | `randomize` | bool | `True` | draw phase and centre at every reset |
+    | `randomize` | bool | `True` | sample phase and centre at every reset |
     | `arms` | str | `"both"` | "both", "left" or "right": an arm that does not track holds its centre |
     | `success_rms_m` | float | `0.003` | largest root mean square error of a success (m) |
 

@@ -77,9 +77,9 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     ## Description
 
     A bar of 1.2 m and 4 kg lies on the table. Its reference is a pose of the bar: it is lifted by 0.25 m, moved
-    sideways and forward, turned about the vertical (±20°), tilted (±10°), turned about its length (±15°) and lowered.
+    sideways and forward, rotated about the vertical (±20°), tilted (±10°), rotated about its length (±15°) and lowered.
     The largest speed is 0.225 m/s. Both flanges must keep their distance and angle while they move on different curves:
-    what they do against each other squeezes the bar or pulls it out of the fingers.
+    their relative motion compresses the bar or pulls it out of the fingers.
 
     The path begins 5 s after the episode does, so that there is time to grasp; with `grasp="rigid"` the grippers are
     welded to the bar from the start and the path begins after 1.5 s. If the cell's speed limits are too tight for the
@@ -107,9 +107,9 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
 
     The observation space is a `Box(low, high, (124,), float64)` with the bounds of the table: 62 numbers of the left
     arm, which the table shows, then the same 62 of the right arm, with left and right exchanged. All of them can be
-    measured on a real cell. Poses, forces and torques are in the arm's own `base` frame if nothing else is said; quaternions are (w, x, y, z). The gripper's own weight is taken
-    off the force; it has the noise that `CellConfig.wrench_noise` says. With `grasp="rigid"` the opening is left out:
-    61 numbers per arm.
+    measured on a real cell. Poses, forces and torques are in the arm's own `base` frame unless another is named;
+    quaternions are (w, x, y, z). The weight of the gripper is subtracted from the force, which has the noise of
+    `CellConfig.wrench_noise`. With `grasp="rigid"` the opening is absent: 61 numbers per arm.
 
     | Num | Observation | Min | Max | Name (in XML file) | Type (Unit) |
     |-----|-------------|-----|-----|--------------------|-------------|
@@ -135,29 +135,28 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     ## Rewards
 
     The reward is the weighted sum of terms between 0 and 1, each the mean over the arms; each raw term is in `info` as
-    `reward/<term>`. What is said of the bar counts only while both grippers hold it.
+    `reward/<term>`. The terms from *position* on count only while both grippers hold the bar.
 
     - *reach* (0.1): 0.1^((distance from tool to grip / 0.15 m)²), or 1 once the gripper holds the bar.
     - *grasp* (0.2): 1 if the gripper holds the bar.
     - *position* (0.3): 0.1^((distance of the bar to its reference / 30 mm)²).
-    - *orientation* (0.1): 0.1^((turn of the bar from its reference / 0.1 rad)²).
+    - *orientation* (0.1): 0.1^((angle of the bar from its reference / 0.1 rad)²).
     - *synchrony* (0.2): 0.1^((error of the position of one flange in the frame of the other / 5 mm)²).
-    - *squeeze* (0.1): 0.1^((force by which the arms press against each other / 30 N)²).
+    - *squeeze* (0.1): 0.1^((internal force along the bar / 30 N)²).
 
-    `info` also holds, each without noise: `slip_m` (2,) how far each grip has moved in its gripper since the path
+    `info` also holds, each without noise: `slip_m` (2,) displacement of each grip in its gripper since the path
     began; `squeeze_n` half the difference of the forces on both grippers along the bar, positive if the arms press
     towards each other; `lateral_n` the same across the bar; `load_share` (2,) of the load; `relative_error_m` and
     `relative_error_rad` of the right flange in the left one's frame; `object_error_m` and `object_error_rad` of the bar
     to its reference; `object_m` (3,); `clock_s` on the path, negative before it begins.
 
-    `info["is_success"]` is true at the end of an episode in which the bar kept to its path, in position and angle, as
-    root mean square and at the end, where it lies on the table again; slipped in no gripper by more than is allowed; is
-    held by both; and in which each arm carried at least a quarter of the load on average, which one arm alone cannot
-    bring about.
+    `info["is_success"]` is true at the end of an episode if the bar followed its path in position and angle, as root
+    mean square and at the end, when it lies on the table again; slipped in no gripper by more than `success_slip_m`; is
+    held by both; and each arm carried at least a quarter of the load on average, which needs both arms.
 
     ## Starting State
 
-    The bar lies at (0, 0) along the cell's y, shifted by up to `object_range_m` along x and y and turned by up to
+    The bar lies at (0, 0) along the cell's y, shifted by up to `object_range_m` along x and y and rotated by up to
     `object_turn_rad`. The arms are at rest, with open grippers 0.1 m above the bar's nominal grips, or on the grips.
 
     ## Episode End
@@ -178,10 +177,10 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     |-----------|------|---------|-------------|
     | `duration_s` | float | `30.0` | length of the path: 30 or 60 (s) |
     | `grasp` | str | `"friction"` | "friction", or "rigid": welded to the bar |
-    | `payload` | str | `"known"` | "known": the controllers are told what each arm carries; or "unknown" |
+    | `payload` | str | `"known"` | "known": each arm's load is declared to its controller; or "unknown" |
     | `grip_force_n` | float | `100.0` | force of each finger, 20 to 235 (N) |
-    | `object_range_m` | float | `0.02` | where the bar begins, ± along x and y (m) |
-    | `object_turn_rad` | float | `0.05` | how it is turned when it begins, ± (rad) |
+    | `object_range_m` | float | `0.02` | initial position of the bar, ± along x and y (m) |
+    | `object_turn_rad` | float | `0.05` | initial yaw of the bar, ± (rad) |
     | `success_error_m` | float | `0.01` | largest root mean square distance of the bar to its path of a success (m) |
     | `success_turn_rad` | float | `0.05` | largest root mean square angle of the bar from its path of a success (rad) |
     | `success_slip_m` | float | `0.005` | largest slip of a success (m) |

@@ -42,7 +42,7 @@ class Teaching(Protocol):
     """A policy that acts differently as the expert of imitation learning."""
 
     def teach(self) -> None:
-        """Answer every observation for itself from now on, whoever led the arms there, and adapt to nothing meanwhile.
+        """Answer each observation on its own from now on, regardless of how the arms came there, and adapt to nothing.
 
         The answers are such that a learner can follow them that is less exact and knows the observation alone.
         """

@@ -21,8 +21,8 @@ def cross_correlation(late: Array, early: Array, most: int, *, constant: float =
     Returns:
         (2 most + 1,).
     """
-    # Each signal is moved against the other in turn: the ends of the windows then count alike on both sides, so that
-    # equal signals have their peak at zero, exactly.
+    # Each signal is shifted against the other once: the ends of the windows then have the same weight on both sides, so
+    # that equal signals have their peak exactly at zero.
     return (_moved(late, early, most, constant) + _moved(early, late, most, constant)[::-1]) / 2
 
 

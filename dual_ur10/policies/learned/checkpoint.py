@@ -87,7 +87,9 @@ def save(folder: str | os.PathLike[str], networks: Networks, manifest: Manifest)
         os.rename(part, path)
         _sync(path.parent)
     except OSError as error:
-        raise CheckpointError(f"cannot write {path}: {_reason(error)}. What was saved before is as it was") from error
+        raise CheckpointError(
+            f"cannot write {path}: {_reason(error)}. Whatever was saved before is unchanged"
+        ) from error
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return written
@@ -106,7 +108,7 @@ def check_new(folder: str | os.PathLike[str]) -> Path:
             "all a letter, a digit or _"
         )
     if os.path.lexists(path):
-        raise CheckpointError(f"{path} exists, and nothing is written over: choose another name, or move it away")
+        raise CheckpointError(f"{path} exists, and nothing is overwritten: choose another name, or move it away")
     return path
 
 
@@ -235,7 +237,7 @@ def _read(path: Path) -> tuple[Manifest, list[list[Layer]], bytes]:
     found = hashlib.sha256(weights).hexdigest()
     if found != manifest.weights_sha256:
         raise CheckpointError(
-            f"{where} is not the file that was saved: its sha256 is {found[:12]}..., the manifest says "
+            f"{where} is not the file that was saved: its sha256 is {found[:12]}..., the manifest has "
             f"{manifest.weights_sha256[:12] or 'none'}...: get the checkpoint anew"
         )
     return manifest, _layers(weights, manifest, where), text

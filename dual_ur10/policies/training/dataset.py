@@ -68,7 +68,7 @@ def collect(
     env_id, keywords = env_id_of(env_id), dict(env_kwargs or {})
     try:
         if dataset_id in minari.list_local_datasets():
-            raise DatasetError(f"the dataset {dataset_id} exists, and nothing is written over: choose another name")
+            raise DatasetError(f"the dataset {dataset_id} exists, and nothing is overwritten: choose another name")
         minari.dataset.minari_dataset.parse_dataset_id(dataset_id)
     except ValueError as error:
         raise DatasetError(f"{dataset_id!r:.80} is no name of a dataset: {error}") from None

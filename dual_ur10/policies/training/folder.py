@@ -105,7 +105,7 @@ class TrainingFolder:
             raise TrainingError(f"cannot make {folder}: {error.strerror or error}") from error
         if taken:
             raise TrainingError(
-                f"{folder} is not empty, and nothing is written over: choose another folder, or go on with --resume"
+                f"{folder} is not empty, and nothing is overwritten: choose another folder, or continue with --resume"
             )
         made = cls(folder, training)
         made._write_down()

@@ -35,17 +35,17 @@ MOUNTS = (ArmMount((-0.75, 0.6, 0.0)), ArmMount((-0.92, -0.45, 0.08), yaw_rad=0.
 CENTER = np.array([[0.0, 0.6, 0.4], [0.0, -0.6, 0.4]])
 
 
-def made(position: Array, reference: Array, turn_rad: Array | None = None) -> Record:
-    """A record of flanges at `position`, (k, 2, 3), turned by (2, 3) rotation vectors from tool down."""
+def made(position: Array, reference: Array, rotvec_rad: Array | None = None) -> Record:
+    """Return a record of flanges at `position`, (k, 2, 3), rotated by (2, 3) rotation vectors from tool down."""
     base_m, from_cell = to_base(MOUNTS)
     q = np.empty((len(position), 2, 6))
     for arm in range(2):
-        turn = np.zeros(3) if turn_rad is None else turn_rad[arm]
-        rotation = quat_to_matrix(quat_multiply(quat_from_rotvec(turn), TOOL_DOWN_QUAT))
+        rotvec = np.zeros(3) if rotvec_rad is None else rotvec_rad[arm]
+        rotation = quat_to_matrix(quat_multiply(quat_from_rotvec(rotvec), TOOL_DOWN_QUAT))
         near = HOME_Q_RAD[arm]
         for k, point in enumerate((position[:, arm] - base_m[arm]) @ from_cell[arm].T):
             near = q[k, arm] = nearest(point, rotation, near)
-    nothing = np.full(position.shape, np.nan)  # what a simulator says of its flanges must not matter
+    nothing = np.full(position.shape, np.nan)  # the simulator's flange positions must have no effect
     return Record(PERIOD_S, MOUNTS, q, nothing, np.zeros(len(position)), True, reference_m=reference)
 
 

@@ -236,7 +236,7 @@ def test_bad_arguments_are_named(arguments: dict[str, Any], message: str) -> Non
         evaluate(**{"env_id": SINE, "policy": "scripted", "episodes": 1, **arguments})
 
 
-# An environment that says what an evaluation must be able to hear
+# An environment with every kind of info
 
 
 def stub_length(seed: int) -> int:
@@ -630,7 +630,7 @@ def test_command_prints_a_table_and_writes_files(tmp_path: Path) -> None:
     code, text = run(*SHORT, "--seed", "2", "--json", str(tmp_path / "x.json"), "--csv", str(tmp_path / "x.csv"))
     assert code == 0
     assert "5 of 5, 100.0 %" in text
-    assert "running" not in text  # no bar where nobody watches
+    assert "running" not in text  # no bar without a terminal
     data = json.loads((tmp_path / "x.json").read_text())
     assert [each["seed"] for each in data["episodes"]] == [2, 3, 4, 5, 6]
     assert data["kwargs"] == {"duration_s": 0.4}

@@ -34,7 +34,7 @@ from tests.soak import SOAK
 def test_files_truncated_at_any_length_are_refused(name: str, resealed: bool, saved: Path) -> None:
     data = (saved / name).read_bytes()
     if name == "manifest.json":
-        data = data.rstrip()  # without its last line break it says the same
+        data = data.rstrip()  # its last line break has no meaning
     for length in range(0, len(data), 1 if SOAK else 20):
         if resealed and name == "policy.safetensors":
             exchange_weights(saved, data[:length])

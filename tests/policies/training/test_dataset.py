@@ -196,13 +196,13 @@ def test_dagger_begins_with_a_dataset(tmp_path):
     made(episodes=4)
     path = train(small("dagger", rounds=2, dataset="ur10/sine/scripted-v0"), tmp_path / "out")
     assert len(list(path.parent.glob("samples-*"))) == 3
-    looked = [checkpoint.read_manifest(each).training for each in path.parent.glob("steps-*")]
-    assert {(each["steps"], each["samples"]) for each in looked} <= {
+    saved = [checkpoint.read_manifest(each).training for each in path.parent.glob("steps-*")]
+    assert {(each["steps"], each["samples"]) for each in saved} <= {
         (0, 200),
         (2 * STEPS, 200 + 2 * STEPS),
         (4 * STEPS, 200 + 4 * STEPS),
     }
-    assert any(each["steps"] == 0 for each in looked)  # a pupil drives from the beginning
+    assert any(each["steps"] == 0 for each in saved)  # the learner drives from the beginning
 
 
 def test_a_misfit_is_refused_before_anything_is_made(tmp_path):

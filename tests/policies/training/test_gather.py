@@ -46,7 +46,7 @@ def test_a_driving_expert_acts_as_it_does_alone():
 def test_the_expert_labels_states_that_the_learner_led_to():
     away = np.full(12, 0.05, dtype=np.float32)
     found = run(lambda observation: np.tile(away, (len(observation), 1)), expert_ratio=0.0)
-    # The learner drifts away, and the expert says: back.
+    # The learner drifts away, and the expert's labels lead back.
     assert (found.action[-3:] < -0.5).all()
     assert found.returns.max() < run().returns.min()
 

@@ -61,7 +61,7 @@ def test_the_result_states_its_origin(whole):
     assert manifest.evaluation["episodes"] == 2
     assert manifest.evaluation["seed"] == 10_000_000
     text = (whole / "manifest.json").read_text()
-    assert str(whole.parent.parent) not in text  # nobody's folders
+    assert str(whole.parent.parent) not in text  # paths are private
 
 
 def test_the_best_check_is_the_result(tmp_path, monkeypatch):

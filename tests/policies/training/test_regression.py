@@ -69,7 +69,7 @@ def test_small_differences_of_correlated_values_are_learned():
     observation, action = nearly_together(500, 1)
     found = act(observation.astype(np.float64))
     assert ((found - action) ** 2).mean() < 0.02 * action.var()
-    # What was never seen to vary says nothing when it does.
+    # A value that never varied in the samples has no effect when it does.
     moved = observation.astype(np.float64) + np.array([0, 0, 0.1])
     np.testing.assert_allclose(act(moved), found, atol=0.2)
 

@@ -48,17 +48,17 @@ def test_an_expert_answers_from_where_the_learner_is():
     wrong = []
     for policy in both:
         observation, _ = env.reset(seed=2)
-        seen, told = [], []
+        seen, answers = [], []
         for _ in range(20):
             seen.append(observation)
-            told.append(policy(observation))
-            observation = env.step(told[-1])[0]
+            answers.append(policy(observation))
+            observation = env.step(answers[-1])[0]
         policy.reset()
         for k in range(15):
             policy(seen[k])
-        wrong.append(np.abs(policy(seen[17]) - told[17]).max())  # the learner is two periods ahead
+        wrong.append(np.abs(policy(seen[17]) - answers[17]).max())  # the learner is two periods ahead
     env.close()
-    assert np.abs(told[17]).max() > 0.3
+    assert np.abs(answers[17]).max() > 0.3
     assert wrong[0] > 0.5  # by the time, it would have to go back
     assert wrong[1] < 0.2
 
@@ -97,9 +97,9 @@ def test_a_learner_beside_the_path_has_to_come_back_first():
     for observation in seen[:-1]:
         policy(observation)
     for _ in range(100):
-        told = policy(seen[-1]).reshape(2, 7)
-        assert (told[1, :6] < -0.5).all()
-        assert told[0, 6] == 1.0  # its fingers stay open
+        answers = policy(seen[-1]).reshape(2, 7)
+        assert (answers[1, :6] < -0.5).all()
+        assert answers[0, 6] == 1.0  # its fingers stay open
 
 
 def until(env, policy, phase):
@@ -115,7 +115,7 @@ def until(env, policy, phase):
         observation = env.step(action)[0]
 
 
-def told(policy, seen, last):
+def answer_to(policy, seen, last):
     policy.reset()
     for observation in seen[:-1]:
         policy(observation)
@@ -132,8 +132,8 @@ def test_a_block_that_was_let_go_is_lost(phase, opening_m):
     last = seen[-1].copy()
     Handover.layout.split(last)["gripper_m"][0 if phase == handover._MEET else 1] = opening_m
     with pytest.raises(LostError, match="has left the gripper"):
-        told(policy, seen, last)
-    told(acting, seen, last)  # on its own it goes on: fingers that are measured wrongly for a moment are no reason
+        answer_to(policy, seen, last)
+    answer_to(acting, seen, last)  # on its own it continues, for the measured width may err briefly
 
 
 def test_a_block_that_was_let_go_on_the_table_is_left_there():
@@ -142,11 +142,11 @@ def test_a_block_that_was_let_go_on_the_table_is_left_there():
     env.close()
     last = seen[-1].copy()
     fields = Handover.layout.split(last)
-    assert told(policy, seen, last)[1, 6] == -1.0  # still carried
+    assert answer_to(policy, seen, last)[1, 6] == -1.0  # still carried
     fields["gripper_m"][1] = 0.085
     height_m = policy._paths.to_cell(pose_of(fields, "block_base")).position_m[1, 2]
     fields["block_base_m"][1, 2] -= height_m - 0.021
-    assert told(policy, seen, last)[1, 6] == 1.0
+    assert answer_to(policy, seen, last)[1, 6] == 1.0
     episode = policy._episodes[0]
     assert episode.phase == handover._LEAVE
     assert episode.motion.at(episode.motion.duration_s)[6:] == pytest.approx(fields["commanded_q_rad"][1], abs=0.4)

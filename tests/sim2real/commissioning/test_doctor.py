@@ -32,6 +32,7 @@ from dual_ur10.sim2real.links.rtde_link import RtdeClient
 from dual_ur10.sim2real.links.rtde_stream import Sample
 from dual_ur10.sim2real.protocol.primary_packet import kinematics_checksums
 from dual_ur10.sim2real.protocol.rtde import Kind
+from tests.sim2real.cells import restored
 from tests.sim2real.statuses import status_of
 
 TIMED = ("RTDE rate", "RTDE jitter", "round trip")
@@ -43,10 +44,6 @@ SAFETY = PROFILES["cb3"].safety_checksum
 BARE = {
     "dh": NOMINAL_DH, "tcp": (0.0,) * 6, "payload_kg": 0.0, "payload_cog_m": (0.0,) * 3, "safety_checksum": SAFETY,
 }  # fmt: skip
-
-
-SERIAL_NUMBERS = {"cb3": "2010300002", "e-series": "2021500002"}
-"""Serial numbers of right arms: emulated controllers of a family have the same one."""
 
 
 @pytest.fixture(scope="module")
@@ -69,20 +66,6 @@ def cb3(started_cb3):
 @pytest.fixture
 def e_series(started_e_series):
     return restored(started_e_series)
-
-
-def restored(cell):
-    """Return the cell in order, whatever a test before has changed."""
-    profile = PROFILES[cell.description["left"]["family"]]
-    shown = {name: getattr(profile, name) for name in ("version", "model", "robot_type", "safety_checksum")}
-    cell.ask("pretend", arm="left", **shown)
-    cell.ask("pretend", arm="right", serial_number=SERIAL_NUMBERS[profile.family])
-    cell.ask("override", arm="left", **dict.fromkeys(cell.ask("state", arm="left")))
-    cell.ask("heal", arm="left")
-    cell.ask("slider", arm="left", fraction=1.0)
-    cell.ask("remote", arm="left", on=True)
-    cell.ask("calibration", arm="left", error_m=0.0)
-    return cell
 
 
 def expected(cell, arm="left", **values):

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.emulator.profile import PROFILES
 from dual_ur10.sim2real.emulator.rtde_variables import output_types, zero_values
 from dual_ur10.sim2real.links.arm_status import (
@@ -182,12 +181,8 @@ def test_the_order_of_a_row_is_that_of_its_names():
     assert sorted(row) == list(range(-1, int(number)))
 
 
-@pytest.mark.parametrize("family", ["cb3", "e-series"])
-def test_stops_of_an_emulated_controller(family):
-    with (
-        EmulatedCell(plant="nominal", family=family) as cell,
-        RtdeLink(cell.left, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES) as link,
-    ):
+def test_stops_of_an_emulated_controller(cell):
+    with RtdeLink(cell.left, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES) as link:
 
         def until(reason, **options):
             end = time.monotonic() + 20.0

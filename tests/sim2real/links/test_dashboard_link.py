@@ -7,24 +7,11 @@ import threading
 import pytest
 
 from dual_ur10.errors import ClosedError, LinkError, OperationRefusedError, SettingsError
-from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.links.dashboard_link import FORBIDDEN, DashboardLink
 from tests.sim2real.links.fake_servers import DEADLINE_S, serving, until_closed
 
 HERE = "127.0.0.1"
 GREETING = b"Connected: Universal Robots Dashboard Server\n"
-
-
-@pytest.fixture(scope="module")
-def cb3():
-    with EmulatedCell(plant="nominal") as cell:
-        yield cell
-
-
-@pytest.fixture(scope="module")
-def e_series():
-    with EmulatedCell(plant="nominal", family="e-series") as cell:
-        yield cell
 
 
 def test_queries_to_a_cb3(cb3):

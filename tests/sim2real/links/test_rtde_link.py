@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.errors import ClosedError, LinkError, ProtocolError, SettingsError
-from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
 from dual_ur10.sim2real.links.rtde_stream import RtdeStream
 from dual_ur10.sim2real.protocol.rtde import TYPES
@@ -32,20 +31,6 @@ from tests.soak import scaled
 NAMES = ("robot_mode", "actual_q")
 VARIABLES = [("timestamp", TYPES["DOUBLE"]), ("robot_mode", TYPES["INT32"])]
 HERE = "127.0.0.1"
-
-
-@pytest.fixture(scope="module")
-def started():
-    with EmulatedCell(plant="nominal") as cell:
-        yield cell
-
-
-@pytest.fixture
-def cell(started):
-    """Cell without traces of the previous test."""
-    yield started
-    started.ask("heal", arm="left")
-    started.ask("override", arm="left", timestamp=None)
 
 
 def wait(link, condition, what):
@@ -79,14 +64,14 @@ def fault(link):
 # With an emulated controller.
 
 
-def test_samples_have_the_controllers_values_in_order(cell):
-    with RtdeLink(cell.left, NAMES, name="left") as link:
+def test_samples_have_the_controllers_values_in_order(cb3):
+    with RtdeLink(cb3.left, NAMES, name="left") as link:
         assert link.version[:2] == (3, 15)
         assert link.frequency_hz == 125.0
         assert link.variables == ("timestamp", *NAMES)
         before = time.monotonic()
         samples = more(link, 5)
-        expected = cell.ask("state", arm="left", names=["actual_q"])["actual_q"]
+        expected = cb3.ask("state", arm="left", names=["actual_q"])["actual_q"]
     times = [each.timestamp_s for each in samples]
     assert times == sorted(set(times))
     assert all(each.values["robot_mode"] == 7 for each in samples)
@@ -96,26 +81,26 @@ def test_samples_have_the_controllers_values_in_order(cell):
     assert samples[-1] is link.latest
 
 
-def test_samples_come_at_the_requested_rate(cell):
-    with RtdeLink(cell.left, NAMES, frequency_hz=25.0) as link:
+def test_samples_come_at_the_requested_rate(cb3):
+    with RtdeLink(cb3.left, NAMES, frequency_hz=25.0) as link:
         times = [each.timestamp_s for each in more(link, 4)]
     assert [b - a for a, b in itertools.pairwise(times)] == pytest.approx([0.04] * (len(times) - 1))
 
 
-def test_only_optional_variables_may_be_missing(cell):
-    with RtdeLink(cell.left, NAMES, optional=("ft_raw_wrench", "payload")) as link:
+def test_only_optional_variables_may_be_missing(cb3):
+    with RtdeLink(cb3.left, NAMES, optional=("ft_raw_wrench", "payload")) as link:
         assert link.variables == ("timestamp", *NAMES, "payload")
         assert more(link, 1)[-1].values["payload"] == 0.0
     with pytest.raises(
         LinkError, match=r"left arm, RTDE at .*3\.15\.8\.\d+ has no RTDE variables ft_raw_wrench;.*update"
     ):
-        RtdeLink(cell.left, (*NAMES, "ft_raw_wrench"), optional=("payload",), name="left")
+        RtdeLink(cb3.left, (*NAMES, "ft_raw_wrench"), optional=("payload",), name="left")
 
 
-def test_a_silent_controller_ages_and_polling_does_not_wait(cell):
-    with RtdeLink(cell.left, NAMES) as link:
+def test_a_silent_controller_ages_and_polling_does_not_wait(cb3):
+    with RtdeLink(cb3.left, NAMES) as link:
         more(link, 2)
-        cell.ask("link", arm="left", port="rtde", mute=True)
+        cb3.ask("link", arm="left", port="rtde", mute=True)
         while link.poll():
             pass
         alive = time.monotonic() - link.age_s(time.monotonic())
@@ -124,15 +109,15 @@ def test_a_silent_controller_ages_and_polling_does_not_wait(cell):
             assert link.poll() == []
         assert link.count == count
         assert link.age_s(alive + 0.25) == pytest.approx(0.25, abs=1e-3)
-        cell.ask("link", arm="left", port="rtde", mute=False)
+        cb3.ask("link", arm="left", port="rtde", mute=False)
         more(link, 1)
         assert link.age_s(time.monotonic()) < time.monotonic() - alive
 
 
-def test_packages_whose_time_stalls_are_no_sign_of_life(cell):
-    with RtdeLink(cell.left, NAMES) as link:
+def test_packages_whose_time_stalls_are_no_sign_of_life(cb3):
+    with RtdeLink(cb3.left, NAMES) as link:
         now = more(link, 1)[-1].timestamp_s + 100.0
-        cell.ask("override", arm="left", timestamp=now)
+        cb3.ask("override", arm="left", timestamp=now)
         wait(link, lambda: link.latest.timestamp_s == now, "the time to stall")
         at = link.latest.arrival_s + 5.0
         age_s = link.age_s(at)
@@ -141,61 +126,61 @@ def test_packages_whose_time_stalls_are_no_sign_of_life(cell):
         assert link.age_s(at) == age_s
 
 
-def test_a_timestamp_that_goes_back_breaks_the_link(cell):
-    with RtdeLink(cell.left, NAMES, name="left") as link:
+def test_a_timestamp_that_goes_back_breaks_the_link(cb3):
+    with RtdeLink(cb3.left, NAMES, name="left") as link:
         last = more(link, 2)[-1]
-        cell.ask("override", arm="left", timestamp=0.001)
+        cb3.ask("override", arm="left", timestamp=0.001)
         text = fault(link)
-        assert f"left arm, RTDE at {cell.left}:30004" in text
+        assert f"left arm, RTDE at {cb3.left}:30004" in text
         assert "went back" in text
         assert link.latest.timestamp_s >= last.timestamp_s
-        cell.ask("override", arm="left", timestamp=None)
+        cb3.ask("override", arm="left", timestamp=None)
         for _ in range(3):
             with pytest.raises(LinkError, match="went back"):
                 link.poll()
         end = time.monotonic() + DEADLINE_S
-        while cell.ask("clients", arm="left")["rtde"]:  # it does not reconnect
+        while cb3.ask("clients", arm="left")["rtde"]:  # it does not reconnect
             assert time.monotonic() < end
 
 
 @pytest.mark.parametrize(("reset", "text"), [(False, "closed the connection"), (True, "closed the connection|broke")])
-def test_the_end_of_the_stream_is_an_error(cell, reset, text):
-    with RtdeLink(cell.left, NAMES, name="left") as link:
+def test_the_end_of_the_stream_is_an_error(cb3, reset, text):
+    with RtdeLink(cb3.left, NAMES, name="left") as link:
         more(link, 1)
-        cell.ask("drop", arm="left", port="rtde", reset=reset)
+        cb3.ask("drop", arm="left", port="rtde", reset=reset)
         found = fault(link)
     assert any(each in found for each in text.split("|"))
     assert "left arm" in found
 
 
-def test_a_corrupt_stream_is_an_error(cell):
-    with RtdeLink(cell.left, ("robot_mode",)) as link:
+def test_a_corrupt_stream_is_an_error(cb3):
+    with RtdeLink(cb3.left, ("robot_mode",)) as link:
         more(link, 1)
-        cell.ask("link", arm="left", port="rtde", corrupt=100_000)
+        cb3.ask("link", arm="left", port="rtde", corrupt=100_000)
         assert "RTDE" in fault(link)
 
 
-def test_a_controller_that_accepts_and_is_silent_is_an_error(cell):
-    cell.ask("link", arm="left", port="rtde", half_open=True)
+def test_a_controller_that_accepts_and_is_silent_is_an_error(cb3):
+    cb3.ask("link", arm="left", port="rtde", half_open=True)
     with pytest.raises(LinkError, match=r"left arm, RTDE at .*no answer in time;"):
-        RtdeLink(cell.left, NAMES, timeout_s=0.3, name="left")
+        RtdeLink(cb3.left, NAMES, timeout_s=0.3, name="left")
 
 
-def test_a_refused_connection_is_named(cell):
-    cell.ask("refuse", arm="left", port="rtde")
-    with pytest.raises(LinkError, match=rf"left arm, RTDE at {cell.left}:30004: no connection \(.*refused.*\); check"):
-        RtdeLink(cell.left, NAMES, name="left")
+def test_a_refused_connection_is_named(cb3):
+    cb3.ask("refuse", arm="left", port="rtde")
+    with pytest.raises(LinkError, match=rf"left arm, RTDE at {cb3.left}:30004: no connection \(.*refused.*\); check"):
+        RtdeLink(cb3.left, NAMES, name="left")
 
 
-def test_links_of_both_arms_are_independent(cell):
-    with RtdeLink(cell.left, NAMES) as left, RtdeLink(cell.right, NAMES) as right:
-        cell.ask("drop", arm="left", port="rtde")
+def test_links_of_both_arms_are_independent(cb3):
+    with RtdeLink(cb3.left, NAMES) as left, RtdeLink(cb3.right, NAMES) as right:
+        cb3.ask("drop", arm="left", port="rtde")
         fault(left)
         more(right, 3)
 
 
-def test_a_closed_link(cell):
-    link = RtdeLink(cell.left, NAMES)
+def test_a_closed_link(cb3):
+    link = RtdeLink(cb3.left, NAMES)
     assert select.select([link], [], [], DEADLINE_S)[0] == [link]
     link.close()
     link.close()

@@ -1,0 +1,34 @@
+"""Emulated cells that all tests of this folder share."""
+
+import pytest
+
+from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
+from tests.sim2real.cells import restored
+
+
+@pytest.fixture(scope="package")
+def started_cb3():
+    with EmulatedCell(plant="nominal") as cell:
+        yield cell
+
+
+@pytest.fixture(scope="package")
+def started_e_series():
+    with EmulatedCell(plant="nominal", family="e-series") as cell:
+        yield cell
+
+
+@pytest.fixture
+def cb3(started_cb3):
+    return restored(started_cb3)
+
+
+@pytest.fixture
+def e_series(started_e_series):
+    return restored(started_e_series)
+
+
+@pytest.fixture(params=["cb3", "e-series"])
+def cell(request, started_cb3, started_e_series):
+    """Cell of each family."""
+    return restored(started_cb3 if request.param == "cb3" else started_e_series)

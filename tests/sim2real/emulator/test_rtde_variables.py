@@ -78,3 +78,15 @@ def test_inputs_of_the_rtde_guide():
         assert kinds.pop(name) == "DOUBLE"
     assert set(kinds.values()) == {"UINT8"}
     assert len(kinds) == 8
+
+
+def test_variables_beyond_the_documented_ones_have_their_names():
+    names = """
+        actual_TCP_acceleration actual_configurable_digital_input_bits actual_configurable_digital_output_bits
+        actual_current_window actual_robot_braking_energy_dissipated actual_robot_energy_consumed
+        collision_detection_ratio encoder0_raw encoder1_raw joint_position_deviation_ratio script_control_line
+        target_TCP_acceleration target_base_acceleration target_base_wrench target_execution_time target_gravity
+        tcp_force_scalar time_scale_source tool_digital_output0_mode tool_digital_output1_mode tool_output_mode
+        wrench_calc_from_currents
+    """
+    assert set(names.split()) <= set(output_types(of(E_SERIES, 5, 26)))

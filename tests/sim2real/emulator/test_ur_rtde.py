@@ -295,7 +295,7 @@ def test_registers_have_one_owner(host):
 
 
 def test_a_killed_client_leaves_its_registers_to_the_next(host):
-    command = f"from tests.controller import clients; clients.hold({host!r}, 60)"
+    command = f"from tests.sim2real.emulator import clients; clients.hold({host!r}, 60)"
     process = subprocess.Popen([sys.executable, "-c", command], cwd=clients.ROOT, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout.readline() == "READY\n"

@@ -138,7 +138,6 @@ def _updated(text: str, wanted: CellFile, measured: Sequence[Measured]) -> str:
 
 
 def _keep(target: Path) -> Path:
-    """Copy a file to a new name beside it."""
     content = target.read_bytes()
     for number in range(_MOST_BACKUPS):
         kept = target.with_name(f"{target.name}.bak{number or ''}")

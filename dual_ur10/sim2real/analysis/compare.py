@@ -332,7 +332,6 @@ def _stop_notes(name: str, run: Run) -> list[str]:
 
 
 def _clock_notes(name: str, run: Run) -> list[str]:
-    """Return a note on each clock that did not run steadily."""
     found = []
     for arm, each in zip(ARMS, run.arms, strict=True):
         by_s = clock_error_s(each, run.header.tick_s)
@@ -346,7 +345,6 @@ def _clock_notes(name: str, run: Run) -> list[str]:
 
 
 def _seeds(run: Run, count: int) -> str:
-    """Return the seeds of the compared episodes."""
     return ", ".join("none" if each.seed is None else str(each.seed) for each in run.episodes[:count])
 
 

@@ -135,7 +135,6 @@ def tracks(run: Run, number: int) -> tuple[Track, Track]:
 
 
 def _sent(run: Run, number: int, arm: int, numbers: TickMap) -> dict[str, Array]:
-    """Return the targets sent to an arm in an episode."""
     kept = sent_around(run, number, arm)
     rows = {name: values[kept] for name, values in run.arms[arm].sent.items()}
     inside = (rows["index"] > numbers.first - 0.5) & (rows["index"] < numbers.end - 0.5)

@@ -175,7 +175,6 @@ class RecorderProcess:
             self._fail("the recorder has ended")
 
     def _receive(self) -> None:
-        """Read the messages of the recorder."""
         if self._connection.closed:
             return
         ended = False

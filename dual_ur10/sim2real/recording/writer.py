@@ -194,7 +194,6 @@ class RunWriter(Closing):
 
 
 def _index(number: int, parts: list[Messages], starts: list[int]) -> bytes:
-    """Return the index of one channel's messages within their chunk."""
     body = []
     for part, start in zip(parts, starts, strict=True):
         count = len(part.log_ns)

@@ -296,7 +296,7 @@ def side_by_side(pair: EmulatedPair) -> str:
                 right.plot(each.time_s, apart[:, arm], color=ARM_COLORS[arm], label=name, linewidth=1)
         right.set(xlabel="time on the task's clock (s)", ylabel="mm")
         right.set_ylim(bottom=0.0, top=1.25 * right.get_ylim()[1])
-        right.set_title("Distance between the simulated flange and the emulated one")
+        right.set_title("Distance between simulated and emulated flange")
         right.legend(ncols=2, loc="upper right")
         for axis in (left, right):
             axis.margins(x=0.01)

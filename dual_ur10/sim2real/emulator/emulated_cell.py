@@ -62,15 +62,12 @@ class EmulatedCell(Closing):
             start_new_session=True,
         )
         self._injection: JsonLink | None = None
-        try:
+        with self.closed_on_error():
             self.description = self._started()
             self.left: str = self.description["left"]["host"]
             self.right: str = self.description["right"]["host"]
             self.port: int = self.description["emulator"]["port"]
             self._injection = JsonLink("fault injection", self.left, self.port)
-        except BaseException:
-            self.close()
-            raise
 
     def _started(self) -> dict[str, Any]:
         stdout = self.process.stdout

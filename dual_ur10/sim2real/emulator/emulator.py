@@ -247,7 +247,7 @@ class Emulator:
             "lost_s": self.lost_s,
             "cpu_s": time.process_time(),
             "physics_failed": self.world.failed,
-            "plant": {name: np.asarray(value).tolist() for name, value in self.world.drawn.items()},
+            "plant": {name: np.asarray(value).tolist() for name, value in self.world.sampled.items()},
             "url": self.url,
         }
 

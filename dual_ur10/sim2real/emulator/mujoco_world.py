@@ -62,7 +62,7 @@ class EmulatedWorld:
         start_q_rad: (2, 6) initial joint positions.
         lookahead_scale: (2,) ratio of each controller's true lookahead to the commanded one.
         gripper_kg: Mass of one gripper; 0 without grippers.
-        drawn: Sampled parameters of the plant, by name.
+        sampled: Sampled parameters of the plant, by name.
     """
 
     def __init__(self, config: CellConfig, task: str, options: PlantOptions) -> None:
@@ -75,8 +75,8 @@ class EmulatedWorld:
         true = _with_dh_errors(config, options.dh_error_m, rng)
         self._physics = Physics(true, 1, 1)
         values = config.perturbation.expanded(1)
-        self.drawn: Mapping[str, Array] = {} if options.plant == "nominal" else PRESETS[options.plant].sample([rng])
-        values |= apply_sample(values, self.drawn)
+        self.sampled: Mapping[str, Array] = {} if options.plant == "nominal" else PRESETS[options.plant].sample([rng])
+        values |= apply_sample(values, self.sampled)
         self._physics.perturb(values, np.arange(1))
         self.lookahead_scale: Array = values["lookahead_scale"][0]
         step_s = config.scene.timestep_s

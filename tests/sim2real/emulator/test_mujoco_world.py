@@ -57,11 +57,11 @@ def test_a_nominal_arm_follows_its_controller_exactly():
 
 def test_the_default_plant_differs_and_stays_near():
     nominal, mild = world_of(plant="nominal"), world_of(seed=3)
-    assert not nominal.drawn
-    assert set(mild.drawn) >= {"mass_scale", "friction_nm", "lookahead_scale", "latency_s", "base_shift_m"}
+    assert not nominal.sampled
+    assert set(mild.sampled) >= {"mass_scale", "friction_nm", "lookahead_scale", "latency_s", "base_shift_m"}
     assert not np.allclose(mild.lookahead_scale, 1.0)
-    assert np.abs(mild.drawn["base_shift_m"]).max() <= 0.5e-3
-    assert np.abs(mild.drawn["base_shift_m"]).max() > 0.0
+    assert np.abs(mild.sampled["base_shift_m"]).max() <= 0.5e-3
+    assert np.abs(mild.sampled["base_shift_m"]).max() > 0.0
     bodies = ["left/base_link", "right/base_link"]
     shift = [np.abs(nominal.pose(body)[0] - mild.pose(body)[0]).max() for body in bodies]
     assert all(0.0 < each <= 0.5e-3 for each in shift)
@@ -70,7 +70,7 @@ def test_the_default_plant_differs_and_stays_near():
 def test_latency_of_the_plant_is_whole_steps_before_the_law_acts():
     late = world_of("SyncCarry", seed=1)
     steps = [len(delay._waiting) for delay in late._delays]
-    assert steps == np.rint(late.drawn["latency_s"][0] / 0.001).astype(int).tolist()
+    assert steps == np.rint(late.sampled["latency_s"][0] / 0.001).astype(int).tolist()
     assert max(steps) > 0
     plan = np.arange(late.substeps * 18, dtype=float).reshape(late.substeps, 3, 6)
     delay = late._delays[int(np.argmax(steps))]

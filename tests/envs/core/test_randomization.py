@@ -51,7 +51,7 @@ def test_rows_of_a_vector_env_are_single_envs_under_randomization(env_id):
         assert np.array_equal(alone.step(action[1])[0], trace[k + 5][1])
 
 
-def test_none_draws_nothing_and_changes_nothing():
+def test_none_samples_and_changes_nothing():
     plain, none = gym.make(SINE), gym.make(SINE, randomization="none")
     first, info = plain.reset(seed=1)
     assert np.array_equal(first, none.reset(seed=1)[0])
@@ -64,7 +64,7 @@ def test_none_draws_nothing_and_changes_nothing():
 
 
 @pytest.mark.parametrize("preset", ["mild", "wide"])
-def test_values_are_within_their_ranges_and_fill_them(preset):
+def test_samples_fill_their_ranges(preset):
     wanted = PRESETS[preset]
     values = sample(wanted, n=400)
     for name, half, middle in (
@@ -91,7 +91,7 @@ def test_values_are_within_their_ranges_and_fill_them(preset):
 
 
 @pytest.mark.parametrize("name", [each.name for each in dataclasses.fields(Randomization)])
-def test_every_value_can_be_set_alone_and_does_something(name):
+def test_every_value_has_an_effect_alone(name):
     value = 3.0 if name == "object_spread" else 0.02
     keywords = {"randomization": {name: value}}
     changed, plain = gym.make(CARRY, **keywords), gym.make(CARRY)
@@ -126,7 +126,7 @@ def test_presets_can_be_changed_value_by_value():
         Randomization(mass=True)
 
 
-def test_what_is_drawn_comes_on_top_of_the_cells_own():
+def test_samples_apply_on_top_of_the_cells_perturbation():
     plant = {"mass_scale": np.full((2, 2), 1.1), "latency_s": np.full((2, 2), 0.002), "loss": np.zeros((2, 2))}
     drawn = {"mass_scale": np.full((2, 2), 0.9), "latency_s": np.full((2, 2), 0.003), "observation_delay_s": np.ones(2)}
     result = apply_sample(plant, drawn)
@@ -135,7 +135,7 @@ def test_what_is_drawn_comes_on_top_of_the_cells_own():
     assert np.allclose(result["latency_s"], 0.005)
 
 
-def test_the_users_own_range_wins_over_the_presets():
+def test_a_range_of_the_user_overrides_the_preset():
     wide = PRESETS["wide"]
     made = gym.make(CARRY, randomization="wide").unwrapped.task.settings
     assert made.object_range_m == pytest.approx(0.02 * wide.object_spread)
@@ -144,7 +144,7 @@ def test_the_users_own_range_wins_over_the_presets():
     assert made.object_turn_rad == pytest.approx(0.05 * wide.object_spread)
 
 
-def test_the_plant_really_differs():
+def test_the_plant_differs():
     env = gym.make(CARRY, randomization="wide")
     core = env.unwrapped.core
     for seed in (3, 4):
@@ -176,7 +176,7 @@ def test_the_plant_really_differs():
         (SINE, {"skew_s": 0.002}, 0),
     ],
 )
-def test_a_row_does_not_depend_on_what_others_drew(env_id, randomization, seed):
+def test_a_row_is_independent_of_the_samples_of_others(env_id, randomization, seed):
     envs = [gym.make_vec(env_id, num_envs=n, randomization=randomization) for n in (1, 4)]
     first = [env.reset(seed=seed)[0][0] for env in envs]
     assert np.array_equal(*first)
@@ -186,14 +186,14 @@ def test_a_row_does_not_depend_on_what_others_drew(env_id, randomization, seed):
         assert np.array_equal(*now)
 
 
-def test_what_may_vary_is_told_by_its_names():
+def test_varied_lists_the_perturbed_values():
     assert Randomization().varied == ()
     assert set(Randomization(skew_s=0.001, mass=0.1).varied) == {"latency_s", "mass_scale"}
     assert set(sample(PRESETS["wide"])) >= set(PRESETS["wide"].varied)
     assert Randomization(mass=np.float32(0.1)).mass == pytest.approx(0.1)
 
 
-def test_a_base_moved_by_the_cells_own_perturbation_is_not_observed_either():
+def test_a_base_shift_of_the_cell_is_not_observed():
     moved = dual_ur10.CellConfig(perturbation=dual_ur10.Perturbation(base_shift_m=(((0.01, 0, 0), (0, 0, 0)),)))
     (seen, info), (plain, other) = (gym.make(CARRY, cell=cell).reset(seed=0) for cell in (moved, "mujoco"))
     relative = np.s_[53:60]
@@ -201,7 +201,7 @@ def test_a_base_moved_by_the_cells_own_perturbation_is_not_observed_either():
     assert np.allclose(info["flange_m"][0] - other["flange_m"][0], [0.01, 0, 0])
 
 
-def test_pictures_show_where_the_bases_truly_stand():
+def test_images_show_the_true_base_poses():
     turned = dual_ur10.CellConfig(perturbation=dual_ur10.Perturbation(base_turn_rad=((0.1, 0.0),)))
     core = gym.make(CARRY, cell=turned).unwrapped.core
     core.reset([np.random.default_rng(0)])

@@ -36,7 +36,7 @@ def state(seed=0):
     )
 
 
-def sensing(cell=QUIET, drawn=None, **values):
+def sensing(cell=QUIET, sampled=None, **values):
     made = Sensing(cell, Randomization(**values), 0.04, N)
     first = state(0)
     blank = {
@@ -44,17 +44,17 @@ def sensing(cell=QUIET, drawn=None, **values):
         "object_offset_rad": np.zeros((N, 3)),
         "observation_delay_s": np.zeros(N),
     }
-    made.reset(first, np.arange(N), list(range(N)), {**blank, **(drawn or {})})
+    made.reset(first, np.arange(N), list(range(N)), {**blank, **(sampled or {})})
     return made, first
 
 
-def test_without_noise_the_true_state_is_handed_through():
+def test_without_noise_the_true_state_is_returned():
     made, first = sensing()
     assert made.is_exact
     assert made(first) is first
 
 
-def test_wrench_noise_is_the_cells():
+def test_wrench_noise_is_that_of_the_cell():
     made, first = sensing(CELL)
     found = np.array([made(first).wrench - first.wrench for _ in range(400)])
     assert found[..., :3].std() == pytest.approx(2.0, rel=0.05)
@@ -72,9 +72,9 @@ def test_joint_noise():
     assert np.std([made(first).qd_rad_s - first.qd_rad_s for _ in range(300)]) == pytest.approx(1e-2, rel=0.05)
 
 
-def test_the_objects_offset_stays_for_an_episode():
+def test_the_objects_offset_is_constant_in_an_episode():
     offset, turn = np.random.default_rng(1).normal(size=(2, N, 3)) * 0.01
-    made, first = sensing(drawn={"object_offset_m": offset, "object_offset_rad": turn}, object_noise_m=0.01)
+    made, first = sensing(sampled={"object_offset_m": offset, "object_offset_rad": turn}, object_noise_m=0.01)
     for seed in (0, 1):
         true = state(seed)
         seen = made(true)
@@ -84,7 +84,7 @@ def test_the_objects_offset_stays_for_an_episode():
     assert np.array_equal(first.object_m, state(0).object_m)  # the truth is untouched
 
 
-def test_a_moved_base_is_not_seen():
+def test_a_moved_base_is_not_measured():
     made, first = sensing(base_shift_m=0.01)
     seen = made(first)
     assert np.allclose(first.flange_m - seen.flange_m, 0.01)
@@ -92,9 +92,9 @@ def test_a_moved_base_is_not_seen():
     assert seen.flange_base_m is first.flange_base_m
 
 
-def test_age_mixes_this_instant_with_the_one_before():
+def test_delay_mixes_two_successive_states():
     delay = np.array([0.0, 0.01, 0.02, 0.04])
-    made, first = sensing(drawn={"observation_delay_s": delay}, observation_delay_s=0.04)
+    made, first = sensing(sampled={"observation_delay_s": delay}, observation_delay_s=0.04)
     assert np.allclose(made.begun(first).q_rad, first.q_rad)
     second, third = state(1), state(2)
     for before, now in ((first, second), (second, third)):
@@ -107,7 +107,7 @@ def test_age_mixes_this_instant_with_the_one_before():
         assert np.array_equal(seen.time_s, now.time_s)  # the clock is the computer's own
 
 
-def test_a_row_that_begins_leaves_the_others_noise_alone():
+def test_a_reset_row_does_not_change_the_noise_of_others():
     one, first = sensing(CELL, joint_noise_rad=1e-3)
     other, _ = sensing(CELL, joint_noise_rad=1e-3)
     one(first), other(first)

@@ -22,7 +22,7 @@ def home(n=1):
 
 
 def wave(period, n=1, size=0.05):
-    """Targets of one control period of a slow wave of all joints, (n, ticks, 2, 6)."""
+    """Return the targets of one control period of a slow wave of all joints, (n, ticks, 2, 6)."""
     time = (period * TICKS + np.arange(1, TICKS + 1)) * 0.008
     offset = size * (1 - np.cos(2 * np.pi * 0.5 * time))
     signs = np.array([[1, -1, 1, 1, -1, 1], [-1, 1, -1, 1, 1, 1]])
@@ -38,7 +38,7 @@ def run(perturbation=None, periods=50, n=1, **keywords):
 
 
 def law_by_scalar_loop(targets, lookahead_s=LOOKAHEAD_S, delay_steps=0):
-    """The servoj law of one joint, one physics step at a time, by the closed solution of each step."""
+    """Integrate the servoj law of one joint by the closed solution of each physics step."""
     transition = ServojLaw(lookahead_s, GAIN).transition(STEP_S)
     held = np.repeat(targets, 4)
     held = np.concatenate([np.full(delay_steps, targets[0]), held])[: len(held)]
@@ -61,8 +61,8 @@ def test_the_arms_follow_the_law():
 
 @pytest.mark.parametrize("slow", [0.25, 0.5, 0.8])
 @pytest.mark.parametrize("latency_s", [0.0, 0.016])
-def test_where_time_is_slowed_down_the_law_is_as_much_quicker(slow, latency_s):
-    """As two controllers do it: a curve through the targets, taken every control period, which is a part of a tick."""
+def test_time_scaling_makes_the_law_quicker(slow, latency_s):
+    """As on two controllers: a curve through the targets is sampled every control period, which is a part of a tick."""
     periods, fine = 50, 800
     perturbation = Perturbation(latency_s=np.full((1, 2), latency_s))
     trace, cell = run(perturbation, periods, speed_factor=slow)
@@ -85,7 +85,7 @@ def test_where_time_is_slowed_down_the_law_is_as_much_quicker(slow, latency_s):
     assert np.abs(state.q_rad - home()).max() < 1e-9
 
 
-def test_a_wrong_lookahead_and_a_latency_are_those_of_the_law():
+def test_a_wrong_lookahead_and_a_latency_enter_the_law():
     trace, _ = run(Perturbation(lookahead_scale=np.array([[1.05, 1.2]]), latency_s=np.array([[0.004, 0.006]])))
     targets = np.concatenate([wave(k)[0] for k in range(50)])
     for arm, (scale, delay) in enumerate(((1.05, 2), (1.2, 3))):
@@ -111,8 +111,8 @@ def droop(**perturbation):
     return state.q_rad[0] - HOME_Q_RAD
 
 
-def test_masses_that_are_not_believed_make_the_arms_droop_by_gravity():
-    # 5 % of the gravity torque over the servo's stiffness: gravity compensation goes on believing the nominal arm.
+def test_unmodelled_masses_make_the_arms_droop():
+    # 5 % of the gravity torque over the servo's stiffness: gravity compensation uses the nominal arm.
     gravity = inverse_dynamics(HOME_Q_RAD, np.zeros((2, 6)), np.zeros((2, 6)))
     stiffness = np.array([20000, 20000, 10000, 3000, 3000, 3000])
     assert np.allclose(droop(mass_scale=1.05), -0.05 * gravity / stiffness, atol=2e-7)
@@ -148,7 +148,7 @@ def test_payload_masses_and_inertia_are_those_of_a_welded_ball():
     assert np.allclose(inertia, np.sort(np.array([0.00034, 0.0004, 0.00041]) * 1.1 + [0, *[reduced * distance**2] * 2]))
 
 
-def test_friction_holds_back_by_its_size():
+def test_friction_delays_by_its_size():
     friction = np.array([5.0, 5.0, 3.0, 1.0, 1.0, 1.0])
     with_friction, _ = run(Perturbation(friction_nm=friction))
     without, _ = run()
@@ -183,14 +183,14 @@ def test_perturbing_back_to_nominal_restores_it():
     assert np.abs(trace - nominal).max() < 1e-12
 
 
-def test_one_arm_late():
+def test_latency_of_one_arm():
     trace, _ = run(Perturbation(latency_s=np.array([[0.0, 0.02]])))
     nominal, _ = run()
     assert np.abs(trace[:, 0, 0] - nominal[:, 0, 0]).max() < 1e-12
     assert np.abs(trace[:, 0, 1] - nominal[:, 0, 1]).max() > 1e-3
 
 
-def test_jitter_and_loss_repeat_with_the_seed_and_only_hold_back():
+def test_jitter_and_loss_repeat_with_the_seed_and_only_delay():
     wild = Perturbation(jitter_s=0.012, loss=0.2)
 
     def once(seed):
@@ -264,7 +264,7 @@ def test_feed_forward_is_inverse_dynamics_of_the_nominal_arm():
     assert np.allclose(control[0, 0], q.reshape(12) + (kv * v[0, 0] + torque) / kp, atol=1e-9)
 
 
-def test_bases_where_they_were_put():
+def test_bases_stand_at_their_mounts():
     config = CellConfig(left=ArmMount((-0.6, 0.7, 0.1), 0.4))
     cell = MujocoCell(config, TICKS)
     state = cell.reset(Start(home())).state

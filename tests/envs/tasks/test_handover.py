@@ -24,28 +24,28 @@ def begun(seed=0, **keywords):
 
 
 def put(core, position_m, quat=(1.0, 0.0, 0.0, 0.0)):
-    """Lay the block somewhere, whoever or whatever brought it there."""
+    """Put the block somewhere without an arm."""
     core.cell._physics._handling._object[0] = [*position_m, *quat]
 
 
-def hand(between=False, holds=False, opening=0.085, away=0.5):
+def gripper(between=False, holds=False, opening=0.085, away=0.5):
     return GripperFacts(*(np.array([value]) for value in (between, holds, opening, away)))
 
 
 def facts(giving=None, receiving=None, height=0.02, meeting=0.5, target=1.0, turn=0.3, placed=False):
     values = (np.array([value]) for value in (height, meeting, target, turn, placed))
-    return Facts(giving or hand(), receiving or hand(), *values)
+    return Facts(giving or gripper(), receiving or gripper(), *values)
 
 
-HOLDS = hand(True, True, WIDTH_M, 0.01)
+HOLDS = gripper(True, True, WIDTH_M, 0.01)
 # What passes each stage, and no later one but those that it must.
 SCENES = [
-    facts(hand(True)),
+    facts(gripper(True)),
     facts(HOLDS),
     facts(HOLDS, height=0.1),
     facts(HOLDS, height=0.3, meeting=0.05),
     facts(HOLDS, HOLDS, height=0.3, meeting=0.05),
-    facts(hand(), HOLDS, height=0.3, meeting=0.05),
+    facts(gripper(), HOLDS, height=0.3, meeting=0.05),
     facts(target=0.001, turn=0.0, placed=True),
 ]
 
@@ -58,7 +58,7 @@ def test_stages_are_passed_one_after_the_other():
 
 
 @pytest.mark.parametrize("left_out", [0, 1, 2, 4, 5])
-def test_no_stage_can_be_left_out(left_out):
+def test_no_stage_can_be_skipped(left_out):
     stage = np.zeros(1, dtype=np.int64)
     for scene in SCENES:
         conditions = passed(scene)
@@ -78,26 +78,26 @@ def test_stages_that_hold_at_once_are_passed_at_once_and_never_lost():
 @pytest.mark.parametrize(
     ("scene", "stage"),
     [
-        (facts(hand(holds=True), height=0.07), 2),  # too low to be lifted
+        (facts(gripper(holds=True), height=0.07), 2),  # too low to be lifted
         (facts(HOLDS, height=0.3, meeting=0.2), 3),  # not where it is handed over
-        (facts(HOLDS, hand(True), height=0.3), 4),  # the receiver has not closed
-        (facts(hand(), HOLDS, height=0.05), 5),  # dropped to the table
+        (facts(HOLDS, gripper(True), height=0.3), 4),  # the receiver has not closed
+        (facts(gripper(), HOLDS, height=0.05), 5),  # dropped to the table
         (facts(target=0.001, turn=0.0), 6),  # somebody still holds it, or it moves
     ],
 )
-def test_what_does_not_pass_a_stage(scene, stage):
+def test_near_misses_do_not_pass_a_stage(scene, stage):
     assert not passed(scene)[0, stage]
 
 
 def test_terms_rise_within_a_stage_and_are_one_after_it():
     giver = np.array([0])
     nearer = [
-        (0, facts(hand(away=0.2)), facts(hand(away=0.05))),
-        (1, facts(hand(True, opening=0.08)), facts(hand(True, opening=0.05))),
+        (0, facts(gripper(away=0.2)), facts(gripper(away=0.05))),
+        (1, facts(gripper(True, opening=0.08)), facts(gripper(True, opening=0.05))),
         (2, facts(HOLDS, height=0.02), facts(HOLDS, height=0.06)),
         (3, facts(HOLDS, meeting=0.5), facts(HOLDS, meeting=0.2)),
-        (4, facts(HOLDS, hand(away=0.2)), facts(HOLDS, hand(away=0.02))),
-        (5, facts(hand(opening=0.045), HOLDS), facts(hand(opening=0.07), HOLDS)),
+        (4, facts(HOLDS, gripper(away=0.2)), facts(HOLDS, gripper(away=0.02))),
+        (5, facts(gripper(opening=0.045), HOLDS), facts(gripper(opening=0.07), HOLDS)),
         (6, facts(receiving=HOLDS, target=0.5), facts(receiving=HOLDS, target=0.1)),
     ]
     for k, far, near in nearer:
@@ -109,13 +109,13 @@ def test_terms_rise_within_a_stage_and_are_one_after_it():
         assert high[[j for j in range(k + 1, 7) if STAGES[j] != "present"]].max(initial=0.0) == 0.0
 
 
-def test_each_arm_earns_what_is_its_to_do():
+def test_each_arm_earns_its_own_terms():
     expected = [2, 2, 2, 1, 1, 2, 0]
     for giver in (0, 1):
         done = terms(facts(), np.array([7]), np.array([giver]))[0]
         assert done[giver].tolist() == expected
         assert done[1 - giver].tolist() == [2 - value for value in expected]
-    approach = [terms(facts(HOLDS, hand(away=away)), np.array([2]), np.array([0]))[0, :, 3] for away in (0.6, 0.2)]
+    approach = [terms(facts(HOLDS, gripper(away=away)), np.array([2]), np.array([0]))[0, :, 3] for away in (0.6, 0.2)]
     assert approach[0][1] < approach[1][1]
     assert approach[0][0] == approach[1][0]
 
@@ -133,7 +133,7 @@ def test_a_block_that_only_lies_on_its_target_is_no_success():
         assert not step.terminated[0]
 
 
-def test_after_all_stages_it_must_lie_there_for_a_while():
+def test_after_all_stages_the_block_must_settle():
     core, _ = begun()
     core.step(STAY)
     handling = core.cell._physics._handling
@@ -155,7 +155,7 @@ def test_after_all_stages_it_must_lie_there_for_a_while():
     assert steps * core.timing.period_s == pytest.approx(SETTLED_S, abs=core.timing.period_s)
 
 
-def test_the_end_where_the_front_belongs_matters_and_the_upper_side_does_not():
+def test_the_direction_of_the_block_matters_but_not_its_upper_side():
     quat = laid_quat(np.array([[0.3], [np.pi + 0.3]]))
     angle = _between_long_axes(quat, yaw_quat(np.full((2, 1), 0.3)))
     assert np.allclose(angle[:, 0], [0.0, np.pi])
@@ -179,7 +179,7 @@ def test_a_block_anywhere_on_the_table_is_not_lost(where):
     assert not core.step(STAY).terminated[0]
 
 
-def test_time_runs_out_and_tighter_limits_give_more_of_it():
+def test_tighter_limits_prolong_the_episode():
     core, _ = begun(duration_s=0.4)
     over = [core.step(STAY).truncated[0] for _ in range(10)]
     assert over == [False] * 9 + [True]
@@ -192,7 +192,7 @@ def test_time_runs_out_and_tighter_limits_give_more_of_it():
         assert begun(cell=cell)[0].task.duration_s == pytest.approx(20.0 * factor)
 
 
-def test_starts_are_drawn_within_their_ranges_on_the_givers_side():
+def test_starts_are_sampled_on_the_givers_side():
     n = 200
     core = Core("Handover", {"giver": "random"}, n=n)
     core.reset([np.random.default_rng(seed) for seed in range(n)])
@@ -212,14 +212,14 @@ def test_starts_are_drawn_within_their_ranges_on_the_givers_side():
 
 
 @pytest.mark.parametrize("giver", ["left", "right"])
-def test_who_gives_can_be_chosen_and_is_observed(giver):
+def test_the_giver_can_be_chosen_and_is_observed(giver):
     core, observation = begun(giver=giver)
     role = 1.0 if giver == "left" else -1.0
     assert core.task.layout.split(observation)["role"].ravel().tolist() == [role, -role]
     assert core.step(STAY).info["giver"][0] == ("left", "right").index(giver)
 
 
-def test_the_hands_meet_from_opposite_sides_at_both_halves():
+def test_the_grippers_meet_from_opposite_sides():
     for giver in (0, 1):
         block = quat_to_matrix(presented_quat(giver))
         grip = quat_to_matrix(GRIPS[giver].quat)

@@ -19,7 +19,7 @@ SHORT = 220  # steps after which the bar of the default path is 0.2 m above the 
 
 
 def run(change=None, steps=None, seed=0, **keywords):
-    """Infos of an episode of the scripted policy, whose actions `change(step, action)` may change."""
+    """Return the infos of an episode of the scripted policy; `change(step, action)` may change its actions."""
     env = gym.make(CARRY, **keywords)
     policy = policies.load("scripted", CARRY, **keywords)
     observation, _ = env.reset(seed=seed)
@@ -41,7 +41,7 @@ def column(infos, name):
 
 
 @pytest.mark.parametrize("duration_s", list(MOVES))
-def test_the_path_is_smooth_and_as_fast_as_promised(duration_s):
+def test_the_path_is_smooth_and_keeps_its_speed(duration_s):
     step_s = 0.002
     time = np.arange(-0.5, duration_s + 0.5, step_s)[None]
     bar = CarryPath(duration_s)(time, bar_pose(np.zeros((1, 3))))
@@ -131,7 +131,7 @@ def test_tight_caps_slow_both_arms_and_keep_the_grasp():
     assert column(friction[150:], "relative_error_m").max() < 4e-4
 
 
-def test_what_is_felt_is_the_load():
+def test_the_measured_wrench_is_the_load():
     infos, task = run(steps=SHORT + 40)
     force = task.layout.split(infos[-1]["observation"])["force_n"]
     # Half the bar's weight on each, with the noise of a CB3's estimate.
@@ -180,7 +180,7 @@ def test_one_arm_cannot_earn_success():
     assert max(info["reward/synchrony"] for info in infos) == 0.0
 
 
-def test_a_share_of_the_load_is_needed():
+def test_each_arm_must_carry_a_part_of_the_load():
     _, task = run(grasp="rigid", steps=SHORT)
     task._carried[:] = [[0.9, 0.1]]
     task._squares[:] = task._worst_slip[:] = 0.0
@@ -221,7 +221,7 @@ def test_bad_keywords_are_refused_by_name(keywords, error, text):
         gym.make(CARRY, **keywords)
 
 
-def test_the_policy_wants_observations_of_its_task():
+def test_the_policy_refuses_other_observations():
     policy = policies.load("scripted", CARRY)
     with pytest.raises(errors.ActionError, match="124"):
         policy(np.zeros(122))
@@ -236,7 +236,7 @@ def test_joint_position_and_latency_work_too():
 
 
 class Cheat:
-    """The scripted policy, told of other references than there are."""
+    """The scripted policy with falsified references."""
 
     def __init__(self, **keywords):
         self.policy = policies.load("scripted", CARRY, **keywords)
@@ -249,7 +249,7 @@ class Cheat:
         return self.policy(changed)
 
 
-class NeverTurns(Cheat):
+class NeverRotates(Cheat):
     def change(self, position, quat):
         if not hasattr(self, "kept"):
             self.kept = quat.copy()
@@ -262,8 +262,8 @@ class NeverPutsDown(Cheat):
         self.up = getattr(self, "up", False) or bool((position[:, 2] > 0.2).all())
 
 
-@pytest.mark.parametrize("cheat", [NeverTurns, NeverPutsDown])
-def test_the_bar_must_be_turned_and_put_down(cheat):
+@pytest.mark.parametrize("cheat", [NeverRotates, NeverPutsDown])
+def test_the_bar_must_be_rotated_and_put_down(cheat):
     env, policy = gym.make(CARRY, grasp="rigid"), cheat(grasp="rigid")
     observation, _ = env.reset(seed=0)
     over = False
@@ -275,7 +275,7 @@ def test_the_bar_must_be_turned_and_put_down(cheat):
 
 
 def test_fingers_beside_the_bar_do_not_hold_it():
-    """Nothing is earned, and nothing is told to the controllers, without a grasp."""
+    """Without a grasp there is no reward, and no payload is declared."""
 
     def nearly(step, action):
         action = action.copy()
@@ -292,7 +292,7 @@ def test_fingers_beside_the_bar_do_not_hold_it():
 
 
 @pytest.mark.parametrize("keywords", [{"grasp": "rigid"}, {"randomization": "mild", "action_latency_ticks": 7}])
-def test_an_unpickled_environment_goes_on_as_it_was(keywords):
+def test_an_unpickled_environment_continues(keywords):
     import pickle
 
     env = gym.make(CARRY, **keywords).unwrapped
@@ -321,7 +321,7 @@ def test_an_unpickled_environment_goes_on_as_it_was(keywords):
     ],
     ids=["e-series", "e-series slow", "cb3 0.05", "cb3 0.1", "slow joints", "slow tips"],
 )
-def test_it_gets_down_to_the_bar_on_other_cells(cell, rate):
+def test_the_policy_reaches_the_bar_on_other_cells(cell, rate):
     keywords = {"cell": cell, "policy_rate_hz": rate}
     n = scaled(60)
     env = gym.make_vec(CARRY, num_envs=n, autoreset_mode="Disabled", **keywords)

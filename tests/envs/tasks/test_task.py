@@ -32,14 +32,14 @@ def test_the_sine_begins_at_rest_without_acceleration():
         assert np.allclose(x[late], 0.1 * np.sin(np.pi * time[late] + phase), atol=1e-12)
 
 
-def test_displacements_do_not_depend_on_what_is_computed_beside_them():
+def test_displacements_do_not_depend_on_other_rows():
     settings = SineSettings()
     alone = settings.displacement_m(np.array([[5.0, 5.04]]), np.array([[0.3]]))
     beside = settings.displacement_m(np.array([[5.0, 5.04], [0.1, 0.14]]), np.array([[0.3], [1.0]]))
     assert np.array_equal(alone[0], beside[0])
 
 
-def test_to_base_turns_points_of_the_cell_into_urs_base():
+def test_to_base_transforms_cell_points_to_urs_base():
     position, rotation = to_base((ArmMount((1.0, 2.0, 3.0), np.pi / 2), ArmMount((0.0, -1.0, 0.0))))
     # Half a turn from base_link: what lies ahead of the arm has negative x.
     assert np.allclose(rotation[1] @ (np.array([0.5, -1.0, 0.2]) - position[1]), [-0.5, 0.0, 0.2])

@@ -24,7 +24,7 @@ def policy_of(core, mode="joint_delta"):
 
 
 def episodes(count, **keywords):
-    """Last info of an episode of each seed, with its stages and peak joint speed."""
+    """Return the last info of an episode of each seed, with its stages and peak joint speed."""
     core = Core("Handover", keywords, n=count, threads=2)
     policy = policy_of(core, keywords.get("action_mode", "joint_delta"))
     observation, _ = core.reset([np.random.default_rng(seed) for seed in range(count)])
@@ -64,7 +64,7 @@ def test_success_wherever_the_block_lies(giver):
     assert duration_s < 13.0
 
 
-def test_success_with_a_block_that_is_seen_elsewhere():
+def test_success_with_a_block_that_is_measured_elsewhere():
     results, _ = episodes(scaled(300), giver="random", randomization=NOISE)
     assert np.mean([each["is_success"] for each in results]) >= 0.99
 
@@ -108,7 +108,7 @@ def test_a_block_that_is_not_let_go_is_not_placed():
 
 
 @pytest.mark.parametrize("giver", [0, 1])
-def test_the_hands_meet_in_one_posture_whichever_way_the_block_lay(giver):
+def test_the_grippers_meet_in_one_configuration_for_any_yaw(giver):
     mounts = SceneSettings().mounts
     ways = HandoverPaths(mounts, np.full(12, 1.0), 0.04)
     postures = []
@@ -134,7 +134,7 @@ def test_a_batch_is_its_rows():
         observation = core.step(action).observation
 
 
-def test_an_episode_that_begins_anew_is_noticed():
+def test_a_new_episode_is_detected():
     core = Core("Handover", {"giver": "random"}, n=2, threads=2)
     policy = policy_of(core)
     observation, _ = core.reset([np.random.default_rng(seed) for seed in (0, 1)])
@@ -146,7 +146,7 @@ def test_an_episode_that_begins_anew_is_noticed():
 
 
 @pytest.mark.parametrize("patience", [False, True])
-def test_it_waits_for_the_fingers_and_not_for_ever(patience):
+def test_it_waits_for_the_fingers_up_to_a_limit(patience):
     core = Core("Handover", {})
     policy = policy_of(core)
     observation, _ = core.reset([np.random.default_rng(0)])
@@ -208,12 +208,12 @@ def test_a_smooth_motion_has_the_same_ends_and_no_jump_of_jerk():
     assert jumps[1] < 0.4 * jumps[0]
 
 
-def test_a_motion_that_cannot_be_is_refused():
+def test_an_impossible_motion_is_refused():
     with pytest.raises(errors.SettingsError, match="no motion within the limits"):
         FreeMotion(np.zeros(12), [Waypoint(np.ones(12), np.full(12, 2.0))], 0.8, 3.0, 20.0)
 
 
-def test_an_early_end_earns_what_the_time_left_would_have_earned():
+def test_an_early_end_earns_the_reward_of_the_remaining_time():
     """Hovering near the target until the time is over must not pay."""
     keywords = {"object_range_m": 0.0, "object_turn_rad": 0.0}
     core = Core("Handover", keywords)

@@ -22,7 +22,7 @@ UNEVEN = {"left": ArmMount((-0.75, 0.6, 0.0)), "right": ArmMount((-0.92, -0.45, 
 
 
 def errors_mm(axis="y", seed=0, keywords=None, learn=True, **cell):
-    """Flange errors of an episode, (steps, 2), and its last info."""
+    """Return the flange errors of an episode, (steps, 2), and its last info."""
     settings = {"cell": CellConfig(**UNEVEN, **cell), "axis": axis, "duration_s": 12.0, **(keywords or {})}
     env = gym.make(SINE, **settings)
     policy = policies.load("scripted", SINE, **settings)
@@ -67,7 +67,7 @@ def test_a_slow_policy_tracks_too(latency):
     assert np.max(trace[40:]) < 1e-4
 
 
-def test_learning_is_what_reaches_it():
+def test_learning_is_needed_for_accuracy():
     trace, _ = errors_mm(learn=False, perturbation=TYPICAL_PERTURBATION)
     assert np.sqrt((trace**2).mean(axis=0)).min() > 0.8
 
@@ -95,8 +95,8 @@ class LateOnce(MujocoCell):
 
 
 @pytest.mark.parametrize("late", [100, 104, 108, 112, 116, 140])
-def test_arms_that_had_to_rest_go_back_without_overshoot_and_nothing_wrong_is_learned(monkeypatch, late):
-    """At full speed, and near a reversal, where the arms rest not far from where they were to be."""
+def test_stopped_arms_recover_without_overshoot_or_wrong_learning(monkeypatch, late):
+    """At full speed, and near a reversal, where the arms stop close to their reference."""
     monkeypatch.setattr(LateOnce, "late", late)
     monkeypatch.setattr(cells, "MujocoCell", LateOnce)
     trace, _ = errors_mm(keywords={"action_latency_ticks": 10}, perturbation=TYPICAL_PERTURBATION)
@@ -107,7 +107,7 @@ def test_arms_that_had_to_rest_go_back_without_overshoot_and_nothing_wrong_is_le
 
 @pytest.mark.parametrize(("rate", "late"), [(5.0, 20), (12.5, 58), (125.0, 500)])
 @pytest.mark.parametrize("mode", ["joint_delta", "joint_position"])
-def test_at_other_rates_arms_that_had_to_rest_go_back_as_well(monkeypatch, rate, late, mode):
+def test_stopped_arms_recover_at_other_rates(monkeypatch, rate, late, mode):
     monkeypatch.setattr(LateOnce, "late", late)
     monkeypatch.setattr(cells, "MujocoCell", LateOnce)
     keywords = {"action_latency_ticks": 10, "policy_rate_hz": rate, "action_mode": mode}
@@ -120,15 +120,15 @@ def test_at_other_rates_arms_that_had_to_rest_go_back_as_well(monkeypatch, rate,
 
 @pytest.mark.parametrize("latency", [5, 8, 10, 12])
 def test_short_periods_behind_a_long_latency(latency):
-    """It learned from its own start: 50 to 380 mm."""
+    """Learning from the first commands would give errors of 50 to 380 mm."""
     trace, _ = errors_mm(seed=1, keywords={"policy_rate_hz": 125.0, "action_latency_ticks": latency, "duration_s": 4.0})
     assert trace.max() < 5.0
     assert trace[200:].max() < 0.1
 
 
 @pytest.mark.parametrize("late", [32, 34, 40, 280])
-def test_a_carry_goes_on_where_arms_had_to_rest(monkeypatch, late):
-    """On the way down to the table, a few millimetres above it, and near a reversal."""
+def test_a_carry_continues_after_a_stop(monkeypatch, late):
+    """During the descent to the table, a few millimetres above it, and near a reversal."""
     monkeypatch.setattr(LateOnce, "late", late)
     monkeypatch.setattr(LateOnce, "limits", SyncCarry.limits)
     monkeypatch.setattr(cells, "MujocoCell", LateOnce)
@@ -144,8 +144,8 @@ def test_a_carry_goes_on_where_arms_had_to_rest(monkeypatch, late):
 
 
 @pytest.mark.parametrize(("late", "steps"), [(8, 1), (8, 3), (12, 2), (20, 3)])
-def test_measurements_that_were_late_spoil_little(late, steps):
-    """As where a machine stands still early in an episode, when a single sample teaches much: 60 to 76 mm then."""
+def test_late_measurements_do_little_harm(late, steps):
+    """As on a machine that stalls early in an episode, when one sample weighs much. Without the bound: 60 to 76 mm."""
     settings = {"action_latency_ticks": 10}
     env, policy = gym.make(SINE, **settings), policies.load("scripted", SINE, **settings)
     observation, _ = env.reset(seed=0)
@@ -205,8 +205,8 @@ def test_a_batch_is_its_rows():
             assert np.allclose(single(observations[row][k]), together[k][row], atol=1e-6)
 
 
-def test_it_asks_for_no_more_than_an_action_can():
-    """As after actions that came late: the commands are far behind."""
+def test_actions_stay_within_their_range():
+    """As after late actions: the commands lag far behind."""
     env = gym.make(SINE)
     observation, _ = env.reset(seed=0)
     observation[[12, 34 + 15]] += 0.3
@@ -264,7 +264,7 @@ def test_policies_are_policies():
     assert isinstance(policies.load("scripted", SINE), policies.Policy)
 
 
-def test_deviation_model_finds_what_made_the_data():
+def test_deviation_model_recovers_the_parameters_of_the_data():
     rng = np.random.default_rng(0)
     model = DeviationModel((2, 3))
     truth = rng.normal(size=(4, 2, 3)) * 1e-3

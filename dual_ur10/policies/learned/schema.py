@@ -107,7 +107,7 @@ def read(kind: type[T], value: Any, where: str, error: type[DualUR10Error] = Che
         result = TypeAdapter(kind).validate_json(json.dumps(value))
         found = list(_absent(dataclasses.asdict(result), value, where))  # type: ignore[call-overload]  # a dataclass
     except ValidationError as reason:
-        found = _findings(reason, where)
+        found = _findings(reason, where, value)
     if found:
         raise error(_listed(found))
     return result
@@ -122,7 +122,7 @@ def check(value: object, where: str, error: type[DualUR10Error]) -> None:
     try:
         TypeAdapter(type(value)).validate_python(value)
     except ValidationError as reason:
-        raise error(_listed(_findings(reason, where))) from None
+        raise error(_listed(_findings(reason, where, value))) from None
 
 
 def _listed(found: list[str]) -> str:
@@ -143,15 +143,28 @@ def _absent(filled: Any, value: Any, path: str) -> Iterator[str]:
             yield from _absent(each, value[k], f"{path}[{k}]")
 
 
-def _findings(error: ValidationError, where: str) -> list[str]:
+def _findings(error: ValidationError, where: str, value: Any) -> list[str]:
     found = error.errors(include_url=False)
     parents = {each["loc"][:-1] for each in found}
     # pydantic counts only valid items: a list with a wrong one would be too short as well.
-    return [_finding(each, where) for each in found if each["type"] != "too_short" or each["loc"] not in parents]
+    kept = [each for each in found if each["type"] != "too_short" or each["loc"] not in parents]
+    return [_finding(each, where + _path(each["loc"], value)) for each in kept]
 
 
-def _finding(finding: Any, where: str) -> str:
-    path = where + "".join(f"[{key}]" if isinstance(key, int) else f".{key!s:.80}" for key in finding["loc"])
+def _path(keys: tuple[int | str, ...], value: Any) -> str:
+    path = ""
+    for k, key in enumerate(keys):
+        if isinstance(value, dict) and key not in value and k < len(keys) - 1:
+            continue  # the tag of a union is no key of the JSON
+        path += f"[{key}]" if isinstance(key, int) else f".{key:.80}"
+        if isinstance(value, dict):
+            value = value.get(key)
+        elif isinstance(value, list) and isinstance(key, int):
+            value = value[key]
+    return path
+
+
+def _finding(finding: Any, path: str) -> str:
     text, value = str(finding["msg"]), finding["input"]
     if finding["type"] == "value_error":
         lines = text.removeprefix("Value error, ").split("\n")

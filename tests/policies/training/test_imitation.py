@@ -254,6 +254,14 @@ def test_a_damaged_training_is_refused(tmp_path, name, content, match):
         resume(tmp_path / "out", steps=1000)
 
 
+def test_wrong_settings_are_reported_with_their_paths(whole, tmp_path):
+    path = shutil.copytree(whole.parent, tmp_path / "out") / "training.json"
+    asked = json.loads(path.read_text())
+    path.write_text(json.dumps({**asked, "envs": "2", "settings": {**asked["settings"], "hidden": [16, "a"]}}))
+    with pytest.raises(TrainingError, match=r"json\.envs is '2'.*; .*json\.settings\.hidden\[1\] is 'a': it must be"):
+        resume(path.parent)
+
+
 def test_samples_of_another_environment_are_refused(whole, tmp_path):
     train(small(rounds=1), tmp_path / "out")
     asked = tmp_path / "out" / "training.json"

@@ -30,7 +30,7 @@ ActionMode = Literal["joint_delta", "joint_position", "tcp_delta"]
 JOINT_MARGIN_RAD = 0.01
 """Margin inside the joint range of the gate at which the adapter brakes."""
 
-GRIPPER_OPENING_M = 0.085
+GRIPPER_WIDTH_M = 0.085
 """Full gripper width, Robotiq 2F-85 data sheet."""
 
 TCP_STEP_M_S = 0.25
@@ -346,7 +346,7 @@ class ServojAdapter:
         """Return the width of each gripper in every tick, (n, ticks, 2), in m."""
         if not self.gripper:
             return None
-        width = (np.clip(action[..., 6], -1.0, 1.0) + 1.0) * (GRIPPER_OPENING_M / 2)
+        width = (np.clip(action[..., 6], -1.0, 1.0) + 1.0) * (GRIPPER_WIDTH_M / 2)
         return np.repeat(width[:, None], self.ticks, axis=1)
 
 

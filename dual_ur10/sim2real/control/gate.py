@@ -124,42 +124,42 @@ class SafetyGate:
             raise ActionError(f"targets must be float64, found {targets_rad.dtype}: convert them first")
         window = np.concatenate([self._past, targets_rad.reshape(n, ticks, 12)], axis=1)
         quantities = envelope.rows @ window
-        share = envelope.use(quantities)
+        used = envelope.use(quantities)
         # Every check is of the form "within the limit", which NaN and infinity never are.
-        kept = envelope.within(share, _TOLERANCE, 1.0)
+        kept = envelope.within(used, _TOLERANCE, 1.0)
         if not kept and not np.isfinite(targets_rad).all():
             raise ActionError(_not_finite(targets_rad))
         first_order, rest = quantities[:, envelope.rest_row - 1], quantities[:, envelope.rest_row]
         spare = self._clearance.spare_m(rest)
         legal = np.logical_and.reduce(spare >= 0.0, axis=1)
         if not kept:
-            legal = legal & self._in_detail(window, share)
+            legal = legal & self._in_detail(window, used)
         going = legal.copy()
         going[list(self._verdicts)] = False
         self._too_close_q = self._swept(window, first_order, rest, spare, going)
         legal[list(self._too_close_q)] = False
         if self._verdicts or not np.logical_and.reduce(legal):
-            self._refuse(np.flatnonzero(~legal), window, quantities, share)
+            self._refuse(np.flatnonzero(~legal), window, quantities, used)
         self._past = window[:, -HISTORY:]
         self._sent += ticks
         # Copies: the released targets are the checked ones, and no caller holds the gate's own record.
         leaving = window[:, HISTORY:].copy().reshape(n, ticks, 2, 6)
         return GateResult(leaving, dict(self._verdicts))
 
-    def _in_detail(self, window: Array, share: Array) -> Mask:
+    def _in_detail(self, window: Array, used: Array) -> Mask:
         """Return an (n,) mask of rows within all limits, with the Cartesian speed itself where its bound fails."""
-        legal: Mask = share.reshape(self.n, -1).max(axis=1) <= _TOLERANCE
-        rows = np.flatnonzero(legal & (self.envelope.cartesian_bound(share) > 1.0))
+        legal: Mask = used.reshape(self.n, -1).max(axis=1) <= _TOLERANCE
+        rows = np.flatnonzero(legal & (self.envelope.cartesian_bound(used) > 1.0))
         if rows.size:
             fastest, _ = self.envelope.cartesian_use(window[rows])
             legal[rows] = fastest.max(axis=1) <= _TOLERANCE
         return legal
 
-    def _refuse(self, rows: Rows, window: Array, quantities: Array, share: Array) -> None:
+    def _refuse(self, rows: Rows, window: Array, quantities: Array, used: Array) -> None:
         """Write the brake into the refused rows of `window`, and keep the reason."""
         for row in rows.tolist():
             if row not in self._verdicts:
-                self._verdicts[row] = self._explain(row, window, quantities, share)
+                self._verdicts[row] = self._explain(row, window, quantities, used)
         stopping = np.array(sorted(self._verdicts), dtype=np.intp)
         past = self._past[stopping]
         # Relative to the last target, rounding of the brake is far below that of a third difference.
@@ -169,11 +169,10 @@ class SafetyGate:
         resting = speed < self.envelope.rest_speed_rad_s
         window[stopping, HISTORY:] = np.where(resting[:, None, None], last, brake)
 
-    def _explain(self, row: int, window: Array, quantities: Array, share: Array) -> Verdict:
-        """Return the worst violation of one row."""
+    def _explain(self, row: int, window: Array, quantities: Array, used: Array) -> Verdict:
         tick, envelope = int(self._sent[row]), self.envelope
-        worst, column = np.unravel_index(share[row].argmax(), share[row].shape)
-        if not share[row, worst, column] <= _TOLERANCE:
+        worst, column = np.unravel_index(used[row].argmax(), used[row].shape)
+        if not used[row, worst, column] <= _TOLERANCE:
             half = envelope.half[worst, column % 6]
             found, middle = quantities[row, worst, column], envelope.middle[worst, column % 6]
             allowed = middle + half if found > middle else middle - half

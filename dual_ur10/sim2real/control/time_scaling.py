@@ -127,10 +127,10 @@ def scaling_from_slider(fraction: float) -> float:
     return int(fraction / STEP + 1e-9) * STEP
 
 
-def interpolate(before: Array, start: Array, stop: Array, after: Array, share: float) -> Array:
+def interpolate(before: Array, start: Array, stop: Array, after: Array, fraction: float) -> Array:
     """Interpolate between two targets on the cubic whose slopes are those between their neighbours."""
     leaving, arriving = (stop - before) / 2, (after - start) / 2
     step = start - stop
-    cubic = share * (share * (2 * step + leaving + arriving) - 3 * step - 2 * leaving - arriving)
-    result: Array = start + share * (leaving + cubic)
+    cubic = fraction * (fraction * (2 * step + leaving + arriving) - 3 * step - 2 * leaving - arriving)
+    result: Array = start + fraction * (leaving + cubic)
     return result

@@ -223,13 +223,13 @@ class ArmMemory:
             raise SettingsError("there are no targets")
         index = max(index, 0.0)
         below = int(index)
-        share = index - below
-        if share == 0.0 or below >= last:
+        fraction = index - below
+        if fraction == 0.0 or below >= last:
             target: Array = self._targets[min(below, last) % RING].copy()
             return target
         numbers = np.clip(np.arange(below - 1, below + 3), 0, last)
         before, start, stop, after = self._targets[numbers % RING]
-        return interpolate(before, start, stop, after, share)
+        return interpolate(before, start, stop, after, fraction)
 
     def sent(self, since: int = 0) -> tuple[Sent, int]:
         """Return the targets sent from number `since` on, as far as they are kept, and the next number."""

@@ -380,7 +380,6 @@ class ArmSender:
         return True
 
     def _record_until_rest(self) -> None:
-        """Record states until the arm rests."""
         end = time.monotonic() + _REST_S
         while time.monotonic() < end and self._record(time.monotonic() + 2 * self.servoj.tick_s):
             status = self.memory.status

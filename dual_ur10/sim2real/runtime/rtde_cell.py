@@ -24,7 +24,7 @@ from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm, prompt_for
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, CellStep, Start
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.control.adapter import GRIPPER_OPENING_M, Command
+from dual_ur10.sim2real.control.adapter import GRIPPER_WIDTH_M, Command
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.command_queue import MAX_LATENCY_TICKS
 from dual_ur10.sim2real.control.limits import MotionLimits
@@ -375,7 +375,7 @@ class RtdeCell:
             if fault:
                 raise LinkError(f"a gripper does not follow its command: {fault}")
             # One without a measurement counts as open.
-            widths = np.array([GRIPPER_OPENING_M if each is None else each for each in self._grippers.opening_m])
+            widths = np.array([GRIPPER_WIDTH_M if each is None else each for each in self._grippers.opening_m])
             wrench = np.array([_wrench_at_flange(each) for each in statuses])
         time_s = self._elapsed * self._tick_s
         state = self._mirror.follow(time_s, q, qd / slow, gripper_m=widths, wrench=wrench)

@@ -55,7 +55,7 @@ class Runner:
         stopped: True after `close` if the processes of both arms reported that their arm is at rest.
 
     Raises:
-        CellFaulted: The arms were stopped, and nobody has cleared that.
+        CellFaulted: A latched stop was not cleared.
         CellBusyError: Another program moves one of them.
         StartError: A controller is not ready.
         LinkError: A controller cannot be reached.
@@ -267,7 +267,6 @@ class Runner:
             memory.stop()
 
     def _is_stopping(self) -> bool:
-        """Return True if an arm that had begun is stopping."""
         return self.begun and any(memory.phase >= Phase.STOPPING for memory in self.arms)
 
     def _stop_failure(self) -> str:

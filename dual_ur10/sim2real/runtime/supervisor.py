@@ -119,7 +119,6 @@ class Supervisor:
         return None
 
     def _end(self) -> None:
-        """Make sure that both arms stop at the end of the program."""
         if not self._cell.begin_s:
             return  # nothing has moved
         self._enforcer.begin()
@@ -130,7 +129,6 @@ class Supervisor:
         self._enforcer.close()
 
     def _stop(self, reason: str) -> None:
-        """Stop both arms and latch the reason."""
         self._cell.enter_fault(reason)
         reason = self._cell.fault  # another process may have been first
         for memory in self._arms:

@@ -20,7 +20,7 @@ from dual_ur10 import policies
 from dual_ur10.cli import main as cli
 from dual_ur10.envs import parallel_env
 from dual_ur10.errors import ActionError, CheckpointError, UnknownNameError
-from dual_ur10.policies.evaluation.evaluate import evaluate
+from dual_ur10.policies import evaluate
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.learned.network import NetworkShape, Normaliser
 from tests.policies.learned.checkpoints import (

@@ -11,7 +11,7 @@ import pytest
 import dual_ur10
 from dual_ur10 import policies
 from dual_ur10.errors import CheckpointError, UnknownNameError
-from dual_ur10.policies.evaluation.evaluate import evaluate
+from dual_ur10.policies import evaluate
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.registry import shipped_folder, shipped_names
 from tests.soak import SOAK

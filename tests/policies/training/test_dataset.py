@@ -9,7 +9,7 @@ import pytest
 
 from dual_ur10 import policies
 from dual_ur10.errors import DatasetError, SettingsError
-from dual_ur10.policies.evaluation.evaluate import evaluate
+from dual_ur10.policies import evaluate
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.training.dataset import collect, read_dataset
 from dual_ur10.sim2real.config.cell_file_reference import starting_text

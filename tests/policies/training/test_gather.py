@@ -8,7 +8,7 @@ import pytest
 from dual_ur10 import policies
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.errors import UnreachableError
-from dual_ur10.policies.evaluation.evaluate import evaluate
+from dual_ur10.policies import evaluate
 from dual_ur10.policies.training.gather import Expert, gather
 
 SINE, HANDOVER = "DualUR10/SineTracking-v0", "DualUR10/Handover-v0"

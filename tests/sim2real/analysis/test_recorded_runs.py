@@ -16,7 +16,7 @@ from rich.console import Console
 from dual_ur10.cli import options as cli_options
 from dual_ur10.envs.core.core import Core
 from dual_ur10.errors import CellFaulted, RecordingError, SettingsError, StartError
-from dual_ur10.policies.evaluation.evaluate import evaluate
+from dual_ur10.policies import evaluate
 from dual_ur10.policies.registry import provenance, shipped_folder
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.recording.run import Run

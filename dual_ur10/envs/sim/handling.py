@@ -16,7 +16,7 @@ from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig, Start
 from dual_ur10.types import Array, Rows
 
-_SLACK = 1.5  # of the way that the servo's reference must lead by for full force
+_SLACK = 1.5  # of the lead of the servo's reference that full force needs
 
 _WELDED_M = 0.04  # width of grippers that are welded to the bar
 

@@ -74,7 +74,7 @@ class _Episode:
 
 
 class HandoverPolicy(ScriptedPolicy):
-    """Picks the block up, hands it over and lays it down.
+    """Picks up the block, hands it over and places it.
 
     Each motion is planned from the observation at its beginning. Between motions the policy waits for the fingers. The
     settings of the task have no effect.

@@ -22,7 +22,7 @@ _ABOVE_M: Final = 0.08  # of the passing points above the block on the table
 _APART_M: Final = 0.07  # by which both tools draw back from each other
 _PASS_M_S: Final = 0.12  # speed at a passing point
 _DROP_M: Final = 0.001  # height at which the block is let go, so that it is not pressed onto the table
-_SLIPPED_M: Final = 0.02  # largest slip of the block in the gripper that is believed
+_SLIPPED_M: Final = 0.02  # largest plausible slip of the block in the gripper
 _ACCELERATION_RAD_S2: Final = 4.0
 _JERK_RAD_S3: Final = 20.0
 # Acceleration and jerk of a tool on a line, in m/s² and m/s³: down to the table, and elsewhere.

@@ -1,4 +1,4 @@
-"""Handover: one arm picks up a block and hands it to the other, which lays it on its target."""
+"""Handover: one arm picks up a block and hands it to the other, which places it on its target."""
 
 from __future__ import annotations
 
@@ -255,10 +255,10 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
         """Sample giver, block pose and target pose. The arms are above the table, with open grippers."""
         settings, givers = self.settings, self.settings.givers
-        drawn = np.array([rng.uniform(-1.0, 1.0, 7) for rng in rngs]).reshape(len(rows), 7)
-        giver = np.where(drawn[:, 6] < 0.0, givers[0], givers[-1])
-        where = drawn[:, :3] * np.array([settings.object_range_m] * 2 + [settings.object_turn_rad])
-        wanted = drawn[:, 3:6] * np.array([settings.target_range_m] * 2 + [settings.target_turn_rad])
+        sampled = np.array([rng.uniform(-1.0, 1.0, 7) for rng in rngs]).reshape(len(rows), 7)
+        giver = np.where(sampled[:, 6] < 0.0, givers[0], givers[-1])
+        where = sampled[:, :3] * np.array([settings.object_range_m] * 2 + [settings.object_turn_rad])
+        wanted = sampled[:, 3:6] * np.array([settings.target_range_m] * 2 + [settings.target_turn_rad])
         block, target = lying(where, giver), lying(wanted, 1 - giver)
         self._giver[rows] = giver
         self._grip_m[rows] = np.stack([grips.position_m for grips in GRIPS])[giver]

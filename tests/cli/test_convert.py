@@ -288,7 +288,7 @@ def test_no_code_runs_before_the_arguments_are_checked(sb3: Any, tmp_path: Path)
     model.write_bytes(hostile(sentinel))
     (tmp_path / "there").mkdir()
     for arguments, expected in (
-        (("SineTracking", "--out", tmp_path / "there"), "exists, and nothing is written over"),
+        (("SineTracking", "--out", tmp_path / "there"), "exists, and nothing is overwritten"),
         (("SineTracking", "--out", tmp_path / "a b"), "is no name of a checkpoint"),
         (("SyncCarry", "--out", out), "observes 68 numbers"),
         (("SineTracking", "--out", out, "--algo", "sac"), "is a model of ppo"),
@@ -316,8 +316,8 @@ def test_nothing_is_overwritten(made: Any, tmp_path: Path) -> None:
     arguments = ("convert", tmp_path / "model.zip", "SineTracking", "--out", tmp_path / "x", "--trust-pickle")
     assert run(*arguments).exit_code == 0
     before = {path.name: path.read_bytes() for path in (tmp_path / "x").iterdir()}
-    refused(run(*arguments), "exists, and nothing is written over")
-    refused(run(*arguments[:4], tmp_path / "model.zip", "--trust-pickle"), "exists, and nothing is written over")
+    refused(run(*arguments), "exists, and nothing is overwritten")
+    refused(run(*arguments[:4], tmp_path / "model.zip", "--trust-pickle"), "exists, and nothing is overwritten")
     assert {path.name: path.read_bytes() for path in (tmp_path / "x").iterdir()} == before
 
 

@@ -18,7 +18,7 @@ from dual_ur10.types import Array, Rows
 Motion = tuple[Array, Array, Array]
 
 # Attributes that hold MuJoCo's memory: not pickled, and built anew.
-_LIVE = ("_batch", "_warnings", "_arms_q", "_arms_qd", "_flange", "_handling", "_plant", "_feedforward", "_drawn")
+_LIVE = ("_batch", "_warnings", "_arms_q", "_arms_qd", "_flange", "_handling", "_plant", "_feedforward", "_rendered")
 
 
 class Physics:
@@ -70,7 +70,7 @@ class Physics:
         dofs = np.concatenate([np.arange(6), joints + np.arange(6)])
         self._plant = Plant(self._batch, scene, dofs)
         self._feedforward = FeedForward(scene, n, self.threads)
-        self._drawn: tuple[Any, Any] | None = None
+        self._rendered: tuple[Any, Any] | None = None
 
     def _joints(self, values: Array) -> Array:
         joints = 8 if self._handling is not None else 6
@@ -193,10 +193,10 @@ class Physics:
         """Return MuJoCo's model and data of one cell for rendering: the same objects at every call, updated."""
         import mujoco
 
-        if self._drawn is None:
+        if self._rendered is None:
             model = build_model(self.config.scene)
-            self._drawn = model, mujoco.MjData(model)
-        model, data = self._drawn
+            self._rendered = model, mujoco.MjData(model)
+        model, data = self._rendered
         # The rendered model has more geoms, the same state, and the true base poses.
         self._plant.place_bases(model, row)
         mujoco.mj_setState(model, data, self._batch.state[row], int(mujoco.mjtState.mjSTATE_INTEGRATION))

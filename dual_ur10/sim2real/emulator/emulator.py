@@ -127,7 +127,7 @@ class Emulator:
         self._hub = Hub(options.seed)
         self._injection = FaultInjection(self, options.seed)
         self._viewer: Viewer | None = None
-        self._drawn_s = 0.0
+        self._rendered_s = 0.0
         mounts = (self.world.config.left, self.world.config.right)
         try:
             hosts = _addresses(options)
@@ -224,8 +224,8 @@ class Emulator:
                 server.controller.safety.stop(SafetyMode.FAULT, "the simulation diverged")
         self.ticks += 1
         self._injection.after_tick(self.ticks * self.tick_s)
-        if self._viewer is not None and self.ticks * self.tick_s - self._drawn_s >= _FRAME_S:
-            self._drawn_s = self.ticks * self.tick_s
+        if self._viewer is not None and self.ticks * self.tick_s - self._rendered_s >= _FRAME_S:
+            self._rendered_s = self.ticks * self.tick_s
             self._viewer.show(*self.world.draw())
 
     @property

@@ -28,7 +28,7 @@ class MirrorModel:
         self._scene, self._mujoco = scene, mujoco
         self._model = build_model(scene, visuals=False)
         self._data = mujoco.MjData(self._model)
-        self._drawn: tuple[Any, Any] | None = None
+        self._rendered: tuple[Any, Any] | None = None
         where = sensor_slices(self._model)
         names = ("flange_base_pos", "flange_base_quat", "flange_pos")
         self._flanges = [np.r_[*(where[f"{arm}/{name}"] for arm in ARMS)] for name in names]
@@ -97,10 +97,10 @@ class MirrorModel:
 
     def model_and_data(self) -> tuple[Any, Any]:
         """Return the MuJoCo model and data for rendering: the same objects at every call, updated."""
-        if self._drawn is None:
+        if self._rendered is None:
             model = build_model(self._scene)
-            self._drawn = model, self._mujoco.MjData(model)
-        model, data = self._drawn
+            self._rendered = model, self._mujoco.MjData(model)
+        model, data = self._rendered
         data.qpos[:] = self._data.qpos
         if model.nmocap:
             data.mocap_pos[:], data.mocap_quat[:] = self._data.mocap_pos, self._data.mocap_quat

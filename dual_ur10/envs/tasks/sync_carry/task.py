@@ -318,8 +318,8 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         # The internal force is half the difference of both arms' forces, along the bar and across it.
         along = quat_to_matrix(measured.bar.quat[:, 0])[:, :, 1]
         inner = (measured.force_n[:, 0] - measured.force_n[:, 1]) / 2
-        squeeze = np.add.reduce(inner * along, axis=1)
-        lateral = length(inner - squeeze[:, None] * along)
+        internal = np.add.reduce(inner * along, axis=1)
+        lateral = length(inner - internal[:, None] * along)
         load = np.maximum(-measured.force_n[..., 2], 0.0)
         begun = clock > 0.0
         self._slip_from[~begun] = grip[~begun]
@@ -337,7 +337,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         share = load / np.maximum(np.add.reduce(load, axis=1, keepdims=True), 1e-9)
         info = {
             "slip_m": slip,
-            "squeeze_n": squeeze,
+            "squeeze_n": internal,
             "lateral_n": lateral,
             "load_share": share,
             "relative_error_m": relative_m,
@@ -349,7 +349,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         }
         both: Mask = np.logical_and.reduce(measured.holding, axis=1)
         shared = [gaussian(bar_m, _BAR_M), gaussian(bar_rad, _TURN_RAD), gaussian(relative_m, _RELATIVE_M)]
-        shared.append(gaussian(squeeze, _INTERNAL_N))
+        shared.append(gaussian(internal, _INTERNAL_N))
         terms = np.empty((self.n, 2, 6))
         terms[..., 0] = np.where(measured.holding, 1.0, gaussian(length(grip), _REACH_M))
         terms[..., 1] = measured.holding

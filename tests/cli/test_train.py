@@ -29,7 +29,7 @@ def run(*arguments):
         (("SineTracking", "--agents", "both"), "unknown agents"),
         (("SineTracking", "--setting", "rounds=2"), "unknown setting of dagger 'rounds'"),
         (("SineTracking", "--setting", "hidden=many"), "hidden is 'many'"),
-        (("SineTracking", "--setting", "unseen=[3]"), "unseen is (3,)"),
+        (("SineTracking", "--setting", "unseen=[3]"), "unseen[0] is 3"),
         (("SineTracking", "--set", "speed=2"), "speed"),
         (("SineTracking", "--resume", "x"), "leave out ENV."),
         (("--resume", "x", "--seed", 5, "--steps", 9, "--set", "a=1"), "leave out --seed, --set. Only --steps and"),

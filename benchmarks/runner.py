@@ -27,10 +27,10 @@ import numpy as np
 from dual_ur10 import policies
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import CellFaulted, LinkError, StartError
+from dual_ur10.kinematics.ur10 import TICK_S
 from dual_ur10.policies import evaluate, rollout
 from dual_ur10.sim2real.analysis.timing import timing
 from dual_ur10.sim2real.config.cell_file import load_cell_file
-from dual_ur10.sim2real.control.servoj import TICK_S
 from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.runtime.arm_memory import Phase

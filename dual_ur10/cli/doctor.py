@@ -11,8 +11,8 @@ from rich.table import Table
 
 from dual_ur10.cli.options import ArmFamily, Left, Right, console
 from dual_ur10.errors import SettingsError
+from dual_ur10.kinematics.ur10 import Family
 from dual_ur10.sim2real.config.cell_file import load_cell_file
-from dual_ur10.sim2real.control.servoj import Family
 
 _MARKS = {"ok": "[green]ok[/]", "warn": "[yellow]warn[/]", "fail": "[bold red]fail[/]"}
 

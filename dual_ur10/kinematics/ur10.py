@@ -7,12 +7,18 @@ kg, inertias in kg m². Nothing here is tuned.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.types import constant
+
+Family = Literal["cb3", "e-series"]
+"""Controller families."""
+
+TICK_S: Final[dict[str, float]] = {"cb3": 0.008, "e-series": 0.002}
+"""Control period of each controller family: UR's real-time client guide."""
 
 ARMS: Final = ("left", "right")
 """Agents and name prefixes, in the order of every array axis of size 2."""

@@ -18,10 +18,11 @@ from dual_ur10.envs.core.setup import EnvSetup, load_task
 from dual_ur10.envs.tasks.task import Task
 from dual_ur10.errors import CheckpointError
 from dual_ur10.ids import ENTRY_POINTS, env_id_of, task_name
+from dual_ur10.kinematics.ur10 import Family
 from dual_ur10.policies.learned.schema import JsonList, Numbers, Object, StrictJson, Text, Whole
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.adapter import ActionMode, ServojAdapter
-from dual_ur10.sim2real.control.servoj import Family, ServojProfile
+from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.recording.header import plain
 from dual_ur10.types import Array
 

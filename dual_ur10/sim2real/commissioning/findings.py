@@ -11,9 +11,8 @@ import numpy as np
 from dual_ur10.errors import LinkError, SettingsError, UnknownNameError
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, quat_to_rotvec
-from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
+from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters, Family
 from dual_ur10.sim2real.config.cell_file_tables import ArmEntry
-from dual_ur10.sim2real.control.servoj import Family
 from dual_ur10.sim2real.control.time_scaling import FULL
 from dual_ur10.sim2real.links.arm_status import ArmStatus, mode_name, stop_reason
 from dual_ur10.sim2real.links.link_socket import check_host

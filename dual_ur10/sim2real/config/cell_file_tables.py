@@ -20,8 +20,8 @@ from dual_ur10.assets import obstacles
 from dual_ur10.ids import ENTRY_POINTS, ENV_IDS
 from dual_ur10.kinematics import ur10
 from dual_ur10.kinematics.frames import MAX_MOUNT_M, ArmMount
-from dual_ur10.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, DHParameters
-from dual_ur10.sim2real.control.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S, MEASURED_LOOKAHEAD_S, Family, ServojProfile
+from dual_ur10.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, DHParameters, Family
+from dual_ur10.sim2real.control.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S, MEASURED_LOOKAHEAD_S, ServojProfile
 
 Kind = Literal["real", "emulated"]
 

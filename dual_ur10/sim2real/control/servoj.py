@@ -15,17 +15,13 @@ import cmath
 import math
 import numbers
 from dataclasses import dataclass
-from typing import Final, Literal, get_args
+from typing import Final, get_args
 
 import numpy as np
 
 from dual_ur10.errors import RateError, SettingsError, UnknownNameError
+from dual_ur10.kinematics.ur10 import TICK_S, Family
 from dual_ur10.types import Array
-
-Family = Literal["cb3", "e-series"]
-
-TICK_S: Final[dict[str, float]] = {"cb3": 0.008, "e-series": 0.002}
-"""Control period of each controller family: UR's real-time client guide."""
 
 MAX_PERIOD_S: Final = 2.0
 """Longest policy period: the gate checks distances once in it."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from dual_ur10.errors import UnknownNameError
-from dual_ur10.sim2real.control.servoj import TICK_S
+from dual_ur10.kinematics.ur10 import TICK_S
 from dual_ur10.sim2real.protocol.primary_messages import ControllerIdentity
 
 

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from typing import Final, NoReturn
 
 from dual_ur10.errors import LinkError, ProtocolError, SettingsError
-from dual_ur10.sim2real.control.servoj import TICK_S
+from dual_ur10.kinematics.ur10 import TICK_S
 from dual_ur10.sim2real.links.link_socket import LinkSocket, SocketClient, check_timeout
 from dual_ur10.sim2real.links.rtde_stream import TIMESTAMP, RtdeStream, Sample
 from dual_ur10.sim2real.protocol.rtde import TYPES, DataType, FrameReader, Kind, frame, split_names

@@ -14,7 +14,7 @@ from enum import IntEnum
 from typing import Final
 
 from dual_ur10.errors import ScriptError, SettingsError
-from dual_ur10.sim2real.control.servoj import Family
+from dual_ur10.kinematics.ur10 import Family
 
 ROBOT_MESSAGE: Final = 20
 """Type of these packets."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, Field, with_config
 from typing_extensions import TypedDict
 
-from dual_ur10.sim2real.control.servoj import Family
+from dual_ur10.kinematics.ur10 import Family
 from dual_ur10.types import Array, Mask
 
 LATE: Final = -1

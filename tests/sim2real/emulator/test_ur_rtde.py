@@ -11,7 +11,8 @@ import pytest
 
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
-from dual_ur10.sim2real.control.servoj import TICK_S, ServojLaw
+from dual_ur10.kinematics.ur10 import TICK_S
+from dual_ur10.sim2real.control.servoj import ServojLaw
 from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.emulator.emulator import BOOT_S
 from tests.sim2real.emulator import clients

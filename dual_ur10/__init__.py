@@ -1,6 +1,6 @@
 """Dual-UR10 environments for learned and scripted policies, in MuJoCo, with the lag of real UR arms.
 
-Importing the package registers the environments with Gymnasium and PettingZoo and loads nothing heavy:
+Importing the package registers the environments with Gymnasium and PettingZoo. It loads neither MuJoCo nor torch:
 
     import gymnasium as gym
     import dual_ur10

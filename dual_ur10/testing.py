@@ -1,4 +1,4 @@
-"""Tools for the tests of other projects: an emulated cell as a fixture of pytest, and a check of policies.
+"""Tools for tests of your own project: an emulated cell as a pytest fixture, and a check of policies.
 
 In a `conftest.py` at the top of the tests:
 
@@ -68,7 +68,7 @@ class CellForTests(EmulatedCell):
         super().__init__(log=Path(folder) / "emulated_cell.log", **{**options, "cell": self.path})
 
     def make(self, env_id: str, **keywords: Any) -> Any:
-        """Make an environment on this cell. The previous one is closed: there is one pair of arms.
+        """Make an environment on this cell, and close the previous one, which uses the same arms.
 
         Raises:
             DualUR10Error: As raised by `gym.make`.
@@ -143,7 +143,7 @@ if importlib.util.find_spec("pytest") is not None:
     def emulated_cell(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[CellForTests]:
         """Run an emulated cell for one test, in real time.
 
-        Its options come from `@pytest.mark.emulated_cell(task="Handover", family="e-series")`, or of a parameter:
+        Its options come from `@pytest.mark.emulated_cell(task="Handover", family="e-series")`, or from a parameter:
         `@pytest.mark.parametrize("emulated_cell", [{"task": "SyncCarry"}], indirect=True)`.
         """
         with CellForTests(tmp_path, **options_of(request)) as cell:

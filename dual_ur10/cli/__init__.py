@@ -1,5 +1,5 @@
 """Command line of `dual-ur10`: one file per command.
 
-The top of the house: imports every room and is imported by none. Commands parse, call one function of the package and
-print; logic lives in the rooms below.
+The highest layer: it may import every package, and only `__main__` imports it. A command parses its arguments, calls
+one function of the package and prints the result; the lower layers contain the logic.
 """

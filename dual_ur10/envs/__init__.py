@@ -1,4 +1,4 @@
-"""Tasks, the simulated cell, and the environments made of both.
+"""Tasks, the simulated cell, and the environments that combine them.
 
     from dual_ur10.envs import aec_env, dm_env, parallel_env
 

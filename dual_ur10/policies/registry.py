@@ -1,6 +1,6 @@
 """Policies by name or by the path of a checkpoint.
 
-Learned policies come with the package in `learned/learned_policies`, a folder each:
+Learned policies come with the package in `learned/learned_policies`, one folder for each:
 
     policy.safetensors, manifest.json   the checkpoint; see `dual_ur10.policies.learned.checkpoint`
     card.md, curve.png                  command, seed, time and evaluations; the learning curve
@@ -28,14 +28,14 @@ _SHIPPED: Final = {
     "learned": {"SineTracking": "sine_tracking", "SyncCarry": "sync_carry", "Handover": "handover"},
     "learned-two-agents": {"SineTracking": "sine_tracking_two_agents"},
 }
-"""Folders by name and task. "learned": one network for both arms; "learned-two-agents": each arm sees its own part."""
+"""Folders by name and task. "learned": one network for both arms; "learned-two-agents": one network for each arm."""
 
 NAMES: Final = ("scripted", *_SHIPPED)
 """Names that `load` accepts. Not every task has a policy of every name."""
 
 
 def is_path(name: object) -> bool:
-    """Return True if `load` takes this for the path of a checkpoint and not for a name."""
+    """Return True if `load` treats this as the path of a checkpoint and not as a name."""
     if not isinstance(name, str):
         return isinstance(name, os.PathLike)
     return name not in NAMES and "\0" not in name and (os.sep in name or os.path.lexists(name))
@@ -61,20 +61,21 @@ def shipped_names(env_id: str) -> list[str]:
 
 
 def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: Any) -> Policy:
-    """Load a policy for an environment that is made with these keywords.
+    """Load a policy for an environment with these keywords.
 
     A scripted policy receives the rate and latency of actions, the mounts and speed limits of the arms, and the
-    task's settings, but not the kind of cell that it moves. A checkpoint is checked against the environment.
+    task's settings, but not the kind of cell. A checkpoint is checked against the environment.
 
     Args:
-        name: One of `NAMES`, or the path of a checkpoint's folder. A path that does not exist needs a "/" in it.
-        env_id: Id of the environment. None: that of the checkpoint; a name needs an id.
-        **keywords: As for `gym.make`. A policy ignores those that concern neither task nor cell. With neither
-            `env_id` nor keywords, a checkpoint's own keywords count.
+        name: One of `NAMES`, or the path of a checkpoint's folder. Text that contains
+            a "/" or names an existing file counts as a path.
+        env_id: Id of the environment. None: that of the checkpoint; a name requires an id.
+        **keywords: As for `gym.make`. A policy ignores those that concern neither task nor cell. Without `env_id` and
+            keywords, the checkpoint's own keywords apply.
 
     Raises:
-        UnknownNameError: No such policy, or no such environment.
-        SettingsError: A name without an environment.
+        UnknownNameError: The policy or the environment does not exist.
+        SettingsError: A name was given without an environment.
         CheckpointError: The checkpoint cannot be read, or was made for another environment.
     """
     if name in _SHIPPED and env_id is not None:

@@ -1,6 +1,6 @@
-"""From an action to two arms: control, the cell file, links and processes of real arms, records, and the emulator.
+"""Everything between an action and two arms: control, cell file, links and processes, records, and the emulator.
 
-Imports run from `protocol`, `control` and `processes` to `config` and `links`, to `peripherals`, `commissioning` and
-`runtime`, to `recording`; `analysis` and `emulator` stand above `envs` and `policies`. Nothing that moves real arms
+Layers, lowest first: `protocol`, `control` and `processes`; `config` and `links`; `peripherals` and `commissioning`;
+`runtime`; `recording`. `analysis` and `emulator` are above `envs` and `policies`. The code that moves real arms never
 imports the emulator.
 """

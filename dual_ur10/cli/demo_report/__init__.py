@@ -2,5 +2,5 @@
 
 Each task has one module, which defines its cases, figures, plots and video, and one template.
 
-Imports everything below the command line; nothing but the command line imports it.
+It may import every lower layer; only the command line imports it.
 """

@@ -18,7 +18,7 @@ from dual_ur10.sim2real.control.command_queue import checked_latency
 DEFAULT_RATE_HZ = 25.0
 
 MOVE_TO_START: Final = "move_to_start"
-"""Option of `reset` by which its caller consents to the motion to where an episode begins."""
+"""Option of `reset` by which its caller consents to the motion to the start of an episode."""
 
 ObservationKind = Literal["state", "pixels", "both"]
 
@@ -28,35 +28,36 @@ class EnvOptions:
     """Keywords of every environment.
 
     Raises:
-        UnknownNameError: `observation` is none of its names.
-        SettingsError: `cameras` names none, or one twice; or a value is of the wrong kind.
+        UnknownNameError: `observation` is not one of its names.
+        SettingsError: `cameras` is empty or names a camera twice, or a value has the wrong type.
 
     Attributes:
-        cell: "mujoco", a `dual_ur10.sim2real.config.cell.CellConfig`, or the path of a cell file: two controllers.
+        cell: "mujoco", a `dual_ur10.sim2real.config.cell.CellConfig`, or the path of a cell file for two controllers.
         policy_rate_hz: Actions per second. The period must be a whole number of controller ticks (8 ms on a CB3).
         action_mode: "joint_delta", "joint_position" or "tcp_delta"; see
             `dual_ur10.sim2real.control.adapter.ServojAdapter`.
-        action_latency_ticks: Ticks from an observation to the first target of its action. 0 is an ideal machine;
-            develop a policy for real arms with the latency that it will have. None: 0 in simulation, and the ticks of
+        action_latency_ticks: Ticks from an observation to the first target of its action. 0 is an ideal system.
+            Develop a policy for real arms with the latency that it will have. None: 0 in simulation, and the ticks of
             40 ms on two controllers.
         compensate_lag: Compensate the lag of `servoj` in the adapter.
         randomization: Variation from episode to episode: a name of
             `dual_ur10.envs.core.randomization.PRESETS`, a mapping of single values, or a `Randomization`.
         observation: "state" gives an array; "pixels" a dict of images by camera; "both" a dict of both.
         cameras: Cameras of an observation with pixels: names of `dual_ur10.assets.visuals.cameras`.
-        pixels_rate_hz: Images per second of an observation with pixels, the policy's rate divided by a whole number;
-            None: a new one with every observation.
-        camera: Camera of `render`, of the same names.
-        width, height: Size of images in pixels, those of `render` and those observed.
-        shadows: Draw shadows and reflections; see `dual_ur10.envs.rendering.images.Renderer`.
-        confirm: On two controllers, called with a text before the arms move to where an episode begins; True permits
-            it. With it, later resets need no other consent.
-            None: an emulated cell needs nobody, and for real arms somebody at the terminal is asked.
-        arm: "left" or "right": on two controllers, the one that moves while the other stays where it is. None: both.
-        record: Folder in which a folder with the record of this run is made; None: no record. On two controllers, the
-            last ten seconds before a stop are kept in any case.
-        record_failure: Reaction on two controllers when the record cannot be written any more, because the disk is
-            full: "go on", which is logged, or "stop".
+        pixels_rate_hz: Images per second of an observation with pixels, the policy's rate divided by a whole number.
+            None: a new image with every observation.
+        camera: Camera of `render`, one of the same names.
+        width, height: Size in pixels of images, both rendered and observed.
+        shadows: Render shadows and reflections; see `dual_ur10.envs.rendering.images.Renderer`.
+        confirm: Function that is called on two controllers with a text before the arms move to the start of an episode;
+            it returns True to permit the motion. Later resets then need no other consent. None: real arms ask for a
+            confirmation at the terminal, emulated ones do not.
+        arm: "left" or "right": the only arm that moves on two controllers; the other one holds its position. None: both
+            move.
+        record: Folder for the record of this run, which gets its own subfolder; None: no record. On two controllers,
+            the last ten seconds before a stop are recorded in any case.
+        record_failure: Reaction on two controllers if the record cannot be written any more, for example because the
+            disk is full: "go on", which is logged, or "stop".
         record_about: Description of the run in its record: `policy` (a name), `policy_sha256`, and any other value that
             JSON can hold. None: no description.
     """
@@ -130,15 +131,15 @@ def _check_about(about: object) -> None:
 
 
 OPTION_NAMES = tuple(each.name for each in dataclasses.fields(EnvOptions))
-"""Keywords of every environment, beside those of its task."""
+"""Keywords of every environment, in addition to those of its task."""
 
 
 def split_keywords(keywords: Mapping[str, Any]) -> tuple[EnvOptions, dict[str, Any]]:
     """Split the keywords of an environment into its options and those of its task.
 
     Raises:
-        UnknownNameError: `observation` is none of its names.
-        SettingsError: `cameras` names none, or one twice.
+        UnknownNameError: `observation` is not one of its names.
+        SettingsError: `cameras` is empty or names a camera twice, or a value has the wrong type.
     """
     rest = dict(keywords)
     options = {name: rest.pop(name) for name in OPTION_NAMES if name in rest}

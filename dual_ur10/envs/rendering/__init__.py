@@ -1,4 +1,4 @@
 """Images, pixel observations, the native viewer and the web viewer.
 
-Imports `assets` and `envs.core`; loads MuJoCo's renderer only when something is drawn.
+Imports `assets` and `envs.core`; loads MuJoCo's renderer only when an image is rendered.
 """

@@ -1,4 +1,4 @@
-"""The simulated cell: MuJoCo physics in batches, behind the servoj law.
+"""The simulated cell: the servoj law and MuJoCo physics, in batches.
 
 Imports `assets` and `sim2real.{config, control}`. Imported by `envs.core` and, for its physics, by the emulator.
 """

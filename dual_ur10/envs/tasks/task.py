@@ -74,14 +74,14 @@ MeasuredT = TypeVar("MeasuredT")
 
 
 class Task(ABC, Generic[SettingsT, MeasuredT]):
-    """Task for n cells. It receives nothing but `CellState`, and keeps the state of the running episodes.
+    """Task for n cells. Its only input is `CellState`; it keeps the state of the running episodes.
 
     Attributes:
         name: Name in the id.
         limits: Motion limits of the task, in simulation and on real arms; those of an instance respect its cell.
         weights: Weight of each reward term, by its name.
         coupled: True if both arms hold one object between them.
-        stages: Names of the stages that `info["stage"]` counts, if there are any; 0 is before the first.
+        stages: Names of the stages that `info["stage"]` counts, or empty; 0 is before the first stage.
         settings_type: Dataclass of the task's keywords.
         layout: Fields of an observation; those of an instance depend on its settings.
 
@@ -128,8 +128,8 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
     def measure(self, state: CellState) -> MeasuredT:
         """Compute the quantities that observation and reward share.
 
-        It keeps no state, because it may be called for the true state and for the measured one. The part that `observe`
-        uses may depend on poses and gripper widths alone: noise of joints and wrenches needs no other call.
+        It must keep no state, because it is called for the true state and for the measured one. The part that `observe`
+        uses may depend on poses and gripper widths only: noise on joints and wrenches alone needs no further call.
         """
 
     @abstractmethod
@@ -137,7 +137,7 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         """Assemble the observations, (n, 2 * layout.size)."""
 
     def observe_agents(self, observation: Array) -> Array:
-        """Return each agent's own observation, (n, 2, size), from those of both, (n, size); for any n."""
+        """Return each agent's own observation, (n, 2, size), from joint observations, (n, size); for any n."""
         return observation.reshape(len(observation), 2, -1)
 
     @abstractmethod
@@ -145,12 +145,12 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         """Evaluate the state after a step. Call it once per step, because it may count steps of an episode."""
 
     def payload_kg(self) -> Array | None:
-        """Return the payload at the end of the next period to declare to the controllers, (n, 2); None: none."""
+        """Return the payload to set on the controllers at the end of the next period, (n, 2); None: none."""
         return None
 
 
 def duration_ratio(wanted: MotionLimits, allowed: MotionLimits) -> float:
-    """Return an upper bound of the ratio of a motion's durations within `allowed` and within `wanted`."""
+    """Return an upper bound of the factor by which a motion takes longer within `allowed` than within `wanted`."""
     joints = max(a / b for a, b in zip(wanted.speed_rad_s, allowed.speed_rad_s, strict=True))
     return max(1.0, joints, wanted.tcp_speed_m_s / allowed.tcp_speed_m_s)
 

@@ -1,4 +1,4 @@
-"""Checks and preparation of a cell by its operator: doctor, power and prompts.
+"""Checks and preparation of a cell: doctor, power, and prompts to the operator.
 
 Imports `sim2real.{config, control, links, peripherals, protocol}`; imported by `sim2real.runtime` and `cli`.
 """

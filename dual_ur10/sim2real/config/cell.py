@@ -1,6 +1,6 @@
 """Interface of a cell of two arms, its state, its configuration and its perturbation.
 
-A cell executes joint targets tick by tick and returns its state; it knows nothing of tasks. The simulated cell is
+A cell executes joint targets tick by tick and returns its state; it does not depend on tasks. The simulated cell is
 `dual_ur10.envs.sim.mujoco_cell.MujocoCell`.
 """
 
@@ -31,10 +31,10 @@ Numbers = float | Array | tuple[Any, ...]
 CellKind = Literal["mujoco", "emulated", "real"]
 
 LEAST_DAMPING = 0.3
-"""Smallest damping ratio of the servoj law: below it the arms swing beyond the targets that the gate checks.
+"""Smallest damping ratio of the servoj law: below it the arms overshoot the targets that the gate checks.
 
-Measured with random actions: with 0.34 and more, true distances stay above 19.7 mm where the targets keep 20 mm; with
-0.15 the arms touch, and one is three times as fast as its targets.
+Measured with random actions: with 0.34 and more, true distances stay above 19.7 mm where the targets keep 20 mm. With
+0.15 the arms collide, and one is three times as fast as its targets.
 """
 
 LATENCY_S = 0.04
@@ -47,7 +47,7 @@ LEAST_CAP = 0.01
 class CellState(NamedTuple):
     """Measurements of n cells at one instant, limited to those of a real cell.
 
-    The arrays belong to the cell and change with its next call: copy those to be kept.
+    The arrays belong to the cell and change with its next call: copy those that you keep.
 
     Attributes:
         time_s: (n,) time since the reset, a whole number of ticks.
@@ -122,8 +122,8 @@ class CellStep(NamedTuple):
 
     Attributes:
         state: State at the end of the step.
-        stopped_q_rad: (n, 2, 6) joint positions at which the arms stand instead of those commanded; the next command
-            must continue from here. None: the arms follow the commands.
+        stopped_q_rad: (n, 2, 6) joint positions at which the arms stopped, instead of those commanded; the next command
+            must continue from them. None: the arms follow the commands.
         late: True if the command missed its deadline, so that both arms stopped and none of its targets was sent.
         first_target: Number of the command's first target among those sent, or where it would have been; None: the
             recorder counts the targets itself.
@@ -177,7 +177,7 @@ class Cell(Protocol):
         """End the episode: no more targets follow, and arms that still move stop."""
 
     def stop(self, reason: str) -> None:
-        """Stop both arms, latched, for a reason that lies with the commanding program."""
+        """Make a latched stop of both arms, because of a fault of the commanding program."""
 
     def model_and_data(self, row: int) -> tuple[Any, Any]:
         """Return MuJoCo's model and data of one cell, for rendering."""
@@ -194,13 +194,13 @@ class Perturbation:
     so that equal perturbations are equal and hash alike. The defaults change nothing.
 
     Attributes:
-        mass_scale: (n, 2) factor on all link masses and inertias. The controller goes on compensating the gravity of
-            the nominal arm.
+        mass_scale: (n, 2) factor on all link masses and inertias. The controller still compensates the gravity of the
+            nominal arm.
         friction_nm: (n, 2, 6) Coulomb friction of the joints.
         lookahead_scale: (n, 2) factor on the lookahead time of the law.
         latency_s: (n, 2) constant delay of every target, rounded to whole physics steps.
         jitter_s: (n, 2) largest additional delay, uniform, per tick; targets keep their order.
-        loss: (n, 2) probability that a target is lost; the one before is held.
+        loss: (n, 2) probability that a target is lost; the previous one is held.
         payload_kg: (n, 2) mass at the flange.
         declared_payload_kg: (n, 2) payload set on the controller, as with `set_payload`.
         base_shift_m: (n, 2, 3) displacement of a base, in the cell frame, from its nominal position. The safety gate
@@ -285,20 +285,20 @@ TYPICAL_PERTURBATION = Perturbation(
     lookahead_scale=1.05,
     latency_s=0.002,
 )
-"""The plant that accuracy figures called "perturbed" are measured on: masses +5 %, joint friction, lookahead +5 %,
-2 ms of latency that is not compensated."""
+"""Plant of the accuracy figures called "perturbed": masses +5 %, joint friction, lookahead +5 %, 2 ms of latency that
+is not compensated."""
 
 
 @dataclass(frozen=True)
 class CellConfig:
-    """A cell, as given to `gym.make(..., cell=...)`.
+    """Configuration of a cell, for `gym.make(..., cell=...)`.
 
     Attributes:
         kind: "mujoco", the simulated cell; "emulated" or "real", two controllers that a cell file describes.
         left, right: Mount and kinematics of each arm.
         servoj: Controller family and servoj settings of both arms.
-        timestep_s: Physics step; it must divide the controller's tick. None: what the task needs.
-        gains: Joint servos, a name of `dual_ur10.assets.settings.GAINS`. None: what the task needs.
+        timestep_s: Physics step; it must divide the controller's tick. None: the task's own.
+        gains: Joint servos, a name of `dual_ur10.assets.settings.GAINS`. None: the task's own.
         minimum_clearance_m: Smallest distance between two bodies that the safety gate allows.
         perturbation: Deviation of the simulated plant from the nominal model.
         meshes: Draw real meshes, if the package example-robot-data is installed.

@@ -83,7 +83,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
 
     The path begins 5 s after the episode does, so that there is time to grasp; with `grasp="rigid"` the grippers are
     welded to the bar from the start and the path begins after 1.5 s. If the cell's speed limits are too tight for the
-    path, its clock runs duration_ratio, for both arms.
+    path, its clock runs more slowly, for both arms.
 
     ## Action Space
 

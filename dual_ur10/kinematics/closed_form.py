@@ -39,17 +39,17 @@ class Branches(NamedTuple):
 
 
 def closed_form(position: Array, rotation: Array, dh: DHParameters, reference: Array | None) -> Branches:
-    """Solve an arm whose axes are exactly parallel and square, with the lengths of ``dh``.
+    """Solve an arm whose axes are exactly parallel and perpendicular, with the lengths of ``dh``.
 
     Arrays have the shape (8, n), the poses last. Every angle comes from an arc tangent of its sine and cosine, and each
-    later one makes up for the rounding of the ones before it, so that the pose stays right to rounding at the
-    singularities too.
+    later one compensates the rounding of the previous ones, so that the pose is exact to rounding also at
+    singularities.
 
     Args:
         position: (n, 3).
         rotation: (n, 3, 3).
-        dh: Lengths and theta offsets; twists, and lengths that are zero on a nominal arm, are left out.
-        reference: (n, 6) angles from which a free theta6 is taken where that stays in reach; None: zero.
+        dh: Lengths and theta offsets; twists, and lengths that are zero on a nominal arm, are ignored.
+        reference: (n, 6) angles from which a free theta6 is taken if the pose stays in reach; None: zero.
     """
     a2, a3 = dh.a_m[1], dh.a_m[2]
     d1, d4, d5, d6 = dh.d_m[0], dh.d_m[1] + dh.d_m[2] + dh.d_m[3], dh.d_m[4], dh.d_m[5]

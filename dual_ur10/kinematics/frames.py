@@ -55,7 +55,7 @@ def to_base_link(position_m: ArrayLike, rotation: ArrayLike) -> tuple[Array, Arr
 
 
 def quat_to_base_link(quat: ArrayLike) -> Array:
-    """Convert orientations (..., 4) in ``base`` to ``base_link``; twice gives the same rotation, negated."""
+    """Convert orientations (..., 4) in ``base`` to ``base_link``; applying it twice negates the quaternion."""
     return quat_multiply(BASE_TO_BASE_LINK_QUAT, quat)
 
 
@@ -115,7 +115,7 @@ def left_product(quat: Array) -> Array:
 class Frames:
     """Poses of a batch of cells from the cell frame to the arms' `base` frames and back.
 
-    Every product is one small one per cell, so that a cell's numbers do not depend on how many others there are.
+    Every product is one small product per cell, so that a cell's values do not depend on the number of cells.
 
     Args:
         mounts: Mounts of both arms.

@@ -1,7 +1,7 @@
 """Inverse kinematics of one UR10: all branches, or the configuration nearest to another one.
 
-The closed form solves a nominal arm. A calibrated arm's axes are not quite parallel and square: there it is the start
-of some damped Newton steps.
+The closed form solves a nominal arm. The axes of a calibrated arm are not exactly parallel and perpendicular: there the
+closed form is the start of some damped Newton steps.
 """
 
 from __future__ import annotations
@@ -164,8 +164,7 @@ def try_nearest(
 ) -> tuple[Array, Mask]:
     """Return the joint angles nearest to a reference that put the flange at given poses in ``base``.
 
-    Nearest among all branches and all full rotations within ``JOINT_RANGE_RAD``, by the plain Euclidean norm over six
-    joints.
+    Nearest among all branches and all full rotations within ``JOINT_RANGE_RAD``, by the Euclidean norm over six joints.
 
     Args:
         position: (..., 3) in m.

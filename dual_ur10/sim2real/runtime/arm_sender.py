@@ -1,4 +1,4 @@
-"""Servo loop of one arm: sends a target in every control period, and stops the arm when anything is wrong."""
+"""Servo loop of one arm: sends a target in every control period, and stops the arm on any fault."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from dual_ur10.sim2real.runtime.tracking import Following
 from dual_ur10.types import Array
 
 ARRIVAL_PHASE: Final = 0.5
-"""Phase of the control period at which targets arrive: farthest from where the controller reads them."""
+"""Phase of the control period at which targets arrive: farthest from the moment when the controller reads them."""
 
 STALE_S: Final = 0.1
-"""Longest stall of a controller's clock or of another process before it counts as lost: MoveIt Servo's command
-timeout."""
+"""Longest stall of a controller's clock or of another process before it counts as lost. It equals MoveIt Servo's
+command timeout."""
 
 WAITING_S: Final = 0.5
-"""The same for another process while nothing moves yet."""
+"""The same limit for another process before anything moves."""
 
 START_GAP_RAD: Final = 0.02
 """Largest distance of the first target from the measured joint angles."""
@@ -40,13 +40,13 @@ TOGETHER_S: Final = 0.002
 scatter of their clock estimates."""
 
 MOST_LATE_S: Final = 0.1
-"""Largest delay of sending before the loop gives up: the watchdog in the controller waits as long."""
+"""Largest delay of sending before the loop gives up: the controller's watchdog has the same limit."""
 
 _KICK_S: Final = 0.02
 _RECENT: Final = 5  # targets of the other arm; the last ones may already slow it down
-_ALONE_S: Final = 0.024  # without a target, after which an arm has all but reached the last one: too late for a ramp
+_ALONE_S: Final = 0.024  # without a target; then an arm has almost reached the last one: too late for a ramp
 _ACCELERATION: Final = 3.0  # times the hard one: path, time scaling and interpolation together
-_STOP_RAD_S2: Final = 10.0  # of servoStop, at rest already
+_STOP_RAD_S2: Final = 10.0  # of servoStop; the arm is already at rest
 
 
 class Control(Protocol):
@@ -78,7 +78,7 @@ _REST_S: Final = 0.5  # longest recording of states after a stop, until the arm 
 
 
 def root_cause(texts: Sequence[str]) -> str:
-    """Return the root cause among stop reasons, skipping stops that merely followed the other arm."""
+    """Return the root cause among stop reasons; skip those that only followed the other arm."""
     return next((each for each in texts if _ASKED not in each and _OTHER not in each), texts[0])
 
 
@@ -168,7 +168,7 @@ class ArmSender:
         """Feed the watchdog until it is time to begin.
 
         Returns:
-            First control period and its target number, fractional where the controllers' periods are offset.
+            First control period and its target number, which is fractional if the controllers' periods are offset.
         """
         first = None
         while True:
@@ -191,7 +191,7 @@ class ArmSender:
         return round(ahead) if abs(ahead - round(ahead)) * self.servoj.tick_s < TOGETHER_S else ahead
 
     def _kick(self) -> None:
-        """Feed the watchdog while no targets do."""
+        """Feed the watchdog while no targets are sent."""
         now = time.monotonic()
         if now - self._kicked_s >= _KICK_S:
             self._kicked_s = now
@@ -246,7 +246,7 @@ class ArmSender:
         return self.control.servoJ(target_rad.tolist(), 0.0, 0.0, profile.tick_s, profile.lookahead_s, profile.gain)
 
     def _check(self, target_rad: Array, periods: int) -> None:
-        """Refuse targets that no gate would release: `ur_rtde` sends whatever it is given.
+        """Refuse targets that the gate should not have released: `ur_rtde` does not check them.
 
         Raises:
             TargetError: The target is not finite, out of range, or too far from the one sent `periods` periods ago; or
@@ -304,7 +304,7 @@ class ArmSender:
         """Check the other processes.
 
         Raises:
-            StopError: One requests a stop, or no longer runs.
+            StopError: A process requests a stop, or no longer runs.
         """
         stop_requested = self.memory.stop_requested
         if self.cell.fault:  # which is set before a stop is requested
@@ -331,8 +331,8 @@ class ArmSender:
 
         Args:
             reason: Reason of the stop.
-            on_path: Stop along the path of its targets, as the other arm does, so that a held object is not torn; else
-                along the current direction.
+            on_path: Stop along the path of its targets, as the other arm does, so that a held object is not torn;
+                otherwise along the current direction.
         """
         self.memory.enter(Phase.STOPPING, f"{self.name}: {reason}")
         if self._sent and time.monotonic() - self._sent_s > MOST_LATE_S:
@@ -351,7 +351,7 @@ class ArmSender:
         self._record_until_rest()
 
     def _stop_by_any_path(self, *, on_path: bool) -> bool:
-        """Stop along the path of the targets; where they are invalid, along the current direction; else at once.
+        """Stop along the path of the targets; if they are invalid, along the current direction; otherwise at once.
 
         Returns:
             False if the controller refused a target.
@@ -404,7 +404,7 @@ class ArmSender:
             self._alone = f"; sent nothing for {1e3 * missed * tick_s:.0f} ms, it stopped at its last target"
             return True
         last, rate, begin, advance = self._sent[-1], self._rate, self._index, self._advance
-        # Both arms slow down alike, as the faster one requires.
+        # Both arms slow down together, as the faster one requires.
         speed = max([np.abs(rate).max() / tick_s, *(_speed(other, tick_s) for other in self.others)])
         on_path = on_path and advance > 0.0
         ramp = StopRamp(np.array([[-speed * tick_s], [0.0]]), tick_s)

@@ -1,8 +1,8 @@
 """Cell of two controllers: child processes stream to the arms in real time, and a mirror model shows their state.
 
-It takes the same commands as the simulated cell. They are written to shared memory before their control periods begin,
-each followed by the brake that the safety gate has already checked: if nothing comes in time, both arms brake along it
-together.
+It takes the same commands as the simulated cell, and writes them to shared memory before their control periods begin.
+Each is followed by the brake that the safety gate has already checked: if the next command is late, both arms brake
+along it together.
 """
 
 from __future__ import annotations
@@ -184,13 +184,13 @@ class RtdeCell:
         target = None if start.target_pose is None else np.asarray(start.target_pose).reshape(7)
         self._mirror.aim(None if target is None else (target[:3], target[3:]))
         self._origin, self._elapsed = None, 0
-        # A full collection during the episode would take longer than an action may, and one here would block the
-        # threads of grippers and cameras until they seem lost: freeze the existing objects instead.
+        # A full collection during the episode would take longer than an action may. One here would block the threads
+        # of grippers and cameras until they count as lost. So freeze the existing objects instead.
         gc.freeze()
         return CellStep(self._state(statuses), None if self._only is None else goal[None])
 
     def advance(self, command: Command) -> CellStep:
-        """Command [now + L, now + L + period), and return the state at the end of [now, now + period), in real time.
+        """Send the targets of [now + L, now + L + period), and return the state at now + period, in real time.
 
         Raises:
             CellFaulted: Both arms are stopped.
@@ -320,7 +320,7 @@ class RtdeCell:
         """Ask for confirmation.
 
         Raises:
-            StartError: It was not given.
+            StartError: The operator did not confirm.
         """
         confirm = prompt_for(self.file, self._confirm)
         if confirm(question) is not True:

@@ -31,7 +31,7 @@ from dual_ur10.types import Array
 log = logging.getLogger(__name__)
 
 MARGIN_S: Final = 0.012
-"""Lead with which a target must be written: nearer ones may already be in transit."""
+"""Lead time with which a target must be written: those due sooner may already be in transit."""
 
 _READY_S: Final = 15.0
 _BEGIN_S: Final = 0.1  # from the decision to begin to the first target
@@ -112,7 +112,7 @@ class Runner:
 
     @property
     def moves_on(self) -> bool:
-        """True while no stop is requested: only then may a gripper execute earlier commands. It never waits."""
+        """True while no stop is requested: only then may a gripper execute earlier commands. Never blocks."""
         if self._closed or self.cell.ending or self.cell.fault:
             return False
         return all(memory.phase < Phase.STOPPING for memory in self.arms)
@@ -152,7 +152,7 @@ class Runner:
     # Targets.
 
     def begin(self, q_rad: Array) -> None:
-        """Start to send targets: at first the arms' current configuration, (2, 6).
+        """Start to send targets, beginning with the arms' current configuration, (2, 6).
 
         Raises:
             StartError: An arm is not ready, or moves.
@@ -178,7 +178,7 @@ class Runner:
         """Write targets `first`, `first` + 1, ..., (k, 2, 6), for both arms, unless they miss their deadline.
 
         Returns:
-            False if they do: both arms are then in the brake after the previous targets.
+            False if they miss it: both arms then follow the brake after the previous targets.
         """
         if first < self.next:
             return False
@@ -213,7 +213,7 @@ class Runner:
         return [each for each in found if each is not None]
 
     def statuses_after(self, index: float) -> list[ArmStatus]:
-        """Return the first states that show the effect of the targets before `index`, else the newest ones."""
+        """Return the first states that show the effect of the targets before `index`, or else the newest ones."""
         end = time.monotonic() + _STATE_S
         while True:
             found = [self._status_after(memory, index) for memory in self.arms]
@@ -241,7 +241,7 @@ class Runner:
 
         Raises:
             CellFaulted: Both arms are stopped.
-            ClosedError: It was closed, or this process is a fork that does not own the arms.
+            ClosedError: The cell was closed, or this process is a fork that does not own the arms.
         """
         if self._closed or self.cell.ending or os.getpid() != self._pid:
             raise ClosedError("this cell was closed, or belongs to another process: make a new one")
@@ -256,7 +256,7 @@ class Runner:
             )
 
     def stop(self, reason: str) -> None:
-        """Make a latched stop of both arms and wait until they rest."""
+        """Make a latched stop of both arms and wait until they are at rest."""
         if not (self._fault or self._closed or self.cell.ending or os.getpid() != self._pid):
             self.cell.enter_fault(reason)
             self._fail()
@@ -270,7 +270,7 @@ class Runner:
         return self.begun and any(memory.phase >= Phase.STOPPING for memory in self.arms)
 
     def _stop_failure(self) -> str:
-        """Return why an arm that had begun did not stop on request, or stopped for another reason; "": neither."""
+        """Return why an arm did not stop on request, or stopped for another reason; "" if it stopped as requested."""
         if not (self.arms and self.begun):
             return ""
         texts = []

@@ -22,7 +22,7 @@ from dual_ur10.sim2real.runtime.tracking import Tracking
 from dual_ur10.types import Array
 
 POLICY_S: Final = 0.5
-"""Longest delay of a policy before a latched stop of both arms."""
+"""Longest delay of an action before a latched stop of both arms."""
 
 APART_M: Final = 0.01
 APART_RAD: Final = np.deg2rad(3.0)
@@ -32,14 +32,14 @@ BEHIND_S: Final = 0.1
 """Largest common delay of both arms behind the targets sent."""
 
 REDUCED_SCALING: Final = 0.5
-"""Time scaling while a controller is in reduced mode and may be. It is assumed that UR's controllers keep the reduced
-limits by a stop, and do not slow down a stream of targets."""
+"""Time scaling while a controller is in reduced mode, if that is allowed. The assumption is that UR's controllers
+enforce the reduced limits by a stop, and do not slow down a stream of targets."""
 
 APART_S: Final = 0.024
-"""Duration of such an error before a stop: three states of a CB3."""
+"""Duration of an error of the relative pose before a stop: three states of a CB3."""
 
-_DELAYS: Final = 10  # tried within BEHIND_S
-_NEAR: Final = 0.5  # of the allowed error: near enough to end the search
+_DELAYS: Final = 10  # number of delays tried within BEHIND_S
+_NEAR: Final = 0.5  # fraction of the allowed error at which the search ends
 
 
 @dataclass(frozen=True)
@@ -153,8 +153,8 @@ class SafetyMonitor:
     def _error_to_sent(self, found: tuple[Array, Array]) -> tuple[float, float]:
         """Return the error of the relative pose against the targets sent for one common time, m and rad.
 
-        A controller's own target does not show that it is late as a whole. The common delay of both arms is not known
-        to the millisecond: the best fit within `BEHIND_S` counts.
+        A controller's own target does not reveal a delay of the whole arm. The common delay of both arms is not known
+        exactly: the best fit within `BEHIND_S` counts.
         """
         if not all(memory.sent_count for memory in self._arms):
             return 0.0, 0.0

@@ -1,8 +1,8 @@
 """Supervisor: process that monitors both arms by its own connections, and makes a latched stop on any fault.
 
-It commands nothing but a stop. It depends neither on the arms' processes, which may hang, nor on `ur_rtde`: it reads
-the states of both controllers itself. Where an arm's process does not end its program, it kills that process and asks
-the dashboard to stop the program.
+Its only command is a stop. It depends neither on the arms' processes, which may hang, nor on `ur_rtde`: it reads the
+states of both controllers itself. If an arm's process does not end its program, the supervisor kills that process and
+asks the dashboard to stop the program.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ class SupervisorProcess(Child):
         """Wait until it receives the states of both arms.
 
         Raises:
-            LinkError: It does not in time. Its process was ended.
+            LinkError: It received none in time. Its process was ended.
         """
         end = time.monotonic() + within_s
         while not self._cell.ready:

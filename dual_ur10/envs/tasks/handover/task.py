@@ -124,7 +124,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
 
     ## Rewards
 
-    The reward is the weighted sum of terms between 0 and 1, one for each stage, and one for the end; each raw term is in
+    The reward is the weighted sum of one term for each stage, between 0 and 1, and one for the end; each raw term is in
     `info` as `reward/<term>`. A term is 1 once its stage is passed, 0 before the stage begins, and measures progress in
     between. Stages with a longer motion count double. An agent earns the terms of its own actions twice, so that the
     mean of both agents is the term; both earn the terms of joint actions.
@@ -144,16 +144,18 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     - *place* (0.2): receiver. Passed when the block lies still on its target, within `success_error_m` and
       `success_turn_rad`, and no gripper holds it; until then its proximity to the target, held by the receiver or let
       go.
-    - *finish* (1.0): both. 0, and at a step that ends an episode with success the number of its remaining steps: the
-      reward of staying there, so that hovering near the target does not pay.
+    - *finish* (1.0): both. At a step that ends an episode with success, the number of its remaining steps; otherwise 0.
+      It replaces the reward of the remaining steps, so that hovering near the target earns no more than success.
 
     `info["stage"]` is the number of stages passed in their order, 0 to 7, and never falls in an episode. `info` also
-    holds, each without noise: `giver` (0 left, 1 right); `object_m` (3,); `object_error_m` and `object_error_rad` from
-    the block to its target; `slip_m` (2,) displacement of each grip in its gripper since the grasp,
-    or at its end.
+    holds these values without noise:
 
-    `object_error_rad` is the angle between the long axes of block and target: the direction of the ends matters, the
-    long side that is up does not (the receiver grips the block from below and places it upside down).
+    - `giver`: 0 left, 1 right.
+    - `object_m` (3,): position of the block; `object_error_m`, `object_error_rad`: its error from the target.
+    - `slip_m` (2,): displacement of each grip in its gripper since the grasp; after the release, its last value.
+
+    `object_error_rad` is the angle between the long axes of block and target. The direction of the axis matters; the
+    rotation about it does not (the receiver grips the block from below and places it upside down).
 
     `info["is_success"]` is true at the end of an episode in which all stages were passed in their order and the block
     lies on its target.
@@ -161,17 +163,18 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     ## Starting State
 
     Both arms are at rest with open grippers above the table. The block lies at (0, ±0.5) m on the giver's side along
-    the cell's x, shifted by up to `object_range_m` along x and y and rotated by up to `object_turn_rad`; the target
-    on the other side likewise, by `target_range_m` and `target_turn_rad`. With `giver="random"` every episode samples
+    the cell's x, shifted by up to `object_range_m` along x and y and rotated by up to `object_turn_rad`. The target
+    lies on the other side, shifted and rotated by up to `target_range_m` and `target_turn_rad`. With `giver="random"` every episode samples
     the giver.
 
     ## Episode End
 
     ### Termination
 
-    All stages were passed and the block has lain on its target for 0.5 s; or it is lost: it fell from the table, or
-    lies where no arm can reach it; or the safety gate refused a motion (`info["safety"]` says why); or the physics
-    diverged (`info["physics_error"]`).
+    - Success: all stages were passed and the block has lain on its target for 0.5 s.
+    - The block is lost: it fell from the table, or lies where no arm can reach it.
+    - The safety gate refused a motion; `info["safety"]` gives the reason.
+    - The physics diverged (`info["physics_error"]`).
 
     ### Truncation
 

@@ -55,8 +55,8 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     ## Description
 
-    The smallest task that measures a dual-arm cell: 0.1 m at 0.5 Hz has a peak speed of 0.31 m/s, at which the lag of
-    `servoj`, 34 ms, is 10 mm. The sine begins smoothly from rest. Both arms share time, axis and phase, so that the
+    The simplest task that measures a dual-arm cell. A sine of 0.1 m at 0.5 Hz has a peak speed of 0.31 m/s, at which
+    the lag of `servoj`, 34 ms, causes an error of 10 mm. The sine begins smoothly from rest. Both arms share time, axis and phase, so that the
     vector from flange to flange is constant.
 
     ## Action Space
@@ -101,8 +101,8 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     - *orientation* (0.2): mean over the arms of 0.1^((angle / 0.02 rad)²).
     - *synchrony* (0.2): 0.1^((error of the vector from flange to flange / 5 mm)²), which one arm alone cannot earn.
 
-    `info["is_success"]` is true at the end of an episode in which both arms kept `success_rms_m`, as root mean square
-    over all steps; `info["flange_rms_m"]` is the value of each arm so far.
+    `info["is_success"]` is true at the end of an episode in which the root mean square error of both flanges over all
+    steps is at most `success_rms_m`; `info["flange_rms_m"]` is the value of each arm so far.
 
     ## Starting State
 
@@ -113,7 +113,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     ### Termination
 
-    The safety gate refused a motion (`info["safety"]` says why), or the physics diverged (`info["physics_error"]`).
+    The safety gate refused a motion (`info["safety"]` gives the reason), or the physics diverged (`info["physics_error"]`).
 
     ### Truncation
 
@@ -134,7 +134,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     | `arms` | str | `"both"` | "both", "left" or "right": an arm that does not track holds its centre |
     | `success_rms_m` | float | `0.003` | largest root mean square error of a success (m) |
 
-    Those of every environment are described in `dual_ur10.envs.api.dual_arm_env.DualArmEnv`.
+    Those of every environment are described in `dual_ur10.envs.core.options.EnvOptions`.
 
     ## Version History
 

@@ -76,8 +76,8 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
 
     ## Description
 
-    A bar of 1.2 m and 4 kg lies on the table. Its reference is a pose of the bar: it is lifted by 0.25 m, moved
-    sideways and forward, rotated about the vertical (±20°), tilted (±10°), rotated about its length (±15°) and lowered.
+    A bar of 1.2 m and 4 kg lies on the table. Along its reference path it is lifted by 0.25 m, moved sideways and
+    forward, rotated about the vertical (±20°), tilted (±10°), rotated about its length (±15°) and lowered.
     The largest speed is 0.225 m/s. Both flanges must keep their distance and angle while they move on different curves:
     their relative motion compresses the bar or pulls it out of the fingers.
 
@@ -144,15 +144,20 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     - *synchrony* (0.2): 0.1^((error of the position of one flange in the frame of the other / 5 mm)²).
     - *squeeze* (0.1): 0.1^((internal force along the bar / 30 N)²).
 
-    `info` also holds, each without noise: `slip_m` (2,) displacement of each grip in its gripper since the path
-    began; `squeeze_n` half the difference of the forces on both grippers along the bar, positive if the arms press
-    towards each other; `lateral_n` the same across the bar; `load_share` (2,) of the load; `relative_error_m` and
-    `relative_error_rad` of the right flange in the left one's frame; `object_error_m` and `object_error_rad` of the bar
-    to its reference; `object_m` (3,); `clock_s` on the path, negative before it begins.
+    `info` also holds these values without noise:
 
-    `info["is_success"]` is true at the end of an episode if the bar followed its path in position and angle, as root
-    mean square and at the end, when it lies on the table again; slipped in no gripper by more than `success_slip_m`; is
-    held by both; and each arm carried at least a quarter of the load on average, which needs both arms.
+    - `slip_m` (2,): displacement of each grip in its gripper since the path began.
+    - `squeeze_n`: half the difference of the forces on both grippers along the bar, positive if the arms press towards
+      each other; `lateral_n`: the same across the bar.
+    - `load_share` (2,): fraction of the load that each arm carries.
+    - `relative_error_m`, `relative_error_rad`: error of the right flange's pose in the left flange's frame.
+    - `object_error_m`, `object_error_rad`: error of the bar's pose from its reference; `object_m` (3,): its position.
+    - `clock_s`: time on the path, negative before it begins.
+
+    `info["is_success"]` is true at the end of an episode if all of these hold: the bar followed its path in position and
+    angle, as root mean square and at the end, when it lies on the table again; it slipped in no gripper by more than
+    `success_slip_m`; both grippers hold it; and each arm carried at least a quarter of the load on average. One arm
+    alone cannot succeed.
 
     ## Starting State
 
@@ -163,8 +168,8 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
 
     ### Termination
 
-    The bar is more than 0.15 m away from its reference, the safety gate refused a motion (`info["safety"]` says why),
-    or the physics diverged (`info["physics_error"]`).
+    The bar is more than 0.15 m away from its reference, the safety gate refused a motion (`info["safety"]` gives the
+    reason), or the physics diverged (`info["physics_error"]`).
 
     ### Truncation
 

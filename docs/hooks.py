@@ -37,7 +37,7 @@ def errors() -> str:
     lines = [
         "# Errors",
         "",
-        "Every error is a `DualUR10Error`. Its message says what was found, what is allowed and what to do.",
+        "Every error is a `DualUR10Error`. Its message names what was found, what is allowed and what to do.",
         "",
     ]
 
@@ -61,7 +61,7 @@ def decisions(folder: Path) -> str:
         if path.name != "index.md":
             rows.append(f"- [{path.read_text().splitlines()[0].removeprefix('# ')}]({path.name})")
     return (
-        "# Decisions\n\nShort records of choices that cost something to find: context, decision, evidence.\n\n"
+        "# Decisions\n\nShort records of design choices: context, decision, evidence.\n\n"
         + "\n".join(rows)
         + "\n"
     )

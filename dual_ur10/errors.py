@@ -1,8 +1,8 @@
 """Exceptions of the package.
 
 All derive from [DualUR10Error][dual_ur10.errors.DualUR10Error], and most also from the built-in exception that a
-generic handler expects (``ValueError`` for a bad value, ...). A message says what was found, what is allowed and what
-to do.
+generic handler expects (``ValueError`` for a bad value, ...). A message names what was found, what is allowed and
+what to do.
 """
 
 from __future__ import annotations

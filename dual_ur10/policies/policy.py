@@ -12,13 +12,12 @@ from dual_ur10.types import Array, Rows
 class Policy(Protocol):
     """Function from observations to actions.
 
-    It receives arrays of the observation space and nothing else: it cannot know which kind of cell it moves. It may
-    keep what it has observed since `reset`. The scripted policies detect by themselves when a row of a batch begins
-    another episode.
+    Its input is limited to arrays of the observation space, so it does not depend on the kind of cell. It may keep what it
+    has observed since `reset`. The scripted policies detect by themselves when a row of a batch begins a new episode.
     """
 
     def reset(self) -> None:
-        """Forget everything: an episode begins."""
+        """Discard all state, because an episode begins."""
 
     def __call__(self, observation: Array) -> Array:
         """Return the action for an observation, or one for each row of a batch of observations."""
@@ -42,7 +41,7 @@ class Teaching(Protocol):
     """A policy that acts differently as the expert of imitation learning."""
 
     def teach(self) -> None:
-        """Answer each observation on its own from now on, regardless of how the arms came there, and adapt to nothing.
+        """Act from each observation alone from now on, regardless of earlier states, and without adaptation.
 
-        The answers are such that a learner can follow them that is less exact and knows the observation alone.
+        A less exact learner that knows only the observation must be able to follow these actions.
         """

@@ -12,8 +12,8 @@ from dual_ur10.types import Array, Rows
 class Policy(Protocol):
     """Function from observations to actions.
 
-    Its input is limited to arrays of the observation space, so it does not depend on the kind of cell. It may keep what it
-    has observed since `reset`. The scripted policies detect by themselves when a row of a batch begins a new episode.
+    It receives only arrays of the observation space, so it does not depend on the kind of cell. It may keep what it has
+    observed since `reset`. The scripted policies detect by themselves when a row of a batch begins a new episode.
     """
 
     def reset(self) -> None:

@@ -160,7 +160,7 @@ def _path(keys: tuple[int | str, ...], value: Any) -> str:
         if isinstance(value, dict):
             value = value.get(key)
         elif isinstance(value, list) and isinstance(key, int):
-            value = value[key]
+            value = value[key] if key < len(value) else None  # an item that is missing
     return path
 
 

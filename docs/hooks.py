@@ -60,11 +60,7 @@ def decisions(folder: Path) -> str:
     for path in sorted(folder.glob("*.md")):
         if path.name != "index.md":
             rows.append(f"- [{path.read_text().splitlines()[0].removeprefix('# ')}]({path.name})")
-    return (
-        "# Decisions\n\nShort records of design choices: context, decision, evidence.\n\n"
-        + "\n".join(rows)
-        + "\n"
-    )
+    return "# Decisions\n\nShort records of design choices: context, decision, evidence.\n\n" + "\n".join(rows) + "\n"
 
 
 def on_files(files: Files, config: Any) -> Files:

@@ -120,7 +120,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     | 49-52 | orientation of the other flange in the frame of this one | -1.01 | 1.01 | right/flange | quaternion |
     | 53 | opening of the other gripper | -0.1 | 0.1 | right/finger_1_joint ... right/finger_2_joint | position (m) |
     | 54 | role: 1 gives, -1 receives | -1.01 | 1.01 | - | sign |
-    | 55 | elapsed ratio of the episode's time | -1.01 | 1.01 | - | ratio |
+    | 55 | elapsed fraction of the episode's time | -1.01 | 1.01 | - | ratio |
 
     ## Rewards
 
@@ -227,7 +227,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         *OTHER_FLANGE_FIELDS,
         gripper_field("other"),
         Field("role", 1, -1.01, 1.01, "sign", "role: 1 gives, -1 receives"),
-        Field("progress", 1, -1.01, 1.01, "ratio", "elapsed ratio of the episode's time"),
+        Field("progress", 1, -1.01, 1.01, "ratio", "elapsed fraction of the episode's time"),
     )
 
     def __init__(self, settings: HandoverSettings, cell: CellConfig, timing: Timing, n: int) -> None:

@@ -130,7 +130,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     | 53-55 | position of the other flange in the frame of this one | -5 | 5 | right/flange | position (m) |
     | 56-59 | orientation of the other flange in the frame of this one | -1.01 | 1.01 | right/flange | quaternion |
     | 60 | time until the path begins, negative | -10 | 10 | - | time (s) |
-    | 61 | completed ratio of the path | -1.01 | 1.01 | - | ratio |
+    | 61 | completed fraction of the path | -1.01 | 1.01 | - | ratio |
 
     ## Rewards
 
@@ -220,7 +220,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         *pose_fields("ahead_base", "the bar's reference at the end of the next motion"),
         *OTHER_FLANGE_FIELDS,
         Field("time_to_path_s", 1, -10.0, 10.0, "time (s)", "time until the path begins, negative"),
-        Field("progress", 1, -1.01, 1.01, "ratio", "completed ratio of the path"),
+        Field("progress", 1, -1.01, 1.01, "ratio", "completed fraction of the path"),
     )
 
     def __init__(self, settings: CarrySettings, cell: CellConfig, timing: Timing, n: int) -> None:

@@ -88,8 +88,10 @@ dist: $(VENV)/.dev  ## build wheel and sdist into out/dist, and check the sdist 
 	@rm -rf out/dist
 	@$(VENV)/bin/python -m build --outdir out/dist
 
+# Not --quiet: it hides warnings from --strict as well.
 docs: $(VENV)/.dev  ## build the documentation site into out/site, strictly
-	@PYTHONPATH=. NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --quiet --strict --site-dir out/site
+	@found=$$(PYTHONPATH=. NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --site-dir out/site 2>&1) || \
+	  { echo "$$found" | grep -v '^INFO'; exit 1; }
 
 test-dist: $(DIST)/.dev  ## training on Ray RLlib with two workers on this machine
 	@$(DIST)/bin/python -m pytest tests/distributed

@@ -33,7 +33,7 @@ _POSITION, _ANGLE = (
     figure_column("relative position", "mm", "relative_max_mm"),
     figure_column("relative angle", "°", "relative_max_deg"),
 )
-_FORCE, _BAR_RMS = figure_column("squeeze", "N", "squeeze_max_n"), figure_column("bar RMS", "mm", "bar_rms_mm")
+_FORCE, _BAR_RMS = figure_column("internal force", "N", "squeeze_max_n"), figure_column("bar RMS", "mm", "bar_rms_mm")
 
 COLUMNS = (
     _POSITION,
@@ -136,7 +136,7 @@ def script(env: Any) -> Script:
             return begin + "grasping"
         return (
             f"{begin}flanges to each other {1e3 * info['relative_error_m']:.2f} mm, "
-            f"{math.degrees(info['relative_error_rad']):.2f}°   squeeze {abs(info['squeeze_n']):.1f} N"
+            f"{math.degrees(info['relative_error_rad']):.2f}°   internal force {abs(info['squeeze_n']):.1f} N"
         )
 
     def keys(time_s: float, info: Info) -> tuple[str, str] | None:

@@ -32,6 +32,7 @@ from dual_ur10.sim2real.links.arm_status import ArmStatus
 from dual_ur10.sim2real.peripherals.grippers import Grippers
 from dual_ur10.sim2real.peripherals.object_placer import ObjectPlacer, placer_of
 from dual_ur10.sim2real.peripherals.object_tracker import Flanges, ObjectTracker, tracker_of
+from dual_ur10.sim2real.processes.garbage import GarbageCollector
 from dual_ur10.sim2real.runtime.approach import Approach, Rates, plan
 from dual_ur10.sim2real.runtime.mirror_model import MirrorModel
 from dual_ur10.sim2real.runtime.path_to_start import AHEAD_TICKS, PathToStart
@@ -111,6 +112,7 @@ class RtdeCell:
         self._grippers: Grippers | None = None
         self._tracker: ObjectTracker | None = None
         self._placer: ObjectPlacer | None = None
+        self._garbage = GarbageCollector()
         gc.collect()  # before any thread waits for an answer: in a large program it takes half a second
         self._runner: Runner | None = Runner(self.file, config, coupled=coupled)
         self._end = weakref.finalize(self, self._runner.close)
@@ -184,9 +186,7 @@ class RtdeCell:
         target = None if start.target_pose is None else np.asarray(start.target_pose).reshape(7)
         self._mirror.aim(None if target is None else (target[:3], target[3:]))
         self._origin, self._elapsed = None, 0
-        # A full collection during the episode would take longer than an action may. One here would block the threads
-        # of grippers and cameras until they count as lost. So freeze the existing objects instead.
-        gc.freeze()
+        self._garbage.prepare_episode()
         return CellStep(self._state(statuses), None if self._only is None else goal[None])
 
     def advance(self, command: Command) -> CellStep:
@@ -264,7 +264,7 @@ class RtdeCell:
             self._runner.close()  # after an interrupt it is called again
             self._end.detach()
             self._runner = None
-            gc.unfreeze()
+            self._garbage.release()
         for each in (self._grippers, self._tracker, self._placer):
             if each is not None:
                 each.close()

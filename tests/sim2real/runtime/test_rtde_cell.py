@@ -6,6 +6,7 @@ import pickle
 import signal
 import threading
 import time
+import weakref
 
 import gymnasium as gym
 import numpy as np
@@ -319,7 +320,15 @@ def test_the_collector_ignores_objects_from_before_the_episode(lab, monkeypatch)
     with monkeypatch.context() as patch:
         patch.setattr(gc, "collect", collect)
         env.reset(seed=0)
-    assert gc.get_freeze_count() >= made + len(kept)
+    frozen = gc.get_freeze_count()
+    assert frozen >= made + len(kept)
+    episode = Swing(1)
+    episode.itself, left = episode, weakref.ref(episode)
+    for _ in range(2):
+        env.reset(seed=0, options={"move_to_start": True})
+        episode = None
+    assert left() is None
+    assert gc.get_freeze_count() <= frozen
     lab.close_env()
     assert gc.get_freeze_count() == 0
 

@@ -23,6 +23,9 @@ FORMAT: Final = "dual-ur10 policy 1"
 AgentsKind = Literal["joint", "shared", "independent"]
 """One network for both arms together; the same one for each arm by itself; or one of its own for each arm."""
 
+_MOST_COMMAS: Final = 1 << 16
+"""Bound of the number of values: a wrong one takes about 1.5 KB for its finding. Legal manifests have half as many."""
+
 _PACKAGES: Final = ("numpy", "gymnasium", "mujoco", "safetensors", "torch", "stable_baselines3")
 _VERSION: Final = r"^(0|[1-9][0-9]{0,5})\.(0|[1-9][0-9]{0,5})[0-9A-Za-z.+-]{0,40}$"
 
@@ -110,6 +113,8 @@ def parse(text: bytes, where: str = "manifest.json") -> Manifest:
     Raises:
         CheckpointError: It is not as this version writes it, or was changed since.
     """
+    if (commas := text.count(b",")) > _MOST_COMMAS:
+        raise CheckpointError(f"{where} has {commas} commas: at most {_MOST_COMMAS} values are read")
     value = schema.loads(text, where)
     if not isinstance(value, dict):
         raise CheckpointError(f"{where} is no JSON object")

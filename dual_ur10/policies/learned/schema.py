@@ -9,7 +9,7 @@ import dataclasses
 import json
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Annotated, Any, ClassVar, Final, TypeVar
 
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
@@ -105,11 +105,10 @@ def read(kind: type[T], value: Any, where: str, error: type[DualUR10Error] = Che
     try:
         # As text again: only there does strictness take a list for a tuple and an object for a dataclass.
         result = TypeAdapter(kind).validate_json(json.dumps(value))
-        found = list(_absent(dataclasses.asdict(result), value, where))  # type: ignore[call-overload]  # a dataclass
     except ValidationError as reason:
-        found = _findings(reason, where, value)
-    if found:
-        raise error(_listed(found))
+        raise error(_findings(reason, where, value)) from None
+    if found := list(_absent(dataclasses.asdict(result), value, where)):  # type: ignore[call-overload]  # a dataclass
+        raise error(_listed(found, str))
     return result
 
 
@@ -122,12 +121,12 @@ def check(value: object, where: str, error: type[DualUR10Error]) -> None:
     try:
         TypeAdapter(type(value)).validate_python(value)
     except ValidationError as reason:
-        raise error(_listed(_findings(reason, where, value))) from None
+        raise error(_findings(reason, where, value)) from None
 
 
-def _listed(found: list[str]) -> str:
+def _listed(found: list[T], text: Callable[[T], str]) -> str:
     more = [f"and {len(found) - _MOST_FINDINGS} more"] if len(found) > _MOST_FINDINGS else []
-    return "; ".join(found[:_MOST_FINDINGS] + more)
+    return "; ".join([*map(text, found[:_MOST_FINDINGS]), *more])
 
 
 def _absent(filled: Any, value: Any, path: str) -> Iterator[str]:
@@ -143,12 +142,12 @@ def _absent(filled: Any, value: Any, path: str) -> Iterator[str]:
             yield from _absent(each, value[k], f"{path}[{k}]")
 
 
-def _findings(error: ValidationError, where: str, value: Any) -> list[str]:
+def _findings(error: ValidationError, where: str, value: Any) -> str:
     found = error.errors(include_url=False)
     parents = {each["loc"][:-1] for each in found}
     # pydantic counts only valid items: a list with a wrong one would be too short as well.
     kept = [each for each in found if each["type"] != "too_short" or each["loc"] not in parents]
-    return [_finding(each, where + _path(each["loc"], value)) for each in kept]
+    return _listed(kept, lambda each: _finding(each, where + _path(each["loc"], value)))
 
 
 def _path(keys: tuple[int | str, ...], value: Any) -> str:

@@ -256,6 +256,16 @@ def test_links_and_special_files_are_not_followed(name: str, saved: Path) -> Non
     checkpoint.load(saved)
 
 
+def test_manifests_with_too_many_wrong_values_are_refused_early(saved: Path) -> None:
+    """Each wrong value would take a kilobyte for its finding."""
+    for count, message in ((300_000, r"at most 65536 values are read"), (60_000, r"; and 599\d\d more$")):
+        wrong = put(content(saved), ("normalisers",), [0] * count)
+        (saved / "manifest.json").write_bytes(sealed(wrong))
+        with pytest.raises(CheckpointError, match=message) as found:
+            checkpoint.load(saved)
+        assert len(str(found.value)) < 1500
+
+
 def test_a_path_that_is_no_folder_is_refused(saved: Path) -> None:
     link = saved.parent / "link"
     link.symlink_to(saved)

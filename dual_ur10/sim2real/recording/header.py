@@ -27,7 +27,7 @@ FORMAT: Final = "1"
 METADATA_NAME: Final = "dual_ur10"
 
 _PACKAGES: Final = ("numpy", "mujoco", "gymnasium", "ur-rtde")
-_MOST_TEXT: Final = 16 * 2**20
+_MOST_TEXT: Final = 2**20  # a wrong value takes about 1.5 KB for its finding, and three characters in the text
 _MOST_FINDINGS: Final = 10
 
 
@@ -142,12 +142,17 @@ def to_metadata(header: Header) -> dict[str, str]:
     """Return the metadata of a file that hold a header.
 
     Raises:
-        RecordingError: The header holds values that JSON cannot hold.
+        RecordingError: The header holds values that JSON cannot hold, or is too long.
     """
     try:
         line = json.dumps(asdict(header), allow_nan=False, sort_keys=True)
     except (TypeError, ValueError) as error:
         raise RecordingError(f"the run cannot be described in JSON: {error}") from error
+    if len(line) > _MOST_TEXT:
+        raise RecordingError(
+            f"the run's header has {len(line)} characters: allowed are {_MOST_TEXT}. Record fewer keywords, or less "
+            "in `extra`"
+        )
     return {"format": FORMAT, "header": line, "crc32": str(zlib.crc32(line.encode()))}
 
 

@@ -187,12 +187,18 @@ def preamble(line, **changes):
             {},
             "mounts.0.position_m.1 is nan",
         ),
+        (json.dumps(asdict(header()) | {"versions": {f"{k}": 0 for k in range(10**5)}}), {}, "characters: allowed are"),
         (json.dumps(asdict(header())), {}, "cut off"),
     ],
 )
 def test_a_damaged_header_is_refused(tmp_path, line, changes, message):
     (tmp_path / "run.mcap").write_bytes(preamble(line, **changes))
     refused(tmp_path, message, allow_partial=True)
+
+
+def test_a_header_that_could_not_be_read_is_not_written(tmp_path):
+    with pytest.raises(RecordingError, match="characters: allowed are 1048576"):
+        RunWriter(tmp_path, header(extra={"text": "x" * 2**20}))
 
 
 def head(code, length):

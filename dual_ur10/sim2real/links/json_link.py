@@ -16,6 +16,7 @@ ANSWER_S: Final = 10.0
 """Default time limit of a request."""
 
 _LONGEST: Final = 4 << 20  # of an answer, bytes
+_LONGEST_REASON: Final = 1000  # characters
 
 
 class _Answer(BaseModel):
@@ -64,7 +65,7 @@ class JsonLink(Closing):
             answer = _Answer.model_validate_json(self._line(self._socket, deadline_s))
         except (LinkError, ValidationError) as error:
             self.close()  # so that a late answer is not taken for that of the next request
-            raise LinkError(f"no answer to {do!r}: {error}") from error
+            raise LinkError(f"no answer to {do!r}: {_reason(error)}") from error
         if not answer.ok:
             raise OperationRefusedError(answer.error)
         return answer.value
@@ -85,3 +86,9 @@ class JsonLink(Closing):
         if self._socket is not None:
             self._socket.close()
         self._socket, self._rest = None, b""
+
+
+def _reason(error: LinkError | ValidationError) -> str:
+    """Return the text of an error, short even where the answer is long and all of it is wrong."""
+    text = str(error)
+    return text if len(text) <= _LONGEST_REASON else f"{text[:_LONGEST_REASON]}..."

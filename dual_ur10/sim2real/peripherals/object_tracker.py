@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import reprlib
 import threading
 import time
 from abc import abstractmethod
@@ -166,7 +167,7 @@ class CameraTracker(ObjectTracker):
             seen = None
         if seen is None or abs(math.hypot(*seen.quat) - 1.0) >= _UNIT:
             raise LinkError(
-                f"{self.where}: found {answer!r}; expected are three coordinates and a unit quaternion: start the "
+                f"{self.where}: found {reprlib.repr(answer)}; expected are three coordinates and a unit quaternion: start the "
                 "emulated cell again"
             )
         return ObjectPose(np.array(seen.position_m), np.array(seen.quat), seen_s)

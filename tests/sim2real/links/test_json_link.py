@@ -1,5 +1,7 @@
 """Client of JSON lines: answers that are not valid, that are too large, and that come too late."""
 
+import json
+
 import pytest
 
 from dual_ur10.errors import LinkError, OperationRefusedError, SettingsError
@@ -44,6 +46,14 @@ def test_the_connection_goes_on_after_a_refusal():
 def test_answers_that_are_not_valid(answer):
     with answering(answer) as port, JsonLink("camera", HERE, port) as link, pytest.raises(LinkError, match="'info'"):
         link.ask("info")
+
+
+def test_an_error_is_short_though_all_of_a_long_answer_is_wrong():
+    wrong = json.dumps({"ok": True, **{f"x{number}": 0 for number in range(20_000)}}).encode() + b"\n"
+    with answering(wrong) as port, JsonLink("camera", HERE, port) as link:
+        with pytest.raises(LinkError, match="20000 validation errors") as found:
+            link.ask("info")
+        assert len(str(found.value)) < 1200
 
 
 def test_an_answer_without_end():

@@ -160,7 +160,7 @@ def test_a_cell_that_stalls_makes_poses_old(tmp_path):
         {"position_m": [0.0, 0.0, 0.0], "quat": "up"},
         {"position_m": [0.0, 0.0, 0.0], "quat": ["1", 0.0, 0.0, 0.0]},
         {"position_m": [0.0, 0.0, 0.0]},
-        [1.0],
+        [1.0] * 100_000,
         None,
     ],
 )
@@ -169,8 +169,9 @@ def test_answers_that_are_no_pose(value):
         connection.recv(1000)
         connection.sendall(json.dumps({"ok": True, "value": value}).encode() + b"\n")
 
-    with serving(talk) as port, pytest.raises(LinkError, match=r"emulated camera.*expected"):
+    with serving(talk) as port, pytest.raises(LinkError, match=r"emulated camera.*expected") as found:
         CameraTracker(JsonLink("emulated camera", HERE, port), "block", EmulatedTrackerEntry())
+    assert len(str(found.value)) < 500
 
 
 # The placer.

@@ -167,8 +167,8 @@ class CameraTracker(ObjectTracker):
             seen = None
         if seen is None or abs(math.hypot(*seen.quat) - 1.0) >= _UNIT:
             raise LinkError(
-                f"{self.where}: found {reprlib.repr(answer)}; expected are three coordinates and a unit quaternion: start the "
-                "emulated cell again"
+                f"{self.where}: found {reprlib.repr(answer)}; expected are three coordinates and a unit quaternion: "
+                "start the emulated cell again"
             )
         return ObjectPose(np.array(seen.position_m), np.array(seen.quat), seen_s)
 

@@ -55,7 +55,7 @@ from runner import Swing
 file = load_cell_file(sys.argv[1])
 runner = Runner(file, file.config(), coupled=False)
 swing = Swing(runner)
-print("moving", runner.arms[0].name, *(each.pid for each in runner.processes), runner.supervisor.pid)
+print("moving", runner.arms[0].name, *(each.process.pid for each in (*runner.processes, runner.supervisor)))
 sys.stdout.flush()
 while True:
     swing.feed()

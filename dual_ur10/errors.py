@@ -129,6 +129,10 @@ class CellFileError(SettingsError):
     """Raised when a cell file cannot be read, or holds a value that is not legal."""
 
 
+class VirtualCellError(DualUR10Error, RuntimeError):
+    """Raised when a virtual cell is asked for what only real processes show, or when none of its actors goes on."""
+
+
 class LinkError(DualUR10Error, ConnectionError):
     """Raised when a controller, gripper or tracker cannot be reached, gives a wrong answer, or has fallen silent."""
 

@@ -120,6 +120,7 @@ FLOORS = (
     ("envs",),
     ("policies",),
     ("sim2real.analysis", "sim2real.emulator"),
+    ("sim2real.virtual",),
     ("testing",),
     ("cli", "__main__"),
 )
@@ -162,5 +163,16 @@ def test_imports_run_downwards():
 def test_rooms_that_move_real_arms_import_nothing_of_the_emulator(room):
     paths = list((ROOT / "dual_ur10" / "sim2real" / room).rglob("*.py"))
     assert paths
-    found = {(path.name, name) for path in paths for name in _imports(path) if "sim2real.emulator" in name}
+    emulated = ("sim2real.emulator", "sim2real.virtual")
+    found = {(path.name, name) for path in paths for name in _imports(path) if any(each in name for each in emulated)}
+    assert not found
+
+
+@pytest.mark.parametrize("room", ["links", "runtime", "peripherals", "recording", "emulator"])
+def test_time_and_connections_come_from_the_system(room):
+    """So that all of it runs on a virtual clock, too."""
+    paths = list((ROOT / "dual_ur10" / "sim2real" / room).rglob("*.py"))
+    assert paths
+    forbidden = {"time", "select", "selectors", "socket"}
+    found = {(path.name, name) for path in paths for name in forbidden.intersection(_imports(path))}
     assert not found

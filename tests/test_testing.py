@@ -10,7 +10,7 @@ import pytest
 
 from dual_ur10 import policies
 from dual_ur10.errors import CellFaulted, PolicyError, SettingsError, UnknownNameError
-from dual_ur10.sim2real.runtime.latch import state_folder
+from dual_ur10.sim2real.processes.system import LOCAL
 from dual_ur10.testing import CellForTests, check_policy
 
 pytestmark = pytest.mark.streams
@@ -322,7 +322,7 @@ def test_a_policy_that_fails_on_controllers_stops_both(tmp_path):
                 action[3] = 2.0
             return action
 
-    before = set(state_folder().glob("fault-*"))
+    before = set(LOCAL.state_folder().glob("fault-*"))
     probe = Later()
     check_policy(probe, SINE, steps=10)
     policy = Later()
@@ -337,4 +337,4 @@ def test_a_policy_that_fails_on_controllers_stops_both(tmp_path):
         assert cell.fault == ""
         for arm in ("left", "right"):
             cell.wait_until(arm, "runtime_state", 1)
-    assert set(state_folder().glob("fault-*")) == before
+    assert set(LOCAL.state_folder().glob("fault-*")) == before

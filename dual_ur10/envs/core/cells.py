@@ -45,6 +45,7 @@ def make_cell(setup: EnvSetup, n: int, *, threads: int, clearance: Clearance) ->
         coupled=setup.task_type.coupled,
         confirm=setup.options.confirm,
         only=setup.options.arm,
+        system=setup.system,
     )
 
 
@@ -71,7 +72,6 @@ def make_recorder(setup: EnvSetup, keywords: Mapping[str, Any], cell: Cell) -> R
     from dual_ur10.sim2real.recording.recorder import RecorderProcess
     from dual_ur10.sim2real.recording.run_folder import new_folder
     from dual_ur10.sim2real.recording.simulation import SimulationRecord
-    from dual_ur10.sim2real.runtime.latch import state_folder
     from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell
 
     file, about = config.file, dict(options.record_about or {})
@@ -91,14 +91,15 @@ def make_recorder(setup: EnvSetup, keywords: Mapping[str, Any], cell: Cell) -> R
         policy=about.pop("policy", ""),
         policy_sha256=about.pop("policy_sha256", None),
         extra=about,
+        started=setup.system.clock.utc(),
     )
     folder = None if options.record is None else new_folder(Path(options.record), header)
     try:
         if not isinstance(cell, RtdeCell):
             return None if folder is None else SimulationRecord(folder, header)
-        boxes = state_folder() / "black_boxes" if folder is None else folder
+        boxes = cell.system.state_folder() / "black_boxes" if folder is None else folder
         boxes.mkdir(mode=0o700, exist_ok=True)
-        recorder = RecorderProcess(cell.memory_names, folder, header, boxes)
+        recorder = RecorderProcess(cell.memory_names, folder, header, boxes, system=cell.system)
         recorder.wait_until_ready()
     except BaseException:
         if folder is not None:

@@ -12,10 +12,11 @@ from dual_ur10.envs.core.randomization import Randomization, resolve_randomizati
 from dual_ur10.envs.tasks.task import SceneRequirements, Task, Timing
 from dual_ur10.errors import ResetRefusedError, SettingsError, UnknownNameError
 from dual_ur10.ids import ENTRY_POINTS, task_name
-from dual_ur10.sim2real.config.cell import CellConfig, Perturbation
+from dual_ur10.sim2real.config.cell import CellConfig, HostedCell, Perturbation
 from dual_ur10.sim2real.config.cell_file import resolve_cell
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.limits import MotionLimits
+from dual_ur10.sim2real.processes.system import LOCAL, System
 
 
 def load_task(name: str) -> type[Task[Any, Any]]:
@@ -42,6 +43,7 @@ class EnvSetup:
         settings: Settings of the task.
         randomization: Variation from episode to episode.
         requirements: Scene that the task needs.
+        system: System on which the environment runs.
         config: The cell, with the task's equipment.
         limits: Motion limits of the task, as far as the cell allows them.
         ticks: Control periods per action.
@@ -49,6 +51,7 @@ class EnvSetup:
         timing: Rate and latency of actions in seconds.
     """
 
+    system: System
     options: EnvOptions
     task_type: type[Task[Any, Any]]
     settings: Any
@@ -91,6 +94,7 @@ class EnvSetup:
         ticks = config.servoj.ticks_per_action(options.policy_rate_hz)
         period_s = ticks * tick_s
         return cls(
+            system=options.cell.system if isinstance(options.cell, HostedCell) else LOCAL,
             options=options,
             task_type=task_type,
             settings=settings,

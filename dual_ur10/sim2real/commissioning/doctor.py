@@ -6,11 +6,9 @@ once. Every step has a time limit, whatever a controller does.
 
 from __future__ import annotations
 
+import functools
 import ipaddress
-import select
-import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Final
 
@@ -40,6 +38,7 @@ from dual_ur10.sim2real.links.network_route import is_loopback, route_to
 from dual_ur10.sim2real.links.primary_link import PrimaryFacts, read_primary
 from dual_ur10.sim2real.links.rtde_link import RtdeClient, RtdeLink
 from dual_ur10.sim2real.links.rtde_stream import Sample
+from dual_ur10.sim2real.processes.system import LOCAL, System, in_parallel
 from dual_ur10.sim2real.protocol.rtde import Kind
 
 PORTS: Final = {
@@ -67,16 +66,22 @@ class _ArmFacts:
     expected: ExpectedArm
     timeout_s: float
     observe_s: float
+    system: System
     serial_number: str | None = None
     model: str | None = None
     facts: PrimaryFacts | None = None
 
     def deadline_s(self) -> float:
-        return time.monotonic() + self.timeout_s
+        return self.system.clock.now_s() + self.timeout_s
 
 
 def check_cell(
-    left: ExpectedArm, right: ExpectedArm, *, timeout_s: float = 1.5, observe_s: float = 0.3
+    left: ExpectedArm,
+    right: ExpectedArm,
+    *,
+    timeout_s: float = 1.5,
+    observe_s: float = 0.3,
+    system: System = LOCAL,
 ) -> list[Finding]:
     """Check both arms as `check_arm` does, and that they are two. It takes no longer than one arm.
 
@@ -88,14 +93,15 @@ def check_cell(
         remedy = "give each arm the address of its own controller"
         same = Finding("cell", "two controllers", "fail", both, "two addresses", remedy)
         # A second check of the same controller at the same time would disturb the first.
-        return [same, *check_arm(ARMS[0], left, timeout_s=timeout_s, observe_s=observe_s)]
-    arms = [_ArmFacts(name, each, timeout_s, observe_s) for name, each in zip(ARMS, (left, right), strict=True)]
-    with ThreadPoolExecutor(len(arms)) as threads:
-        findings = list(threads.map(_examine, arms))
+        return [same, *check_arm(ARMS[0], left, timeout_s=timeout_s, observe_s=observe_s, system=system)]
+    arms = [_ArmFacts(name, each, timeout_s, observe_s, system) for name, each in zip(ARMS, (left, right), strict=True)]
+    findings = in_parallel(system, [functools.partial(_examine, arm) for arm in arms])
     return [*_distinct(*arms), *findings[0], *findings[1]]
 
 
-def check_arm(name: str, expected: ExpectedArm, *, timeout_s: float = 1.5, observe_s: float = 0.3) -> list[Finding]:
+def check_arm(
+    name: str, expected: ExpectedArm, *, timeout_s: float = 1.5, observe_s: float = 0.3, system: System = LOCAL
+) -> list[Finding]:
     """Check one arm.
 
     Args:
@@ -103,11 +109,12 @@ def check_arm(name: str, expected: ExpectedArm, *, timeout_s: float = 1.5, obser
         expected: Expected properties.
         timeout_s: Time limit of each connection with all its requests. All checks take at most five times that.
         observe_s: Time for which the state is observed.
+        system: Clock and network.
 
     Raises:
         SettingsError: A time is not legal.
     """
-    return _examine(_ArmFacts(name, expected, timeout_s, observe_s))
+    return _examine(_ArmFacts(name, expected, timeout_s, observe_s, system))
 
 
 def _distinct(left: _ArmFacts, right: _ArmFacts) -> Iterator[Finding]:
@@ -169,7 +176,7 @@ def _ports(arm: _ArmFacts) -> tuple[list[Finding], set[str]]:
     deadline_s = arm.deadline_s()
     for name, port in PORTS.items():
         try:
-            LinkSocket(arm.name, f"port {name}", arm.expected.host, port, deadline_s).close()
+            LinkSocket(arm.name, f"port {name}", arm.expected.host, port, deadline_s, system=arm.system).close()
         except LinkError as error:
             closed.add(name)
             findings.append(link_failure(arm.name, f"port {port}", error))
@@ -180,7 +187,7 @@ def _ports(arm: _ArmFacts) -> tuple[list[Finding], set[str]]:
 
 
 def _dashboard(arm: _ArmFacts) -> Iterator[Finding]:
-    with DashboardLink(arm.expected.host, arm.timeout_s, name=arm.name) as link:
+    with DashboardLink(arm.expected.host, arm.timeout_s, name=arm.name, system=arm.system) as link:
         remote = link.remote_control()
         if remote is not None:
             remedy = f"switch {arm.name} to Remote Control on its pendant"
@@ -195,14 +202,21 @@ def _dashboard(arm: _ArmFacts) -> Iterator[Finding]:
 
 
 def _primary(arm: _ArmFacts) -> Iterator[Finding]:
-    arm.facts = read_primary(arm.expected.host, arm.timeout_s, name=arm.name)
+    arm.facts = read_primary(arm.expected.host, arm.timeout_s, name=arm.name, system=arm.system)
     yield from calibration_findings(arm.name, arm.expected, arm.facts)
     yield from safety_findings(arm.name, arm.expected, arm.facts)
 
 
 def _rtde(arm: _ArmFacts) -> Iterator[Finding]:
     host = arm.expected.host
-    with RtdeLink(host, STATUS_VARIABLES, timeout_s=arm.timeout_s, optional=OPTIONAL_VARIABLES, name=arm.name) as link:
+    with RtdeLink(
+        host,
+        STATUS_VARIABLES,
+        timeout_s=arm.timeout_s,
+        optional=OPTIONAL_VARIABLES,
+        name=arm.name,
+        system=arm.system,
+    ) as link:
         samples = _observe(link, arm)
     yield from family_findings(arm.name, arm.expected, link.version)
     if samples:
@@ -216,22 +230,23 @@ def _rtde(arm: _ArmFacts) -> Iterator[Finding]:
 def _observe(link: RtdeLink, arm: _ArmFacts) -> list[Sample]:
     """Return the samples of `observe_s` from the first on, for which it waits `timeout_s`."""
     samples: list[Sample] = []
-    begin = time.monotonic()
+    clock = arm.system.clock
+    begin = clock.now_s()
     while True:
-        now = time.monotonic()
+        now = clock.now_s()
         if now - begin >= (arm.observe_s if samples else arm.timeout_s):
             return samples
-        if select.select([link], [], [], 0.05)[0]:
+        if clock.wait((link.fileno(),), now + 0.05)[0]:
             came = link.poll()
             if came and not samples:  # these may have waited: the time counts from here
-                begin = time.monotonic()
+                begin = clock.now_s()
             samples += came
 
 
 def _registers(arm: _ArmFacts) -> Iterator[Finding]:
     """Request the registers and release them at once; measure round trips on the same connection."""
     deadline_s = arm.deadline_s()
-    client = RtdeClient(arm.name, arm.expected.host, PORTS["rtde"], deadline_s)
+    client = RtdeClient(arm.name, arm.expected.host, PORTS["rtde"], deadline_s, system=arm.system)
     try:
         round_trips_s = client.round_trips_s(_ROUND_TRIPS, deadline_s)
         number, types = client.set_up(Kind.SETUP_INPUTS, REGISTERS, b"", deadline_s)

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, Protocol, get_args
+from typing import Any, Literal, NamedTuple, Protocol, get_args, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, checked_base_uncertainty
 from dual_ur10.sim2real.control.limits import MotionLimits, checked_tcp
 from dual_ur10.sim2real.control.servoj import MEASURED_LOOKAHEAD_S, ServojProfile
+from dual_ur10.sim2real.processes.system import System
 from dual_ur10.types import Array, Rows, Vector3
 
 Numbers = float | Array | tuple[Any, ...]
@@ -149,6 +150,18 @@ class CellSource(Protocol):
 
     def text(self) -> str:
         """Return the content of the file."""
+
+
+@runtime_checkable
+class HostedCell(Protocol):
+    """Cell whose controllers run inside this program, such as a `VirtualCell`; a value of the keyword `cell`."""
+
+    @property
+    def system(self) -> System:
+        """System on which the program and the controllers run."""
+
+    def config(self) -> CellConfig:
+        """Return the configuration of the cell."""
 
 
 class Cell(Protocol):

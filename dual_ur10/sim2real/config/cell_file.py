@@ -22,7 +22,7 @@ from dual_ur10.assets.obstacles import Obstacle
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.errors import CellFileError, SettingsError, UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.config.cell import LEAST_DAMPING, CellConfig, Perturbation
+from dual_ur10.sim2real.config.cell import LEAST_DAMPING, CellConfig, HostedCell, Perturbation
 from dual_ur10.sim2real.config.cell_file_tables import (
     MAX_OBSTACLES,
     ZERO,
@@ -322,7 +322,7 @@ def resolve_cell(cell: object) -> CellConfig:
     """Return the configuration that the keyword `cell` of an environment stands for.
 
     Args:
-        cell: "mujoco", a `CellConfig`, or the path of a cell file.
+        cell: "mujoco", a `CellConfig`, the path of a cell file, or a `HostedCell`.
 
     Raises:
         UnknownNameError: None of them.
@@ -330,6 +330,8 @@ def resolve_cell(cell: object) -> CellConfig:
     """
     if isinstance(cell, CellConfig):
         return cell
+    if isinstance(cell, HostedCell):
+        return cell.config()
     if isinstance(cell, str) and cell == "mujoco":
         return CellConfig()
     if isinstance(cell, os.PathLike) or (isinstance(cell, str) and ("/" in cell or cell.endswith(".toml"))):

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import ipaddress
 import os
 import random
-import socket
 from collections.abc import Collection
 from typing import Final
 
 from dual_ur10.errors import AddressError
+from dual_ur10.sim2real.processes.system import LOCAL, System
+from dual_ur10.sim2real.processes.transport import Listener
 
 PORTS: Final = {
     "dashboard": 29999,
@@ -26,7 +28,7 @@ _ATTEMPTS: Final = 200
 _FIRST_NETWORK: Final = 64  # 127.64.0.0 and above, which other programs rarely use
 
 
-def is_free(host: str) -> bool:
+def is_free(host: str, system: System = LOCAL) -> bool:
     """Return True if all of a controller's ports are free at an address.
 
     Raises:
@@ -34,7 +36,7 @@ def is_free(host: str) -> bool:
     """
     for port in PORTS.values():
         try:
-            listening((host, port)).close()
+            listening((host, port), system).close()
         except AddressError as error:
             cause = error.__cause__
             if isinstance(cause, OSError) and cause.errno == errno.EADDRINUSE:
@@ -43,11 +45,12 @@ def is_free(host: str) -> bool:
     return True
 
 
-def free_address(taken: Collection[str] = ()) -> str:
+def free_address(taken: Collection[str] = (), system: System = LOCAL) -> str:
     """Return a loopback address at which all of a controller's ports are free.
 
     Args:
         taken: Addresses to avoid.
+        system: Network.
 
     Raises:
         AddressError: None was found.
@@ -58,7 +61,7 @@ def free_address(taken: Collection[str] = ()) -> str:
     for _ in range(_ATTEMPTS):
         host = f"127.{order.randrange(_FIRST_NETWORK, 255)}.{order.randrange(1, 255)}.{order.randrange(1, 255)}"
         try:
-            if host not in taken and is_free(host):
+            if host not in taken and is_free(host, system):
                 return host
         except AddressError as error:
             reason = str(error)
@@ -68,7 +71,7 @@ def free_address(taken: Collection[str] = ()) -> str:
     )
 
 
-def checked_address(host: str) -> str:
+def checked_address(host: str, system: System = LOCAL) -> str:
     """Return the address if a controller can listen there.
 
     Raises:
@@ -76,27 +79,26 @@ def checked_address(host: str) -> str:
     """
     check_loopback(host)
     for port in PORTS.values():
-        listening((host, port)).close()
+        listening((host, port), system).close()
     return host
 
 
-def listening(address: tuple[str, int]) -> socket.socket:
-    """Return a listening socket.
+def listening(address: tuple[str, int], system: System = LOCAL, send_buffer_bytes: int = 0) -> Listener:
+    """Return a listening port.
+
+    Args:
+        address: Host and port.
+        system: Network.
+        send_buffer_bytes: Of accepted connections; see `TcpListener`.
 
     Raises:
         AddressError: The address is taken, does not exist on this machine, or is no loopback address.
     """
     check_loopback(address[0])
-    sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        sock.setblocking(False)
-        sock.bind(address)
-        sock.listen(64)
+        return system.listen(*address, send_buffer_bytes)
     except OSError as error:
-        sock.close()
         raise _named(address, error) from error
-    return sock
 
 
 def check_loopback(host: str) -> None:
@@ -105,10 +107,10 @@ def check_loopback(host: str) -> None:
     Raises:
         AddressError: It is not written as an address of 127.0.0.0/8.
     """
-    packed = b""
-    with contextlib.suppress(OSError, ValueError, TypeError):
-        packed = socket.inet_pton(socket.AF_INET, host)
-    if packed[:1] != b"\x7f":
+    loopback = False
+    with contextlib.suppress(ValueError):
+        loopback = isinstance(host, str) and ipaddress.IPv4Address(host).is_loopback
+    if not loopback:
         raise AddressError(
             f"{host!r} is no loopback address: an emulated controller listens on 127.0.0.0/8 only, such as 127.0.0.1"
         )

@@ -6,7 +6,7 @@ import logging
 import struct
 from collections import deque
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from typing import Any, Final
 
 from dual_ur10.errors import ProtocolError, ScriptError, SettingsError
@@ -130,7 +130,7 @@ class ArmServer:
         self._scripts: deque[tuple[float, str, Future[Program | ScriptError]]] = deque()
         self._hub = hub
         # Parsing must not delay control periods, nor the other arm's programs.
-        self._reader = ThreadPoolExecutor(1, f"{controller.name} programs")
+        self._reader = hub.system.worker(f"{controller.name} programs")
         self._rtde = RtdePort(
             controller.profile,
             controller.registers,
@@ -194,7 +194,7 @@ class ArmServer:
             add("gripper", lambda: LinePeer(gripper.answer, end=""))
 
     def _take_script(self, text: str) -> None:
-        self.controller.received.upload(self.controller.ticks)
+        self.controller.received.upload(self.controller.ticks, text)
         if len(self._scripts) >= _MAX_SCRIPTS:
             raise ProtocolError(f"{_MAX_SCRIPTS} programs are waiting already")
         found = self._reader.submit(read, text, self.controller.program.builtins)

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import json
 import os
-import select
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import IO, Any, Final
 
 from dual_ur10 import errors
-from dual_ur10.errors import ClosedError, DualUR10Error, EmulatorError, LinkError, OperationRefusedError
+from dual_ur10.errors import DualUR10Error, EmulatorError
+from dual_ur10.sim2real.emulator.cell_requests import CellRequests
 from dual_ur10.sim2real.links.json_link import JsonLink
-from dual_ur10.types import Closing
+from dual_ur10.sim2real.processes.system import LOCAL
 
 MODULE: Final = "dual_ur10.sim2real.emulator.emulator"
 """Main program of an emulated cell."""
@@ -24,7 +23,7 @@ _START_S: Final = 30.0
 _END_S: Final = 5.0
 
 
-class EmulatedCell(Closing):
+class EmulatedCell(CellRequests):
     """Two emulated controllers and their simulated arms, for the duration of a `with` block.
 
     They run in a process of their own, because constructors of `ur_rtde` hold Python's global lock while they wait for
@@ -61,7 +60,7 @@ class EmulatedCell(Closing):
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             start_new_session=True,
         )
-        self._injection: JsonLink | None = None
+        self.clock = LOCAL.clock
         with self.closed_on_error():
             self.description = self._started()
             self.left: str = self.description["left"]["host"]
@@ -71,7 +70,7 @@ class EmulatedCell(Closing):
 
     def _started(self) -> dict[str, Any]:
         stdout = self.process.stdout
-        ready = [] if stdout is None else select.select([stdout], [], [], _START_S)[0]
+        ready = [] if stdout is None else self.clock.wait((stdout.fileno(),), self.clock.now_s() + _START_S)[0]
         line = stdout.readline() if stdout is not None and ready else b""
         try:
             answer: dict[str, Any] = json.loads(line)
@@ -91,65 +90,9 @@ class EmulatedCell(Closing):
         self._log.seek(0)
         return self._log.read()[-characters:].strip()
 
-    def ask(self, do: str, **values: Any) -> Any:
-        """Send one fault-injection request, such as `ask("stop", arm="left", mode=3)`.
-
-        Returns:
-            The value of the answer.
-
-        Raises:
-            ClosedError: The cell was closed.
-            EmulatorError: The request was refused, or there was no answer.
-        """
-        if self._injection is None or self.process.stdin is None or self.process.stdin.closed:
-            raise ClosedError("this emulated cell was closed: start another")
-        try:
-            return self._injection.ask(do, **values)
-        except (LinkError, OperationRefusedError) as error:
-            raise EmulatorError(str(error)) from error
-
-    def setpoints(self, arm: str, since: int = 0) -> list[Any]:
-        """Return the executed servoj targets of a controller from number `since` on, as far as it keeps them.
-
-        Returns:
-            For each: tick, target (6), t, lookahead, gain.
-        """
-        return self._pages("setpoints", "setpoints", arm, since)
-
-    def packages(self, arm: str, since: int = 0) -> list[Any]:
-        """Return the received RTDE packages with motion commands from number `since` on, as far as they are kept.
-
-        Returns:
-            For each: tick, `ur_rtde`'s number of the command, the first six numbers that belong to it.
-        """
-        return self._pages("received", "packages", arm, since)
-
-    def _pages(self, do: str, name: str, arm: str, since: int) -> list[Any]:
-        found: list[Any] = []
-        while True:
-            answer = self.ask(do, arm=arm, since=since)
-            found += answer[name]
-            since = answer["first"] + len(answer[name])
-            if since >= answer["count"]:
-                return found
-
-    def wait_until(self, arm: str, name: str, value: Any, within_s: float = 10.0) -> None:
-        """Wait until a controller reports this value of a variable, by RTDE name.
-
-        Raises:
-            EmulatorError: It did not in time.
-        """
-        end = time.monotonic() + within_s
-        found = None
-        while time.monotonic() < end:
-            found = self.ask("state", arm=arm, names=[name])[name]
-            if found == value:
-                return
-            time.sleep(0.01)
-        raise EmulatorError(f"{name} of the {arm} controller is {found!r} after {within_s:g} s, and not {value!r}")
-
     def close(self) -> None:
         """End the process. May be called twice."""
+        self._closed = True
         if self._injection is not None:
             self._injection.close()
         for pipe in (self.process.stdin, self.process.stdout):

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import gc
 import json
 import logging
 import os
-import select
 import sys
 import threading
-import time
 import tomllib
 from collections import deque
 from collections.abc import Mapping
@@ -37,7 +34,7 @@ from dual_ur10.sim2real.emulator.mujoco_world import EmulatedWorld, PlantOptions
 from dual_ur10.sim2real.emulator.profile import profile_of
 from dual_ur10.sim2real.emulator.robotiq import RobotiqGripper
 from dual_ur10.sim2real.emulator.sockets import Hub
-from dual_ur10.sim2real.processes.child_process import hasten
+from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.protocol.modes import RobotMode, SafetyMode
 
 log = logging.getLogger(__name__)
@@ -71,6 +68,8 @@ class EmulatorOptions:
         phase_s: Phase of the control periods relative to whole multiples of a control period on this machine's
             monotonic clock; None: any. With it, two cells with one arm each behave like two controllers with
             unsynchronised clocks.
+        drift_ppm: Relative deviation of the controllers' control period from its nominal length on this machine's
+            clock, parts per million.
     """
 
     left: str | None = None
@@ -84,6 +83,7 @@ class EmulatorOptions:
     view: bool = False
     cell: str | None = None
     phase_s: float | None = None
+    drift_ppm: float = 0.0
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> EmulatorOptions:
@@ -104,19 +104,23 @@ class Emulator:
 
     Args:
         options: Options of the cell.
+        system: Clock and network.
 
     Raises:
         AddressError: An address cannot be used.
         DualUR10Error: An option is invalid.
     """
 
-    def __init__(self, options: EmulatorOptions) -> None:
+    def __init__(self, options: EmulatorOptions, *, system: System = LOCAL) -> None:
+        self._system, self._clock = system, system.clock
         profile = profile_of(options.family)
         self.options = options
         config = CellConfig(servoj=ServojProfile(family=profile.family))
         plant = PlantOptions(plant=options.plant, seed=options.seed, dh_error_m=options.dh_error_m)
         self.world = EmulatedWorld(config, task_name(env_id_of(options.task)), plant)
         self.tick_s = profile.tick_s
+        self._period_s = profile.tick_s * (1.0 + 1e-6 * options.drift_ppm)
+        self._due_s = self._clock.now_s()
         self.ended = False
         self.ticks = 0
         self.lateness_s: deque[float] = deque(maxlen=_LATENESS)
@@ -124,13 +128,13 @@ class Emulator:
         self.lost_s = 0.0
         self._diverged = False
         self.servers: list[ArmServer] = []
-        self._hub = Hub(options.seed)
+        self._hub = Hub(options.seed, system=system)
         self._injection = FaultInjection(self, options.seed)
         self._viewer: Viewer | None = None
         self._rendered_s = 0.0
         mounts = (self.world.config.left, self.world.config.right)
         try:
-            hosts = _addresses(options)
+            hosts = _addresses(options, system)
             for arm, name in enumerate(ARMS):
                 serial_number = str(int(profile.serial_number) + arm)
                 controller = Controller(
@@ -178,31 +182,31 @@ class Emulator:
         return {
             "kind": "emulated",
             **arms,
-            "emulator": {"task": env_id_of(self.options.task), "port": self._port.number, "pid": os.getpid()},
+            "emulator": {"task": env_id_of(self.options.task), "port": self._port.number, "pid": self._system.pid},
         }
 
     def run(self) -> None:
         """Advance in real time until the cell ends."""
-        # Freeze present objects, so that the garbage collector does not delay control periods.
-        gc.collect()
-        gc.freeze()
-        hasten()
-        sys.setswitchinterval(_SWITCH_S)
-        due = time.monotonic()
+        self._system.dedicate()
+        self._due_s = self._clock.now_s()
         if self.options.phase_s is not None:
-            due = (due // self.tick_s + 1) * self.tick_s + self.options.phase_s % self.tick_s
+            self._due_s = (self._due_s // self.tick_s + 1) * self.tick_s + self.options.phase_s % self.tick_s
         while not self.ended:
-            self._hub.poll(due)
-            late = time.monotonic() - due
-            self.lateness_s.append(late)
-            if late > self.tick_s:
-                self.late_ticks.append(self.ticks)
-            if late > MAX_STALL_S:
-                log.warning("the machine stalled for %.0f ms: the cell's time stalled, too", 1e3 * late)
-                self.lost_s += late
-                due += late
-            self.tick()
-            due += self.tick_s
+            self.step()
+
+    def step(self) -> None:
+        """Serve the clients until the next control period is due, and advance by it."""
+        self._hub.poll(self._due_s)
+        late = self._clock.now_s() - self._due_s
+        self.lateness_s.append(late)
+        if late > self.tick_s:
+            self.late_ticks.append(self.ticks)
+        if late > MAX_STALL_S:
+            log.warning("the machine stalled for %.0f ms: the cell's time stalled, too", 1e3 * late)
+            self.lost_s += late
+            self._due_s += late
+        self.tick()
+        self._due_s += self._period_s
 
     def tick(self) -> None:
         """Advance both arms by one control period."""
@@ -245,7 +249,7 @@ class Emulator:
             "lateness_max_s": float(lateness.max()),
             "late_ticks": list(self.late_ticks),
             "lost_s": self.lost_s,
-            "cpu_s": time.process_time(),
+            "cpu_s": sum(os.times()[:2]),
             "physics_failed": self.world.failed,
             "plant": {name: np.asarray(value).tolist() for name, value in self.world.sampled.items()},
             "url": self.url,
@@ -273,14 +277,14 @@ def _gripper_width(server: ArmServer, tick_s: float, width_m: float | None) -> f
     return gripper.tick(tick_s, width_m)
 
 
-def _addresses(options: EmulatorOptions) -> tuple[str, str]:
+def _addresses(options: EmulatorOptions, system: System) -> tuple[str, str]:
     given = [options.left, options.right]
     if given[0] is not None and given[0] == given[1]:
         raise AddressError(f"both arms have the address {given[0]}: each needs one of its own, as UR's ports are fixed")
-    hosts = [None if host is None else checked_address(host) for host in given]
+    hosts = [None if host is None else checked_address(host, system) for host in given]
     for arm in range(2):
         if hosts[arm] is None:
-            hosts[arm] = free_address([each for each in hosts if each is not None])
+            hosts[arm] = free_address([each for each in hosts if each is not None], system)
     return str(hosts[0]), str(hosts[1])
 
 
@@ -318,6 +322,7 @@ def main() -> None:
         return
     print(json.dumps(emulator.description()), flush=True)  # noqa: T201  # the answer that EmulatedCell waits for
     threading.Thread(target=_end_with_input, args=(emulator,), daemon=True).start()
+    sys.setswitchinterval(_SWITCH_S)
     with contextlib.suppress(KeyboardInterrupt):
         emulator.run()
     emulator.close()
@@ -326,7 +331,7 @@ def main() -> None:
 def _end_with_input(emulator: Emulator) -> None:
     """End the cell with the program that started it."""
     while not emulator.ended:
-        ready, _, _ = select.select([sys.stdin], [], [], 1.0)
+        ready, _ = LOCAL.clock.wait([sys.stdin.fileno()], LOCAL.clock.now_s() + 1.0)
         if ready and not os.read(sys.stdin.fileno(), 1024):
             emulator.ended = True
 

@@ -43,6 +43,7 @@ class Received:
         motion: Last packages with a motion command, oldest first.
         motion_count: Number of all of them.
         uploads: Programs received on the ports 30001, 30002 and 30003, refused ones too.
+        program: Text of the last one.
         upload_tick: Control period of the last one, or None.
         watchdog: Last watchdog setting: tick, Hz, action; or None.
         ended_tick: Control period in which a program last ended, or None.
@@ -54,6 +55,7 @@ class Received:
         self.motion: deque[MotionPackage] = deque(maxlen=_MOST)
         self.motion_count = 0
         self.uploads = 0
+        self.program = ""
         self.upload_tick: int | None = None
         self.watchdog: tuple[int, float, str] | None = None
         self.ended_tick: int | None = None
@@ -74,9 +76,9 @@ class Received:
                     numbers = self._registers.input_double[first : first + 6]
                     self.motion.append(MotionPackage(tick, command, tuple(numbers)))
 
-    def upload(self, tick: int) -> None:
+    def upload(self, tick: int, text: str) -> None:
         """Record a received program."""
-        self.uploads, self.upload_tick = self.uploads + 1, tick
+        self.uploads, self.upload_tick, self.program = self.uploads + 1, tick, text
 
     def counts(self) -> dict[str, Any]:
         """Return all counts."""

@@ -1,20 +1,17 @@
-"""Non-blocking TCP connections of emulated controllers, with injected link faults."""
+"""Non-blocking connections of emulated controllers, with injected link faults."""
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import random
-import selectors
-import socket
-import struct
-import time
 from collections.abc import Callable
 from typing import Final, Protocol
 
 from dual_ur10.errors import ProtocolError
 from dual_ur10.sim2real.emulator.addresses import listening
 from dual_ur10.sim2real.emulator.link_faults import DelayLine, LinkFaults
+from dual_ur10.sim2real.processes.system import LOCAL, System
+from dual_ur10.sim2real.processes.transport import Listener, Transport
 
 log = logging.getLogger(__name__)
 
@@ -25,7 +22,6 @@ _RECEIVE_BYTES: Final = 8192  # per read, so that a busy client cannot delay the
 _MAX_WAITING_BYTES: Final = 262_144  # unread by a client: beyond this, packets are dropped or it is disconnected
 _SEND_BUFFER_BYTES: Final = 65_536
 _SERVED_S: Final = 0.001  # time for clients in a control period that is already late
-_RESET: Final = struct.pack("ii", 1, 0)  # SO_LINGER that makes close() send RST
 
 
 class Peer(Protocol):
@@ -54,13 +50,12 @@ class Connection:
         dropped: Packets dropped because the client was slow.
     """
 
-    def __init__(self, hub: Hub, sock: socket.socket, peer: Peer, port: Port) -> None:
-        self.hub, self.sock, self.peer, self.port = hub, sock, peer, port
+    def __init__(self, hub: Hub, transport: Transport, peer: Peer, port: Port) -> None:
+        self.hub, self.transport, self.peer, self.port = hub, transport, peer, port
         self.dropped = 0
         self.served = 0
         self.open = True
         self.half_open = port.faults.half_open
-        self.events = 0
         self._out = bytearray()
         self._coming, self._going = DelayLine(), DelayLine()
 
@@ -97,39 +92,42 @@ class Connection:
         if len(self._out) > _MAX_WAITING_BYTES:
             self.close("it does not read its answers")
 
+    def fileno(self) -> int:
+        """Return the file number of the transport."""
+        return self.transport.fileno()
+
+    @property
+    def reads(self) -> bool:
+        """True if bytes of the client are taken."""
+        return not self.port.faults.frozen
+
+    @property
+    def writes(self) -> bool:
+        """True if bytes wait for the client."""
+        return bool(self._out)
+
     def flush(self) -> None:
         """Send queued bytes, as far as the client accepts them."""
         if not self.open:
             return
         try:
             if self._out:
-                del self._out[: self.sock.send(self._out)]
-        except BlockingIOError:
-            pass
+                del self._out[: self.transport.send_now(self._out)]
         except OSError:
             # The client has gone. Its last bytes may be unread, and a program in them still runs.
             self._out.clear()
-            if not self.port.faults.frozen:
+            if self.reads:
                 self.read()
             self.close("")
-            return
-        self.hub.watch(
-            self, selectors.EVENT_READ * (not self.port.faults.frozen) | selectors.EVENT_WRITE * bool(self._out)
-        )
 
     def read(self) -> None:
         """Receive bytes and answer them."""
         try:
-            data = self.sock.recv(_RECEIVE_BYTES)
-        except BlockingIOError:
-            return
+            data = self.transport.receive_now(_RECEIVE_BYTES)
         except OSError:  # reset by the client
             data = b""
-        if hasattr(socket, "TCP_QUICKACK"):
-            # Clients with Nagle's algorithm wait for the acknowledgement before their next packet. The system resets
-            # this option after every packet.
-            with contextlib.suppress(OSError):
-                self.sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
+        if data is None:
+            return
         if not data:
             self.close("")
             return
@@ -156,6 +154,11 @@ class Connection:
             self.close("")
 
     @property
+    def delayed(self) -> bool:
+        """True if bytes are on their way."""
+        return bool(self._coming.waiting or self._going.waiting)
+
+    @property
     def next_s(self) -> float:
         """Arrival time of the next delayed bytes."""
         return min(self._coming.next_s, self._going.next_s)
@@ -180,10 +183,8 @@ class Connection:
         self.open = False
         if reason:
             log.warning("%s: a client is disconnected: %s", self.port.name, reason)
-        self.hub.forget(self)
-        if reset:
-            self.sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
-        self.sock.close()
+        self.port.connections.remove(self)
+        self.transport.close(reset=reset)
         self.peer.closed()
 
 
@@ -209,7 +210,7 @@ class Port:
         self.connections: list[Connection] = []
         self.served = 0  # hub's count at its last service
         self._accept, self._greeting = accept, greeting
-        self._sock: socket.socket | None = None
+        self._listener: Listener | None = None
         self.listen()
 
     def listen(self) -> None:
@@ -218,42 +219,46 @@ class Port:
         Raises:
             AddressError: The address cannot be used.
         """
-        if self._sock is None:
-            self._sock = listening(self.address)
-            self.hub.selector.register(self._sock, selectors.EVENT_READ, self)
+        if self._listener is None:
+            self._listener = listening(self.address, self.hub.system, _SEND_BUFFER_BYTES)
 
     @property
     def number(self) -> int:
         """Port number, also where the system chose it."""
-        return self.address[1] if self._sock is None else int(self._sock.getsockname()[1])
+        return self.address[1] if self._listener is None else self._listener.port
 
     def refuse(self) -> None:
         """Stop listening, so that new clients are refused. Connected clients stay."""
-        if self._sock is not None:
-            self.hub.selector.unregister(self._sock)
-            self._sock.close()
-            self._sock = None
+        if self._listener is not None:
+            self._listener.close()
+            self._listener = None
+
+    @property
+    def reads(self) -> bool:
+        """True if it accepts clients."""
+        return self._listener is not None
+
+    def fileno(self) -> int:
+        """Return the file number of the listener; -1 if it does not listen."""
+        return -1 if self._listener is None else self._listener.fileno()
 
     def accept(self) -> None:
         """Accept a new client."""
-        if self._sock is None:
+        if self._listener is None:
             return
         try:
-            sock, _ = self._sock.accept()
+            transport = self._listener.accept_now()
         except OSError as error:
             log.warning("%s: a client could not be accepted: %s", self.name, error)
             return
+        if transport is None:
+            return
         if len(self.connections) >= MAX_CONNECTIONS:
             log.warning("%s: a client is refused: there are %d already", self.name, len(self.connections))
-            sock.close()
+            transport.close()
             return
-        sock.setblocking(False)
-        with contextlib.suppress(OSError):  # it may have gone already, which the next read reports
-            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
-        connection = Connection(self.hub, sock, self._accept(), self)
+        connection = Connection(self.hub, transport, self._accept(), self)
         self.connections.append(connection)
-        connection.flush()
         connection.send(self._greeting())
 
     def broadcast(self, data: bytes) -> None:
@@ -278,10 +283,11 @@ class Hub:
 
     Args:
         seed: Seed of random faults.
+        system: Clock and network.
     """
 
-    def __init__(self, seed: int = 0) -> None:
-        self.selector = selectors.DefaultSelector()
+    def __init__(self, seed: int = 0, *, system: System = LOCAL) -> None:
+        self.system, self._clock = system, system.clock
         self.random = random.Random(seed)
         self.ports: list[Port] = []
         self._served = 0
@@ -300,63 +306,38 @@ class Hub:
 
     def due(self, faults: LinkFaults) -> float:
         """Return the arrival time of bytes sent or received now."""
-        return time.monotonic() + faults.delay_s + faults.jitter_s * self.random.random()
-
-    def watch(self, connection: Connection, events: int) -> None:
-        """Set the events to wait for on a connection."""
-        if events == connection.events or not connection.open:
-            return
-        if not connection.events:
-            self.selector.register(connection.sock, events, connection)
-        elif not events:
-            self.selector.unregister(connection.sock)
-        else:
-            self.selector.modify(connection.sock, events, connection)
-        connection.events = events
-
-    def forget(self, connection: Connection) -> None:
-        """Remove a closed connection."""
-        if connection.events:
-            self.selector.unregister(connection.sock)
-            connection.events = 0
-        connection.port.connections.remove(connection)
+        return self._clock.now_s() + faults.delay_s + faults.jitter_s * self.random.random()
 
     def poll(self, until_s: float) -> None:
-        """Serve clients until a time of the monotonic clock; at least once."""
-        end = max(until_s, time.monotonic() + _SERVED_S)
+        """Serve clients until a time of the clock; at least once."""
+        clock = self._clock
+        end = max(until_s, clock.now_s() + _SERVED_S)
         while True:
             connections = [each for port in self.ports for each in port.connections]
-            left = min((each.next_s for each in connections), default=until_s)
-            left = min(left, until_s) - time.monotonic()
-            # The selector waits in whole milliseconds and may be late by one, so the rest is slept.
-            ready = self.selector.select(max(0.0, left - 0.001))
+            both: list[Port | Connection] = [*self.ports, *connections]
+            serves = {each.fileno(): each for each in both if each.reads}
+            writers = {each.fileno(): each for each in connections if each.writes}
+            wake_s = min((each.next_s for each in connections if each.delayed), default=until_s)
+            readable, writable = clock.wait(list(serves), min(wake_s, until_s), list(writers))
+            for number in writable:
+                writers[number].flush()
             # Longest-waiting first, so that no client starves where time is short.
-            ready.sort(key=lambda each: each[0].data.served)
-            for key, events in ready:
-                serve = key.data
+            for serve in sorted((serves[number] for number in readable), key=lambda each: each.served):
                 self._served += 1
                 serve.served = self._served
                 if isinstance(serve, Port):
                     serve.accept()
-                    continue
-                if events & selectors.EVENT_WRITE:
-                    serve.flush()
-                if events & selectors.EVENT_READ and serve.open:
+                elif serve.open:
                     serve.read()
-                if time.monotonic() > end:
+                if clock.now_s() > end:
                     break  # the others are served after the control period
-            now = time.monotonic()
-            for connection in [each for port in self.ports for each in port.connections]:
+            now = clock.now_s()
+            for connection in [each for port in self.ports for each in port.connections if each.delayed]:
                 connection.deliver(now)
-            left = until_s - time.monotonic()
-            if left <= 0.0:
-                return
-            if left < 0.0015:
-                time.sleep(left)
+            if now >= until_s:
                 return
 
     def close(self) -> None:
         """End everything."""
         for port in self.ports:
             port.close()
-        self.selector.close()

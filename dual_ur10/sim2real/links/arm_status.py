@@ -17,7 +17,7 @@ class ArmStatus:
     """Status of one arm, as its controller reports it. Annotations hold the RTDE variable, and the size of a row.
 
     Attributes:
-        arrival_s: Time of reading, on the clock of `time.monotonic`.
+        arrival_s: Time of reading, on the clock of the reader.
         timestamp_s: Controller's own time.
         robot_mode: `RobotMode`, or any other number.
         safety_mode: `SafetyMode`, or any other number.

@@ -6,11 +6,11 @@ Nothing here unlocks a stop, starts or loads a program: that is for a person at 
 from __future__ import annotations
 
 import re
-import time
 from typing import Final
 
 from dual_ur10.errors import OperationRefusedError, ProtocolError, SettingsError
 from dual_ur10.sim2real.links.link_socket import LinkSocket, SocketClient, check_timeout
+from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.protocol.text_lines import LineReader
 
 PORT: Final = 29999
@@ -32,17 +32,21 @@ class DashboardLink(SocketClient):
         timeout_s: Time limit of the connection, and of each query.
         port: Port number.
         name: Name of the arm, for messages.
+        system: Clock and network.
 
     Raises:
         SettingsError: An argument is not legal.
         LinkError: There is no dashboard server, or it does not greet in time.
     """
 
-    def __init__(self, host: str, timeout_s: float = 2.0, port: int = PORT, *, name: str = "") -> None:
+    def __init__(
+        self, host: str, timeout_s: float = 2.0, port: int = PORT, *, name: str = "", system: System = LOCAL
+    ) -> None:
+        self._clock = system.clock
         self._timeout_s = check_timeout(timeout_s)
         self._version: tuple[int, ...] | None = None
-        deadline_s = time.monotonic() + timeout_s
-        self._socket = LinkSocket(name, "dashboard", host, port, deadline_s)
+        deadline_s = self._clock.now_s() + timeout_s
+        self._socket = LinkSocket(name, "dashboard", host, port, deadline_s, system=system)
         self._lines = LineReader()
         with self._socket.closed_on_error():
             greeting = self._line(deadline_s)
@@ -76,7 +80,7 @@ class DashboardLink(SocketClient):
                 f"dashboard command {words!r} is not sent by this program: a person does that at the pendant, after "
                 "looking at the cause of the stop"
             )
-        deadline_s = time.monotonic() + self._timeout_s
+        deadline_s = self._clock.now_s() + self._timeout_s
         with self._socket.closed_on_error():  # also by an interrupt: its answer would be taken for the next one
             self.check()
             self._socket.send(command.encode("ascii") + b"\n", deadline_s)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import time
 from typing import Any, Final
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from dual_ur10.errors import LinkError, OperationRefusedError
 from dual_ur10.sim2real.links.link_socket import LinkSocket, check_timeout
+from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.types import Closing
 
 ANSWER_S: Final = 10.0
@@ -43,7 +43,8 @@ class JsonLink(Closing):
         SettingsError: The time is not positive and finite.
     """
 
-    def __init__(self, what: str, host: str, port: int, timeout_s: float = ANSWER_S) -> None:
+    def __init__(self, what: str, host: str, port: int, timeout_s: float = ANSWER_S, *, system: System = LOCAL) -> None:
+        self._system = system
         self.where = f"{what} at {host}:{port}"
         self.timeout_s = check_timeout(timeout_s)
         self._address = (what, host, port)
@@ -57,10 +58,10 @@ class JsonLink(Closing):
             OperationRefusedError: The service refuses the request.
             LinkError: There is no answer in time, or it is not valid. The connection was closed.
         """
-        deadline_s = time.monotonic() + self.timeout_s
+        deadline_s = self._system.clock.now_s() + self.timeout_s
         try:
             if self._socket is None:
-                self._socket = LinkSocket("", *self._address, deadline_s)
+                self._socket = LinkSocket("", *self._address, deadline_s, system=self._system)
             self._socket.send(json.dumps({"do": do, **values}).encode() + b"\n", deadline_s)
             answer = _Answer.model_validate_json(self._line(self._socket, deadline_s))
         except (LinkError, ValidationError) as error:

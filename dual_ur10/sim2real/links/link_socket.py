@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import ipaddress
 import math
-import socket
-import time
 from typing import Final
 
 from dual_ur10.errors import ClosedError, LinkError, SettingsError
+from dual_ur10.sim2real.processes.system import LOCAL, System
+from dual_ur10.sim2real.processes.transport import Transport
 from dual_ur10.types import Closing
 
 _RECEIVE_BYTES: Final = 65_536
@@ -49,7 +49,8 @@ class LinkSocket(Closing):
         service: Service at the port, for messages.
         host: IPv4 address.
         port: Port number.
-        deadline_s: Deadline of the connection, on the clock of `time.monotonic`.
+        deadline_s: Deadline of the connection, on the system's clock.
+        system: Clock and network.
 
     Attributes:
         where: Arm, interface and address, for messages.
@@ -59,15 +60,16 @@ class LinkSocket(Closing):
         LinkError: There is no connection before the deadline.
     """
 
-    def __init__(self, name: str, service: str, host: str, port: int, deadline_s: float) -> None:
+    def __init__(
+        self, name: str, service: str, host: str, port: int, deadline_s: float, *, system: System = LOCAL
+    ) -> None:
         host = check_host(host)
         self.where = f"{name + ' arm, ' if name else ''}{service} at {host}:{port}"
-        self._socket: socket.socket | None = None
+        self._clock = system.clock
+        self._transport: Transport | None = None
         try:
-            self._socket = socket.create_connection((host, port), timeout=self._left(deadline_s))
-            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._transport = system.connect(host, port, self._left(deadline_s))
         except OSError as error:
-            self.close()
             if isinstance(error, LinkError):
                 raise
             raise self.error(
@@ -80,19 +82,22 @@ class LinkSocket(Closing):
         return LinkError(f"{self.where}: {found}; {remedy}")
 
     def _left(self, deadline_s: float) -> float:
-        left = deadline_s - time.monotonic()
+        left = deadline_s - self._clock.now_s()
         if left <= 0.0:
-            raise self.error("no answer in time", "check that the controller is up and not overloaded, and the network")
+            raise self._late()
         return left
 
+    def _late(self) -> LinkError:
+        return self.error("no answer in time", "check that the controller is up and not overloaded, and the network")
+
     @property
-    def _open(self) -> socket.socket:
-        if self._socket is None:
+    def _open(self) -> Transport:
+        if self._transport is None:
             raise ClosedError(f"{self.where}: this connection was closed; make another")
-        return self._socket
+        return self._transport
 
     def fileno(self) -> int:
-        """Return the file number for `select`.
+        """Return the file number for `Clock.wait`.
 
         Raises:
             ClosedError: It was closed.
@@ -107,9 +112,14 @@ class LinkSocket(Closing):
             ClosedError: It was closed.
         """
         open_ = self._open
+        left = memoryview(data)
         try:
-            open_.settimeout(self._left(deadline_s))
-            open_.sendall(data)
+            while True:
+                self._left(deadline_s)
+                left = left[open_.send_now(left) :]
+                if not left:
+                    return
+                self._clock.wait((), deadline_s, (open_.fileno(),))
         except OSError as error:
             raise self._failed(error) from error
 
@@ -120,12 +130,10 @@ class LinkSocket(Closing):
             LinkError: Nothing arrives before the deadline, or the connection ended.
             ClosedError: It was closed.
         """
-        open_ = self._open
-        try:
-            open_.settimeout(self._left(deadline_s))
-            data = open_.recv(_RECEIVE_BYTES)
-        except OSError as error:
-            raise self._failed(error) from error
+        self._left(deadline_s)
+        while (data := self.receive_now()) is None:
+            self._left(deadline_s)
+            self._clock.wait((self.fileno(),), deadline_s)
         if not data:
             raise self.ended()
         return data
@@ -137,12 +145,8 @@ class LinkSocket(Closing):
             LinkError: The connection was broken.
             ClosedError: It was closed.
         """
-        open_ = self._open
         try:
-            open_.settimeout(0.0)
-            return open_.recv(_RECEIVE_BYTES)
-        except BlockingIOError:
-            return None
+            return self._open.receive_now(_RECEIVE_BYTES)
         except OSError as error:
             raise self._failed(error) from error
 
@@ -156,17 +160,13 @@ class LinkSocket(Closing):
     def _failed(self, error: OSError) -> LinkError:
         if isinstance(error, LinkError):
             return error
-        if isinstance(error, TimeoutError):
-            return self.error(
-                "no answer in time", "check that the controller is up and not overloaded, and the network"
-            )
         return self.error(f"the connection broke ({_reason(error)})", "check the controller and the cable")
 
     def close(self) -> None:
         """End the connection. May be called twice."""
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        if self._transport is not None:
+            self._transport.close()
+            self._transport = None
 
     def close_and_wait(self, deadline_s: float) -> None:
         """End the connection, and wait until the controller has closed its side. Data that it sends are dropped.
@@ -174,7 +174,7 @@ class LinkSocket(Closing):
         The controller has then released the resources of this connection. The wait ends at the deadline.
         """
         with contextlib.suppress(OSError, ClosedError):
-            self._open.shutdown(socket.SHUT_WR)
+            self._open.end_sending()
             while True:
                 self.receive(deadline_s)
         self.close()
@@ -191,7 +191,7 @@ class SocketClient(Closing):
         return self._socket.where
 
     def fileno(self) -> int:
-        """Return the file number for `select`: readable when there are data, or the end.
+        """Return the file number for `Clock.wait`: readable when there are data, or the end.
 
         Raises:
             ClosedError: It was closed.

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import struct
-import time
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from dual_ur10.errors import ProtocolError
 from dual_ur10.kinematics.ur10 import DHParameters
 from dual_ur10.sim2real.links.link_socket import LinkSocket, check_timeout
+from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.protocol.primary_messages import ROBOT_MESSAGE
 from dual_ur10.sim2real.protocol.primary_packet import ROBOT_STATE
 
@@ -56,7 +56,9 @@ class PrimaryFacts(NamedTuple):
         return DHParameters(self.a_m, self.d_m, self.alpha_rad, self.theta_rad)
 
 
-def read_primary(host: str, timeout_s: float = 2.0, port: int = PORT, *, name: str = "") -> PrimaryFacts:
+def read_primary(
+    host: str, timeout_s: float = 2.0, port: int = PORT, *, name: str = "", system: System = LOCAL
+) -> PrimaryFacts:
     """Connect, read the first packets, and close. Nothing is sent.
 
     Args:
@@ -64,13 +66,14 @@ def read_primary(host: str, timeout_s: float = 2.0, port: int = PORT, *, name: s
         timeout_s: Time limit. Robot states come ten times a second.
         port: Port number.
         name: Name of the arm, for messages.
+        system: Clock and network.
 
     Raises:
         SettingsError: An argument is not legal.
         LinkError: There is no primary interface, or its data are incomplete in time or not valid.
     """
-    deadline_s = time.monotonic() + check_timeout(timeout_s)
-    with LinkSocket(name, "primary interface", host, port, deadline_s) as socket:
+    deadline_s = system.clock.now_s() + check_timeout(timeout_s)
+    with LinkSocket(name, "primary interface", host, port, deadline_s, system=system) as socket:
         reader = _Reader()
         while reader.facts is None:
             data = socket.receive(deadline_s)

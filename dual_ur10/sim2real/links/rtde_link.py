@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import re
 import struct
-import time
 from collections.abc import Sequence
 from typing import Final, NoReturn
 
@@ -18,6 +17,7 @@ from dual_ur10.errors import LinkError, ProtocolError, SettingsError
 from dual_ur10.kinematics.ur10 import TICK_S
 from dual_ur10.sim2real.links.link_socket import LinkSocket, SocketClient, check_timeout
 from dual_ur10.sim2real.links.rtde_stream import TIMESTAMP, RtdeStream, Sample
+from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.protocol.rtde import TYPES, DataType, FrameReader, Kind, frame, split_names
 
 PORT: Final = 30004
@@ -36,7 +36,8 @@ class RtdeClient:
         name: Name of the arm, for messages.
         host: IPv4 address.
         port: Port number.
-        deadline_s: Deadline for the controller's version, on the clock of `time.monotonic`.
+        deadline_s: Deadline for the controller's version, on the system's clock.
+        system: Clock and network.
 
     Attributes:
         version: Major, minor, bugfix and build of the controller's software.
@@ -45,8 +46,9 @@ class RtdeClient:
         LinkError: It did not answer in time, or does not speak version 2 of the protocol.
     """
 
-    def __init__(self, name: str, host: str, port: int, deadline_s: float) -> None:
-        self.socket = LinkSocket(name, "RTDE", host, port, deadline_s)
+    def __init__(self, name: str, host: str, port: int, deadline_s: float, *, system: System = LOCAL) -> None:
+        self._clock = system.clock
+        self.socket = LinkSocket(name, "RTDE", host, port, deadline_s, system=system)
         self._frames = FrameReader()
         with self.socket.closed_on_error():
             answer = self.request(Kind.REQUEST_PROTOCOL_VERSION, struct.pack(">H", _PROTOCOL), deadline_s)
@@ -81,9 +83,9 @@ class RtdeClient:
         """
         found = []
         for _ in range(count):
-            begin = time.monotonic()
+            begin = self._clock.now_s()
             self.ask_version(deadline_s)
-            found.append(time.monotonic() - begin)
+            found.append(self._clock.now_s() - begin)
         return found
 
     def request(self, kind: Kind, payload: bytes, deadline_s: float) -> bytes:
@@ -138,6 +140,7 @@ class RtdeLink(SocketClient):
         timeout_s: Time limit of the start, all phases together.
         optional: Variables that are read if this version of the controller has them.
         name: Name of the arm, for messages.
+        system: Clock and network.
 
     Attributes:
         version: Major, minor, bugfix and build of the controller's software.
@@ -159,10 +162,12 @@ class RtdeLink(SocketClient):
         *,
         optional: Sequence[str] = (),
         name: str = "",
+        system: System = LOCAL,
     ) -> None:
+        self._clock = system.clock
         wanted, optional = _check_names(variables, frequency_hz), _check_names(optional, None)[1:]
-        deadline_s = time.monotonic() + check_timeout(timeout_s)
-        client = RtdeClient(name, host, port, deadline_s)
+        deadline_s = self._clock.now_s() + check_timeout(timeout_s)
+        client = RtdeClient(name, host, port, deadline_s, system=system)
         self._socket = client.socket
         self._fault = ""
         with self._socket.closed_on_error():
@@ -171,7 +176,7 @@ class RtdeLink(SocketClient):
             names = [*wanted, *(each for each in optional if each not in wanted)]
             recipe, kinds = _set_up_outputs(client, names, set(optional) - set(wanted), self.frequency_hz, deadline_s)
             self.variables = tuple(each for each, _ in kinds)
-            self._stream = RtdeStream(recipe, kinds, time.monotonic(), self._socket.where)
+            self._stream = RtdeStream(recipe, kinds, self._clock.now_s(), self._socket.where)
             self._begin(deadline_s)
 
     def _begin(self, deadline_s: float) -> None:
@@ -179,7 +184,7 @@ class RtdeLink(SocketClient):
         self._socket.send(frame(Kind.START), deadline_s)
         while not self._stream.started:
             data = self._socket.receive(deadline_s)
-            self._take(data, time.monotonic())
+            self._take(data, self._clock.now_s())
 
     @property
     def latest(self) -> Sample | None:
@@ -195,7 +200,7 @@ class RtdeLink(SocketClient):
         """Return the time since the controller's time last advanced, as known here, s.
 
         Args:
-            now_s: Time of `time.monotonic`.
+            now_s: Time of the clock.
         """
         return now_s - self._stream.alive_s
 
@@ -203,7 +208,7 @@ class RtdeLink(SocketClient):
         """Return the samples since the last poll. It does not wait.
 
         Args:
-            now_s: Time of `time.monotonic`; None: read that clock.
+            now_s: Time of the clock; None: read it.
 
         Raises:
             LinkError: The link is broken: the stream has ended, holds data of no such recipe, or the controller's time
@@ -212,7 +217,7 @@ class RtdeLink(SocketClient):
         """
         if self._fault:
             raise LinkError(self._fault)
-        arrival_s = time.monotonic() if now_s is None else now_s
+        arrival_s = self._clock.now_s() if now_s is None else now_s
         samples: list[Sample] = []
         taken = 0
         while taken < _MOST_BYTES:

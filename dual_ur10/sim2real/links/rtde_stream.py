@@ -27,7 +27,7 @@ class Sample:
 
     Attributes:
         values: Numbers, or tuples of them, by RTDE's names.
-        arrival_s: Time of reading, on the clock of `time.monotonic`.
+        arrival_s: Time of reading, on the clock of the reader.
     """
 
     values: Mapping[str, Value]
@@ -46,7 +46,7 @@ class RtdeStream:
     Args:
         recipe: Number of the output recipe, from the controller.
         variables: Names and types in the order of the recipe; `timestamp` is one of them.
-        start_s: Beginning of the stream, on the clock of `time.monotonic`.
+        start_s: Beginning of the stream, on the clock of the reader.
         where: Arm and address, for the log.
 
     Attributes:

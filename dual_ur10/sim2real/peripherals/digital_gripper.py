@@ -6,7 +6,6 @@ that the registers of `ur_rtde`'s control script stay free. A second connection 
 
 from __future__ import annotations
 
-import time
 from contextlib import ExitStack
 from typing import Final
 
@@ -15,6 +14,7 @@ from dual_ur10.sim2real.config.cell_file_tables import DigitalGripper
 from dual_ur10.sim2real.links.link_socket import check_timeout
 from dual_ur10.sim2real.links.rtde_link import PORT, RtdeClient, RtdeLink
 from dual_ur10.sim2real.peripherals.gripper_link import GripperLink, GripperReading
+from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.protocol.rtde import Kind, frame
 
 OUTPUTS: Final = "actual_digital_output_bits"
@@ -43,6 +43,7 @@ class DigitalGripperLink(GripperLink):
         timeout_s: Time limit of the connections.
         port: RTDE port.
         name: Name of the arm, for messages.
+        system: Clock and network.
 
     Raises:
         SettingsError: An argument is not legal.
@@ -50,24 +51,34 @@ class DigitalGripperLink(GripperLink):
     """
 
     def __init__(
-        self, host: str, gripper: DigitalGripper, timeout_s: float = 2.0, port: int = PORT, *, name: str = ""
+        self,
+        host: str,
+        gripper: DigitalGripper,
+        timeout_s: float = 2.0,
+        port: int = PORT,
+        *,
+        name: str = "",
+        system: System = LOCAL,
     ) -> None:
+        self._clock = system.clock
         group, first = next((group, first) for group, first, end in _GROUPS if gripper.output < end)
         self._bit = gripper.output - first
         self._mask, self._gripper = 1 << gripper.output, gripper
         self._commanded: bool | None = None
         self._due_s = 0.0
-        deadline_s = time.monotonic() + check_timeout(timeout_s)
+        deadline_s = self._clock.now_s() + check_timeout(timeout_s)
         with ExitStack() as stack:
-            self._reader = stack.enter_context(RtdeLink(host, [OUTPUTS], _RATE_HZ, port, timeout_s, name=name))
-            self._sender = RtdeClient(name, host, port, deadline_s)
+            self._reader = stack.enter_context(
+                RtdeLink(host, [OUTPUTS], _RATE_HZ, port, timeout_s, name=name, system=system)
+            )
+            self._sender = RtdeClient(name, host, port, deadline_s, system=system)
             stack.callback(self._sender.socket.close)
             names = (f"{group}_digital_output_mask", f"{group}_digital_output")
             self._recipe = self._take_outputs(group, names, deadline_s)
             while not self._reader.poll() and self._reader.latest is None:
-                if time.monotonic() >= deadline_s:
+                if self._clock.now_s() >= deadline_s:
                     raise self._sender.socket.error("no state of its outputs in time", "check the controller")
-                time.sleep(0.005)
+                self._clock.sleep(0.005)
             self._connections = stack.pop_all()
 
     def _take_outputs(self, group: str, names: tuple[str, str], deadline_s: float) -> int:
@@ -92,7 +103,7 @@ class DigitalGripperLink(GripperLink):
         self._check()
         is_open = self._is_open()
         fault = ""
-        if self._commanded is not None and is_open != self._commanded and time.monotonic() > self._due_s:
+        if self._commanded is not None and is_open != self._commanded and self._clock.now_s() > self._due_s:
             wanted = "open" if self._commanded else "close"
             fault = (
                 f"output {self._gripper.output} does not {wanted} the gripper, as commanded {CHANGE_S:g} s ago: check "
@@ -107,7 +118,7 @@ class DigitalGripperLink(GripperLink):
 
     def _check(self) -> None:
         self._reader.poll()
-        age_s = self._reader.age_s(time.monotonic())
+        age_s = self._reader.age_s(self._clock.now_s())
         if age_s > STALE_S:
             raise self._sender.socket.error(
                 f"its time stalls for {age_s:.1f} s", "check the controller and the network"
@@ -125,8 +136,8 @@ class DigitalGripperLink(GripperLink):
             return False
         level = wanted == self._gripper.open_level
         payload = bytes((self._recipe, 1 << self._bit, level << self._bit))
-        self._sender.socket.send(frame(Kind.DATA_PACKAGE, payload), time.monotonic() + CHANGE_S)
-        self._commanded, self._due_s = wanted, time.monotonic() + CHANGE_S
+        self._sender.socket.send(frame(Kind.DATA_PACKAGE, payload), self._clock.now_s() + CHANGE_S)
+        self._commanded, self._due_s = wanted, self._clock.now_s() + CHANGE_S
         return True
 
     def forget(self) -> None:

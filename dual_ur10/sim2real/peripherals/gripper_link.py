@@ -6,13 +6,13 @@ A link sends no command by itself, neither when it is made nor when it is closed
 from __future__ import annotations
 
 import math
-import time
 from abc import abstractmethod
 from typing import Final, NamedTuple
 
 from dual_ur10.assets.gripper import FORCE_N, OPENING_M
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.links.link_socket import LinkSocket, SocketClient, check_timeout
+from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.types import Closing
 
 COUNTS: Final = 255
@@ -139,6 +139,7 @@ class RobotiqLink(SocketClient, GripperLink):
         force_n: Grip force.
         timeout_s: Time limit of the connection.
         name: Name of the arm, for messages.
+        system: Clock and network.
 
     Raises:
         SettingsError: An argument is not legal.
@@ -146,11 +147,19 @@ class RobotiqLink(SocketClient, GripperLink):
     """
 
     def __init__(
-        self, host: str, port: int, force_n: float = FORCE_N[0], timeout_s: float = 2.0, *, name: str = ""
+        self,
+        host: str,
+        port: int,
+        force_n: float = FORCE_N[0],
+        timeout_s: float = 2.0,
+        *,
+        name: str = "",
+        system: System = LOCAL,
     ) -> None:
+        self._clock = system.clock
         self._force = force_counts(force_n)
-        deadline_s = time.monotonic() + check_timeout(timeout_s)
-        self._socket = LinkSocket(name, "Robotiq gripper", host, port, deadline_s)
+        deadline_s = self._clock.now_s() + check_timeout(timeout_s)
+        self._socket = LinkSocket(name, "Robotiq gripper", host, port, deadline_s, system=system)
         self._rest = b""
         self._commanded: int | None = None
         with self._socket.closed_on_error():
@@ -158,7 +167,7 @@ class RobotiqLink(SocketClient, GripperLink):
 
     def read(self) -> GripperReading:
         """See `GripperLink`. It asks for POS, STA, FLT and OBJ."""
-        deadline_s = time.monotonic() + ANSWER_S
+        deadline_s = self._clock.now_s() + ANSWER_S
         position, state, fault, stopped = (self._get(name, deadline_s) for name in ("POS", "STA", "FLT", "OBJ"))
         opening_m = None if position is None else opening_of(position)
         if position is None or state is None or fault is None or stopped is None:
@@ -177,7 +186,7 @@ class RobotiqLink(SocketClient, GripperLink):
         counts = counts_of(opening_m)
         if counts == self._commanded:
             return False
-        self._set(f"POS {counts} SPE {COUNTS} FOR {self._force} GTO 1", time.monotonic() + ANSWER_S)
+        self._set(f"POS {counts} SPE {COUNTS} FOR {self._force} GTO 1", self._clock.now_s() + ANSWER_S)
         self._commanded = counts
         return True
 
@@ -187,22 +196,22 @@ class RobotiqLink(SocketClient, GripperLink):
 
     def needs_activation(self) -> bool:
         """Return True if it is not active, or has a fault that only activation clears."""
-        deadline_s = time.monotonic() + ANSWER_S
+        deadline_s = self._clock.now_s() + ANSWER_S
         return self._get("STA", deadline_s) != _ACTIVE or (self._get("FLT", deadline_s) or 0) & 15 > _ACTIVATION_FIRST
 
     def activate(self, within_s: float) -> None:
         """See `GripperLink`. A reset precedes the activation."""
-        end_s = time.monotonic() + within_s
+        end_s = self._clock.now_s() + within_s
         self._commanded = None
         for active, state in ((0, _RESET), (1, _ACTIVE)):
-            self._set(f"ACT {active}", time.monotonic() + ANSWER_S)
-            while (found := self._get("STA", time.monotonic() + ANSWER_S)) != state:
-                if time.monotonic() >= end_s:
+            self._set(f"ACT {active}", self._clock.now_s() + ANSWER_S)
+            while (found := self._get("STA", self._clock.now_s() + ANSWER_S)) != state:
+                if self._clock.now_s() >= end_s:
                     raise self._socket.error(
                         f"not active after {within_s:g} s (STA {found}, expected {state})",
                         "see that nothing blocks the fingers, and that the tool has power",
                     )
-                time.sleep(_STEP_S)
+                self._clock.sleep(_STEP_S)
 
     def _set(self, words: str, deadline_s: float) -> None:
         # "ack" comes without an end of line; whatever else comes has one.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Final, TypeVar
@@ -17,6 +16,7 @@ from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.config.cell_file_tables import ArmEntry, DigitalGripper, RobotiqSocket
 from dual_ur10.sim2real.peripherals.digital_gripper import DigitalGripperLink
 from dual_ur10.sim2real.peripherals.gripper_link import GripperLink, RobotiqLink
+from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.types import Closing
 
 log = logging.getLogger(__name__)
@@ -42,25 +42,32 @@ class GripperThread:
         link: Link to the gripper; this object closes it.
         poll_s: Period of readings.
         permitted: Called in the thread when a command is due. The command is dropped if it returns False.
+        system: Clock and threads.
 
     Raises:
         LinkError: There is no first reading.
     """
 
     def __init__(
-        self, name: str, link: GripperLink, poll_s: float = _POLL_S, permitted: Callable[[], bool] = lambda: True
+        self,
+        name: str,
+        link: GripperLink,
+        poll_s: float = _POLL_S,
+        permitted: Callable[[], bool] = lambda: True,
+        *,
+        system: System = LOCAL,
     ) -> None:
-        self.name = name
+        self.name, self._clock = name, system.clock
         self._link, self._poll_s, self._permitted = link, poll_s, permitted
         self._reading = link.read()
-        self._read_s = time.monotonic()
+        self._read_s = self._clock.now_s()
         self._lost = ""
         self._closed = False
         self._waiting: deque[tuple[float, float]] = deque()
-        self._link_lock = threading.Lock()  # taken for one call, or for an activation
-        self._changed = threading.Condition()
-        self._thread = threading.Thread(target=self._run, name=f"{name} gripper", daemon=True)
-        self._thread.start()
+        self._waiting_lock = threading.Lock()  # never held while waiting
+        self._link_lock = system.lock()  # taken for one call, or for an activation
+        self._changed = system.event()
+        self._thread = system.thread(self._run, f"{name} gripper")
 
     @property
     def opening_m(self) -> float | None:
@@ -74,7 +81,7 @@ class GripperThread:
             return self._lost
         if self._reading.fault:
             return f"{self._link.where}: {self._reading.fault}"
-        age_s = time.monotonic() - self._read_s
+        age_s = self._clock.now_s() - self._read_s
         if age_s > STALE_S and not self._closed:
             return f"{self._link.where}: not heard for {age_s:.1f} s; check the controller and the network"
         return ""
@@ -84,7 +91,7 @@ class GripperThread:
 
         Args:
             opening_m: Target distance of the fingers, 0 to `OPENING_M`.
-            at_s: Time on the clock of `time.monotonic`; a time in the past means at once.
+            at_s: Time on the system's clock; a time in the past means at once.
 
         Raises:
             ActionError: The opening is out of range, or the time not finite.
@@ -97,13 +104,13 @@ class GripperThread:
             )
         if self._closed:
             raise ClosedError(f"the {self.name} gripper was closed: make another")
-        with self._changed:
+        with self._waiting_lock:
             while self._waiting and self._waiting[-1][0] >= at_s:
                 self._waiting.pop()
             self._waiting.append((at_s, float(opening_m)))
             while len(self._waiting) > _MOST_WAITING:
                 self._waiting.popleft()
-            self._changed.notify()
+        self._changed.set()
 
     def forget(self) -> None:
         """Send the next command in any case, since somebody else may have moved the gripper.
@@ -131,7 +138,7 @@ class GripperThread:
         """
 
         def act() -> None:
-            with self._changed:
+            with self._waiting_lock:
                 self._waiting.clear()
             self._link.activate(within_s)
             self._ask()
@@ -153,7 +160,7 @@ class GripperThread:
 
     def _ask(self) -> None:
         self._reading = self._link.read()
-        self._read_s = time.monotonic()
+        self._read_s = self._clock.now_s()
 
     def _lose(self, text: str) -> None:
         self._lost = text
@@ -161,7 +168,7 @@ class GripperThread:
         self._link.close()
 
     def _run(self) -> None:
-        next_s = time.monotonic()
+        next_s = self._clock.now_s()
         while True:
             self._wait(next_s)
             with self._link_lock:
@@ -171,9 +178,9 @@ class GripperThread:
                     opening_m = self._due()  # with the lock: an activation may just have dropped it
                     if opening_m is not None:
                         self._link.command(opening_m)
-                    if time.monotonic() >= next_s:
+                    if self._clock.now_s() >= next_s:
                         self._ask()
-                        next_s = time.monotonic() + self._poll_s
+                        next_s = self._clock.now_s() + self._poll_s
                 except DualUR10Error as error:
                     self._lose(str(error))
                 except Exception as error:  # of any kind: the program must learn of it
@@ -181,30 +188,30 @@ class GripperThread:
 
     def _wait(self, until_s: float) -> None:
         """Wait until a command or a reading is due, or this was closed."""
-        with self._changed:
-            while not self._closed:
-                now_s = time.monotonic()
+        while not self._closed:
+            self._changed.clear()
+            now_s = self._clock.now_s()
+            with self._waiting_lock:
                 next_s = min(until_s, self._waiting[0][0]) if self._waiting else until_s
-                if next_s <= now_s:
-                    return
-                self._changed.wait(next_s - now_s)
+            if next_s <= now_s or self._closed:
+                return
+            self._changed.wait(next_s - now_s)
 
     def _due(self) -> float | None:
         """Return the last of the due commands, or None."""
         opening_m = None
-        with self._changed:
-            while self._waiting and self._waiting[0][0] <= time.monotonic():
+        with self._waiting_lock:
+            while self._waiting and self._waiting[0][0] <= self._clock.now_s():
                 opening_m = self._waiting.popleft()[1]
         return opening_m if opening_m is not None and self._permitted() else None
 
     def close(self) -> None:
         """End the connection. Nothing is sent: a held object stays held. May be called twice."""
-        with self._changed:
-            self._closed = True
+        self._closed = True
+        with self._waiting_lock:
             self._waiting.clear()
-            self._changed.notify()
-        if self._thread is not threading.current_thread():
-            self._thread.join()
+        self._changed.set()
+        self._thread.join()
         self._link.close()
 
 
@@ -215,6 +222,7 @@ class Grippers(Closing):
         cell_file: Cell file.
         force_n: Grip force, 20 to 235 N; a gripper at a digital output has its own.
         permitted: See `GripperThread`. After a stop, no command is permitted.
+        system: Clock, network and threads.
 
     Attributes:
         each: Grippers of the left and the right arm; None where there is none.
@@ -225,17 +233,22 @@ class Grippers(Closing):
     """
 
     def __init__(
-        self, cell_file: CellFile, *, force_n: float = 60.0, permitted: Callable[[], bool] = lambda: True
+        self,
+        cell_file: CellFile,
+        *,
+        force_n: float = 60.0,
+        permitted: Callable[[], bool] = lambda: True,
+        system: System = LOCAL,
     ) -> None:
         self.each: list[GripperThread | None] = []
         with self.closed_on_error():
             for name, arm in zip(ARMS, cell_file.arms, strict=True):
-                link = link_to(arm, force_n, name)
+                link = link_to(arm, force_n, name, system)
                 if link is None:
                     self.each.append(None)
                     continue
                 with link.closed_on_error():
-                    self.each.append(GripperThread(name, link, permitted=permitted))
+                    self.each.append(GripperThread(name, link, permitted=permitted, system=system))
 
     @property
     def opening_m(self) -> tuple[float | None, float | None]:
@@ -258,7 +271,7 @@ class Grippers(Closing):
 
         Args:
             openings_m: (2,) left and right opening; None leaves that gripper as it is.
-            at_s: Time on the clock of `time.monotonic`.
+            at_s: Time on the system's clock.
 
         Raises:
             ActionError: An opening is out of range, or the time not finite.
@@ -316,20 +329,21 @@ class Grippers(Closing):
                 each.close()
 
 
-def link_to(arm: ArmEntry, force_n: float, name: str = "") -> GripperLink | None:
+def link_to(arm: ArmEntry, force_n: float, name: str = "", system: System = LOCAL) -> GripperLink | None:
     """Return a link to an arm's gripper, or None if there is none.
 
     Args:
         arm: Entry of the cell file.
         force_n: Grip force; a gripper at a digital output has its own.
         name: Name of the arm, for messages.
+        system: Clock, network and threads.
 
     Raises:
         SettingsError: The force is not legal.
         LinkError: The gripper cannot be reached.
     """
     if isinstance(arm.gripper, RobotiqSocket):
-        return RobotiqLink(arm.host, arm.gripper.port, force_n, name=name)
+        return RobotiqLink(arm.host, arm.gripper.port, force_n, name=name, system=system)
     if isinstance(arm.gripper, DigitalGripper):
-        return DigitalGripperLink(arm.host, arm.gripper, name=name)
+        return DigitalGripperLink(arm.host, arm.gripper, name=name, system=system)
     return None

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dual_ur10.errors import EmulatorError, LinkError, OperationRefusedError
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.links.json_link import JsonLink
+from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.types import Closing
 
 
@@ -41,7 +42,9 @@ class ObjectPlacer(Closing):
         self._link.close()
 
 
-def placer_of(cell_file: CellFile) -> ObjectPlacer | None:
+def placer_of(cell_file: CellFile, system: System = LOCAL) -> ObjectPlacer | None:
     """Return the placer that a cell file names, or None if a person places the object."""
     entry = cell_file.emulator
-    return None if entry is None else ObjectPlacer(JsonLink("object placer", cell_file.left.host, entry.port))
+    if entry is None:
+        return None
+    return ObjectPlacer(JsonLink("object placer", cell_file.left.host, entry.port, system=system))

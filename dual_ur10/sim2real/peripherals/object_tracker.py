@@ -5,8 +5,6 @@ from __future__ import annotations
 import logging
 import math
 import reprlib
-import threading
-import time
 from abc import abstractmethod
 from typing import Annotated, Final, NamedTuple
 
@@ -20,6 +18,7 @@ from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.config.cell_file_tables import AttachedTrackerEntry, EmulatedTrackerEntry, GivenTrackerEntry
 from dual_ur10.sim2real.links.json_link import JsonLink
+from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.types import Array, Closing, Vector3
 
 log = logging.getLogger(__name__)
@@ -47,7 +46,7 @@ class ObjectPose(NamedTuple):
     Attributes:
         position_m: (3,) of its centre, in the cell frame.
         quat: (4,) its orientation, (w, x, y, z).
-        measured_s: Time of the measurement, on the clock of `time.monotonic`.
+        measured_s: Time of the measurement, on the system's clock.
     """
 
     position_m: Array
@@ -63,7 +62,7 @@ class ObjectTracker(Closing):
         """Return the newest pose. It does not wait.
 
         Args:
-            now_s: Time of `time.monotonic`.
+            now_s: Time of the system's clock.
             flanges: Poses of both flanges now.
 
         Raises:
@@ -125,20 +124,29 @@ class CameraTracker(ObjectTracker):
         body: Name of the object.
         entry: Noise and delay of the camera.
         rate_hz: Rate of requests.
+        system: Clock and threads.
 
     Raises:
         LinkError: The camera does not answer, or knows no such body.
     """
 
-    def __init__(self, link: JsonLink, body: str, entry: EmulatedTrackerEntry, rate_hz: float = RATE_HZ) -> None:
+    def __init__(
+        self,
+        link: JsonLink,
+        body: str,
+        entry: EmulatedTrackerEntry,
+        rate_hz: float = RATE_HZ,
+        *,
+        system: System = LOCAL,
+    ) -> None:
+        self._clock = system.clock
         self._link, self._body, self._entry, self._period_s = link, body, entry, 1.0 / rate_hz
         self.where = f"{link.where}, looking for {body!r}"
         self._lost = ""
-        self._ended = threading.Event()
+        self._ended = system.event()
         with link.closed_on_error():
             self._pose = self._request()
-        self._thread = threading.Thread(target=self._run, name="object tracker", daemon=True)
-        self._thread.start()
+        self._thread = system.thread(self._run, "object tracker")
 
     def pose(self, now_s: float, flanges: Flanges) -> ObjectPose:
         """See `ObjectTracker`."""
@@ -153,7 +161,7 @@ class CameraTracker(ObjectTracker):
         return self._pose
 
     def _request(self) -> ObjectPose:
-        seen_s = time.monotonic() - self._entry.delay_s
+        seen_s = self._clock.now_s() - self._entry.delay_s
         noise = {name: getattr(self._entry, name) for name in ("noise_m", "noise_rad", "delay_s")}
         try:
             answer = self._link.ask("pose", body=self._body, **noise)
@@ -173,9 +181,9 @@ class CameraTracker(ObjectTracker):
         return ObjectPose(np.array(seen.position_m), np.array(seen.quat), seen_s)
 
     def _run(self) -> None:
-        due_s = time.monotonic()
-        while not self._ended.wait(max(0.0, due_s - time.monotonic())):
-            due_s = max(due_s + self._period_s, time.monotonic())
+        due_s = self._clock.now_s()
+        while not self._ended.wait(max(0.0, due_s - self._clock.now_s())):
+            due_s = max(due_s + self._period_s, self._clock.now_s())
             try:
                 self._pose = self._request()
             except Exception as error:  # of any kind: the program must learn of it
@@ -191,12 +199,13 @@ class CameraTracker(ObjectTracker):
         self._link.close()
 
 
-def tracker_of(cell_file: CellFile, prop: str) -> ObjectTracker | None:
+def tracker_of(cell_file: CellFile, prop: str, system: System = LOCAL) -> ObjectTracker | None:
     """Return the tracker that a cell file names, or None if there is nothing to track.
 
     Args:
         cell_file: Cell file. That of an emulated cell need not name a tracker: it has an exact camera.
         prop: Object that the task handles, such as "bar"; "" if none.
+        system: Clock, network and threads.
 
     Raises:
         CellFileError: The task handles an object, and the file does not say where it is.
@@ -215,5 +224,5 @@ def tracker_of(cell_file: CellFile, prop: str) -> ObjectTracker | None:
             f"{cell_file.source}: this task handles a {prop}, and nothing says where it is: add a table [tracker] of "
             'kind "attached" or "given"' + (", or a table [emulator]" if cell_file.kind == "emulated" else "")
         )
-    link = JsonLink("emulated camera", cell_file.left.host, cell_file.emulator.port, _ANSWER_S)
-    return CameraTracker(link, prop, entry or EmulatedTrackerEntry())
+    link = JsonLink("emulated camera", cell_file.left.host, cell_file.emulator.port, _ANSWER_S, system=system)
+    return CameraTracker(link, prop, entry or EmulatedTrackerEntry(), system=system)

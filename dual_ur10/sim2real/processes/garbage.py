@@ -20,6 +20,11 @@ class GarbageCollector:
     def __init__(self) -> None:
         self._frozen = False
 
+    def collect(self) -> None:
+        """Free all garbage, and freeze the rest."""
+        gc.collect()
+        gc.freeze()
+
     def prepare_episode(self) -> None:
         """Free the garbage of the last episode.
 
@@ -35,3 +40,16 @@ class GarbageCollector:
         """Let the collector find all objects again."""
         gc.unfreeze()
         self._frozen = False
+
+
+class NoGarbageCollector(GarbageCollector):
+    """Garbage collector of a program on a virtual clock, which no collection delays."""
+
+    def collect(self) -> None:
+        """Do nothing."""
+
+    def prepare_episode(self) -> None:
+        """Do nothing."""
+
+    def release(self) -> None:
+        """Do nothing."""

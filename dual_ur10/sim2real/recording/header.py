@@ -45,8 +45,9 @@ def describe(
     policy_sha256: str | None = None,
     cell_file: str | None = None,
     extra: Mapping[str, Any] | None = None,
+    started: datetime | None = None,
 ) -> Header:
-    """Return the header of a run that begins now; see `Header` for the arguments.
+    """Return the header of a run that begins now; see `Header` for the arguments; `started` None: now.
 
     Of the dataclasses in `kwargs`, fields that differ from their defaults are kept; functions are left out.
 
@@ -67,7 +68,7 @@ def describe(
         mounts=[plain(asdict(mount)) for mount in (config.left, config.right)],
         servoj=[servoj, servoj.copy()],
         versions=versions(*_PACKAGES),
-        started_utc=datetime.now(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z"),
+        started_utc=(started or datetime.now(UTC)).isoformat(timespec="microseconds").replace("+00:00", "Z"),
         policy=policy,
         policy_sha256=policy_sha256,
         cell_file=cell_file,

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import logging
-import multiprocessing
-import os
-import select
 import struct
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from dual_ur10.errors import RecordingError
-from dual_ur10.sim2real.processes.child_process import Child
 from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
+from dual_ur10.sim2real.processes.system import LOCAL, Process, System
 from dual_ur10.sim2real.recording.recorder_process import (
     BLACK_BOX,
     CLOSE,
@@ -22,7 +18,7 @@ from dual_ur10.sim2real.recording.recorder_process import (
     FRAME,
     READY,
     WROTE,
-    serve,
+    main,
     take_frames,
 )
 from dual_ur10.sim2real.recording.rows import BeginRow, StepRow
@@ -37,6 +33,8 @@ _LOG: Final = logging.getLogger(__name__)
 
 START_S: Final = 20.0
 CLOSE_S: Final = 10.0
+_POLL_S: Final = 0.05
+_PIECE: Final = 65_536
 _MOST_PENDING: Final = 64 * 2**20
 
 
@@ -51,8 +49,9 @@ class RecorderProcess:
         folder: Existing folder of the run. None: only the black box is kept.
         header: Header of the run.
         black_boxes: Existing folder of black boxes.
-        begin_s: Zero of the run's clock on `time.monotonic`; None: now.
+        begin_s: Zero of the run's clock on the system's clock; None: now.
         least_free_bytes: Free space required on the disk.
+        system: Clock and processes.
 
     Attributes:
         begin_s: Zero of the run's clock.
@@ -69,20 +68,20 @@ class RecorderProcess:
         *,
         begin_s: float | None = None,
         least_free_bytes: int = LEAST_FREE_BYTES,
+        system: System = LOCAL,
     ) -> None:
-        self.begin_s = time.monotonic() if begin_s is None else begin_s
+        self._clock = system.clock
+        self.begin_s = self._clock.now_s() if begin_s is None else begin_s
         self.failure = ""
         self.boxes: list[Path] = []
         self._episode, self._step = -1, 0
         self._pending = bytearray()
         self._received = bytearray()
         self._ready = self._done = self._closed = False
-        self._connection, theirs = multiprocessing.Pipe(duplex=True)
-        os.set_blocking(self._connection.fileno(), False)
-        number = theirs.fileno()
-        arguments = (number, memories, folder, header, black_boxes, self.begin_s, os.getpid(), least_free_bytes)
-        self.process = Child(serve, *arguments, files=[number], name="recorder")
-        theirs.close()
+        self._transport, theirs = system.channel()
+        self._ended = False  # this end of the channel was closed
+        arguments = (memories, folder, header, black_boxes, self.begin_s, system.pid, least_free_bytes)
+        self.process: Process = system.spawn(main, *arguments, name="recorder", channel=theirs)
 
     def wait_until_ready(self, within_s: float = START_S) -> None:
         """Wait until the process records.
@@ -90,9 +89,9 @@ class RecorderProcess:
         Raises:
             RecordingError: It does not: no room, no permission, no such memory, or a timeout.
         """
-        end = time.monotonic() + within_s
-        while not (self._ready or self.failure) and (left := end - time.monotonic()) > 0:
-            select.select([self._connection.fileno()], [], [], left)
+        end = self._clock.now_s() + within_s
+        while not (self._ready or self.failure) and self._clock.now_s() < end:
+            self._clock.wait((self._transport.fileno(),), end)
             self._receive()
         if not self._ready:
             reason = self.failure or f"the recorder did not start within {within_s:g} s"
@@ -102,7 +101,7 @@ class RecorderProcess:
     @property
     def now_s(self) -> float:
         """Time on the run's clock."""
-        return time.monotonic() - self.begin_s
+        return self._clock.now_s() - self.begin_s
 
     def begin_episode(self, row: BeginRow) -> None:
         """Record the beginning of an episode, now or at the time in the row."""
@@ -130,14 +129,14 @@ class RecorderProcess:
             return
         self._closed = True
         self._send(CLOSE, self.now_s, b"")
-        end = time.monotonic() + within_s
-        while not self._done and self.process.is_alive and (left := end - time.monotonic()) > 0:
-            number = self._connection.fileno()
-            select.select([number], [number] if self._pending else [], [], min(left, 0.05))
+        end = self._clock.now_s() + within_s
+        while not self._done and self.process.is_alive and (now := self._clock.now_s()) < end:
+            number = self._transport.fileno()
+            self._clock.wait((number,), min(end, now + _POLL_S), (number,) if self._pending else ())
             self._push()
             self._receive()
         if self._done:
-            self.process.wait(max(0.0, end - time.monotonic()))
+            self.process.wait(max(0.0, end - self._clock.now_s()))
         self._receive()
         if not self._done:
             self._fail(f"the recorder did not end within {within_s:g} s")
@@ -147,7 +146,8 @@ class RecorderProcess:
         """End the process at once."""
         self._closed = True
         self.process.kill()
-        self._connection.close()
+        self._ended = True
+        self._transport.close()
 
     def _single(self, topic: str, time_s: float, data: bytes) -> None:
         self._send(TOPICS.index(topic), time_s, data)
@@ -155,7 +155,7 @@ class RecorderProcess:
     @interrupts_deferred()
     def _send(self, kind: int, time_s: float, data: bytes) -> None:
         # An interrupt between writing to the pipe and removing from the buffer would send the bytes twice.
-        if self._connection.closed:
+        if self._ended:
             return
         if len(self._pending) > _MOST_PENDING:
             self._fail(f"the recorder is {_MOST_PENDING // 2**20} MiB behind: later messages are not recorded")
@@ -166,24 +166,20 @@ class RecorderProcess:
 
     def _push(self) -> None:
         try:
-            while self._pending:
-                del self._pending[: os.write(self._connection.fileno(), memoryview(self._pending)[:65536])]
-        except BlockingIOError:
-            pass
+            while self._pending and (sent := self._transport.send_now(self._pending[:_PIECE])):
+                del self._pending[:sent]
         except OSError:
             self._pending.clear()
             self._fail("the recorder has ended")
 
     def _receive(self) -> None:
-        if self._connection.closed:
+        if self._ended:
             return
         ended = False
         try:
-            while piece := os.read(self._connection.fileno(), 65536):
+            while piece := self._transport.receive_now(_PIECE):
                 self._received += piece
-            ended = True
-        except BlockingIOError:
-            pass
+            ended = piece is not None
         except OSError:
             ended = True
         self._parse()

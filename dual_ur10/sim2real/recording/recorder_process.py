@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import signal
 import struct
-import threading
-import time
 from collections.abc import Callable
-from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from dual_ur10.errors import MissingExtraError, RecordingError
 from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.sim2real.processes.clock import Clock
+from dual_ur10.sim2real.processes.system import LOCAL, System
+from dual_ur10.sim2real.processes.transport import Transport
 from dual_ur10.sim2real.recording.black_box import BlackBox
 from dual_ur10.sim2real.recording.cdr import check_extra
 from dual_ur10.sim2real.recording.run import Event, Header
@@ -77,8 +75,9 @@ class Recorder:
         black_boxes: Path,
         begin_s: float,
         least_free_bytes: int,
+        clock: Clock | None = None,
     ) -> None:
-        self._memories, self._begin_s = memories, begin_s
+        self._memories, self._begin_s, self._clock = memories, begin_s, clock or LOCAL.clock
         self.failures: list[str] = []
         self.boxes: list[Path] = []
         self._writer: RunWriter | None = None
@@ -97,7 +96,7 @@ class Recorder:
     @property
     def now_s(self) -> float:
         """Time on the run's clock."""
-        return time.monotonic() - self._begin_s
+        return self._clock.now_s() - self._begin_s
 
     @property
     def stopped(self) -> bool:
@@ -199,13 +198,8 @@ class Recorder:
         return True
 
 
-def serve(number: int, *arguments: Any) -> None:
-    """Run the recorder on the pipe whose file descriptor is `number`."""
-    main(Connection(number), *arguments)
-
-
 def main(
-    connection: Connection,
+    transport: Transport,
     names: tuple[str, str],
     folder: Path | None,
     header: Header,
@@ -213,21 +207,21 @@ def main(
     begin_s: float,
     parent: int,
     least_free_bytes: int,
+    *,
+    system: System = LOCAL,
 ) -> None:
     """Run the recorder until the program closes it or has ended."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the program handles it, and closes the recorder
-    ending = threading.Event()
-    signal.signal(signal.SIGTERM, lambda *_: ending.set())
-    pipe = _Pipe(connection)
+    system.ignore_interrupts()  # the program handles them, and closes the recorder
+    pipe = _Pipe(transport)
     try:
         check_extra()  # the black box decodes messages
         memories = ArmMemory(names[0]), ArmMemory(names[1])
-        recorder = Recorder(memories, folder, header, black_boxes, begin_s, least_free_bytes)
+        recorder = Recorder(memories, folder, header, black_boxes, begin_s, least_free_bytes, system.clock)
     except (MissingExtraError, RecordingError, OSError, ValueError) as error:
         pipe.send(FAILED, f"nothing is recorded: {error}")
         return
     pipe.send(READY)
-    _Loop(recorder, pipe, parent, ending).run()
+    _Loop(recorder, pipe, parent, system).run()
     for memory in memories:
         memory.close()
 
@@ -235,28 +229,29 @@ def main(
 class _Loop:
     """Loop that polls until the program closes the recorder or has ended."""
 
-    def __init__(self, recorder: Recorder, pipe: _Pipe, parent: int, ending: threading.Event) -> None:
-        self._recorder, self._pipe, self._parent, self._ending = recorder, pipe, parent, ending
+    def __init__(self, recorder: Recorder, pipe: _Pipe, parent: int, system: System) -> None:
+        self._recorder, self._pipe, self._parent = recorder, pipe, parent
+        self._system, self._clock = system, system.clock
+        self._terminated = system.terminated()
         self._failures = 0  # failures and boxes that were reported to the program
         self._boxes = 0
-        self._over = threading.Event()
+        self._over = system.event()
 
     def run(self) -> None:
-        recorder = self._recorder
-        syncing = threading.Thread(target=self._sync, daemon=True)
-        syncing.start()
-        due = time.monotonic()
+        recorder, clock = self._recorder, self._clock
+        syncing = self._system.thread(self._sync, "recorder sync")
+        due = clock.now_s()
         while True:
             closed = self._receive()
             recorder.poll()
             self._report()
-            if closed or self._ending.is_set():
+            if closed or self._terminated.is_set():
                 break
-            if self._pipe.ended or os.getppid() != self._parent:
+            if self._pipe.ended or self._system.is_orphan(self._parent):
                 self._drain()
                 break
-            due = max(due + POLL_S, time.monotonic() - POLL_S)
-            time.sleep(max(0.0, due - time.monotonic()))
+            due = max(due + POLL_S, clock.now_s() - POLL_S)
+            clock.sleep(due - clock.now_s())
         self._over.set()
         self._receive()
         syncing.join(SYNC_S)
@@ -266,11 +261,11 @@ class _Loop:
 
     def _drain(self) -> None:
         """Record the stop of the arms after the program has ended without closing the record."""
-        recorder, end = self._recorder, time.monotonic() + ORPHAN_S
+        recorder, end = self._recorder, self._clock.now_s() + ORPHAN_S
         recorder.event("orphaned", "the program that moved the arms has ended without closing its record")
         recorder.ask_black_box("the program that moved the arms has ended")
-        while time.monotonic() < end and not recorder.stopped:
-            time.sleep(POLL_S)
+        while self._clock.now_s() < end and not recorder.stopped:
+            self._clock.sleep(POLL_S)
             recorder.poll()
 
     def _receive(self) -> bool:
@@ -301,29 +296,26 @@ class _Loop:
 class _Pipe:
     """Connection to the program."""
 
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
         self._received = bytearray()
         self.ended = False
-        os.set_blocking(connection.fileno(), False)
 
     def send(self, kind: int, text: str = "") -> None:
         """Send a message, unless the program has ended."""
         line = text.encode()[:4096]
         with contextlib.suppress(OSError):
-            os.write(self._connection.fileno(), struct.pack(FRAME, kind, len(line), 0.0) + line)
+            self._transport.send_now(struct.pack(FRAME, kind, len(line), 0.0) + line)
 
     def receive(self) -> list[tuple[int, float, bytes]]:
         """Return kind, time and data of each new message."""
         try:
             while len(self._received) < _MOST_RECEIVED:
-                piece = os.read(self._connection.fileno(), 2**20)
+                piece = self._transport.receive_now(2**20)
                 if not piece:
-                    self.ended = True
+                    self.ended |= piece is not None
                     break
                 self._received += piece
-        except BlockingIOError:
-            pass
         except OSError:
             self.ended = True
         return take_frames(self._received)

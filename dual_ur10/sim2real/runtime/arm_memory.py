@@ -50,7 +50,7 @@ class Sent:
     Attributes:
         period: (k,) control periods since that of the first target.
         index: (k,) target numbers; fractional under time scaling.
-        sent_s: (k,) times of sending, `time.monotonic`.
+        sent_s: (k,) times of sending, on the system's clock.
         late_s: (k,) delays of sending.
         target_rad: (k, 6) targets.
     """

@@ -6,21 +6,16 @@ arm. Nor may it reconnect to a lost controller: it would restart its script ther
 
 from __future__ import annotations
 
-import gc
-import os
-import resource
-import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
-
-import numpy as np
 
 from dual_ur10.errors import DualUR10Error, LinkError, MissingExtraError, SettingsError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES
 from dual_ur10.sim2real.links.rtde_link import PORT, RtdeClient, RtdeLink
-from dual_ur10.sim2real.processes.child_process import Child, hasten
+from dual_ur10.sim2real.processes.system import LOCAL, Process, System
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import ArmSender
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
@@ -32,7 +27,6 @@ CONNECT_S: Final = 10.0
 
 _MOST_PRIORITY: Final = 90
 _ROUND_TRIPS: Final = 20
-_STANDARD: Final = 3  # standard input, output and error
 
 _KEPT: Final[list[Any]] = []
 """Interfaces of ur_rtde. They are never destroyed: that would wait for a controller, for ever if it is lost."""
@@ -59,7 +53,7 @@ class ArmConnection:
             raise SettingsError(f"rt_priority is {self.rt_priority!r}: allowed are 0 to {_MOST_PRIORITY}")
 
 
-class ArmProcess(Child):
+class ArmProcess:
     """Process of an arm. Once it is killed, the watchdog in the controller stops the arm.
 
     Args:
@@ -68,6 +62,10 @@ class ArmProcess(Child):
         cell: Memory shared by all processes of the cell.
         others: Memories of the other arms.
         supervised: Require a living supervisor.
+        system: Clock and processes.
+
+    Attributes:
+        process: The process.
     """
 
     def __init__(
@@ -78,10 +76,11 @@ class ArmProcess(Child):
         others: tuple[ArmMemory, ...] = (),
         *,
         supervised: bool = True,
+        system: System = LOCAL,
     ) -> None:
-        self.connection, self.memory = connection, memory
+        self.connection, self.memory, self._clock = connection, memory, system.clock
         names = (memory.name, cell.name, *(other.name for other in others))
-        super().__init__(main, connection, names, os.getpid(), supervised, name=connection.name)
+        self.process: Process = system.spawn(main, connection, names, system.pid, supervised, name=connection.name)
 
     def wait_until_ready(self, within_s: float = CONNECT_S) -> None:
         """Wait until the arm is ready for targets.
@@ -89,32 +88,36 @@ class ArmProcess(Child):
         Raises:
             LinkError: It is not ready in time. Its process was ended.
         """
-        end = time.monotonic() + within_s
-        while time.monotonic() < end and self.is_alive:
+        end = self._clock.now_s() + within_s
+        while self._clock.now_s() < end and self.process.is_alive:
             if self.memory.phase >= Phase.READY:
                 break
-            time.sleep(0.005)
+            self._clock.sleep(0.005)
         if self.memory.phase == Phase.READY:
             return
         text = (
             self.memory.text or f"{self.connection.name}: no connection to {self.connection.host} within {within_s:g} s"
         )
-        self.kill()
+        self.process.kill()
         raise LinkError(text)
 
 
-def main(connection: ArmConnection, names: tuple[str, ...], parent: int, supervised: bool) -> None:
+def main(
+    connection: ArmConnection, names: tuple[str, ...], parent: int, supervised: bool, *, system: System = LOCAL
+) -> None:
     """Run the process of an arm."""
     memory, cell, others = ArmMemory(names[0]), CellMemory(names[1]), [ArmMemory(name) for name in names[2:]]
-    memory.note_process(os.getpid())
+    memory.note_process(system.pid)
     try:
-        round_trip_s = _round_trip_s(connection)
-        link = RtdeLink(connection.host, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES, name=connection.name)
-        _freeze_collector()
-        hasten(connection.rt_priority)
-        control = _control(connection)  # from here on the watchdog must be fed
-        _KEPT.append(control)
-        bar_connections()
+        round_trip_s = _round_trip_s(connection, system)
+        link = RtdeLink(
+            connection.host, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES, name=connection.name, system=system
+        )
+        system.dedicate(connection.rt_priority, collect=False)
+        control = _control(connection, system.control or _ur_rtde)  # from here on the watchdog must be fed
+        # ur_rtde reconnects when it loses a controller, at any time and in a thread of its own, restarts its script
+        # there and sends the last command again, without a watchdog. No setting of its own prevents that.
+        system.bar_connections()
         name, servoj = connection.name, connection.servoj
         ArmSender(
             name,
@@ -128,37 +131,34 @@ def main(connection: ArmConnection, names: tuple[str, ...], parent: int, supervi
             supervised=supervised,
             leader=others[0] if others and name != ARMS[0] else None,
             round_trip_s=round_trip_s,
+            system=system,
         ).run()
     except DualUR10Error as error:
         memory.enter(Phase.FAULTED, f"{connection.name}: {error}")
     except Exception as error:  # of any kind: the other arm and the program must learn of it
         memory.enter(Phase.FAULTED, f"{connection.name}: {type(error).__name__}: {error}")
     # At once: ur_rtde reconnects to a lost controller and restarts its script there.
-    os._exit(0)
+    system.end()
 
 
-def _round_trip_s(connection: ArmConnection) -> float:
+def _round_trip_s(connection: ArmConnection, system: System) -> float:
     """Return the shortest round trip to the controller, whose clock is also estimated by the quickest packets."""
-    deadline_s = time.monotonic() + CONNECT_S
-    client = RtdeClient(connection.name, connection.host, PORT, deadline_s)
+    deadline_s = system.clock.now_s() + CONNECT_S
+    client = RtdeClient(connection.name, connection.host, PORT, deadline_s, system=system)
     try:
         return min(client.round_trips_s(_ROUND_TRIPS, deadline_s))
     finally:
         client.socket.close_and_wait(deadline_s)
 
 
-def _control(connection: ArmConnection) -> Any:
-    """Return `ur_rtde`'s control interface with its watchdog armed.
+def _control(connection: ArmConnection, interface: Callable[[str], Any]) -> Any:
+    """Return the control interface of a controller with its watchdog armed.
 
     Raises:
         LinkError: The controller refuses it.
     """
     try:
-        from rtde_control import RTDEControlInterface
-    except ImportError:
-        raise MissingExtraError("ur_rtde", "real", "moving UR arms") from None
-    try:
-        control = RTDEControlInterface(connection.host)
+        control = interface(connection.host)
     except RuntimeError as error:
         raise LinkError(f"{connection.host} takes no control script: {error}") from error
     if not control.setWatchdog(WATCHDOG_HZ):
@@ -167,23 +167,17 @@ def _control(connection: ArmConnection) -> Any:
     return control
 
 
-def bar_connections() -> None:
-    """Prevent this process from opening files and connections.
+def _ur_rtde(host: str) -> Any:
+    """Return `ur_rtde`'s control interface.
 
-    `ur_rtde` reconnects when it loses a controller, at any time and in a thread of its own, restarts its script there
-    and sends the last command again, without a watchdog. No setting prevents that, but the operating system does: the
-    descriptors of standard input, output and error are taken, and no higher ones are allowed.
+    Raises:
+        MissingExtraError: `ur_rtde` is not installed.
+        RuntimeError: The controller refuses it.
     """
-    number = 0
-    while number < _STANDARD:  # some programs are started without them
-        number = os.open(os.devnull, os.O_RDWR)
-    os.close(number)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (_STANDARD, _STANDARD))
-
-
-def _freeze_collector() -> None:
-    """Freeze the garbage collector and silence NumPy warnings, so that neither delays the servo loop."""
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    np.seterr(all="ignore")
+    try:
+        from rtde_control import RTDEControlInterface
+    except ImportError:
+        raise MissingExtraError("ur_rtde", "real", "moving UR arms") from None
+    control = RTDEControlInterface(host)
+    _KEPT.append(control)
+    return control

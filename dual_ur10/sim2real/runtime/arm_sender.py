@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import select
-import time
 from collections.abc import Sequence
 from typing import Final, Protocol
 
@@ -16,6 +13,7 @@ from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.links.controller_clock import ControllerClock, DriftCompensation
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
+from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.stop_ramp import StopRamp
@@ -110,6 +108,7 @@ class ArmSender:
         supervised: Require a living supervisor.
         leader: Memory of the arm to synchronise with; None: the others synchronise with this one.
         round_trip_s: Shortest round trip to the controller.
+        system: Clock and processes.
     """
 
     def __init__(
@@ -126,7 +125,9 @@ class ArmSender:
         supervised: bool = True,
         leader: ArmMemory | None = None,
         round_trip_s: float = 0.0,
+        system: System = LOCAL,
     ) -> None:
+        self._system, self._now_s, self._wait = system, system.clock.now_s, system.clock.wait
         self.name, self.servoj, self.link, self.control = name, servoj, link, control
         self.memory, self.cell, self.others = memory, cell, others
         self._parent, self._supervised = parent, supervised
@@ -157,12 +158,12 @@ class ArmSender:
             self.memory.enter(Phase.FAULTED, f"{self.name}: {error}")
 
     def _settle(self) -> None:
-        end = time.monotonic() + 5.0
+        end = self._now_s() + 5.0
         while not self.clock.is_settled:
-            if time.monotonic() > end:
+            if self._now_s() > end:
                 raise LinkError(f"{self.name}: the controller sent too little in 5 s to know its clock by")
             self._kick()
-            self._listen(time.monotonic() + self.servoj.tick_s, playing=False)
+            self._listen(self._now_s() + self.servoj.tick_s, playing=False)
 
     def _wait_for_start(self) -> tuple[int, float]:
         """Feed the watchdog until it is time to begin.
@@ -172,7 +173,7 @@ class ArmSender:
         """
         first = None
         while True:
-            now, begin_s = time.monotonic(), self.cell.begin_s
+            now, begin_s = self._now_s(), self.cell.begin_s
             if begin_s and first is None:
                 first, at_s = self.clock.next_period(begin_s, ARRIVAL_PHASE)
                 self.memory.note_first(at_s)
@@ -192,7 +193,7 @@ class ArmSender:
 
     def _kick(self) -> None:
         """Feed the watchdog while no targets are sent."""
-        now = time.monotonic()
+        now = self._now_s()
         if now - self._kicked_s >= _KICK_S:
             self._kicked_s = now
             if not self.control.kickWatchdog():
@@ -209,7 +210,7 @@ class ArmSender:
         period = 0
         while True:
             self._listen(self.clock.moment(first + period, ARRIVAL_PHASE))
-            late = time.monotonic() - self.clock.moment(first + period, ARRIVAL_PHASE)
+            late = self._now_s() - self.clock.moment(first + period, ARRIVAL_PHASE)
             if late > MOST_LATE_S:
                 raise StopError(f"targets are sent {1e3 * late:.0f} ms late: this machine is too busy")
             # Skip targets that would come in the next period: two targets in one period would be a jump.
@@ -241,7 +242,7 @@ class ArmSender:
         self._sent, self._period, self._index = [target_rad], period, index
         if not self.control.isConnected():
             raise LinkError(f"{self.name}: ur_rtde has lost the controller; look at its network")
-        self._sent_s = time.monotonic()
+        self._sent_s = self._now_s()
         profile = self.servoj
         return self.control.servoJ(target_rad.tolist(), 0.0, 0.0, profile.tick_s, profile.lookahead_s, profile.gain)
 
@@ -280,13 +281,12 @@ class ArmSender:
             LinkError: The controller is lost.
         """
         while True:
-            now = time.monotonic()
+            now = self._now_s()
             self.memory.beat(now)
             self._check_others(now)
-            left = until_s - now
-            if left <= 0.0:
+            if now >= until_s:
                 return
-            select.select([self.link.fileno()], [], [], left)
+            self._wait((self.link.fileno(),), until_s)
             for sample in self.link.poll():
                 self.clock.note(sample.timestamp_s, sample.arrival_s)
                 status = ArmStatus.from_sample(sample)
@@ -296,7 +296,7 @@ class ArmSender:
                 reason = reason or self._following(status)
                 if reason is not None:
                     raise StopError(reason)
-            age = self.link.age_s(time.monotonic())
+            age = self.link.age_s(self._now_s())
             if age > STALE_S:
                 raise LinkError(f"the controller's clock has stalled for {1e3 * age:.0f} ms; look at its network")
 
@@ -321,7 +321,7 @@ class ArmSender:
                 raise StopError(f"the process of the {other_name} arm no longer responds")
             if self._sent and phase < Phase.STREAMING and now - self.cell.begin_s > STALE_S:
                 raise StopError(f"the {other_name} arm does not begin: this machine is too busy")
-        if self._parent is not None and os.getppid() != self._parent:
+        if self._parent is not None and self._system.is_orphan(self._parent):
             raise StopError("the program that sends targets has ended")
         if self._supervised and self._sent and now - self.cell.supervisor_beat_s > STALE_S:
             raise StopError("the supervisor no longer responds")
@@ -335,7 +335,7 @@ class ArmSender:
                 otherwise along the current direction.
         """
         self.memory.enter(Phase.STOPPING, f"{self.name}: {reason}")
-        if self._sent and time.monotonic() - self._sent_s > MOST_LATE_S:
+        if self._sent and self._now_s() - self._sent_s > MOST_LATE_S:
             # The watchdog has ended the program by now: nothing may be sent any more.
             self.memory.enter(Phase.FAULTED, f"{self.name}: {reason}")
             return
@@ -369,19 +369,19 @@ class ArmSender:
         Returns:
             False if the link is lost.
         """
-        while (left := until_s - time.monotonic()) > 0.0:
+        while self._now_s() < until_s:
             try:
-                select.select([self.link.fileno()], [], [], left)
+                self._wait((self.link.fileno(),), until_s)
                 for sample in self.link.poll():
                     self.memory.note_state(ArmStatus.from_sample(sample))
             except (LinkError, ClosedError):  # the ramp continues all the same
-                time.sleep(max(0.0, until_s - time.monotonic()))
+                self._wait((), until_s)
                 return False
         return True
 
     def _record_until_rest(self) -> None:
-        end = time.monotonic() + _REST_S
-        while time.monotonic() < end and self._record(time.monotonic() + 2 * self.servoj.tick_s):
+        end = self._now_s() + _REST_S
+        while self._now_s() < end and self._record(self._now_s() + 2 * self.servoj.tick_s):
             status = self.memory.status
             if status is not None and max(map(abs, status.qd_rad_s)) < _REST_RAD_S:
                 return
@@ -397,7 +397,7 @@ class ArmSender:
         """
         tick_s = self.servoj.tick_s
         most = round(_ALONE_S / tick_s)
-        missed = self.clock.next_period(time.monotonic(), ARRIVAL_PHASE)[0] - self._period
+        missed = self.clock.next_period(self._now_s(), ARRIVAL_PHASE)[0] - self._period
         if not self._sent:
             return True
         if missed > most:
@@ -410,7 +410,7 @@ class ArmSender:
         ramp = StopRamp(np.array([[-speed * tick_s], [0.0]]), tick_s)
         gone = 0.0
         while not ramp.at_rest:
-            number, due = self.clock.next_period(time.monotonic(), ARRIVAL_PHASE)
+            number, due = self.clock.next_period(self._now_s(), ARRIVAL_PHASE)
             self._record(due)
             missed = max(1, number - self._period)
             if missed > most:

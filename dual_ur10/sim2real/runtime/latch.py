@@ -6,7 +6,6 @@ import contextlib
 import fcntl
 import json
 import os
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Final
@@ -14,26 +13,9 @@ from typing import IO, Final
 from dual_ur10.errors import CellBusyError, CellFaulted, SettingsError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import CellFile
+from dual_ur10.sim2real.processes.system import LOCAL, System
 
 _MOST_BYTES: Final = 64 * 1024
-
-
-def state_folder() -> Path:
-    """Return the folder of faults and locks of this user: in `$XDG_STATE_HOME`, or `~/.local/state`.
-
-    Raises:
-        SettingsError: It cannot be created, or belongs to another user.
-    """
-    home = os.environ.get("XDG_STATE_HOME", "")
-    path = (Path(home) if os.path.isabs(home) else Path.home() / ".local" / "state") / "dual_ur10"
-    try:
-        path.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if path.stat().st_uid != os.getuid():
-            raise SettingsError(f"{path} belongs to another user: faults and locks of cells are kept there. Remove it")
-        path.chmod(0o700)
-    except OSError as error:
-        raise SettingsError(f"cannot keep faults and locks of cells in {path}: {error}. Set XDG_STATE_HOME") from error
-    return path
 
 
 def _keys(cell: CellFile) -> list[str]:
@@ -69,17 +51,18 @@ class Latch:
 
     Args:
         cell: Cell file.
+        system: Clock and state folder.
     """
 
-    def __init__(self, cell: CellFile) -> None:
-        self._cell = cell
-        folder = state_folder()
+    def __init__(self, cell: CellFile, system: System = LOCAL) -> None:
+        self._cell, self._system = cell, system
+        folder = system.state_folder()
         self._paths = [folder / f"fault-{key}.json" for key in _keys(cell)]
 
     def set(self, text: str) -> None:
         """Note a fault of both arms. An earlier one is kept."""
+        note = json.dumps({"text": text, "when_utc": f"{self._system.clock.utc():%Y-%m-%d %H:%M:%S}"})
         for path in self._paths:
-            note = json.dumps({"text": text, "when_utc": time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime())})
             with contextlib.suppress(FileExistsError):
                 handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
                 with os.fdopen(handle, "w") as file:
@@ -116,7 +99,7 @@ class Latch:
         Raises:
             CellBusyError: A program moves the arms.
         """
-        lock = CellLock(self._cell)
+        lock = CellLock(self._cell, self._system)
         for path in self._paths:
             path.unlink(missing_ok=True)
         lock.release()
@@ -127,6 +110,7 @@ class CellLock:
 
     Args:
         cell: Cell file of the arms.
+        system: State folder.
 
     Attributes:
         left_moving: True if the previous holder moved the arms and did not note that it stopped them.
@@ -136,15 +120,15 @@ class CellLock:
         SettingsError: A lock cannot be kept.
     """
 
-    def __init__(self, cell: CellFile) -> None:
+    def __init__(self, cell: CellFile, system: System = LOCAL) -> None:
         self._files: list[IO[str]] = []
         self._keys = _keys(cell)
         self._pid = os.getpid()
         self.left_moving = False
-        folder = state_folder()
+        self._folder = system.state_folder()
         try:
             for arm, entry in zip(ARMS, cell.arms, strict=True):
-                self._lock(folder / f"lock-{entry.host}", arm, entry.host)
+                self._lock(self._folder / f"lock-{entry.host}", arm, entry.host)
         except BaseException:
             self.release(in_order=False)
             raise
@@ -186,7 +170,7 @@ class CellLock:
                 _write(file, f"{os.getpid()} moving {key}\n")
             except OSError as error:
                 raise SettingsError(
-                    f"cannot note in {state_folder()} that arms move: {error}. Make room there"
+                    f"cannot note in {self._folder} that arms move: {error}. Make room there"
                 ) from error
 
     def release(self, *, in_order: bool = True) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from typing import Final
 
 import numpy as np
@@ -110,7 +109,7 @@ class PathToStart:
             StartError: An arm does not arrive.
             CellFaulted: The arms were stopped.
         """
-        end = time.monotonic() + _SETTLE_S
+        end = runner.clock.now_s() + _SETTLE_S
         while True:
             runner.check()
             statuses = runner.statuses()
@@ -118,11 +117,11 @@ class PathToStart:
             found = np.abs(np.array([each.q_rad for each in statuses]) - goal_rad).max(axis=1)
             if (wanted <= START_RAD).all() and (found <= MEASURED_RAD).all():
                 return statuses
-            if time.monotonic() > end:
+            if runner.clock.now_s() > end:
                 arm = int(np.maximum(wanted / START_RAD, found / MEASURED_RAD).argmax())
                 raise StartError(
                     f"{ARMS[arm]} does not reach the start of the task: its controller's target is {wanted[arm]:.2g} "
                     f"rad from there, allowed are {START_RAD:g}, and it is measured {found[arm]:.2g} rad from there, "
                     f"allowed are {MEASURED_RAD:g}. Check what holds it, and its payload"
                 )
-            time.sleep(_POLL_S)
+            runner.clock.sleep(_POLL_S)

@@ -7,10 +7,8 @@ along it together.
 
 from __future__ import annotations
 
-import gc
 import logging
 import math
-import time
 import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -32,7 +30,7 @@ from dual_ur10.sim2real.links.arm_status import ArmStatus
 from dual_ur10.sim2real.peripherals.grippers import Grippers
 from dual_ur10.sim2real.peripherals.object_placer import ObjectPlacer, placer_of
 from dual_ur10.sim2real.peripherals.object_tracker import Flanges, ObjectTracker, tracker_of
-from dual_ur10.sim2real.processes.garbage import GarbageCollector
+from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.approach import Approach, Rates, plan
 from dual_ur10.sim2real.runtime.mirror_model import MirrorModel
 from dual_ur10.sim2real.runtime.path_to_start import AHEAD_TICKS, PathToStart
@@ -64,6 +62,7 @@ class RtdeCell:
         confirm: Called with a description before the arms move to a start; None: real arms need a yes at the terminal,
             emulated ones none.
         only: "left" or "right": the only arm that moves; None: both.
+        system: Clock, network and processes.
 
     Raises:
         SettingsError: There is no cell file, the configuration differs from it, or the latency is not legal.
@@ -86,7 +85,9 @@ class RtdeCell:
         coupled: bool = False,
         confirm: Confirm | None = None,
         only: str | None = None,
+        system: System = LOCAL,
     ) -> None:
+        self.system = system
         if not isinstance(config.file, CellFile):
             raise SettingsError("a cell of two controllers needs a cell file: pass its path as `cell`")
         least = margin_ticks(config.servoj.tick_s) + 1
@@ -112,12 +113,11 @@ class RtdeCell:
         self._grippers: Grippers | None = None
         self._tracker: ObjectTracker | None = None
         self._placer: ObjectPlacer | None = None
-        self._garbage = GarbageCollector()
-        gc.collect()  # before any thread waits for an answer: in a large program it takes half a second
-        self._runner: Runner | None = Runner(self.file, config, coupled=coupled)
+        self._garbage = system.garbage()
+        self._garbage.collect()  # before any thread waits for an answer: in a large program it takes half a second
+        self._runner: Runner | None = Runner(self.file, config, coupled=coupled, system=system)
         self._end = weakref.finalize(self, self._runner.close)
         try:
-            gc.freeze()
             self._equip()
         except BaseException:
             self.close()
@@ -131,9 +131,11 @@ class RtdeCell:
                 if arm.gripper.kind == "none":
                     raise SettingsError(f"this task needs grippers, and {name}.gripper in {file.source} is of none")
             runner = self._open
-            self._grippers = Grippers(file, force_n=equipment.grip_force_n, permitted=lambda: runner.moves_on)
-        self._tracker = tracker_of(file, equipment.prop or "")
-        self._placer = placer_of(file)
+            self._grippers = Grippers(
+                file, force_n=equipment.grip_force_n, permitted=lambda: runner.moves_on, system=self.system
+            )
+        self._tracker = tracker_of(file, equipment.prop or "", self.system)
+        self._placer = placer_of(file, self.system)
 
     # An episode.
 
@@ -182,7 +184,7 @@ class RtdeCell:
         if self._placer is not None and start.object_pose is not None:
             pose = np.asarray(start.object_pose).reshape(7)
             self._placer.place(pose[:3].tolist(), pose[3:].tolist())
-            time.sleep(2.0 * _POLL_S)
+            self.system.clock.sleep(2.0 * _POLL_S)
         target = None if start.target_pose is None else np.asarray(start.target_pose).reshape(7)
         self._mirror.aim(None if target is None else (target[:3], target[3:]))
         self._origin, self._elapsed = None, 0
@@ -344,8 +346,8 @@ class RtdeCell:
         if self._only is not None:
             wanted[1 - self._only] = None  # that one keeps its hold
         grippers.forget()  # a person may have moved them since
-        grippers.command(wanted, time.monotonic())
-        end = time.monotonic() + _OPENING_S
+        grippers.command(wanted, self.system.clock.now_s())
+        end = self.system.clock.now_s() + _OPENING_S
         while True:
             runner.check()
             fault = grippers.fault_except(held)
@@ -355,13 +357,13 @@ class RtdeCell:
             off = [_is_off(*each) for each in zip(found, wanted, strict=True)]
             if not any(off):
                 return
-            if time.monotonic() > end:
+            if self.system.clock.now_s() > end:
                 arm = off.index(True)
                 raise StartError(
                     f"the {ARMS[arm]} gripper is open by {found[arm]} m after {_OPENING_S:g} s, and not by "
                     f"{wanted[arm]} m: check what is between its fingers"
                 )
-            time.sleep(_POLL_S)
+            self.system.clock.sleep(_POLL_S)
 
     def _state(self, statuses: Sequence[ArmStatus]) -> CellState:
         """Return the measured state in task time."""
@@ -381,7 +383,7 @@ class RtdeCell:
         state = self._mirror.follow(time_s, q, qd / slow, gripper_m=widths, wrench=wrench)
         if self._tracker is None or state.flange_quat is None:
             return state
-        seen = self._tracker.pose(time.monotonic(), Flanges(state.flange_m[0], state.flange_quat[0]))
+        seen = self._tracker.pose(self.system.clock.now_s(), Flanges(state.flange_m[0], state.flange_quat[0]))
         thing = (np.asarray(seen.position_m), np.asarray(seen.quat))
         return self._mirror.follow(time_s, q, qd / slow, gripper_m=widths, wrench=wrench, thing=thing)
 

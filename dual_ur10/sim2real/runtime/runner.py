@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 import os
-import time
 from typing import Final
 
 import numpy as np
@@ -19,6 +18,7 @@ from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.control.time_scaling import TimeScaling
 from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.processes.interrupts import interrupts_deferred
+from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_process import ArmConnection, ArmProcess
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, root_cause, was_requested
@@ -50,6 +50,7 @@ class Runner:
         file: Cell file.
         config: Its configuration, with a task's equipment.
         coupled: Both arms hold one object.
+        system: Clock, network and processes.
 
     Attributes:
         stopped: True after `close` if the processes of both arms reported that their arm is at rest.
@@ -61,11 +62,12 @@ class Runner:
         LinkError: A controller cannot be reached.
     """
 
-    def __init__(self, file: CellFile, config: CellConfig, *, coupled: bool) -> None:
+    def __init__(self, file: CellFile, config: CellConfig, *, coupled: bool, system: System = LOCAL) -> None:
+        self.clock = system.clock
         self.file, self.tick_s = file, config.servoj.tick_s
-        self.latch = Latch(file)
+        self.latch = Latch(file, system)
         self.latch.check()
-        self._lock = CellLock(file)
+        self._lock = CellLock(file, system)
         try:
             if self._lock.left_moving:
                 self.latch.set("the program that moved the arms before ended without stopping them in order")
@@ -83,7 +85,7 @@ class Runner:
         self.processes: list[ArmProcess] = []
         self.supervisor: SupervisorProcess | None = None
         try:
-            check(file)
+            check(file, system)
             self.cell = CellMemory()
             if file.allow_reduced_mode:
                 self.cell.permit_reduced_mode()
@@ -93,8 +95,8 @@ class Runner:
                 for arm, (name, entry) in enumerate(zip(ARMS, file.arms, strict=True)):
                     connection = ArmConnection(name, entry.host, entry.profile, file.rt_priority)
                     others = (self.arms[1 - arm],)
-                    self.processes.append(ArmProcess(connection, self.arms[arm], self.cell, others))
-                self.supervisor = SupervisorProcess(file, settings, self.arms, self.cell)
+                    self.processes.append(ArmProcess(connection, self.arms[arm], self.cell, others, system=system))
+                self.supervisor = SupervisorProcess(file, settings, self.arms, self.cell, system=system)
             for process in self.processes:
                 process.wait_until_ready(_READY_S)
             self.supervisor.wait_until_ready(_READY_S)
@@ -120,7 +122,7 @@ class Runner:
     @property
     def now(self) -> float:
         """Number of the current target; the arms are at it or at the one before."""
-        return self.cell.time_scaling.at((time.monotonic() - self.cell.begin_s) / self.tick_s)
+        return self.cell.time_scaling.at((self.clock.now_s() - self.cell.begin_s) / self.tick_s)
 
     @property
     def next(self) -> int:
@@ -146,8 +148,8 @@ class Runner:
             self.check()
             if self.now >= index:
                 return
-            left_s = self.time_of(index) - time.monotonic()
-            time.sleep(min(max(left_s, 1e-4), _POLL_S))
+            left_s = self.time_of(index) - self.clock.now_s()
+            self.clock.sleep(min(max(left_s, 1e-4), _POLL_S))
 
     # Targets.
 
@@ -160,7 +162,7 @@ class Runner:
         for name, status in zip(ARMS, self.statuses(), strict=True):
             reason = stop_reason(status, allow_reduced=self.cell.allow_reduced, playing=True)
             fastest = max(map(abs, status.qd_rad_s))
-            age_s = time.monotonic() - status.arrival_s
+            age_s = self.clock.now_s() - status.arrival_s
             if reason is None and not age_s < STALE_S:
                 reason = f"its process no longer responds: its newest state is {1e3 * age_s:.0f} ms old"
             if reason is None and not fastest < REST_RAD_S:
@@ -171,7 +173,7 @@ class Runner:
         self._put(0, np.asarray(q_rad)[None])
         factor = self.file.speed_factor
         self.cell.set_time_scaling(TimeScaling(0.0, 0.0, factor, factor))
-        self.cell.begin(time.monotonic() + _BEGIN_S)
+        self.cell.begin(self.clock.now_s() + _BEGIN_S)
         self.wait_for(self.margin_ticks)
 
     def write(self, first: int, targets_rad: Array) -> bool:
@@ -214,16 +216,16 @@ class Runner:
 
     def statuses_after(self, index: float) -> list[ArmStatus]:
         """Return the first states that show the effect of the targets before `index`, or else the newest ones."""
-        end = time.monotonic() + _STATE_S
+        end = self.clock.now_s() + _STATE_S
         while True:
             found = [self._status_after(memory, index) for memory in self.arms]
             known = [each for each in found if each is not None]
             if len(known) == len(found):
                 return known
-            if time.monotonic() > end:
+            if self.clock.now_s() > end:
                 return self.statuses()
             self.check()
-            time.sleep(5e-4)
+            self.clock.sleep(5e-4)
 
     def _status_after(self, memory: ArmMemory, index: float) -> ArmStatus | None:
         sent, _ = memory.sent(memory.sent_count - 32)
@@ -245,7 +247,7 @@ class Runner:
         """
         if self._closed or self.cell.ending or os.getpid() != self._pid:
             raise ClosedError("this cell was closed, or belongs to another process: make a new one")
-        if self.begun and not self._fault and time.monotonic() - self.cell.supervisor_beat_s > _SUPERVISOR_S:
+        if self.begun and not self._fault and self.clock.now_s() - self.cell.supervisor_beat_s > _SUPERVISOR_S:
             self.cell.enter_fault("the supervisor no longer responds")
         if not self._fault and (self.cell.fault or any(memory.phase >= Phase.STOPPING for memory in self.arms)):
             self._fail()
@@ -298,13 +300,13 @@ class Runner:
             log.error("both arms were stopped (%s), and the fault cannot be latched: %s", self._fault, error)
 
     def _wait_for_end(self, within_s: float) -> None:
-        end = time.monotonic() + within_s
-        while time.monotonic() < end:
+        end = self.clock.now_s() + within_s
+        while self.clock.now_s() < end:
             if all(memory.phase >= Phase.STOPPED for memory in self.arms):
                 return
-            if not any(process.is_alive for process in self.processes):
+            if not any(each.process.is_alive for each in self.processes):
                 return
-            time.sleep(_POLL_S)
+            self.clock.sleep(_POLL_S)
 
     def close(self) -> None:
         """Stop both arms, end their programs and all processes. May be called twice.
@@ -323,11 +325,11 @@ class Runner:
             with interrupts_deferred():
                 if self.arms:
                     self._request_end()
-                for process in self.processes:
-                    if not process.wait(_STOP_S):
-                        process.kill()
-                if self.supervisor is not None and not self.supervisor.wait(_END_S):
-                    self.supervisor.kill()
+                for each in self.processes:
+                    if not each.process.wait(_STOP_S):
+                        each.process.kill()
+                if self.supervisor is not None and not self.supervisor.process.wait(_END_S):
+                    self.supervisor.process.kill()
                 self.stopped = all(memory.phase == Phase.STOPPED for memory in self.arms)
                 try:
                     if not self._fault and (why := self._stop_failure()):
@@ -347,13 +349,13 @@ def margin_ticks(tick_s: float) -> int:
     return max(2, math.ceil(MARGIN_S / tick_s - 1e-9))
 
 
-def check(file: CellFile) -> None:
+def check(file: CellFile, system: System = LOCAL) -> None:
     """Check both controllers as `doctor` does.
 
     Raises:
         StartError: A check failed.
     """
-    findings = check_cell(*(expected_of(each) for each in file.arms))
+    findings = check_cell(*(expected_of(each) for each in file.arms), system=system)
     if any_fails(findings):
         failures = [each.message for each in findings if each.level == "fail"]
         more = f" ({len(failures) - 1} more: `python -m dual_ur10 doctor {file.source}` shows all)"

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
-import os
-import signal
-import threading
-import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from dual_ur10.errors import DualUR10Error, LinkError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.links.dashboard_link import DashboardLink
+from dual_ur10.sim2real.processes.system import LOCAL, System, Thread
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S
 
@@ -31,6 +27,7 @@ class StopEnforcer:
     Args:
         arms: Memories of both arms' processes.
         hosts: Addresses of both controllers.
+        system: Clock, network and processes.
 
     Attributes:
         unended: Reports of programs that had not ended although the arm's process had ended them.
@@ -39,18 +36,21 @@ class StopEnforcer:
         LinkError: A dashboard server cannot be reached.
     """
 
-    def __init__(self, arms: Sequence[ArmMemory], hosts: Sequence[str]) -> None:
-        self._arms, self._hosts = arms, hosts
-        self._dashboards = [DashboardLink(host, _CONNECT_S, name=name) for name, host in zip(ARMS, hosts, strict=True)]
-        self._processes: list[int | None] = [None for _ in arms]
+    def __init__(self, arms: Sequence[ArmMemory], hosts: Sequence[str], *, system: System = LOCAL) -> None:
+        self._arms, self._hosts, self._system = arms, hosts, system
+        self._dashboards = [self._connect(arm) for arm in range(len(arms))]
+        self._killers: list[Callable[[], None] | None] = [None for _ in arms]
         self._pending = set(range(len(arms)))
         self._begun_s = 0.0
-        self._requests: list[threading.Thread] = []
+        self._requests: list[Thread] = []
         self.unended: list[str] = []
+
+    def _connect(self, arm: int) -> DashboardLink:
+        return DashboardLink(self._hosts[arm], _CONNECT_S, name=ARMS[arm], system=self._system)
 
     @property
     def files(self) -> list[int]:
-        """File descriptors that become readable when a connection fails: see `check`."""
+        """File numbers of connections that become readable when they fail: see `check`."""
         return [each.fileno() for each in self._dashboards]
 
     def check(self) -> None:
@@ -61,14 +61,12 @@ class StopEnforcer:
         """
         for arm, link in enumerate(self._dashboards):
             link.check()
-            pid = self._arms[arm].process
-            if self._processes[arm] is None and pid:
-                with contextlib.suppress(OSError):  # it has ended, which the monitor reports
-                    self._processes[arm] = os.pidfd_open(pid)
+            if self._killers[arm] is None and (pid := self._arms[arm].process):
+                self._killers[arm] = self._system.killer(pid)
 
     def begin(self) -> None:
         """Start the timeouts: both arms have just been told to stop."""
-        self._begun_s = time.monotonic()
+        self._begun_s = self._system.clock.now_s()
 
     @property
     def waits(self) -> bool:
@@ -85,7 +83,7 @@ class StopEnforcer:
         Returns:
             Time since `begin`, s.
         """
-        now = time.monotonic()
+        now = self._system.clock.now_s()
         passed = now - self._begun_s
         for arm in sorted(self._pending):
             memory = self._arms[arm]
@@ -111,25 +109,22 @@ class StopEnforcer:
             thread.join(2 * _CONNECT_S)
 
     def _end(self, arm: int) -> None:
-        process = self._processes[arm]
-        if process is not None:
-            with contextlib.suppress(OSError):  # it has ended
-                signal.pidfd_send_signal(process, signal.SIGKILL)
+        kill = self._killers[arm]
+        if kill is not None:
+            kill()
         self._arms[arm].enter(Phase.FAULTED, f"{ARMS[arm]}: its process did not stop its program and was killed")
         self._request_stop(arm)
 
     def _request_stop(self, arm: int) -> None:
         # A silent dashboard must not delay that of the other arm.
-        thread = threading.Thread(target=self._send_stop, args=(arm,), daemon=True)
-        thread.start()
-        self._requests.append(thread)
+        self._requests.append(self._system.thread(lambda: self._send_stop(arm), f"{ARMS[arm]} stop"))
 
     def _send_stop(self, arm: int) -> None:
         try:
             try:
                 self._dashboards[arm].stop()
             except LinkError:
-                with DashboardLink(self._hosts[arm], _CONNECT_S, name=ARMS[arm]) as link:
+                with self._connect(arm) as link:
                     link.stop()
         except DualUR10Error as error:
             log.error("%s: the dashboard did not stop its program (%s): its watchdog does", ARMS[arm], error)

@@ -8,12 +8,8 @@ asks the dashboard to stop the program.
 from __future__ import annotations
 
 import contextlib
-import gc
 import logging
 import math
-import os
-import select
-import time
 from collections.abc import Sequence
 from typing import Final
 
@@ -23,7 +19,7 @@ from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.control.time_scaling import scaling_from_slider
 from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
-from dual_ur10.sim2real.processes.child_process import Child, hasten
+from dual_ur10.sim2real.processes.system import LOCAL, Process, System
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, root_cause
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
@@ -45,11 +41,20 @@ class Supervisor:
         arms: Memories of both arms' processes.
         cell: Memory of the cell.
         parent: Process of the policy.
+        system: Clock, network and processes.
     """
 
     def __init__(
-        self, file: CellFile, settings: MonitorSettings, arms: Sequence[ArmMemory], cell: CellMemory, parent: int
+        self,
+        file: CellFile,
+        settings: MonitorSettings,
+        arms: Sequence[ArmMemory],
+        cell: CellMemory,
+        parent: int,
+        *,
+        system: System = LOCAL,
     ) -> None:
+        self._system, self._clock = system, system.clock
         self._file, self._settings, self._arms, self._cell, self._parent = file, settings, arms, cell, parent
         self._monitor = SafetyMonitor(settings, arms, cell)
         self._links: list[RtdeLink] = []
@@ -58,17 +63,18 @@ class Supervisor:
     def run(self) -> None:
         """Monitor until the program ends or both arms are stopped."""
         for name, arm in zip(ARMS, self._file.arms, strict=True):
-            self._links.append(RtdeLink(arm.host, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES, name=name))
-        self._enforcer = StopEnforcer(self._arms, [arm.host for arm in self._file.arms])
+            link = RtdeLink(arm.host, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES, name=name, system=self._system)
+            self._links.append(link)
+        self._enforcer = StopEnforcer(self._arms, [arm.host for arm in self._file.arms], system=self._system)
         self._cell.enter_ready()
         reason = None
         while reason is None:
-            now = time.monotonic()
+            now = self._clock.now_s()
             self._cell.note_supervisor(now)
             if self._cell.ending:
                 return self._end()
             self._ready = self._ready or all(each.phase in (Phase.READY, Phase.STREAMING) for each in self._arms)
-            if os.getppid() != self._parent:
+            if self._system.is_orphan(self._parent):
                 if not self._monitor.moving:
                     return None  # nothing has moved
                 reason = "the program that sends targets has ended"
@@ -79,14 +85,15 @@ class Supervisor:
 
     def _check_links(self, now: float) -> str | None:
         """Process the states of both controllers for at most a control period; return the reason for a stop."""
+        until_s = self._clock.now_s() + self._settings.tick_s
         links = [each.fileno() for each in self._links]
-        ready, _, _ = select.select([*links, *self._enforcer.files], [], [], self._settings.tick_s)
+        ready, _ = self._clock.wait([*links, *self._enforcer.files], until_s)
         try:
             self._enforcer.check()
         except LinkError as error:
             return f"the backup stop is lost: {error}"
         for arm, link in enumerate(self._links):
-            if link.fileno() not in ready and link.age_s(now) < STALE_S:
+            if links[arm] not in ready and link.age_s(now) < STALE_S:
                 continue
             try:
                 for sample in link.poll():
@@ -95,7 +102,7 @@ class Supervisor:
                         return reason
             except LinkError as error:
                 return f"{ARMS[arm]}: {error}"
-            age = link.age_s(time.monotonic())
+            age = link.age_s(self._clock.now_s())
             if age > STALE_S:
                 return f"{ARMS[arm]}: the controller's clock has stalled for {1e3 * age:.0f} ms"
         return self._monitor.relative_pose() or self._follow_speed_sliders()
@@ -103,17 +110,17 @@ class Supervisor:
     def _follow_speed_sliders(self) -> str | None:
         """Set the time scaling of both arms from the slower speed slider; return the reason if that failed."""
         cell = self._cell
-        if not cell.begin_s or time.monotonic() < cell.begin_s:
+        if not cell.begin_s or self._clock.now_s() < cell.begin_s:
             return None
         goal = scaling_from_slider(self._monitor.slowest) * self._file.speed_factor
         scaling = cell.time_scaling
         if goal == scaling.goal:
             return None
         tick_s = self._settings.tick_s
-        at_s = time.monotonic() - cell.begin_s + _AHEAD_S
+        at_s = self._clock.now_s() - cell.begin_s + _AHEAD_S
         period = max(float(int(at_s / tick_s)), scaling.period)
         cell.set_time_scaling(scaling.towards(goal, period, tick_s, self._file.speed_factor))
-        if (time.monotonic() - cell.begin_s) / tick_s > period:  # an arm may have sent a target of the old scaling
+        if (self._clock.now_s() - cell.begin_s) / tick_s > period:  # an arm may have sent a target of the old scaling
             return "the supervisor stalled while it changed the time scaling of both arms: this machine is too busy"
         log.warning("both arms continue at %.0f %% of their speed", 100 * goal)
         return None
@@ -125,7 +132,7 @@ class Supervisor:
         self._wait_for_stop()
         failed = [memory.text for memory in self._arms if memory.phase == Phase.FAULTED] + self._enforcer.unended
         if failed:
-            Latch(self._file).set(self._cell.fault or root_cause(failed))
+            Latch(self._file, self._system).set(self._cell.fault or root_cause(failed))
         self._enforcer.close()
 
     def _stop(self, reason: str) -> None:
@@ -137,7 +144,7 @@ class Supervisor:
         self._wait_for_stop(STALE_S)  # a slow disk must not delay the end of a process that hangs
         try:
             if self._ready or self._cell.begin_s:  # else a start failed, which its caller reports
-                Latch(self._file).set(reason)
+                Latch(self._file, self._system).set(reason)
         finally:
             self._wait_for_stop()
             self._enforcer.close()
@@ -146,15 +153,15 @@ class Supervisor:
     def _wait_for_stop(self, within_s: float = math.inf) -> None:
         """Wait for the end of both programs, and enforce it."""
         while self._enforcer.poll(self._monitor.ended) <= within_s and self._enforcer.waits:
-            self._cell.note_supervisor(time.monotonic())
-            time.sleep(self._settings.tick_s / 4)
+            self._cell.note_supervisor(self._clock.now_s())
+            self._clock.sleep(self._settings.tick_s / 4)
             for arm, link in enumerate(self._links):
                 with contextlib.suppress(LinkError):  # without a state the program counts as running
                     for sample in link.poll():
                         self._monitor.note(arm, ArmStatus.from_sample(sample))
 
 
-class SupervisorProcess(Child):
+class SupervisorProcess:
     """Process of the supervisor.
 
     Args:
@@ -162,12 +169,24 @@ class SupervisorProcess(Child):
         settings: Settings of the safety monitor.
         arms: Memories of both arms' processes.
         cell: Memory of the cell.
+        system: Clock and processes.
+
+    Attributes:
+        process: The process.
     """
 
-    def __init__(self, file: CellFile, settings: MonitorSettings, arms: Sequence[ArmMemory], cell: CellMemory) -> None:
-        self._cell = cell
+    def __init__(
+        self,
+        file: CellFile,
+        settings: MonitorSettings,
+        arms: Sequence[ArmMemory],
+        cell: CellMemory,
+        *,
+        system: System = LOCAL,
+    ) -> None:
+        self._cell, self._clock = cell, system.clock
         names = (cell.name, *(memory.name for memory in arms))
-        super().__init__(main, file, settings, names, os.getpid(), name="supervisor")
+        self.process: Process = system.spawn(main, file, settings, names, system.pid, name="supervisor")
 
     def wait_until_ready(self, within_s: float) -> None:
         """Wait until it receives the states of both arms.
@@ -175,26 +194,25 @@ class SupervisorProcess(Child):
         Raises:
             LinkError: It received none in time. Its process was ended.
         """
-        end = time.monotonic() + within_s
+        end = self._clock.now_s() + within_s
         while not self._cell.ready:
-            if not self.is_alive or time.monotonic() > end:
-                self.kill()
+            if not self.process.is_alive or self._clock.now_s() > end:
+                self.process.kill()
                 raise LinkError(
                     self._cell.fault or f"the supervisor received no state of both arms within {within_s:g} s"
                 )
-            time.sleep(0.005)
+            self._clock.sleep(0.005)
 
 
-def main(file: CellFile, settings: MonitorSettings, names: tuple[str, ...], parent: int) -> None:
+def main(
+    file: CellFile, settings: MonitorSettings, names: tuple[str, ...], parent: int, *, system: System = LOCAL
+) -> None:
     """Run the process of the supervisor."""
     cell, arms = CellMemory(names[0]), [ArmMemory(name) for name in names[1:]]
     try:
-        # Existing objects stay: the collector need not scan them again.
-        gc.collect()
-        gc.freeze()
-        hasten(file.rt_priority)
-        Supervisor(file, settings, arms, cell, parent).run()
+        system.dedicate(file.rt_priority)
+        Supervisor(file, settings, arms, cell, parent, system=system).run()
     except Exception as error:  # of any kind: nothing moves without a supervisor
         cell.enter_fault(f"the supervisor failed: {type(error).__name__}: {error}")
         if cell.begin_s:
-            Latch(file).set(cell.fault)
+            Latch(file, system).set(cell.fault)

@@ -185,7 +185,7 @@ class Lab:
     @property
     def pids(self):
         """Process ids of the runner: left arm, right arm, supervisor."""
-        return [*(each.pid for each in self.runner.processes), self.runner.supervisor.pid]
+        return [each.process.pid for each in (*self.runner.processes, self.runner.supervisor)]
 
     def step_until_faulted(self, most=_MOST_STEPS):
         """Step until both arms are stopped and return the error."""

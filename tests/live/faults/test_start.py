@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dual_ur10.errors import CellBusyError, CellFaulted, SettingsError, StartError
-from dual_ur10.sim2real.runtime.latch import state_folder
+from dual_ur10.sim2real.processes.system import LOCAL
 from tests import soak
 from tests.live.faults.lab import ARMS
 
@@ -211,13 +211,13 @@ def test_58_the_lock_of_a_program_that_is_gone_is_taken_over(lab):
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
     for host in (lab.cell.left, lab.cell.right):
-        (state_folder() / f"lock-{host}").write_text(f"{ended.pid}\n")
+        (LOCAL.state_folder() / f"lock-{host}").write_text(f"{ended.pid}\n")
     lab.make()
-    assert (state_folder() / f"lock-{lab.cell.left}").read_text() == f"{os.getpid()}\n"
+    assert (LOCAL.state_folder() / f"lock-{lab.cell.left}").read_text() == f"{os.getpid()}\n"
 
 
 def test_58_a_lock_that_leads_elsewhere_is_refused(lab, tmp_path):
-    path = state_folder() / f"lock-{lab.cell.right}"
+    path = LOCAL.state_folder() / f"lock-{lab.cell.right}"
     path.unlink(missing_ok=True)
     target = tmp_path / "precious"
     target.write_text("mine")

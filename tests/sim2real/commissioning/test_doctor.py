@@ -30,6 +30,7 @@ from dual_ur10.sim2real.links.network_route import Route
 from dual_ur10.sim2real.links.primary_link import PrimaryFacts
 from dual_ur10.sim2real.links.rtde_link import RtdeClient
 from dual_ur10.sim2real.links.rtde_stream import Sample
+from dual_ur10.sim2real.processes.system import LOCAL
 from dual_ur10.sim2real.protocol.primary_packet import kinematics_checksums
 from dual_ur10.sim2real.protocol.rtde import Kind
 from tests.sim2real.cells import restored
@@ -312,7 +313,7 @@ def test_two_addresses_of_one_controller(cb3):
 )
 def test_findings_of_routes(monkeypatch, route, level, text):
     monkeypatch.setattr(doctor, "route_to", lambda host: route)
-    arm = doctor._ArmFacts("left", ExpectedArm(host="192.168.1.11"), 1.0, 1.0)
+    arm = doctor._ArmFacts("left", ExpectedArm(host="192.168.1.11"), 1.0, 1.0, LOCAL)
     (finding,) = doctor._network(arm)
     assert finding.level == level
     assert text in finding.found

@@ -59,20 +59,20 @@ def test_taken_addresses_are_not_found(monkeypatch):
     hosts = []
     real = addresses.is_free
 
-    def second_only(host):
+    def second_only(host, system):
         hosts.append(host)
-        return len(hosts) > 3 and real(host)
+        return len(hosts) > 3 and real(host, system)
 
     monkeypatch.setattr(addresses, "is_free", second_only)
     assert free_address() == hosts[-1]
     assert len(hosts) == 4
-    monkeypatch.setattr(addresses, "is_free", lambda _: False)
+    monkeypatch.setattr(addresses, "is_free", lambda *_: False)
     with pytest.raises(AddressError, match="--left and --right"):
         free_address()
 
 
 def test_the_search_reports_a_single_loopback_address(monkeypatch):
-    def none(host):
+    def none(host, system):
         raise AddressError(f"{host} does not exist on this machine")
 
     monkeypatch.setattr(addresses, "is_free", none)

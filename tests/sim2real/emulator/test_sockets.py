@@ -93,7 +93,7 @@ def test_clients_are_answered(harness):
 
 def test_packets_are_sent_at_once(harness):
     harness.client()
-    assert harness.port.connections[0].sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+    assert harness.port.connections[0].transport._sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
 
 
 def test_a_client_that_breaks_the_protocol_is_closed_and_named(harness, caplog):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import dual_ur10
 
-LABELS = {"sim2real/recording/header.py": {"now"}, "sim2real/runtime/latch.py": {"gmtime", "strftime"}}
+LABELS = {"sim2real/recording/header.py": {"now"}, "sim2real/processes/clock.py": {"now"}}
 """Modules that write the time of day into texts for people, and the functions they call."""
 
 TIME_OF_DAY = {"time", "time_ns", "now", "utcnow", "today", "gmtime", "localtime", "ctime", "asctime", "strftime"}

@@ -9,7 +9,6 @@ import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.sim2real.control.servoj import ServojProfile
-from dual_ur10.sim2real.runtime import arm_sender
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import ArmSender
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
@@ -26,15 +25,15 @@ class Time:
     def __init__(self):
         self.now = 100.0
 
-    def monotonic(self):
+    def now_s(self):
         return self.now
 
     def sleep(self, seconds):
         self.now += max(0.0, seconds)
 
-    def select(self, readable, writable, other, seconds):
-        self.sleep(seconds)
-        return [], [], []
+    def wait(self, readers, until_s, writers=()):
+        self.sleep(until_s - self.now)
+        return [], []
 
 
 class Silent:
@@ -73,14 +72,12 @@ def memory():
     cell.close()
 
 
-def stopped(monkeypatch, parts, family, gap_s, hiccup_s=0.0):
+def stopped(parts, family, gap_s, hiccup_s=0.0):
     """Send an arm along a line, delay and stop it; return the targets sent then and their periods."""
     memory, cell = parts
     clock, servoj = Time(), PROFILES[family]
-    monkeypatch.setattr(arm_sender, "time", clock)
-    monkeypatch.setattr(arm_sender, "select", types.SimpleNamespace(select=clock.select))
     ends = Silent(clock, hiccup_s)
-    sender = ArmSender("left", servoj, ends, ends, memory, cell)
+    sender = ArmSender("left", servoj, ends, ends, memory, cell, system=types.SimpleNamespace(clock=clock))
     for packet in range(40):
         sender.clock.note(5.0 + servoj.tick_s * packet, clock.now + servoj.tick_s * packet)
     clock.sleep(servoj.tick_s * 40)
@@ -101,8 +98,8 @@ def stopped(monkeypatch, parts, family, gap_s, hiccup_s=0.0):
 @pytest.mark.parametrize(
     ("family", "gap_s"), [("cb3", 0.002), ("cb3", 0.015), ("e-series", 0.001), ("e-series", 0.015)]
 )
-def test_an_arm_with_missed_periods_still_stops_on_its_path(monkeypatch, memory, family, gap_s):
-    sent, _, memory = stopped(monkeypatch, memory, family, gap_s)
+def test_an_arm_with_missed_periods_still_stops_on_its_path(memory, family, gap_s):
+    sent, _, memory = stopped(memory, family, gap_s)
     way = sent[-1][0] - sent[0][0]
     assert way == pytest.approx(STOPPING_RAD, abs=0.004)
     steps = np.diff(sent[1:, 0]) / PROFILES[family].tick_s
@@ -113,16 +110,16 @@ def test_an_arm_with_missed_periods_still_stops_on_its_path(monkeypatch, memory,
 
 
 @pytest.mark.parametrize("family", list(PROFILES))
-def test_a_delayed_ramp_skips_missed_periods(monkeypatch, memory, family):
-    sent, periods, memory = stopped(monkeypatch, memory, family, 0.001, hiccup_s=0.02)
+def test_a_delayed_ramp_skips_missed_periods(memory, family):
+    sent, periods, memory = stopped(memory, family, 0.001, hiccup_s=0.02)
     assert memory.text == "left: a reason"
     assert len(sent) < periods  # those of the hiccup were left out
     assert sent[-1][0] - sent[0][0] == pytest.approx(STOPPING_RAD, abs=0.004)
 
 
 @pytest.mark.parametrize("family", list(PROFILES))
-def test_an_arm_at_its_last_target_is_sent_nothing_more(monkeypatch, memory, family):
-    sent, _, memory = stopped(monkeypatch, memory, family, 0.05)
+def test_an_arm_at_its_last_target_is_sent_nothing_more(memory, family):
+    sent, _, memory = stopped(memory, family, 0.05)
     assert len(sent) == 1
     assert memory.phase == Phase.STOPPED
     assert "a reason; sent nothing for 5" in memory.text

@@ -16,8 +16,9 @@ import pytest
 from dual_ur10.errors import CellBusyError, CellFaulted, SettingsError
 from dual_ur10.sim2real.config.cell_file import CellFile, load_cell_file
 from dual_ur10.sim2real.config.cell_file_tables import EmulatorEntry
+from dual_ur10.sim2real.processes.system import LOCAL
 from dual_ur10.sim2real.runtime import latch
-from dual_ur10.sim2real.runtime.latch import CellLock, Latch, state_folder
+from dual_ur10.sim2real.runtime.latch import CellLock, Latch
 
 TEXT = 'kind = "emulated"\n[left]\nhost = "{}"\n[right]\nhost = "{}"\n'
 
@@ -45,31 +46,31 @@ def made(tmp_path: Path, left: str = "127.0.0.2", right: str = "127.0.0.3") -> C
 def test_the_folder_is_for_its_user_alone(home):
     old = os.umask(0)
     try:
-        folder = state_folder()
+        folder = LOCAL.state_folder()
     finally:
         os.umask(old)
     assert folder == home / "dual_ur10"
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
     folder.chmod(0o777)
-    assert stat.S_IMODE(state_folder().stat().st_mode) == 0o700
+    assert stat.S_IMODE(LOCAL.state_folder().stat().st_mode) == 0o700
 
 
 @pytest.mark.parametrize("value", ["", "relative/folder"])
 def test_without_a_folder_of_the_systems_it_is_in_the_home(tmp_path, monkeypatch, value):
     monkeypatch.setenv("XDG_STATE_HOME", value)
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert state_folder() == tmp_path / ".local" / "state" / "dual_ur10"
+    assert LOCAL.state_folder() == tmp_path / ".local" / "state" / "dual_ur10"
 
 
 def test_a_folder_that_cannot_be_or_is_anothers_is_refused(home, monkeypatch):
     home.mkdir()
     (home / "dual_ur10").write_text("a file")
     with pytest.raises(SettingsError, match=r"cannot keep faults.*XDG_STATE_HOME"):
-        state_folder()
+        LOCAL.state_folder()
     (home / "dual_ur10").unlink()
     monkeypatch.setattr(os, "getuid", lambda: os.geteuid() + 1)
     with pytest.raises(SettingsError, match="belongs to another user"):
-        state_folder()
+        LOCAL.state_folder()
 
 
 # Faults.
@@ -218,7 +219,7 @@ def test_the_lock_of_a_dead_process_is_taken_over(cell, tmp_path):
         holder.send_signal(signal.SIGKILL)
         holder.wait()
     lock = CellLock(cell)
-    assert {path.read_text() for path in state_folder().glob("lock-*")} == {f"{os.getpid()}\n"}
+    assert {path.read_text() for path in LOCAL.state_folder().glob("lock-*")} == {f"{os.getpid()}\n"}
     lock.release()
 
 
@@ -270,7 +271,7 @@ def test_processes_that_are_started_do_not_inherit_it(cell):
 def test_a_link_in_its_place_is_refused_and_not_followed(cell, tmp_path):
     victim = tmp_path / "victim"
     victim.write_text("what is here")
-    (state_folder() / "lock-127.0.0.3").symlink_to(victim)
+    (LOCAL.state_folder() / "lock-127.0.0.3").symlink_to(victim)
     with pytest.raises(SettingsError, match=r"lock-127\.0\.0\.3"):
         CellLock(cell)
     assert victim.read_text() == "what is here"

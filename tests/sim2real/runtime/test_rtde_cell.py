@@ -26,9 +26,9 @@ from dual_ur10.errors import (
     UnknownNameError,
 )
 from dual_ur10.policies.evaluation.rollout import rollout
+from dual_ur10.sim2real.processes.system import LOCAL
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.runtime.approach import Approach
-from dual_ur10.sim2real.runtime.latch import state_folder
 from tests.live.faults.lab import Lab, Swing, assert_gone, descendants
 from tests.live.faults.wire import derivative
 
@@ -335,7 +335,7 @@ def test_the_collector_ignores_objects_from_before_the_episode(lab, monkeypatch)
 
 def test_a_program_that_ends_with_its_supervisor_is_noted(lab):
     lab.make().reset(seed=0)
-    lock = next(path for path in state_folder().glob(f"lock-{lab.cell.left}"))
+    lock = next(path for path in LOCAL.state_folder().glob(f"lock-{lab.cell.left}"))
     note = lock.read_text()
     assert " moving " in note
     lab.close_env()

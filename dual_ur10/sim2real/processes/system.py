@@ -1,0 +1,343 @@
+"""Services of the operating system for the motion path: time, connections, processes and threads.
+
+What moves arms gets them from an argument `system`. A `VirtualCell` gives it virtual ones.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import importlib
+import os
+import resource
+import signal
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Final, Protocol, TypeVar
+
+import numpy as np
+
+from dual_ur10.errors import SettingsError
+from dual_ur10.sim2real.processes.child_process import Child, hasten
+from dual_ur10.sim2real.processes.clock import Clock, SystemClock
+from dual_ur10.sim2real.processes.garbage import GarbageCollector
+from dual_ur10.sim2real.processes.transport import Listener, TcpListener, TcpTransport, Transport
+
+T = TypeVar("T")
+
+_STANDARD: Final = 3  # standard input, output and error
+
+
+class Process(Protocol):
+    """Child process."""
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+
+    @property
+    def is_alive(self) -> bool:
+        """True while it runs."""
+
+    @property
+    def code(self) -> int | None:
+        """Exit code; negative: the signal that ended it; None: it runs."""
+
+    def wait(self, within_s: float) -> bool:
+        """Wait for its end. Return True if it has ended."""
+
+    def kill(self) -> None:
+        """End it at once."""
+
+
+class Thread(Protocol):
+    """Thread of this process."""
+
+    def join(self, timeout: float | None = None) -> None:
+        """Wait for its end; in the thread itself, do nothing."""
+
+
+class Event(Protocol):
+    """Flag that threads wait for."""
+
+    def set(self) -> None:
+        """Set it."""
+
+    def clear(self) -> None:
+        """Reset it."""
+
+    def is_set(self) -> bool:
+        """Return True if it is set."""
+
+    def wait(self, timeout: float) -> bool:
+        """Wait until it is set or the timeout, s, has passed; return True if it is set."""
+
+
+class System(Protocol):
+    """Operating system as one process sees it."""
+
+    @property
+    def clock(self) -> Clock:
+        """Clock."""
+
+    @property
+    def pid(self) -> int:
+        """Number of this process."""
+
+    @property
+    def control(self) -> Callable[[str], Any] | None:
+        """Factory of the control interface of the controller at an address; None: that of `ur_rtde`."""
+
+    def state_folder(self) -> Path:
+        """Return the folder of faults and locks of this user.
+
+        Raises:
+            SettingsError: It cannot be created, or belongs to another user.
+        """
+
+    def connect(self, host: str, port: int, within_s: float) -> Transport:
+        """Connect to a port.
+
+        Raises:
+            OSError: There is no connection in time.
+        """
+
+    def listen(self, host: str, port: int, send_buffer_bytes: int = 0) -> Listener:
+        """Listen on a port; see `TcpListener`.
+
+        Raises:
+            OSError: The address cannot be listened on.
+        """
+
+    def channel(self) -> tuple[Transport, Transport]:
+        """Return two connected ends, the second of which goes to a child process."""
+
+    def spawn(
+        self, function: Callable[..., None], *arguments: Any, name: str = "", channel: Transport | None = None
+    ) -> Process:
+        """Start a child process that calls a function of this package.
+
+        Args:
+            function: The function. It has a keyword `system`, by default `LOCAL`.
+            arguments: Its arguments; they are pickled.
+            name: Text that a list of processes shows after the command.
+            channel: End of a channel, which becomes the first argument. It is closed here.
+        """
+
+    def killer(self, pid: int) -> Callable[[], None] | None:
+        """Return a function that kills a running process and no later one of the same number; None: it has ended."""
+
+    def is_orphan(self, parent: int) -> bool:
+        """Return True if the process that started this one has ended."""
+
+    def end(self) -> None:
+        """End this process at once, without clean-up."""
+
+    def ignore_interrupts(self) -> None:
+        """Ignore Ctrl-C in this process."""
+
+    def terminated(self) -> Event:
+        """Return an event that is set once this process is asked to terminate (SIGTERM)."""
+
+    def dedicate(self, rt_priority: int = 0, *, collect: bool = True) -> None:
+        """Give this process priority, and freeze the garbage collector so that it does not delay deadlines.
+
+        Args:
+            rt_priority: Real-time priority; 0: none.
+            collect: Keep collecting what is created later.
+
+        Raises:
+            SettingsError: The real-time priority is refused.
+        """
+
+    def garbage(self) -> GarbageCollector:
+        """Return the garbage collector of a program that moves two arms."""
+
+    def bar_connections(self) -> None:
+        """Prevent this process from opening files and connections."""
+
+    def thread(self, work: Callable[[], None], name: str) -> Thread:
+        """Start a thread that does not keep the process alive."""
+
+    def event(self) -> Event:
+        """Return a new event."""
+
+    def lock(self) -> contextlib.AbstractContextManager[Any]:
+        """Return a new lock, which may be held while waiting for connections."""
+
+    def worker(self, name: str) -> Executor:
+        """Return an executor of one thread for computations."""
+
+
+class _DaemonThread(threading.Thread):
+    """Thread that can be joined from itself, as when the garbage collector runs in it."""
+
+    def join(self, timeout: float | None = None) -> None:
+        if self is not threading.current_thread():
+            super().join(timeout)
+
+
+class LocalSystem:
+    """Operating system of this machine."""
+
+    control = None
+
+    def __init__(self) -> None:
+        self.clock: Clock = SystemClock()
+
+    @property
+    def pid(self) -> int:
+        """See `System`."""
+        return os.getpid()
+
+    def state_folder(self) -> Path:
+        """See `System`. It is in `$XDG_STATE_HOME`, or `~/.local/state`."""
+        home = os.environ.get("XDG_STATE_HOME", "")
+        path = (Path(home) if os.path.isabs(home) else Path.home() / ".local" / "state") / "dual_ur10"
+        try:
+            path.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if path.stat().st_uid != os.getuid():
+                raise SettingsError(
+                    f"{path} belongs to another user: faults and locks of cells are kept there. Remove it"
+                )
+            path.chmod(0o700)
+        except OSError as error:
+            raise SettingsError(
+                f"cannot keep faults and locks of cells in {path}: {error}. Set XDG_STATE_HOME"
+            ) from error
+        return path
+
+    def connect(self, host: str, port: int, within_s: float) -> Transport:
+        """See `System`."""
+        return TcpTransport.connect(host, port, within_s)
+
+    def listen(self, host: str, port: int, send_buffer_bytes: int = 0) -> Listener:
+        """See `System`."""
+        return TcpListener(host, port, send_buffer_bytes)
+
+    def channel(self) -> tuple[Transport, Transport]:
+        """See `System`."""
+        return TcpTransport.pair()
+
+    def spawn(
+        self, function: Callable[..., None], *arguments: Any, name: str = "", channel: Transport | None = None
+    ) -> Process:
+        """See `System`."""
+        if channel is None:
+            return Child(function, *arguments, name=name)
+        number = channel.fileno()
+        where = function.__module__, function.__qualname__
+        try:
+            return Child(_with_channel, number, *where, *arguments, files=[number], name=name)
+        finally:
+            channel.close()
+
+    def killer(self, pid: int) -> Callable[[], None] | None:
+        """See `System`."""
+        try:
+            handle = os.pidfd_open(pid)
+        except OSError:
+            return None
+
+        def kill() -> None:
+            with contextlib.suppress(OSError):  # it has ended
+                signal.pidfd_send_signal(handle, signal.SIGKILL)
+
+        return kill
+
+    def is_orphan(self, parent: int) -> bool:
+        """See `System`."""
+        return os.getppid() != parent
+
+    def end(self) -> None:
+        """See `System`."""
+        os._exit(0)
+
+    def ignore_interrupts(self) -> None:
+        """See `System`."""
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def terminated(self) -> Event:
+        """See `System`."""
+        event = threading.Event()
+        signal.signal(signal.SIGTERM, lambda *_: event.set())
+        return event
+
+    def dedicate(self, rt_priority: int = 0, *, collect: bool = True) -> None:
+        """See `System`."""
+        gc.collect()
+        gc.freeze()
+        if not collect:
+            gc.disable()
+            np.seterr(all="ignore")
+        hasten(rt_priority)
+
+    def garbage(self) -> GarbageCollector:
+        """See `System`."""
+        return GarbageCollector()
+
+    def bar_connections(self) -> None:
+        """See `System`.
+
+        The descriptors of standard input, output and error are taken, and no higher ones are allowed.
+        """
+        number = 0
+        while number < _STANDARD:  # some programs are started without them
+            number = os.open(os.devnull, os.O_RDWR)
+        os.close(number)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (_STANDARD, _STANDARD))
+
+    def thread(self, work: Callable[[], None], name: str) -> Thread:
+        """See `System`."""
+        thread = _DaemonThread(target=work, name=name, daemon=True)
+        thread.start()
+        return thread
+
+    def event(self) -> Event:
+        """See `System`."""
+        return threading.Event()
+
+    def lock(self) -> contextlib.AbstractContextManager[Any]:
+        """See `System`."""
+        return threading.Lock()
+
+    def worker(self, name: str) -> Executor:
+        """See `System`."""
+        return ThreadPoolExecutor(1, name)
+
+
+LOCAL: Final[System] = LocalSystem()
+"""This machine."""
+
+
+def in_parallel(system: System, works: Sequence[Callable[[], T]]) -> list[T]:
+    """Do several things at once in threads, and return their results in order.
+
+    Raises:
+        Exception: As one of them raised.
+    """
+    results: dict[int, T] = {}
+    failures: list[Exception] = []
+
+    def run(number: int, work: Callable[[], T]) -> None:
+        try:
+            results[number] = work()
+        except Exception as error:  # raised in the thread of the caller
+            failures.append(error)
+
+    threads = [
+        system.thread(lambda number=number, work=work: run(number, work), f"part {number}")  # type: ignore[misc]  # defaults bind the loop's values
+        for number, work in enumerate(works)
+    ]
+    for thread in threads:
+        thread.join()
+    if failures:
+        raise failures[0]
+    return [results[number] for number in range(len(works))]
+
+
+def _with_channel(number: int, module: str, name: str, *arguments: Any) -> None:
+    """Call a function with the inherited end of a channel."""
+    getattr(importlib.import_module(module), name)(TcpTransport.of_file(number), *arguments)

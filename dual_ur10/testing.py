@@ -1,4 +1,4 @@
-"""Tools for tests of your own project: an emulated cell as a pytest fixture, and a check of policies.
+"""Tools for tests of your own project: emulated and virtual cells as pytest fixtures, and a check of policies.
 
 In a `conftest.py` at the top of the tests:
 
@@ -31,10 +31,19 @@ if TYPE_CHECKING:
     import pytest
 
     from dual_ur10.sim2real.runtime.latch import Latch
+    from dual_ur10.sim2real.virtual.virtual_cell import VirtualCell
 
-__all__ = ["CellForTests", "PolicyReport", "check_policy"]
+__all__ = ["CellForTests", "PolicyReport", "VirtualCell", "check_policy"]
 
 MARKER = "emulated_cell"
+
+
+def __getattr__(name: str) -> Any:
+    if name == "VirtualCell":  # it needs the extra `virtual`
+        from dual_ur10.sim2real.virtual.virtual_cell import VirtualCell
+
+        return VirtualCell
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 class CellForTests(EmulatedCell):

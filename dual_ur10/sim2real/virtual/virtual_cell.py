@@ -1,0 +1,154 @@
+"""Virtual cell: two emulated controllers, and every process of the runner, in this process on a virtual clock."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Self
+
+from dual_ur10.errors import SettingsError, UnknownNameError, VirtualCellError
+from dual_ur10.sim2real.config.cell import CellConfig
+from dual_ur10.sim2real.config.cell_file import CellFile
+from dual_ur10.sim2real.emulator.cell_requests import CellRequests
+from dual_ur10.sim2real.emulator.emulator import Emulator, EmulatorOptions
+from dual_ur10.sim2real.links.json_link import JsonLink
+from dual_ur10.sim2real.runtime.latch import Fault, Latch
+from dual_ur10.sim2real.virtual.control import ScriptControl, control_script
+from dual_ur10.sim2real.virtual.virtual_system import VirtualProcess, VirtualSystem, World
+
+_HOSTS = ("127.0.0.2", "127.0.0.3")
+_NOT_VIRTUAL = ("view", "cell", "phase_s")
+
+
+class VirtualCell(CellRequests):
+    """Cell for `gym.make(..., cell=...)` on which time passes as fast as it is computed, the same to the bit each time.
+
+    The program, both arms' processes, the supervisor, the recorder and both emulated controllers are the code of a
+    cell of real processes. They take turns in the thread that makes the cell. Computing takes no virtual time: an
+    action is late only if the program sleeps on `clock`.
+
+    Args:
+        file: Keys of the cell file that differ from those of the emulated cell, such as `speed_factor`.
+        **options: See `dual_ur10.sim2real.emulator.emulator.EmulatorOptions`; without `view`, `cell` and `phase_s`.
+
+    Attributes:
+        file: Cell file of environments that are made from now on.
+        system: Operating system of the program.
+        clock: Its clock.
+        emulator: Both controllers and their world.
+
+    Raises:
+        MissingExtraError: `ur_rtde` is not installed, whose control script is run.
+        VirtualCellError: An option asks for what only real processes show.
+        DualUR10Error: An option is invalid.
+    """
+
+    def __init__(self, *, file: Mapping[str, Any] | None = None, **options: Any) -> None:
+        asked = [name for name in _NOT_VIRTUAL if options.get(name) not in (None, False)]
+        if asked:
+            raise VirtualCellError(f"a virtual cell has no {asked[0]!r}: leave it out, or use an emulated cell")
+        self._folder = tempfile.TemporaryDirectory()
+        self._closed = False
+        self._world = World()
+        program = VirtualProcess(self._world, None, "program", self._world.scheduler.program)
+        family = options.get("family", "cb3")
+        control_script(family)
+        self.system = VirtualSystem(
+            program, Path(self._folder.name), lambda host, system: ScriptControl(host, system, family)
+        )
+        self.clock = self.system.clock
+        hosts = dict(zip(("left", "right"), _HOSTS, strict=True))
+        machine = VirtualProcess(self._world, None, "emulated cell")
+        try:
+            self.emulator = Emulator(
+                EmulatorOptions.from_mapping({**hosts, **options}),
+                system=VirtualSystem(machine, Path(self._folder.name)),
+            )
+            self.description = self.emulator.description()
+            self.file = CellFile.read({**self.description, **(file or {})}, "the virtual cell")
+        except BaseException:
+            self._folder.cleanup()
+            raise
+        self._world.scheduler.start(self.emulator.run, machine.group, "emulated cell")
+        self.left, self.right = (server.host for server in self.emulator.servers)
+        self._injection: JsonLink = JsonLink(
+            "fault injection", self.left, self.description["emulator"]["port"], system=self.system
+        )
+
+    def config(self) -> CellConfig:
+        """Return the configuration of the cell, for `gym.make`."""
+        return self.file.config()
+
+    @property
+    def now_s(self) -> float:
+        """Time of the virtual clock, s."""
+        return self.clock.now_s()
+
+    def stall(self, process: str, duration_s: float) -> None:
+        """Keep a process from running for a duration, as a busy machine does.
+
+        Args:
+            process: "left", "right", "supervisor" or "recorder", or "emulated cell".
+            duration_s: Duration from now on.
+
+        Raises:
+            UnknownNameError: There is no such process.
+        """
+        self._process(process).stall(duration_s)
+
+    def end(self, process: str) -> None:
+        """End a process at once, with its connections, as SIGKILL does.
+
+        Raises:
+            UnknownNameError: There is no such process.
+        """
+        self._process(process).kill()
+
+    def _process(self, name: str) -> VirtualProcess:
+        running = {each.name: each for each in self._world.processes.values() if each.is_alive}
+        if name not in running:
+            raise UnknownNameError("process of the virtual cell", name, tuple(running))
+        if name == "program":
+            raise VirtualCellError("the program cannot be stalled from inside: sleep on `clock`, or close the cell")
+        return running[name]
+
+    @property
+    def latch(self) -> Latch:
+        """Latch of the cell."""
+        return Latch(self.file, self.system)
+
+    @property
+    def fault(self) -> str:
+        """Reason of the latched stop; "": there is none."""
+        found: Fault | None = self.latch.read()
+        return "" if found is None else found.text
+
+    def clear(self) -> None:
+        """Clear the latched stop, as `cell clear` does. A stopped environment must be made again."""
+        self.latch.clear()
+
+    def __deepcopy__(self, memo: Any) -> Self:
+        """Return itself: Gymnasium copies the keywords of environments."""
+        return self
+
+    def __reduce__(self) -> Any:
+        raise SettingsError("a virtual cell cannot be pickled: its processes run here. Make one where it is used")
+
+    def close(self) -> None:
+        """End all processes but the program. May be called twice.
+
+        Raises:
+            VirtualCellError: A process has failed that must not, such as that of the controllers.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        self._injection.close()
+        for process in list(self._world.processes.values()):
+            if process.group is not self._world.scheduler.program:
+                process.kill()
+        self._folder.cleanup()
+        if self._world.scheduler.failures:
+            name, error = self._world.scheduler.failures[0]
+            raise VirtualCellError(f"{name} has failed: {type(error).__name__}: {error}") from error

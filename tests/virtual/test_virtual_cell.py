@@ -1,0 +1,86 @@
+"""Virtual cell: episodes that are equal to the bit, and requests that only real processes can serve."""
+
+import copy
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import dual_ur10  # noqa: F401  # registers the environments
+from dual_ur10.errors import CellFaulted, SettingsError, UnknownNameError, VirtualCellError
+from dual_ur10.testing import VirtualCell
+
+
+def episode(steps=30, fault=None, **options):
+    """Return what both controllers received, observations, and the error that ended it, if one did."""
+    seen, error = [], None
+    with VirtualCell(task="SineTracking", plant="nominal", **options) as cell:
+        env = gym.make("DualUR10/SineTracking-v0", cell=cell, disable_env_checker=True)
+        seen.append(env.reset(seed=0)[0])
+        try:
+            for step in range(steps):
+                if step == 20 and fault:
+                    cell.ask(**fault)
+                action = np.full(env.action_space.shape, 0.2 * np.sin(step / 5), dtype=np.float32)
+                seen.append(env.step(action)[0])
+        except CellFaulted as found:
+            error = str(found)
+        env.close()
+        received = [cell.packages(arm) for arm in ("left", "right")]
+        return received, np.array(seen).tobytes(), error, cell.fault, cell.now_s
+
+
+def test_an_episode_is_the_same_to_the_bit():
+    first = episode()
+    assert len(first[0][0]) > 100
+    assert first[2] is None
+    assert not first[3]
+    assert episode() == first
+
+
+def test_a_stop_is_the_same_to_the_bit():
+    first = episode(fault={"do": "stop", "arm": "left", "mode": 3})
+    assert "PROTECTIVE_STOP" in first[2]
+    assert "left" in first[3]
+    assert episode(fault={"do": "stop", "arm": "left", "mode": 3}) == first
+
+
+def test_other_phases_of_the_controllers_give_other_bits():
+    assert episode(drift_ppm=100.0)[0] != episode()[0]
+
+
+@pytest.mark.parametrize("name", ["view", "cell", "phase_s"])
+def test_a_virtual_cell_refuses_what_only_processes_show(name):
+    with pytest.raises(VirtualCellError, match=name):
+        VirtualCell(**{name: True})
+
+
+def test_a_real_time_priority_is_refused():
+    with VirtualCell(task="SineTracking", file={"rt_priority": 5}) as cell:
+        with pytest.raises(Exception, match="scheduling priorities"):
+            gym.make("DualUR10/SineTracking-v0", cell=cell, disable_env_checker=True)
+        cell.clear()
+
+
+def test_an_unknown_process_is_named():
+    with VirtualCell() as cell, pytest.raises(UnknownNameError, match="emulated cell"):
+        cell.stall("the left one", 1.0)
+
+
+def test_the_program_cannot_be_stalled_from_inside():
+    with VirtualCell() as cell, pytest.raises(VirtualCellError, match="sleep"):
+        cell.end("program")
+
+
+def test_it_is_copied_as_itself_and_not_pickled():
+    with VirtualCell() as cell:
+        assert copy.deepcopy(cell) is cell
+        with pytest.raises(SettingsError, match="pickled"):
+            pickle.dumps(cell)
+
+
+def test_closing_twice_is_fine():
+    cell = VirtualCell()
+    cell.close()
+    cell.close()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import xml.etree.ElementTree as ET
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
 from dual_ur10.assets.arm import arm_tree, composer, quat_z
@@ -147,9 +149,7 @@ def compiled(text: str, joints: tuple[str, ...], actuators: tuple[str, ...]) -> 
     Raises:
         DualUR10Error: Their order differs.
     """
-    import mujoco
-
-    model = mujoco.MjModel.from_xml_string(text)
+    model = _model_of(text)
     found_joints = tuple(model.joint(i).name for i in range(model.njnt))
     found_actuators = tuple(model.actuator(i).name for i in range(model.nu))
     for kind, found, expected in (("joints", found_joints, joints), ("actuators", found_actuators, actuators)):
@@ -157,4 +157,12 @@ def compiled(text: str, joints: tuple[str, ...], actuators: tuple[str, ...]) -> 
             raise DualUR10Error(
                 f"the model's {kind} are {list(found)}, expected {list(expected)}: the trees and the names disagree"
             )
-    return model
+    return copy.copy(model)
+
+
+@lru_cache(maxsize=16)
+def _model_of(text: str) -> mujoco.MjModel:
+    """Return the compiled model, to be copied: compiling takes ten times as long."""
+    import mujoco
+
+    return mujoco.MjModel.from_xml_string(text)

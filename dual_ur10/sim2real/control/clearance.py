@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
@@ -36,6 +37,12 @@ MINIMUM_M = 0.02
 
 KNOWN: Final = ((0.0, 0.0), (0.0, 0.0))
 """No uncertainty: both bases stand exactly where the cell says."""
+
+
+@lru_cache(maxsize=32)
+def _levers_m(settings: SceneSettings) -> Array:
+    """Return `levers_m` of the scene's collision model."""
+    return levers_m(build_collision_model(settings))
 
 
 class Clearance:
@@ -82,7 +89,7 @@ class Clearance:
         exempt = [pair in closer for pair in self.pairs]
         model = build_collision_model(settings)
         self._uncertainty = BaseUncertainty(uncertainty, settings, model, exempt)
-        self._levers = (levers_m(model) * (1.0 + self._uncertainty.per_m[:, None])).T.copy()
+        self._levers = (_levers_m(settings) * (1.0 + self._uncertainty.per_m[:, None])).T.copy()
         self._allowed = self._known + self._uncertainty.most_m
         self._geoms = model.sensor_objid.copy(), model.sensor_refid.copy()
         radius = np.where(model.geom_rbound > 0.0, model.geom_rbound, np.inf)  # MuJoCo gives planes a radius of 0

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -186,7 +187,7 @@ class Envelope:
             "joint jerk": [jerk[HISTORY - 3 :]],
             "joint position": [identity[HISTORY:]],
         }
-        ahead, r = self._brake_derivatives(), self.ratio
+        ahead, r = _brake_derivatives(limits, tick_s), self.ratio
         self._stops = sorted({ticks} if stops is None else {*stops, ticks})
         for stop in self._stops:
             last = HISTORY - 1 + stop
@@ -218,28 +219,6 @@ class Envelope:
         self._middle = np.tile(self.middle, 2)
         self.scale: Array = 1.0 / np.tile(self.half, 2)
 
-    def _brake_derivatives(self) -> dict[str, Array]:
-        """Return rows (m, 2) on (last speed, the one before) of the brake's ticks that bound all others."""
-        r, horizon = self.ratio, math.ceil(6.0 / (-math.log(self.ratio))) + 3
-        speed = [np.array([0.0, 1.0]), np.array([1.0, 0.0])]
-        for _ in range(horizon):
-            speed.append(2 * r * speed[-1] - r * r * speed[-2])
-        v = np.array(speed)
-        a = np.diff(v, axis=0) / self.tick_s
-        j = np.diff(a, axis=0) / self.tick_s
-        ahead = {"joint speed": v[2:], "joint acceleration": a[1:], "joint jerk": j}
-        limits = {"joint acceleration": self.limits.acceleration_rad_s2, "joint jerk": self.limits.jerk_rad_s3}
-        keep: dict[str, set[int]] = {kind: set() for kind in ahead}
-        for joint_speed in set(self.limits.speed_rad_s):
-            # |row · x| <= limit for all rows holds exactly if it holds for the corners of the hull of ±rows / limit.
-            scaled = {kind: rows / limits.get(kind, joint_speed) for kind, rows in ahead.items()}
-            owner = [(kind, i) for kind, rows in scaled.items() for i in range(len(rows))]
-            for corner in _hull_corners(np.vstack(list(scaled.values()))):
-                keep[owner[corner][0]].add(owner[corner][1])
-        # The bound of the Cartesian speed takes the brake's speeds from these rows: none of its peaks may be missing.
-        keep["joint speed"].update(self._brake_ticks().tolist())
-        return {kind: ahead[kind][sorted(keep[kind])].reshape(-1, 2) for kind in ahead}
-
     def _brake(self, ticks: int) -> Array:
         """Return rows (ticks, 3) that continue three past targets with the brake."""
         r, rows = self.ratio, list(np.eye(HISTORY))
@@ -259,15 +238,9 @@ class Envelope:
             rows.append(rows[-1] + speed + self.ratio * (speed - before))
         return np.array(rows[HISTORY:])
 
-    def _brake_ticks(self) -> NDArray[np.intp]:
-        """Return the ticks along the brake, 0 the first, at which the Cartesian speed is checked."""
-        tick = self.brake_rate * self.tick_s
-        gap, peak, last = max(int(_BRAKE_GAP / tick), 1), math.ceil(_BRAKE_PEAK / tick), math.ceil(_BRAKE_LAST / tick)
-        return np.append(np.arange(0, peak + 1, gap), max(last, peak + 1))
-
     def _sampled_brake(self) -> Array:
         """Return rows (2 samples, 3): targets before the sampled ticks of the brake, then those at these ticks."""
-        at = self._brake_ticks()
+        at = _brake_ticks(self.brake_rate * self.tick_s)
         positions = np.vstack([np.eye(HISTORY)[-1:], self._brake(int(at[-1]) + 1)])
         return np.concatenate([positions[at], positions[at + 1]])
 
@@ -348,6 +321,36 @@ class Envelope:
         moved = positions[:, 1] - positions[:, 0]
         fastest = np.sqrt(np.add.reduce(moved * moved, axis=-1).max(axis=1)) / (self.tick_s * self.limits.tcp_speed_m_s)
         return fastest.max(axis=-1), fastest.argmax(axis=-1)
+
+
+def _brake_ticks(tick: float) -> NDArray[np.intp]:
+    """Return the brake's ticks, 0 the first, at which the Cartesian speed is checked; `tick` in units of 1 / w."""
+    gap, peak, last = max(int(_BRAKE_GAP / tick), 1), math.ceil(_BRAKE_PEAK / tick), math.ceil(_BRAKE_LAST / tick)
+    return np.append(np.arange(0, peak + 1, gap), max(last, peak + 1))
+
+
+@lru_cache(maxsize=64)
+def _brake_derivatives(limits: MotionLimits, tick_s: float) -> dict[str, Array]:
+    """Return rows (m, 2) on (last speed, the one before) of the brake's ticks that bound all others."""
+    r = math.exp(-limits.brake_rate() * tick_s)
+    speed = [np.array([0.0, 1.0]), np.array([1.0, 0.0])]
+    for _ in range(math.ceil(6.0 / (-math.log(r))) + 3):
+        speed.append(2 * r * speed[-1] - r * r * speed[-2])
+    v = np.array(speed)
+    a = np.diff(v, axis=0) / tick_s
+    j = np.diff(a, axis=0) / tick_s
+    ahead = {"joint speed": v[2:], "joint acceleration": a[1:], "joint jerk": j}
+    most = {"joint acceleration": limits.acceleration_rad_s2, "joint jerk": limits.jerk_rad_s3}
+    keep: dict[str, set[int]] = {kind: set() for kind in ahead}
+    for joint_speed in set(limits.speed_rad_s):
+        # |row · x| <= limit for all rows holds exactly if it holds for the corners of the hull of ±rows / limit.
+        scaled = {kind: rows / most.get(kind, joint_speed) for kind, rows in ahead.items()}
+        owner = [(kind, i) for kind, rows in scaled.items() for i in range(len(rows))]
+        for corner in _hull_corners(np.vstack(list(scaled.values()))):
+            keep[owner[corner][0]].add(owner[corner][1])
+    # The bound of the Cartesian speed takes the brake's speeds from these rows: none of its peaks may be missing.
+    keep["joint speed"].update(_brake_ticks(limits.brake_rate() * tick_s).tolist())
+    return {kind: ahead[kind][sorted(keep[kind])].reshape(-1, 2) for kind in ahead}
 
 
 def _hull_corners(points: Array) -> list[int]:

@@ -130,13 +130,17 @@ def _default(kind: type[Any]) -> Any:
 
 def versions(*packages: str) -> dict[str, str]:
     """Return the versions of this package and of others, as far as they are installed, by name."""
-    found = {"dual_ur10": __version__}
-    for name in packages:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found
+    found = {name: _installed(name) for name in packages}
+    return {"dual_ur10": __version__, **{name: each for name, each in found.items() if each is not None}}
+
+
+@cache
+def _installed(package: str) -> str | None:
+    """Return the version of an installed package; None: it is not installed."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
 
 
 def to_metadata(header: Header) -> dict[str, str]:

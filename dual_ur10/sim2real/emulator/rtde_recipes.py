@@ -50,7 +50,7 @@ class OutputRecipe:
         *,
         numbered: bool,
     ) -> None:
-        self.variables = tuple(variables)
+        self.variables, self.numbered = tuple(variables), numbered
         self._fields = [_Field(name, kind, *(registers.find(name) or (values, name))) for name, kind in self.variables]
         self._segments: list[tuple[Reader, Any]] = []
         for (_, shape), group in groupby(self._fields, lambda field: field.group):

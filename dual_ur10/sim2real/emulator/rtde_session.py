@@ -162,6 +162,8 @@ class RtdeSession:
             return b""
         self._due = due + self.divider
         self.published += 1
+        if self._outputs.numbered != (self.version > 1):  # not when it is requested: a recipe takes milliseconds
+            self._outputs = self._output_recipe(self._outputs.variables)
         return self._outputs.package()
 
     def text(self, message: str, source: str = "", kind: TextKind = TextKind.INFO) -> bytes:
@@ -212,8 +214,6 @@ class RtdeSession:
         (wanted,) = _unpack(">H", payload, "a protocol version")
         if wanted in VERSIONS:
             self.version = wanted
-            if self._outputs is not None:
-                self._outputs = self._output_recipe(self._outputs.variables)
         return frame(Kind.REQUEST_PROTOCOL_VERSION, bytes([wanted in VERSIONS]))
 
     def _report_version(self, payload: bytes) -> bytes:

@@ -170,6 +170,16 @@ def test_packages_follow_a_change_of_version():
     assert session.publish(1) == b"\x00\x08U\x01\x00\x00\x00\x00"
 
 
+def test_requests_of_a_version_prepare_no_recipe():
+    """A recipe of a thousand variables takes milliseconds, and one read holds a thousand requests."""
+    session = RtdeBench().session(outputs(["robot_mode"] * 1000), START)
+    before = session._outputs
+    session.receive(b"\0\5V\0\1\0\5V\0\2" * 800 + b"\0\5V\0\1")
+    assert session._outputs is before
+    assert len(session.publish(0)) == 3 + 4 * 1000
+    assert session._outputs is not before
+
+
 # Data to the client.
 
 

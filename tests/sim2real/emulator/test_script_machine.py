@@ -489,6 +489,23 @@ def test_each_thread_has_an_identity() -> None:
 
 
 @pytest.mark.parametrize(
+    ("before", "repeated"),
+    [
+        ("", "x = [" + "1, " * 499 + "1]\n x[0] = length([" + "1, " * 499 + "1])"),
+        ("", "x = " + " + ".join(["length([" + "1, " * 199 + "1])"] * 5)),
+        ("", "if True:\n x = length([" + "1, " * 499 + "1]) + length([" + "1, " * 499 + "1])\n end"),
+        ("def f():\n" + "x = 1\n" * 1000 + "end\n", "f()"),
+    ],
+)
+def test_long_statements_and_long_functions_count_for_several(before, repeated):
+    robot = Robot()
+    machine = robot.start(f"def p():\n{before}while True:\n say(1)\n {repeated}\n end\nend\n", steps=1000)
+    with pytest.raises(ScriptRuntimeError, match="infinite loop"):
+        machine.tick()
+    assert 30 < len(robot.said) < 60  # once per 20 statements or so; 250 times, were each counted as one
+
+
+@pytest.mark.parametrize(
     ("text", "line", "word", "reason"),
     [
         ("say(1)\nwhile True:\nend", 2, "while", "infinite loop"),

@@ -7,7 +7,8 @@ written, so a program reaches its builtins and nothing of Python. Every node car
 Python's own tables locate the failure of a running program.
 
 `n_steps` counts down the statements that a thread may still run in this control period: a loop takes the number of
-its statements per iteration, a function one per call.
+its statements per iteration, a function one per call. Where long statements or many of them stand in either, it takes
+one more for every `EXPRESSIONS` in them, so that the time of a control period stays bounded.
 """
 
 from __future__ import annotations
@@ -30,6 +31,9 @@ FILE: Final = "<URScript>"
 
 MAIN: Final = "f_"
 """Name of the program's main function. No function of a program has this name."""
+
+EXPRESSIONS: Final = 64
+"""Expressions that count for one more statement: elements, operands and calls."""
 
 # Identifiers of the operations in the code.
 NAMES: Final = {word: f"n_op{index}" for index, word in enumerate(OPERATIONS)}
@@ -64,7 +68,7 @@ class _FunctionCompiler:
         """Return the definition of the function in Python."""
         function, where = self._function, _where(self._function.define.at)
         body = self._block(function.define.body)
-        start = self._step(function.define.at, 1)
+        start = self._step(function.define.at, 1 + _expressions(function.define.body) // EXPRESSIONS)
         if function.define.kind == "thread" or function.parent is None:
             # Force a generator, whatever the body is.
             never = ast.Expr(ast.Yield(None, **where), **where)
@@ -134,7 +138,8 @@ class _FunctionCompiler:
 
     def _while(self, node: syntax.While) -> list[ast.stmt]:
         self._loops += 1
-        body = self._step(node.at, 1 + _size(node.body)) + self._block(node.body)
+        more = (_weight(node.condition) + _expressions(node.body)) // EXPRESSIONS
+        body = self._step(node.at, 1 + _size(node.body) + more) + self._block(node.body)
         self._loops -= 1
         return [ast.While(self._condition(node.condition), body, [], **_where(node.at))]
 
@@ -293,3 +298,37 @@ def _size(body: list[syntax.Statement]) -> int:
         if isinstance(node, syntax.If):
             count += max([_size(block) for _, _, block in node.branches] + [_size(node.otherwise)])
     return count
+
+
+def _expressions(body: list[syntax.Statement]) -> int:
+    """Count the expressions of a block, without those of nested loops and functions, which count for themselves."""
+    count = 0
+    for node in body:
+        match node:
+            case syntax.If():
+                count += sum(_weight(condition) for _, condition, _ in node.branches)
+                count += max([_expressions(block) for _, _, block in node.branches] + [_expressions(node.otherwise)])
+            case syntax.Assign():
+                count += _weight(node.value) + sum(map(_weight, node.items))
+            case syntax.Call():
+                count += _weight(node)
+            case syntax.Return() | syntax.Kill():
+                count += 0 if node.value is None else _weight(node.value)
+    return count
+
+
+def _weight(node: syntax.Expression) -> int:
+    """Count the expressions within one, and itself."""
+    match node:
+        case syntax.Call():
+            return 1 + sum(map(_weight, node.arguments)) + sum(_weight(value) for _, value in node.keywords)
+        case syntax.Index():
+            return 1 + _weight(node.base) + sum(map(_weight, node.items))
+        case syntax.ListOf():
+            return 1 + sum(map(_weight, node.items))
+        case syntax.Unary():
+            return 1 + _weight(node.operand)
+        case syntax.Binary():
+            return 1 + _weight(node.left) + _weight(node.right)
+        case _:
+            return 1

@@ -6,6 +6,7 @@ import random
 import re
 
 import pytest
+from lark import Token
 
 from dual_ur10.errors import ScriptRuntimeError, ScriptSyntaxError
 from dual_ur10.sim2real.emulator.script import Machine, library, parse
@@ -24,6 +25,7 @@ BUILTINS = {**library(0.008), "move": lambda q, a=1.4, v=1.05: None}
         ("move()", 1, "move", "missing a required argument"),
         ("move(1, 2, 3, 4)", 1, "move", "too many"),
         ("move(a=1, a=2)", 1, "a", "twice"),
+        ("def f():\n" + "".join(f"def g{k}():\nend\n" for k in range(1001)) + "end", 2002, "g1000", "at most 1000"),
         ("move(a=1, 2)", 1, "move", "without a name"),
         ("def f():\n def g(a):\n end\n g()\nend", 4, "g", "a is missing"),
         ("def f():\n def g(a):\n end\n g(1, 2)\nend", 4, "g", "takes 1"),
@@ -242,3 +244,17 @@ def test_mutated_programs_are_refused_or_run() -> None:
             counts["ran"] += 1
         machine.kill()
     assert min(counts.values()) > 0.005 * sum(counts.values())
+
+
+def test_names_of_arguments_are_compared_a_bounded_number_of_times(monkeypatch):
+    compared = 0
+
+    def equal(self, other):
+        nonlocal compared
+        compared += 1
+        return str.__eq__(self, other)
+
+    monkeypatch.setattr(Token, "__eq__", equal)
+    with pytest.raises(ScriptSyntaxError):
+        parse("move(" + ", ".join(f"a{number}=1" for number in range(500)) + ")", BUILTINS)
+    assert compared < 20_000

@@ -172,10 +172,12 @@ class _Ranking:
 def _call(name: Token, items: list[Any]) -> syntax.Call:
     arguments: list[syntax.Expression] = []
     keywords: list[tuple[Token, syntax.Expression]] = []
+    given: set[str] = set()
     for item in items:
         if isinstance(item, tuple):
-            if any(item[0] == other for other, _ in keywords):
+            if item[0] in given:
                 raise syntax.error(item[0], f"the argument is given twice to {name}")
+            given.add(item[0])
             keywords.append(item)
         elif item is not None:
             if keywords:

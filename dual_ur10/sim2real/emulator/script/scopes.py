@@ -25,6 +25,10 @@ BRANCHES_MAX: Final = 300
 """Most branches of one `if`."""
 
 
+FUNCTIONS_MAX: Final = 1000
+"""Most functions and threads of a program. The time of Python's compiler grows with the square of their number."""
+
+
 @dataclass(slots=True, eq=False)
 class Function:
     """Function, thread or the program itself, with the names in it.
@@ -101,6 +105,8 @@ class Names:
         return "own" if name in function.free else None
 
     def _define(self, node: syntax.Define, parent: Function | None, depth: int) -> None:
+        if len(self.functions) > FUNCTIONS_MAX:
+            raise syntax.error(node.at, f"a program has at most {FUNCTIONS_MAX} functions and threads")
         function = Function(node, parent)
         self.functions[id(node)] = function
         if parent is not None:

@@ -13,6 +13,8 @@ FETCH_EXAMPLES = $(VENV)/bin/python -m pip download --quiet --disable-pip-versio
 # Small matrices gain nothing from BLAS threads, which would compete with the simulation's own.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+# Some containers set it. The tests start many processes, and each would compile all that it imports again.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help demo dist docs test test-oldest test-dist soak bench install lint format clean check-python
 
@@ -64,7 +66,7 @@ $(DIST)/.dev: pyproject.toml constraints-dist.txt | check-python
 define all_tests
 $(VENV)/bin/python -m pytest $(1) -m real_time; code=$$?; \
 $(VENV)/bin/python -m pytest $(1) -n 2 -m "emulated and not real_time" || code=$$?; \
-$(VENV)/bin/python -m pytest $(1) -n 2 -m "not emulated" || code=$$?; \
+$(VENV)/bin/python -m pytest $(1) -n 2 --dist worksteal -m "not emulated" || code=$$?; \
 exit $$code
 endef
 
@@ -82,7 +84,7 @@ test: $(VENV)/.dev  ## install, lint, type-check and run all tests
 
 # What neither steps MuJoCo nor knows Gymnasium is the same with every version of them.
 test-oldest: $(OLDEST)/.dev  ## the tests again with MuJoCo 3.17 and Gymnasium 1.2.2, without those of controllers
-	@$(OLDEST)/bin/python -m pytest -n 2 -m "not emulated" --ignore tests/sim2real/emulator --ignore tests/sim2real/control/test_adapter.py
+	@$(OLDEST)/bin/python -m pytest -n 2 --dist worksteal -m "not emulated" --ignore tests/sim2real/emulator --ignore tests/sim2real/control/test_adapter.py
 
 dist: $(VENV)/.dev  ## build wheel and sdist into out/dist, and check the sdist by building from it
 	@rm -rf out/dist

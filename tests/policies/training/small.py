@@ -11,15 +11,15 @@ REINFORCEMENT: dict[str, dict[str, Any]] = {
     "ppo": {"hidden": (16,), "steps_per_update": 16, "batch_size": 16, "epochs": 2},
     "sac": {"hidden": (16,), "learning_starts": 40, "gradient_steps": 1, "batch_size": 16, "buffer_size": 500},
 }
-SHORT: dict[str, Any] = {"duration_s": 2.0}
 STEPS = 50
-"""Steps of an episode."""
+"""Steps of an episode of imitation; those of reinforcement are half as long."""
 
 
 def small(algorithm: str = "dagger", agents: str = "joint", *, rounds: int = 2, **given: Any) -> Training:
     """Return a training of SineTracking in two cells, with so many episodes in each."""
-    changes = IMITATION if algorithm in ("bc", "dagger") else REINFORCEMENT[algorithm]
-    keywords = {**SHORT, **given.pop("keywords", {})}
+    imitation = algorithm in ("bc", "dagger")
+    changes = IMITATION if imitation else REINFORCEMENT[algorithm]
+    keywords = {"duration_s": 2.0 if imitation else 1.0, **given.pop("keywords", {})}
     changes = {**changes, **given.pop("changes", {})}
     given = {"envs": 2, "steps": 2 * STEPS * rounds, **given}
     asked = defaults("SineTracking", algorithm, agents, keywords=keywords, changes=changes, **given)

@@ -21,6 +21,12 @@ from tests.policies.training.small import small
 SINE = "DualUR10/SineTracking-v0"
 
 
+@pytest.fixture(scope="module")
+def expert(tmp_path_factory):
+    """Folder of a policy learned by cloning, which tests only read."""
+    return train(small("bc", rounds=1), tmp_path_factory.mktemp("expert") / "bc")
+
+
 def sha_of(path):
     return checkpoint.read_manifest(path).weights_sha256
 
@@ -30,23 +36,18 @@ def sha_of(path):
     [("ppo", "joint"), ("ppo", "shared"), ("ppo", "independent"), ("sac", "joint"), ("sac", "independent")],
 )
 def test_the_same_seed_gives_the_same_bits(tmp_path, algorithm, agents):
-    asked = small(algorithm, agents, steps=128)
+    asked = small(algorithm, agents, steps=64)
     first, second = train(asked, tmp_path / "a"), train(asked, tmp_path / "b", threads=1)
     assert sha_of(first) == sha_of(second)
     policy = policies.load(first, SINE, **asked.keywords)
     assert policy.manifest.agents == agents
     assert policy(np.zeros(68)).shape == (12,)
     assert policy.manifest.evaluation["episodes"] == 2
+    assert state.load(tmp_path / "a" / "state")[1]["steps"] == 64  # of the environment
     if agents == "joint":
-        other = small(algorithm, agents, steps=128, seed=1)
+        other = small(algorithm, agents, steps=64, seed=1)
         assert sha_of(train(other, tmp_path / "c")) != sha_of(first)
     assert {"state", "training.json", "curve.png", "progress.csv"} <= {each.name for each in (tmp_path / "a").iterdir()}
-
-
-def test_steps_count_environment_steps(tmp_path):
-    for agents in ("joint", "shared", "independent"):
-        train(small("ppo", agents, steps=128), tmp_path / agents)
-        assert state.load(tmp_path / agents / "state")[1]["steps"] == 128
 
 
 @pytest.mark.parametrize(("algorithm", "agents"), [("ppo", "joint"), ("ppo", "independent"), ("sac", "joint")])
@@ -116,8 +117,7 @@ def test_ppo_can_begin_with_the_result_of_dagger(tmp_path):
         ("sac", "joint", (16,), "use ppo"),
     ],
 )
-def test_a_misfit_is_refused_before_anything_is_made(tmp_path, algorithm, agents, hidden, match):
-    expert = train(small("bc", rounds=1), tmp_path / "bc")
+def test_a_misfit_is_refused_before_anything_is_made(tmp_path, expert, algorithm, agents, hidden, match):
     with pytest.raises((TrainingError, SettingsError), match=match):
         train(
             small(algorithm, agents, init=str(expert), steps=32, changes={"hidden": hidden}),
@@ -126,8 +126,7 @@ def test_a_misfit_is_refused_before_anything_is_made(tmp_path, algorithm, agents
     assert not (tmp_path / "out").exists()
 
 
-def test_a_training_without_a_normaliser_continues_without(tmp_path):
-    expert = train(small("bc", rounds=1), tmp_path / "bc")
+def test_a_training_without_a_normaliser_continues_without(tmp_path, expert):
     learned = checkpoint.load(expert)
     checkpoint.save(tmp_path / "bare", learned.layers, dataclasses.replace(learned.manifest, normalisers=()))
     asked = small("ppo", init=str(tmp_path / "bare"), steps=32)

@@ -80,6 +80,7 @@ class Connection:
             data = data[:where] + bytes([data[where] ^ 0xFF]) + data[where + 1 :]
         if faults.delay_s or faults.jitter_s or self._going.waiting:
             self._going.put(self.hub.due(faults), data, droppable)
+            self._note()
         else:
             self._write(data, droppable)
 
@@ -106,6 +107,13 @@ class Connection:
         """True if bytes wait for the client."""
         return bool(self._out)
 
+    def _note(self) -> None:
+        """Tell the hub whether bytes wait for the client or for their time of arrival."""
+        if self.open and (self._out or self._coming.waiting or self._going.waiting):
+            self.hub.pending[self] = None
+        else:
+            self.hub.pending.pop(self, None)
+
     def flush(self) -> None:
         """Send queued bytes, as far as the client accepts them."""
         if not self.open:
@@ -119,6 +127,7 @@ class Connection:
             if self.reads:
                 self.read()
             self.close("")
+        self._note()
 
     def read(self) -> None:
         """Receive bytes and answer them."""
@@ -134,6 +143,7 @@ class Connection:
         faults = self.port.faults
         if faults.delay_s or faults.jitter_s or self._coming.waiting:
             self._coming.put(self.hub.due(faults), data)
+            self._note()
         else:
             self._take(data)
 
@@ -154,11 +164,6 @@ class Connection:
             self.close("")
 
     @property
-    def delayed(self) -> bool:
-        """True if bytes are on their way."""
-        return bool(self._coming.waiting or self._going.waiting)
-
-    @property
     def next_s(self) -> float:
         """Arrival time of the next delayed bytes."""
         return min(self._coming.next_s, self._going.next_s)
@@ -170,6 +175,7 @@ class Connection:
         for data, droppable in self._going.due(now_s):
             if self.open:
                 self._write(data, droppable)
+        self._note()
 
     def close(self, reason: str, *, reset: bool = False) -> None:
         """End the connection. May be called twice.
@@ -184,6 +190,8 @@ class Connection:
         if reason:
             log.warning("%s: a client is disconnected: %s", self.port.name, reason)
         self.port.connections.remove(self)
+        self._note()
+        self.hub.changed()
         self.transport.close(reset=reset)
         self.peer.closed()
 
@@ -221,6 +229,7 @@ class Port:
         """
         if self._listener is None:
             self._listener = listening(self.address, self.hub.system, _SEND_BUFFER_BYTES)
+            self.hub.changed()
 
     @property
     def number(self) -> int:
@@ -232,6 +241,7 @@ class Port:
         if self._listener is not None:
             self._listener.close()
             self._listener = None
+            self.hub.changed()
 
     @property
     def reads(self) -> bool:
@@ -259,6 +269,7 @@ class Port:
             return
         connection = Connection(self.hub, transport, self._accept(), self)
         self.connections.append(connection)
+        self.hub.changed()
         connection.send(self._greeting())
 
     def broadcast(self, data: bytes) -> None:
@@ -284,13 +295,18 @@ class Hub:
     Args:
         seed: Seed of random faults.
         system: Clock and network.
+
+    Attributes:
+        pending: Connections with bytes that wait for the client or for their time of arrival, in order.
     """
 
     def __init__(self, seed: int = 0, *, system: System = LOCAL) -> None:
         self.system, self._clock = system, system.clock
         self.random = random.Random(seed)
         self.ports: list[Port] = []
+        self.pending: dict[Connection, None] = {}
         self._served = 0
+        self._serves: dict[int, Port | Connection] | None = None
 
     def add(
         self, name: str, address: tuple[str, int], accept: Callable[[], Peer], greeting: Callable[[], bytes] = bytes
@@ -308,17 +324,27 @@ class Hub:
         """Return the arrival time of bytes sent or received now."""
         return self._clock.now_s() + faults.delay_s + faults.jitter_s * self.random.random()
 
+    def changed(self) -> None:
+        """React to new or closed ports and connections."""
+        self._serves = None
+
+    def _numbered(self) -> dict[int, Port | Connection]:
+        """Return all open ports and connections by file number."""
+        serves: list[Port | Connection] = [each for each in self.ports if each.reads]
+        serves += [each for port in self.ports for each in port.connections]
+        self._serves = {each.fileno(): each for each in serves}
+        return self._serves
+
     def poll(self, until_s: float) -> None:
         """Serve clients until a time of the clock; at least once."""
         clock = self._clock
         end = max(until_s, clock.now_s() + _SERVED_S)
         while True:
-            connections = [each for port in self.ports for each in port.connections]
-            both: list[Port | Connection] = [*self.ports, *connections]
-            serves = {each.fileno(): each for each in both if each.reads}
-            writers = {each.fileno(): each for each in connections if each.writes}
-            wake_s = min((each.next_s for each in connections if each.delayed), default=until_s)
-            readable, writable = clock.wait(list(serves), min(wake_s, until_s), list(writers))
+            serves = self._serves or self._numbered()
+            readers = [number for number, each in serves.items() if each.reads]
+            writers = {each.fileno(): each for each in self.pending if each.writes}
+            wake_s = min((each.next_s for each in self.pending), default=until_s)
+            readable, writable = clock.wait(readers, min(wake_s, until_s), list(writers))
             for number in writable:
                 writers[number].flush()
             # Longest-waiting first, so that no client starves where time is short.
@@ -332,7 +358,7 @@ class Hub:
                 if clock.now_s() > end:
                     break  # the others are served after the control period
             now = clock.now_s()
-            for connection in [each for port in self.ports for each in port.connections if each.delayed]:
+            for connection in list(self.pending):
                 connection.deliver(now)
             if now >= until_s:
                 return

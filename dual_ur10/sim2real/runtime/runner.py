@@ -41,6 +41,8 @@ _POLL_S: Final = 0.01
 _SUPERVISOR_S: Final = 1.0
 _AFTER: Final = 2  # states after sending a target until one shows its effect
 _STATE_S: Final = 0.05
+_EARLY_S: Final = 0.001  # by which a state may come early
+_SOON_S: Final = 5e-4
 
 
 class Runner:
@@ -225,7 +227,8 @@ class Runner:
             if self.clock.now_s() > end:
                 return self.statuses()
             self.check()
-            self.clock.sleep(5e-4)
+            expected_s = min(each.arrival_s for each in self.statuses()) + self.tick_s - _EARLY_S
+            self.clock.sleep(max(_SOON_S, expected_s - self.clock.now_s()))
 
     def _status_after(self, memory: ArmMemory, index: float) -> ArmStatus | None:
         sent, _ = memory.sent(memory.sent_count - 32)

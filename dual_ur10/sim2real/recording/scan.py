@@ -293,7 +293,7 @@ def _parsed(read: Callable[[ReadDataStream], _Record], body: bytes, start: int) 
     stream = ReadDataStream(BytesIO(body))
     try:
         record = read(stream)
-    except (McapError, struct.error, ValueError):
+    except (McapError, struct.error, ValueError, OverflowError):  # the last: lengths of 64 bits
         raise RecordingError(f"the record at byte {start} is malformed") from None
     if stream.count != len(body):
         raise RecordingError(f"the record at byte {start} is malformed")

@@ -211,6 +211,7 @@ HOSTILE = {
     "magic only": mcap.MAGIC,
     "huge record": mcap.MAGIC + head(mcap.METADATA, 2**63),
     "huge chunk": mcap.MAGIC + head(mcap.CHUNK, 2**62) + bytes(100),
+    "huge data of a chunk": mcap.MAGIC + mcap.record(mcap.CHUNK, bytes(32) + struct.pack("<Q", 2**63) + b"x"),
     "huge string": mcap.MAGIC + mcap.record(mcap.METADATA, struct.pack("<I", 2**32 - 1)),
     "unknown": mcap.MAGIC + head(0x77, 0),
     "attachment": mcap.MAGIC + mcap.record(0x09, bytes(50)),

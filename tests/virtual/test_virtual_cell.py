@@ -50,7 +50,25 @@ def test_other_phases_of_the_controllers_give_other_bits():
     assert episode(drift_ppm=100.0)[0] != episode()[0]
 
 
-@pytest.mark.parametrize("name", ["view", "cell", "phase_s"])
+@pytest.mark.parametrize(("phase_s", "drift_ppm"), [(0.0, 0.0), (0.003, 0.0), (0.005, -200.0)])
+def test_two_controllers_with_clocks_of_their_own_follow_one_path(phase_s, drift_ppm):
+    right = {"phase_s": phase_s, "drift_ppm": drift_ppm}
+    received, _, error, fault, _ = episode(right=right, phase_s=0.0, drift_ppm=100.0)
+    assert error is None
+    assert not fault
+    targets = [np.array([numbers for _, _, numbers in packages]) for packages in received]
+    left, right_arm = (np.abs(each - each[0]).max(axis=0) for each in targets)
+    assert left.min() > 0.01
+    np.testing.assert_allclose(right_arm, left, atol=1e-4)
+    assert episode(right=right, phase_s=0.0, drift_ppm=100.0)[0] == received
+
+
+def test_two_controllers_hold_no_object():
+    with pytest.raises(VirtualCellError, match="one object"):
+        VirtualCell(task="SyncCarry", right={})
+
+
+@pytest.mark.parametrize("name", ["view", "cell"])
 def test_a_virtual_cell_refuses_what_only_processes_show(name):
     with pytest.raises(VirtualCellError, match=name):
         VirtualCell(**{name: True})

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from dual_ur10.errors import SettingsError, UnknownNameError, VirtualCellError
+from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.emulator.cell_requests import CellRequests
@@ -18,7 +19,10 @@ from dual_ur10.sim2real.virtual.control import ScriptControl, control_script
 from dual_ur10.sim2real.virtual.virtual_system import VirtualProcess, VirtualSystem, World
 
 _HOSTS = ("127.0.0.2", "127.0.0.3")
-_NOT_VIRTUAL = ("view", "cell", "phase_s")
+_IDLE_HOSTS = ("127.0.0.4", "127.0.0.5")
+"""Addresses of controllers that nobody uses: the right one of the left arm's emulator, the left one of the other."""
+
+_NOT_VIRTUAL = ("view", "cell")
 
 
 class VirtualCell(CellRequests):
@@ -30,13 +34,16 @@ class VirtualCell(CellRequests):
 
     Args:
         file: Keys of the cell file that differ from those of the emulated cell, such as `speed_factor`.
-        **options: See `dual_ur10.sim2real.emulator.emulator.EmulatorOptions`; without `view`, `cell` and `phase_s`.
+        right: Options of the right controller that differ, such as `phase_s` and `drift_ppm`: it then has a clock and a
+            world of its own. None: both controllers share them.
+        **options: See `dual_ur10.sim2real.emulator.emulator.EmulatorOptions`; without `view` and `cell`.
 
     Attributes:
         file: Cell file of environments that are made from now on.
         system: Operating system of the program.
         clock: Its clock.
-        emulator: Both controllers and their world.
+        emulator: Both controllers and their world, or those of the left arm.
+        emulators: Emulator of each arm: twice the same one, or two.
 
     Raises:
         MissingExtraError: `ur_rtde` is not installed, whose control script is run.
@@ -44,8 +51,10 @@ class VirtualCell(CellRequests):
         DualUR10Error: An option is invalid.
     """
 
-    def __init__(self, *, file: Mapping[str, Any] | None = None, **options: Any) -> None:
-        asked = [name for name in _NOT_VIRTUAL if options.get(name) not in (None, False)]
+    def __init__(
+        self, *, file: Mapping[str, Any] | None = None, right: Mapping[str, Any] | None = None, **options: Any
+    ) -> None:
+        asked = [name for name in _NOT_VIRTUAL if {**options, **(right or {})}.get(name) not in (None, False)]
         if asked:
             raise VirtualCellError(f"a virtual cell has no {asked[0]!r}: leave it out, or use an emulated cell")
         self._folder = tempfile.TemporaryDirectory()
@@ -58,23 +67,47 @@ class VirtualCell(CellRequests):
             program, Path(self._folder.name), lambda host, system: ScriptControl(host, system, family)
         )
         self.clock = self.system.clock
-        hosts = dict(zip(("left", "right"), _HOSTS, strict=True))
-        machine = VirtualProcess(self._world, None, "emulated cell")
+        hosts = dict(zip(ARMS, _HOSTS, strict=True))
         try:
-            self.emulator = Emulator(
-                EmulatorOptions.from_mapping({**hosts, **options}),
-                system=VirtualSystem(machine, Path(self._folder.name)),
-            )
+            if right is None:
+                self.emulators = [self._emulator("emulated cell", {**hosts, **options})] * len(ARMS)
+            else:
+                self.emulators = [
+                    self._emulator("left controller", {**hosts, "right": _IDLE_HOSTS[0], **options}),
+                    self._emulator("right controller", {**hosts, "left": _IDLE_HOSTS[1], **options, **right}),
+                ]
+            self.emulator = self.emulators[0]
+            if right is not None and self.emulator.world.config.equipment.prop:
+                raise VirtualCellError(
+                    "two controllers with worlds of their own cannot hold one object, as "
+                    f"{self.emulator.options.task} requires: leave out `right`"
+                )
             self.description = self.emulator.description()
+            self.description[ARMS[1]] = self.emulators[1].description()[ARMS[1]]
             self.file = CellFile.read({**self.description, **(file or {})}, "the virtual cell")
         except BaseException:
             self._folder.cleanup()
             raise
-        self._world.scheduler.start(self.emulator.run, machine.group, "emulated cell")
-        self.left, self.right = (server.host for server in self.emulator.servers)
-        self._injection: JsonLink = JsonLink(
-            "fault injection", self.left, self.description["emulator"]["port"], system=self.system
-        )
+        self.left, self.right = (each.servers[arm].host for arm, each in enumerate(self.emulators))
+        self._links = [self._injection_link(each) for each in self.emulators]
+        self._injection = self._links[0]
+
+    def _emulator(self, name: str, options: Mapping[str, Any]) -> Emulator:
+        """Make an emulator, and the process that runs it."""
+        machine = VirtualProcess(self._world, None, name)
+        system = VirtualSystem(machine, Path(self._folder.name))
+        emulator = Emulator(EmulatorOptions.from_mapping(options), system=system)
+        self._world.scheduler.start(emulator.run, machine.group, name)
+        return emulator
+
+    def _injection_link(self, emulator: Emulator) -> JsonLink:
+        port = emulator.description()["emulator"]["port"]
+        return JsonLink("fault injection", emulator.servers[0].host, port, system=self.system)
+
+    def ask(self, do: str, **values: Any) -> Any:
+        """See `CellRequests`. The emulator of the arm answers."""
+        self._injection = self._links[ARMS.index(values["arm"]) if values.get("arm") in ARMS else 0]
+        return super().ask(do, **values)
 
     def config(self) -> CellConfig:
         """Return the configuration of the cell, for `gym.make`."""
@@ -89,7 +122,8 @@ class VirtualCell(CellRequests):
         """Keep a process from running for a duration, as a busy machine does.
 
         Args:
-            process: "left", "right", "supervisor" or "recorder", or "emulated cell".
+            process: "left", "right", "supervisor" or "recorder"; or "emulated cell", and with two of them "left
+                controller" or "right controller".
             duration_s: Duration from now on.
 
         Raises:
@@ -144,7 +178,8 @@ class VirtualCell(CellRequests):
         if self._closed:
             return
         self._closed = True
-        self._injection.close()
+        for link in self._links:
+            link.close()
         for process in list(self._world.processes.values()):
             if process.group is not self._world.scheduler.program:
                 process.kill()

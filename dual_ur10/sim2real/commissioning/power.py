@@ -7,7 +7,6 @@ in local mode is left as it is, and so is the other one. Nothing here unlocks a 
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
@@ -15,6 +14,8 @@ from dual_ur10.errors import LinkError, OperationRefusedError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.links.dashboard_link import DashboardLink
+from dual_ur10.sim2real.processes.clock import Clock
+from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.protocol.modes import RobotMode, SafetyMode
 
 POWER_S: Final = 60.0
@@ -74,12 +75,13 @@ class _DashboardArm:
             )
 
 
-def power_on(cell_file: CellFile, confirm: Callable[[str], bool]) -> bool:
+def power_on(cell_file: CellFile, confirm: Callable[[str], bool], *, system: System = LOCAL) -> bool:
     """Power both arms and release their brakes, with the operator's confirmation. It waits until both are ready.
 
     Args:
         cell_file: Cell file.
         confirm: Asks the operator, and returns True for yes. It is not called if both arms are ready.
+        system: Clock and network.
 
     Returns:
         True if anything had to be done.
@@ -89,7 +91,7 @@ def power_on(cell_file: CellFile, confirm: Callable[[str], bool]) -> bool:
         OperationRefusedError: An arm has another fault, and nothing was sent to either; or the operator did not confirm
             it; or a controller refuses, or a fault came up meanwhile: an arm that has power then keeps it.
     """
-    with _connected(cell_file) as arms:
+    with _connected(cell_file, system) as arms:
         _check(arms)
         waiting = [arm for arm in arms if arm.mode != _RUNNING]
         if not waiting:
@@ -109,7 +111,7 @@ def power_on(cell_file: CellFile, confirm: Callable[[str], bool]) -> bool:
             "power was not confirmed: nothing was switched. Confirm it, or do it at the pendant"
         )
     # The answer may have taken minutes, so both arms are checked again.
-    with _connected(cell_file) as arms:
+    with _connected(cell_file, system) as arms:
         _check(arms)
         asked = [arm.name for arm in waiting]
         for arm in arms:
@@ -121,20 +123,20 @@ def power_on(cell_file: CellFile, confirm: Callable[[str], bool]) -> bool:
         for arm in arms:
             if arm.mode == _OFF:
                 arm.do("power on", "Powering on")
-        _wait(arms, (_IDLE, _RUNNING), POWER_S)
+        _wait(arms, (_IDLE, _RUNNING), POWER_S, system.clock)
         for arm in arms:
             if arm.mode == _IDLE:
                 arm.do("brake release", "Brake releasing")
-        _wait(arms, (_RUNNING,), BRAKES_S)
+        _wait(arms, (_RUNNING,), BRAKES_S, system.clock)
     return True
 
 
 @contextlib.contextmanager
-def _connected(cell_file: CellFile) -> Iterator[list[_DashboardArm]]:
+def _connected(cell_file: CellFile, system: System) -> Iterator[list[_DashboardArm]]:
     """Connect to the dashboards of both arms."""
     with contextlib.ExitStack() as stack:
         yield [
-            _DashboardArm(name, stack.enter_context(DashboardLink(arm.host, name=name)))
+            _DashboardArm(name, stack.enter_context(DashboardLink(arm.host, name=name, system=system)))
             for name, arm in zip(ARMS, cell_file.arms, strict=True)
         ]
 
@@ -145,14 +147,14 @@ def _check(arms: Sequence[_DashboardArm]) -> None:
         raise OperationRefusedError("no arm was given power: " + "; ".join(found))
 
 
-def _wait(arms: Sequence[_DashboardArm], modes: Sequence[str], within_s: float) -> None:
+def _wait(arms: Sequence[_DashboardArm], modes: Sequence[str], within_s: float, clock: Clock) -> None:
     """Wait until both are in one of the modes.
 
     Raises:
         LinkError: They are not in time, or a connection was lost.
         OperationRefusedError: Another fault came up.
     """
-    end_s = time.monotonic() + within_s
+    end_s = clock.now_s() + within_s
     while True:
         found = [text for arm in arms for text in arm.faults(_MEANWHILE)]
         if found:
@@ -160,9 +162,9 @@ def _wait(arms: Sequence[_DashboardArm], modes: Sequence[str], within_s: float) 
         late = [arm for arm in arms if arm.mode not in modes]
         if not late:
             return
-        if time.monotonic() >= end_s:
+        if clock.now_s() >= end_s:
             raise LinkError(
                 f"{late[0].link.where}: robot mode {late[0].mode} after {within_s:g} s, expected is {modes[0]}: check "
                 "the message on the pendant"
             )
-        time.sleep(_POLL_S)
+        clock.sleep(_POLL_S)

@@ -1,30 +1,27 @@
 """Power on: only without other faults, only with confirmation, and nothing but power and brakes."""
 
-import time
+import functools
 
 import pytest
 
 from dual_ur10.errors import LinkError, OperationRefusedError
 from dual_ur10.sim2real.commissioning import power
-from dual_ur10.sim2real.commissioning.power import power_on
-from dual_ur10.sim2real.config.cell_file import load_cell_file
-from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.links.dashboard_link import DashboardLink
+from dual_ur10.testing import VirtualCell
 
 ARMS = ("left", "right")
 
 
 @pytest.fixture(scope="module", params=["cb3", "e-series"])
-def made(request, tmp_path_factory):
-    path = tmp_path_factory.mktemp("cell") / "cell.toml"
-    with EmulatedCell(plant="nominal", powered=False, family=request.param, cell=str(path)) as cell:
-        yield cell, load_cell_file(path)
+def made(request):
+    with VirtualCell(plant="nominal", powered=False, family=request.param) as cell:
+        yield cell
 
 
 @pytest.fixture
 def cell(made):
     """Cell whose arms have no power."""
-    cell, _ = made
+    cell = made
     yield cell
     for arm in ARMS:
         cell.ask("heal", arm=arm)
@@ -35,14 +32,17 @@ def cell(made):
         cell.ask("remote", arm=arm, on=True)
         cell.ask("press", arm=arm, button="power_off")
         cell.wait_until(arm, "robot_mode", 3)
-    begin = cell.ask("info")["ticks"]
-    while cell.ask("info")["ticks"] < begin + 5:  # after an emergency stop, power is refused until the arm rests
-        time.sleep(0.005)
+    cell.clock.sleep(0.1)  # after an emergency stop, power is refused until the arm rests
 
 
 @pytest.fixture
 def file(made):
-    return made[1]
+    return made.file
+
+
+@pytest.fixture
+def power_on(made):
+    return functools.partial(power.power_on, system=made.system)
 
 
 @pytest.fixture
@@ -71,7 +71,7 @@ def never(question):
     raise AssertionError(f"asked: {question}")
 
 
-def test_both_arms_are_powered_and_their_brakes_released(cell, file, sent):
+def test_both_arms_are_powered_and_their_brakes_released(cell, file, sent, power_on):
     questions = []
     file = file.replace(left=file.left.replace(payload_kg=1.5))
     assert power_on(file, lambda question: questions.append(question) or True)
@@ -90,7 +90,7 @@ def test_both_arms_are_powered_and_their_brakes_released(cell, file, sent):
     assert sent == []
 
 
-def test_only_the_arm_that_needs_it(cell, file, sent):
+def test_only_the_arm_that_needs_it(cell, file, sent, power_on):
     cell.ask("press", arm="left", button="release_brakes")
     cell.ask("press", arm="right", button="power_on")
     cell.wait_until("left", "robot_mode", 7)
@@ -104,7 +104,7 @@ def test_only_the_arm_that_needs_it(cell, file, sent):
 
 
 @pytest.mark.parametrize("answer", [False, None, "yes", 1])
-def test_nothing_is_sent_without_confirmation(cell, file, sent, answer):
+def test_nothing_is_sent_without_confirmation(cell, file, sent, answer, power_on):
     with pytest.raises(OperationRefusedError, match="not confirmed: nothing was switched"):
         power_on(file, lambda question: answer)
     assert sent == []
@@ -128,7 +128,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("do", "values", "text"), WRONG)
-def test_any_other_fault_of_one_arm_keeps_both_off(cell, file, sent, do, values, text):
+def test_any_other_fault_of_one_arm_keeps_both_off(cell, file, sent, do, values, text, power_on):
     cell.ask(do, arm="right", **values)
     with pytest.raises(OperationRefusedError, match=f"no arm was given power: .*{text}"):
         power_on(file, never)
@@ -136,14 +136,14 @@ def test_any_other_fault_of_one_arm_keeps_both_off(cell, file, sent, do, values,
     assert modes(cell)[0] == 3
 
 
-def test_all_faults_are_named(cell, file):
+def test_all_faults_are_named(cell, file, power_on):
     cell.ask("stop", arm="left", mode=3)
     cell.ask("stop", arm="right", mode=5)
     with pytest.raises(OperationRefusedError, match=r"left arm.*PROTECTIVE_STOP.*right arm.*SAFEGUARD_STOP"):
         power_on(file, never)
 
 
-def test_local_mode(cell, file, sent):
+def test_local_mode(cell, file, sent, power_on):
     if file.left.family == "cb3":
         pytest.skip("a CB3 has no such mode")
     cell.ask("remote", arm="left", on=False)
@@ -152,7 +152,7 @@ def test_local_mode(cell, file, sent):
     assert sent == []
 
 
-def test_a_fault_during_the_question(cell, file, sent):
+def test_a_fault_during_the_question(cell, file, sent, power_on):
     def answer(question):
         cell.ask("stop", arm="left", mode=7)
         return True
@@ -163,7 +163,7 @@ def test_a_fault_during_the_question(cell, file, sent):
     assert modes(cell) == [3, 3]
 
 
-def test_an_arm_that_was_not_in_the_question_is_left_alone(cell, file, sent):
+def test_an_arm_that_was_not_in_the_question_is_left_alone(cell, file, sent, power_on):
     cell.ask("press", arm="right", button="release_brakes")
     cell.wait_until("right", "robot_mode", 7)
 
@@ -177,14 +177,14 @@ def test_an_arm_that_was_not_in_the_question_is_left_alone(cell, file, sent):
     assert sent == []
 
 
-def test_a_fault_after_power_on_releases_no_brakes(cell, file, sent, monkeypatch):
-    wait = time.sleep
+def test_a_fault_after_power_on_releases_no_brakes(cell, file, sent, monkeypatch, power_on):
+    wait = cell.clock.sleep
 
     def stopped(seconds):
         cell.ask("stop", arm="left", mode=5)
         wait(seconds)
 
-    monkeypatch.setattr(power.time, "sleep", stopped)
+    monkeypatch.setattr(cell.clock, "sleep", stopped)
     with pytest.raises(OperationRefusedError, match=r"left arm.*SAFEGUARD_STOP"):
         power_on(file, lambda question: True)
     assert {command for _, command in sent} == {"power on"}
@@ -192,15 +192,15 @@ def test_a_fault_after_power_on_releases_no_brakes(cell, file, sent, monkeypatch
     cell.wait_until("right", "robot_mode", 5)
 
 
-def test_an_arm_that_boots_meanwhile(cell, file, monkeypatch):
-    wait, modes_shown = time.sleep, [2, None]
+def test_an_arm_that_boots_meanwhile(cell, file, monkeypatch, power_on):
+    wait, modes_shown = cell.clock.sleep, [2, None]
 
     def boot(seconds):
         if modes_shown:
             cell.ask("override", arm="left", robot_mode=modes_shown.pop(0))
         wait(seconds)
 
-    monkeypatch.setattr(power.time, "sleep", boot)
+    monkeypatch.setattr(cell.clock, "sleep", boot)
     assert power_on(file, lambda question: True)
     assert modes_shown == []
     monkeypatch.undo()
@@ -208,14 +208,14 @@ def test_an_arm_that_boots_meanwhile(cell, file, monkeypatch):
 
 
 @pytest.mark.parametrize("limit", ["POWER_S", "BRAKES_S"])
-def test_an_arm_that_is_not_ready_in_time(cell, file, monkeypatch, limit):
+def test_an_arm_that_is_not_ready_in_time(cell, file, monkeypatch, limit, power_on):
     monkeypatch.setattr(power, limit, 0.0)
     expected = "IDLE" if limit == "POWER_S" else "RUNNING"
     with pytest.raises(LinkError, match=rf"robot mode \w+ after 0 s, expected is {expected}"):
         power_on(file, lambda question: True)
 
 
-def test_a_controller_that_refuses(cell, file, monkeypatch):
+def test_a_controller_that_refuses(cell, file, monkeypatch, power_on):
     ask = DashboardLink.ask
 
     def refuse(link, command):
@@ -229,7 +229,7 @@ def test_a_controller_that_refuses(cell, file, monkeypatch):
 
 
 @pytest.mark.parametrize("fault", ["refuse", "mute", "drop"])
-def test_a_dashboard_that_is_lost(cell, file, sent, fault):
+def test_a_dashboard_that_is_lost(cell, file, sent, fault, power_on):
     def break_it(question=""):
         if fault == "mute":
             cell.ask("link", arm="right", port="dashboard", mute=True)

@@ -1,0 +1,23 @@
+"""The doctor checks emulated controllers in a process of their own."""
+
+from typer.testing import CliRunner
+
+from dual_ur10.cli import main as cli
+from dual_ur10.sim2real.commissioning import doctor
+from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
+
+
+def test_a_cell_file_states_what_is_expected(tmp_path, monkeypatch):
+    monkeypatch.setattr("dual_ur10.sim2real.commissioning.findings.MOST_ROUND_TRIP_S", 10.0)
+    monkeypatch.setattr(doctor, "stream_findings", lambda *_: [])
+    file = tmp_path / "cell.toml"
+    with EmulatedCell(plant="nominal", cell=str(file)) as cell:
+        done = CliRunner().invoke(cli.app, ["doctor", str(file)], env={"COLUMNS": "250"})
+        assert done.exit_code == 0, done.output
+        text = file.read_text().replace("[left]", '[left]\nserial_number = "12345"', 1)
+        file.write_text(text)
+        done = CliRunner().invoke(cli.app, ["doctor", str(file)], env={"COLUMNS": "250"})
+        assert done.exit_code == 1
+        assert "12345" in done.output
+        for arguments in ([], ["--left", cell.left], [str(file), "--left", cell.left]):
+            assert CliRunner().invoke(cli.app, ["doctor", *arguments]).exit_code == 2

@@ -78,8 +78,9 @@ wrong: int = cell.left
 """
 
 
-def test_the_types_of_the_wheel_reach_its_users(wheel, tmp_path):
+def test_the_types_of_the_wheel_reach_its_users(wheel, tmp_path, pytestconfig):
     pytest.importorskip("mypy")
+    cache = pytestconfig.cache.mkdir("mypy")  # next time, mypy reads again only what changed
     home = tmp_path / "venv"
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(home)], check=True, timeout=120)
     (packages,) = home.glob("lib/python*/site-packages")
@@ -89,7 +90,7 @@ def test_the_types_of_the_wheel_reach_its_users(wheel, tmp_path):
     consumer.write_text(CONSUMER)
     command = [sys.executable, "-m", "mypy", "--strict", "--python-executable", str(home / "bin" / "python")]
     found = subprocess.run(
-        [*command, "--cache-dir", str(tmp_path / "cache"), str(consumer)],
+        [*command, "--cache-dir", str(cache), str(consumer)],
         cwd=tmp_path,
         capture_output=True,
         text=True,

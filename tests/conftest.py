@@ -57,6 +57,15 @@ def pytest_itemcollected(item):
 
 
 @pytest.fixture(scope="session", autouse=True)
+def _share_of_processors():
+    """Workers of pytest-xdist divide the processors: as many threads in each are slower than one after the other."""
+    processors, workers = os.cpu_count() or 1, int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "cpu_count", lambda: max(1, processors // workers))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def _state_home(tmp_path_factory):
     """Faults and locks of cells are kept in a folder of this test run, never in the user's home."""
     with pytest.MonkeyPatch.context() as patch:

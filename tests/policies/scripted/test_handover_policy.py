@@ -25,7 +25,7 @@ def policy_of(core, mode="joint_delta"):
 
 def episodes(count, **keywords):
     """Return the last info of an episode of each seed, with its stages and peak joint speed."""
-    core = Core("Handover", keywords, n=count, threads=2)
+    core = Core("Handover", keywords, n=count)
     policy = policy_of(core, keywords.get("action_mode", "joint_delta"))
     observation, _ = core.reset([np.random.default_rng(seed) for seed in range(count)])
     before, peak = core._state.q_rad.copy(), 0.0

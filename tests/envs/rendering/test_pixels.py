@@ -151,7 +151,7 @@ def test_drawing_changes_no_bit_of_the_physics(kind):
     plain, rendered = gym.make(SINE), single(kind, **keywords)
     left, right = plain.reset(seed=5), rendered.reset(seed=5)
     assert equal(left[1], right[1])
-    for action in actions(12):
+    for action in actions(6):
         left, right = plain.step(action), rendered.step(action)
         rendered.render()
         if kind == "both":

@@ -12,7 +12,7 @@ from dual_ur10.errors import OperationRefusedError
 from dual_ur10.kinematics.ur10 import JOINT_SPEED_RAD_S
 from dual_ur10.sim2real.protocol.modes import RobotMode, RuntimeState, SafetyBits, SafetyMode
 from tests.sim2real.emulator.ticking import COUNT, HOME, PLAYS, Bench, program
-from tests.soak import scaled
+from tests.soak import SOAK
 
 FAR = [1.2, -1.2, 1.2, -1.0, -1.2, 1.5]
 MOVE = f"movej({FAR}, a=3, v=1)"
@@ -98,7 +98,7 @@ def happen(bench, name, *values):
 
 
 @pytest.mark.parametrize("family", ["cb3", "e-series"])
-@settings(max_examples=scaled(1200), deadline=None)
+@settings(max_examples=1200 if SOAK else 30, deadline=None)
 @given(events=st.lists(EVENTS, max_size=40), powered=st.booleans(), resumes=st.booleans(), pauses=st.booleans())
 def test_any_events_keep_reports_consistent_and_arms_safe(family, events, powered, resumes, pauses):
     bench = Bench(family, powered=powered, safeguard_resumes=resumes, emergency_stop_pauses=pauses, unlock_wait_s=0.5)

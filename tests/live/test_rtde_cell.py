@@ -1,0 +1,114 @@
+"""Environments on two emulated controllers in real time: one episode, Ctrl-C, and the garbage collector."""
+
+import gc
+import os
+import signal
+import threading
+import time
+import weakref
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from dual_ur10 import policies
+from dual_ur10.policies.evaluation.rollout import rollout
+from dual_ur10.sim2real.recording.reader import read_run
+from tests.live.faults.lab import Lab, Swing, assert_gone, descendants
+
+pytestmark = pytest.mark.streams
+
+HANDOVER = "DualUR10/Handover-v0"
+
+
+@pytest.fixture(scope="module")
+def the_lab(tmp_path_factory):
+    made = Lab(tmp_path_factory.mktemp("cell"), task="Handover")
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def lab(the_lab):
+    text = the_lab.path.read_text()
+    yield the_lab
+    the_lab.path.write_text(text)
+    the_lab.mend()
+
+
+def test_one_policy_hands_over_on_both_cells_with_a_record(lab, tmp_path):
+    keywords = {"action_latency_ticks": 8}
+    simulated = gym.make(HANDOVER, disable_env_checker=True, **keywords)
+    policy = policies.load("scripted", HANDOVER, **keywords)
+    assert rollout(simulated, policy, seed=1).success
+    simulated.close()
+    env = lab.make(record=str(tmp_path), **keywords)
+    found = rollout(env, policy, seed=1)
+    late = env.unwrapped.core.late_actions
+    lab.close_env()
+    assert found.success or late, found.ended_by
+    run = read_run(next(tmp_path.iterdir()))
+    assert run.complete
+    assert run.header.source == "emulated"
+    assert len(run.episodes[0].action) == found.steps
+    for arm in run.arms:
+        assert np.unique(np.diff(arm.state["timestamp_s"]).round(4)).tolist() == [0.008]
+        assert len(arm.sent["late_s"]) > 4.8 * found.steps  # late targets are skipped
+    # The block is where the camera of the cell sees it.
+    np.testing.assert_array_equal(run.episodes[0].q_rad.shape, (found.steps + 1, 2, 6))
+
+
+def test_the_collector_ignores_objects_from_before_the_episode(lab, monkeypatch):
+    env = lab.make()
+    made = gc.get_freeze_count()
+    assert made > 10_000
+    kept = [[] for _ in range(10_000)]
+
+    def collect(*_):
+        raise AssertionError("a collection stops the threads that hear grippers and cameras")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(gc, "collect", collect)
+        env.reset(seed=0)
+    frozen = gc.get_freeze_count()
+    assert frozen >= made + len(kept)
+    episode = Swing(1)
+    episode.itself, left = episode, weakref.ref(episode)
+    for _ in range(2):
+        env.reset(seed=0, options={"move_to_start": True})
+        episode = None
+    assert left() is None
+    assert gc.get_freeze_count() <= frozen
+    lab.close_env()
+    assert gc.get_freeze_count() == 0
+
+
+@pytest.mark.parametrize("after_s", [0.1, 0.5, 0.9])
+def test_a_make_interrupted_twice_leaves_nothing_behind(lab, after_s):
+    def interrupt():
+        for pause_s in (after_s, 0.1):
+            time.sleep(pause_s)
+            os.kill(os.getpid(), signal.SIGINT)
+
+    before = set(descendants(os.getpid()))
+    heard = []
+    thread = threading.Thread(target=interrupt)
+    for work in (lambda: (thread.start(), lab.make(), time.sleep(30.0)), thread.join):
+        try:
+            work()
+        except KeyboardInterrupt as error:
+            heard.append(error)
+    thread.join()
+    assert heard
+    heard.clear()  # with them goes what they hold
+    assert_gone(set(descendants(os.getpid())) - before)
+    lab.make()  # the lock is free
+
+
+def test_ctrl_c_reports_that_both_arms_are_at_rest(lab):
+    process = lab.program("rollout", "SineTracking", "-n", "1", "--no-record")
+    lab.wait_until_moving(process)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(30.0) == 130
+    assert process.stdout.read().splitlines()[-1] == "interrupted: both arms have stopped"
+    lab.assert_at_rest()

@@ -1,20 +1,20 @@
-"""Emulated cells that all tests of this folder share."""
+"""Virtual cells that all tests of this folder share."""
 
 import pytest
 
-from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
+from dual_ur10.testing import VirtualCell
 from tests.sim2real.cells import restored
 
 
 @pytest.fixture(scope="package")
 def started_cb3():
-    with EmulatedCell(plant="nominal") as cell:
+    with VirtualCell(plant="nominal") as cell:
         yield cell
 
 
 @pytest.fixture(scope="package")
 def started_e_series():
-    with EmulatedCell(plant="nominal", family="e-series") as cell:
+    with VirtualCell(plant="nominal", family="e-series") as cell:
         yield cell
 
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import time
 
 import numpy as np
 import pytest
@@ -182,16 +181,16 @@ def test_the_order_of_a_row_is_that_of_its_names():
 
 
 def test_stops_of_an_emulated_controller(cell):
-    with RtdeLink(cell.left, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES) as link:
+    with RtdeLink(cell.left, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES, system=cell.system) as link:
 
         def until(reason, **options):
-            end = time.monotonic() + 20.0
+            end = cell.clock.now_s() + 20.0
             found = "nothing yet"
             while found != reason:
-                assert time.monotonic() < end, found
+                assert cell.clock.now_s() < end, found
                 for sample in link.poll():
                     found = stop_reason(ArmStatus.from_sample(sample), **options)
-                time.sleep(0.002)
+                cell.clock.sleep(0.002)
 
         until(None, playing=False)
         until("program state 1 (STOPPED)")

@@ -1,7 +1,6 @@
 """Dashboard client: its queries, the commands it refuses to send, and its errors."""
 
 import select
-import socket
 import threading
 
 import pytest
@@ -15,7 +14,7 @@ GREETING = b"Connected: Universal Robots Dashboard Server\n"
 
 
 def test_queries_to_a_cb3(cb3):
-    with DashboardLink(cb3.left, name="left") as link:
+    with DashboardLink(cb3.left, name="left", system=cb3.system) as link:
         assert link.where == f"left arm, dashboard at {cb3.left}:29999"
         assert link.version() == (3, 15, 8, 106339)
         assert link.robot_mode() == "RUNNING"
@@ -31,7 +30,7 @@ def test_queries_to_a_cb3(cb3):
 
 
 def test_remote_control_of_an_e_series_controller(e_series):
-    with DashboardLink(e_series.left) as link:
+    with DashboardLink(e_series.left, system=e_series.system) as link:
         assert link.remote_control() is True
         e_series.ask("remote", arm="left", on=False)
         assert link.remote_control() is False
@@ -42,7 +41,7 @@ def test_remote_control_of_an_e_series_controller(e_series):
 
 def test_queries_that_a_version_lacks_are_none(cb3):
     cb3.ask("pretend", arm="right", version=[3, 10, 0, 1])
-    with DashboardLink(cb3.right) as link:
+    with DashboardLink(cb3.right, system=cb3.system) as link:
         assert link.version() == (3, 10, 0, 1)
         assert (link.model(), link.serial_number(), link.remote_control()) == (None, None, None)
         assert link.safety() == "NORMAL"
@@ -52,19 +51,20 @@ def test_queries_that_a_version_lacks_are_none(cb3):
 
 def test_stop_stops_the_program(cb3):
     cb3.ask("program", arm="right", name="wait.urp", text="while True:\n sync()\nend\n")
-    with DashboardLink(cb3.right) as link:
+    with DashboardLink(cb3.right, system=cb3.system) as link:
         cb3.ask("press", arm="right", button="stop")
         cb3.wait_until("right", "runtime_state", 1)
-        with socket.create_connection((cb3.right, 30002), timeout=DEADLINE_S) as program:
-            program.sendall(b"def p():\n while True:\n  sync()\n end\nend\n")
-            cb3.wait_until("right", "runtime_state", 2)
-            link.stop()
-            cb3.wait_until("right", "runtime_state", 1)
+        program = cb3.system.connect(cb3.right, 30002, DEADLINE_S)
+        program.send_now(b"def p():\n while True:\n  sync()\n end\nend\n")
+        cb3.wait_until("right", "runtime_state", 2)
+        link.stop()
+        cb3.wait_until("right", "runtime_state", 1)
+        program.close()
 
 
 def test_a_command_has_one_line(cb3):
     before = cb3.ask("state", arm="left", names=["robot_mode"])
-    with DashboardLink(cb3.left) as link:
+    with DashboardLink(cb3.left, system=cb3.system) as link:
         for command in ("robotmode\npower off", "power off\r", "power off\0", "", "ä", "x" * 1025, "a\x85power off"):
             with pytest.raises(SettingsError, match="one line"):
                 link.ask(command)
@@ -103,7 +103,7 @@ def answering(*answers):
 
 
 def test_a_silent_server_is_an_error_and_its_late_answer_is_ignored(cb3):
-    link = DashboardLink(cb3.left, 2.0, name="left")
+    link = DashboardLink(cb3.left, 2.0, name="left", system=cb3.system)
     cb3.ask("link", arm="left", port="dashboard", mute=True)
     with pytest.raises(LinkError, match=r"left arm, dashboard at .*: no answer in time; "):
         link.ask("robotmode")
@@ -112,12 +112,12 @@ def test_a_silent_server_is_an_error_and_its_late_answer_is_ignored(cb3):
         link.ask("safetymode")
     cb3.ask("link", arm="left", port="dashboard", half_open=True)
     with pytest.raises(LinkError, match="no answer in time"):
-        DashboardLink(cb3.left, 2.0)
+        DashboardLink(cb3.left, 2.0, system=cb3.system)
     cb3.ask("refuse", arm="left", port="dashboard")
     with pytest.raises(LinkError, match="no connection"):
-        DashboardLink(cb3.left)
+        DashboardLink(cb3.left, system=cb3.system)
     cb3.ask("heal", arm="left")
-    link = DashboardLink(cb3.left)
+    link = DashboardLink(cb3.left, system=cb3.system)
     cb3.ask("drop", arm="left", port="dashboard")
     with pytest.raises(LinkError, match=r"closed the connection|broke"):
         link.ask("robotmode")

@@ -43,7 +43,7 @@ def packet(kind, body=b""):
 
 def test_facts_of_an_emulated_controller(cell):
     profile = PROFILES[cell.description["left"]["family"]]
-    facts = read_primary(cell.left)
+    facts = read_primary(cell.left, system=cell.system)
     assert facts.version == profile.version
     assert facts.robot_type == 2
     assert facts.dh() == NOMINAL_DH
@@ -51,7 +51,7 @@ def test_facts_of_an_emulated_controller(cell):
     assert facts.safety_checksum == profile.safety_checksum
     cell.ask("calibration", arm="left", error_m=0.003)
     cell.ask("pretend", arm="left", robot_type=1, safety_checksum=0xFEDCBA98)
-    facts = read_primary(cell.left)
+    facts = read_primary(cell.left, system=cell.system)
     assert facts.robot_type == 1
     assert facts.safety_checksum == 0xFEDCBA98
     assert facts.a_m == pytest.approx([each + 0.003 * bool(each) for each in NOMINAL_DH.a_m], abs=1e-12)
@@ -59,7 +59,7 @@ def test_facts_of_an_emulated_controller(cell):
     for fault in ({"mute": True}, {"half_open": True}):
         cell.ask("link", arm="left", port="primary", **fault)
         with pytest.raises(LinkError, match=r"left arm, primary interface at .*30001: no answer in time; "):
-            read_primary(cell.left, 0.3, name="left")
+            read_primary(cell.left, 0.3, name="left", system=cell.system)
         cell.ask("heal", arm="left")
 
 

@@ -3,7 +3,6 @@
 import contextlib
 import itertools
 import math
-import select
 import struct
 import threading
 import time
@@ -15,6 +14,7 @@ from hypothesis import strategies as st
 from dual_ur10.errors import ClosedError, LinkError, ProtocolError, SettingsError
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
 from dual_ur10.sim2real.links.rtde_stream import RtdeStream
+from dual_ur10.sim2real.processes.system import LOCAL
 from dual_ur10.sim2real.protocol.rtde import TYPES
 from tests.sim2real.links.fake_servers import (
     ANSWERS,
@@ -33,31 +33,31 @@ VARIABLES = [("timestamp", TYPES["DOUBLE"]), ("robot_mode", TYPES["INT32"])]
 HERE = "127.0.0.1"
 
 
-def wait(link, condition, what):
+def wait(link, condition, what, clock=LOCAL.clock):
     """Poll until a condition holds, and return the samples."""
-    end = time.monotonic() + DEADLINE_S
+    end = clock.now_s() + DEADLINE_S
     samples = []
     while not condition():
-        assert time.monotonic() < end, f"waited {DEADLINE_S} s for {what}"
-        select.select([link], [], [], 0.05)
+        assert clock.now_s() < end, f"waited {DEADLINE_S} s for {what}"
+        clock.wait([link.fileno()], end)
         samples += link.poll()
     return samples
 
 
-def more(link, count):
+def more(link, count, clock=LOCAL.clock):
     aim = link.count + count
-    return wait(link, lambda: link.count >= aim, f"{count} samples")
+    return wait(link, lambda: link.count >= aim, f"{count} samples", clock)
 
 
-def fault(link):
+def fault(link, clock=LOCAL.clock):
     """Poll until an error, and return its message."""
-    end = time.monotonic() + DEADLINE_S
-    while time.monotonic() < end:
+    end = clock.now_s() + DEADLINE_S
+    while clock.now_s() < end:
         try:
             link.poll()
         except LinkError as error:
             return str(error)
-        time.sleep(0.001)
+        clock.sleep(0.001)
     pytest.fail(f"no error in {DEADLINE_S} s")
 
 
@@ -65,72 +65,72 @@ def fault(link):
 
 
 def test_samples_have_the_controllers_values_in_order(cb3):
-    with RtdeLink(cb3.left, NAMES, name="left") as link:
+    with RtdeLink(cb3.left, NAMES, system=cb3.system, name="left") as link:
         assert link.version[:2] == (3, 15)
         assert link.frequency_hz == 125.0
         assert link.variables == ("timestamp", *NAMES)
-        before = time.monotonic()
-        samples = more(link, 5)
+        before = cb3.clock.now_s()
+        samples = more(link, 5, cb3.clock)
         expected = cb3.ask("state", arm="left", names=["actual_q"])["actual_q"]
     times = [each.timestamp_s for each in samples]
     assert times == sorted(set(times))
     assert all(each.values["robot_mode"] == 7 for each in samples)
     assert samples[-1].values["actual_q"] == pytest.approx(expected, abs=1e-3)
     assert samples[-1].values.keys() == {"timestamp", *NAMES}
-    assert before <= samples[-1].arrival_s <= time.monotonic()
+    assert before <= samples[-1].arrival_s <= cb3.clock.now_s()
     assert samples[-1] is link.latest
 
 
 def test_samples_come_at_the_requested_rate(cb3):
-    with RtdeLink(cb3.left, NAMES, frequency_hz=25.0) as link:
-        times = [each.timestamp_s for each in more(link, 4)]
+    with RtdeLink(cb3.left, NAMES, system=cb3.system, frequency_hz=25.0) as link:
+        times = [each.timestamp_s for each in more(link, 4, cb3.clock)]
     assert [b - a for a, b in itertools.pairwise(times)] == pytest.approx([0.04] * (len(times) - 1))
 
 
 def test_only_optional_variables_may_be_missing(cb3):
-    with RtdeLink(cb3.left, NAMES, optional=("ft_raw_wrench", "payload")) as link:
+    with RtdeLink(cb3.left, NAMES, system=cb3.system, optional=("ft_raw_wrench", "payload")) as link:
         assert link.variables == ("timestamp", *NAMES, "payload")
-        assert more(link, 1)[-1].values["payload"] == 0.0
+        assert more(link, 1, cb3.clock)[-1].values["payload"] == 0.0
     with pytest.raises(
         LinkError, match=r"left arm, RTDE at .*3\.15\.8\.\d+ has no RTDE variables ft_raw_wrench;.*update"
     ):
-        RtdeLink(cb3.left, (*NAMES, "ft_raw_wrench"), optional=("payload",), name="left")
+        RtdeLink(cb3.left, (*NAMES, "ft_raw_wrench"), system=cb3.system, optional=("payload",), name="left")
 
 
 def test_a_silent_controller_ages_and_polling_does_not_wait(cb3):
-    with RtdeLink(cb3.left, NAMES) as link:
-        more(link, 2)
+    with RtdeLink(cb3.left, NAMES, system=cb3.system) as link:
+        more(link, 2, cb3.clock)
         cb3.ask("link", arm="left", port="rtde", mute=True)
         while link.poll():
             pass
-        alive = time.monotonic() - link.age_s(time.monotonic())
+        alive = cb3.clock.now_s() - link.age_s(cb3.clock.now_s())
         count = link.count
         for _ in range(1000):
             assert link.poll() == []
         assert link.count == count
         assert link.age_s(alive + 0.25) == pytest.approx(0.25, abs=1e-3)
         cb3.ask("link", arm="left", port="rtde", mute=False)
-        more(link, 1)
-        assert link.age_s(time.monotonic()) < time.monotonic() - alive
+        more(link, 1, cb3.clock)
+        assert link.age_s(cb3.clock.now_s()) < cb3.clock.now_s() - alive
 
 
 def test_packages_whose_time_stalls_are_no_sign_of_life(cb3):
-    with RtdeLink(cb3.left, NAMES) as link:
-        now = more(link, 1)[-1].timestamp_s + 100.0
+    with RtdeLink(cb3.left, NAMES, system=cb3.system) as link:
+        now = more(link, 1, cb3.clock)[-1].timestamp_s + 100.0
         cb3.ask("override", arm="left", timestamp=now)
-        wait(link, lambda: link.latest.timestamp_s == now, "the time to stall")
+        wait(link, lambda: link.latest.timestamp_s == now, "the time to stall", cb3.clock)
         at = link.latest.arrival_s + 5.0
         age_s = link.age_s(at)
-        more(link, 5)
+        more(link, 5, cb3.clock)
         assert link.latest.arrival_s > at - 5.0
         assert link.age_s(at) == age_s
 
 
 def test_a_timestamp_that_goes_back_breaks_the_link(cb3):
-    with RtdeLink(cb3.left, NAMES, name="left") as link:
-        last = more(link, 2)[-1]
+    with RtdeLink(cb3.left, NAMES, system=cb3.system, name="left") as link:
+        last = more(link, 2, cb3.clock)[-1]
         cb3.ask("override", arm="left", timestamp=0.001)
-        text = fault(link)
+        text = fault(link, cb3.clock)
         assert f"left arm, RTDE at {cb3.left}:30004" in text
         assert "went back" in text
         assert link.latest.timestamp_s >= last.timestamp_s
@@ -138,50 +138,50 @@ def test_a_timestamp_that_goes_back_breaks_the_link(cb3):
         for _ in range(3):
             with pytest.raises(LinkError, match="went back"):
                 link.poll()
-        end = time.monotonic() + DEADLINE_S
+        end = cb3.clock.now_s() + DEADLINE_S
         while cb3.ask("clients", arm="left")["rtde"]:  # it does not reconnect
-            assert time.monotonic() < end
+            assert cb3.clock.now_s() < end
 
 
 @pytest.mark.parametrize(("reset", "text"), [(False, "closed the connection"), (True, "closed the connection|broke")])
 def test_the_end_of_the_stream_is_an_error(cb3, reset, text):
-    with RtdeLink(cb3.left, NAMES, name="left") as link:
-        more(link, 1)
+    with RtdeLink(cb3.left, NAMES, system=cb3.system, name="left") as link:
+        more(link, 1, cb3.clock)
         cb3.ask("drop", arm="left", port="rtde", reset=reset)
-        found = fault(link)
+        found = fault(link, cb3.clock)
     assert any(each in found for each in text.split("|"))
     assert "left arm" in found
 
 
 def test_a_corrupt_stream_is_an_error(cb3):
-    with RtdeLink(cb3.left, ("robot_mode",)) as link:
-        more(link, 1)
+    with RtdeLink(cb3.left, ("robot_mode",), system=cb3.system) as link:
+        more(link, 1, cb3.clock)
         cb3.ask("link", arm="left", port="rtde", corrupt=100_000)
-        assert "RTDE" in fault(link)
+        assert "RTDE" in fault(link, cb3.clock)
 
 
 def test_a_controller_that_accepts_and_is_silent_is_an_error(cb3):
     cb3.ask("link", arm="left", port="rtde", half_open=True)
     with pytest.raises(LinkError, match=r"left arm, RTDE at .*no answer in time;"):
-        RtdeLink(cb3.left, NAMES, timeout_s=0.3, name="left")
+        RtdeLink(cb3.left, NAMES, system=cb3.system, timeout_s=0.3, name="left")
 
 
 def test_a_refused_connection_is_named(cb3):
     cb3.ask("refuse", arm="left", port="rtde")
     with pytest.raises(LinkError, match=rf"left arm, RTDE at {cb3.left}:30004: no connection \(.*refused.*\); check"):
-        RtdeLink(cb3.left, NAMES, name="left")
+        RtdeLink(cb3.left, NAMES, system=cb3.system, name="left")
 
 
 def test_links_of_both_arms_are_independent(cb3):
-    with RtdeLink(cb3.left, NAMES) as left, RtdeLink(cb3.right, NAMES) as right:
+    with RtdeLink(cb3.left, NAMES, system=cb3.system) as left, RtdeLink(cb3.right, NAMES, system=cb3.system) as right:
         cb3.ask("drop", arm="left", port="rtde")
-        fault(left)
-        more(right, 3)
+        fault(left, cb3.clock)
+        more(right, 3, cb3.clock)
 
 
 def test_a_closed_link(cb3):
-    link = RtdeLink(cb3.left, NAMES)
-    assert select.select([link], [], [], DEADLINE_S)[0] == [link]
+    link = RtdeLink(cb3.left, NAMES, system=cb3.system)
+    assert cb3.clock.wait([link.fileno()], cb3.clock.now_s() + DEADLINE_S)[0] == [link.fileno()]
     link.close()
     link.close()
     for use in (link.poll, link.fileno):

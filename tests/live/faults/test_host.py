@@ -1,4 +1,4 @@
-"""Faults of this machine and its processes: rows 54 to 57 and 59 of the fault table in docs/explanation/safety.md."""
+"""Faults of this machine and its processes: rows 11, 54, 56 and 57 of the fault table in docs/explanation/safety.md."""
 
 import contextlib
 import math
@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from dual_ur10.errors import CellFaulted, RecordingError
+from dual_ur10.errors import CellFaulted
 from dual_ur10.sim2real.recording.reader import read_run
 from tests import soak
 from tests.live.faults.lab import assert_gone, descendants
@@ -22,37 +22,10 @@ TICK_S = 0.008
 LATCHED = "the program that sends targets has ended"
 
 
-def in_step(lab):
-    """Check that no target was sent right after another one to catch up."""
-    for memory in lab.runner.arms:
-        sent = memory.sent()[0]
-        assert (np.diff(sent.period) >= 1).all()
-        # What was in time may come right behind one for which this machine stood still between a look at the clock and
-        # the sending. What was late itself must not: that would be catching up.
-        soon = np.diff(sent.sent_s) < 0.4 * TICK_S
-        late_s = sent.late_s[1:] - (np.diff(sent.period) - 1) * TICK_S
-        assert late_s[soon].max(initial=0.0) < 0.5 * TICK_S
-        assert (np.diff(sent.index) <= np.diff(sent.period) * (1.0 + 1e-2)).all()
-
-
-@pytest.mark.parametrize("periods", [1, 5] if soak.SOAK else [5])
-def test_54_a_short_stall_skips_late_targets(lab, periods):
-    lab.begin()
-    for k in range(12):
-        lab.suspend(lab.pids[k % 2])
-        time.sleep((periods + 0.1 * (k - 6)) * TICK_S)
-        lab.wake(lab.pids[k % 2])
-        lab.env.step(lab.policy())
-    assert lab.latch.read() is None
-    in_step(lab)
-    lab.assert_within_limits()
-
-
-DASHBOARD_TICKS = 30  # 0.1 s until it counts as lost, then the request
 SILENT_TICKS = 17  # 0.1 s until a silent peer counts as lost, and packets in transit
 
 
-@pytest.mark.parametrize("who", ["left", "right", "supervisor"] if soak.SOAK else ["left", "supervisor"])
+@pytest.mark.parametrize("who", ["left", "right", "supervisor"] if soak.SOAK else ["left"])
 def test_54_a_process_that_is_held_up_for_long_stops_both(lab, who):
     lab.begin()
     pid = lab.pids[("left", "right", "supervisor").index(who)]
@@ -60,20 +33,6 @@ def test_54_a_process_that_is_held_up_for_long_stops_both(lab, who):
     lab.suspend(pid)
     time.sleep(0.4)
     lab.wake(pid)
-    lab.assert_stopped(lab.step_until_faulted(), who, "no longer responds", seen_ticks=SILENT_TICKS)
-
-
-@pytest.mark.parametrize("who", ["left", "right"] if soak.SOAK else ["right"])
-def test_54_the_supervisor_ends_a_program_without_its_watchdog(lab, who):
-    lab.begin()
-    starved = lab.starved()
-    lab.turn("watchdog", {"on": True}, arm=who, on=False)
-    tick = lab.note()
-    lab.suspend(lab.pids[("left", "right").index(who)])
-    lab.cell.wait_until(who, "runtime_state", 1)
-    wire = lab.wires[("left", "right").index(who)]
-    assert wire.received()["ended_tick"] - tick <= DASHBOARD_TICKS
-    assert lab.starved() == starved, "a watchdog came before"
     lab.assert_stopped(lab.step_until_faulted(), who, "no longer responds", seen_ticks=SILENT_TICKS)
 
 
@@ -108,7 +67,7 @@ def test_56_a_machine_sends_nothing_when_it_wakes(lab, who):
     lab.assert_latched()
 
 
-KILLS = 100 if soak.SOAK else 4
+KILLS = 100 if soak.SOAK else 2
 INTERRUPTED_TICKS = 60
 SIGNALS = 200 if soak.SOAK else 4
 
@@ -183,21 +142,14 @@ def test_57_an_interrupted_runner_leaves_both_arms_at_rest(lab, number, tmp_path
     lab.make()
 
 
-@pytest.mark.skipif(not soak.SOAK, reason="in a soak")
-@pytest.mark.parametrize("moving", [False, True])
-def test_57_ctrl_c_is_a_controlled_stop_and_no_fault(lab, moving):
-    lab.begin(steps=5)
-    if not moving:
-        lab.env.unwrapped.core.cell.finish()
+def test_57_a_process_that_hangs_at_the_end_is_killed(lab):
+    lab.begin()
+    lab.turn("watchdog", {"on": True}, arm="left", on=False)  # nothing but the dashboard ends its program
+    runner = lab.runner
+    lab.suspend(lab.pids[0])
+    begun = time.monotonic()
     lab.close_env()
+    assert time.monotonic() - begun < 10.0
+    assert not runner.stopped
     lab.assert_at_rest()
-    assert lab.latch.read() is None
-    lab.make()
-
-
-@pytest.mark.parametrize("where", ["/proc/nowhere", "/dev/full"] if soak.SOAK else ["/dev/full"])
-def test_59_an_unwritable_record_is_refused_before_any_motion(lab, where):
-    with pytest.raises(RecordingError, match="cannot make a folder for the run"):
-        lab.make(record=where)
-    lab.assert_nothing_has_moved()
-    lab.make()
+    lab.assert_latched("left: its process did not stop")

@@ -1,0 +1,90 @@
+"""Faults of this machine and its processes: rows 54 to 57 and 59 of the fault table in docs/explanation/safety.md."""
+
+import numpy as np
+import pytest
+
+from dual_ur10.errors import RecordingError
+from tests.virtual.faults.lab import ARMS
+
+DASHBOARD_TICKS = 30  # 0.1 s until it counts as lost, then the request
+SILENT_TICKS = 17  # 0.1 s until a silent peer counts as lost, and packets in transit
+WHO = ("left", "right", "supervisor")
+
+
+@pytest.mark.parametrize("periods", [1, 5])
+def test_54_a_short_stall_skips_late_targets(lab, periods):
+    lab.begin()
+    for k in range(12):
+        lab.cell.stall(ARMS[k % 2], (periods + 0.1 * (k - 6)) * lab.tick_s)
+        lab.step()
+    assert lab.latch.read() is None
+    for memory in lab.runner.arms:
+        sent = memory.sent()[0]
+        assert (np.diff(sent.period) >= 1).all()  # none was sent right after another one to catch up
+        assert (np.diff(sent.index) == np.diff(sent.period)).all()
+        assert np.diff(sent.period).max() > 1
+    lab.assert_within_limits()
+
+
+@pytest.mark.parametrize(("who", "word"), [*((arm, "program state 0") for arm in ARMS), ("supervisor", "no longer")])
+def test_54_a_process_that_is_held_up_for_long_stops_both(lab, who, word):
+    """The watchdog of an arm's controller acts in the period in which the supervisor misses the arm's process."""
+    lab.begin()
+    lab.note()
+    lab.cell.stall(who, 0.4)
+    lab.assert_stopped(lab.step_until_faulted(), who, word, seen_ticks=SILENT_TICKS)
+
+
+@pytest.mark.parametrize("who", ARMS)
+def test_54_the_supervisor_ends_a_program_without_its_watchdog(lab, who):
+    lab.begin()
+    lab.cell.ask("watchdog", arm=who, on=False)
+    tick = lab.note()
+    lab.cell.stall(who, 60.0)
+    lab.cell.wait_until(who, "runtime_state", 1)
+    wire = lab.wires[ARMS.index(who)]
+    assert wire.received()["ended_tick"] - tick <= DASHBOARD_TICKS
+    assert not lab.starved()
+    lab.assert_stopped(lab.step_until_faulted(), who, "no longer responds", seen_ticks=SILENT_TICKS)
+
+
+@pytest.mark.parametrize("who", WHO)
+def test_11_a_process_that_is_killed_stops_both(lab, who):
+    lab.begin()
+    lab.note()
+    lab.cell.end(who)
+    lab.assert_stopped(lab.step_until_faulted(), who, seen_ticks=SILENT_TICKS)
+
+
+def test_56_a_machine_sends_nothing_when_it_wakes(lab):
+    lab.begin()
+    lab.note()
+    for who in WHO:
+        lab.cell.stall(who, 2.0)
+    lab.clock.sleep(1.9)
+    lab.assert_at_rest()  # the watchdogs in the controllers see to that
+    assert lab.starved() == 2
+    quiet = lab.traffic()
+    lab.clock.sleep(0.2)
+    error = lab.step_until_faulted(1)
+    assert lab.traffic() == quiet
+    lab.assert_stopped(error)
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_57_closing_is_a_controlled_stop_and_no_fault(lab, moving):
+    lab.begin(steps=5)
+    if not moving:
+        lab.env.unwrapped.core.cell.finish()
+    lab.close_env()
+    lab.assert_at_rest()
+    assert lab.latch.read() is None
+    lab.make()
+
+
+@pytest.mark.parametrize("where", ["/proc/nowhere", "/dev/full"])
+def test_59_an_unwritable_record_is_refused_before_any_motion(lab, where):
+    with pytest.raises(RecordingError, match="cannot make a folder for the run"):
+        lab.make(record=where)
+    lab.assert_nothing_has_moved()
+    lab.make()

@@ -16,7 +16,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Some containers set it. The tests start many processes, and each would compile all that it imports again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo dist docs test test-oldest test-dist soak bench install lint format clean check-python
+.PHONY: help demo dist docs test test-live test-oldest test-dist soak bench install lint format clean check-python
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*  ## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -61,26 +61,25 @@ $(DIST)/.dev: pyproject.toml constraints-dist.txt | check-python
 	@$(DIST)/bin/python -m pip install $(PIP_FLAGS) -c constraints-dist.txt -e '.[dist]' psutil pytest
 	@touch $@
 
-# Streaming to arms asks for more than half of two cores, in real time: these tests run one at a time, with nothing
-# beside them. Controllers that wait more than they work come in pairs, apart from what works all the time.
-define all_tests
-$(VENV)/bin/python -m pytest $(1) -m real_time; code=$$?; \
-$(VENV)/bin/python -m pytest $(1) -n 2 -m "emulated and not real_time" || code=$$?; \
-$(VENV)/bin/python -m pytest $(1) -n 2 --dist worksteal -m "not emulated" || code=$$?; \
-exit $$code
-endef
-
 install: $(VENV)/.dev  ## set up .venv for the tests
 
 demo: $(VENV)/.demo  ## install, run the scripted policies, also on emulated arms; write out/report.html and videos
 	@$(VENV)/bin/python -m dual_ur10 demo --out out
 
-test: $(VENV)/.dev  ## install, lint, type-check and run all tests
+test: $(VENV)/.dev  ## install, lint, type-check, run all tests but those in real time, and a smoke test of these
+	@echo "Lint, types and documentation ..."
 	@$(VENV)/bin/ruff check .
 	@$(VENV)/bin/ruff format --check .
 	@$(VENV)/bin/mypy
 	@$(MAKE) --no-print-directory docs
-	@$(call all_tests,)
+	@$(VENV)/bin/python -m pytest -n 2 -m "not emulated"
+	@$(VENV)/bin/python -m pytest -m smoke
+
+# Streaming to arms asks for more than half of two cores, in real time: these tests run one at a time, with nothing
+# beside them. Controllers that wait more than they work come in pairs.
+test-live: $(VENV)/.dev  ## the tests in real time: processes, sockets and the unmodified ur_rtde client
+	@$(VENV)/bin/python -m pytest -m real_time; code=$$?; \
+	  $(VENV)/bin/python -m pytest -n 2 -m "emulated and not real_time" || code=$$?; exit $$code
 
 # What neither steps MuJoCo nor knows Gymnasium is the same with every version of them.
 test-oldest: $(OLDEST)/.dev  ## the tests again with MuJoCo 3.17 and Gymnasium 1.2.2, without those of controllers
@@ -99,7 +98,8 @@ test-dist: $(DIST)/.dev  ## training on Ray RLlib with two workers on this machi
 	@$(DIST)/bin/python -m pytest tests/distributed
 
 soak: $(VENV)/.dev  ## the tests with their full counts (about twenty times as long)
-	@export DUAL_UR10_SOAK=1; $(call all_tests,--durations=15)
+	@export DUAL_UR10_SOAK=1; $(VENV)/bin/python -m pytest -n 2 -m "not emulated" --durations=15; code=$$?; \
+	  $(MAKE) --no-print-directory test-live || code=$$?; exit $$code
 
 bench: $(VENV)/.dev  ## all benchmarks, figures to out/*.json
 	@mkdir -p out

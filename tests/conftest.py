@@ -6,6 +6,7 @@ import os
 import pytest
 
 from tests.busy_machine import BusyMachine
+from tests.progress import Progress
 
 # Workers of pytest-xdist get the width of the terminal; rich takes it when a console is made, at import.
 os.environ.pop("COLUMNS", None)
@@ -23,6 +24,8 @@ def pytest_addoption(parser):
 
 def pytest_configure(config):
     config.pluginmanager.register(BusyMachine())
+    if not hasattr(config, "workerinput"):  # of a worker of pytest-xdist
+        config.pluginmanager.register(Progress())
     if config.getoption("--host") and not config.getoption("--family"):
         raise pytest.UsageError("--host needs --family, either cb3 or e-series")
 
@@ -51,7 +54,8 @@ def pytest_itemcollected(item):
     """Mark tests of emulated controllers, and those of them that stream targets: `make test` runs them apart."""
     if isinstance(item, pytest.Function) and starts_controllers(item):
         item.add_marker(pytest.mark.emulated)
-        item.add_marker(BusyMachine.mark())
+        if not item.get_closest_marker("smoke"):
+            item.add_marker(BusyMachine.mark())
         if item.get_closest_marker("streams"):
             item.add_marker(pytest.mark.real_time)
 

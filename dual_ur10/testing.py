@@ -11,6 +11,8 @@ and in a test:
         report = check_policy(MyPolicy(), "DualUR10/Handover-v0", cell=emulated_cell.path)
         assert report.cell_success
 
+The fixture `virtual_cell` is the same on a virtual clock, several times as fast as real time and equal to the bit.
+
 `check_policy` needs no pytest.
 """
 
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
 
 __all__ = ["CellForTests", "PolicyReport", "VirtualCell", "check_policy"]
 
-MARKER = "emulated_cell"
+MARKERS = ("emulated_cell", "virtual_cell")
 
 
 def __getattr__(name: str) -> Any:
@@ -125,23 +127,24 @@ class CellForTests(EmulatedCell):
 
 def pytest_configure(config: pytest.Config) -> None:
     """Register the marker."""
-    config.addinivalue_line("markers", f"{MARKER}(**options): options of the emulated cell: task, family, plant, ...")
+    for name in MARKERS:
+        config.addinivalue_line("markers", f"{name}(**options): options of the cell: task, family, plant, ...")
 
 
-def options_of(request: pytest.FixtureRequest) -> dict[str, Any]:
-    """Return options of a test's emulated cell, from its markers, the nearest last, and from its parameter.
+def options_of(request: pytest.FixtureRequest, marked: str) -> dict[str, Any]:
+    """Return options of a test's cell, from its markers, the nearest last, and from its parameter.
 
     Raises:
         SettingsError: A marker has values without names, or the parameter is no mapping.
     """
     options: dict[str, Any] = {}
-    for marker in reversed(list(request.node.iter_markers(MARKER))):
+    for marker in reversed(list(request.node.iter_markers(marked))):
         if marker.args:
-            raise SettingsError(f"the marker {MARKER} has {marker.args!r}: name each option, as in task='Handover'")
+            raise SettingsError(f"the marker {marked} has {marker.args!r}: name each option, as in task='Handover'")
         options.update(marker.kwargs)
     given = getattr(request, "param", None) or {}
     if not isinstance(given, dict):
-        raise SettingsError(f"the parameter of {MARKER} is {given!r}: it must be a dict of options")
+        raise SettingsError(f"the parameter of {marked} is {given!r}: it must be a dict of options")
     return {**options, **given}
 
 
@@ -155,5 +158,13 @@ if importlib.util.find_spec("pytest") is not None:
         Its options come from `@pytest.mark.emulated_cell(task="Handover", family="e-series")`, or from a parameter:
         `@pytest.mark.parametrize("emulated_cell", [{"task": "SyncCarry"}], indirect=True)`.
         """
-        with CellForTests(tmp_path, **options_of(request)) as cell:
+        with CellForTests(tmp_path, **options_of(request, "emulated_cell")) as cell:
+            yield cell
+
+    @pytest.fixture
+    def virtual_cell(request: pytest.FixtureRequest) -> Iterator[VirtualCell]:
+        """Run a virtual cell for one test. Its options come from `@pytest.mark.virtual_cell(...)` or a parameter."""
+        from dual_ur10.sim2real.virtual.virtual_cell import VirtualCell
+
+        with VirtualCell(**options_of(request, "virtual_cell")) as cell:
             yield cell

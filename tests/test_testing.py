@@ -271,7 +271,7 @@ def test_the_documented_example_runs_in_another_project(tmp_path, monkeypatch):
         if "this machine is too busy" not in found.stdout:
             break
     assert found.returncode == 0, found.stdout + found.stderr
-    assert "4 passed" in found.stdout
+    assert "5 passed" in found.stdout
     assert not list(home.rglob("fault-*")), "the fault of a cell that is gone was left behind"
 
 

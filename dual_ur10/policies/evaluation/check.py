@@ -19,7 +19,7 @@ from dual_ur10.errors import PolicyError, SettingsError
 from dual_ur10.ids import env_id_of
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.policy import Policy
-from dual_ur10.sim2real.config.cell import LATENCY_S, CellConfig
+from dual_ur10.sim2real.config.cell import LATENCY_S, CellConfig, HostedCell
 from dual_ur10.types import Array
 
 log = logging.getLogger(__name__)
@@ -80,7 +80,7 @@ def check_policy(
     policy: Policy,
     env_id: str,
     *,
-    cell: str | os.PathLike[str] | None = None,
+    cell: str | os.PathLike[str] | HostedCell | None = None,
     steps: int | None = None,
     seed: int = 0,
     **env_kwargs: Any,
@@ -95,8 +95,8 @@ def check_policy(
     Args:
         policy: Policy to check.
         env_id: Id of the environment, or a part of it such as "Handover".
-        cell: A cell file. The simulated cell then has its mounts, limits and latency, and a second episode follows on
-            its controllers. Real arms need operator confirmation first, at the terminal or by `confirm`.
+        cell: A cell file, or a `VirtualCell`. The simulated cell then has its mounts, limits and latency, and a second
+            episode follows on its controllers. Real arms need operator confirmation first, at the terminal or by `confirm`.
         steps: Steps after which the check of an episode ends; None: its own end, or `MOST_STEPS`.
         seed: Seed of both episodes.
         **env_kwargs: Keywords of the environment.
@@ -112,8 +112,10 @@ def check_policy(
     name = env_id_of(env_id)
     if steps is not None and (isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1):
         raise SettingsError(f"steps is {steps!r}: it must be a whole number above 0, or None for a whole episode")
-    if cell is not None and not isinstance(cell, str | os.PathLike):
-        raise SettingsError(f"cell is {type(cell).__name__}: it must be the path of a cell file, or None")
+    if cell is not None and not isinstance(cell, str | os.PathLike | HostedCell):
+        raise SettingsError(
+            f"cell is {type(cell).__name__}: it must be the path of a cell file, a VirtualCell, or None"
+        )
     most = MOST_STEPS if steps is None else int(steps)
     lacking = [each for each in ("reset", "__call__") if not callable(getattr(policy, each, None))]
     if lacking or isinstance(policy, type):
@@ -153,7 +155,7 @@ def check_policy(
         budget_s=budget_s,
     )
     if cell is not None:
-        env = gym.make(name, disable_env_checker=True, **{**env_kwargs, "cell": os.fspath(cell)})
+        env = gym.make(name, disable_env_checker=True, **{**env_kwargs, "cell": cell})
         try:
             there = _Episode(policy, env)
             there.run(seed, most)
@@ -168,11 +170,11 @@ def check_policy(
     return dataclasses.replace(report, notes=tuple(notes))
 
 
-def _simulated(cell: str | os.PathLike[str]) -> tuple[CellConfig, int]:
-    """Return the simulated counterpart of a cell file's cell, and its latency in ticks."""
+def _simulated(cell: str | os.PathLike[str] | HostedCell) -> tuple[CellConfig, int]:
+    """Return the simulated counterpart of a cell of controllers, and its latency in ticks."""
     from dual_ur10.sim2real.config.cell_file import load_cell_file
 
-    file = load_cell_file(os.fspath(cell))
+    file = cell.file if isinstance(cell, HostedCell) else load_cell_file(os.fspath(cell))
     return file.simulated(), file.config().latency_ticks
 
 

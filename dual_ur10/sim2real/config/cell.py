@@ -151,6 +151,9 @@ class CellSource(Protocol):
     def text(self) -> str:
         """Return the content of the file."""
 
+    def simulated(self) -> CellConfig:
+        """Return the configuration of the same cell in simulation."""
+
 
 @runtime_checkable
 class HostedCell(Protocol):
@@ -159,6 +162,10 @@ class HostedCell(Protocol):
     @property
     def system(self) -> System:
         """System on which the program and the controllers run."""
+
+    @property
+    def file(self) -> CellSource:
+        """Cell file."""
 
     def config(self) -> CellConfig:
         """Return the configuration of the cell."""

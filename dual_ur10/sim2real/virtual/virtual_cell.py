@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
 
-from dual_ur10.errors import SettingsError, UnknownNameError, VirtualCellError
+from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError, VirtualCellError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file import CellFile
@@ -59,6 +60,7 @@ class VirtualCell(CellRequests):
             raise VirtualCellError(f"a virtual cell has no {asked[0]!r}: leave it out, or use an emulated cell")
         self._folder = tempfile.TemporaryDirectory()
         self._closed = False
+        self._env: Any = None
         self._world = World()
         program = VirtualProcess(self._world, None, "program", self._world.scheduler.program)
         family = options.get("family", "cb3")
@@ -158,6 +160,23 @@ class VirtualCell(CellRequests):
         found: Fault | None = self.latch.read()
         return "" if found is None else found.text
 
+    def make(self, env_id: str, **keywords: Any) -> Any:
+        """Make an environment on this cell, and close the previous one, which uses the same arms.
+
+        Raises:
+            DualUR10Error: As raised by `gym.make`.
+        """
+        import gymnasium as gym
+
+        self._close_env()
+        self._env = gym.make(env_id, cell=self, **keywords)
+        return self._env
+
+    def _close_env(self) -> None:
+        env, self._env = self._env, None
+        if env is not None:
+            env.close()
+
     def clear(self) -> None:
         """Clear the latched stop, as `cell clear` does. A stopped environment must be made again."""
         self.latch.clear()
@@ -170,13 +189,15 @@ class VirtualCell(CellRequests):
         raise SettingsError("a virtual cell cannot be pickled: its processes run here. Make one where it is used")
 
     def close(self) -> None:
-        """End all processes but the program. May be called twice.
+        """Close the environment that `make` made, and end all processes but the program. May be called twice.
 
         Raises:
             VirtualCellError: A process has failed that must not, such as that of the controllers.
         """
         if self._closed:
             return
+        with contextlib.suppress(DualUR10Error):  # it was stopped, which the program knows
+            self._close_env()
         self._closed = True
         for link in self._links:
             link.close()

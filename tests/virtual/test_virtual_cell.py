@@ -9,7 +9,8 @@ import pytest
 
 import dual_ur10  # noqa: F401  # registers the environments
 from dual_ur10.errors import CellFaulted, SettingsError, UnknownNameError, VirtualCellError
-from dual_ur10.testing import VirtualCell
+from dual_ur10.policies import load
+from dual_ur10.testing import VirtualCell, check_policy
 
 
 def episode(steps=30, fault=None, **options):
@@ -102,3 +103,13 @@ def test_closing_twice_is_fine():
     cell = VirtualCell()
     cell.close()
     cell.close()
+
+
+def test_a_policy_is_checked_on_it():
+    env_id = "DualUR10/SineTracking-v0"
+    with VirtualCell() as cell:
+        policy = load("scripted", env_id, cell=cell, duration_s=1.0)
+        report = check_policy(policy, env_id, cell=cell, duration_s=1.0)
+    assert report.cell_success
+    assert report.cell_steps == report.steps == 25
+    assert report.late == 0

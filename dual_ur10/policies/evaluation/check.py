@@ -96,7 +96,8 @@ def check_policy(
         policy: Policy to check.
         env_id: Id of the environment, or a part of it such as "Handover".
         cell: A cell file, or a `VirtualCell`. The simulated cell then has its mounts, limits and latency, and a second
-            episode follows on its controllers. Real arms need operator confirmation first, at the terminal or by `confirm`.
+            episode follows on its controllers. Real arms need operator confirmation first, at the terminal or by
+            `confirm`.
         steps: Steps after which the check of an episode ends; None: its own end, or `MOST_STEPS`.
         seed: Seed of both episodes.
         **env_kwargs: Keywords of the environment.

@@ -1,24 +1,13 @@
 """Forbidden configurations: rows 48 to 52 of the table of faults in `docs/explanation/safety.md`."""
 
-import time
-
 import numpy as np
 import pytest
 
 from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.sim2real.control.cartesian_step import HALT_CONDITION, SLOW_CONDITION, condition
-from tests import soak
-from tests.live.faults.lab import ARMS
+from tests.virtual.faults.lab import ARMS
 
-pytestmark = pytest.mark.streams
-
-WALL = """
-[[obstacle]]
-name = "wall"
-kind = "plane"
-point_m = [{x}, 0.0, 0.0]
-normal = [-1.0, 0.0, 0.0]
-"""
+WALL = {"name": "wall", "kind": "plane", "point_m": [0.35, 0.0, 0.0], "normal": [-1.0, 0.0, 0.0]}
 
 
 def drive(lab, *moves, most=300):
@@ -40,7 +29,7 @@ WAYS = [
 ]
 
 
-@pytest.mark.parametrize(("moves", "words"), WAYS if soak.SOAK else WAYS[:2])
+@pytest.mark.parametrize(("moves", "words"), WAYS)
 def test_48_49_50_the_gate_brakes_before_anything_meets(lab, moves, words):
     lab.begin(steps=0)
     info = drive(lab, *moves)
@@ -48,7 +37,7 @@ def test_48_49_50_the_gate_brakes_before_anything_meets(lab, moves, words):
     assert info["safety"].kind == "distance"
     assert first.startswith(words[0])
     assert second.startswith(words[1])
-    time.sleep(1.0)
+    lab.clock.sleep(1.0)
     for arm in ARMS:
         assert np.abs(lab.ask(arm, "actual_qd")[0]).max() < 1e-3
     assert 0.0199 <= lab.nearest_m() < 0.2
@@ -57,11 +46,11 @@ def test_48_49_50_the_gate_brakes_before_anything_meets(lab, moves, words):
 
 
 def test_50_an_obstacle_of_the_cell_file_is_one(lab):
-    lab.path.write_text(lab.path.read_text() + WALL.format(x=0.35))
+    lab.configure(obstacle=[WALL])
     lab.begin(steps=0)
     info = drive(lab, (0, 1, 0.5), (0, 2, -1.0), (0, 3, 0.5))
     assert "wall" in info["safety"].subject, info["safety"]
-    time.sleep(0.5)
+    lab.clock.sleep(0.5)
     assert lab.nearest_m() >= 0.0199
 
 
@@ -71,7 +60,7 @@ def test_51_cartesian_actions_end_before_a_singularity(lab):
     action = np.zeros((2, 6))
     action[0, 0] = 1.0  # outwards, until the arm is stretched
     ended = False
-    for _ in range(200 if soak.SOAK else 90):
+    for _ in range(90):
         _, _, ended, _, info = lab.env.step(action.reshape(-1))
         if ended:
             break

@@ -5,9 +5,6 @@ import sys
 
 import gymnasium as gym
 import numpy as np
-import pytest
-
-pytestmark = pytest.mark.streams
 
 LATENCY = 16  # ticks: two alternating processes need more than one
 
@@ -76,8 +73,7 @@ def test_a_remote_policy_acts_on_both_kinds_of_cells(lab):
                 found.append(info["flange_error_m"])
         errors.append(np.array(found))
         if cell is None:
-            late = env.unwrapped.core.late_actions
-            assert not late, "this machine is too busy: actions came too late, and both arms rested"
+            assert not env.unwrapped.core.late_actions
         else:
             env.close()
     assert lab.latch.read() is None

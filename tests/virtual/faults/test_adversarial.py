@@ -7,13 +7,10 @@ import pytest
 
 from tests import soak
 
-pytestmark = pytest.mark.streams
-
 TICKS, PARTS = (5_000, 10) if soak.SOAK else (500, 1)
-"""Of both arms together, and how often for each kind of policy: 200,000 in a soak. A machine that stands still for some
-control periods stops the arms, so that no part may take long; and a twentieth would take 40 s and more."""
+"""Of both arms together, and how often for each kind of policy: 200,000 in a soak."""
 
-_COLLECTED = 100  # steps; a sender remembers some 800
+_COLLECTED = 100  # steps: a sender remembers 4096 targets
 
 
 def at_random(rng):
@@ -50,7 +47,7 @@ KINDS = (at_random, extreme, beyond, alternating)
 @pytest.mark.parametrize("kind", KINDS, ids=[each.__name__ for each in KINDS])
 def test_5_6_nothing_that_a_policy_does_gets_past_the_limits(lab, kind, part):
     lab.make()
-    lab.reset(seed=part)
+    lab.env.reset(seed=part)
     actions = kind(np.random.default_rng([KINDS.index(kind), part]))
     for step in range(TICKS // len(lab.wires) // lab.env.unwrapped.core.cell.ticks):
         if lab.env.step(next(actions))[2]:
@@ -59,6 +56,6 @@ def test_5_6_nothing_that_a_policy_does_gets_past_the_limits(lab, kind, part):
             for wire in lab.wires:
                 wire.collect()
     assert lab.latch.read() is None
-    assert sum(lab.assert_within_limits()) >= 0.95 * TICKS
+    assert sum(lab.assert_within_limits()) >= TICKS
     for wire in lab.wires:
         assert np.ptp(wire.packages()[1], axis=0).max() > 1e-3, f"{wire.arm} has not moved"

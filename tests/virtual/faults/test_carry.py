@@ -8,33 +8,17 @@ from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
 from dual_ur10.sim2real.runtime.safety_monitor import _relative_pose
 from tests import soak
-from tests.live.faults.lab import ARMS, Lab
+from tests.virtual.faults.lab import ARMS, VirtualLab
 
-pytestmark = pytest.mark.streams
-
-ROD = """
-[[obstacle]]
-name = "rod"
-kind = "capsule"
-from_m = [-0.6, 0.0, 0.25]
-to_m = [0.6, 0.0, 0.25]
-radius_m = 0.01
-"""
-
-
-@pytest.fixture(scope="module")
-def the_lab(tmp_path_factory):
-    made = Lab(tmp_path_factory.mktemp("carry"), task="SyncCarry")
-    yield made
-    made.close()
+ROD = {"name": "rod", "kind": "capsule", "from_m": [-0.6, 0.0, 0.25], "to_m": [0.6, 0.0, 0.25], "radius_m": 0.01}
 
 
 @pytest.fixture
-def lab(the_lab):
-    the_lab.policy = policies.load("scripted", "DualUR10/SyncCarry-v0")
-    yield the_lab
-    the_lab.audit()
-    the_lab.mend()
+def lab():
+    made = VirtualLab(task="SyncCarry")
+    made.policy = policies.load("scripted", "DualUR10/SyncCarry-v0")
+    yield made
+    made.close()
 
 
 def go(lab, observation, steps):
@@ -44,7 +28,7 @@ def go(lab, observation, steps):
     return observation
 
 
-@pytest.mark.parametrize(("joint", "away"), [(5, 0.06), (0, 0.03)] if soak.SOAK else [(5, 0.06)])
+@pytest.mark.parametrize(("joint", "away"), [(5, 0.06), (0, 0.03)])
 def test_52_coupled_arms_stop_on_an_error_of_their_relative_pose(lab, joint, away):
     go(lab, lab.begin(steps=0), 5)
     hold = np.zeros(14, dtype=np.float32)
@@ -60,7 +44,7 @@ def test_52_coupled_arms_stop_on_an_error_of_their_relative_pose(lab, joint, awa
 
 def test_50_what_is_carried_meets_nothing(lab):
     """The bar's middle would, half a metre from both grippers."""
-    lab.path.write_text(lab.path.read_text() + ROD)
+    lab.configure(obstacle=[ROD])
     observation, terminated = lab.begin(steps=0), False
     for _ in range(300):
         observation, _, terminated, _, info = lab.env.step(lab.policy(observation))

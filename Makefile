@@ -16,7 +16,11 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Some containers set it. The tests start many processes, and each would compile all that it imports again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo dist docs test test-live test-oldest test-dist soak bench install lint format clean check-python
+# `make fuzz`: executions per target, or seconds (TIME_S=60); some targets only (TARGET=rtde_server); another seed.
+RUNS ?= $(if $(TIME_S),0,20000)
+SEED ?= 1
+
+.PHONY: help demo dist docs test test-live test-oldest test-dist soak fuzz bench install lint format clean check-python
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*  ## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -47,6 +51,12 @@ $(VENV)/.dev: pyproject.toml constraints.txt $(VENV)/bin/python
 	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e '.[dev]'
 	@$(FETCH_EXAMPLES) $(VENV)/sdist || echo "The examples of ur_rtde could not be fetched: their test is skipped."
 	@touch $@ $(VENV)/.demo
+
+# What fuzzing needs beside the package. No torch.
+$(VENV)/.fuzz: pyproject.toml constraints.txt $(VENV)/bin/python
+	@echo "Installing dual-ur10 with a fuzzer into $(VENV) ..."
+	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt -e '.[fuzz]'
+	@touch $@
 
 $(OLDEST)/.dev: pyproject.toml constraints-oldest.txt | check-python
 	@echo "Installing the oldest supported versions into $(OLDEST) ..."
@@ -100,6 +110,9 @@ test-dist: $(DIST)/.dev  ## training on Ray RLlib with two workers on this machi
 soak: $(VENV)/.dev  ## the tests with their full counts (about twenty times as long)
 	@export DUAL_UR10_SOAK=1; $(VENV)/bin/python -m pytest -n 2 -m "not emulated" --durations=15; code=$$?; \
 	  $(MAKE) --no-print-directory test-live || code=$$?; exit $$code
+
+fuzz: $(VENV)/.fuzz  ## fuzz all that reads bytes of others: RUNS=20000 or TIME_S=60 per target, TARGET=name
+	@$(VENV)/bin/python -m tests.fuzz.run --runs $(RUNS) --seconds $(or $(TIME_S),0) --seed $(SEED) $(TARGET)
 
 bench: $(VENV)/.dev  ## all benchmarks, figures to out/*.json
 	@mkdir -p out

@@ -130,7 +130,7 @@ class Scheduler:
         actor = Actor(self._actors, group, name)
         self._actors += 1
 
-        def run() -> None:
+        def run(*_: object) -> None:  # the result of an actor that ended, if this one is next
             try:
                 work()
             except GreenletExit:
@@ -199,8 +199,14 @@ class Scheduler:
         """Wait until a time, or until the actor is notified."""
         if until_s > self.now_s:
             self._switch(until_s)
-        elif self.current.group.ended:
+        else:
+            self.go_on()
+
+    def go_on(self) -> None:
+        """Let the present actor go on, without any passing of time."""
+        if self.current.group.ended:
             raise GreenletExit
+        self._count_turn(self.current)
 
     def _switch(self, until_s: float) -> None:
         actor = self.current
@@ -233,14 +239,17 @@ class Scheduler:
                 continue
             if at_s > self.now_s:
                 self.now_s, self._turns = at_s, 0
-            self._turns += 1
-            if self._turns > _MOST_TURNS:
-                return self._fail(
-                    f"{_MOST_TURNS} turns of actors without any passing of time, the last of {actor.name}: they wait "
-                    "for each other without sleeping"
-                )
-            return actor
+            return self._count_turn(actor)
         return self._fail("all actors wait for ever: nothing would ever wake one of them")
+
+    def _count_turn(self, actor: Actor) -> Actor:
+        self._turns += 1
+        if self._turns > _MOST_TURNS:
+            return self._fail(
+                f"{_MOST_TURNS} turns of actors without any passing of time, the last of {actor.name}: they wait "
+                "without sleeping"
+            )
+        return actor
 
     def _fail(self, text: str) -> Actor:
         """Raise an error in the program, which must learn of it whichever actor runs."""
@@ -275,8 +284,7 @@ class VirtualClock:
         scheduler, files = self._scheduler, self._scheduler.files
         ready = _ready(files, readers, writers)
         if until_s <= scheduler.now_s or ready[0] or ready[1]:
-            if scheduler.current.group.ended:
-                raise GreenletExit
+            scheduler.go_on()
             return ready
         actor = scheduler.current
         endpoints = [files[each] for each in (*readers, *writers)]

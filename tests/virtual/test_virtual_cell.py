@@ -99,6 +99,16 @@ def test_it_is_copied_as_itself_and_not_pickled():
             pickle.dumps(cell)
 
 
+def test_controllers_that_end_close_their_connections():
+    with VirtualCell() as cell:
+        client = cell.system.connect(cell.left, 30004, 1.0)
+        cell.ask("shutdown")
+        cell.clock.sleep(0.1)
+        assert client.receive_now(1) == b""
+        with pytest.raises(ConnectionRefusedError):
+            cell.system.connect(cell.left, 30004, 1.0)
+
+
 def test_closing_twice_is_fine():
     cell = VirtualCell()
     cell.close()

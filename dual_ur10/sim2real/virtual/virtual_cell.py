@@ -99,7 +99,16 @@ class VirtualCell(CellRequests):
         machine = VirtualProcess(self._world, None, name)
         system = VirtualSystem(machine, Path(self._folder.name))
         emulator = Emulator(EmulatorOptions.from_mapping(options), system=system)
-        self._world.scheduler.start(emulator.run, machine.group, name)
+
+        def run() -> None:
+            code = 1
+            try:
+                emulator.run()
+                code = 0
+            finally:
+                machine.finish(code)
+
+        self._world.scheduler.start(run, machine.group, name)
         return emulator
 
     def _injection_link(self, emulator: Emulator) -> JsonLink:

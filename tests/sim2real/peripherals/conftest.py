@@ -1,25 +1,41 @@
-"""Emulated cell with grippers, an object and a camera, and its cell file."""
+"""Virtual cell with grippers, an object and a camera."""
+
+import functools
 
 import pytest
 
-from dual_ur10.sim2real.config.cell_file import load_cell_file
-from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
+from dual_ur10.testing import VirtualCell
+from tests import waiting
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    path = tmp_path_factory.mktemp("cell") / "cell.toml"
-    with EmulatedCell(task="Handover", plant="nominal", cell=str(path)) as cell:
-        yield cell, load_cell_file(path)
+def made():
+    with VirtualCell(task="Handover", plant="nominal") as cell:
+        yield cell
 
 
 @pytest.fixture
 def cell(made):
-    yield made[0]
+    yield made
     for arm in ("left", "right"):
-        made[0].ask("heal", arm=arm)
+        made.ask("heal", arm=arm)
 
 
 @pytest.fixture
 def file(made):
-    return made[1]
+    return made.file
+
+
+@pytest.fixture
+def system(made):
+    return made.system
+
+
+@pytest.fixture
+def clock(made):
+    return made.clock
+
+
+@pytest.fixture
+def until(made):
+    return functools.partial(waiting.until, clock=made.clock)

@@ -1,8 +1,6 @@
 """Grippers of a cell: links, threads that delay nothing, and the loss of a gripper."""
 
 import contextlib
-import threading
-import time
 
 import pytest
 from hypothesis import given
@@ -10,11 +8,8 @@ from hypothesis import strategies as st
 
 from dual_ur10.assets.gripper import FORCE_N, OPENING_M
 from dual_ur10.errors import ActionError, ClosedError, LinkError, OperationRefusedError, SettingsError
-from dual_ur10.sim2real.config.cell_file import load_cell_file
 from dual_ur10.sim2real.config.cell_file_tables import DigitalGripper, NoGripper
-from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
-from dual_ur10.sim2real.links.link_socket import LinkSocket
-from dual_ur10.sim2real.links.rtde_link import RtdeClient, RtdeLink
+from dual_ur10.sim2real.links.rtde_link import RtdeClient
 from dual_ur10.sim2real.peripherals.digital_gripper import OUTPUTS, DigitalGripperLink
 from dual_ur10.sim2real.peripherals.gripper_link import (
     FAULTS,
@@ -26,8 +21,9 @@ from dual_ur10.sim2real.peripherals.gripper_link import (
 )
 from dual_ur10.sim2real.peripherals.grippers import Grippers, GripperThread, link_to
 from dual_ur10.sim2real.protocol.rtde import Kind
+from dual_ur10.testing import VirtualCell
+from tests import waiting
 from tests.sim2real.links.fake_servers import exactly, serving, until_closed
-from tests.waiting import until
 
 HERE = "127.0.0.1"
 
@@ -42,8 +38,8 @@ def never(question):
 
 
 @pytest.fixture
-def grippers(cell, file):
-    with Grippers(file, force_n=100.0) as grippers:
+def grippers(cell, file, until, system):
+    with Grippers(file, system=system, force_n=100.0) as grippers:
         grippers.activate(yes)
         grippers.command((OPENING_M, OPENING_M), 0.0)
         until(lambda: min(grippers.opening_m) > 0.98 * OPENING_M)
@@ -60,7 +56,7 @@ def robotiq_link(answers, heard=None):
 
 
 def register(link, name):
-    return link._get(name, time.monotonic() + 1.0)
+    return link._get(name, link._clock.now_s() + 1.0)
 
 
 # Numbers.
@@ -90,10 +86,9 @@ def test_forces():
 # On the emulated cell.
 
 
-def test_nothing_is_sent_without_a_request(tmp_path):
-    path = tmp_path / "cell.toml"
-    with EmulatedCell(task="Handover", plant="nominal", cell=str(path)) as cell:
-        with Grippers(load_cell_file(path)) as grippers:
+def test_nothing_is_sent_without_a_request():
+    with VirtualCell(task="Handover", plant="nominal") as cell:
+        with Grippers(cell.file, system=cell.system) as grippers:
             assert [each.needs_activation() for each in grippers.each] == [True, True]
             assert "left arm" in grippers.fault
             assert "not activated (STA 0, expected 3)" in grippers.fault
@@ -105,49 +100,45 @@ def test_nothing_is_sent_without_a_request(tmp_path):
             assert [each.needs_activation() for each in grippers.each] == [True, True]
             # A command to an inactive gripper is a fault, and does not end the thread.
             grippers.command((0.02, None), 0.0)
-            until(lambda: "FLT 7: it has to be activated" in grippers.fault)
+            waiting.until(lambda: "FLT 7: it has to be activated" in grippers.fault, clock=cell.clock)
             asked = []
             grippers.activate(lambda question: asked.append(question) or True)
             assert len(asked) == 2
             assert grippers.fault == ""
             grippers.activate(never)  # active grippers are left alone
-        with RobotiqLink(cell.left, 63352) as link:
+        with RobotiqLink(cell.left, 63352, system=cell.system) as link:
             assert not link.needs_activation()  # closing sent nothing
 
 
-def test_a_command_is_sent_when_it_is_due(grippers):
-    begin = time.monotonic()
+def test_a_command_is_sent_when_it_is_due(grippers, until, clock, system, cell):
+    begin = clock.now_s()
     grippers.command((0.03, 0.02), begin + 0.4)
-    assert time.monotonic() - begin < 0.3  # it did not wait
-    with RobotiqLink(*address(grippers, 0)) as other:
-        while time.monotonic() < begin + 0.3:
+    assert clock.now_s() - begin < 0.3  # it did not wait
+    with RobotiqLink(cell.left, 63352, system=system) as other:
+        while clock.now_s() < begin + 0.3:
             assert register(other, "PRE") == 0
+            clock.sleep(0.01)
         until(lambda: register(other, "PRE") == counts_of(0.03))
-        assert time.monotonic() >= begin + 0.4
+        assert clock.now_s() >= begin + 0.4
         assert register(other, "FOR") == force_counts(100.0)
     until(lambda: grippers.opening_m == pytest.approx((0.03, 0.02), abs=0.002))
     assert grippers.fault == ""
     assert all(each._read_s > begin for each in grippers.each)
 
 
-def address(grippers, arm):
-    socket = grippers.each[arm]._link._socket._socket
-    return socket.getpeername()
-
-
-def test_a_held_object_stays_held(cell, file):
-    with Grippers(file) as grippers:
+def test_a_held_object_stays_held(cell, file, until, system):
+    with Grippers(file, system=system) as grippers:
         grippers.activate(yes)
         grippers.command((0.02, OPENING_M), 0.0)
         until(lambda: abs(grippers.opening_m[0] - 0.02) < 0.001)
-    with Grippers(file) as grippers:
+    with Grippers(file, system=system) as grippers:
         assert grippers.opening_m[0] == pytest.approx(0.02, abs=0.001)
         grippers.activate(never)
         assert grippers.fault == ""
         grippers.command((OPENING_M, OPENING_M), 0.0)
 
 
-def test_a_gripper_without_power_needs_activation(grippers, cell):
+def test_a_gripper_without_power_needs_activation(grippers, cell, until):
     cell.ask("press", arm="left", button="power_off")
     try:
         until(lambda: "the controller does not reach its gripper" in grippers.fault)
@@ -161,43 +152,43 @@ def test_a_gripper_without_power_needs_activation(grippers, cell):
 
 
 @pytest.mark.parametrize("reset", [False, True])
-def test_a_lost_gripper_is_named_and_the_other_goes_on(grippers, cell, reset):
+def test_a_lost_gripper_is_named_and_the_other_goes_on(grippers, cell, reset, until, clock):
     cell.ask("drop", arm="left", port="gripper", reset=reset)
     until(lambda: grippers.fault)
     assert "left arm, Robotiq gripper at" in grippers.fault
     assert "right" not in grippers.fault
-    until(lambda: not grippers.each[0]._thread.is_alive())
+    until(lambda: cell.ask("clients", arm="left")["gripper"] == [])
     grippers.command((0.01, 0.04), 0.0)  # no error here: `fault` reports it
     until(lambda: abs(grippers.opening_m[1] - 0.04) < 0.001)
     assert grippers.opening_m[0] > 0.08
-    time.sleep(0.1)
+    clock.sleep(0.1)
     assert cell.ask("clients", arm="left")["gripper"] == []  # nothing connects again
     with pytest.raises(LinkError, match="left arm, Robotiq gripper"):
         grippers.activate(never)
 
 
-def test_a_silent_gripper_is_lost_and_delays_nothing(grippers, cell):
+def test_a_silent_gripper_is_lost_and_delays_nothing(grippers, cell, until, clock):
     cell.ask("link", arm="right", port="gripper", mute=True)
     until(lambda: grippers.fault, within_s=5.0)
     assert "right arm, Robotiq gripper" in grippers.fault
     assert "no answer in time" in grippers.fault
-    begin = time.monotonic()
+    begin = clock.now_s()
     for _ in range(1000):
         grippers.command((0.05, 0.05), begin)
         assert grippers.fault
     assert grippers.each[0].fault == ""
 
 
-def test_a_port_that_is_closed_connects_none(cell, file):
+def test_a_port_that_is_closed_connects_none(cell, file, until, system):
     cell.ask("refuse", arm="right", port="gripper")
     with pytest.raises(LinkError, match=r"right arm, Robotiq gripper.*refused"):
-        Grippers(file)
+        Grippers(file, system=system)
     until(lambda: cell.ask("clients", arm="left")["gripper"] == [])
 
 
-def test_no_gripper(file):
+def test_no_gripper(file, system):
     arms = {name: getattr(file, name).replace(gripper=NoGripper()) for name in ("left", "right")}
-    with Grippers(file.replace(**arms)) as grippers:
+    with Grippers(file.replace(**arms), system=system) as grippers:
         grippers.command((0.01, 0.01), 0.0)
         grippers.activate(never)
         assert grippers.opening_m == (None, None)
@@ -336,9 +327,10 @@ class Link:
 
     where = "a gripper"
 
-    def __init__(self):
+    def __init__(self, system):
+        self.clock = system.clock
         self.sent, self.closed, self.error, self.fault = [], False, None, ""
-        self.gate = threading.Event()
+        self.gate = system.event()
         self.gate.set()
 
     def read(self):
@@ -348,7 +340,7 @@ class Link:
         return GripperReading(0.05, self.fault, False)
 
     def command(self, opening_m):
-        self.sent.append((opening_m, time.monotonic()))
+        self.sent.append((opening_m, self.clock.now_s()))
         return True
 
     def forget(self):
@@ -358,29 +350,29 @@ class Link:
         return False
 
     def activate(self, within_s):
-        time.sleep(0.05)
+        self.clock.sleep(0.05)
 
     def close(self):
         self.closed = True
 
 
 @pytest.fixture
-def link():
-    return Link()
+def link(system):
+    return Link(system)
 
 
 @pytest.fixture
-def thread(link):
-    thread = GripperThread("left", link, 0.005)
+def thread(link, system):
+    thread = GripperThread("left", link, 0.005, system=system)
     yield thread
     link.gate.set()
     thread.close()
     assert link.closed
 
 
-def test_commands_are_sent_in_order(thread, link):
+def test_commands_are_sent_in_order(thread, link, until, clock):
     """Each is given before the one before it is due: none starves."""
-    begin = time.monotonic()
+    begin = clock.now_s()
     for number in range(5):
         thread.command(0.01 * number, begin + 0.1 + 0.05 * number)
     until(lambda: len(link.sent) == 5)
@@ -388,54 +380,54 @@ def test_commands_are_sent_in_order(thread, link):
     assert all(at_s >= begin + 0.1 + 0.05 * number for number, (_, at_s) in enumerate(link.sent))
 
 
-def test_a_later_call_drops_commands_for_later(thread, link):
-    begin = time.monotonic()
+def test_a_later_call_drops_commands_for_later(thread, link, until, clock):
+    begin = clock.now_s()
     thread.command(0.01, begin + 0.2)
     thread.command(0.02, begin + 0.3)
     thread.command(0.03, begin + 0.15)
     until(lambda: link.sent)
-    time.sleep(max(0.0, begin + 0.35 - time.monotonic()))
+    clock.sleep(max(0.0, begin + 0.35 - clock.now_s()))
     assert [opening_m for opening_m, _ in link.sent] == [0.03]
 
 
-def test_of_several_that_are_due_the_last_is_sent(thread, link):
+def test_of_several_that_are_due_the_last_is_sent(thread, link, until, clock):
     link.gate.clear()  # the gripper answers late
-    time.sleep(0.05)
-    begin = time.monotonic()
+    clock.sleep(0.05)
+    begin = clock.now_s()
     for number in range(100):
         thread.command(number * 1e-4, begin - 1.0 + number * 1e-3)
     link.gate.set()
     until(lambda: link.sent)
-    time.sleep(0.05)
+    clock.sleep(0.05)
     assert [opening_m for opening_m, _ in link.sent] == [99e-4]
 
 
-def test_a_command_that_is_not_permitted_when_due_is_not_sent(link):
+def test_a_command_that_is_not_permitted_when_due_is_not_sent(link, until, clock, system):
     """As after a stop of both arms: a held object stays held."""
     allowed = True
-    thread = GripperThread("left", link, 0.005, permitted=lambda: allowed)
-    thread.command(0.01, time.monotonic())
+    thread = GripperThread("left", link, 0.005, permitted=lambda: allowed, system=system)
+    thread.command(0.01, clock.now_s())
     until(lambda: link.sent)
-    thread.command(0.08, time.monotonic() + 0.1)
+    thread.command(0.08, clock.now_s() + 0.1)
     allowed = False
-    time.sleep(0.2)
+    clock.sleep(0.2)
     allowed = True
-    time.sleep(0.05)
+    clock.sleep(0.05)
     assert [opening_m for opening_m, _ in link.sent] == [0.01]
     link.gate.set()
     thread.close()
 
 
-def test_an_activation_drops_waiting_commands(thread, link):
-    thread.command(0.01, time.monotonic() + 0.02)
+def test_an_activation_drops_waiting_commands(thread, link, until, clock):
+    thread.command(0.01, clock.now_s() + 0.02)
     thread.activate()
-    time.sleep(0.1)
+    clock.sleep(0.1)
     assert link.sent == []
     thread.command(0.02, 0.0)
     until(lambda: link.sent)
 
 
-def test_a_stuck_gripper_is_reported_and_delays_nothing(thread, link, monkeypatch):
+def test_a_stuck_gripper_is_reported_and_delays_nothing(thread, link, monkeypatch, until):
     monkeypatch.setattr("dual_ur10.sim2real.peripherals.grippers.STALE_S", 0.1)
     assert thread.fault == ""
     link.gate.clear()
@@ -446,7 +438,7 @@ def test_a_stuck_gripper_is_reported_and_delays_nothing(thread, link, monkeypatc
     until(lambda: link.sent)
 
 
-def test_a_fault_is_reported_as_long_as_it_lasts(thread, link):
+def test_a_fault_is_reported_as_long_as_it_lasts(thread, link, until):
     link.fault = "FLT 8: too hot"
     until(lambda: thread.fault == "a gripper: FLT 8: too hot")
     link.fault = ""
@@ -454,12 +446,12 @@ def test_a_fault_is_reported_as_long_as_it_lasts(thread, link):
 
 
 @pytest.mark.parametrize("error", [LinkError("gone"), RuntimeError("a mistake")])
-def test_a_thread_that_ends_reports_its_reason(thread, link, error):
+def test_a_thread_that_ends_reports_its_reason(thread, link, error, until, clock):
     link.error = error
     until(lambda: thread.fault)
     assert str(error) in thread.fault
     link.error = None
-    time.sleep(0.05)
+    clock.sleep(0.05)
     assert str(error) in thread.fault
     with pytest.raises(LinkError, match=str(error)):
         thread.needs_activation()
@@ -475,12 +467,12 @@ def test_openings_that_are_not_legal(thread, link, opening_m):
     assert link.sent == []
 
 
-def test_a_closed_gripper(link):
-    thread = GripperThread("left", link, 0.005)
-    thread.command(0.01, time.monotonic() + 0.05)
+def test_a_closed_gripper(link, clock, system):
+    thread = GripperThread("left", link, 0.005, system=system)
+    thread.command(0.01, clock.now_s() + 0.05)
     thread.close()
     thread.close()
-    time.sleep(0.1)
+    clock.sleep(0.1)
     assert link.sent == []  # waiting commands included
     assert thread.fault == ""
     for act in (thread.needs_activation, thread.activate, lambda: thread.command(0.01, 0.0)):
@@ -494,14 +486,14 @@ def test_a_closed_gripper(link):
 @pytest.mark.parametrize(
     ("output", "open_level"), [(0, True), (7, False), (8, True), (15, True), (16, False), (17, True)]
 )
-def test_a_digital_output(cell, output, open_level):
+def test_a_digital_output(cell, output, open_level, until, clock, system):
     def level():
         return bool(cell.ask("state", arm="left", names=[OUTPUTS])[OUTPUTS] >> output & 1)
 
     others = cell.ask("state", arm="left", names=[OUTPUTS])[OUTPUTS] & ~(1 << output)
     before = level()
     gripper = DigitalGripper(output=output, open_level=open_level)
-    with DigitalGripperLink(cell.left, gripper, name="left") as link:
+    with DigitalGripperLink(cell.left, gripper, name="left", system=system) as link:
         assert level() == before  # nothing is sent by itself
         assert not link.needs_activation()
         assert f"gripper at output {output}" in link.where
@@ -514,14 +506,14 @@ def test_a_digital_output(cell, output, open_level):
             assert link.command(opening_m)
             assert not link.command(0.5 * OPENING_M)  # hysteresis
         kept = level()
-    time.sleep(0.1)
+    clock.sleep(0.1)
     assert level() == kept  # closing sends nothing
     assert cell.ask("state", arm="left", names=[OUTPUTS])[OUTPUTS] & ~(1 << output) == others
 
 
-def test_a_digital_gripper_of_the_cell_file(cell, file):
+def test_a_digital_gripper_of_the_cell_file(cell, file, until, system):
     left = file.left.replace(gripper=DigitalGripper(output=3, open_level=True))
-    with Grippers(file.replace(left=left)) as grippers:
+    with Grippers(file.replace(left=left), system=system) as grippers:
         grippers.command((OPENING_M, None), 0.0)
         until(lambda: grippers.opening_m[0] == OPENING_M)
         grippers.command((0.0, None), 0.0)
@@ -531,26 +523,26 @@ def test_a_digital_gripper_of_the_cell_file(cell, file):
     assert link_to(file.left.replace(gripper=NoGripper()), 60.0) is None
 
 
-def test_outputs_in_use_by_another_client(cell):
+def test_outputs_in_use_by_another_client(cell, clock, system):
     names = ("standard_digital_output_mask", "standard_digital_output")
-    end_s = time.monotonic() + 5.0
-    client = RtdeClient("", cell.left, 30004, end_s)
+    end_s = clock.now_s() + 5.0
+    client = RtdeClient("", cell.left, 30004, end_s, system=system)
     try:
         client.set_up(Kind.SETUP_INPUTS, names, b"", end_s)
         with pytest.raises(LinkError, match="standard digital outputs are in use"):
-            DigitalGripperLink(cell.left, DigitalGripper(output=1))
-        DigitalGripperLink(cell.left, DigitalGripper(output=9)).close()  # another group is free
+            DigitalGripperLink(cell.left, DigitalGripper(output=1), system=system)
+        DigitalGripperLink(cell.left, DigitalGripper(output=9), system=system).close()  # another group is free
     finally:
         client.socket.close_and_wait(end_s)
 
 
-def test_registers_are_left_to_others(cell):
+def test_registers_are_left_to_others(cell, clock, system):
     """A link leaves all registers free that commands need."""
     from dual_ur10.sim2real.commissioning.doctor import REGISTERS
 
-    with DigitalGripperLink(cell.left, DigitalGripper(output=1)):
-        end_s = time.monotonic() + 5.0
-        client = RtdeClient("", cell.left, 30004, end_s)
+    with DigitalGripperLink(cell.left, DigitalGripper(output=1), system=system):
+        end_s = clock.now_s() + 5.0
+        client = RtdeClient("", cell.left, 30004, end_s, system=system)
         try:
             _, kinds = client.set_up(Kind.SETUP_INPUTS, REGISTERS, b"", end_s)
             assert "IN_USE" not in kinds
@@ -558,9 +550,9 @@ def test_registers_are_left_to_others(cell):
             client.socket.close_and_wait(end_s)
 
 
-def test_an_output_that_something_else_sets(cell, monkeypatch):
+def test_an_output_that_something_else_sets(cell, monkeypatch, until, system):
     monkeypatch.setattr("dual_ur10.sim2real.peripherals.digital_gripper.CHANGE_S", 0.1)
-    with DigitalGripperLink(cell.left, DigitalGripper(output=2, open_level=True)) as link:
+    with DigitalGripperLink(cell.left, DigitalGripper(output=2, open_level=True), system=system) as link:
         link.command(OPENING_M)
         cell.ask("override", arm="left", **{OUTPUTS: 0})
         try:
@@ -571,8 +563,8 @@ def test_an_output_that_something_else_sets(cell, monkeypatch):
 
 
 @pytest.mark.parametrize("fault", ["drop", "mute"])
-def test_a_lost_controller(cell, fault):
-    with DigitalGripperLink(cell.right, DigitalGripper(output=2), name="right") as link:
+def test_a_lost_controller(cell, fault, until, system):
+    with DigitalGripperLink(cell.right, DigitalGripper(output=2), name="right", system=system) as link:
         link.read()
         if fault == "drop":
             cell.ask("drop", arm="right", port="rtde")
@@ -591,10 +583,8 @@ def test_a_lost_controller(cell, fault):
         assert ("stalls" in text) == (fault == "mute")
 
 
-def test_the_sending_connection_alone_is_lost(cell):
-    with DigitalGripperLink(cell.right, DigitalGripper(output=2)) as link:
-        assert isinstance(link._reader, RtdeLink)
-        assert isinstance(link._sender.socket, LinkSocket)
-        link._sender.socket._socket.shutdown(2)
+def test_the_sending_connection_alone_is_lost(cell, until, system):
+    with DigitalGripperLink(cell.right, DigitalGripper(output=2), system=system) as link:
+        link._sender.socket._open.end_sending()
         with pytest.raises(LinkError):
             until(lambda: link.read() is None)

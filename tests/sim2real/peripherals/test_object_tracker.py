@@ -2,23 +2,19 @@
 
 import json
 import math
-import os
-import signal
-import time
 
 import numpy as np
 import pytest
 
 from dual_ur10.errors import CellFileError, EmulatorError, LinkError, SettingsError
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, rotate
-from dual_ur10.sim2real.config.cell_file import load_cell_file
 from dual_ur10.sim2real.config.cell_file_tables import AttachedTrackerEntry, EmulatedTrackerEntry, GivenTrackerEntry
-from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.links.json_link import JsonLink
 from dual_ur10.sim2real.peripherals.object_placer import placer_of
 from dual_ur10.sim2real.peripherals.object_tracker import STALE_S, CameraTracker, Flanges, tracker_of
+from dual_ur10.testing import VirtualCell
+from tests import waiting
 from tests.sim2real.links.fake_servers import serving
-from tests.waiting import until
 
 HERE = "127.0.0.1"
 FLANGES = Flanges(
@@ -28,36 +24,36 @@ AWAY = np.array([0.3, -0.2, 0.8])
 QUARTER = np.array([math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)])
 
 
-def failure(tracker):
+def failure(tracker, clock):
     try:
-        tracker.pose(time.monotonic(), FLANGES)
+        tracker.pose(clock.now_s(), FLANGES)
     except LinkError as error:
         return str(error)
     return ""
 
 
-def tracked(file, entry, prop="block"):
-    return tracker_of(file.replace(tracker=entry), prop)
+def tracked(file, entry, system):
+    return tracker_of(file.replace(tracker=entry), "block", system)
 
 
 # Trackers without a camera.
 
 
 @pytest.mark.parametrize("arm", [0, 1])
-def test_an_object_on_a_flange_moves_with_it(file, arm):
+def test_an_object_on_a_flange_moves_with_it(file, arm, system):
     entry = AttachedTrackerEntry(
         arm=("left", "right")[arm], position_m=(0.0, 0.1, 0.2), rotation_rad=(0.0, 0.0, math.pi / 2)
     )
-    found = tracked(file, entry).pose(7.0, FLANGES)
+    found = tracked(file, entry, system).pose(7.0, FLANGES)
     position, quat = FLANGES.position_m[arm], FLANGES.quat[arm]
     assert found.position_m == pytest.approx(position + rotate(quat, [0.0, 0.1, 0.2]))
     assert found.quat == pytest.approx(quat_multiply(quat, QUARTER))
     assert found.measured_s == 7.0
 
 
-def test_an_object_at_a_fixed_pose(file):
+def test_an_object_at_a_fixed_pose(file, system):
     entry = GivenTrackerEntry(position_m=(0.1, 0.2, 0.3), rotation_rad=(0.0, 0.0, math.pi / 2))
-    tracker = tracked(file, entry)
+    tracker = tracked(file, entry, system)
     found = tracker.pose(7.0, FLANGES)
     assert found.position_m.tolist() == [0.1, 0.2, 0.3]
     assert found.quat == pytest.approx(QUARTER)
@@ -67,88 +63,88 @@ def test_an_object_at_a_fixed_pose(file):
     tracker.close()
 
 
-def test_nothing_to_track(file):
-    assert tracker_of(file, "") is None
+def test_nothing_to_track(file, system):
+    assert tracker_of(file, "", system) is None
 
 
-def test_a_file_without_a_tracker(file):
+def test_a_file_without_a_tracker(file, system):
     with pytest.raises(CellFileError, match=r"handles a block.*\[tracker\].*\[emulator\]"):
-        tracker_of(file.replace(emulator=None), "block")
+        tracker_of(file.replace(emulator=None), "block", system)
 
 
 # The emulated camera.
 
 
-def test_the_camera_sees_where_the_object_was_placed(file):
-    with placer_of(file) as placer, tracker_of(file, "block") as tracker:
+def test_the_camera_sees_where_the_object_was_placed(file, until, clock, system):
+    with placer_of(file, system) as placer, tracker_of(file, "block", system) as tracker:
         for x_m in (0.3, -0.1):
             placer.place(np.array([x_m, -0.2, 0.8]), QUARTER)
-            placed_s = time.monotonic()
-            found = until(lambda x_m=x_m: near(tracker.pose(time.monotonic(), FLANGES), x_m))
+            placed_s = clock.now_s()
+            found = until(lambda x_m=x_m: near(tracker.pose(clock.now_s(), FLANGES), x_m))
             assert abs(found.quat @ QUARTER) == pytest.approx(1.0, abs=1e-3)
             assert found.measured_s > placed_s - 0.1
-        first = tracker.pose(time.monotonic(), FLANGES)
-        until(lambda: tracker.pose(time.monotonic(), FLANGES).measured_s > first.measured_s + 0.1)
+        first = tracker.pose(clock.now_s(), FLANGES)
+        until(lambda: tracker.pose(clock.now_s(), FLANGES).measured_s > first.measured_s + 0.1)
 
 
 def near(pose, x_m):
     return pose if abs(pose.position_m[0] - x_m) < 1e-4 else None
 
 
-def test_noise_and_delay_come_from_the_file(cell, file):
+def test_noise_and_delay_come_from_the_file(cell, file, clock, system):
     cell.ask("place", position_m=[0.3, 0.0, 0.0], quat=[1.0, 0.0, 0.0, 0.0])
     entry = EmulatedTrackerEntry(noise_m=0.02, noise_rad=0.1, delay_s=0.2)
-    with tracked(file, entry) as tracker:
+    with tracked(file, entry, system) as tracker:
         found = {}
         while len(found) < 40:
-            pose = tracker.pose(time.monotonic(), FLANGES)
-            assert 0.2 <= time.monotonic() - pose.measured_s <= STALE_S + 0.1
+            pose = tracker.pose(clock.now_s(), FLANGES)
+            assert 0.2 <= clock.now_s() - pose.measured_s <= STALE_S + 0.1
             found[pose.measured_s] = pose
-            time.sleep(0.002)
+            clock.sleep(0.002)
     positions = np.array([each.position_m for each in found.values()])
     assert 0.01 < positions.std(axis=0)[:2].mean() < 0.03
     assert np.std([each.quat[3] for each in found.values()]) > 0.02
 
 
-def test_a_delay_that_makes_every_pose_too_old(file):
+def test_a_delay_that_makes_every_pose_too_old(file, system):
     assert STALE_S > 0.499
     with pytest.raises(SettingsError, match=r"delay_s is 0\.5: allowed is a number, 0 to 0\.499"):
-        tracked(file, EmulatedTrackerEntry().replace(delay_s=0.5))
+        tracked(file, EmulatedTrackerEntry().replace(delay_s=0.5), system)
 
 
-def test_an_object_that_is_not_in_this_cell(file):
+def test_an_object_that_is_not_in_this_cell(file, system):
     with pytest.raises(LinkError, match=r"looking for 'bar'.*unknown body.*scene of this task"):
-        tracker_of(file, "bar")
+        tracker_of(file, "bar", system)
 
 
-def test_no_cell_there(file):
+def test_no_cell_there(file, system):
     entry = file.emulator.replace(port=1)
     with pytest.raises(LinkError, match=r"emulated camera at .*:1.*no connection"):
-        tracker_of(file.replace(emulator=entry), "block")
+        tracker_of(file.replace(emulator=entry), "block", system)
 
 
-def test_a_cell_that_ends_is_reported_at_once(tmp_path):
-    path = tmp_path / "cell.toml"
-    with EmulatedCell(task="Handover", cell=str(path)) as cell, tracker_of(load_cell_file(path), "block") as tracker:
-        tracker.pose(time.monotonic(), FLANGES)
+def test_a_cell_that_ends_is_reported_at_once():
+    with VirtualCell(task="Handover") as cell, tracker_of(cell.file, "block", cell.system) as tracker:
+        clock = cell.clock
+        tracker.pose(clock.now_s(), FLANGES)
         cell.ask("shutdown")
-        text = until(lambda: failure(tracker))
+        text = waiting.until(lambda: failure(tracker, clock), clock=clock)
         assert "emulated camera" in text
         assert "expected is a pose" in text
-        assert failure(tracker) == text
+        assert failure(tracker, clock) == text
 
 
-def test_a_cell_that_stalls_makes_poses_old(tmp_path):
-    path = tmp_path / "cell.toml"
-    with EmulatedCell(task="Handover", cell=str(path)) as cell, tracker_of(load_cell_file(path), "block") as tracker:
-        os.kill(cell.process.pid, signal.SIGSTOP)
-        try:
-            last = tracker.pose(time.monotonic(), FLANGES)
-            text = until(lambda: failure(tracker))
-            assert time.monotonic() - last.measured_s > STALE_S
-            assert "s old; expected is at most 0.5 s" in text
-        finally:
-            os.kill(cell.process.pid, signal.SIGCONT)
+def test_a_cell_that_stalls_makes_poses_old(cell, file, clock, system):
+    with tracker_of(file, "block", system) as tracker:
+        last = tracker.pose(clock.now_s(), FLANGES)
+        cell.stall("emulated cell", 1.0)
+        clock.sleep(STALE_S)
+        assert not failure(tracker, clock)
+        clock.sleep(0.1)
+        assert "s old; expected is at most 0.5 s" in failure(tracker, clock)
+        assert clock.now_s() - last.measured_s > STALE_S
+        clock.sleep(1.0)
+        assert not failure(tracker, clock)
 
 
 @pytest.mark.parametrize(
@@ -177,18 +173,18 @@ def test_answers_that_are_no_pose(value):
 # The placer.
 
 
-def test_an_object_that_cannot_be_placed(file):
-    with placer_of(file) as placer:
+def test_an_object_that_cannot_be_placed(file, system):
+    with placer_of(file, system) as placer:
         with pytest.raises(EmulatorError, match=r"not placed: .*allowed are"):
             placer.place((99.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
         placer.place((0.3, 0.0, 0.8), (1.0, 0.0, 0.0, 0.0))  # the connection goes on
 
 
-def test_a_placer_that_does_not_answer(file):
+def test_a_placer_that_does_not_answer(file, system):
     gone = file.replace(emulator=file.emulator.replace(port=1))
-    with placer_of(gone) as placer, pytest.raises(EmulatorError, match=r"object placer at .*:1: no connection"):
+    with placer_of(gone, system) as placer, pytest.raises(EmulatorError, match=r"object placer at .*:1: no connection"):
         placer.place((0.3, 0.0, 0.8), (1.0, 0.0, 0.0, 0.0))
 
 
-def test_a_cell_whose_objects_a_person_places(file):
-    assert placer_of(file.replace(emulator=None)) is None
+def test_a_cell_whose_objects_a_person_places(file, system):
+    assert placer_of(file.replace(emulator=None), system) is None

@@ -45,6 +45,13 @@ def _levers_m(settings: SceneSettings) -> Array:
     return levers_m(build_collision_model(settings))
 
 
+@lru_cache(maxsize=32)
+def _reaches_m(settings: SceneSettings) -> tuple[tuple[int, float], ...]:
+    """Return `reach_m` of each geom of the scene's collision model."""
+    model = build_collision_model(settings)
+    return tuple(reach_m(model, settings, geom) for geom in range(model.ngeom))
+
+
 class Clearance:
     """Computes distances at configurations of n cells.
 
@@ -259,7 +266,7 @@ class BaseUncertainty:
         self, uncertainty: Uncertainty, settings: SceneSettings, model: mujoco.MjModel, exempt: Sequence[bool] = ()
     ) -> None:
         values = np.append(checked_base_uncertainty(uncertainty), [[0.0, 0.0]], axis=0)
-        reaches = [reach_m(model, settings, geom) for geom in range(model.ngeom)]
+        reaches = _reaches_m(settings)
         arms = np.array([arm for arm, _ in reaches])  # -1 is the last row of all
         self._base = np.array([mount.position_m for mount in settings.mounts] + [(0.0, 0.0, 0.0)])[arms]
         self._radius: Array = model.geom_rbound.copy()

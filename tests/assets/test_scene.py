@@ -173,12 +173,13 @@ def touching(model, data):
 def test_a_model_without_visuals_has_the_same_dynamics(with_and_without_visuals):
     rng = np.random.default_rng(6)
     touched = 0
+    pairs = [(model, mujoco.MjData(model)) for model in with_and_without_visuals]
     for q in random_q(rng, 200):
         first = with_and_without_visuals[0]
         v, goal = rng.normal(size=first.nv), rng.normal(0, 0.01, first.nu)
         found = []
-        for model in with_and_without_visuals:
-            data = mujoco.MjData(model)
+        for model, data in pairs:
+            mujoco.mj_resetData(model, data)
             fingers = (model.nu - 12) // 2 * 2
             data.qpos[: 12 + 2 * fingers] = np.pad(q, ((0, 0), (0, fingers)), constant_values=0.02).ravel()
             data.qvel[:] = v

@@ -45,14 +45,14 @@ class MemoryTransport(Endpoint):
     def writable(self) -> bool:  # type: ignore[override]  # likewise
         """True if bytes fit, or sending would fail."""
         peer = self._peer
-        return self._broken or peer is None or peer.closed or len(peer._data) < peer._size
+        return self._broken or peer is None or peer.closed or peer._no_more or len(peer._data) < peer._size
 
     def send_now(self, data: bytes | bytearray | memoryview) -> int:
         """See `Transport`."""
         peer = self._peer
         if self.closed:
             raise OSError(errno.EBADF, os.strerror(errno.EBADF))
-        if self._broken or peer is None or peer.closed:
+        if self._broken or peer is None or peer.closed or peer._no_more:
             raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
         piece = data[: max(0, peer._size - len(peer._data))]
         if len(piece):

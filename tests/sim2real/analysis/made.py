@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -55,15 +56,15 @@ def motion(count: int, tick_s: float, size: float = 0.1) -> Array:
 
 def response(targets: Array, lookahead_s: float, gain: float, tick_s: float, delay_parts: int) -> Array:
     """(ticks + 1, 6) joints that follow the law; each target acts `delay_parts` parts of a tick late."""
-    step = ServojLaw(lookahead_s, gain).transition(tick_s / PARTS)
-    acting = np.repeat(targets, PARTS, axis=0)
-    acting = np.concatenate([np.repeat(targets[:1], delay_parts, axis=0), acting])[: len(targets) * PARTS]
-    state, rows = np.array([targets[0], np.zeros(6)]), [targets[0]]
-    for target in acting:
-        held = np.array([target, np.zeros(6)])
-        state = step @ (state - held) + held
-        rows.append(state[0])
-    return np.array(rows)[::PARTS]
+    law = ServojLaw(lookahead_s, gain)
+    ticks, parts = divmod(delay_parts, PARTS)
+    before, after = (law.transition(tick_s * each / PARTS) for each in (parts, PARTS - parts))
+    held = np.zeros((len(targets) + 1, 2, 6))
+    held[:, 0] = np.concatenate([np.repeat(targets[:1], ticks + 1, axis=0), targets])[: len(held)]
+    rows = [held[0]]
+    for old, new in itertools.pairwise(held):  # in each tick, the old target acts for some parts
+        rows.append(after @ (before @ (rows[-1] - old) + old - new) + new)
+    return np.array(rows)[:, 0]
 
 
 def run(

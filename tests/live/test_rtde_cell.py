@@ -14,7 +14,8 @@ import pytest
 from dual_ur10 import policies
 from dual_ur10.policies.evaluation.rollout import rollout
 from dual_ur10.sim2real.recording.reader import read_run
-from tests.live.faults.lab import Lab, Swing, assert_gone, descendants
+from tests.live.faults.lab import Lab, assert_gone, descendants
+from tests.virtual.faults.lab import Swing
 
 pytestmark = pytest.mark.streams
 

@@ -23,6 +23,7 @@ from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
 from dual_ur10.sim2real.control.pipeline import ServojPipeline
+from dual_ur10.sim2real.control.proximity import ProximityScaling
 from dual_ur10.sim2real.recording.hook import RecordHook
 from dual_ur10.sim2real.recording.rows import RunRecorder
 from dual_ur10.sim2real.recording.run_folder import prepare
@@ -128,7 +129,8 @@ class Core:
             uncertainty=config.uncertainty,
         )
         gate = SafetyGate(setup.limits, config.servoj.tick_s, setup.ticks, clearance, n=n)
-        self.pipeline = ServojPipeline(adapter, gate, held=setup.options.held_arm)
+        proximity = None if config.file is None else ProximityScaling(clearance, adapter.period_s)
+        self.pipeline = ServojPipeline(adapter, gate, held=setup.options.held_arm, proximity=proximity)
         self.task = setup.make_task(n)
         self._clearance = clearance
         self._weights = np.array(list(self.task.weights.values()))

@@ -62,11 +62,13 @@ class Command(NamedTuple):
         gripper_m: (n, ticks, 2) width of each gripper; None: there are no grippers.
         payload_kg: (n, 2) mass in each gripper at the end of the period, as set in the controller, which ramps to it
             linearly; None: unchanged.
+        scaling: Largest time scaling of both arms from here on, for their distances; a simulated cell has none.
     """
 
     targets_rad: Array
     gripper_m: Array | None = None
     payload_kg: Array | None = None
+    scaling: float = 1.0
 
 
 class ServojAdapter:

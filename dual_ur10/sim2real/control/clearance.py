@@ -24,7 +24,7 @@ from dual_ur10.assets.collision_model import (
 from dual_ur10.assets.obstacles import geom_name
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.errors import CollisionAtStartError, SettingsError, UnknownNameError
-from dual_ur10.types import Array
+from dual_ur10.types import Array, Mask
 
 if TYPE_CHECKING:
     import mujoco
@@ -93,9 +93,9 @@ class Clearance:
                 )
         self.minimum_m = minimum_m
         self._known = np.array([closer.get(pair, minimum_m) for pair in self.pairs])
-        exempt = [pair in closer for pair in self.pairs]
+        self._exempt = np.array([pair in closer for pair in self.pairs])
         model = build_collision_model(settings)
-        self._uncertainty = BaseUncertainty(uncertainty, settings, model, exempt)
+        self._uncertainty = BaseUncertainty(uncertainty, settings, model, self._exempt)
         self._levers = (_levers_m(settings) * (1.0 + self._uncertainty.per_m[:, None])).T.copy()
         self._allowed = self._known + self._uncertainty.most_m
         self._geoms = model.sensor_objid.copy(), model.sensor_refid.copy()
@@ -136,6 +136,11 @@ class Clearance:
     def most_m(self) -> Array:
         """Largest legal minimum distance of each pair at any configuration, (pairs,)."""
         return self._allowed.copy()
+
+    @property
+    def exempt(self) -> Mask:
+        """(pairs,) mask of the pairs with a smallest legal distance of their own."""
+        return self._exempt.copy()
 
     def _allowed_here(self) -> Array:
         """Return the smallest legal distances, (n, pairs) or (pairs,), at the configurations measured last."""
@@ -263,7 +268,7 @@ class BaseUncertainty:
     """
 
     def __init__(
-        self, uncertainty: Uncertainty, settings: SceneSettings, model: mujoco.MjModel, exempt: Sequence[bool] = ()
+        self, uncertainty: Uncertainty, settings: SceneSettings, model: mujoco.MjModel, exempt: Mask | None = None
     ) -> None:
         values = np.append(checked_base_uncertainty(uncertainty), [[0.0, 0.0]], axis=0)
         reaches = _reaches_m(settings)
@@ -273,8 +278,8 @@ class BaseUncertainty:
         self._pairs = np.stack([model.sensor_objid, model.sensor_refid])
         # Both geoms of one arm move together.
         counts = arms[self._pairs[0]] != arms[self._pairs[1]]
-        if exempt:
-            counts &= ~np.asarray(exempt)
+        if exempt is not None:
+            counts &= ~exempt
         shift, self._rotation = (values[arms[self._pairs], k] * counts for k in (0, 1))
         self._shift: Array = shift.sum(axis=0)
         furthest = np.array([reach for _, reach in reaches])

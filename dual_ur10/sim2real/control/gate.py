@@ -88,6 +88,7 @@ class SafetyGate:
         self._clearance = clearance
         self._past: Array = np.zeros((n, HISTORY, 12))
         self._sent = np.zeros(n, dtype=np.int64)
+        self._spare: Array = np.zeros((n, 0))
         self._verdicts: dict[int, Verdict] = {}
         self._swept = SweptClearance(clearance, self.envelope.whole_brake(), ticks)
         self._too_close_q: dict[int, Array] = {}  # by row: configuration on its path where a pair is too close
@@ -96,6 +97,11 @@ class SafetyGate:
     def last_targets_rad(self) -> Array:
         """Targets released last, (n, 2, 6)."""
         return self._past[:, -1].reshape(self.n, 2, 6).copy()
+
+    @property
+    def spare_m(self) -> Array:
+        """Distances above the smallest legal ones, (n, pairs), at the end of the brake after the last window."""
+        return self._spare
 
     def reset(self, q_rad: Array, rows: Rows | None = None) -> None:
         """Start from rest at `q_rad`, (n, 2, 6), in all cells or in `rows` of them (then (len(rows), 2, 6))."""
@@ -130,7 +136,7 @@ class SafetyGate:
         if not kept and not np.isfinite(targets_rad).all():
             raise ActionError(_not_finite(targets_rad))
         first_order, rest = quantities[:, envelope.rest_row - 1], quantities[:, envelope.rest_row]
-        spare = self._clearance.spare_m(rest)
+        self._spare = spare = self._clearance.spare_m(rest)
         legal = np.logical_and.reduce(spare >= 0.0, axis=1)
         if not kept:
             legal = legal & self._in_detail(window, used)

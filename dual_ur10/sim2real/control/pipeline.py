@@ -8,6 +8,7 @@ from dual_ur10.errors import ActionError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.adapter import GRIPPER_WIDTH_M, Command, ServojAdapter
 from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
+from dual_ur10.sim2real.control.proximity import ProximityScaling
 from dual_ur10.types import Array, Rows
 
 _ROUNDING = 1e-6  # bounds are float32 where a policy sees them
@@ -22,13 +23,22 @@ class ServojPipeline:
         adapter: Converts actions into targets.
         gate: Releases or replaces targets.
         held: Index of an arm that stays where it is, whatever the actions are; None: neither.
+        proximity: Slows one cell down near things; None: nothing does.
 
     Attributes:
         clipped_actions: Number of actions so far that were clipped to the action space.
     """
 
-    def __init__(self, adapter: ServojAdapter, gate: SafetyGate, *, held: int | None = None) -> None:
-        self.adapter, self.gate, self._held = adapter, gate, held
+    def __init__(
+        self,
+        adapter: ServojAdapter,
+        gate: SafetyGate,
+        *,
+        held: int | None = None,
+        proximity: ProximityScaling | None = None,
+    ) -> None:
+        self.adapter, self.gate, self._held, self._proximity = adapter, gate, held, proximity
+        self._scaling = 1.0
         self._shape = (adapter.n, 2, adapter.action_size)
         low, high = adapter.action_bounds
         self._lowest, self._highest = low - _ROUNDING, high + _ROUNDING
@@ -45,6 +55,8 @@ class ServojPipeline:
         """
         self.adapter.reset(q_rad, rows)
         self.gate.reset(q_rad, rows)
+        if self._proximity is not None:
+            self._proximity.reset(np.asarray(q_rad, dtype=np.float64).reshape(12))
         index = slice(None) if rows is None else rows
         self._widths[index] = GRIPPER_WIDTH_M if gripper_m is None else gripper_m
 
@@ -63,7 +75,8 @@ class ServojPipeline:
         checked = self.check(action)
         beyond = (checked < self._lowest) | (checked > self._highest)
         self.clipped_actions += int(np.logical_or.reduce(beyond, axis=(1, 2)).sum())
-        targets, gripper, _ = self.adapter(checked)
+        command = self.adapter(checked)
+        targets, gripper = command.targets_rad, command.gripper_m
         if self._held is not None:
             targets[:, :, self._held] = self.gate.last_targets_rad[:, None, self._held]
         result = self.gate(targets)
@@ -72,7 +85,9 @@ class ServojPipeline:
             if stopped:
                 gripper[stopped] = self._widths[stopped, None]
             self._widths = gripper[:, -1]
-        return Command(result.targets_rad, gripper), result.verdicts
+        if self._proximity is not None and not result.verdicts:
+            self._scaling = self._proximity(result.targets_rad[0, -1].reshape(12), self.gate.spare_m[0])
+        return Command(result.targets_rad, gripper, scaling=self._scaling), result.verdicts
 
     def check(self, action: object) -> Array:
         """Return the action as float64 of shape (n, 2, action_size).

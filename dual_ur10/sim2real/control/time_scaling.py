@@ -100,6 +100,14 @@ class TimeScaling:
             low, high = (middle, high) if self.at(middle) < index else (low, middle)
         return high
 
+    def may_change(self, now: float, period: float) -> bool:
+        """Return True if a map from `towards(..., period, ...)` gives all readers from period `now` on the same past.
+
+        It keeps one change of the rate before `period`: earlier ones must be over.
+        """
+        over = self.rate_at(now) == self.goal or self.rate_at(period) != self.goal
+        return period <= self.period or (self.period <= now and over)
+
     def towards(self, goal: float, period: float, tick_s: float, full: float = 1.0) -> TimeScaling:
         """Return the map that continues this one from a control period towards another rate.
 

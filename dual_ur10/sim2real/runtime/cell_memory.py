@@ -16,7 +16,7 @@ _TEXT: Final = 2048
 _SCALINGS: Final = 4  # kept, so that readers find a complete one while the next is written
 _TRIES: Final = 1000
 _SEQUENCE, _FAULT, _LIVE, _CLOSING, _READY, _REDUCED = range(6)
-_SUPERVISOR_S, _FRESH, _BEGIN_S = range(3)
+_SUPERVISOR_S, _FRESH, _BEGIN_S, _PROXIMITY = range(4)
 _LAYOUT: Final[Layout] = {
     "ints": (np.int64, (8,)),
     "floats": (np.float64, (8,)),
@@ -41,6 +41,7 @@ class CellMemory:
         self._view()
         if name is None:
             self.set_time_scaling(TimeScaling())
+            self.limit_scaling(1.0)
 
     def _view(self) -> None:
         self._ints: NDArray[np.int64] = self._block["ints"]
@@ -62,6 +63,10 @@ class CellMemory:
         if live:  # else a reader that has just seen `live` would take a wrong number for it
             self._floats[_FRESH] = fresh
         self._ints[_LIVE] = live
+
+    def limit_scaling(self, most: float) -> None:
+        """Set the largest time scaling at the distances ahead."""
+        self._floats[_PROXIMITY] = most
 
     def end(self) -> None:
         """Announce the end of the program: arms that stop from now on are no fault."""
@@ -107,6 +112,11 @@ class CellMemory:
             if int(self._ints[_SEQUENCE]) - before < _SCALINGS - 1:
                 return TimeScaling(*values)
         raise LinkError("the time scaling is written faster than it can be read: check what writes it")
+
+    @property
+    def largest_scaling(self) -> float:
+        """Largest time scaling at the distances ahead."""
+        return float(self._floats[_PROXIMITY])
 
     @property
     def begin_s(self) -> float:

@@ -163,6 +163,7 @@ class RtdeCell:
         runner = self._open
         runner.check()
         self.finish()
+        runner.cell.limit_scaling(1.0)
         if runner.begun:
             runner.wait_for(runner.end)
             now = runner.last()
@@ -204,6 +205,7 @@ class RtdeCell:
             self._origin = runner.next
         first = self._origin + self._elapsed + self.latency_ticks
         self._elapsed += self.ticks
+        runner.cell.limit_scaling(command.scaling)
         if not self._targets.write(runner, first, command.targets_rad[0]):
             return self._stopped(runner, first)
         runner.cell.expect(first + self.ticks, live=True)

@@ -59,6 +59,7 @@ class Supervisor:
         self._monitor = SafetyMonitor(settings, arms, cell)
         self._links: list[RtdeLink] = []
         self._ready = False
+        self._allowed = file.speed_factor  # time scaling that the speed sliders allow
 
     def run(self) -> None:
         """Monitor until the program ends or both arms are stopped."""
@@ -105,24 +106,33 @@ class Supervisor:
             age = link.age_s(self._clock.now_s())
             if age > STALE_S:
                 return f"{ARMS[arm]}: the controller's clock has stalled for {1e3 * age:.0f} ms"
-        return self._monitor.relative_pose() or self._follow_speed_sliders()
+        return self._monitor.relative_pose() or self._scale_time()
 
-    def _follow_speed_sliders(self) -> str | None:
-        """Set the time scaling of both arms from the slower speed slider; return the reason if that failed."""
+    def _scale_time(self) -> str | None:
+        """Set the time scaling of both arms: the least of what sliders and distances allow.
+
+        Returns:
+            The reason if that failed.
+        """
         cell = self._cell
         if not cell.begin_s or self._clock.now_s() < cell.begin_s:
             return None
-        goal = scaling_from_slider(self._monitor.slowest) * self._file.speed_factor
+        allowed = scaling_from_slider(self._monitor.slowest) * self._file.speed_factor
+        goal = min(allowed, cell.largest_scaling)
         scaling = cell.time_scaling
         if goal == scaling.goal:
             return None
         tick_s = self._settings.tick_s
-        at_s = self._clock.now_s() - cell.begin_s + _AHEAD_S
-        period = max(float(int(at_s / tick_s)), scaling.period)
+        now = (self._clock.now_s() - cell.begin_s) / tick_s
+        period = max(float(int(now + _AHEAD_S / tick_s)), scaling.period)
+        if not scaling.may_change(now - 1.0, period):
+            return None
         cell.set_time_scaling(scaling.towards(goal, period, tick_s, self._file.speed_factor))
         if (self._clock.now_s() - cell.begin_s) / tick_s > period:  # an arm may have sent a target of the old scaling
             return "the supervisor stalled while it changed the time scaling of both arms: this machine is too busy"
-        log.warning("both arms continue at %.0f %% of their speed", 100 * goal)
+        if allowed != self._allowed:
+            self._allowed = allowed
+            log.warning("both arms continue at %.0f %% of their speed", 100 * allowed)
         return None
 
     def _end(self) -> None:

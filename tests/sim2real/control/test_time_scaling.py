@@ -6,6 +6,7 @@ import itertools
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -144,6 +145,32 @@ def test_a_reader_of_the_next_scaling_gets_the_same_past(rate, goal, other, afte
     )
     assert next_one.at(begin - back) == pytest.approx(scaling.at(begin - back), abs=1e-7 + bend)
     assert next_one.rate_at(begin - back) == pytest.approx(scaling.rate_at(begin - back), abs=1e-7 + bend)
+
+
+@given(
+    st.lists(st.tuples(st.integers(1, 40), RATES), max_size=30),
+    st.sampled_from([(0.008, 3), (0.002, 12)]),
+)
+def test_a_scaling_that_may_change_leaves_all_readers_their_past(changes, tick):
+    (tick_s, ahead), scaling, now = tick, TimeScaling(), 0
+    for wait, goal in changes:
+        for _ in range(wait):
+            now += 1
+            if goal == scaling.goal or not scaling.may_change(now - 1.0, max(now + ahead, scaling.period)):
+                continue
+            after = scaling.towards(goal, float(max(now + ahead, scaling.period)), tick_s)
+            for period in np.linspace(now - 1.0, after.period, 9):
+                assert after.at(period) == pytest.approx(scaling.at(period), abs=1e-7)
+            scaling = after
+
+
+@given(RATES, RATES, st.sampled_from([(0.008, 3), (0.002, 12)]))
+def test_a_scaling_may_change_soon(goal, other, tick):
+    """Nobody waits longer than for the beginning of the last change and its end."""
+    tick_s, ahead = tick
+    scaling = TimeScaling().towards(goal, float(ahead), tick_s)
+    waits = [now for now in range(200) if not scaling.may_change(now - 1.0, float(now + ahead))]
+    assert len(waits) <= 2 * (ahead + 2)
 
 
 def test_a_later_scaling_does_not_change_a_delay():

@@ -26,6 +26,7 @@ def pair():
 def test_initial_values(pair):
     for memory in pair:
         assert memory.time_scaling == TimeScaling()
+        assert memory.largest_scaling == 1.0
         assert (memory.begin_s, memory.supervisor_beat_s, memory.fresh) == (0.0, 0.0, 0.0)
         assert (memory.ready, memory.ending, memory.live, memory.fault) == (False, False, False, "")
 

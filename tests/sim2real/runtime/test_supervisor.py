@@ -56,14 +56,48 @@ def test_a_new_scaling_begins_in_the_future(parts, monkeypatch, tick_s, late_s):
 
     ahead = []
     monkeypatch.setattr(cell, "set_time_scaling", slowly)
-    reason = made._follow_speed_sliders()
+    reason = made._scale_time()
     assert len(ahead) == 1
     if late_s:
         assert "stalled while it changed the time scaling" in reason
     else:
         assert reason is None or "stalled" in reason  # this machine may do so, too
         assert cell.time_scaling.goal == 0.5
-        assert made._follow_speed_sliders() is None
+        assert made._scale_time() is None
+
+
+@pytest.mark.parametrize(
+    ("slider", "most", "goal"), [(1.0, 0.25, 0.25), (0.5, 0.75, 0.5), (0.5, 0.125, 0.125), (0.0, 0.125, 0.0)]
+)
+def test_the_slower_of_sliders_and_distances_counts(parts, caplog, slider, most, goal):
+    cell, made = parts[2], supervisor(parts)
+    assert cell.largest_scaling == 1.0
+    cell.set_time_scaling(TimeScaling())
+    cell.limit_scaling(most)
+    cell.begin(time.monotonic() - 2.0)
+    for arm in (0, 1):
+        made._monitor.note(arm, status_of(target_speed_fraction=slider, speed_scaling=1.0))
+    reason = made._scale_time()
+    assert reason is None or "stalled" in reason  # this machine may do so
+    assert cell.time_scaling.goal == goal
+    assert [each.getMessage() for each in caplog.records] == (
+        [] if slider == 1.0 or reason else [f"both arms continue at {100 * slider:.0f} % of their speed"]
+    )
+
+
+def test_a_new_scaling_waits_for_the_beginning_of_the_last_one(parts):
+    cell, made = parts[2], supervisor(parts)
+    cell.begin(time.monotonic() - 2.0)
+    begun = TimeScaling().towards(0.5, 2.0 / 0.008 + 1e6, 0.008)  # in more than two hours
+    cell.set_time_scaling(begun)
+    cell.limit_scaling(0.25)
+    assert made._scale_time() is None
+    assert cell.time_scaling.goal == 0.25  # it begins with that one
+    assert cell.time_scaling.period == begun.period
+    changing = TimeScaling().towards(0.5, 2.0 / 0.008 + 1.0, 0.008)
+    cell.set_time_scaling(changing)
+    assert made._scale_time() is None
+    assert cell.time_scaling == changing
 
 
 class Dashboard:

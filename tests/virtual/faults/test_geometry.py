@@ -37,7 +37,8 @@ def test_48_49_50_the_gate_brakes_before_anything_meets(lab, moves, words):
     assert info["safety"].kind == "distance"
     assert first.startswith(words[0])
     assert second.startswith(words[1])
-    lab.clock.sleep(1.0)
+    lab.runner.wait_for(lab.runner.end)
+    lab.clock.sleep(0.5)
     for arm in ARMS:
         assert np.abs(lab.ask(arm, "actual_qd")[0]).max() < 1e-3
     assert 0.0199 <= lab.nearest_m() < 0.2

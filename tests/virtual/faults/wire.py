@@ -10,6 +10,7 @@ SERVOJ = 11  # ur_rtde's number of the command
 STOP_RAD_S2, STOP_RAD_S3 = 4.0, 200.0  # of a stop, by docs/explanation/safety.md
 RAMP_TICKS = 3  # more than v/a + a/j
 _OVER = 5  # packages over which a speed is taken: delayed ones may arrive two in one control period
+_SLOWEST = 1 / 8  # time scaling near things, by the same page
 _BETWEEN = 1.05  # of a limit; docs/explanation/safety.md
 
 
@@ -34,6 +35,18 @@ def derivative(period, target_rad, order, tick_s):
     for each in range(1, order + 1):
         level = each * np.diff(level, axis=0) / (time_s[each:] - time_s[:-each])[:, None]
     return level
+
+
+def _from_slowing(noted, order, tick_s):
+    """Return the acceleration and jerk, (k, 6), of a time scaling that falls, which comes on top of the path's."""
+    period, index, target_rad = noted[:, 0], noted[:, 1], noted[:, 2:]
+    if order < 2:
+        return 0.0
+    rate = np.diff(index) / np.diff(period)
+    falls = np.maximum(rate[:-1] - rate[1:], 0.0)[:, None] / tick_s
+    speed = np.abs(derivative(period, target_rad, 1, tick_s)) / np.maximum(rate, _SLOWEST)[:, None]
+    extra = falls * np.maximum(speed[:-1], speed[1:])
+    return extra if order == 2 else (extra[:-1] + extra[1:]) / tick_s
 
 
 class Wire:
@@ -128,7 +141,8 @@ class Wire:
             ),
             start=1,
         ):
-            used = np.abs(derivative(period, came, order, tick_s)) / limit
+            found = np.abs(derivative(period, came, order, tick_s)) - _from_slowing(noted[:count], order, tick_s)
+            used = found / limit
             most = float(used.max(initial=0.0))
             demand(most <= allowed, f"{self.arm}: {most:.4f} of the greatest {name} at {int(used.max(1).argmax())}")
         place = 0

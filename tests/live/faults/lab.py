@@ -46,21 +46,10 @@ class Lab(FaultLab):
         """Latch of the cell."""
         return Latch(self.file)
 
-    def rewrite(self, old, new):
-        """Change the cell file."""
-        text = self.path.read_text()
-        assert old in text
-        self.path.write_text(text.replace(old, new))
-
     def turn(self, do, back, **values):
         """Inject a fault until the end of the test, which reverts it with `back`."""
         self._undo.append((do, {**values, **back}))
         self.do(do, **values)
-
-    def override(self, arm, **values):
-        """Override values that a controller reports until the end of the test."""
-        self.turn("override", dict.fromkeys(values), arm=arm, **values)
-        self.clock.sleep(0.1)  # until all have heard of it
 
     def allowed(self, ticks):
         """See `FaultLab`. Packets wait while the emulated controllers stall, and come at once."""

@@ -204,11 +204,12 @@ def test_35_other_stops_stop_both_where_reduced_mode_is_allowed(lab):
 # Control periods from a stop to the last target of the other arm's motion, and to the last one of its ramp.
 
 
-def stop_cycles(arm, mode):
-    """Return both numbers."""
+def stop_cycles(arm, mode, stalled_s=0.0):
+    """Return both numbers, for a supervisor that stalls at the same time."""
     lab = VirtualLab()
     try:
         lab.begin(steps=20)
+        lab.cell.stall("supervisor", stalled_s)
         lab.do("stop", arm=arm, mode=mode)
         lab.step_until_faulted()
         which = ARMS.index(other(arm))
@@ -225,3 +226,8 @@ def stop_cycles(arm, mode):
 def test_29_the_other_arm_stops_in_the_same_periods_each_time(arm, codes):
     found = {stop_cycles(arm, mode) for mode in codes}
     assert found == {(0, 11)}
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_29_the_other_arm_stops_as_soon_without_the_supervisor(arm):
+    assert stop_cycles(arm, 3, stalled_s=0.08) == (0, 11)

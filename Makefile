@@ -82,7 +82,7 @@ test: $(VENV)/.dev  ## install, lint, type-check, run all tests but those in rea
 	@$(VENV)/bin/ruff format --check .
 	@$(VENV)/bin/mypy
 	@$(MAKE) --no-print-directory docs
-	@$(VENV)/bin/python -m pytest -n 2 -m "not emulated"
+	@$(VENV)/bin/python -m pytest -n 2 --dist worksteal -m "not emulated"
 	@$(VENV)/bin/python -m pytest -m smoke
 
 # Streaming to arms asks for more than half of two cores, in real time: these tests run one at a time, with nothing

@@ -18,9 +18,8 @@ unexport PYTHONDONTWRITEBYTECODE
 
 # `make fuzz`: executions per target, or seconds (TIME_S=60); some targets only (TARGET=rtde_server); another seed.
 RUNS ?= $(if $(TIME_S),0,20000)
-SEED ?= 1
 
-.PHONY: help demo dist docs test test-live test-oldest test-dist soak fuzz bench install lint format clean check-python
+.PHONY: help demo dist docs test test-live test-oldest test-dist soak simulate fuzz bench install lint format clean check-python
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*  ## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -112,7 +111,12 @@ soak: $(VENV)/.dev  ## the tests with their full counts (about twenty times as l
 	  $(MAKE) --no-print-directory test-live || code=$$?; exit $$code
 
 fuzz: $(VENV)/.fuzz  ## fuzz all that reads bytes of others: RUNS=20000 or TIME_S=60 per target, TARGET=name
-	@$(VENV)/bin/python -m tests.fuzz.run --runs $(RUNS) --seconds $(or $(TIME_S),0) --seed $(SEED) $(TARGET)
+	@$(VENV)/bin/python -m tests.fuzz.run --runs $(RUNS) --seconds $(or $(TIME_S),0) --seed $(or $(SEED),1) $(TARGET)
+
+# The seeds of a failure replay exactly: make simulate SEED=123. Or a schedule from a file: make simulate SCHEDULE=file.toml
+simulate: $(VENV)/.dev  ## SEEDS random fault schedules on virtual cells, on JOBS processes
+	@$(VENV)/bin/python -m tests.virtual.simulate \
+	  $(if $(SEED),--seed $(SEED),$(if $(SCHEDULE),--schedule $(SCHEDULE),--seeds $(or $(SEEDS),1000) $(if $(JOBS),--jobs $(JOBS))))
 
 bench: $(VENV)/.dev  ## all benchmarks, figures to out/*.json
 	@mkdir -p out

@@ -1,0 +1,113 @@
+"""Fault simulator: schedules from seeds and files, its invariants, and seeds that hold them."""
+
+import pytest
+
+from dual_ur10.errors import SettingsError
+from dual_ur10.sim2real.runtime.arm_sender import ArmSender
+from dual_ur10.sim2real.runtime.latch import Latch
+from tests.virtual import simulate
+from tests.virtual.schedule import _KINDS, Safety, Schedule, Slider, draw, load, text
+from tests.virtual.simulation import run
+
+STOP = Schedule(faults=(Safety(arm="left", mode=3),))
+
+
+def quick(seed):
+    """Return True for a schedule whose cell is quick to simulate."""
+    cell = draw(seed).cell
+    return cell.task == "SineTracking" and cell.family == "cb3" and not (cell.far or cell.again)
+
+
+SEEDS = [seed for seed in range(200) if quick(seed)][:100]
+
+
+@pytest.mark.parametrize("tens", range(10))
+def test_no_seed_breaks_an_invariant(tens):
+    found = {seed: run(draw(seed)).violations for seed in SEEDS[10 * tens : 10 * tens + 10]}
+    assert not any(found.values()), {seed: each for seed, each in found.items() if each}
+
+
+def test_a_seed_is_a_single_fault_or_a_pair():
+    assert [len(draw(seed).faults) for seed in range(4)] == [1, 2, 1, 2]
+
+
+def test_the_tested_seeds_have_faults_of_every_kind():
+    assert {fault.kind for seed in SEEDS for fault in draw(seed).faults} == _KINDS.keys()
+
+
+def test_a_run_is_the_same_each_time():
+    first, second = run(STOP), run(STOP)
+    assert "left" in first.latched
+    first.cpu_s = second.cpu_s = 0.0
+    assert first == second
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_schedule_survives_its_file(tmp_path, seed):
+    path = tmp_path / "schedule.toml"
+    path.write_text(text(draw(seed)))
+    assert load(path) == draw(seed)
+    path = tmp_path / "schedule.json"
+    path.write_text(draw(seed).model_dump_json(indent=1))
+    assert load(path) == draw(seed)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("seed = 1\n\n[cell]\nfamily = 'cb4'\n", ["line 4", "cell.family", "cb4"]),
+        ("[cell]\nmotion = 1.0\n", ["line 2", "cell.motion"]),
+        ("[[faults]]\nkind = 'second'\n[[faults]]\nkind = 'safety'\narm = 'left'\nmode = 300\n",
+         ["line 6", "faults.1.mode", "300"]),
+        ("[[faults]]\nkind = 'slide'\n", ["line 1", "faults.0"]),
+        ("[[faults]\n", ["line 1"]),
+        ("seed = -1\n", ["line 1", "seed"]),
+    ],
+)  # fmt: skip
+def test_a_malformed_file_is_refused_with_line_and_field(tmp_path, content, words):
+    path = tmp_path / "schedule.toml"
+    path.write_text(content)
+    with pytest.raises(SettingsError) as found:
+        load(path)
+    assert all(word in str(found.value) for word in words), str(found.value)
+
+
+def test_a_file_that_is_not_json_is_refused_with_its_line(tmp_path):
+    path = tmp_path / "schedule.json"
+    path.write_text('{\n "seed": 1,\n}')
+    with pytest.raises(SettingsError, match="line 3"):
+        load(path)
+
+
+def test_a_missing_latch_is_a_violation(monkeypatch):
+    monkeypatch.setattr(Latch, "set", lambda self, text: None)
+    assert "latched" in run(STOP).violations[0]
+
+
+def test_a_sender_that_continues_is_a_violation(monkeypatch):
+    monkeypatch.setattr(ArmSender, "_check_others", lambda self, now: None)
+    assert any("led on" in each for each in run(STOP).violations)
+
+
+def test_a_failing_schedule_is_shrunk_to_its_cause(monkeypatch):
+    monkeypatch.setattr(Latch, "set", lambda self, text: None)
+    schedule = STOP.model_copy(update={"faults": (Slider(arm="right", fraction=0.5), *STOP.faults)})
+    assert simulate.shrink(schedule, most=4).faults == STOP.faults
+
+
+def test_the_command_line_replays_a_seed(capsys):
+    assert simulate.main(["--seed", str(SEEDS[0])]) == 0
+    assert "violations: []" in capsys.readouterr().out
+
+
+def test_the_command_line_prints_a_line_that_replays(capsys, monkeypatch):
+    monkeypatch.setattr(simulate, "run", lambda schedule: simulate.Outcome(["broken"]))
+    assert simulate.main(["--seeds", "7:9", "--jobs", "1", "--no-shrink"]) == 1
+    assert "make simulate SEED=7" in capsys.readouterr().out
+
+
+def test_the_command_line_refuses_a_malformed_file(tmp_path, capsys):
+    path = tmp_path / "schedule.toml"
+    path.write_text("[cell]\nseed = 'one'\n")
+    assert simulate.main(["--schedule", str(path)]) == 2
+    assert "cell.seed" in capsys.readouterr().err

@@ -43,6 +43,9 @@ class SharedBlock:
             os.close(self._file)
             raise SettingsError(f"memory {name} is another's: it is not of {size} bytes")
         buffer = mmap.mmap(self._file, size)
+        if name is not None:  # the mapping is enough
+            os.close(self._file)
+            self._file = None
         self._arrays: dict[str, NDArray[Any]] = {}
         at = 0
         for key, (kind, shape) in layout.items():
@@ -67,12 +70,11 @@ class SharedBlock:
 
     def close(self) -> None:
         """Release the memory, and keep zeros in its place. May be called twice."""
-        file, self._file = self._file, None
-        if file is None:
-            return
         # The mapping goes with the last array that shows it.
         self._arrays = {key: np.zeros(shape, kind) for key, (kind, shape) in self._layout.items()}
-        os.close(file)
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
 
 
 def _size(kind: type[np.generic], shape: tuple[int, ...]) -> int:

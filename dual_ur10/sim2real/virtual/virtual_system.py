@@ -70,6 +70,7 @@ class VirtualProcess:
         if not self.is_alive:
             return
         self.code = code
+        self.world.processes.pop(self.pid, None)
         for endpoint in self.group.endpoints:
             endpoint.close()
         self.group.endpoints.clear()
@@ -81,7 +82,7 @@ class VirtualProcess:
 
 
 class World:
-    """All processes of a virtual cell, and their network."""
+    """All running processes of a virtual cell by their numbers, and their network."""
 
     def __init__(self) -> None:
         self.scheduler = Scheduler()
@@ -174,12 +175,12 @@ class VirtualSystem:
 
     def killer(self, pid: int) -> Callable[[], None] | None:
         """See `System`."""
-        process = self._world.processes[pid]
-        return process.kill if process.is_alive else None
+        process = self._world.processes.get(pid)
+        return None if process is None else process.kill
 
     def is_orphan(self, parent: int) -> bool:
         """See `System`."""
-        return not self._world.processes[parent].is_alive
+        return parent not in self._world.processes
 
     def end(self) -> None:
         """See `System`."""

@@ -28,9 +28,9 @@ from tests.sim2real.control.motion_checks import (
     assert_within,
     braked,
 )
-from tests.soak import scaled
+from tests.soak import SOAK
 
-SOAK_TICKS = scaled(2_000_000)
+SOAK_TICKS = 20_000_000 if SOAK else 100_000
 MODES = ("joint_delta", "joint_position", "tcp_delta")
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -17,6 +16,7 @@ from rich.table import Table
 from dual_ur10.cli.options import console
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.processes.system import LOCAL
 
 _REFRESH_HZ: Final = 5.0
 _FIRST_S: Final = 5.0
@@ -34,15 +34,16 @@ def status(
     from dual_ur10.cli.status_view import StatusView
 
     cell = load_cell_file(file)
-    arms = [StatusView(name, arm) for name, arm in zip(ARMS, cell.arms, strict=True)]
+    clock = LOCAL.clock
+    arms = [StatusView(name, arm, system=LOCAL) for name, arm in zip(ARMS, cell.arms, strict=True)]
     try:
-        end_s = time.monotonic() + _FIRST_S
+        end_s = clock.now_s() + _FIRST_S
         for arm in arms:
-            arm.wait(end_s - time.monotonic())
+            arm.wait(end_s - clock.now_s())
         if once:
             console.print(picture(arms))
         else:
-            _show(arms, math.inf if seconds is None else time.monotonic() + seconds)
+            _show(arms, math.inf if seconds is None else clock.now_s() + seconds)
     except KeyboardInterrupt:
         console.print("ended")
     finally:
@@ -54,8 +55,8 @@ def status(
 
 def _show(arms: Sequence[Any], end_s: float) -> None:
     with Live(picture(arms), console=console, auto_refresh=False, transient=False) as live:
-        while time.monotonic() < end_s:
-            time.sleep(1.0 / _REFRESH_HZ)
+        while LOCAL.clock.now_s() < end_s:
+            LOCAL.clock.sleep(1.0 / _REFRESH_HZ)
             live.update(picture(arms), refresh=True)
 
 

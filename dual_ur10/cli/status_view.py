@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import functools
 import logging
-import threading
-import time
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
@@ -14,6 +13,7 @@ from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIA
 from dual_ur10.sim2real.links.dashboard_link import DashboardLink
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
 from dual_ur10.sim2real.peripherals.gripper_link import GripperReading, RobotiqLink
+from dual_ur10.sim2real.processes.system import LOCAL, Event, System
 from dual_ur10.types import Closing
 
 log = logging.getLogger(__name__)
@@ -35,6 +35,7 @@ class StatusView(Closing):
     Args:
         name: "left" or "right".
         arm: Entry of the cell file.
+        system: Clock, network and threads.
 
     Attributes:
         values: Newest state by RTDE's names.
@@ -47,25 +48,24 @@ class StatusView(Closing):
         gripper_fault: Reason why there is none, or "".
     """
 
-    def __init__(self, name: str, arm: ArmEntry) -> None:
-        self.name, self.arm = name, arm
+    def __init__(self, name: str, arm: ArmEntry, *, system: System = LOCAL) -> None:
+        self.name, self.arm, self._system = name, arm, system
         self.values: Mapping[str, Any] = {}
         self.status: ArmStatus | None = None
         self.version = self.dead = self.program = self.program_fault = self.gripper_fault = ""
         self.gripper: GripperReading | None = None
-        self._ended = threading.Event()
+        self._ended = system.event()
         parts = [_Part(self._watch_state, "dead"), _Part(self._watch_program, "program_fault")]
         if isinstance(arm.gripper, RobotiqSocket):
             port = arm.gripper.port
             parts.append(_Part(lambda ready: self._watch_gripper(port, ready), "gripper_fault"))
-        self._ready = [threading.Event() for _ in parts]
+        self._ready = [system.event() for _ in parts]
         self._threads = [
-            threading.Thread(target=self._run, args=each, daemon=True) for each in zip(parts, self._ready, strict=True)
+            system.thread(functools.partial(self._run, part, ready), f"{name} {part.fault}")
+            for part, ready in zip(parts, self._ready, strict=True)
         ]
-        for thread in self._threads:
-            thread.start()
 
-    def _run(self, part: _Part, ready: threading.Event) -> None:
+    def _run(self, part: _Part, ready: Event) -> None:
         """Run one part until it fails; the others go on."""
         try:
             part.run(ready)
@@ -76,31 +76,35 @@ class StatusView(Closing):
             setattr(self, part.fault, f"{type(error).__name__}: {error}")
         ready.set()
 
-    def _watch_state(self, ready: threading.Event) -> None:
+    def _watch_state(self, ready: Event) -> None:
         optional = (*OPTIONAL_VARIABLES, *ANALOG_OUTPUTS)
-        with RtdeLink(self.arm.host, STATUS_VARIABLES, _RATE_HZ, optional=optional, name=self.name) as link:
+        with RtdeLink(
+            self.arm.host, STATUS_VARIABLES, _RATE_HZ, optional=optional, name=self.name, system=self._system
+        ) as link:
             self.version = ".".join(map(str, link.version))
             while not self._ended.wait(_POLL_S):
                 if samples := link.poll():
                     self.values = samples[-1].values
                     self.status = ArmStatus.from_sample(samples[-1])
                     ready.set()
-                if link.age_s(time.monotonic()) > STALE_S:  # the connection stands, so the state may come back
+                if (
+                    link.age_s(self._system.clock.now_s()) > STALE_S
+                ):  # the connection stands, so the state may come back
                     self.dead = f"{link.where}: its time stalls; check controller and network"
                     ready.set()
                 else:
                     self.dead = ""
 
-    def _watch_program(self, ready: threading.Event) -> None:
-        with DashboardLink(self.arm.host, name=self.name) as link:
+    def _watch_program(self, ready: Event) -> None:
+        with DashboardLink(self.arm.host, name=self.name, system=self._system) as link:
             while True:
                 self.program = link.program_state()
                 ready.set()
                 if self._ended.wait(_PROGRAM_S):
                     return
 
-    def _watch_gripper(self, port: int, ready: threading.Event) -> None:
-        with RobotiqLink(self.arm.host, port, name=self.name) as link:
+    def _watch_gripper(self, port: int, ready: Event) -> None:
+        with RobotiqLink(self.arm.host, port, name=self.name, system=self._system) as link:
             while True:
                 self.gripper = link.read()
                 ready.set()
@@ -109,9 +113,9 @@ class StatusView(Closing):
 
     def wait(self, within_s: float) -> None:
         """Wait until each part has a first reading or a fault."""
-        end_s = time.monotonic() + within_s
+        end_s = self._system.clock.now_s() + within_s
         for ready in self._ready:
-            ready.wait(max(0.0, end_s - time.monotonic()))
+            ready.wait(max(0.0, end_s - self._system.clock.now_s()))
 
     def close(self) -> None:
         """End all connections. May be called twice."""
@@ -123,5 +127,5 @@ class StatusView(Closing):
 class _Part(NamedTuple):
     """Loop of one thread, and the attribute for its fault."""
 
-    run: Callable[[threading.Event], None]
+    run: Callable[[Event], None]
     fault: str

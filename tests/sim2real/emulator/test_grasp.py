@@ -1,8 +1,5 @@
 """Two arms lift a bar, by programs on port 30003 and the text protocol of their grippers, observed by a camera."""
 
-import socket
-import time
-
 import numpy as np
 import pytest
 
@@ -11,9 +8,7 @@ from dual_ur10.assets.props import GRIP_DISTANCE_M, GRIP_QUAT
 from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.rotations import quat_multiply, quat_to_rotvec, rotate
 from dual_ur10.sim2real.config.cell import CellConfig
-from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
-
-pytestmark = pytest.mark.streams
+from dual_ur10.testing import VirtualCell
 
 ARMS = ("left", "right")
 
@@ -21,40 +16,43 @@ ARMS = ("left", "right")
 class Gripper:
     """Client of the gripper's port."""
 
-    def __init__(self, host):
-        self.socket = socket.create_connection((host, 63352), timeout=5.0)
+    def __init__(self, cell, host):
+        self._clock, self._port = cell.clock, cell.system.connect(host, 63352, 5.0)
+
+    def ask(self, line):
+        self._port.send_now(f"{line}\n".encode())
+        self._clock.wait((self._port.fileno(),), self._clock.now_s() + 1.0)
+        return self._port.receive_now(64).decode()
 
     def set(self, words):
-        self.socket.sendall(f"SET {words}\n".encode())
-        assert self.socket.recv(64) == b"ack"
+        assert self.ask(f"SET {words}") == "ack"
 
     def get(self, name):
-        self.socket.sendall(f"GET {name}\n".encode())
-        word, value = self.socket.recv(64).decode().split()
+        word, value = self.ask(f"GET {name}").split()
         assert word == name
         return int(value)
 
     def wait(self, name, values, within_s=20.0):
-        end = time.monotonic() + within_s
-        while time.monotonic() < end:
+        end = self._clock.now_s() + within_s
+        while self._clock.now_s() < end:
             found = self.get(name)
             if found in values:
                 return found
-            time.sleep(0.02)
+            self._clock.sleep(0.02)
         raise AssertionError(f"{name} is {found} and not one of {values}")
 
 
 @pytest.fixture(params=["nominal", "mild"])
 def cell(request):
-    with EmulatedCell(task="SyncCarry", plant=request.param) as cell:
+    with VirtualCell(task="SyncCarry", plant=request.param) as cell:
         yield cell
 
 
 def move_both(cell, scripts, poses):
     for script, pose in zip(scripts, poses, strict=True):
-        script.sendall(f"movel(p{[float(each) for each in pose]}, a=0.4, v=0.1)\n".encode())
-    end = time.monotonic() + 60.0
-    while time.monotonic() < end:
+        script.send_now(f"movel(p{[float(each) for each in pose]}, a=0.4, v=0.1)\n".encode())
+    end = cell.clock.now_s() + 60.0
+    while cell.clock.now_s() < end:
         states = [cell.ask("state", arm=arm, names=["target_TCP_pose", "runtime_state", "safety_mode"]) for arm in ARMS]
         there = [
             np.allclose(each["target_TCP_pose"][:3], pose[:3], atol=1e-6)
@@ -63,7 +61,7 @@ def move_both(cell, scripts, poses):
         if all(there) and all(each["runtime_state"] == 1 for each in states):
             return
         assert all(each["safety_mode"] == 1 for each in states)
-        time.sleep(0.02)
+        cell.clock.sleep(0.02)
     raise AssertionError(f"the arms did not arrive: {states}")
 
 
@@ -82,35 +80,31 @@ def test_two_arms_lift_a_bar(cell):
         places = frames.position_to_base(points)
         return [[*place, *quat_to_rotvec(each)] for place, each in zip(places, rotations, strict=True)]
 
-    grippers = [Gripper(host) for host in (cell.left, cell.right)]
-    scripts = [socket.create_connection((host, 30003)) for host in (cell.left, cell.right)]
-    try:
-        for gripper in grippers:
-            assert gripper.get("STA") == 0  # nothing works before it is activated
-            gripper.set("ACT 1")
-        for gripper in grippers:
-            gripper.wait("STA", [3])
-            gripper.set("GTO 1 POS 0 SPE 255 FOR 255")
-        move_both(cell, scripts, grips(0.08))
-        move_both(cell, scripts, grips(0.0))
-        for gripper in grippers:
-            gripper.set("POS 255")
-        for gripper in grippers:
-            assert gripper.wait("OBJ", [1, 2, 3]) == 2  # it met something while closing
-            assert 100 < gripper.get("POS") < 160  # a bar of 40 mm in a stroke of 85 mm
-        move_both(cell, scripts, grips(0.06))
-        time.sleep(0.3)
-        lifted = cell.ask("pose", body="bar")
-        assert np.allclose(np.subtract(lifted["position_m"], position), [0.0, 0.0, 0.06], atol=5e-3)
-        force = [cell.ask("state", arm=arm, names=["actual_TCP_force"])["actual_TCP_force"] for arm in ARMS]
-        assert -60.0 < force[0][2] + force[1][2] < -25.0  # the weight of 4 kg pulls both flanges down
-        for gripper in grippers:
-            gripper.set("POS 0")
-        for gripper in grippers:
-            assert gripper.wait("OBJ", [1, 2, 3]) == 3
-        time.sleep(0.5)
-        fallen = cell.ask("pose", body="bar", noise_m=1e-6)
-        assert fallen["position_m"][2] < lifted["position_m"][2] - 0.04
-    finally:
-        for each in [*scripts, *(gripper.socket for gripper in grippers)]:
-            each.close()
+    grippers = [Gripper(cell, host) for host in (cell.left, cell.right)]
+    scripts = [cell.system.connect(host, 30003, 5.0) for host in (cell.left, cell.right)]
+    for gripper in grippers:
+        assert gripper.get("STA") == 0  # nothing works before it is activated
+        gripper.set("ACT 1")
+    for gripper in grippers:
+        gripper.wait("STA", [3])
+        gripper.set("GTO 1 POS 0 SPE 255 FOR 255")
+    move_both(cell, scripts, grips(0.08))
+    move_both(cell, scripts, grips(0.0))
+    for gripper in grippers:
+        gripper.set("POS 255")
+    for gripper in grippers:
+        assert gripper.wait("OBJ", [1, 2, 3]) == 2  # it met something while closing
+        assert 100 < gripper.get("POS") < 160  # a bar of 40 mm in a stroke of 85 mm
+    move_both(cell, scripts, grips(0.06))
+    cell.clock.sleep(0.3)
+    lifted = cell.ask("pose", body="bar")
+    assert np.allclose(np.subtract(lifted["position_m"], position), [0.0, 0.0, 0.06], atol=5e-3)
+    force = [cell.ask("state", arm=arm, names=["actual_TCP_force"])["actual_TCP_force"] for arm in ARMS]
+    assert -60.0 < force[0][2] + force[1][2] < -25.0  # the weight of 4 kg pulls both flanges down
+    for gripper in grippers:
+        gripper.set("POS 0")
+    for gripper in grippers:
+        assert gripper.wait("OBJ", [1, 2, 3]) == 3
+    cell.clock.sleep(0.5)
+    fallen = cell.ask("pose", body="bar", noise_m=1e-6)
+    assert fallen["position_m"][2] < lifted["position_m"][2] - 0.04

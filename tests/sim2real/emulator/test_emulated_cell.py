@@ -15,11 +15,11 @@ import pytest
 from typer.testing import CliRunner
 
 from dual_ur10.cli import main as cli
-from dual_ur10.errors import AddressError, ClosedError, DualUR10Error, EmulatorError, SettingsError
+from dual_ur10.errors import AddressError, ClosedError, DualUR10Error, EmulatorError, SettingsError, UnknownNameError
 from dual_ur10.sim2real.emulator import emulated_cell
 from dual_ur10.sim2real.emulator.addresses import free_address, is_free
 from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
-from dual_ur10.sim2real.emulator.emulator import write_cell_file
+from dual_ur10.sim2real.emulator.emulator import Emulator, EmulatorOptions, write_cell_file
 from tests.sim2real.emulator.ticking import Cell
 
 ROOT = Path(__file__).parents[3]
@@ -146,14 +146,12 @@ def test_two_cells_at_once_are_apart(tmp_path):
 @pytest.mark.parametrize(
     ("options", "kind", "text"),
     [
-        ({"left": "0.0.0.0"}, AddressError, "127.0.0.0/8"),
         ({"right": "192.168.0.1"}, AddressError, "127.0.0.0/8"),
         ({"left": "127.0.0.9", "right": "127.0.0.9"}, AddressError, "both arms"),
-        ({"family": "g-series"}, SettingsError, "'e-series'"),
-        ({"task": "Juggling"}, SettingsError, "SineTracking"),
-        ({"plant": "wild"}, SettingsError, "'nominal', 'mild', 'wide'"),
+        ({"family": "g-series"}, UnknownNameError, "'e-series'"),
+        ({"task": "Juggling"}, UnknownNameError, "SineTracking"),
+        ({"plant": "wild"}, UnknownNameError, "'nominal', 'mild', 'wide'"),
         ({"dh_error_m": 1.0}, SettingsError, "dh_error_m"),
-        ({"dh_error_m": "x"}, DualUR10Error, "str"),
         ({"seed": -1}, SettingsError, "seed is -1"),
         ({"seed": "x"}, SettingsError, "seed is 'x'"),
         ({"speed": 3}, SettingsError, "unknown options.*speed"),
@@ -161,6 +159,20 @@ def test_two_cells_at_once_are_apart(tmp_path):
     ],
 )
 def test_unknown_options_are_named(options, kind, text):
+    with pytest.raises(kind, match=text):
+        Emulator(EmulatorOptions.from_mapping(options))
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "text"),
+    [
+        ({"left": "0.0.0.0"}, AddressError, "127.0.0.0/8"),
+        ({"dh_error_m": "x"}, DualUR10Error, "str"),
+        ({"plant": "wild"}, SettingsError, "'nominal', 'mild', 'wide'"),
+        ({"speed": 3}, SettingsError, "unknown options.*speed"),
+    ],
+)
+def test_errors_of_its_process_are_raised_here(options, kind, text):
     children = len(psutil.Process().children())
     with pytest.raises(kind, match=text) as caught:
         EmulatedCell(**options)

@@ -67,7 +67,7 @@ def test_a_remote_policy_acts_on_both_kinds_of_cells(lab):
         found = []
         with Remote(env.observation_space.shape[0]) as policy:
             observation, _ = env.reset(seed=3)
-            for _ in range(60):
+            for _ in range(40):
                 observation, _, terminated, _, info = env.step(policy(observation))
                 assert not terminated
                 found.append(info["flange_error_m"])

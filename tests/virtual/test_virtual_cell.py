@@ -2,6 +2,8 @@
 
 import copy
 import pickle
+import subprocess
+import sys
 
 import gymnasium as gym
 import numpy as np
@@ -80,6 +82,17 @@ def test_a_real_time_priority_is_refused():
         with pytest.raises(Exception, match="scheduling priorities"):
             gym.make("DualUR10/SineTracking-v0", cell=cell, disable_env_checker=True)
         cell.clear()
+
+
+@pytest.mark.parametrize(("package", "extra"), [("greenlet", "virtual"), ("rtde_control", "real")])
+def test_a_missing_extra_is_named(package, extra):
+    code = f"""import sys
+sys.modules[{package!r}] = None
+from dual_ur10.testing import VirtualCell
+VirtualCell()"""
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert found.returncode == 1
+    assert f'pip install "dual-ur10[{extra}]"' in found.stderr
 
 
 def test_an_unknown_process_is_named():

@@ -9,13 +9,19 @@ from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any, Final
 
-from greenlet import GreenletExit
-
 from dual_ur10.errors import VirtualCellError
 from dual_ur10.sim2real.processes.garbage import GarbageCollector, NoGarbageCollector
 from dual_ur10.sim2real.processes.transport import Listener, Transport
 from dual_ur10.sim2real.virtual.network import MemoryTransport, Network
-from dual_ur10.sim2real.virtual.scheduler import Actor, Group, Scheduler, VirtualClock, VirtualEvent, VirtualLock
+from dual_ur10.sim2real.virtual.scheduler import (
+    Actor,
+    GreenletExit,
+    Group,
+    Scheduler,
+    VirtualClock,
+    VirtualEvent,
+    VirtualLock,
+)
 
 KILLED: Final = -9
 """Exit code of a killed process."""

@@ -17,7 +17,8 @@ from typing import Any, Final
 from dual_ur10.errors import MissingExtraError, VirtualCellError
 
 try:
-    from greenlet import GreenletExit, getcurrent, greenlet
+    from greenlet import GreenletExit as GreenletExit
+    from greenlet import getcurrent, greenlet
 except ImportError:
     raise MissingExtraError("greenlet", "virtual", "virtual cells") from None
 

@@ -43,6 +43,9 @@ MAX_INPUT_RECIPES: Final = 255
 MAX_VARIABLES: Final = 1024
 """Most variables of a recipe. A controller has fewer than 600, and packages of 1024 vectors still fit into a frame."""
 
+MAX_INPUTS: Final = 4 * MAX_VARIABLES
+"""Most variables of all input recipes of a connection, each of which takes about 200 bytes."""
+
 _LONGEST_DIVIDER: Final = 10**9
 
 Answer = Callable[["RtdeSession", bytes], bytes]
@@ -255,6 +258,8 @@ class RtdeSession:
         if names and len(variables) == len(names):
             if len(self._inputs) == MAX_INPUT_RECIPES:
                 raise ProtocolError(f"more than {MAX_INPUT_RECIPES} RTDE input recipes on one connection")
+            if sum(len(each.names) for each in self._inputs) + len(names) > MAX_INPUTS:
+                raise ProtocolError(f"more than {MAX_INPUTS} variables in the RTDE input recipes of one connection")
             self._inputs.append(InputRecipe(variables, port.registers))
             number = len(self._inputs)
             port.owners.update(dict.fromkeys(names, self))

@@ -111,6 +111,13 @@ def test_one_connection_may_list_a_register_in_many_recipes(session):
         session.receive(inputs(["input_int_register_0"]))
 
 
+def test_the_input_recipes_of_a_connection_have_a_bounded_number_of_variables(controller):
+    session = controller.session(*[inputs(["input_int_register_0"] * 1024)] * 4)
+    with pytest.raises(ProtocolError, match="more than 4096 variables"):
+        session.receive(inputs(["input_int_register_0"]))
+    assert controller.port.owners == {}
+
+
 def test_start_pause_and_start_again():
     session = RtdeBench().session(outputs(["robot_mode"]))
     assert session.publish(0) == b""

@@ -82,7 +82,7 @@ test: $(VENV)/.dev  ## install, lint, type-check, run all tests but those in rea
 	@$(VENV)/bin/mypy
 	@$(MAKE) --no-print-directory docs
 	@$(VENV)/bin/python -m pytest -n 2 --dist worksteal -m "not emulated"
-	@$(VENV)/bin/python -m pytest -m smoke
+	@$(VENV)/bin/python -m pytest tests/live/test_smoke.py
 
 # Streaming to arms asks for more than half of two cores, in real time: these tests run one at a time, with nothing
 # beside them. Controllers that wait more than they work come in pairs.

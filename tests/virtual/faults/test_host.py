@@ -56,7 +56,7 @@ def test_11_a_process_that_is_killed_stops_both(lab, who):
     lab.assert_stopped(lab.step_until_faulted(), who, seen_ticks=SILENT_TICKS)
 
 
-def test_56_a_machine_sends_nothing_when_it_wakes(lab):
+def test_56_a_machine_sends_nothing_when_it_wakes(lab, monkeypatch):
     lab.begin()
     lab.note()
     for who in WHO:
@@ -64,10 +64,14 @@ def test_56_a_machine_sends_nothing_when_it_wakes(lab):
     lab.clock.sleep(1.9)
     lab.assert_at_rest()  # the watchdogs in the controllers see to that
     assert lab.starved() == 2
-    quiet = lab.traffic()
+    quiet, inputs = lab.traffic(), []
+    for server in lab.cell.emulator.servers:
+        monkeypatch.setattr(server.controller.received, "package", lambda *written: inputs.append(written))
     lab.clock.sleep(0.2)
     error = lab.step_until_faulted(1)
     assert lab.traffic() == quiet
+    assert not inputs  # not even one that moves nothing
+    monkeypatch.undo()
     lab.assert_stopped(error)
 
 

@@ -34,7 +34,7 @@ from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.approach import Approach, Rates, plan
 from dual_ur10.sim2real.runtime.mirror_model import MirrorModel
 from dual_ur10.sim2real.runtime.path_to_start import AHEAD_TICKS, PathToStart
-from dual_ur10.sim2real.runtime.runner import Runner, margin_ticks
+from dual_ur10.sim2real.runtime.runner import SHOWN_STATES, Runner, margin_ticks
 from dual_ur10.sim2real.runtime.target_writer import TargetWriter
 from dual_ur10.sim2real.runtime.tracking import TemperatureWarning
 from dual_ur10.types import Array, Rows
@@ -90,7 +90,7 @@ class RtdeCell:
         self.system = system
         if not isinstance(config.file, CellFile):
             raise SettingsError("a cell of two controllers needs a cell file: pass its path as `cell`")
-        least = margin_ticks(config.servoj.tick_s) + 1
+        least = margin_ticks(config.servoj.tick_s) + SHOWN_STATES
         if not (isinstance(latency_ticks, int | np.integer) and least <= latency_ticks <= MAX_LATENCY_TICKS):
             raise SettingsError(
                 f"action_latency_ticks is {latency_ticks!r}: two controllers need {least} to "

@@ -33,13 +33,15 @@ log = logging.getLogger(__name__)
 MARGIN_S: Final = 0.012
 """Lead time with which a target must be written: those due sooner may already be in transit."""
 
+SHOWN_STATES: Final = 2
+"""States after sending a target until one shows its effect."""
+
 _READY_S: Final = 15.0
 _BEGIN_S: Final = 0.1  # from the decision to begin to the first target
 _STOP_S: Final = 1.5  # until both arms have stopped
 _END_S: Final = 3.0
 _POLL_S: Final = 0.01
 _SUPERVISOR_S: Final = 1.0
-_AFTER: Final = 2  # states after sending a target until one shows its effect
 _STATE_S: Final = 0.05
 _EARLY_S: Final = 0.001  # by which a state may come early
 _SOON_S: Final = 5e-4
@@ -237,7 +239,7 @@ class Runner:
             return None
         rows, _ = memory.states(memory.state_count - 32)
         shown = rows[rows[:, 0] > sent.sent_s[after[0]]]
-        return ArmStatus.from_row(shown[_AFTER - 1]) if len(shown) >= _AFTER else None
+        return ArmStatus.from_row(shown[SHOWN_STATES - 1]) if len(shown) >= SHOWN_STATES else None
 
     # Stops.
 

@@ -35,7 +35,6 @@ from dual_ur10.errors import (
 from dual_ur10.kinematics.ur10 import ARMS, HARD_ACCELERATION_RAD_S2, HARD_SPEED_RAD_S, JOINT_RANGE_RAD, TICK_S
 from dual_ur10.policies import load
 from dual_ur10.sim2real.control.gate import SafetyGate
-from dual_ur10.sim2real.control.time_scaling import interpolate
 from dual_ur10.sim2real.protocol.modes import RuntimeState
 from dual_ur10.sim2real.recording import run_folder
 from dual_ur10.sim2real.recording.reader import read_run
@@ -78,6 +77,7 @@ class Episode:
     sent: list[list[tuple[float, int, float, float, np.ndarray, bool]]] = field(default_factory=lambda: [[], []])
     phases: list[list[tuple[float, int, str]]] = field(default_factory=lambda: [[], []])
     begin_s: float = math.inf
+    slowed: bool = False
     fault_s: float = math.inf
     fault: str = ""
     ending_s: float = math.inf
@@ -114,7 +114,7 @@ class Observer:
         """Observe all cells meanwhile."""
         note_sent, enter, put = ArmMemory.note_sent, ArmMemory.enter, Runner._put
         enter_fault, end, begin, gate = CellMemory.enter_fault, CellMemory.end, Runner.begin, SafetyGate.__call__
-        set_begin = CellMemory.begin
+        set_begin, set_scaling = CellMemory.begin, CellMemory.set_time_scaling
         write, utc, usage = RunWriter._write, VirtualClock.utc, run_folder.shutil.disk_usage
         observer = self
 
@@ -154,6 +154,11 @@ class Observer:
             observer.episodes[-1].begin_s = at_s
             set_begin(self, at_s)
 
+        def scaled(self: Any, scaling: Any) -> None:
+            if observer.episodes and observer.episodes[-1].runner.cell.name == self.name:
+                observer.episodes[-1].slowed |= observer.now_s > observer.episodes[-1].begun_s
+            set_scaling(self, scaling)
+
         def putting(self: Any, first: int, targets: Any) -> None:
             observer.episodes[-1].puts.append((observer.now_s, first, np.array(targets)))
             put(self, first, targets)
@@ -182,6 +187,7 @@ class Observer:
                 (CellMemory, "enter_fault", fault_entered),
                 (CellMemory, "end", ended),
                 (CellMemory, "begin", starting),
+                (CellMemory, "set_time_scaling", scaled),
                 (Runner, "begin", begun),
                 (Runner, "_put", putting),
                 (SafetyGate, "__call__", released),
@@ -410,7 +416,7 @@ class Run:
         self.observer = Observer()
         self.error: BaseException | None = None
         self.env: Any = None
-        self.program_stopped_s = math.inf  # the program was told of a stop, or has ended
+        self.starts = 0
         self.ended_early = False  # by the episode's own end
 
     def demand(self, holds: bool, text: str) -> None:
@@ -483,6 +489,7 @@ class Run:
     # The program.
 
     def _make(self) -> Any:
+        self.starts += 1
         cell = self.schedule.cell
         record = {"record": self.folder, "record_failure": cell.record} if cell.record else {}
         return gym.make(f"DualUR10/{cell.task}-v0", cell=self.cell, disable_env_checker=True, **record)
@@ -499,10 +506,8 @@ class Run:
         except (*_EXPECTED, ActionError, Interrupt) as error:
             self.error = error
         if isinstance(self.error, CellFaulted):
-            self.program_stopped_s = self.cell.now_s
             self._still_refused()
         self.injector.enter("end")
-        self.program_stopped_s = min(self.program_stopped_s, self.cell.now_s)
         if self.env is not None:
             self._keep_limits()
             self.env.close()
@@ -834,7 +839,7 @@ class Checks:
         targets = np.array([each.numbers for each in packages]).reshape(-1, 6)
         self.demand(bool(np.isfinite(targets).all()), f"{name}: a target is not finite")
         self.demand(bool((np.abs(targets) <= JOINT_RANGE_RAD).all()), f"{name}: a target is out of range")
-        self.demand(received.uploads <= self.number + 1, f"{name}: {received.uploads} programs were uploaded")
+        self.demand(received.uploads <= self.run.starts, f"{name}: {received.uploads} programs were uploaded")
         if packages:
             watchdog = received.watchdog
             self.demand(
@@ -897,7 +902,7 @@ class Checks:
         puts = iter(episode.puts)
         following = next(puts, None)
         path: list[np.ndarray] = []
-        last_index, slow = -1.0, any(each.kind in ("slider", "reduced") for each in self.faults)
+        last_index, slow = -1.0, episode.slowed
         straight = any("a target is" in text for _, _, text in episode.phases[arm])
         for at_s, _, index, late_s, target, stopping in episode.sent[arm]:
             while following is not None and following[0] <= at_s:
@@ -933,7 +938,7 @@ class Checks:
         self.demand(used <= _TOLERANCE, f"{name}: {used:.3f} of the hard speed was sent")
         between = (steps[1:] + steps[:-1]) / 2 * self.tick_s
         change = np.abs(np.diff(speed, axis=0)) / between[:, None]
-        slow = any(each.kind in ("slider", "reduced") for each in self.faults)
+        slow = self.episode.slowed
         allowed = HARD_ACCELERATION_RAD_S2 * 1.05 + (4.0 * np.abs(speed[1:]) if slow else 0.0)
         # The ramp of a stop adds its own deceleration and curvature.
         allowed = np.where(stopping[2:, None], allowed + 2 * HARD_ACCELERATION_RAD_S2, allowed)
@@ -963,6 +968,17 @@ class Checks:
                 f"{name}: it was led on for {late_s:.3f} s after the other arm stopped",
             )
 
+        texts = [text for _, phase, text in episode.phases[arm] if phase == Phase.STOPPED]
+        led = texts and not any("sent nothing" in each or "no longer took" in each for each in texts)
+        shaky = any(each.kind in ("stall", "link") for each in self.faults)
+        moving = [each for each in episode.sent[arm] if not each[5]]
+        if led and not shaky and len(moving) > 1:
+            before, after = _step(moving), _step(episode.sent[arm])
+            self.demand(
+                after <= 0.25 * before + 0.01 * self.tick_s,
+                f"{name}: targets ended at {after / self.tick_s:.3f} of {before / self.tick_s:.3f} rad/s: no ramp",
+            )
+
     def _together(self) -> None:
         """Check that two arms that can both be led to rest stop at one place of their path."""
         episode = self.episode
@@ -979,15 +995,12 @@ class Checks:
             return
         last = [sent[-1][2] for sent in episode.sent]
         apart_s = abs(last[0] - last[1]) * self.tick_s
-        rest = [_speed_at_end(episode, arm) for arm in range(2)]
-        if max(rest) > 0.0:
-            self.demand(apart_s <= 0.04, f"the arms stopped {1e3 * apart_s:.0f} ms of their path apart")
+        self.demand(apart_s <= 0.04, f"the arms stopped {1e3 * apart_s:.0f} ms of their path apart")
 
 
-def _speed_at_end(episode: Episode, arm: int) -> float:
-    """Return the speed at which an arm's stop began, rad per control period."""
-    moving = [each for each in episode.sent[arm] if not each[5]]
-    return float(np.abs(moving[-1][4] - moving[-2][4]).max()) if len(moving) > 1 else 0.0
+def _step(sent: list[Any]) -> float:
+    """Return the largest joint's last step, rad per control period."""
+    return float(np.abs(sent[-1][4] - sent[-2][4]).max()) / max(sent[-1][1] - sent[-2][1], 1)
 
 
 def _at(path: list[np.ndarray], index: float) -> np.ndarray:
@@ -996,8 +1009,11 @@ def _at(path: list[np.ndarray], index: float) -> np.ndarray:
     below, last = int(index), len(path) - 1
     if index == below or below >= last:
         return path[min(below, last)]
-    numbers = np.clip(np.arange(below - 1, below + 3), 0, last)
-    return interpolate(*(path[n] for n in numbers), index - below)
+    # Hermite's cubic whose slopes are those between neighbours; not the function under test.
+    t = index - below
+    before, start, stop, after = (path[min(max(n, 0), last)] for n in range(below - 1, below + 3))
+    basis = (2 * t**3 - 3 * t**2 + 1, t**3 - 2 * t**2 + t, 3 * t**2 - 2 * t**3, t**3 - t**2)
+    return basis[0] * start + basis[1] * (stop - before) / 2 + basis[2] * stop + basis[3] * (after - start) / 2
 
 
 def run(schedule: Schedule) -> Outcome:

@@ -291,9 +291,12 @@ class ArmSender:
                 self.clock.note(sample.timestamp_s, sample.arrival_s)
                 status = ArmStatus.from_sample(sample)
                 self._measured_rad = np.array(status.q_rad)
-                self.memory.note_state(status)
                 reason = stop_reason(status, allow_reduced=self.cell.allow_reduced, playing=playing)
                 reason = reason or self._following(status)
+                if reason is not None:
+                    # Before the state: the program must not act on it.
+                    self.memory.enter(Phase.STOPPING, f"{self.name}: {reason}")
+                self.memory.note_state(status)
                 if reason is not None:
                     raise StopError(reason)
             age = self.link.age_s(self._now_s())

@@ -1,0 +1,12 @@
+"""Schedules by which the fault simulator found defects, each named after its defect."""
+
+from tests.virtual.schedule import Cell, Override, Schedule
+from tests.virtual.simulation import run
+
+
+def test_no_step_returns_a_state_that_stops_the_arms():
+    """Seed 304: a step returned joint angles of NaN, and its record could not be read."""
+    cell = Cell(seed=11, speed_factor=0.5, far=True, motion_s=0.41)
+    outcome = run(Schedule(cell=cell, faults=(Override(arm="left", what="nan", at_s=0.28, duration_s=0.0201),)))
+    assert not outcome.violations
+    assert "not finite" in outcome.latched

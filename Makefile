@@ -19,7 +19,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # `make fuzz`: executions per target, or seconds (TIME_S=60); some targets only (TARGET=rtde_server); another seed.
 RUNS ?= $(if $(TIME_S),0,20000)
 
-.PHONY: help demo dist docs test test-live test-oldest test-dist soak simulate fuzz bench install lint format clean check-python
+.PHONY: help demo dist docs test test-live test-oldest test-dist soak simulate mutants fuzz bench install lint format clean check-python
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*  ## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -117,6 +117,9 @@ fuzz: $(VENV)/.fuzz  ## fuzz all that reads bytes of others: RUNS=20000 or TIME_
 simulate: $(VENV)/.dev  ## SEEDS random fault schedules on virtual cells, on JOBS processes
 	@$(VENV)/bin/python -m tests.virtual.simulate \
 	  $(if $(SEED),--seed $(SEED),$(if $(SCHEDULE),--schedule $(SCHEDULE),--seeds $(or $(SEEDS),1000) $(if $(JOBS),--jobs $(JOBS))))
+
+mutants: $(VENV)/.dev  ## 30 deliberate breaks of the motion path, each in a copy: the fault simulator must find them
+	@$(VENV)/bin/python -m tests.virtual.mutants
 
 bench: $(VENV)/.dev  ## all benchmarks, figures to out/*.json
 	@mkdir -p out

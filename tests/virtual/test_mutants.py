@@ -1,0 +1,28 @@
+"""Patches of the deliberate breaks: they apply, and fail loudly when they do not."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from tests.virtual.mutants import MUTANTS, PatchError, seeds_for
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_there_are_30_of_them():
+    assert len({each.name for each in MUTANTS}) == 30
+
+
+@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda each: each.name)
+def test_a_patch_applies_and_gives_a_program(mutant):
+    compile(mutant.patched(ROOT), mutant.path, "exec")
+
+
+def test_a_patch_that_no_longer_matches_fails():
+    with pytest.raises(PatchError, match="0 times"):
+        dataclasses.replace(MUTANTS[0], old="no such text").patched(ROOT)
+
+
+def test_seeds_have_a_fault_that_concerns_the_break():
+    assert len(seeds_for(dataclasses.replace(MUTANTS[0], kinds=("slider",)))) == 500

@@ -130,6 +130,7 @@ bench: $(VENV)/.dev  ## all benchmarks, figures to out/*.json
 	@$(VENV)/bin/python benchmarks/runner.py --json out/runner.json
 	@$(VENV)/bin/python benchmarks/learning.py --json out/learning.json
 	@$(VENV)/bin/python benchmarks/collection.py --json out/collection.json
+	@$(VENV)/bin/python benchmarks/garbage.py --json out/garbage.json
 
 lint: $(VENV)/.dev  ## ruff and mypy alone
 	@$(VENV)/bin/ruff check .

@@ -91,7 +91,7 @@ MUTANTS = (
     Mutant("targets pass the gate and change", _WRITER, "whole = np.concatenate([targets_rad,", "whole = np.concatenate([targets_rad + 1e-7,"),
     Mutant("gate forgets what it released", _GATE, "        self._past = window[:, -HISTORY:]\n", ""),
     Mutant("late targets are written", _RUNNER, "        if first < self.next:\n", "        if False:\n", ("policy",)),
-    Mutant("brake after a late action starts from the wrong motion", _CELL, "        self._targets.rest_at(rest)\n", "", ("policy",)),
+    Mutant("both arms get the targets of one", _RUNNER, "memory.put(first, targets_rad[:, arm])", "memory.put(first, targets_rad[:, 0])", ("slider",)),
     Mutant("program is not told of a stop", _RUNNER, "        if self._fault:\n            raise CellFaulted(", "        if False:\n            raise CellFaulted(", _STOPS),
     Mutant("nothing is latched", _LATCH, "        for path in self._paths:\n            with contextlib", "        for path in ():\n            with contextlib", _STOPS),
     Mutant("a latched stop does not prevent a start", _LATCH, "        if fault is not None:\n", "        if False:\n", _STOPS),

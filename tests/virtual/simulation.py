@@ -656,6 +656,15 @@ class Run:
             self.demand(bool(fault), f"the program was told of a latched stop, and nothing is latched: {self.error}")
         if not self.observer.episodes:
             return
+        episode = self.observer.episodes[-1]
+        stopping = [at for arm in episode.phases for at, phase, _ in arm if phase >= Phase.STOPPING]
+        stopped_s = min([episode.fault_s, *stopping])
+        for number, each in enumerate(self.schedule.faults):
+            at_s = self.injector.fired.get(number, math.inf)
+            if each.kind == "slider" and each.fraction < 0.9 and each.duration_s > 0.15 and self._streaming(at_s, 0.3):
+                self.demand(episode.slowed or episode.known_s < at_s + 0.1, "the arms ignored a speed slider")
+        if self.error is None and not self.ended_early:
+            self.demand(stopped_s > episode.ending_s - 0.3, "the program went on, and was not told of a stop")
         if fault:
             before = self._traffic()
             try:
@@ -977,6 +986,14 @@ class Checks:
             self.demand(
                 after <= 0.25 * before + 0.01 * self.tick_s,
                 f"{name}: targets ended at {after / self.tick_s:.3f} of {before / self.tick_s:.3f} rad/s: no ramp",
+            )
+
+        gentle = all(each.kind in ("slider", "second", "policy", "wall_clock", "disk") for each in self.faults)
+        received = self.run.observer.controller(arm).received
+        if led and gentle and episode is self.run.observer.episodes[-1] and received.motion:
+            passed_s = (received.ended_tick - received.motion[-1].tick) * self.tick_s
+            self.demand(
+                passed_s < 0.08, f"{name}: its program ended {passed_s:.3f} s after its last target, by its watchdog"
             )
 
     def _together(self) -> None:

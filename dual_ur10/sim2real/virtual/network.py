@@ -25,7 +25,7 @@ class MemoryTransport(Endpoint):
 
     def __init__(self, scheduler: Scheduler, size: int = _BUFFER_BYTES) -> None:
         super().__init__(scheduler)
-        self._scheduler, self._size = scheduler, size
+        self._size = size
         self._data = bytearray()
         self._peer: MemoryTransport | None = None
         self._no_more = False  # the peer has ended its stream
@@ -57,7 +57,7 @@ class MemoryTransport(Endpoint):
         piece = data[: max(0, peer._size - len(peer._data))]
         if len(piece):
             peer._data += piece
-            self._scheduler.notify(peer)
+            peer.note()
         return len(piece)
 
     def receive_now(self, size: int) -> bytes | None:
@@ -67,8 +67,9 @@ class MemoryTransport(Endpoint):
         if self._data:
             data = bytes(self._data[:size])
             del self._data[:size]
+            self.note()
             if self._peer is not None:
-                self._scheduler.notify(self._peer)
+                self._scheduler.notify(self._peer.number)
             return data
         if self._broken:
             raise ConnectionResetError(errno.ECONNRESET, os.strerror(errno.ECONNRESET))
@@ -80,7 +81,7 @@ class MemoryTransport(Endpoint):
         if self.closed or self._broken or peer is None:
             raise OSError(errno.ENOTCONN, os.strerror(errno.ENOTCONN))
         peer._no_more = True
-        self._scheduler.notify(peer)
+        peer.note()
 
     def close(self, *, reset: bool = False) -> None:
         """See `Transport`. Unread bytes make it a reset, as in TCP."""
@@ -94,7 +95,7 @@ class MemoryTransport(Endpoint):
             if reset or self._data:
                 peer._broken = True
                 peer._data.clear()
-            self._scheduler.notify(peer)
+            peer.note()
 
 
 class MemoryListener(Endpoint):
@@ -123,12 +124,14 @@ class MemoryListener(Endpoint):
         here.join(there)
         self._waiting.append(there)
         self._group.endpoints.append(there)
-        scheduler.notify(self)
+        self.note()
         return here
 
     def accept_now(self) -> MemoryTransport | None:
         """See `Listener`."""
-        return self._waiting.popleft() if self._waiting else None
+        transport = self._waiting.popleft() if self._waiting else None
+        self.note()
+        return transport
 
     def close(self) -> None:
         """See `Listener`."""

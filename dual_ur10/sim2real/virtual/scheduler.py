@@ -10,7 +10,7 @@ import heapq
 import logging
 import math
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any, Final
 
@@ -36,19 +36,26 @@ class Endpoint:
 
     Attributes:
         number: File number.
-        waiting: Actors that wait for it.
     """
 
     readable = False
     writable = False
 
     def __init__(self, scheduler: Scheduler) -> None:
+        self._scheduler = scheduler
         self.number = scheduler.new_file(self)
-        self.waiting: list[Actor] = []
 
     def fileno(self) -> int:
         """Return the file number for `Clock.wait`."""
         return self.number
+
+    def note(self) -> None:
+        """Tell the scheduler whether it can be read, and wake the actors that wait for it."""
+        if self.readable:
+            self._scheduler.readable.add(self.number)
+        else:
+            self._scheduler.readable.discard(self.number)
+        self._scheduler.notify(self.number)
 
 
 class Group:
@@ -97,6 +104,8 @@ class Scheduler:
         now_s: Time, s.
         current: Actor that runs.
         files: Ends of connections by file number.
+        readable: Numbers of those that can be read.
+        waiting: File numbers that actors wait for.
         failures: Actors that ended with an error.
     """
 
@@ -106,6 +115,8 @@ class Scheduler:
         self._thread = threading.get_ident()
         self._queue: list[tuple[float, int, int, Actor]] = []
         self.files: dict[int, Endpoint] = {}
+        self.readable: set[int] = set()
+        self.waiting: dict[Actor, set[int]] = {}
         self._count = 0
         self._turns = 0
         self._main = Actor(0, self.program, "program")
@@ -123,6 +134,7 @@ class Scheduler:
     def forget_file(self, number: int) -> None:
         """Release a file number."""
         self.files.pop(number, None)
+        self.readable.discard(number)
 
     # Actors.
 
@@ -190,11 +202,11 @@ class Scheduler:
             actor.ticket += 1
             heapq.heappush(self._queue, (max(at_s, self.now_s), actor.number, actor.ticket, actor))
 
-    def notify(self, endpoint: Endpoint) -> None:
-        """Wake the actors that wait for a connection."""
-        waiting, endpoint.waiting = endpoint.waiting, []
-        for actor in waiting:
-            self._wake(actor, self.now_s)
+    def notify(self, number: int) -> None:
+        """Wake the actors that wait for a file number."""
+        for actor, wanted in self.waiting.items():
+            if number in wanted:
+                self._wake(actor, self.now_s)
 
     def wait(self, until_s: float) -> None:
         """Wait until a time, or until the actor is notified."""
@@ -282,30 +294,25 @@ class VirtualClock:
 
     def wait(self, readers: Sequence[int], until_s: float, writers: Sequence[int] = ()) -> tuple[list[int], list[int]]:
         """See `Clock`."""
-        scheduler, files = self._scheduler, self._scheduler.files
-        ready = _ready(files, readers, writers)
+        scheduler = self._scheduler
+        ready = _ready(scheduler, readers, writers)
         if until_s <= scheduler.now_s or ready[0] or ready[1]:
             scheduler.go_on()
             return ready
         actor = scheduler.current
-        endpoints = [files[each] for each in (*readers, *writers)]
-        for endpoint in endpoints:
-            endpoint.waiting.append(actor)
+        scheduler.waiting[actor] = {*readers, *writers}
         try:
             scheduler.wait(until_s)
         finally:
-            for endpoint in endpoints:
-                if actor in endpoint.waiting:
-                    endpoint.waiting.remove(actor)
-        return _ready(files, readers, writers)
+            scheduler.waiting.pop(actor, None)
+        return _ready(scheduler, readers, writers)
 
 
-def _ready(
-    files: Mapping[int, Endpoint], readers: Sequence[int], writers: Sequence[int]
-) -> tuple[list[int], list[int]]:
+def _ready(scheduler: Scheduler, readers: Sequence[int], writers: Sequence[int]) -> tuple[list[int], list[int]]:
     """Return the readers and writers that are ready; a closed one is."""
+    files, readable = scheduler.files, scheduler.readable
     return (
-        [each for each in readers if each not in files or files[each].readable],
+        [each for each in readers if each in readable or each not in files],
         [each for each in writers if each not in files or files[each].writable],
     )
 

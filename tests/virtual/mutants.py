@@ -1,7 +1,8 @@
 """Deliberate breaks of the motion path, each of which the fault simulator must find.
 
 `python -m tests.virtual.mutants` applies each of them to a copy of the package and runs seeds of the fault simulator there:
-the first 500 with a fault of the kinds that concern the break. The working tree is not changed.
+the first 500 with a fault of the kinds that concern the break. For a break that only rare schedules show, it runs the named
+test of that fault instead. The working tree is not changed.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+import pytest
 
 _ROOT = Path(__file__).parents[2]
 _MOST_SEEDS = 500
@@ -37,6 +40,7 @@ class Mutant:
         new: Its replacement.
         kinds: Kinds of faults whose seeds are run; empty: all.
         phase: Phase of those faults; "": any.
+        test: Named test to run instead of seeds; "": none.
     """
 
     name: str
@@ -45,6 +49,7 @@ class Mutant:
     new: str
     kinds: tuple[str, ...] = ()
     phase: str = "motion"
+    test: str = ""
 
     def patched(self, root: Path) -> str:
         """Return the text of the broken file.
@@ -98,24 +103,23 @@ MUTANTS = (
     Mutant("two programs get the arms", _LATCH, "            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)\n", "            pass\n", ("second",)),
     Mutant("supervisor ignores the policy's silence", _MONITOR, "POLICY_S: Final = 0.5", "POLICY_S: Final = 50.0", ("policy",)),
     Mutant("a refused action does not stop the arms", _CORE, '            cell.stop(f"the policy\'s action was refused: {error}")\n', "", ("policy",)),
-    Mutant("a paused program may continue", _ENFORCER, "                if not ended[arm]:\n                    self._request_stop(arm)", "                if not ended[arm]:\n                    pass", _STOPS),
+    Mutant("a paused program may continue", _ENFORCER, "                if not ended[arm]:\n                    self._request_stop(arm)", "                if not ended[arm]:\n                    pass", test="test_ends.py::test_33_the_dashboard_ends_a_program_paused_by_a_stop"),
     Mutant("loss of the backup stop is ignored", _ENFORCER, "            link.check()\n", "", ("drop",)),
     Mutant("speed sliders are ignored", _SUPERVISOR, "allowed = scaling_from_slider(self._monitor.slowest) * self._file.speed_factor", "allowed = self._file.speed_factor", ("slider",)),
     Mutant("arms slow down at once", _SCALING, "SLOWING_PER_S: Final = 4.0", "SLOWING_PER_S: Final = 400.0", ("slider",)),
     Mutant("time scaling runs away", _SCALING, "return self.index + self.rate * passed\n        sign", "return self.index + 1.2 * self.rate * passed\n        sign"),
     Mutant("interpolation between targets is wrong", _SCALING, "(stop - before) / 2, (after - start) / 2", "(stop - before), (after - start)"),
-    Mutant("a silent controller is not noticed", "sim2real/links/rtde_link.py", "        return now_s - self._stream.alive_s\n", "        return 0.0\n", ("link", "override")),
+    Mutant("a silent controller is not noticed", "sim2real/links/rtde_link.py", "        return now_s - self._stream.alive_s\n", "        return 0.0\n", test="test_network.py::test_20_a_controller_that_falls_silent_stops_both"),
 )  # fmt: skip
 """Breaks of sender, ramp, gate, program, latch, supervisor, time scaling and links."""
 
 
 def copy(root: Path, target: Path) -> None:
-    """Copy the package and the simulator."""
+    """Copy the package and its tests."""
     ignored = shutil.ignore_patterns("__pycache__")
-    shutil.copytree(root / "dual_ur10", target / "dual_ur10", ignore=ignored)
-    (target / "tests").mkdir()
-    shutil.copy(root / "tests" / "__init__.py", target / "tests")
-    shutil.copytree(root / "tests" / "virtual", target / "tests" / "virtual", ignore=ignored)
+    for name in ("dual_ur10", "tests"):
+        shutil.copytree(root / name, target / name, ignore=ignored)
+    shutil.copy(root / "pyproject.toml", target)
 
 
 def seeds_for(mutant: Mutant) -> list[int]:
@@ -151,7 +155,7 @@ def hunt(number: int, most: int) -> tuple[int, str]:
 
 
 def check(number: int, most: int) -> tuple[int, str]:
-    """Break a copy of the package and run seeds on it in a process of its own."""
+    """Break a copy of the package and run seeds or a named test on it in a process of its own."""
     mutant = MUTANTS[number]
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder)
@@ -159,10 +163,14 @@ def check(number: int, most: int) -> tuple[int, str]:
         broken = mutant.patched(_ROOT)
         (target / "dual_ur10" / mutant.path).write_text(broken)
         command = [sys.executable, "-m", "tests.virtual.mutants", "--hunt", str(number), "--seeds", str(most)]
+        if mutant.test:
+            command = [sys.executable, "-m", "pytest", "-x", f"tests/virtual/faults/{mutant.test}"]
         environment = {**os.environ, "PYTHONPATH": str(target)}
         found = subprocess.run(
             command, cwd=target, env=environment, capture_output=True, text=True, timeout=_LIMIT_S, check=False
         )
+    if mutant.test:
+        return 0, f"{mutant.test} fails" if found.returncode == pytest.ExitCode.TESTS_FAILED else ""
     lines = [each for each in found.stdout.splitlines() if each.startswith("hunted\t")]
     if not lines:
         return 0, f"the simulator failed: {found.stderr.strip().splitlines()[-1:]}"

@@ -98,8 +98,12 @@ def test_a_stalled_actor_runs_once_the_stall_is_over(due_s, from_s, duration_s):
     clock.sleep(from_s)
     group.stalled_until_s = scheduler.now_s + duration_s
     clock.sleep(10.0)
-    stalled = from_s < due_s < from_s + duration_s or (from_s == due_s == 0.0 and duration_s > 0.0)
-    assert seen == [from_s + duration_s if stalled else due_s]
+    if from_s == 0.0:  # it has not begun yet
+        assert seen == [duration_s + due_s]
+    elif from_s <= due_s < from_s + duration_s:  # the program is the first of those that are due
+        assert seen == [from_s + duration_s]
+    else:
+        assert seen == [due_s]
 
 
 def test_a_killed_actor_ends_where_it_waits_and_cleans_up(scheduler, clock):

@@ -128,6 +128,8 @@ bench: $(VENV)/.dev  ## all benchmarks, figures to out/*.json
 	@$(VENV)/bin/python benchmarks/throughput.py --json out/throughput.json
 	@$(VENV)/bin/python benchmarks/emulator.py --seconds 60 --json out/emulator.json
 	@$(VENV)/bin/python benchmarks/runner.py --json out/runner.json
+	@$(VENV)/bin/python benchmarks/virtual_cell.py --json out/virtual_cell.json
+	@$(VENV)/bin/python benchmarks/garbage.py --json out/garbage.json
 	@$(VENV)/bin/python benchmarks/learning.py --json out/learning.json
 	@$(VENV)/bin/python benchmarks/collection.py --json out/collection.json
 	@$(VENV)/bin/python benchmarks/garbage.py --json out/garbage.json

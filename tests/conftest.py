@@ -2,6 +2,7 @@
 
 import inspect
 import os
+import signal
 
 import pytest
 
@@ -10,6 +11,10 @@ from tests.progress import Progress
 
 # Workers of pytest-xdist get the width of the terminal; rich takes it when a console is made, at import.
 os.environ.pop("COLUMNS", None)
+
+# A shell lets its jobs in the background ignore Ctrl-C, and what they start inherits that.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 _STARTERS = {"EmulatedCell", "CellForTests", "Lab", "emulated_cell", "measure_emulated"}
 """Names of what starts emulated controllers."""

@@ -167,3 +167,7 @@ class TrainingError(DualUR10Error, RuntimeError):
 
 class DatasetError(DualUR10Error, ValueError):
     """Raised when a dataset cannot be made or read, or belongs to another environment."""
+
+
+class KernelError(DualUR10Error, RuntimeError):
+    """Raised when the compiled control kernel is missing or not that of its sources, or is given other data."""

@@ -41,6 +41,9 @@ if TYPE_CHECKING:
 CLEARANCE_CUTOFF_M: Final = 0.2
 """Distances beyond this read as this."""
 
+HULL: Final = ":hull"
+"""End of the name of a box's hull."""
+
 HELD: Final = "held"
 """Name of each arm's payload geometry: a capsule inside the prop, of its width. Edges of the prop protrude by 8 mm."""
 
@@ -196,7 +199,7 @@ def build_collision_model(settings: SceneSettings) -> mujoco.MjModel:
 
 def hull_name(box: str) -> str:
     """Return the name of a box's hull in a collision model. No obstacle can have this name."""
-    return f"{box}:hull"
+    return box + HULL
 
 
 def add_hulls(document: ET.Element) -> None:

@@ -242,7 +242,7 @@ def test_the_gate_refuses_a_motion_into_an_obstacle(obstacle: Obstacle) -> None:
     assert f"obstacle/{obstacle.name}: distance" in str(refused[0])
     left = np.concatenate(motion).reshape(-1, 12)
     np.testing.assert_allclose(left[-1], left[-2], atol=1e-4)  # stopped, before the obstacle
-    clearance = Clearance(SceneSettings(obstacles=(obstacle,)), n=len(left))
+    clearance = Clearance(SceneSettings(obstacles=(obstacle,)))
     rows = [i for i, pair in enumerate(clearance.pairs) if pair[1] == geom_name(obstacle)]
     distances = clearance.distances_m(left)[:, rows].min(axis=1)
     assert distances.min() > MINIMUM_M - 1e-6

@@ -116,19 +116,17 @@ class Core:
         self.setup = setup = EnvSetup.resolve(task, keywords)
         config, requirements = setup.config, setup.requirements
         self._randomization = setup.randomization
-        adapter = setup.make_adapter(n)
         self.n = n
         check_for_controllers(config, n, autoreset=autoreset, randomized=not self._randomization.is_none)
         threads = threads or min(n, os.cpu_count() or 1)
+        adapter = setup.make_adapter(n, threads)
         clearance = Clearance(
             config.measured_scene,
-            n=n,
-            threads=threads,
             minimum_m=config.minimum_clearance_m,
             closer=requirements.closer,
             uncertainty=config.uncertainty,
         )
-        gate = SafetyGate(setup.limits, config.servoj.tick_s, setup.ticks, clearance, n=n)
+        gate = SafetyGate(setup.limits, config.servoj.tick_s, setup.ticks, clearance, n=n, threads=threads)
         proximity = None if config.file is None else ProximityScaling(clearance, adapter.period_s)
         self.pipeline = ServojPipeline(adapter, gate, held=setup.options.held_arm, proximity=proximity)
         self.task = setup.make_task(n)
@@ -136,7 +134,7 @@ class Core:
         self._weights = np.array(list(self.task.weights.values()))
         self._terms = [f"reward/{name}" for name in self.task.weights]
         rows = np.arange(n)
-        clearance.check_start(self.task.start(rows, [np.random.default_rng(0) for _ in rows]).q_rad, rows)
+        clearance.check_start(self.task.start(rows, [np.random.default_rng(0) for _ in rows]).q_rad)
         self._state: CellState | None = None
         self._begun = False  # whether an episode ever has
         self.late_actions = 0
@@ -204,7 +202,7 @@ class Core:
         start = self.task.start(rows, rngs)
         sampled = {} if self._randomization.is_none else self._randomization.sample(rngs)
         seeds = [int(rng.integers(2**31)) for rng in rngs]
-        self._clearance.check_start(start.q_rad, rows)
+        self._clearance.check_start(start.q_rad)
         self.pipeline.reset(start.q_rad, rows, start.gripper_m)
         plant = apply_sample({name: value[rows] for name, value in self._plant.items()}, sampled)
         try:

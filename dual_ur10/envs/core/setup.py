@@ -115,8 +115,8 @@ class EnvSetup:
         """
         return self.task_type(self.settings, self.config, self.timing, n)
 
-    def make_adapter(self, n: int = 1) -> ServojAdapter:
-        """Make the adapter from actions to targets for n cells.
+    def make_adapter(self, n: int = 1, threads: int = 1) -> ServojAdapter:
+        """Make the adapter from actions to targets for n cells, computed on some threads.
 
         Raises:
             SettingsError: Or one of its kinds: a value is not legal.
@@ -135,6 +135,7 @@ class EnvSetup:
             yaw_rad=[mount.yaw_rad for mount in mounts],
             speed_factor=config.speed_factor,
             lookahead_s=config.measured_lookahead_s,
+            threads=threads,
         )
 
 

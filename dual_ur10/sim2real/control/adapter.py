@@ -8,18 +8,17 @@ one matrix product as long as no limit binds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dual_ur10.errors import UnknownNameError
+from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
 from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
 from dual_ur10.sim2real.control import path
 from dual_ur10.sim2real.control.cartesian_step import goal_of_step
-from dual_ur10.sim2real.control.limiter import Limiter
 from dual_ur10.sim2real.control.limits import HISTORY, Envelope, MotionLimits
 from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
 from dual_ur10.sim2real.control.time_scaling import interpolate
@@ -46,12 +45,9 @@ _PARTS = 8  # sub-steps of a tick for the law under time scaling
 
 _GOAL_MARGIN_RAD = 1e-3  # goals stay this far inside the range that the limiter enforces
 
-# Rows of the adapter's state, (n, rows, 12): the last three targets, then the state of a path.
-_GOALS = slice(HISTORY + path.GOALS.start, HISTORY + path.GOALS.stop)
-_GOAL, _NOW, _SPEED, _ACCELERATION = (
-    HISTORY + row for row in (path.GOAL, path.POSITION, path.SPEED, path.ACCELERATION)
-)
-_PATH = slice(HISTORY + path.STATE.start, HISTORY + path.STATE.stop)
+# Rows of the adapter's state, (n, rows, 12): the last three targets, then the values that define a path.
+_GOAL, _NOW, _SPEED = (HISTORY + row for row in (path.GOAL, path.POSITION, path.SPEED))
+_VALUES = HISTORY + path.VALUES
 
 
 class Command(NamedTuple):
@@ -94,6 +90,7 @@ class ServojAdapter:
         speed_factor: Rate of task time in real time. At 0.25 a second of the task takes four, in which the controllers'
             law does four times as much.
         lookahead_s: Measured lookahead of the law that the arms follow; None: that of `profile`.
+        threads: Threads to compute on.
     """
 
     def __init__(
@@ -110,13 +107,9 @@ class ServojAdapter:
         yaw_rad: Sequence[float] = (0.0, 0.0),
         speed_factor: float = 1.0,
         lookahead_s: float | None = None,
+        threads: int = 1,
     ) -> None:
-        goals: dict[str, Callable[[Array], Array]] = {
-            "joint_delta": self._joint_delta,
-            "joint_position": self._joint_position,
-            "tcp_delta": self._tcp_delta,
-        }
-        if mode not in goals:
+        if mode not in get_args(ActionMode):
             raise UnknownNameError("action mode", str(mode), get_args(ActionMode))
         self.profile, self.limits, self.ticks, self.n = profile, limits.narrowed(JOINT_MARGIN_RAD), ticks, n
         self.mode, self.gripper, self.compensate_lag, self.dh = mode, gripper, compensate_lag, tuple(dh)
@@ -126,50 +119,73 @@ class ServojAdapter:
         self._law = ServojLaw(lookahead_s * speed_factor, profile.gain / speed_factor**2)
         self._lead_s = profile.tick_s * speed_factor / 2 if compensate_lag else 0.0
         self.envelope = Envelope(self.limits, profile.tick_s, ticks)
-        self._limiter = Limiter(self.envelope)
-        self._goal = goals[mode]
         # Towards a joint's limit a goal may cover a fraction of the remaining distance: an approach that the brake can
         # always follow, so that one joint at its limit does not hold the other eleven.
         self._approach = min(0.3, self.envelope.brake_rate * self.period_s / 10)
-        self._lower = self._approach * (np.tile(self.limits.lower_rad, 2) + _GOAL_MARGIN_RAD)
-        self._upper = self._approach * (np.tile(self.limits.upper_rad, 2) - _GOAL_MARGIN_RAD)
         speed = np.tile(self.limits.speed_rad_s, 2)
-        self._continuation_limits = np.stack([speed, np.full(12, self.limits.acceleration_rad_s2)])
         self._leash = speed * (speed / (2 * self.limits.acceleration_rad_s2) + self.period_s)
         self._steps_to_rest = 2.0 / (self.envelope.brake_rate * self.period_s)  # along a critically damped decay
-        self._joint_step = np.tile(self.limits.speed_rad_s, 2) * self.period_s
         # Rotates vectors of the cell frame into each arm's `base`, which is rotated by π from base_link.
         rotations = np.array([[0.0, 0.0, -np.pi - yaw] for yaw in yaw_rad])
         self._to_base = quat_to_matrix(quat_from_rotvec(rotations))
-        meetings = path.meetings(self.period_s)
-        self._plans = [self._plan(meeting) for meeting in meetings]
-        # A cubic that no arm could follow does not predict the commands: after a jump it may lead far off.
-        self._cubics = {k: self._continuation(each) for k, each in enumerate(meetings) if each.points > 2}
-        # With few targets per period, legal targets can lie on an illegal path.
-        self._between = [self._acceleration(meeting) for meeting in meetings] if ticks < _MANY_TICKS else []
-        self._resume = self._resume_matrix()
-        self._state: Array = np.zeros((n, HISTORY + path.VALUES, 12))
-        self._commanded: Array = self._state[:, _GOAL].copy()
+        self._state: Array = np.zeros((n, _VALUES, 12))
+        self._commanded: Array = np.zeros((n, 12))
+        self._action: Array = np.zeros((n, 2, 6 if mode == "tcp_delta" else self.action_size))
+        self._targets: Array = np.zeros((n, ticks, 12))
+        self._step = RowLoop("adapter_step", self._struct(), n, threads)
 
-    def _plan(self, meeting: path.Meeting) -> Array:
-        """Return a period as a matrix on the state: targets, final state of the path, limited quantities."""
+    def _struct(self) -> Struct:
+        """Return the coefficients and the state as the kernel's structure."""
+        meetings = path.meetings(self.period_s)
+        plans = [self._plan(meeting) for meeting in meetings]
+        # With few targets per period, legal targets can lie on an illegal path.
+        few = self.ticks < _MANY_TICKS
+        between = [self._acceleration(meeting) for meeting in meetings] if few else [np.zeros((0, _VALUES))]
+        speed = np.tile(self.limits.speed_rad_s, 2)
+        return Struct(
+            "Adapter",
+            n=self.n,
+            ticks=self.ticks,
+            width=HISTORY + self.ticks + 2,
+            mode=0 if self.mode == "joint_delta" else 1,
+            size=self._action.shape[2],
+            meetings=len(meetings),
+            between_rows=len(between[0]),
+            approach=self._approach,
+            envelope=self.envelope.kernel,
+            plans=np.stack([targets for targets, _ in plans]),
+            ends=np.stack([end for _, end in plans]),
+            # A cubic that no arm could follow does not predict the commands: after a jump it may lead far off.
+            cubic=np.array([int(each.points > 2) for each in meetings]),
+            continuations=np.stack([self._continuation(each) for each in meetings]),
+            continuation_limits=np.stack([speed, np.full(12, self.limits.acceleration_rad_s2)]),
+            between=np.stack(between),
+            resume=self._resume_matrix(),
+            joint_step=speed * self.period_s,
+            lower=self._approach * (np.tile(self.limits.lower_rad, 2) + _GOAL_MARGIN_RAD),
+            upper=self._approach * (np.tile(self.limits.upper_rad, 2) - _GOAL_MARGIN_RAD),
+            leash=self._leash,
+            state=self._state,
+            commanded=self._commanded,
+            action=self._action,
+            targets=self._targets,
+        )
+
+    def _plan(self, meeting: path.Meeting) -> tuple[Array, Array]:
+        """Return a period as matrices on the state: targets, (ticks, ...), and final state of the path, (4, ...)."""
         ticks, tick_s = self.ticks, self.profile.tick_s
         # Held for a tick, a target acts half a tick late on average: it is taken half a tick ahead.
         times_s = np.arange(ticks, dtype=np.float64) * tick_s + self._lead_s
         rows = path.path(self.period_s, times_s, meeting)
-        targets = rows.position
+        targets, end = np.zeros((ticks, _VALUES)), np.zeros((4, _VALUES))
+        targets[:, HISTORY:], end[:, HISTORY:] = rows.position, rows.end
         if self.compensate_lag:
-            targets = targets + self._law.lookahead_s * rows.speed + rows.acceleration / self._law.gain
-        window = np.zeros((HISTORY + ticks, HISTORY + path.VALUES))
-        window[:HISTORY, :HISTORY] = np.eye(HISTORY)
-        window[HISTORY:, HISTORY:] = targets
-        end = np.zeros((4, HISTORY + path.VALUES))
-        end[:, HISTORY:] = rows.end
-        return np.vstack([window[HISTORY:], end, self.envelope.rows @ window])
+            targets[:, HISTORY:] += self._law.lookahead_s * rows.speed + rows.acceleration / self._law.gain
+        return targets, end
 
     def _continuation(self, meeting: path.Meeting) -> Array:
         """Return the commands' speed and acceleration, (2, state), where the path meets them again."""
-        rows = np.zeros((2, HISTORY + path.VALUES))
+        rows = np.zeros((2, _VALUES))
         rows[:, HISTORY:] = path.continuation(self.period_s, meeting)[1:]
         return rows
 
@@ -180,7 +196,7 @@ class ServojAdapter:
         times: Array = np.arange(9.0) * step_s
         rows = path.path(self.period_s, times, meeting)
         acceleration = rows.acceleration[:-1] + lookahead_s * np.diff(rows.acceleration, axis=0) / step_s
-        result = np.zeros((len(acceleration), HISTORY + path.VALUES))
+        result = np.zeros((len(acceleration), _VALUES))
         result[:, HISTORY:] = acceleration / self.limits.acceleration_rad_s2
         return result
 
@@ -254,7 +270,7 @@ class ServojAdapter:
 
         Where a limit keeps the arms from following, they stay within a braking distance of the targets.
         """
-        return self._commanded.reshape(self.n, 2, 6)
+        return self._commanded.reshape(self.n, 2, 6).copy()
 
     def reset(self, q_rad: Array, rows: Rows | None = None) -> None:
         """Start from rest at `q_rad`, (n, 2, 6), in all cells or in `rows` of them (then (len(rows), 2, 6))."""
@@ -269,70 +285,13 @@ class ServojAdapter:
         Args:
             action: (n, 2, action_size), finite. Values outside the bounds are clipped to them.
         """
-        state, ticks = self._state, self.ticks
-        state[:, _GOAL] = self._goal(action[..., :6] if self.gripper else action)
-        plan = self._plans[0] @ state
-        targets = plan[:, :ticks]
-        use = self.envelope.signed_use(plan[:, ticks + 4 :])
-        legal = self._limiter.is_legal(use, state[:, :HISTORY], targets)
-        if self._between:
-            legal &= np.abs(self._between[0] @ state).max(axis=(1, 2)) <= 1.0
-        if not np.logical_and.reduce(legal):
-            rows = np.flatnonzero(~legal)
-            plan[rows, : ticks + 4] = self._limited(state[rows])
-        state[:, _GOALS.start : _GOAL] = state[:, _GOALS.start + 1 : _GOAL + 1]
-        state[:, _PATH] = plan[:, ticks : ticks + 4]
-        keep = max(HISTORY - ticks, 0)
-        state[:, :keep] = state[:, ticks : ticks + keep]
-        state[:, keep:HISTORY] = targets[:, -HISTORY:]
-        led = state[:, _NOW]
-        self._commanded = np.minimum(np.maximum(state[:, _GOAL], led - self._leash), led + self._leash)
-        return Command(targets.reshape(self.n, ticks, 2, 6), self._gripper_width(action))
+        self._action[:] = self._tcp_goal(action[..., :6]) if self.mode == "tcp_delta" else action
+        self._step()
+        targets = self._targets.reshape(self.n, self.ticks, 2, 6).copy()
+        return Command(targets, self._gripper_width(action))
 
-    def _limited(self, state: Array) -> Array:
-        """Return targets and final path state, (rows, ticks + 4, 12), of cells whose plan is not legal."""
-        ticks, past = self.ticks, state[:, :HISTORY]
-        result = np.empty((len(state), ticks + 4, 12))
-        left = np.arange(len(state))
-        for k, later in enumerate(self._plans[1:], start=1):
-            plan = later @ (state if len(left) == len(state) else state[left])
-            targets = plan[:, :ticks]
-            use = self.envelope.signed_use(plan[:, ticks + 4 :])
-            legal = self._limiter.is_legal(use, past[left], targets) & self._continuation_is_legal(k, state[left])
-            if self._between:
-                legal &= np.abs(self._between[k] @ state[left]).max(axis=(1, 2)) <= 1.0
-            result[left[legal]] = plan[legal, : ticks + 4]
-            left, use, targets = left[~legal], use[~legal], targets[~legal]
-            if not left.size:
-                return result
-        limited = self._limiter.limit(use, past[left], targets)
-        window = np.concatenate([past[left], limited, state[left, _NOW : _SPEED + 1]], axis=1)
-        result[left] = np.concatenate([limited, self._resume @ window], axis=1)
-        return result
-
-    def _continuation_is_legal(self, number: int, state: Array) -> NDArray[np.bool_]:
-        """Return a (rows,) mask of cells whose commands' continuation keeps all limits where a path meets it.
-
-        A line through the last two commands always does.
-        """
-        if number not in self._cubics:
-            return np.ones(len(state), dtype=bool)
-        use = np.abs(self._cubics[number] @ state) / self._continuation_limits
-        result: NDArray[np.bool_] = use.max(axis=(1, 2)) <= 1.0 + 1e-6
-        return result
-
-    def _joint_delta(self, action: Array) -> Array:
-        step = np.minimum(np.maximum(action.reshape(self.n, 12), -1.0), 1.0)
-        return self._inside(self._commanded + step * self._joint_step)
-
-    def _joint_position(self, action: Array) -> Array:
-        return self._inside(action.reshape(self.n, 12))
-
-    def _inside(self, goal: Array) -> Array:
-        now = (1.0 - self._approach) * self._state[:, _NOW]
-        return np.minimum(np.maximum(goal, now + self._lower), now + self._upper)
-
-    def _tcp_delta(self, action: Array) -> Array:
+    def _tcp_goal(self, action: Array) -> Array:
+        """Return joint goals, (n, 2, 6), of Cartesian steps."""
         now = self.commanded_q_rad
         asked = np.clip(action, -1.0, 1.0)
         goal = now.copy()
@@ -342,7 +301,7 @@ class ServojAdapter:
             step = vectors[:, 0] * (TCP_STEP_M_S * self.period_s)
             rotation = vectors[:, 1] * (TCP_ROTATION_RAD_S * self.period_s)
             goal[:, arm] = goal_of_step(now[:, arm], step, rotation, self._steps_to_rest, dh)
-        return self._inside(goal.reshape(self.n, 12))
+        return goal
 
     def _gripper_width(self, action: Array) -> Array | None:
         """Return the width of each gripper in every tick, (n, ticks, 2), in m."""

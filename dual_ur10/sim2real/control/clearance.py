@@ -1,12 +1,13 @@
 """Distances of the arms from themselves, each other and all obstacles, for the safety gate.
 
-MuJoCo computes them on a collision model of its own: no contacts, no dynamics.
+The kernel computes them in closed form, on the shapes of a collision model of its own: no contacts, no dynamics.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from functools import lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from dual_ur10.assets.collision_model import (
     CLEARANCE_CUTOFF_M,
+    HULL,
     build_collision_model,
     clearance_pairs,
     levers_m,
@@ -24,6 +26,8 @@ from dual_ur10.assets.collision_model import (
 from dual_ur10.assets.obstacles import geom_name
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.errors import CollisionAtStartError, SettingsError, UnknownNameError
+from dual_ur10.kernel import Struct, function, pointer
+from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.types import Array, Mask
 
 if TYPE_CHECKING:
@@ -52,13 +56,66 @@ def _reaches_m(settings: SceneSettings) -> tuple[tuple[int, float], ...]:
     return tuple(reach_m(model, settings, geom) for geom in range(model.ngeom))
 
 
+@lru_cache(maxsize=32)
+def _shapes(settings: SceneSettings) -> dict[str, Any]:
+    """Return the kernel's description of the scene's collision model: its bodies, its geoms and the measured pairs.
+
+    Raises:
+        SettingsError: A shape has no closed form, or the bodies are not two chains of six joints.
+    """
+    import mujoco
+
+    model = build_collision_model(settings)
+    count = model.nbody
+    if not (
+        model.njnt == count - 1 == 12 and (model.body_jntadr[1:] == np.arange(12)).all() and not model.jnt_pos.any()
+    ):
+        raise SettingsError(f"a collision model must have 12 bodies with a joint each, found {count - 1}: report this")
+    kinds = mujoco.mjtGeom
+    numbers = {
+        int(kinds.mjGEOM_CAPSULE): 0,
+        int(kinds.mjGEOM_SPHERE): 0,
+        int(kinds.mjGEOM_BOX): 1,
+        int(kinds.mjGEOM_PLANE): 2,
+    }
+    names = [model.geom(geom).name for geom in range(model.ngeom)]
+    # A box and its hull are one shape here.
+    standing_for = np.array([names.index(name.removesuffix(HULL)) for name in names])
+    first, second = standing_for[model.sensor_objid], standing_for[model.sensor_refid]
+    for geom in {*first.tolist(), *second.tolist()}:
+        if int(model.geom_type[geom]) not in numbers:
+            raise SettingsError(f"{names[geom]} is no capsule, sphere, box or plane: its distances cannot be measured")
+    size = model.geom_size.copy()
+    size[model.geom_type == int(kinds.mjGEOM_SPHERE), 1:] = 0.0
+    return {
+        "bodies": count,
+        "geoms": model.ngeom,
+        "pairs": len(first),
+        "parent": model.body_parentid.astype(np.int64),
+        "offset_m": model.body_pos.copy(),
+        "turned": _matrices(model.body_quat),
+        "axis": np.vstack([np.zeros(3), model.jnt_axis]),
+        "body": model.geom_bodyid.astype(np.int64),
+        "shape": np.array([numbers.get(int(kind), 1) for kind in model.geom_type]),
+        "center_m": model.geom_pos.copy(),
+        "axes": _matrices(model.geom_quat),
+        "size_m": size,
+        "radius_m": model.geom_rbound.copy(),
+        "first": first.astype(np.int64),
+        "second": second.astype(np.int64),
+    }
+
+
+def _matrices(quaternions: Array) -> Array:
+    result: Array = np.ascontiguousarray(quat_to_matrix(np.asarray(quaternions, dtype=np.float64)))
+    return result
+
+
 class Clearance:
-    """Computes distances at configurations of n cells.
+    """Computes distances at configurations of a cell.
 
     Args:
         settings: The scene.
-        n: Number of cells.
-        threads: Threads to compute on.
         minimum_m: Smallest legal distance of any pair.
         closer: Smallest legal distance in m of those pairs of `assets.scene.clearance_pairs(settings)` for which the
             task sets its own; frozen at construction.
@@ -76,13 +133,11 @@ class Clearance:
         self,
         settings: SceneSettings,
         *,
-        n: int = 1,
-        threads: int = 1,
         minimum_m: float = MINIMUM_M,
         closer: Mapping[Pair, float] = MappingProxyType({}),
         uncertainty: Uncertainty = KNOWN,
     ) -> None:
-        self._arguments = (settings, n, threads)
+        self._settings = settings
         self.pairs = clearance_pairs(settings)
         for pair, distance in closer.items():
             if pair not in self.pairs:
@@ -96,11 +151,7 @@ class Clearance:
         self._exempt = np.array([pair in closer for pair in self.pairs])
         model = build_collision_model(settings)
         self._uncertainty = BaseUncertainty(uncertainty, settings, model, self._exempt)
-        self._levers = (_levers_m(settings) * (1.0 + self._uncertainty.per_m[:, None])).T.copy()
         self._allowed = self._known + self._uncertainty.most_m
-        self._geoms = model.sensor_objid.copy(), model.sensor_refid.copy()
-        radius = np.where(model.geom_rbound > 0.0, model.geom_rbound, np.inf)  # MuJoCo gives planes a radius of 0
-        self._spheres: Array = radius[self._geoms[0]] + radius[self._geoms[1]] + self._allowed
         for row in np.flatnonzero((self._allowed >= CLEARANCE_CUTOFF_M) & (self._allowed > self._known))[:1]:
             raise SettingsError(
                 f"{' and '.join(self.pairs[row])} must stay {self._known[row]:.4g} m apart, and up to "
@@ -108,29 +159,34 @@ class Clearance:
                 f"together that must be below {CLEARANCE_CUTOFF_M} m, beyond which distances are not measured. Measure "
                 "where the bases stand, and write smaller uncertainties"
             )
-        self._build()
+        self._granted: Array = np.zeros(len(self.pairs))
+        self._connect()
 
-    def _build(self) -> None:
-        import mujoco
-        from mujoco.batch import Batch
+    def _connect(self) -> None:
+        uncertainty, shapes = self._uncertainty, _shapes(self._settings)
+        self._struct = Struct(
+            "Clearance",
+            **shapes,
+            cutoff_m=CLEARANCE_CUTOFF_M,
+            base_m=uncertainty.base_m,
+            known_m=self._known,
+            granted_m=self._granted,
+            shift_m=uncertainty.shift_m,
+            first_rad=uncertainty.rotation_rad[0],
+            second_rad=uncertainty.rotation_rad[1],
+        )
+        levers = _levers_m(self._settings) * (1.0 + uncertainty.per_m[:, None])
+        self.kernel = Struct(
+            "Distances", pairs=len(self.pairs), levers=levers, measure="clearance_spare", context=self._struct
+        )
+        """Measures for the gate, beyond the cutoff a lower bound."""
 
-        settings, n, threads = self._arguments
-        self._batch: Any = Batch(build_collision_model(settings), n, threads)
-        self._stage = int(mujoco.mjtStage.mjSTAGE_POS)
-        self._qpos: Array = self._batch.bind("qpos")
-        self._distance: Array = self._batch.bind("sensordata")
-        self._center: Array = self._batch.bind("geom_xpos").reshape(n, -1, 3)
-        self._alone: Clearance | None = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        state = self.__dict__.copy()
-        for key in ("_batch", "_qpos", "_distance", "_center", "_alone"):
-            del state[key]
-        return state
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._build()
+    def granting(self, granted_m: Array) -> Clearance:
+        """Return the same distances for which each pair may be closer than allowed by (pairs,) distances."""
+        result = copy(self)
+        result._granted = np.array(granted_m, dtype=np.float64)
+        result._connect()
+        return result
 
     @property
     def most_m(self) -> Array:
@@ -142,89 +198,50 @@ class Clearance:
         """(pairs,) mask of the pairs with a smallest legal distance of their own."""
         return self._exempt.copy()
 
-    def _allowed_here(self) -> Array:
-        """Return the smallest legal distances, (n, pairs) or (pairs,), at the configurations measured last."""
-        return self._known + self._uncertainty.at(self._center) if self._uncertainty.varies else self._allowed
+    def distances_m(self, q_rad: Array) -> Array:
+        """Return distances, (n, pairs), at configurations (n, 12); those beyond 0.2 m as 0.2 m."""
+        return self._measured(q_rad)[0]
 
     def allowed_m(self, q_rad: Array) -> Array:
         """Return the smallest legal distances, (n, pairs), at configurations (n, 12), with the uncertainty added."""
-        self.distances_m(q_rad)
-        return np.broadcast_to(self._allowed_here(), self._distance.shape).copy()
-
-    def distances_m(self, q_rad: Array) -> Array:
-        """Return distances, (n, pairs), at configurations (n, 12); those beyond 0.2 m as 0.2 m.
-
-        The array belongs to this object and changes with its next call.
-        """
-        self._qpos[:] = q_rad
-        self._batch.forward(stage=self._stage)
-        return self._distance
+        return self._measured(q_rad)[1]
 
     def spare_m(self, q_rad: Array) -> Array:
         """Return the distance above the legal minimum, (n, pairs), at configurations (n, 12); negative: too close."""
-        spare: Array = self.distances_m(q_rad) - self._allowed_here()
-        return spare
+        distances, allowed = self._measured(q_rad)
+        return distances + self._granted - allowed
 
-    def spare_of_spheres_m(self) -> Array:
-        """Return a lower bound of `spare_m` at the last configurations, from bounding spheres and without cutoff."""
-        first, second = self._geoms
-        apart = self._center[:, first] - self._center[:, second]
-        spare: Array = np.sqrt(np.einsum("npk,npk->np", apart, apart)) - self._spheres
-        return spare
-
-    def travel_m(self, path_rad: Array) -> Array:
-        """Return the largest decrease of `spare_m`, (n, pairs), over joint travel (n, 12), not negative."""
-        travel: Array = path_rad @ self._levers
-        return travel
-
-    def alone(self) -> Clearance:
-        """Return the same model for one configuration at a time."""
-        settings, n, _ = self._arguments
-        if n == 1:
-            return self
-        if self._alone is None:
-            self._alone = object.__new__(Clearance)
-            self._alone.__setstate__({**self.__getstate__(), "_arguments": (settings, 1, 1)})
-        return self._alone
+    def _measured(self, q_rad: Array) -> tuple[Array, Array]:
+        q_rad = np.ascontiguousarray(q_rad, dtype=np.float64)
+        distances, allowed = np.empty((2, len(q_rad), len(self.pairs)))
+        function("clearance_distances", 5)(self._struct.address, *map(pointer, (q_rad, distances, allowed)), len(q_rad))
+        return distances, allowed
 
     def is_clear(self, q_rad: Array) -> NDArray[np.bool_]:
         """Return an (n,) mask of the configurations, (n, 12), at which no pair is closer than allowed."""
         clear: NDArray[np.bool_] = np.all(self.spare_m(q_rad) >= 0.0, axis=1)
         return clear
 
-    def shortfall_m(self, q_rad: Array) -> Array:
-        """Return the missing distance of each pair, (pairs,), at a configuration, (12,); negative where legal."""
-        configurations = np.broadcast_to(q_rad, self._qpos.shape)
-        shortfall: Array = (self.allowed_m(configurations) - self._distance)[0]
-        return shortfall
-
-    def worst(self, q_rad: Array, granted_m: Array | float = 0.0) -> tuple[str, float, float]:
-        """Return the pair with the smallest margin to its limit, its distance and the smallest legal one.
-
-        Args:
-            q_rad: (12,) configuration.
-            granted_m: (pairs,) distance by which pairs may be closer than allowed.
-        """
-        allowed = self.allowed_m(np.broadcast_to(q_rad, self._qpos.shape))[0]
-        distance = self._distance[0]
-        pair = int((distance - allowed + granted_m).argmin())
+    def worst(self, q_rad: Array) -> tuple[str, float, float]:
+        """Return the pair with the smallest margin at a configuration, (12,), its distance and the legal minimum."""
+        (distance,), (allowed,) = self._measured(q_rad[None])
+        pair = int((distance + self._granted - allowed).argmin())
         return " and ".join(self.pairs[pair]), float(distance[pair]), float(allowed[pair])
 
-    def check_start(self, q_rad: Array, rows: NDArray[np.intp]) -> None:
-        """Refuse configurations, (len(rows), 2, 6), from which episodes in `rows` must not start.
+    def check_start(self, q_rad: Array) -> None:
+        """Refuse configurations, (n, 2, 6), from which episodes must not start.
 
         Raises:
-            SettingsError: A configuration is not finite; MuJoCo would measure the distances at another one.
+            SettingsError: A configuration is not finite.
             CollisionAtStartError: A pair is closer than allowed.
         """
         if not np.isfinite(q_rad).all():
             raise SettingsError(f"a start configuration must be finite, found {np.asarray(q_rad).tolist()}")
-        configurations = self._qpos.copy()
-        configurations[rows] = np.asarray(q_rad).reshape(-1, 12)
-        for row in rows[~self.is_clear(configurations)[rows]]:
+        configurations = np.asarray(q_rad, dtype=np.float64).reshape(-1, 12)
+        for row in np.flatnonzero(~self.is_clear(configurations)):
             pair, distance, allowed = self.worst(configurations[row])
             away = "move the bases apart, rotate them"
-            for each in self._arguments[0].obstacles:
+            for each in self._settings.obstacles:
                 if pair.endswith(f" and {geom_name(each)}"):
                     away = f"move the obstacle {each.name!r} or the bases"
             raise CollisionAtStartError(
@@ -273,27 +290,16 @@ class BaseUncertainty:
         values = np.append(checked_base_uncertainty(uncertainty), [[0.0, 0.0]], axis=0)
         reaches = _reaches_m(settings)
         arms = np.array([arm for arm, _ in reaches])  # -1 is the last row of all
-        self._base = np.array([mount.position_m for mount in settings.mounts] + [(0.0, 0.0, 0.0)])[arms]
-        self._radius: Array = model.geom_rbound.copy()
-        self._pairs = np.stack([model.sensor_objid, model.sensor_refid])
+        self.base_m: Array = np.array([mount.position_m for mount in settings.mounts] + [(0.0, 0.0, 0.0)])[arms]
+        pairs = np.stack([model.sensor_objid, model.sensor_refid])
         # Both geoms of one arm move together.
-        counts = arms[self._pairs[0]] != arms[self._pairs[1]]
+        counts = arms[pairs[0]] != arms[pairs[1]]
         if exempt is not None:
             counts &= ~exempt
-        shift, self._rotation = (values[arms[self._pairs], k] * counts for k in (0, 1))
-        self._shift: Array = shift.sum(axis=0)
+        shift, self.rotation_rad = (values[arms[pairs], k] * counts for k in (0, 1))
+        self.shift_m: Array = shift.sum(axis=0)
         furthest = np.array([reach for _, reach in reaches])
-        self.most_m: Array = self._shift + (furthest[self._pairs] * self._rotation).sum(axis=0)
+        self.most_m: Array = self.shift_m + (furthest[pairs] * self.rotation_rad).sum(axis=0)
         """(pairs,) largest extra clearance at any configuration."""
-        self.per_m: Array = self._rotation.sum(axis=0)
+        self.per_m: Array = self.rotation_rad.sum(axis=0)
         """(pairs,) largest change of it per metre of motion of both geoms of a pair."""
-        self.varies = bool(self._rotation.any())
-        """True if it depends on the configuration."""
-
-    def at(self, center_m: Array) -> Array:
-        """Return the extra clearance, (n, pairs), with the geoms' centres at `center_m`, (n, geoms, 3)."""
-        away = center_m - self._base
-        reach = np.sqrt(np.einsum("ngk,ngk->ng", away, away)) + self._radius
-        first, second = self._pairs
-        allowance: Array = self._shift + reach[:, first] * self._rotation[0] + reach[:, second] * self._rotation[1]
-        return allowance

@@ -9,17 +9,23 @@ legal when that target was accepted.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
 from dual_ur10.errors import ActionError
+from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.control.limits import HISTORY, POINTS, Envelope, MotionLimits
-from dual_ur10.sim2real.control.swept_clearance import Distances, SweptClearance
-from dual_ur10.types import Array, Mask, Rows
+from dual_ur10.types import Array, Rows
 
-_TOLERANCE = 1.0 + 1e-9  # rounding of a third difference of positions
+SWEEP_TOLERANCE_M: Final = 0.005
+"""Distance by which a pair may be closer than allowed between two checked configurations."""
+
+# A path that needs more checks runs along an obstacle for long at full speed. It is refused, as time is short.
+_CHECKS, _CHECKS_PER_TICK = 40, 10
+
+_LIMIT, _CARTESIAN = 1, 2  # the kernel's reasons of a refusal; the third is a distance
 
 _UNITS = {
     "joint position": "rad",
@@ -59,6 +65,17 @@ class Verdict:
         )
 
 
+class Distances(Protocol):
+    """Distances between bodies; see `dual_ur10.sim2real.control.clearance.Clearance`."""
+
+    @property
+    def kernel(self) -> Struct:
+        """Return the kernel's structure `Distances`: how to measure, and the pairs' levers."""
+
+    def worst(self, q_rad: Array) -> tuple[str, float, float]:
+        """Return the pair with the smallest margin at a configuration, (12,), its distance and the legal minimum."""
+
+
 class GateResult(NamedTuple):
     """Released targets, and the reasons for refused ones.
 
@@ -80,18 +97,55 @@ class SafetyGate:
         ticks: Targets per call.
         clearance: Computes distances.
         n: Number of cells.
+        threads: Threads to compute on.
     """
 
-    def __init__(self, limits: MotionLimits, tick_s: float, ticks: int, clearance: Distances, *, n: int = 1) -> None:
+    def __init__(
+        self,
+        limits: MotionLimits,
+        tick_s: float,
+        ticks: int,
+        clearance: Distances,
+        *,
+        n: int = 1,
+        threads: int = 1,
+    ) -> None:
         self.limits, self.ticks, self.n = limits, ticks, n
         self.envelope = Envelope(limits, tick_s, ticks)
         self._clearance = clearance
+        pairs = int(clearance.kernel.values["pairs"])
         self._past: Array = np.zeros((n, HISTORY, 12))
         self._sent = np.zeros(n, dtype=np.int64)
-        self._spare: Array = np.zeros((n, 0))
         self._verdicts: dict[int, Verdict] = {}
-        self._swept = SweptClearance(clearance, self.envelope.whole_brake(), ticks)
-        self._too_close_q: dict[int, Array] = {}  # by row: configuration on its path where a pair is too close
+        self._targets: Array = np.zeros((n, ticks, 12))
+        self._spare: Array = np.zeros((n, pairs))
+        # Known of the last target: the spare distance at a configuration, and the travel from there.
+        self._known, self._away = np.zeros((n, pairs)), np.zeros((n, 12))
+        self._reason, self._index = np.zeros((2, n), dtype=np.int64)
+        self._found, self._q = np.zeros(n), np.zeros((n, 12))
+        brake = self.envelope.whole_brake()
+        struct = Struct(
+            "Gate",
+            n=n,
+            ticks=ticks,
+            pairs=pairs,
+            brake_rows=len(brake),
+            sweep_tolerance_m=SWEEP_TOLERANCE_M,
+            most_checks=_CHECKS + _CHECKS_PER_TICK * ticks,
+            envelope=self.envelope.kernel,
+            distances=clearance.kernel,
+            brake=brake,
+            past=self._past,
+            spare_m=self._spare,
+            known_m=self._known,
+            away_rad=self._away,
+            reason=self._reason,
+            index=self._index,
+            found=self._found,
+            q_rad=self._q,
+            targets=self._targets,
+        )
+        self._step = RowLoop("gate_step", struct, n, threads)
 
     @property
     def last_targets_rad(self) -> Array:
@@ -107,12 +161,11 @@ class SafetyGate:
         """Start from rest at `q_rad`, (n, 2, 6), in all cells or in `rows` of them (then (len(rows), 2, 6))."""
         index = np.arange(self.n) if rows is None else rows
         self._past[index] = np.asarray(q_rad).reshape(-1, 1, 12)
-        self._sent[index] = 0
-        self._swept.reset(index)
+        self._sent[index] = self._reason[index] = 0
+        self._known[index] = self._away[index] = 0.0  # the caller has checked the start
         for row in index.tolist():
             self._verdicts.pop(row, None)
 
-    @np.errstate(over="ignore", invalid="ignore")  # the checks find huge and infinite targets
     def __call__(self, targets_rad: Array) -> GateResult:
         """Release targets, or replace them by the brake.
 
@@ -122,80 +175,42 @@ class SafetyGate:
         Raises:
             ActionError: Wrong shape or type, or NaN or infinity: nothing leaves and nothing changes.
         """
-        envelope, ticks, n = self.envelope, self.ticks, self.n
-        if not isinstance(targets_rad, np.ndarray) or targets_rad.shape != (n, ticks, 2, 6):
+        shape = (self.n, self.ticks, 2, 6)
+        if not isinstance(targets_rad, np.ndarray) or targets_rad.shape != shape:
             found = getattr(targets_rad, "shape", type(targets_rad).__name__)
-            raise ActionError(f"targets must be an array of shape {(n, ticks, 2, 6)}, found {found}: send all of them")
+            raise ActionError(f"targets must be an array of shape {shape}, found {found}: send all of them")
         if targets_rad.dtype != np.float64:
             raise ActionError(f"targets must be float64, found {targets_rad.dtype}: convert them first")
-        window = np.concatenate([self._past, targets_rad.reshape(n, ticks, 12)], axis=1)
-        quantities = envelope.rows @ window
-        used = envelope.use(quantities)
-        # Every check is of the form "within the limit", which NaN and infinity never are.
-        kept = envelope.within(used, _TOLERANCE, 1.0)
-        if not kept and not np.isfinite(targets_rad).all():
+        if not np.logical_and.reduce(np.isfinite(targets_rad), axis=None):
             raise ActionError(_not_finite(targets_rad))
-        first_order, rest = quantities[:, envelope.rest_row - 1], quantities[:, envelope.rest_row]
-        self._spare = spare = self._clearance.spare_m(rest)
-        legal = np.logical_and.reduce(spare >= 0.0, axis=1)
-        if not kept:
-            legal = legal & self._in_detail(window, used)
-        going = legal.copy()
-        going[list(self._verdicts)] = False
-        self._too_close_q = self._swept(window, first_order, rest, spare, going)
-        legal[list(self._too_close_q)] = False
-        if self._verdicts or not np.logical_and.reduce(legal):
-            self._refuse(np.flatnonzero(~legal), window, quantities, used)
-        self._past = window[:, -HISTORY:]
-        self._sent += ticks
+        self._targets[:] = targets_rad.reshape(self._targets.shape)
+        self._step()
+        if np.logical_or.reduce(self._reason):
+            for row in np.flatnonzero(self._reason).tolist():
+                if row not in self._verdicts:
+                    self._verdicts[row] = self._explain(row)
+        self._sent += self.ticks
         # Copies: the released targets are the checked ones, and no caller holds the gate's own record.
-        leaving = window[:, HISTORY:].copy().reshape(n, ticks, 2, 6)
-        return GateResult(leaving, dict(self._verdicts))
+        return GateResult(self._targets.reshape(shape).copy(), dict(self._verdicts))
 
-    def _in_detail(self, window: Array, used: Array) -> Mask:
-        """Return an (n,) mask of rows within all limits, with the Cartesian speed itself where its bound fails."""
-        legal: Mask = used.reshape(self.n, -1).max(axis=1) <= _TOLERANCE
-        rows = np.flatnonzero(legal & (self.envelope.cartesian_bound(used) > 1.0))
-        if rows.size:
-            fastest, _ = self.envelope.cartesian_use(window[rows])
-            legal[rows] = fastest.max(axis=1) <= _TOLERANCE
-        return legal
-
-    def _refuse(self, rows: Rows, window: Array, quantities: Array, used: Array) -> None:
-        """Write the brake into the refused rows of `window`, and keep the reason."""
-        for row in rows.tolist():
-            if row not in self._verdicts:
-                self._verdicts[row] = self._explain(row, window, quantities, used)
-        stopping = np.array(sorted(self._verdicts), dtype=np.intp)
-        past = self._past[stopping]
-        # Relative to the last target, rounding of the brake is far below that of a third difference.
-        last = past[:, -1:]
-        brake = last + self.envelope.brake @ (past - last)
-        speed = np.abs(np.diff(past, axis=1)).max(axis=(1, 2)) / self.envelope.tick_s
-        resting = speed < self.envelope.rest_speed_rad_s
-        window[stopping, HISTORY:] = np.where(resting[:, None, None], last, brake)
-
-    def _explain(self, row: int, window: Array, quantities: Array, used: Array) -> Verdict:
-        tick, envelope = int(self._sent[row]), self.envelope
-        worst, column = np.unravel_index(used[row].argmax(), used[row].shape)
-        if not used[row, worst, column] <= _TOLERANCE:
-            half = envelope.half[worst, column % 6]
-            found, middle = quantities[row, worst, column], envelope.middle[worst, column % 6]
+    def _explain(self, row: int) -> Verdict:
+        """Return the reason that the kernel left for the refusal of a row."""
+        tick, envelope, limits = int(self._sent[row]), self.envelope, self.limits
+        reason, index, found = int(self._reason[row]), int(self._index[row]), float(self._found[row])
+        if reason == _LIMIT:
+            worst, column = divmod(index, 12)
+            half, middle = envelope.half[worst, column % 6], envelope.middle[worst, column % 6]
             allowed = middle + half if found > middle else middle - half
             kind = envelope.kinds[worst]
             if kind != "joint position":
                 found, allowed = abs(found), half
-            subject = f"{ARMS[column // 6]}/{JOINTS[column % 6]}"
-            return Verdict(kind, subject, float(found), float(allowed), tick)
-        (fastest,), (point,) = envelope.cartesian_use(window[[row]])
-        arm = int(fastest.argmax())
-        if fastest[arm] > _TOLERANCE:
-            subject = f"{ARMS[arm]}/{POINTS[point[arm]]}"
-            limit = self.limits.tcp_speed_m_s
-            return Verdict("Cartesian speed", subject, float(fastest[arm] * limit), limit, tick)
-        q_rad = self._too_close_q.get(row, quantities[row, envelope.rest_row])
-        pair, distance, allowed = self._clearance.worst(q_rad)
-        return Verdict("distance", pair, distance, allowed, tick)
+            return Verdict(kind, f"{ARMS[column // 6]}/{JOINTS[column % 6]}", found, float(allowed), tick)
+        if reason == _CARTESIAN:
+            arm, point = divmod(index, len(POINTS))
+            limit = limits.tcp_speed_m_s
+            return Verdict("Cartesian speed", f"{ARMS[arm]}/{POINTS[point]}", found * limit, limit, tick)
+        pair, distance, smallest = self._clearance.worst(self._q[row])
+        return Verdict("distance", pair, distance, smallest, tick)
 
 
 def _not_finite(targets_rad: Array) -> str:

@@ -21,8 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import SettingsError
+from dual_ur10.kernel import Struct, function, pointer
 from dual_ur10.kinematics import ur10
-from dual_ur10.kinematics.forward import elbow_flange_and_tcp
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.types import Array, Vector3
 
 Six = tuple[float, float, float, float, float, float]
@@ -203,21 +204,48 @@ class Envelope:
         self.rows: Array = np.ascontiguousarray(np.vstack(list(stacked.values())))
         self.kinds = [kind for kind, block in stacked.items() for _ in block]
         self.rest_row = len(self.rows) - 1
-        self.position_rows = slice(len(self.rows) - self.kinds.count("joint position"), None)
         self.middle, self.half = self._bounds()
         self.brake: Array = self._brake(ticks)
         self.coast: Array = self._coast(ticks)
-        self._centred = not self.middle.any()
-        self._speed_rows = slice(0, self.kinds.count("joint speed"))
+        self.kernel = self._kernel()
+
+    def _kernel(self) -> Struct:
+        """Return the coefficients as the kernel's structure."""
+        limits, samples = self.limits, self._sampled_brake()
         # Largest fraction of the Cartesian speed limit that each joint uses at its own full speed.
-        self._lever = np.zeros((12, 2))
-        for arm, tcp_m in enumerate(limits.tcp_m):
-            reach = REACH_FROM_JOINT_M + math.hypot(*tcp_m)
-            lever = np.asarray(limits.speed_rad_s) * reach * (_PEAK_BETWEEN_INSTANTS / limits.tcp_speed_m_s)
-            self._lever[6 * arm : 6 * arm + 6, arm] = lever
-        self._brake_samples = self._sampled_brake()
-        self._middle = np.tile(self.middle, 2)
-        self.scale: Array = 1.0 / np.tile(self.half, 2)
+        reach = np.array([REACH_FROM_JOINT_M + math.hypot(*tcp_m) for tcp_m in limits.tcp_m])
+        lever = np.zeros((12, 2))
+        for arm in range(2):
+            lever[6 * arm : 6 * arm + 6, arm] = np.asarray(limits.speed_rad_s) * reach[arm] / limits.tcp_speed_m_s
+        used = self.rows != 0.0
+        d, a = NOMINAL_DH.d_m, NOMINAL_DH.a_m
+        return Struct(
+            "Envelope",
+            ticks=self.ticks,
+            width=HISTORY + self.ticks,
+            m=len(self.rows),
+            speed_rows=self.kinds.count("joint speed"),
+            position_row=len(self.rows) - self.kinds.count("joint position"),
+            samples=len(samples) // 2,
+            stops=len(self._stops),
+            tick_s=self.tick_s,
+            tcp_speed_m_s=limits.tcp_speed_m_s,
+            rest_speed_rad_s=self.rest_speed_rad_s,
+            peak_between=_PEAK_BETWEEN_INSTANTS,
+            rows=self.rows,
+            begins=used.argmax(axis=1),
+            ends=used.shape[1] - used[:, ::-1].argmax(axis=1),
+            middle=np.tile(self.middle, 2),
+            scale=1.0 / np.tile(self.half, 2),
+            lever=lever * _PEAK_BETWEEN_INSTANTS,
+            reach_m=reach,
+            brake_samples=samples,
+            stop=np.array(self._stops),
+            brake=self.brake,
+            coast=self.coast,
+            lengths_m=np.array([d[0], a[1], a[2], d[3], d[4], d[5]]),
+            tcp_m=np.array(limits.tcp_m),
+        )
 
     def _brake(self, ticks: int) -> Array:
         """Return rows (ticks, 3) that continue three past targets with the brake."""
@@ -266,61 +294,30 @@ class Envelope:
         Returns:
             (n, m, 12), not negative.
         """
-        fraction = self.signed_use(quantities)
-        return np.abs(fraction, out=fraction)
+        fraction: Array = np.abs(quantities - np.tile(self.middle, 2)) / np.tile(self.half, 2)
+        return fraction
 
-    def signed_use(self, quantities: Array) -> Array:
-        """Return `use` with the sign of the quantity."""
-        if not self._centred:
-            quantities = quantities - self._middle
-        return quantities * self.scale
-
-    def within(self, fraction: Array, full: float, cartesian_full: float) -> bool:
-        """Check quickly, by a bound of the Cartesian speed, that all cells are within their limits; False for NaN.
+    def cartesian_use(self, windows: Array) -> tuple[Array, NDArray[np.intp]]:
+        """Return the used fraction of the Cartesian speed limit in windows and along the brakes after them.
 
         Args:
-            fraction: (n, m, 12) result of `use`.
-            full: Largest legal fraction of a joint limit.
-            cartesian_full: Largest legal fraction of the Cartesian speed limit.
-        """
-        if not np.maximum.reduce(fraction, axis=None) <= full:
-            return False
-        peak = np.maximum.reduce(fraction[:, self._speed_rows], axis=1, keepdims=True)
-        return bool(np.maximum.reduce(peak @ self._lever, axis=None) <= cartesian_full)
-
-    def cartesian_bound(self, fraction: Array) -> Array:
-        """Return an upper bound of the used fraction of the Cartesian speed limit, (n,), from the joint speeds alone.
-
-        Args:
-            fraction: (n, m, 12) result of `use`.
-        """
-        peak = fraction[:, self._speed_rows].max(axis=1, keepdims=True)
-        bound: Array = (peak @ self._lever).max(axis=(1, 2))
-        return bound
-
-    def cartesian_use(self, window: Array) -> tuple[Array, Array]:
-        """Return the used fraction of the Cartesian speed limit in the window and along the brake after it.
-
-        Args:
-            window: (n, 3 + ticks, 12) targets.
+            windows: (n, 3 + ticks, 12) targets.
 
         Returns:
             (n, 2) fraction of each arm, and (n, 2) index of its fastest point in `POINTS`.
         """
-        n, half = len(window), len(self._brake_samples) // 2
-        starts, ends = [window[:, HISTORY - 1 : -1]], [window[:, HISTORY:]]
-        for stop in self._stops:
-            brake = self._brake_samples @ window[:, stop : stop + HISTORY]
-            start = brake[:, :half]
-            starts.append(start)
-            ends.append(start + _PEAK_BETWEEN_INSTANTS * (brake[:, half:] - start))
-        q_rad = np.concatenate(starts + ends, axis=1)
-        # Start or end, instant, arm, point, x y z.
-        positions = elbow_flange_and_tcp(q_rad.reshape(n, -1, 2, 6), self.limits.tcp_m)
-        positions = positions.reshape(n, 2, -1, *positions.shape[-3:])
-        moved = positions[:, 1] - positions[:, 0]
-        fastest = np.sqrt(np.add.reduce(moved * moved, axis=-1).max(axis=1)) / (self.tick_s * self.limits.tcp_speed_m_s)
-        return fastest.max(axis=-1), fastest.argmax(axis=-1)
+        windows = np.ascontiguousarray(windows, dtype=np.float64)
+        fraction, point = np.empty((2, len(windows), 2))
+        function("envelope_cartesian_use", 5)(
+            self.kernel.address, *map(pointer, (windows, fraction, point)), len(windows)
+        )
+        return fraction, point.astype(np.intp)
+
+    def limited(self, windows: Array) -> Array:
+        """Return the legal windows nearest to planned ones, (n, 3 + ticks, 12), as the adapter's limiter finds them."""
+        result: Array = np.array(windows, dtype=np.float64, order="C")
+        function("envelope_limit", 3)(self.kernel.address, pointer(result), len(result))
+        return result
 
 
 def _brake_ticks(tick: float) -> NDArray[np.intp]:

@@ -71,39 +71,15 @@ class Rates:
         )
 
 
-class RetreatClearance:
-    """Distances for the gate on a path whose start may be too close: such pairs may separate, and come no closer.
+def retreat_clearance(clearance: Clearance, start_rad: Array) -> Clearance:
+    """Return distances for a path whose start may be too close: such pairs may separate, and come no closer.
 
     Args:
         clearance: Computes distances.
         start_rad: (2, 6) start of the path.
     """
-
-    def __init__(self, clearance: Clearance, start_rad: Array) -> None:
-        self._clearance = clearance
-        short = clearance.shortfall_m(np.asarray(start_rad).reshape(12))
-        self._short = np.where(short > 0.0, short + _ROUNDING_M, 0.0)
-
-    def spare_m(self, q_rad: Array) -> Array:
-        """Return the distance above the legal minimum, or above that at the start if less, (1, pairs), at (1, 12)."""
-        spare: Array = self._short - self._clearance.shortfall_m(q_rad[0])
-        return spare[None]
-
-    def spare_of_spheres_m(self) -> Array:
-        """Return that of `Clearance`, whose legal minimum is never smaller."""
-        return self._clearance.spare_of_spheres_m()
-
-    def travel_m(self, path_rad: Array) -> Array:
-        """Return that of `Clearance`."""
-        return self._clearance.travel_m(path_rad)
-
-    def alone(self) -> RetreatClearance:
-        """Return itself: there is one configuration at a time."""
-        return self
-
-    def worst(self, q_rad: Array) -> tuple[str, float, float]:
-        """Return that of `Clearance` with the distances granted here."""
-        return self._clearance.worst(q_rad, self._short)
+    short = -clearance.spare_m(np.asarray(start_rad).reshape(1, 12))[0]
+    return clearance.granting(np.where(short > 0.0, short + _ROUNDING_M, 0.0))
 
 
 class Approach:
@@ -192,13 +168,9 @@ def _along(start: Array, end: Array) -> Array:
 
 def _is_clear(start: Array, end: Array, clearance: Clearance) -> bool:
     # Arms that are too close may separate.
-    short = clearance.shortfall_m(start)
-    for q_rad in _along(start, end):
-        now = clearance.shortfall_m(q_rad)
-        if (now > np.maximum(short, 0.0) + _ROUNDING_M).any():
-            return False
-        short = np.minimum(short, now)
-    return True
+    short = -clearance.spare_m(np.vstack([start, _along(start, end)]))
+    least = np.minimum.accumulate(short, axis=0)[:-1]
+    return bool((short[1:] <= np.maximum(least, 0.0) + _ROUNDING_M).all())
 
 
 def _nearest(start: Array, goal: Array, clearance: Clearance) -> str:

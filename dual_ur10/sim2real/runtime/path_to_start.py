@@ -13,7 +13,7 @@ from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.links.arm_status import ArmStatus
-from dual_ur10.sim2real.runtime.approach import RetreatClearance
+from dual_ur10.sim2real.runtime.approach import retreat_clearance
 from dual_ur10.sim2real.runtime.runner import Runner, margin_ticks
 from dual_ur10.sim2real.runtime.target_writer import TargetWriter
 from dual_ur10.types import Array
@@ -76,7 +76,7 @@ class PathToStart:
 
     def _follow(self, runner: Runner, start_rad: Array, targets_rad: Array) -> None:
         ticks = self._ticks
-        gate = SafetyGate(self._limits, self._tick_s, ticks, RetreatClearance(self._clearance, start_rad))
+        gate = SafetyGate(self._limits, self._tick_s, ticks, retreat_clearance(self._clearance, start_rad))
         gate.reset(start_rad[None])
         self._targets.rest_at(start_rad)
         windows = math.ceil(len(targets_rad) / ticks)

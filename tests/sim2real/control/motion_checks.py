@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dual_ur10.kernel import Struct
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.ur10 import DH_A_M, DH_D_M
 from dual_ur10.sim2real.control.limits import MotionLimits
@@ -25,17 +26,32 @@ TOOL = MotionLimits(
 ACTION_KINDS = ("huge", "alternating", "denormal", "zero", "random", "constant", "steps", "float32", "sine")
 
 
-class AlwaysClear:
-    """Stub of `Clearance` without bodies."""
+class Measured:
+    """Stub of `Clearance` with distances of its own.
+
+    Attributes:
+        checks: Number of configurations at which distances were measured.
+    """
+
+    def __init__(self, levers_m: np.ndarray) -> None:
+        levers_m = np.array(levers_m, dtype=np.float64)
+        self.checks = 0
+        self.kernel = Struct("Distances", pairs=len(levers_m), levers=levers_m, measure=self._measure, context=None)
+
+    def _measure(self, q_rad: np.ndarray, spare_m: np.ndarray) -> None:
+        self.checks += 1
+        spare_m[:] = self.spare_m(q_rad)
 
     def spare_m(self, q_rad: np.ndarray) -> np.ndarray:
-        return np.ones((len(q_rad), 1))
+        """Return (pairs,) spare distances at a configuration, (12,)."""
+        return np.ones(1)
 
-    def spare_of_spheres_m(self) -> np.ndarray:
-        return np.ones((1, 1))
 
-    def travel_m(self, path_rad: np.ndarray) -> np.ndarray:
-        return np.zeros((len(path_rad), 1))
+class AlwaysClear(Measured):
+    """Stub of `Clearance` without bodies."""
+
+    def __init__(self) -> None:
+        super().__init__(np.zeros((1, 12)))
 
 
 def adversarial_action(kind: str, period: int, rng: np.random.Generator, size: tuple[int, ...]) -> np.ndarray:

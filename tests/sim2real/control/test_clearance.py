@@ -21,7 +21,7 @@ CROSSED = HOME + np.eye(12)[0] * -0.9 + np.eye(12)[6] * 0.9  # the arms meet in 
 
 @pytest.fixture(scope="module")
 def clearance() -> Clearance:
-    return Clearance(SceneSettings(), n=4)
+    return Clearance(SceneSettings())
 
 
 def test_distances_are_never_longer_than_they_are(clearance: Clearance) -> None:
@@ -146,7 +146,7 @@ def test_an_unknown_pair_is_refused_at_construction(pair: tuple[str, str]) -> No
 
 
 def test_pickling_keeps_everything() -> None:
-    first = Clearance(SceneSettings(), n=2, minimum_m=0.05, closer={clearance_pairs(SceneSettings())[0]: 0.01})
+    first = Clearance(SceneSettings(), minimum_m=0.05, closer={clearance_pairs(SceneSettings())[0]: 0.01})
     second = pickle.loads(pickle.dumps(first))
     configurations = np.stack([HOME, ON_TABLE])
     np.testing.assert_array_equal(first.distances_m(configurations), second.distances_m(configurations))

@@ -183,7 +183,7 @@ def test_pickling_keeps_what_is_allowed() -> None:
 
 
 def test_a_row_does_not_depend_on_the_others() -> None:
-    alone, together = Clearance(FURNISHED, uncertainty=UNCERTAIN), Clearance(FURNISHED, n=3, uncertainty=UNCERTAIN)
+    alone, together = Clearance(FURNISHED, uncertainty=UNCERTAIN), Clearance(FURNISHED, uncertainty=UNCERTAIN)
     q = random_q(np.random.default_rng(3), 3).reshape(3, 12)
     found = together.allowed_m(q)
     for row in range(3):

@@ -321,7 +321,7 @@ def test_an_arm_stops_before_it_comes_too_near(action: np.ndarray, other: str) -
     assert other in verdict.subject
     assert verdict.found < verdict.allowed == MINIMUM_M
     assert f"at least {MINIMUM_M}" in str(verdict)
-    along = Clearance(SceneSettings(), n=sent.shape[1]).distances_m(sent.reshape(-1, 12))
+    along = Clearance(SceneSettings()).distances_m(sent.reshape(-1, 12))
     assert along.min() >= MINIMUM_M - 1e-4  # up to and at its final configuration
     assert along.min() < 0.1  # and it did come near
     np.testing.assert_array_equal(sent[0, -1], sent[0, -100])
@@ -338,7 +338,7 @@ def test_a_pair_may_come_as_near_as_it_is_allowed_to() -> None:
 
 
 def test_a_wild_target_in_one_cell_does_not_blind_the_others() -> None:
-    clearance = Clearance(SceneSettings(), n=2)
+    clearance = Clearance(SceneSettings())
     gate = gate_at_home(2, clearance=clearance)
     still = np.tile(HOME_Q_RAD, (2, TICKS, 1, 1))
     for value in (1e9, 1e300, -1e308):
@@ -352,7 +352,7 @@ def test_a_wild_target_in_one_cell_does_not_blind_the_others() -> None:
 
 
 def test_a_gate_continues_after_pickling() -> None:
-    gate, motion = gate_at_home(2, clearance=Clearance(SceneSettings(), n=2)), legal_motion(2, 10)
+    gate, motion = gate_at_home(2, clearance=Clearance(SceneSettings())), legal_motion(2, 10)
     for targets in motion[:4]:
         gate(targets)
     jump = motion[4].copy()

@@ -175,7 +175,7 @@ def test_an_action_is_copied() -> None:
 
 
 def test_a_pipeline_continues_after_pickling() -> None:
-    pipeline, rng = pipeline_at_home(2, clearance=Clearance(SceneSettings(), n=2)), np.random.default_rng(0)
+    pipeline, rng = pipeline_at_home(2, clearance=Clearance(SceneSettings())), np.random.default_rng(0)
     for _ in range(5):
         pipeline(rng.uniform(-1, 1, (2, 2, 6)))
     restored = pickle.loads(pickle.dumps(pipeline))
@@ -266,7 +266,7 @@ def test_soak_of_adversarial_actions() -> None:
 @pytest.mark.parametrize("mode", ["joint_delta", "tcp_delta"])
 def test_random_actions_meet_the_gate_only_for_distances(mode: str) -> None:
     n, limits = 40, MotionLimits(speed_rad_s=1.0)
-    pipeline = pipeline_at_home(n, limits=limits, clearance=Clearance(SceneSettings(), n=n), mode=mode)
+    pipeline = pipeline_at_home(n, limits=limits, clearance=Clearance(SceneSettings()), mode=mode)
     rng, found = np.random.default_rng(0), Counter()
     drift = rng.uniform(-0.6, 0.6, (n, 2, 6))
     sent = [np.tile(HOME_Q_RAD, (n, 4, 1, 1))]

@@ -24,7 +24,7 @@ from dual_ur10.sim2real.runtime.approach import (
     TCP_SPEED_M_S,
     Approach,
     Rates,
-    RetreatClearance,
+    retreat_clearance,
     plan,
 )
 from dual_ur10.sim2real.runtime.arm_memory import RING, ArmMemory
@@ -303,7 +303,7 @@ def test_a_pair_that_is_too_close_may_only_separate(start, then, clear, blamed):
     def configuration(values):
         return np.concatenate([values, np.zeros(10)])
 
-    leaving = RetreatClearance(Pairs(), configuration(start).reshape(2, 6))
+    leaving = retreat_clearance(Pairs(), configuration(start).reshape(2, 6))
     assert bool((leaving.spare_m(configuration(then)[None]) >= 0.0).all()) == clear
     if not clear:  # a pair that is too close and comes no closer is not reported
         assert leaving.worst(configuration(then))[0] == blamed

@@ -157,7 +157,7 @@ def check_path(
     beyond = _OVERSHOOT * (_SAMPLES - 1) / 2
     ends = [configurations[k] + beyond * (configurations[k] - configurations[inner]) for k, inner in ((0, 1), (-1, -2))]
     flat = np.concatenate([configurations, np.stack(ends)]).reshape(-1, 12)
-    clearance = Clearance(scene, n=len(flat), minimum_m=minimum_clearance_m, uncertainty=uncertainty)
+    clearance = Clearance(scene, minimum_m=minimum_clearance_m, uncertainty=uncertainty)
     close = np.flatnonzero(~clearance.is_clear(flat))
     if close.size:
         pair, distance, allowed = clearance.worst(flat[close[0]])

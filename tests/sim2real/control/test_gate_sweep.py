@@ -16,7 +16,7 @@ from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import HISTORY
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.control.swept_clearance import SWEEP_TOLERANCE_M, SweptClearance
-from dual_ur10.sim2real.runtime.approach import RetreatClearance, plan
+from dual_ur10.sim2real.runtime.approach import retreat_clearance, plan
 from tests.sim2real.control.motion_checks import HARD, AlwaysClear
 from tests.sim2real.control.reference_cell import UNEQUAL, random_q
 
@@ -124,7 +124,7 @@ SCENES = [
 @pytest.mark.parametrize(("settings", "keywords"), SCENES)
 def test_no_distance_changes_by_more_than_the_joints_move_it(settings, keywords):
     n = 400
-    clearance = Clearance(settings, n=n, **keywords)
+    clearance = Clearance(settings, **keywords)
     rng = np.random.default_rng(0)
     begin = random_q(rng, n).reshape(n, 12) * 0.5 + HOME
     tight = 0.0
@@ -149,7 +149,7 @@ def test_no_distance_changes_by_more_than_the_joints_move_it(settings, keywords)
 def test_bounding_spheres_are_nearer_than_their_geoms(settings, keywords):
     wall = Plane(name="wall", point_m=(2.0, 0.0, 0.0), normal=(-1.0, 0.0, 0.0))
     settings = dataclasses.replace(settings, obstacles=(*settings.obstacles, wall))
-    clearance = Clearance(settings, n=400, **keywords)
+    clearance = Clearance(settings, **keywords)
     spare = clearance.spare_m(random_q(np.random.default_rng(3), 400).reshape(400, 12)).copy()
     spheres = clearance.spare_of_spheres_m()
     measured = clearance.distances_m(random_q(np.random.default_rng(3), 400).reshape(400, 12)) < CLEARANCE_CUTOFF_M
@@ -158,7 +158,7 @@ def test_bounding_spheres_are_nearer_than_their_geoms(settings, keywords):
 
 
 def test_a_single_one_measures_what_a_batch_does():
-    clearance = Clearance(SceneSettings(obstacles=CLUTTER), n=3, uncertainty=((0.004, 0.01), (0.002, 0.02)))
+    clearance = Clearance(SceneSettings(obstacles=CLUTTER), uncertainty=((0.004, 0.01), (0.002, 0.02)))
     one = clearance.alone()
     configurations = HOME + np.random.default_rng(1).uniform(-0.5, 0.5, (3, 12))
     whole = clearance.spare_m(configurations).copy()
@@ -179,8 +179,8 @@ def test_arms_at_full_speed_keep_away_from_thin_rods(ticks, steady):
     settings = SceneSettings(obstacles=RODS, equipment=Equipment(grippers=True))
     push = rng.choice([-1.0, 1.0], (n, 12)) * rng.uniform(0.3, 1.0, (n, 12)) * np.tile([1.0, 0.5, 0.5, 1, 1, 1], 2)
     by = push if steady else lambda period: rng.uniform(-1.0, 1.0, (n, 12))
-    sent, verdicts = driven(Clearance(settings, n=n), by, max(500 // ticks, 24), n=n, ticks=ticks)
-    measured = Clearance(settings, n=sent.shape[1])
+    sent, verdicts = driven(Clearance(settings), by, max(500 // ticks, 24), n=n, ticks=ticks)
+    measured = Clearance(settings)
     nearest = min(measured.distances_m(row).min() for row in sent)
     assert nearest >= MINIMUM_M - SWEEP_TOLERANCE_M
     assert len(verdicts) > 0.9 * n
@@ -297,6 +297,6 @@ def test_arms_that_are_too_close_may_separate():
             goal[joint] += 0.3
             targets = plan(start.reshape(2, 6), goal.reshape(2, 6), clearance).targets(0.008)
             targets = targets[: len(targets) // 5 * 5].reshape(-1, 1, 5, 2, 6)
-            gate = SafetyGate(HARD, 0.008, 5, RetreatClearance(clearance, start.reshape(2, 6)))
+            gate = SafetyGate(HARD, 0.008, 5, retreat_clearance(clearance, start.reshape(2, 6)))
             gate.reset(start.reshape(1, 2, 6))
             assert not any(gate(window).verdicts for window in targets)

@@ -1,0 +1,193 @@
+"""Compiled control kernel: adapter, limiter, safety gate and distances, row by row, in C++.
+
+Python computes all coefficients and owns all memory; the kernel does the arithmetic of a control period without
+allocating, without Python, and without the GIL. A `Struct` mirrors one of its structures, whose fields the library
+itself describes. This package imports nothing of the project but its errors; `control` and `envs.sim` use it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import itertools
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from math import prod
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from dual_ur10.errors import KernelError
+from dual_ur10.types import Array
+
+FOLDER: Final = Path(__file__).parent
+LIBRARY: Final = FOLDER / "_kernel.so"
+
+_MEASURE: Final = ctypes.CFUNCTYPE(
+    None, ctypes.c_void_p, ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_double)
+)
+
+_TYPES: Final = {"int": ctypes.c_int64, "real": ctypes.c_double}
+_ELEMENTS: Final = {"ints": np.dtype(np.int64), "reals": np.dtype(np.float64)}
+
+
+def sources_hash() -> str:
+    """Return the hash of the C++ sources beside this file."""
+    digest = hashlib.sha256()
+    for path in sorted([*FOLDER.glob("*.hpp"), *FOLDER.glob("*.cpp")]):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """Load the compiled library.
+
+    Raises:
+        KernelError: It is missing, cannot be loaded here, or was compiled from other sources.
+    """
+    again = "Compile it: python hatch_build.py in a checkout, or install the package again"
+    if not LIBRARY.exists():
+        raise KernelError(f"the compiled kernel {LIBRARY.name} is missing in {FOLDER}. {again}")
+    try:
+        loaded = ctypes.CDLL(str(LIBRARY))
+    except OSError as error:
+        raise KernelError(f"the compiled kernel is not for this machine: {error}. {again}") from None
+    loaded.kernel_sources.restype = ctypes.c_char_p
+    if loaded.kernel_sources().decode() != sources_hash():
+        raise KernelError(f"the compiled kernel is not that of the sources beside it, in {FOLDER}. {again}")
+    return loaded
+
+
+@cache
+def function(name: str, arguments: int) -> Callable[..., None]:
+    """Return a function of the library; its arguments are addresses and 64-bit integers."""
+    found = getattr(library(), name)
+    found.restype, found.argtypes = None, [ctypes.c_int64] * arguments
+    result: Callable[..., None] = found
+    return result
+
+
+_LEAST_ROWS: Final = 16  # per call from which on another thread is worth waking
+
+
+class RowLoop:
+    """Calls a function of the kernel for n rows, on several threads where there are many.
+
+    Args:
+        name: Function of the library; it takes a structure, a first row and the one after the last.
+        struct: The structure.
+        n: Number of rows.
+        threads: Threads to compute on. Results do not depend on their number.
+    """
+
+    def __init__(self, name: str, struct: Struct, n: int, threads: int) -> None:
+        self._made_of = name, struct, n, threads
+        self._call, self._address = function(name, 3), struct.address
+        parts = max(1, min(threads, n // _LEAST_ROWS))
+        bounds = [n * k // parts for k in range(parts + 1)]
+        self._first, *self._others = itertools.pairwise(bounds)
+
+    def __call__(self) -> None:
+        """Call the function for all rows."""
+        waiting = [_pool(os.getpid()).submit(self._call, self._address, *part) for part in self._others]
+        self._call(self._address, *self._first)
+        for each in waiting:
+            each.result()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return RowLoop, self._made_of
+
+
+@cache
+def _pool(process: int) -> ThreadPoolExecutor:
+    """Return the threads of a process: they do not survive a fork."""
+    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="kernel")
+
+
+@cache
+def _layout(name: str) -> tuple[type[ctypes.Structure], tuple[tuple[str, str, tuple[str, ...]], ...]]:
+    describe = getattr(library(), f"{name}_fields")
+    describe.restype = ctypes.c_char_p
+    fields = []
+    for line in describe().decode().splitlines():
+        kind, field, *size = line.split(maxsplit=2)
+        fields.append((kind, field, tuple(size[0].replace("*", " ").split()) if size else ()))
+    members = [(field, _TYPES.get(kind, ctypes.c_void_p)) for kind, field, _ in fields]
+    return type(name, (ctypes.Structure,), {"_fields_": members}), tuple(fields)
+
+
+class Struct:
+    """One of the kernel's structures, with the arrays that it points to.
+
+    Arrays are shared: the kernel reads and writes the caller's own. They must never be replaced, only written to. A
+    pickled structure is built anew with its arrays, which stay shared with other parts of the same pickle.
+
+    Args:
+        name: Name of the structure.
+        values: All of its fields: numbers; C-contiguous float64 or int64 arrays of the right size; structures; for a
+            function its name in the library, or a callable `(q_rad, spare_m)` that fills the second array.
+
+    Raises:
+        KernelError: A field is missing, unknown, or of another type or size.
+    """
+
+    def __init__(self, name: str, **values: Any) -> None:
+        kind_of, fields = _layout(name)
+        names = [field for _, field, _ in fields]
+        if set(names) != set(values):
+            wrong = sorted(set(names) ^ set(values))
+            raise KernelError(f"{name} has the fields {', '.join(names)}: these are missing or unknown: {wrong}")
+        self._name, self.values = name, values
+        self._kept: list[Any] = []
+        self._struct = kind_of(**{field: self._member(kind, field, size) for kind, field, size in fields})
+        self.address: Final[int] = ctypes.addressof(self._struct)
+        """Address for the kernel's functions; valid as long as this object lives."""
+
+    def _member(self, kind: str, field: str, size: tuple[str, ...]) -> Any:
+        value = self.values[field]
+        if kind in _TYPES:
+            return value
+        if kind == "link":
+            return None if value is None else value.address
+        if kind == "function":
+            return self._function(value)
+        count = prod(int(each) if each.isdigit() else int(self.values[each]) for each in size)
+        if not (isinstance(value, np.ndarray) and value.dtype == _ELEMENTS[kind] and value.flags.c_contiguous):
+            raise KernelError(f"{self._name}.{field} must be a contiguous array of {_ELEMENTS[kind]}, found {value!r}")
+        if value.size != count:
+            raise KernelError(f"{self._name}.{field} must have {' x '.join(size)} = {count} values, found {value.size}")
+        return value.ctypes.data
+
+    def _function(self, value: str | Callable[[Array, Array], None]) -> int | None:
+        if isinstance(value, str):
+            return ctypes.cast(getattr(library(), value), ctypes.c_void_p).value
+        pairs, function = int(self.values["pairs"]), value
+
+        def measure(context: object, q_rad: Any, spare_m: Any) -> None:
+            function(np.ctypeslib.as_array(q_rad, (12,)), np.ctypeslib.as_array(spare_m, (pairs,)))
+
+        callback = _MEASURE(measure)
+        self._kept.append(callback)
+        return ctypes.cast(callback, ctypes.c_void_p).value
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuilt, (self._name, self.values)
+
+
+def _rebuilt(name: str, values: dict[str, Any]) -> Struct:
+    return Struct(name, **values)
+
+
+def pointer(array: Array) -> int:
+    """Return the address of an array's data.
+
+    Raises:
+        KernelError: It is not a C-contiguous array of float64.
+    """
+    if array.dtype != np.float64 or not array.flags.c_contiguous:
+        raise KernelError(f"the kernel takes contiguous float64 arrays, found {array.dtype}, {array.strides}")
+    return int(array.ctypes.data)

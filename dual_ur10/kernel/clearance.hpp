@@ -1,0 +1,81 @@
+// Distances of the collision model; see `dual_ur10.sim2real.control.clearance`.
+#pragma once
+
+#include "measure.hpp"
+
+#include "distances.hpp"
+
+#define CLEARANCE(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                              \
+    INT(bodies) INT(geoms) INT(pairs) REAL(cutoff_m) INTS(parent, bodies) REALS(offset_m, bodies * 3)                  \
+    REALS(turned, bodies * 9) REALS(axis, bodies * 3) INTS(body, geoms) INTS(shape, geoms) REALS(center_m, geoms * 3)  \
+    REALS(axes, geoms * 9) REALS(size_m, geoms * 3) REALS(radius_m, geoms) REALS(base_m, geoms * 3)                    \
+    INTS(first, pairs) INTS(second, pairs) REALS(known_m, pairs) REALS(granted_m, pairs) REALS(shift_m, pairs)         \
+    REALS(first_rad, pairs) REALS(second_rad, pairs)
+
+STRUCTURE(Clearance, CLEARANCE)
+
+namespace {
+
+// Poses of all geoms at a configuration: body k > 0 turns with joint k - 1, body 0 is the world.
+void place(const Clearance& c, const double* q, Body* placed) {
+    Vector* positions = static_cast<Vector*>(__builtin_alloca(sizeof(Vector) * static_cast<uint64_t>(c.bodies)));
+    Rotation* turned = static_cast<Rotation*>(__builtin_alloca(sizeof(Rotation) * static_cast<uint64_t>(c.bodies)));
+    positions[0] = {0.0, 0.0, 0.0};
+    turned[0] = {{1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}, {0.0, 0.0, 1.0}};
+    for (int64_t k = 1; k < c.bodies; ++k) {
+        const int64_t parent = c.parent[k];
+        positions[k] = positions[parent] + rotate(turned[parent], vector(c.offset_m + 3 * k));
+        turned[k] = turned[parent] * (rotation(c.turned + 9 * k) * about(vector(c.axis + 3 * k), q[k - 1]));
+    }
+    for (int64_t k = 0; k < c.geoms; ++k) {
+        const Rotation& frame = turned[c.body[k]];
+        Body& body = placed[k];
+        body.shape = static_cast<Shape>(c.shape[k]);
+        body.center = positions[c.body[k]] + rotate(frame, vector(c.center_m + 3 * k));
+        body.axes = frame * rotation(c.axes + 9 * k);
+        copy(body.size, c.size_m + 3 * k, 3);
+        body.radius = c.radius_m[k];
+    }
+}
+
+// Distance from the arm's base within which all of a geom lies.
+double reach(const Clearance& c, const Body* placed, int64_t geom) {
+    return sqrt(squared(placed[geom].center - vector(c.base_m + 3 * geom))) + placed[geom].radius;
+}
+
+// Smallest legal distance of a pair, with the uncertainty of the base poses.
+double allowed(const Clearance& c, const Body* placed, int64_t pair) {
+    double result = c.known_m[pair] + c.shift_m[pair];
+    if (c.first_rad[pair] != 0.0) result += c.first_rad[pair] * reach(c, placed, c.first[pair]);
+    if (c.second_rad[pair] != 0.0) result += c.second_rad[pair] * reach(c, placed, c.second[pair]);
+    return result;
+}
+
+double measured(const Clearance& c, const Body* placed, int64_t pair) {
+    const Body &a = placed[c.first[pair]], &b = placed[c.second[pair]];
+    const double bound = distance_of_spheres(a, b);
+    return bound >= c.cutoff_m ? bound : distance(a, b);
+}
+
+}  // namespace
+
+// Distances above the smallest legal ones, (pairs,), at a configuration (12,); beyond the cutoff a lower bound.
+EXPORT void clearance_spare(const void* context, const double* q, double* spare) {
+    const Clearance& c = *static_cast<const Clearance*>(context);
+    Body* placed = static_cast<Body*>(__builtin_alloca(sizeof(Body) * static_cast<uint64_t>(c.geoms)));
+    place(c, q, placed);
+    for (int64_t pair = 0; pair < c.pairs; ++pair)
+        spare[pair] = measured(c, placed, pair) + c.granted_m[pair] - allowed(c, placed, pair);
+}
+
+// Distances, those beyond the cutoff as the cutoff, and the smallest legal ones, (n, pairs), at (n, 12).
+EXPORT void clearance_distances(const Clearance* c, const double* q, double* distances, double* legal, int64_t n) {
+    Body* placed = static_cast<Body*>(__builtin_alloca(sizeof(Body) * static_cast<uint64_t>(c->geoms)));
+    for (int64_t row = 0; row < n; ++row) {
+        place(*c, q + row * JOINTS, placed);
+        for (int64_t pair = 0; pair < c->pairs; ++pair) {
+            distances[row * c->pairs + pair] = smaller(measured(*c, placed, pair), c->cutoff_m);
+            legal[row * c->pairs + pair] = allowed(*c, placed, pair);
+        }
+    }
+}

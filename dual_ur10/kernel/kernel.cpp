@@ -1,0 +1,7 @@
+// The compiled control kernel, as one unit.
+#include "adapter.hpp"
+#include "clearance.hpp"
+#include "gate.hpp"
+
+// Hash of the sources that this library was compiled from.
+EXPORT const char* kernel_sources() { return KERNEL_SOURCES; }

@@ -1,0 +1,90 @@
+"""Build hook: compile the control kernel, `dual_ur10/kernel`, into the package.
+
+Run as a script, it compiles the kernel of this checkout in place. The compiler is `$CXX`, else `c++`, `g++` or
+`clang++`; where there is none, pip brings Zig's as a build requirement. The kernel needs no Python headers and no C++
+runtime, so one wheel serves all Python versions of a platform.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+from typing import Any
+
+ZIG = "ziglang>=0.13"
+KERNEL = Path("dual_ur10", "kernel")
+LIBRARY = "_kernel.so"
+FLAGS = (
+    *("-std=c++17", "-O3", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-fvisibility=hidden"),
+    *("-fno-exceptions", "-fno-rtti"),
+    "-ffp-contract=off",  # the same bits with and without fused multiplications in the processor
+    "-fno-math-errno",
+)
+
+try:
+    from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+except ModuleNotFoundError:  # as a script
+    BuildHookInterface = object
+
+
+def compiler() -> list[str] | None:
+    """Return the command of a C++ compiler; None where pip has to bring one."""
+    if os.environ.get("CXX"):
+        return shlex.split(os.environ["CXX"])
+    for name in ("c++", "g++", "clang++"):
+        if found := shutil.which(name):
+            return [found]
+    if importlib.util.find_spec("ziglang"):
+        return [sys.executable, "-m", "ziglang", "c++", "-nostdlib++"]
+    return None
+
+
+def sources_hash(folder: Path) -> str:
+    """Return the hash of the sources, as `dual_ur10.kernel.sources_hash` does."""
+    digest = hashlib.sha256()
+    for path in sorted([*folder.glob("*.hpp"), *folder.glob("*.cpp")]):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
+
+
+def build(root: Path) -> Path:
+    """Compile the kernel of a checkout in place, and return the library."""
+    folder = root / KERNEL
+    library, command = folder / LIBRARY, compiler()
+    if command is None:
+        sys.exit(f"no C++ compiler was found: install one (on Debian: g++), or `pip install '{ZIG}'`, and try again")
+    unfinished = library.with_suffix(f".{os.getpid()}")
+    define = f'-DKERNEL_SOURCES="{sources_hash(folder)}"'
+    done = subprocess.run([*command, *FLAGS, define, str(folder / "kernel.cpp"), "-o", str(unfinished), "-lm"])
+    if done.returncode:
+        sys.exit(f"the control kernel could not be compiled with {shlex.join(command)}: see its messages above")
+    unfinished.replace(library)  # a process that has loaded the former one keeps it
+    return library
+
+
+class CustomBuildHook(BuildHookInterface):  # type: ignore[misc]
+    """Compiles the kernel for wheels and editable installations."""
+
+    def dependencies(self) -> list[str]:
+        """Return the build requirements beside hatchling: a compiler, where there is none."""
+        return [] if self.target_name == "sdist" or compiler() else [ZIG]
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Compile, and mark the wheel as one of this platform and any Python 3."""
+        if self.target_name != "wheel":
+            return
+        build(Path(self.root))
+        platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
+        build_data.update(pure_python=False, tag=f"py3-none-{platform}")
+        build_data["artifacts"].append(f"{KERNEL.as_posix()}/{LIBRARY}")
+
+
+if __name__ == "__main__":
+    build(Path(__file__).parent)

@@ -3,8 +3,8 @@
 HASHES: dict[tuple[str, str], str] = {
     ("DualUR10/SineTracking-v0", "3.17"): "f1e6227f79340925",
     ("DualUR10/SineTracking-v0", "4.0"): "f1e6227f79340925",
-    ("DualUR10/SyncCarry-v0", "3.17"): "a3a3e7ae9ac0b082",
-    ("DualUR10/SyncCarry-v0", "4.0"): "a3a3e7ae9ac0b082",
+    ("DualUR10/SyncCarry-v0", "3.17"): "f84f955bc85bfce1",
+    ("DualUR10/SyncCarry-v0", "4.0"): "f84f955bc85bfce1",
     ("DualUR10/Handover-v0", "3.17"): "85df4697d10fa1e1",
     ("DualUR10/Handover-v0", "4.0"): "85df4697d10fa1e1",
 }

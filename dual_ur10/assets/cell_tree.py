@@ -36,7 +36,7 @@ def cell_tree(settings: SceneSettings, *, rigid: bool = False) -> Any:
     root = composer().RootElement(model="cell")
     root.compiler.angle = "radian"
     root.option.timestep = settings.timestep_s
-    root.option.integrator = "implicitfast"
+    root.option.integrator = settings.integrator
     root.option.cone = "elliptic"
     if settings.equipment.grippers or settings.equipment.prop:
         root.option.impratio = 100  # divides the rate at which gripped objects creep

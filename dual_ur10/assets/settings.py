@@ -18,6 +18,16 @@ GAINS: Final[dict[str, tuple[tuple[float, ...], tuple[float, ...]]]] = {
 }
 """kp in N·m/rad and kv in N·m·s/rad per joint: "stiff" for free motion, "compliant" where both arms hold one object."""
 
+INTEGRATORS: Final = ("implicitfast", "Euler")
+"""MuJoCo's integrators for the physics: "Euler" treats the damping of the servos explicitly."""
+
+MOST_UNSTABLE: Final = 2.2
+"""Largest stability number with which "Euler" is used. It diverges from 4 on. The rest is for lighter arms: an episode
+may sample half of the links' masses, while the armature of the joints stays."""
+
+# Largest eigenvalues of M^-1 kv (1/s) and M^-1 kp (1/s²) of one arm without gripper, over all configurations.
+_RATES: Final = {"stiff": (2735.0, 54800.0), "compliant": (973.0, 32000.0)}
+
 TABLE_THICKNESS_M: Final = 0.06
 BASE_RADIUS_M: Final = 0.15
 """Radius around a base's axis that its rotating shoulder occupies."""
@@ -77,6 +87,38 @@ class Equipment:
         object.__setattr__(self, "grip_force_n", force)
 
 
+def stability_number(gains: str, timestep_s: float, mass_scale: float = 1.0) -> float:
+    """Return an upper bound, over all configurations, of the largest eigenvalue of M^-1 (2 h kv + h² kp).
+
+    Explicit integration of the servos diverges if it reaches 4.
+
+    Args:
+        gains: A key of `GAINS`.
+        timestep_s: Physics timestep h.
+        mass_scale: Factor on the links' masses.
+    """
+    damping, stiffness = _RATES[gains]
+    return (2 * timestep_s * damping + timestep_s**2 * stiffness) / min(mass_scale, 1.0)
+
+
+def check_integrator(integrator: str, gains: str, timestep_s: float, mass_scale: float = 1.0) -> None:
+    """Refuse "Euler" where it is unstable or close to it.
+
+    Raises:
+        UnknownNameError: There is no such integrator.
+        SettingsError: It is "Euler", and its stability number is too large.
+    """
+    if integrator not in INTEGRATORS:
+        raise UnknownNameError("integrator", str(integrator), INTEGRATORS)
+    number = stability_number(gains, timestep_s, mass_scale)
+    if integrator == "Euler" and number > MOST_UNSTABLE:
+        raise SettingsError(
+            f'integrator="Euler" with gains={gains!r}, timestep_s={timestep_s:g} and masses times {mass_scale:g}: its '
+            f"stability number is up to {number:.2f}, allowed are {MOST_UNSTABLE}, and it diverges from 4 on. Use "
+            'integrator="implicitfast", gains="compliant" or a shorter timestep_s'
+        )
+
+
 @dataclass(frozen=True)
 class SceneSettings:
     """Content of the cell and settings of its simulation.
@@ -85,6 +127,7 @@ class SceneSettings:
         left: Mount of the left arm.
         right: Mount of the right arm.
         timestep_s: Physics timestep.
+        integrator: One of [INTEGRATORS][dual_ur10.assets.settings.INTEGRATORS].
         gains: One of [GAINS][dual_ur10.assets.settings.GAINS].
         meshes: Render the meshes of the optional package `example-robot-data` in place of primitives. Visual only.
         table_center_m: (2,) x, y of the table's centre; its top is at z = 0.
@@ -94,13 +137,14 @@ class SceneSettings:
 
     Raises:
         SettingsError: A number is not finite or out of range, obstacles have the same name, the bases stand closer than
-            0.3 m to each other, or a base stands inside the table.
-        UnknownNameError: `gains` is no name of a gain set.
+            0.3 m to each other, a base stands inside the table, or the integrator is unstable.
+        UnknownNameError: `gains` is no name of a gain set, or `integrator` no integrator.
     """
 
     left: ArmMount = field(default_factory=lambda: ArmMount((-0.75, 0.6, 0.0)))
     right: ArmMount = field(default_factory=lambda: ArmMount((-0.75, -0.6, 0.0)))
     timestep_s: float = 0.002
+    integrator: str = "implicitfast"
     gains: str = "stiff"
     meshes: bool = False
     table_center_m: tuple[float, float] = (0.0, 0.0)
@@ -114,6 +158,7 @@ class SceneSettings:
             raise SettingsError(f"timestep_s is {timestep:.6g}: must be above 0 and at most 0.02 s")
         if self.gains not in tuple(GAINS):
             raise UnknownNameError("gains", str(self.gains), tuple(GAINS))
+        check_integrator(self.integrator, self.gains, timestep)
         center = finite_floats("table_center_m", self.table_center_m, 2)
         size = finite_floats("table_size_m", self.table_size_m, 2)
         if min(size) < 0.1 or max(size) > 2 * MAX_MOUNT_M or max(map(abs, center)) > MAX_MOUNT_M:

@@ -8,7 +8,7 @@ import pytest
 
 from dual_ur10.assets import cell_tree
 from dual_ur10.assets.scene import build_model, sensor_slices
-from dual_ur10.assets.settings import GAINS, HOME_Q_RAD, SceneSettings
+from dual_ur10.assets.settings import GAINS, HOME_Q_RAD, MOST_UNSTABLE, SceneSettings, stability_number
 from dual_ur10.assets.visuals import CAMERAS
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.kinematics.frames import ArmMount
@@ -134,6 +134,41 @@ def test_gains(name):
     assert model.actuator_gainprm[:, 0].tolist() == [*kp, *kp]
     assert model.actuator_biasprm[:, 1].tolist() == [-k for k in (*kp, *kp)]
     assert model.actuator_biasprm[:, 2].tolist() == [-k for k in (*kv, *kv)]
+
+
+def eigenvalues(model, name, timestep_s, configurations):
+    """Return the largest eigenvalue of M^-1 (2 h kv + h² kp) of the left arm in each configuration."""
+    data, found = mujoco.MjData(model), []
+    kp, kv = map(np.array, GAINS[name])
+    weight = 1 / np.sqrt(2 * timestep_s * kv + timestep_s**2 * kp)
+    for q_rad in configurations:
+        data.qpos[:6] = q_rad
+        mujoco.mj_forward(model, data)
+        inertia = np.zeros((12, 12))
+        mujoco.mj_fullM(model, data, inertia)
+        found.append(1 / np.linalg.eigvalsh(inertia[:6, :6] * weight * weight[:, None])[0])
+    return np.array(found)
+
+
+def test_stability_numbers_bound_sampled_configurations(model):
+    configurations = np.random.default_rng(0).uniform(-np.pi, np.pi, (3000, 6))
+    numbers = {}
+    for name in GAINS:
+        for timestep_s in (0.001, 0.002):
+            sampled = eigenvalues(model, name, timestep_s, configurations)
+            numbers[name, timestep_s] = stability_number(name, timestep_s)
+            assert 0.9 * numbers[name, timestep_s] < sampled.max() <= numbers[name, timestep_s]
+    assert numbers["compliant", 0.001] < MOST_UNSTABLE < min(numbers["compliant", 0.002], numbers["stiff", 0.001])
+
+
+def test_euler_keeps_stable_with_the_lightest_sampled_masses():
+    """An episode may sample half of the masses, of a plant that is as light as Euler allows."""
+    model = build_model(SceneSettings())
+    light = stability_number("compliant", 0.001) / MOST_UNSTABLE / 2
+    model.body_mass[:] *= light
+    model.body_inertia[:] *= light
+    configurations = np.random.default_rng(1).uniform(-np.pi, np.pi, (3000, 6))
+    assert eigenvalues(model, "compliant", 0.001, configurations).max() < 3.3
 
 
 def test_gravity_compensation_holds_the_arms(model):

@@ -60,6 +60,8 @@ def test_import_is_light_and_quiet():
         (lambda: SceneSettings(left=None), SettingsError, "ArmMount"),
         (lambda: SceneSettings(timestep_s=0.0), SettingsError, "timestep_s"),
         (lambda: SceneSettings(timestep_s=np.nan), SettingsError, "timestep_s"),
+        (lambda: SceneSettings(integrator="RK4"), UnknownNameError, "'implicitfast', 'Euler'"),
+        (lambda: SceneSettings(integrator="Euler"), SettingsError, "up to 11.16, allowed are 2.2"),
         (lambda: SceneSettings(gains="soft"), UnknownNameError, "stiff"),
         (lambda: SceneSettings(gains=[20000.0]), UnknownNameError, "stiff"),
         (lambda: SceneSettings(table_size_m=(0.0, 1.0)), SettingsError, "table"),

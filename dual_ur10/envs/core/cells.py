@@ -33,7 +33,9 @@ def make_cell(setup: EnvSetup, n: int, *, threads: int, clearance: Clearance) ->
     config, ticks, latency = setup.config, setup.ticks, setup.latency_ticks
     if config.file is None:
         varied = setup.randomization.varied
-        return MujocoCell(config, ticks, n=n, threads=threads, latency_ticks=latency, varied=varied)
+        return MujocoCell(
+            config, ticks, n=n, threads=threads, latency_ticks=latency, varied=varied, contacts=setup.contacts
+        )
     from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell  # a simulation does not need its imports
 
     return RtdeCell(

@@ -7,6 +7,7 @@ import importlib
 from collections.abc import Mapping
 from typing import Any
 
+from dual_ur10.assets.settings import Equipment
 from dual_ur10.envs.core.options import MOVE_TO_START, OPTION_NAMES, EnvOptions
 from dual_ur10.envs.core.randomization import Randomization, resolve_randomization
 from dual_ur10.envs.tasks.task import SceneRequirements, Task, Timing
@@ -106,6 +107,12 @@ class EnvSetup:
             latency_ticks=latency_ticks,
             timing=Timing(period_s, period_s + latency_ticks * tick_s),
         )
+
+    @property
+    def contacts(self) -> bool:
+        """True if bodies may touch in simulation: arms handle something, or differ from what the gate knows of them."""
+        handles = self.requirements.equipment != Equipment()
+        return handles or bool(self.randomization.varied) or self.config.perturbation != Perturbation()
 
     def make_task(self, n: int = 1) -> Task[Any, Any]:
         """Make the task for n cells.

@@ -23,9 +23,9 @@ STEPS_PER_EVALUATION = 20
 class FeedForward:
     """Controls of the position servos for a wanted motion.
 
-    `ctrl = q + (kv v + M(q) a + c(q, v)) / kp`, with v after the step, as MuJoCo's implicit integrator applies it.
-    Gravity is absent, because the model compensates it. Inertia and velocity terms come from a batch of nominal arms
-    with the declared payload.
+    `ctrl = q + (kv v + M(q) a + c(q, v)) / kp`, with the speed v at which the integrator damps: after the step
+    ("implicitfast"), or before it ("Euler"), which is h a less. Gravity is absent, because the model compensates it.
+    Inertia and velocity terms come from a batch of nominal arms with the declared payload.
 
     Args:
         settings: The scene.
@@ -48,6 +48,8 @@ class FeedForward:
         self._compliance, self._damping = 1.0 / kp, kv / kp
         # Accelerations multiply from the left, so torques are columns. The arms' inertias do not couple.
         self._weight_of_entries = np.kron(np.eye(2), np.ones((6, 6))) * self._compliance
+        damps_before_s = settings.timestep_s if settings.integrator == "Euler" else 0.0
+        self._undamped = np.diag(damps_before_s * self._damping)
         self.n = n
         self._declared_kg: Array = np.zeros((n, 2))
         self._payload = PayloadTorque(self._batch, kp) if settings.equipment.grippers else None
@@ -83,6 +85,7 @@ class FeedForward:
         self._batch.forward(stage=self._stage)
         per_acceleration = self._inertia.take(self._entries, axis=1)
         per_acceleration *= self._weight_of_entries
+        per_acceleration -= self._undamped
         shift: Array = a @ per_acceleration
         shift += (self._bias * self._compliance)[:, None]
         return shift

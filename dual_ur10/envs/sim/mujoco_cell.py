@@ -30,6 +30,7 @@ class MujocoCell:
         latency_ticks: L: delay of commands in ticks.
         varied: Names of the values of `Perturbation` that a reset may change. They and the configuration determine how
             targets are computed, so that a row does not depend on the samples of others.
+        contacts: False if nothing can touch, because a gate checks the targets and the plant is nominal.
     """
 
     def __init__(
@@ -41,6 +42,7 @@ class MujocoCell:
         threads: int = 1,
         latency_ticks: int = 0,
         varied: Collection[str] = (),
+        contacts: bool = True,
     ) -> None:
         self.config, self.ticks, self.n = config, ticks, n
         self.threads = threads
@@ -56,7 +58,7 @@ class MujocoCell:
         delayed = any(name in varied or self._values[name].any() for name in ("latency_s", "jitter_s", "loss"))
         self._delayed = delayed
         self._uneven = "lookahead_scale" in varied or len(np.unique(self._values["lookahead_scale"])) > 1
-        self._physics: Physics | None = Physics(config, n, threads)
+        self._physics: Physics | None = Physics(config, n, threads, contacts=contacts)
         self._perturb(np.arange(n))
 
     def _perturb(self, rows: Rows) -> None:

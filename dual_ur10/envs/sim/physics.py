@@ -28,6 +28,7 @@ class Physics:
         config: The cell, with a task's equipment.
         n: Number of cells.
         threads: Threads to step on.
+        contacts: False to let bodies pass through each other, which saves a third of the time of arms alone.
 
     Attributes:
         failed: (n,) rows whose physics diverged. They keep their last good state until a reset.
@@ -38,8 +39,8 @@ class Physics:
     tracing = False
     trace: tuple[Array, Array] | None = None
 
-    def __init__(self, config: CellConfig, n: int, threads: int) -> None:
-        self.config, self.n, self.threads = config, n, threads
+    def __init__(self, config: CellConfig, n: int, threads: int, *, contacts: bool = True) -> None:
+        self.config, self.n, self.threads, self.contacts = config, n, threads, contacts
         self.failed = np.zeros(n, dtype=bool)
         self._good: Array = np.zeros((n, 0))
         self._build()
@@ -54,7 +55,10 @@ class Physics:
         scene, n = self.config.scene, self.n
         # All measurements depend on positions, the state, or the last physics step.
         self._stage = int(mujoco.mjtStage.mjSTAGE_POS)
-        self._batch: Any = Batch(build_model(scene, visuals=False), n, self.threads)
+        model = build_model(scene, visuals=False)
+        if not self.contacts:
+            model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        self._batch: Any = Batch(model, n, self.threads)
         self._warnings = self._batch.warning[:, :, 1]
         # Views: the arms' joints and, if there are grippers, each arm's two fingers behind its own.
         joints = 8 if scene.equipment.grippers else 6

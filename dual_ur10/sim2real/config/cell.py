@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 
 from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M
 from dual_ur10.assets.obstacles import Obstacle
-from dual_ur10.assets.settings import Equipment, SceneSettings
+from dual_ur10.assets.settings import (
+    INTEGRATORS,
+    MOST_UNSTABLE,
+    Equipment,
+    SceneSettings,
+    check_integrator,
+    stability_number,
+)
 from dual_ur10.errors import RateError, SettingsError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.sim2real.control.adapter import Command
@@ -318,6 +325,8 @@ class CellConfig:
         left, right: Mount and kinematics of each arm.
         servoj: Controller family and servoj settings of both arms.
         timestep_s: Physics step; it must divide the controller's tick. None: the task's own.
+        integrator: Integrator of the physics, a name of `dual_ur10.assets.settings.INTEGRATORS`. None: "Euler" where
+            `stability_number` is small, as with the friction grasp of SyncCarry; otherwise "implicitfast".
         gains: Joint servos, a name of `dual_ur10.assets.settings.GAINS`. None: the task's own.
         minimum_clearance_m: Smallest distance between two bodies that the safety gate allows.
         perturbation: Deviation of the simulated plant from the nominal model.
@@ -352,6 +361,7 @@ class CellConfig:
     right: ArmMount = field(default_factory=lambda: SceneSettings().right)
     servoj: ServojProfile = field(default_factory=ServojProfile)
     timestep_s: float | None = None
+    integrator: str | None = None
     gains: str | None = None
     minimum_clearance_m: float = MINIMUM_M
     perturbation: Perturbation = field(default_factory=Perturbation)
@@ -412,11 +422,31 @@ class CellConfig:
         if not all(0 <= _number("wrench_noise", each) <= 100 for each in noise):
             raise SettingsError(f"wrench_noise is {noise!r}: allowed are 0 to 100 (N, N·m)")
         object.__setattr__(self, "wrench_noise", (float(noise[0]), float(noise[1])))
-        _ = self.scene, self.substeps
+        _ = self.substeps
+        if self.integrator not in (None, *INTEGRATORS):
+            raise UnknownNameError("integrator", str(self.integrator), INTEGRATORS)
+        if None not in (self.gains, self.timestep_s):
+            _ = self.scene  # otherwise the task's own decide whether the integrator is stable
 
     @property
     def scene(self) -> SceneSettings:
-        """The scene of this cell."""
+        """The scene of this cell.
+
+        Raises:
+            SettingsError: The integrator is unstable.
+        """
+        scene = self._scene
+        lightest = float(np.min(self.perturbation.mass_scale))
+        integrator = self.integrator
+        if integrator is None:
+            number = stability_number(scene.gains, scene.timestep_s, lightest)
+            integrator = "Euler" if number <= MOST_UNSTABLE else "implicitfast"
+        check_integrator(integrator, scene.gains, scene.timestep_s, lightest)
+        return replace(scene, integrator=integrator)
+
+    @property
+    def _scene(self) -> SceneSettings:
+        """The scene, with the integrator that is always stable."""
         given = {"timestep_s": self.timestep_s, "gains": self.gains}
         return SceneSettings(
             left=self.left,
@@ -467,7 +497,7 @@ class CellConfig:
     @property
     def substeps(self) -> int:
         """Physics steps per controller tick."""
-        timestep_s = self.scene.timestep_s
+        timestep_s = self._scene.timestep_s
         steps = self.servoj.tick_s / timestep_s
         whole = round(steps)
         if whole < 1 or abs(steps - whole) > 1e-9 * steps:

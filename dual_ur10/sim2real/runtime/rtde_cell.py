@@ -41,7 +41,7 @@ from dual_ur10.types import Array, Rows
 
 log = logging.getLogger(__name__)
 
-_NOT_OF_FILE: Final = ("equipment", "timestep_s", "gains", "meshes", "wrench_noise", "perturbation")
+_NOT_OF_FILE: Final = ("equipment", "timestep_s", "integrator", "gains", "meshes", "wrench_noise", "perturbation")
 """Fields that the task sets, or that are visual or of simulation only."""
 
 _POLL_S: Final = 0.01

@@ -1,12 +1,14 @@
 import dataclasses
 
 import gymnasium as gym
+import mujoco
 import numpy as np
 import pytest
 
 from dual_ur10 import CellConfig
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.errors import UnknownNameError
+from dual_ur10.sim2real.config.cell import Perturbation
 
 KEYWORDS = {
     "policy_rate_hz": 12.5,
@@ -33,6 +35,45 @@ def test_a_setup_holds_what_its_environment_has():
     low, high = setup.make_adapter().action_bounds
     assert np.array_equal(env.action_space.low, low.reshape(-1))
     assert np.array_equal(env.action_space.high, high.reshape(-1))
+
+
+def test_contacts_are_left_out_only_for_nominal_arms_alone():
+    def contacts(task="SineTracking", **keywords):
+        return EnvSetup.resolve(task, keywords).contacts
+
+    assert not contacts()
+    assert not contacts(randomization={"joint_noise_rad": 1e-4})
+    assert not contacts(cell=CellConfig(minimum_clearance_m=0.005))
+    assert contacts(randomization="mild")
+    assert contacts(cell=CellConfig(perturbation=Perturbation(base_shift_m=0.01)))
+    assert contacts("SyncCarry")
+    assert contacts("Handover")
+
+
+@pytest.mark.parametrize("together", [False, True])
+def test_nominal_arms_move_alike_without_contacts(monkeypatch, together):
+    """Random actions, also the same for ten steps, which drive many episodes into the gate's smallest distance."""
+
+    def trace():
+        envs = gym.make_vec("DualUR10/SineTracking-v0", num_envs=16, autoreset_mode="SameStep")
+        envs.reset(seed=5)
+        rng, ended, found = np.random.default_rng(1), 0, []
+        for step in range(150):
+            if not together or step % 10 == 0:
+                action = rng.choice([-1, 1], (16, 12)).astype(np.float32)
+            observation, _, terminated, *_ = envs.step(action)
+            found.append(observation)
+            ended += terminated.sum()
+        flags = envs.core.cell._physics.model.opt.disableflags
+        return np.array(found), ended, bool(flags & mujoco.mjtDisableBit.mjDSBL_CONTACT)
+
+    without, ended, disabled = trace()
+    monkeypatch.setattr(EnvSetup, "contacts", True)
+    with_contacts, _, still_disabled = trace()
+    assert disabled
+    assert not still_disabled
+    assert ended > 10
+    assert np.array_equal(without, with_contacts)
 
 
 def test_a_wider_spread_applies_only_to_ranges_that_are_not_given():

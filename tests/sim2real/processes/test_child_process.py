@@ -12,7 +12,7 @@ import time
 
 import pytest
 
-from dual_ur10.sim2real.processes.child_process import LOST, Child
+from dual_ur10.sim2real.processes.child_process import LOST, NICE, SLICE_S, Child
 
 WITHIN_S = 30.0
 PROGRAM = """
@@ -227,3 +227,41 @@ def test_an_orphan_does_nothing(tmp_path):
     command = [sys.executable, "-m", "dual_ur10.sim2real.processes.child_process"]
     subprocess.run(command, input=work, check=True, timeout=60)
     assert not out.exists()
+
+
+# Program that reports niceness, time slice and the niceness of its session after `hasten`.
+HASTENED = """
+import ctypes
+import os
+import pathlib
+from dual_ur10.sim2real.processes.child_process import _SCHED_ATTR, hasten
+
+hasten()
+attributes = ctypes.create_string_buffer(_SCHED_ATTR.size)
+ctypes.CDLL(None).syscall({"x86_64": 315, "aarch64": 275}[os.uname().machine], 0, attributes, _SCHED_ATTR.size, 0)
+group = pathlib.Path("/proc/self/autogroup")
+of_session = group.read_text().split()[-1] if group.exists() else "none"
+print(os.getpriority(os.PRIO_PROCESS, 0), _SCHED_ATTR.unpack(attributes)[5], of_session)
+"""
+
+
+def hastened(*, own_session: bool) -> list[str]:
+    run = subprocess.run(
+        [sys.executable, "-c", HASTENED], capture_output=True, text=True, check=True, start_new_session=own_session
+    )
+    return run.stdout.split()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="time slices and groups of sessions are Linux's")
+def test_a_process_with_deadlines_gets_the_priority_it_asks_for() -> None:
+    nice, slice_ns, of_session = hastened(own_session=True)
+    if tuple(map(int, os.uname().release.split("-")[0].split(".")[:2])) >= (6, 12):
+        assert int(slice_ns) == round(1e9 * SLICE_S)
+    if os.geteuid() == 0 and int(nice) == NICE:
+        assert of_session in (str(NICE), "none")
+
+
+@pytest.mark.skipif(not pathlib.Path("/proc/self/autogroup").exists(), reason="this system groups no sessions")
+def test_the_session_of_a_terminal_keeps_its_priority() -> None:
+    before = pathlib.Path("/proc/self/autogroup").read_text().split()[-1]
+    assert hastened(own_session=False)[2] == before

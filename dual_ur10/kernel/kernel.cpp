@@ -2,6 +2,7 @@
 #include "adapter.hpp"
 #include "clearance.hpp"
 #include "gate.hpp"
+#include "motion.hpp"
 
 // Hash of the sources that this library was compiled from.
 EXPORT const char* kernel_sources() { return KERNEL_SOURCES; }

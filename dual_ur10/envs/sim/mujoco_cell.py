@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dual_ur10.envs.sim.physics import Physics
-from dual_ur10.envs.sim.servo_reference import ServojReference, TargetDelay, TimeScaledTargets
+from dual_ur10.envs.sim.servo_reference import Motion, ServojReference, TargetDelay, TimeScaledTargets
 from dual_ur10.errors import ClosedError, SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig, CellStep, Start, TickTrace
 from dual_ur10.sim2real.control.adapter import Command
@@ -51,14 +51,13 @@ class MujocoCell:
         slow = config.speed_factor
         self._scaled = None if slow == 1.0 else TimeScaledTargets(n, config.substeps, slow)
         self._delay = TargetDelay(n, 1 if self._scaled else config.substeps)
-        self._reference = ServojReference(config.servoj, n, config.substeps, ticks, slow)
+        self._reference = ServojReference(config.servoj, n, config.substeps, ticks, slow, threads)
         self._elapsed = np.zeros(n, dtype=np.int64)
         self._tick_s = np.float64(config.servoj.tick_s)
         self._values = config.perturbation.expanded(n)
         delayed = any(name in varied or self._values[name].any() for name in ("latency_s", "jitter_s", "loss"))
         self._delayed = delayed
-        self._uneven = "lookahead_scale" in varied or len(np.unique(self._values["lookahead_scale"])) > 1
-        self._physics: Physics | None = Physics(config, n, threads, contacts=contacts)
+        self._physics: Physics | None = Physics(config, n, self.steps, threads, contacts=contacts)
         self._perturb(np.arange(n))
 
     def _perturb(self, rows: Rows) -> None:
@@ -70,7 +69,7 @@ class MujocoCell:
         self._delay.jitter = np.rint(values["jitter_s"] / step_s).astype(np.int64)
         self._delay.loss = values["loss"]
         delayed = self._delayed or self._scaled is not None
-        self._reference.set_lookahead(values["lookahead_scale"], delayed=delayed, uneven=self._uneven)
+        self._reference.set_lookahead(values["lookahead_scale"], delayed=delayed)
         self._open.perturb(values, rows)
 
     def reset(
@@ -122,7 +121,7 @@ class MujocoCell:
             targets = self._delay(targets)
         motion = self._reference(targets)
         physics.advance(motion, command.gripper_m, command.payload_kg)
-        trace = self._traced(command.targets_rad, *motion[:2]) if physics.tracing else None
+        trace = self._traced(command.targets_rad, motion) if physics.tracing else None
         self._elapsed += self.ticks * ~physics.failed
         return CellStep(physics.state(self._elapsed * self._tick_s, moved=True), trace=trace)
 
@@ -140,8 +139,8 @@ class MujocoCell:
         """Return MuJoCo's full state of the first cell."""
         return self._open.integration_state(0)
 
-    def _traced(self, targets: Array, before: Array, speed: Array) -> TickTrace:
-        substeps = self.config.substeps
+    def _traced(self, targets: Array, motion: Motion) -> TickTrace:
+        substeps, before, speed = self.config.substeps, motion.q_rad, motion.qd_rad_s
         end = before[:, -1:] + speed[:, -1:] * (self.config.servoj.tick_s / substeps)
         after = np.concatenate([before, end], axis=1)[0, substeps::substeps]
         trace = self._open.trace

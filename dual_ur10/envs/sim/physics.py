@@ -11,11 +11,10 @@ from dual_ur10.assets.scene import build_model
 from dual_ur10.envs.sim.feedforward import FeedForward
 from dual_ur10.envs.sim.handling import Handling
 from dual_ur10.envs.sim.plant import Plant
+from dual_ur10.envs.sim.servo_reference import Motion
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.types import Array, Rows
-
-Motion = tuple[Array, Array, Array]
 
 # Attributes that hold MuJoCo's memory: not pickled, and built anew.
 _LIVE = ("_batch", "_warnings", "_arms_q", "_arms_qd", "_flange", "_handling", "_plant", "_feedforward", "_rendered")
@@ -27,6 +26,7 @@ class Physics:
     Args:
         config: The cell, with a task's equipment.
         n: Number of cells.
+        steps: Physics steps per call of `advance`.
         threads: Threads to step on.
         contacts: False to let bodies pass through each other, which saves a third of the time of arms alone.
 
@@ -39,8 +39,8 @@ class Physics:
     tracing = False
     trace: tuple[Array, Array] | None = None
 
-    def __init__(self, config: CellConfig, n: int, threads: int, *, contacts: bool = True) -> None:
-        self.config, self.n, self.threads, self.contacts = config, n, threads, contacts
+    def __init__(self, config: CellConfig, n: int, steps: int, threads: int, *, contacts: bool = True) -> None:
+        self.config, self.n, self.steps, self.threads, self.contacts = config, n, steps, threads, contacts
         self.failed = np.zeros(n, dtype=bool)
         self._good: Array = np.zeros((n, 0))
         self._build()
@@ -73,7 +73,7 @@ class Physics:
         self._handling = Handling(self._batch, scene) if scene.equipment.grippers else None
         dofs = np.concatenate([np.arange(6), joints + np.arange(6)])
         self._plant = Plant(self._batch, scene, dofs)
-        self._feedforward = FeedForward(scene, n, self.threads)
+        self._feedforward = FeedForward(scene, n, self.steps, self.threads)
         self._rendered: tuple[Any, Any] | None = None
 
     def _joints(self, values: Array) -> Array:
@@ -129,7 +129,7 @@ class Physics:
         """Advance all cells.
 
         Args:
-            motion: Position before, speed after and acceleration in every physics step, (n, steps, 12) each.
+            motion: Wanted motion of both arms.
             gripper_m: Commanded widths, (n, ticks, 2); None: as they are.
             payload_kg: Declared mass in each gripper, (n, 2); None: as before.
 
@@ -151,23 +151,21 @@ class Physics:
 
     def _control(self, motion: Motion, commanded: Array | None, payload_kg: Array | None) -> Array:
         """Return the controls of both arms' servos, (n, steps, 12), or with their grippers, (n, steps, 14)."""
-        handling, grippers = self._handling, self._grippers
-        steps = motion[0].shape[1]
+        handling, grippers, steps = self._handling, self._grippers, self.steps
         if handling is None or grippers is None:
             if commanded is not None:
                 raise SettingsError("a command for grippers was sent to a cell that has none: leave gripper_m out")
-            return self._feedforward(*motion, None)
-        opening = handling.opening_m
+            return self._feedforward(motion).reshape(self.n, steps, 12)
         if commanded is None:
             commanded = np.repeat(self._held_m[:, None], steps // self.config.substeps, axis=1)
-        control = np.empty((self.n, steps, 2, 7))
-        control[..., 6] = grippers(commanded, opening)
+        widths = grippers(commanded, handling.opening_m)
         before, self._payload = self._payload, self._payload if payload_kg is None else payload_kg
-        payload = None
+        payload: Array | float = 0.0
         if before.any() or self._payload.any():
             ratio = np.arange(1, steps + 1)[:, None] / steps
             payload = before[:, None] + ratio * (self._payload - before)[:, None]
-        control[..., :6] = self._feedforward(*motion, payload).reshape(self.n, steps, 2, 6)
+        control = self._feedforward(motion, payload)
+        control[..., 6] = widths
         return control.reshape(self.n, steps, 14)
 
     def state(self, time_s: Array, *, moved: bool) -> CellState:

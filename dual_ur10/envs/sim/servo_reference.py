@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
 from dual_ur10.types import Array, Rows
 
@@ -108,6 +109,24 @@ class TimeScaledTargets:
         return curve.reshape(len(targets), -1, 2, 6)
 
 
+class Motion:
+    """Motion of both arms in every physics step of a period.
+
+    Args:
+        rows: (n, 3 steps + 3, 12) positions before, speeds after and accelerations in every step, then the state.
+
+    Attributes:
+        q_rad: (n, steps, 12) positions before each step.
+        qd_rad_s: (n, steps, 12) speeds after it.
+        qdd_rad_s2: (n, steps, 12) accelerations in it.
+    """
+
+    def __init__(self, rows: Array) -> None:
+        self.rows = rows
+        steps = rows.shape[1] // 3 - 1
+        self.q_rad, self.qd_rad_s, self.qdd_rad_s2 = (rows[:, k * steps : (k + 1) * steps] for k in range(3))
+
+
 class ServojReference:
     """Servoj law of every arm, and its motion at every physics step.
 
@@ -121,30 +140,48 @@ class ServojReference:
         substeps: Physics steps per tick.
         ticks: Ticks per call.
         speed_factor: Rate of the targets' time; measured in it, the law is quicker by this factor.
+        threads: Threads to compute on.
     """
 
-    def __init__(self, profile: ServojProfile, n: int, substeps: int, ticks: int, speed_factor: float = 1.0) -> None:
+    def __init__(
+        self, profile: ServojProfile, n: int, substeps: int, ticks: int, speed_factor: float = 1.0, threads: int = 1
+    ) -> None:
         self.profile, self.n, self.substeps, self.ticks = profile, n, substeps, ticks
-        self._slow = speed_factor
+        self._slow, self._threads = speed_factor, threads
         self.steps = ticks * substeps
         # Rows: position, speed, and the last difference of positions over the physics step.
         self._state: Array = np.zeros((n, 3, 12))
+        self.motion = Motion(np.zeros((n, 3 * self.steps + 3, 12)))
+        """Motion of the last call."""
         self._cache: dict[tuple[float, int], Array] = {}
-        self.set_lookahead(np.ones((n, 2)), delayed=False, uneven=False)
+        self.set_lookahead(np.ones((n, 2)), delayed=False)
 
-    def set_lookahead(self, scale: Array, *, delayed: bool, uneven: bool) -> None:
+    def set_lookahead(self, scale: Array, *, delayed: bool) -> None:
         """Choose the true lookahead of each arm.
 
         Args:
             scale: (n, 2) factors on that of the profile.
             delayed: True if targets come per physics step instead of per tick.
-            uneven: True if the factors may differ. Batches with equal bits need the same value.
         """
         hold = 1 if delayed else self.substeps
         unique, which = np.unique(scale, return_inverse=True)
         matrices = np.array([self._known(float(each), hold) for each in unique])
-        # (rows, inputs) for all arms, or (n, 2, rows, inputs).
-        self._matrices: Array = matrices[which.reshape(self.n, 2)] if uneven else matrices[0]
+        _, outputs, inputs = matrices.shape
+        self._targets: Array = np.zeros((self.n, inputs - 3, 12))
+        struct = Struct(
+            "Reference",
+            n=self.n,
+            inputs=inputs,
+            targets=inputs - 3,
+            outputs=outputs,
+            count=len(matrices),
+            matrices=matrices,
+            which=which.reshape(self.n, 2).astype(np.int64),
+            state=self._state,
+            target=self._targets,
+            motion=self.motion.rows,
+        )
+        self._step = RowLoop("reference_step", struct, self.n, self._threads)
 
     def _known(self, scale: float, hold: int) -> Array:
         """Return a cached `_matrix`, which takes a millisecond to compute."""
@@ -178,18 +215,12 @@ class ServojReference:
         self._state[rows] = 0.0
         self._state[rows, 0] = q_rad.reshape(-1, 12)
 
-    def __call__(self, targets: Array) -> tuple[Array, Array, Array]:
-        """Return position before, speed after and acceleration in every physics step, (n, steps, 12) each.
+    def __call__(self, targets: Array) -> Motion:
+        """Return the motion of the next period: the same object at every call.
 
         Args:
             targets: (n, m, 2, 6), one per tick, or one per physics step after a delay.
         """
-        inputs = np.concatenate([self._state, targets.reshape(self.n, -1, 12)], axis=1)
-        if self._matrices.ndim == 2:
-            motion = self._matrices @ inputs
-        else:
-            arms = inputs.reshape(self.n, -1, 2, 6).swapaxes(1, 2)
-            motion = (self._matrices @ arms).swapaxes(1, 2).reshape(self.n, -1, 12)
-        steps = self.steps
-        self._state = motion[:, 3 * steps :]
-        return motion[:, :steps], motion[:, steps : 2 * steps], motion[:, 2 * steps : 3 * steps]
+        self._targets[:] = targets.reshape(self._targets.shape)
+        self._step()
+        return self.motion

@@ -107,6 +107,7 @@ class Core:
         SettingsError: Or one of its kinds: a value is not legal. Nothing is left open.
 
     Attributes:
+        threads: Number of threads that step, and that draw observed images.
         late_actions: Number of actions that missed their deadline, so that both arms stopped.
     """
 
@@ -118,7 +119,7 @@ class Core:
         self._randomization = setup.randomization
         self.n = n
         check_for_controllers(config, n, autoreset=autoreset, randomized=not self._randomization.is_none)
-        threads = threads or min(n, os.cpu_count() or 1)
+        self.threads = threads = threads or min(n, os.cpu_count() or 1)
         adapter = setup.make_adapter(n, threads)
         clearance = Clearance(
             config.measured_scene,
@@ -306,8 +307,12 @@ class Core:
         return {"q_rad": state.q_rad.copy(), "flange_m": state.flange_m.copy()}
 
     def cell_data(self, row: int) -> tuple[Any, Any]:
-        """Return MuJoCo's model and data of one cell, for rendering."""
+        """Return MuJoCo's model and data of one cell, for a viewer: the same objects at every call, updated."""
         return self._open().model_and_data(row)
+
+    def copy_state(self, row: int, model: Any, data: Any) -> None:
+        """Copy the state of one cell to another model of its scene; see `dual_ur10.sim2real.config.cell.Cell`."""
+        self._open().copy_state(row, model, data)
 
     def _advance(self, cell: Cell, command: Command) -> CellStep:
         """Advance the cell by a control period, and record a fault."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 import sys
@@ -17,14 +18,114 @@ from dual_ur10.errors import RenderError, SettingsError, UnknownNameError
 
 RENDER_MODES = ("rgb_array", "human")
 
-_MAX_PIXELS = (1920, 1080)  # size of the offscreen buffer of the scene
+_MAX_PIXELS = (1920, 1080)
 
 _BACKENDS = ("egl", "osmesa")  # without a display, in this order
+
+_MAX_GEOMS = 10_000  # of a scene, as in MuJoCo's own renderer
 
 _NO_GL = (
     "no OpenGL backend was found for drawing. On Debian or Ubuntu: apt-get install libegl1 libegl-mesa0 "
     "libgl1-mesa-dri (or libosmesa6)"
 )
+
+
+class Canvas:
+    """OpenGL context with the buffers for images of one model. One thread at a time may use it.
+
+    Args:
+        model: MuJoCo's model. Its settings of visual quality are changed to fit the images.
+        width, height: Size of images in pixels.
+        shadows: Draw shadows and reflections.
+        supersample: Draw twice the width and height, and average. Without a GPU this costs half as much as the model's
+            multisampling, which it replaces.
+
+    Attributes:
+        parallel: True if several canvases may draw at the same time, each in a thread of its own.
+
+    Raises:
+        RenderError: No OpenGL backend was found; the message names the package to install.
+    """
+
+    def __init__(
+        self, model: Any, width: int, height: int, *, shadows: bool = False, supersample: bool = False
+    ) -> None:
+        import mujoco
+
+        size = (2 * width, 2 * height) if supersample else (width, height)
+        buffer, quality = model.vis.global_, model.vis.quality
+        buffer.offwidth, buffer.offheight = size
+        if supersample:
+            quality.offsamples = 0
+        if not shadows:
+            quality.shadowsize = 0  # saves 64 MiB
+        self._gl, self._context = _contexts(model, *size)
+        self.parallel = type(self._gl).__module__ == "mujoco.egl"
+        self._model, self._supersample, self._size = model, supersample, (height, width, 3)
+        self._rect = mujoco.MjrRect(0, 0, *size)
+        self._scene, self._option = mujoco.MjvScene(model, _MAX_GEOMS), mujoco.MjvOption()
+        for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+            self._scene.flags[flag] = shadows
+        self._cameras: dict[str, Any] = {}
+        self._read = np.empty((size[1], size[0], 3), np.uint8)
+
+    def image(self, data: Any, camera: str, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
+        """Return an image, (height, width, 3).
+
+        Args:
+            data: Data of the model, with the poses of geoms, cameras and lights.
+            camera: Name of a camera of the model.
+            out: Array for the image; None: a new one.
+        """
+        import mujoco
+
+        self._gl.make_current()
+        mujoco.mjv_updateScene(
+            self._model, data, self._option, None, self._camera(camera), mujoco.mjtCatBit.mjCAT_ALL, self._scene
+        )
+        mujoco.mjr_render(self._rect, self._scene, self._context)
+        mujoco.mjr_readPixels(self._read, None, self._rect, self._context)
+        image = np.empty(self._size, np.uint8) if out is None else out
+        image[...] = (_halved(self._read) if self._supersample else self._read)[
+            ::-1
+        ]  # OpenGL's first row is the lowest
+        return image
+
+    def _camera(self, name: str) -> Any:
+        import mujoco
+
+        if name not in self._cameras:
+            camera = mujoco.MjvCamera()
+            camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self._model.camera(name).id
+            self._cameras[name] = camera
+        return self._cameras[name]
+
+    def release(self) -> None:
+        """Detach the context from the calling thread, so that another one may use it."""
+        if self.parallel:
+            egl = importlib.import_module("mujoco.egl")
+            none = egl.EGL.EGL_NO_SURFACE
+            egl.EGL.eglMakeCurrent(egl.EGL_DISPLAY, none, none, egl.EGL.EGL_NO_CONTEXT)
+
+    def close(self) -> None:
+        """Release OpenGL. May be called twice."""
+        gl, self._gl = self._gl, None
+        if gl is not None:
+            gl.make_current()
+            self._context.free()
+            gl.free()
+
+    def __del__(self) -> None:
+        with contextlib.suppress(Exception):  # at the end of the program OpenGL may be gone already
+            self.close()
+
+
+def _halved(image: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """Return the rounded mean of each square of 2 × 2 pixels."""
+    rows = np.add(image[0::2], image[1::2], dtype=np.uint16)  # one axis at a time: both at once take ten times as long
+    pixels = rows.reshape(len(rows), -1, 2, 3)
+    halved: NDArray[np.uint16] = (pixels[:, :, 0] + pixels[:, :, 1] + 2) // 4
+    return halved
 
 
 class Renderer:
@@ -57,7 +158,7 @@ class Renderer:
                 raise SettingsError(f"{name} is {value!r}: it must be a whole number of pixels, 1 to {most}")
         self.camera, self.width, self.height, self.shadows = camera, width, height, shadows
         self.viewer = Viewer()
-        self._offscreen: Any = None
+        self._canvas: Canvas | None = None
 
     def draw(self, mode: str, model: Any, data: Any) -> NDArray[np.uint8] | None:
         """Return an image with "rgb_array"; show the data in the viewer with "human" and return None."""
@@ -66,44 +167,33 @@ class Renderer:
         self.viewer.show(model, data)
         return None
 
-    def image(
-        self, model: Any, data: Any, camera: str | None = None, out: NDArray[np.uint8] | None = None
-    ) -> NDArray[np.uint8]:
-        """Return an image, (height, width, 3).
+    def image(self, model: Any, data: Any) -> NDArray[np.uint8]:
+        """Return an image of the camera, (height, width, 3).
 
         Args:
             model: The same object at every call.
             data: Its data.
-            camera: Camera; None: the default.
-            out: Contiguous array for the image; None: a new one.
 
         Raises:
             RenderError: No OpenGL backend was found; the message names the package to install.
         """
-        if self._offscreen is None:
-            self._offscreen = _offscreen(model, self.height, self.width)
-        self._offscreen.update_scene(data, camera=camera or self.camera)
-        flags = self._offscreen.scene.flags
-        import mujoco
-
-        for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
-            flags[flag] = self.shadows
-        pixels: NDArray[np.uint8] = self._offscreen.render(out=out)
-        return pixels
+        if self._canvas is None:
+            self._canvas = Canvas(model, self.width, self.height, shadows=self.shadows)
+        return self._canvas.image(data, self.camera)
 
     def close(self) -> None:
         """Release viewer and OpenGL. May be called twice."""
-        if self._offscreen is not None:
-            self._offscreen.close()
-        self._offscreen = None
+        if self._canvas is not None:
+            self._canvas.close()
+        self._canvas = None
         self.viewer.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_offscreen": None, "viewer": Viewer()}
+        return {**self.__dict__, "_canvas": None, "viewer": Viewer()}
 
 
-def _offscreen(model: Any, height: int, width: int) -> Any:
-    """Return MuJoCo's offscreen renderer; on Linux without a display by EGL, else OSMesa, unless MUJOCO_GL is set."""
+def _contexts(model: Any, width: int, height: int) -> tuple[Any, Any]:
+    """Return OpenGL's context and MuJoCo's; on Linux without a display by EGL, else OSMesa, unless MUJOCO_GL is set."""
     import mujoco
 
     named = has_display() or os.environ.get("MUJOCO_GL")
@@ -111,28 +201,22 @@ def _offscreen(model: Any, height: int, width: int) -> Any:
     for backend in (None,) if named else _BACKENDS:
         try:
             if backend is not None:
-                return _offscreen_by(backend, model, height, width)
-            return mujoco.Renderer(model, height, width)
+                return _contexts_by(backend, model, width, height)
+            return _bound(mujoco.GLContext(width, height), model)
         except Exception as error:  # each backend fails in its own way: ImportError, AttributeError, FatalError, ...
             reasons.append(f"{backend}: {error}" if backend else str(error))
             last = error
     raise RenderError(f"{_NO_GL}. MuJoCo reports: {'; '.join(reasons)}") from last
 
 
-def _offscreen_by(backend: str, model: Any, height: int, width: int) -> Any:
-    """Return MuJoCo's offscreen renderer by one backend. A failure leaves nothing behind that hinders the next one."""
-    import mujoco
-    from mujoco.rendering.classic import gl_context
-
-    # When it was imported, MuJoCo chose a backend that needs a display.
-    chosen, loaded = gl_context.GLContext, set(sys.modules)
+def _contexts_by(backend: str, model: Any, width: int, height: int) -> tuple[Any, Any]:
+    """Return the contexts by one backend. A failure leaves nothing behind that hinders the next one."""
+    loaded = set(sys.modules)
     named = {name: os.environ.get(name) for name in ("PYOPENGL_PLATFORM", "MUJOCO_GL")}
     try:
-        gl_context.GLContext = importlib.import_module(f"mujoco.{backend}").GLContext
         os.environ["MUJOCO_GL"] = backend  # MuJoCo's own library reads it, and otherwise takes another loaded backend
-        return mujoco.Renderer(model, height, width)
+        return _bound(importlib.import_module(f"mujoco.{backend}").GLContext(width, height), model)
     except Exception:
-        gl_context.GLContext = chosen
         # PyOpenGL binds to one backend, named in the environment, when it is first imported.
         _restore("PYOPENGL_PLATFORM", named)
         for name in set(sys.modules) - loaded:
@@ -141,6 +225,16 @@ def _offscreen_by(backend: str, model: Any, height: int, width: int) -> Any:
         raise
     finally:
         _restore("MUJOCO_GL", named)
+
+
+def _bound(gl: Any, model: Any) -> tuple[Any, Any]:
+    """Return an OpenGL context and MuJoCo's in it, which draws off the screen."""
+    import mujoco
+
+    gl.make_current()
+    context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
+    return gl, context
 
 
 def _restore(name: str, values: dict[str, str | None]) -> None:

@@ -157,6 +157,10 @@ class MujocoCell:
         """Return MuJoCo's model and data of one cell for rendering: the same objects at every call, updated."""
         return self._open.model_and_data(row)
 
+    def copy_state(self, row: int, model: Any, data: Any) -> None:
+        """Copy the state of one cell to another model of its scene, and that model's data; see `Cell.copy_state`."""
+        self._open.copy_state(row, model, data)
+
     def close(self) -> None:
         """Release the simulation. May be called twice."""
         self._physics = None

@@ -198,12 +198,19 @@ class Physics:
         if self._rendered is None:
             model = build_model(self.config.scene)
             self._rendered = model, mujoco.MjData(model)
-        model, data = self._rendered
-        # The rendered model has more geoms, the same state, and the true base poses.
+        self.copy_state(row, *self._rendered)
+        mujoco.mj_forward(*self._rendered)
+        return self._rendered
+
+    def copy_state(self, row: int, model: Any, data: Any) -> None:
+        """Copy the state and the true base poses of one cell to another model of its scene, and that model's data.
+
+        Derived quantities are not computed. Threads may call it at the same time, each with a model of its own.
+        """
+        import mujoco
+
         self._plant.place_bases(model, row)
         mujoco.mj_setState(model, data, self._batch.state[row], int(mujoco.mjtState.mjSTATE_INTEGRATION))
-        mujoco.mj_forward(model, data)
-        return model, data
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()

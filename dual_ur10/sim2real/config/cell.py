@@ -207,7 +207,13 @@ class Cell(Protocol):
         """Make a latched stop of both arms, because of a fault of the commanding program."""
 
     def model_and_data(self, row: int) -> tuple[Any, Any]:
-        """Return MuJoCo's model and data of one cell, for rendering."""
+        """Return MuJoCo's model and data of one cell, for a viewer: the same objects at every call, updated."""
+
+    def copy_state(self, row: int, model: Any, data: Any) -> None:
+        """Copy the state of one cell to another model of its scene, and that model's data.
+
+        Derived quantities are not computed. Threads may call it at the same time, each with a model of its own.
+        """
 
     def close(self) -> None:
         """Release everything. May be called twice."""

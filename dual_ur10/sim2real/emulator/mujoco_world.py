@@ -12,6 +12,7 @@ from dual_ur10.assets.gripper import OPENING_M
 from dual_ur10.envs.core.randomization import PRESETS, apply_sample
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.physics import Physics
+from dual_ur10.envs.sim.servo_reference import Motion
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.config.cell import CellConfig, CellState
@@ -73,7 +74,8 @@ class EmulatedWorld:
         start = setup.make_task().start(np.arange(1), [np.random.default_rng(options.seed)])
         self.start_q_rad: Array = np.asarray(start.q_rad, dtype=np.float64).reshape(2, 6)
         true = _with_dh_errors(config, options.dh_error_m, rng)
-        self._physics = Physics(true, 1, 1)
+        self._physics = Physics(true, 1, self.substeps, 1)
+        self._motion = Motion(np.zeros((1, 3 * self.substeps + 3, 12)))
         values = config.perturbation.expanded(1)
         self.sampled: Mapping[str, Array] = {} if options.plant == "nominal" else PRESETS[options.plant].sample([rng])
         values |= apply_sample(values, self.sampled)
@@ -119,14 +121,18 @@ class EmulatedWorld:
             widths_m: Commanded gripper width of each arm.
             payloads_kg: Payload mass as set on each controller.
         """
-        both = np.concatenate([delay(plan) for delay, plan in zip(self._delays, plans, strict=True)], axis=2)[None]
+        motion = self._motion
+        for arm, (delay, plan) in enumerate(zip(self._delays, plans, strict=True)):
+            joints, delayed = slice(6 * arm, 6 * arm + 6), delay(plan)
+            for k, rows in enumerate((motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2)):
+                rows[0, :, joints] = delayed[:, k]
         grippers = payload = None
         if self.gripper_kg:
             # The measured width of open fingers may be slightly above the maximum.
             grippers = np.array([[[min(max(each or 0.0, 0.0), OPENING_M) for each in widths_m]]])
             # The arm model includes the gripper's mass.
             payload = np.array([payloads_kg]) - self.gripper_kg
-        self._physics.advance((both[:, :, 0], both[:, :, 1], both[:, :, 2]), grippers, payload)
+        self._physics.advance(motion, grippers, payload)
         self._elapsed += self.config.servoj.tick_s
         self._state = self._physics.state(self._elapsed, moved=True)
 

@@ -100,9 +100,12 @@ class MirrorModel:
         if self._rendered is None:
             model = build_model(self._scene)
             self._rendered = model, self._mujoco.MjData(model)
-        model, data = self._rendered
+        self.copy_state(*self._rendered)
+        self._mujoco.mj_forward(*self._rendered)
+        return self._rendered
+
+    def copy_state(self, model: Any, data: Any) -> None:
+        """Copy the measured positions to another model of this scene, and that model's data."""
         data.qpos[:] = self._data.qpos
         if model.nmocap:
             data.mocap_pos[:], data.mocap_quat[:] = self._data.mocap_pos, self._data.mocap_quat
-        self._mujoco.mj_forward(model, data)
-        return model, data

@@ -262,6 +262,10 @@ class RtdeCell:
         """Return the MuJoCo model and data of the mirror model for rendering."""
         return self._mirror.model_and_data()
 
+    def copy_state(self, row: int, model: Any, data: Any) -> None:
+        """Copy the measured state to another model of this scene, and that model's data; see `Cell.copy_state`."""
+        self._mirror.copy_state(model, data)
+
     def close(self) -> None:
         """Stop both arms and close all connections. Grippers keep their hold. May be called twice."""
         if self._runner is not None:

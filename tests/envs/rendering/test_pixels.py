@@ -2,6 +2,7 @@ import os
 import pickle
 import subprocess
 import sys
+import threading
 import warnings
 
 import gymnasium as gym
@@ -15,7 +16,7 @@ from dual_ur10 import errors
 from dual_ur10.assets.visuals import CAMERAS, cameras
 from dual_ur10.envs.api.dual_arm_env import DualArmEnv
 from dual_ur10.envs.core.setup import EnvSetup
-from dual_ur10.envs.rendering.images import Renderer
+from dual_ur10.envs.rendering.images import Canvas
 from dual_ur10.ids import ENV_IDS, task_name
 from tests.envs.equality import equal
 
@@ -65,13 +66,13 @@ def changes(env, steps, every_row=lambda image: image):
 def counted(monkeypatch):
     """Return a list to which each image drawn from now on adds its camera."""
     drawn = []
-    image = Renderer.image
+    image = Canvas.image
 
-    def counting(self, *rest, **keywords):
-        drawn.append(rest[2] if len(rest) > 2 else self.camera)
-        return image(self, *rest, **keywords)
+    def counting(self, data, camera, out=None):
+        drawn.append(camera)
+        return image(self, data, camera, out)
 
-    monkeypatch.setattr(Renderer, "image", counting)
+    monkeypatch.setattr(Canvas, "image", counting)
     return drawn
 
 
@@ -133,16 +134,54 @@ def test_images_show_what_each_camera_sees_and_that_arms_move():
     assert all((a != b).mean() > 0.5 for k, a in enumerate(images) for b in images[:k])
 
 
-def test_an_observed_image_is_what_render_gives():
-    env = single(render_mode="rgb_array", camera="overhead")
+def difference(a, b):
+    """Return the mean absolute difference of two images."""
+    return np.abs(a.astype(int) - b).mean()
+
+
+def test_an_observed_image_shows_what_render_shows_in_full_quality():
+    env = single(render_mode="rgb_array", camera="overhead", width=84, height=84)
     env.reset(seed=0)
-    for action in actions(3):
+    last = None
+    for action in actions(2):
         observation, *_ = env.step(action)
-        assert np.array_equal(env.render(), observation["overhead"])
-        assert not np.array_equal(env.render(), observation["front"])
-    envs = vector(render_mode="rgb_array", camera="overhead")
+        rendered = env.render()
+        assert difference(rendered, observation["overhead"]) < 2.0  # edges and shades
+        assert difference(rendered, observation["front"]) > 20.0
+        assert last is None or difference(rendered, last) > 0.0
+        last = rendered
+    envs = vector(render_mode="rgb_array", camera="overhead", width=84, height=84)
     observation, _ = envs.reset(seed=0)
-    assert np.array_equal(np.stack(envs.render()), observation["overhead"])
+    for row_rendered, row_observed in zip(envs.render(), observation["overhead"], strict=True):
+        assert difference(row_rendered, row_observed) < 2.0
+
+
+def test_rows_are_drawn_on_all_threads_and_equal_those_of_one():
+    def painters():
+        return [thread.name for thread in threading.enumerate() if thread.name.startswith("painter")]
+
+    images = []
+    for threads in (1, 3):
+        env = vector(4, threads=threads, randomization="wide")
+        images.append(env.reset(seed=0)[0])
+        assert len(painters()) == (0 if threads == 1 else 3)
+        env.close()
+        assert not painters()
+    assert equal(*images)
+
+
+def test_an_environment_that_nobody_closes_ends_with_the_program(tmp_path):
+    code = (
+        "import gymnasium, dual_ur10\n"
+        f"env = gymnasium.make_vec({SINE!r}, num_envs=3, threads=2, observation='pixels', width=40, height=40)\n"
+        "assert env.reset(seed=0)[0]['front'].std() > 10\n"
+        "del env\n"
+        f"env = gymnasium.make_vec({SINE!r}, num_envs=3, threads=2, observation='pixels', width=40, height=40)\n"
+        "assert env.reset(seed=0)[0]['front'].std() > 10\n"
+    )
+    result = run(code, tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == ""
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -304,22 +343,22 @@ def test_a_pickled_copy_continues_bit_for_bit(make):
 
 
 @pytest.mark.parametrize("make", [single, vector])
-def test_one_renderer_for_all_images_is_closed_with_the_environment(make, monkeypatch):
-    import mujoco
-
+def test_canvases_are_made_with_the_first_image_and_closed_with_the_environment(make, monkeypatch):
     made, closed = [], []
-    init, close = mujoco.Renderer.__init__, mujoco.Renderer.close
-    monkeypatch.setattr(mujoco.Renderer, "__init__", lambda self, *a, **k: (made.append(self), init(self, *a, **k))[1])
-    monkeypatch.setattr(mujoco.Renderer, "close", lambda self: (closed.append(self), close(self))[1])
+    init, close = Canvas.__init__, Canvas.close
+    monkeypatch.setattr(Canvas, "__init__", lambda self, *a, **k: (made.append(self), init(self, *a, **k))[1])
+    monkeypatch.setattr(Canvas, "close", lambda self: (closed.append(self), close(self))[1])
     env = make(render_mode="rgb_array")
     assert not made
     env.reset(seed=0)
+    painters = env.unwrapped.core.threads
+    assert len(made) == painters
     env.render()
     env.step(actions(1, getattr(env, "num_envs", None))[0])
-    assert len(made) == 1
+    assert len(made) == painters + 1  # one for `render`
     assert not closed
     env.close()
-    assert closed == made
+    assert set(closed) == set(made)
     env.close()
     with pytest.raises(errors.ClosedError):
         env.reset(seed=0)
@@ -456,7 +495,7 @@ def test_shadows_and_reflections_are_drawn_on_request_only():
     for keywords in ({}, {"shadows": True}):
         env = single(**keywords)
         images.append(env.reset(seed=0)[0])
-        flags = env.unwrapped._observer.renderer._offscreen.scene.flags
+        flags = env.unwrapped._observer._painters[0].canvas._scene.flags
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             assert bool(flags[flag]) is bool(keywords)
     assert not equal(*images)

@@ -3,6 +3,7 @@
 #include "clearance.hpp"
 #include "gate.hpp"
 #include "motion.hpp"
+#include "sine_tracking.hpp"
 
 // Hash of the sources that this library was compiled from.
 EXPORT const char* kernel_sources() { return KERNEL_SOURCES; }

@@ -17,7 +17,8 @@ from dual_ur10.envs.tasks.observation_layout import (
     pose_fields,
 )
 from dual_ur10.envs.tasks.sine_tracking.settings import CENTER_RANGE_M, TOOL_DOWN_QUAT, SineSettings, check_path
-from dual_ur10.envs.tasks.task import Outcome, Task, Timing, gaussian
+from dual_ur10.envs.tasks.task import Outcome, Task, Timing
+from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics import nearest
 from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_matrix
@@ -27,8 +28,6 @@ from dual_ur10.types import Array, Rows
 
 # Distance at which a term is 0.1: position errors of both flanges, angles of both, error of the vector between them.
 _MARGINS = np.array([0.01, 0.01, 0.02, 0.02, 0.005])
-# Index among them of each arm's reward terms.
-_TERMS = np.array([[0, 2, 4], [1, 3, 4]])
 
 
 class SineMeasured(NamedTuple):
@@ -41,6 +40,9 @@ class SineMeasured(NamedTuple):
             which is the rotation vector as long as it is small.
         reference_m: (n, 2, 3) reference positions of the flanges in the cell frame.
         error_m: (n, 2, 3) reference minus flange, in the cell frame.
+        sizes: (n, 5) position errors of both flanges, m, rotations of both, rad, and the error of the vector between
+            them, m.
+        terms: (n, 2, 3) reward terms of each arm.
     """
 
     reference_base_m: Array
@@ -48,6 +50,8 @@ class SineMeasured(NamedTuple):
     rotation: Array
     reference_m: Array
     error_m: Array
+    sizes: Array
+    terms: Array
 
 
 class SineTracking(Task[SineSettings, SineMeasured]):
@@ -174,8 +178,24 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         self._to_reference: Array = np.ascontiguousarray(np.array(columns))
         self._steps = max(1, math.ceil(settings.duration_s / timing.period_s - 1e-9))
         self._center: Array = np.zeros((n, 3, 2, 3))
-        self._when = np.array([0.0, timing.ahead_s, 0.0])
         self._phase: Array = np.zeros((n, 1))
+        self._input, self._output = np.zeros((n, 15)), np.zeros((n, 41))
+        struct = Struct(
+            "Sine",
+            n=n,
+            amplitude_m=settings.amplitude_m,
+            omega_rad_s=2 * math.pi * settings.frequency_hz,
+            soft_start_s=settings.soft_start_s,
+            ahead_s=timing.ahead_s,
+            along=self._along,
+            to_reference=self._to_reference,
+            margins=_MARGINS,
+            center_m=self._center,
+            phase_rad=self._phase,
+            input=self._input,
+            output=self._output,
+        )
+        self._measure = RowLoop("sine_measure", struct, n, 1)
         self._squares: Array = np.zeros((n, 2))
         self._count = np.zeros(n, dtype=np.int64)
 
@@ -201,18 +221,14 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     def measure(self, state: CellState) -> SineMeasured:
         """Compute reference and errors of all cells."""
-        displacement = self.settings.displacement_m(state.time_s[:, None] + self._when, self._phase)
-        references = self._center + displacement[..., None, None] * self._along
-        reference = references[:, 2]
-        turn = state.flange_base_quat @ self._to_reference
-        turn *= np.copysign(2.0, turn[..., :1])
-        return SineMeasured(
-            references[:, 0],
-            references[:, 1],
-            turn[..., 1:],
-            reference,
-            reference - state.flange_m,
-        )
+        n, given = len(state.time_s), self._input
+        given[:, 0] = state.time_s
+        given[:, 1:9] = state.flange_base_quat.reshape(n, 8)
+        given[:, 9:] = state.flange_m.reshape(n, 6)
+        self._measure()
+        found = self._output.copy()
+        vectors = found[:, :30].reshape(n, 5, 2, 3)
+        return SineMeasured(*vectors.swapaxes(0, 1), found[:, 30:35], found[:, 35:].reshape(n, 2, 3))
 
     def observe(self, state: CellState, measured: SineMeasured, commanded_q_rad: Array) -> Array:
         """Assemble the observations, (n, 68)."""
@@ -242,12 +258,8 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     def evaluate(self, state: CellState, measured: SineMeasured) -> Outcome:
         """Evaluate reward terms, success and end."""
-        error = measured.error_m
-        vectors = np.concatenate([error, measured.rotation, error[:, :1] - error[:, 1:]], axis=1)
-        squares = np.add.reduce(vectors * vectors, axis=2)
-        sizes = np.sqrt(squares)
-        terms = gaussian(sizes, _MARGINS)[:, _TERMS]
-        self._squares += squares[:, :2]
+        sizes = measured.sizes
+        self._squares += sizes[:, :2] ** 2
         self._count += 1
         over = self._count >= self._steps
         success = over.copy()
@@ -259,4 +271,4 @@ class SineTracking(Task[SineSettings, SineMeasured]):
             "orientation_error_rad": sizes[:, 2:4],
             "reference_m": measured.reference_m,
         }
-        return Outcome(terms, success, over, info)
+        return Outcome(measured.terms, success, over, info)

@@ -1,0 +1,61 @@
+// References, errors and rewards of SineTracking; see `dual_ur10.envs.tasks.sine_tracking.task`.
+#pragma once
+
+#include "fields.hpp"
+#include "numbers.hpp"
+
+// Input and output of one row, in this order: time, orientations and positions of both flanges; then references in both
+// bases, now and ahead, rotations, references and errors in the cell frame, sizes of the errors, and reward terms.
+#define SINE(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                                   \
+    INT(n) REAL(amplitude_m) REAL(omega_rad_s) REAL(soft_start_s) REAL(ahead_s) REALS(along, 18)                       \
+    REALS(to_reference, 16) REALS(margins, 5) REALS(center_m, n * 18) REALS(phase_rad, n) REALS(input, n * 15)         \
+    REALS(output, n * 41)
+
+STRUCTURE(Sine, SINE)
+
+namespace {
+
+constexpr double LOG_TENTH = -2.3025850929940456840;
+
+double displacement(const Sine& s, double time_s, double phase_rad) {
+    const double wave = s.amplitude_m * sine_cosine(time_s * s.omega_rad_s + phase_rad).sine;
+    if (time_s >= s.soft_start_s) return wave;
+    const double x = time_s / s.soft_start_s;
+    return wave * (x * x * x * (10.0 + x * (6.0 * x - 15.0)));
+}
+
+void measure(const Sine& s, int64_t row) {
+    const double *input = s.input + 15 * row, *center = s.center_m + 18 * row, *quat = input + 1, *flange = input + 9;
+    double *output = s.output + 41 * row, *rotation = output + 12, *error = output + 24, *sizes = output + 30;
+    const double now = displacement(s, input[0], s.phase_rad[row]);
+    const double ahead = displacement(s, input[0] + s.ahead_s, s.phase_rad[row]);
+    for (int k = 0; k < 6; ++k) {
+        output[k] = center[k] + now * s.along[k];
+        output[6 + k] = center[6 + k] + ahead * s.along[6 + k];
+        output[18 + k] = center[12 + k] + now * s.along[12 + k];
+        error[k] = output[18 + k] - flange[k];
+    }
+    for (int arm = 0; arm < 2; ++arm) {
+        double turn[4] = {};
+        for (int k = 0; k < 4; ++k)
+            for (int i = 0; i < 4; ++i) turn[i] += quat[4 * arm + k] * s.to_reference[4 * k + i];
+        for (int i = 0; i < 3; ++i) rotation[3 * arm + i] = copysign(2.0, turn[0]) * turn[1 + i];
+        sizes[arm] = sqrt(squared(vector(error + 3 * arm)));
+        sizes[2 + arm] = sqrt(squared(vector(rotation + 3 * arm)));
+    }
+    sizes[4] = sqrt(squared(vector(error) - vector(error + 3)));
+    double* terms = output + 35;
+    for (int arm = 0; arm < 2; ++arm)
+        for (int k = 0; k < 3; ++k) {
+            const int size = k < 2 ? 2 * k + arm : 4;
+            const double scaled = sizes[size] / s.margins[size];
+            terms[3 * arm + k] = exponential(scaled * scaled * LOG_TENTH);
+        }
+}
+
+}  // namespace
+
+// Measure rows `first` to `last`.
+EXPORT void sine_measure(const Sine* s, int64_t first, int64_t last) {
+    for (int64_t row = first; row < last; ++row) measure(*s, row);
+}

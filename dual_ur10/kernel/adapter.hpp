@@ -14,7 +14,7 @@ constexpr int TRIES = 4;  // to find a fraction within the Cartesian speed limit
 // Rows of the state.
 constexpr int64_t GOALS = 3, GOAL = 6, NOW = 7, VALUES = 11;
 
-enum Mode { STEP = 0, POSITION = 1 };
+enum Mode { STEP = 0, POSITION = 1, GOAL_GIVEN = 2 };
 
 }  // namespace
 
@@ -23,7 +23,8 @@ enum Mode { STEP = 0, POSITION = 1 };
     LINK(envelope, Envelope) REALS(plans, meetings * ticks * 11) REALS(ends, meetings * 44) INTS(cubic, meetings)      \
     REALS(continuations, meetings * 22) REALS(continuation_limits, 24) REALS(between, meetings * between_rows * 11)    \
     REALS(resume, 4 * width) REALS(joint_step, 12) REALS(lower, 12) REALS(upper, 12) REALS(leash, 12)                  \
-    REALS(state, n * 132) REALS(commanded, n * 12) REALS(action, n * 2 * size) REALS(targets, n * ticks * 12)
+    REALS(state, n * 132) REALS(commanded, n * 12) REALS(action, n * 2 * size) REALS(targets, n * ticks * 12)  \
+    REALS(goal, n * 12) REALS(lowest, 2 * size) REALS(highest, 2 * size) INTS(clipped, n)
 
 STRUCTURE(Adapter, ADAPTER)
 
@@ -103,8 +104,11 @@ void step(const Adapter& a, int64_t row, const double* action, double* targets) 
     const int64_t ticks = a.ticks;
     double *state = a.state + row * VALUES * JOINTS, *commanded = a.commanded + row * JOINTS;
     double *goal = state + GOAL * JOINTS, *now = state + NOW * JOINTS;
+    bool clipped = false;
+    for (int64_t k = 0; k < 2 * a.size; ++k) clipped |= action[k] < a.lowest[k] || action[k] > a.highest[k];
+    a.clipped[row] += clipped;
     for (int64_t j = 0; j < JOINTS; ++j) {
-        const double value = action[(j / 6) * a.size + j % 6];
+        const double value = a.mode == GOAL_GIVEN ? a.goal[row * JOINTS + j] : action[(j / 6) * a.size + j % 6];
         const double aim = a.mode == STEP ? commanded[j] + clamp(value, -1.0, 1.0) * a.joint_step[j] : value;
         const double here = (1.0 - a.approach) * now[j];
         goal[j] = clamp(aim, here + a.lower[j], here + a.upper[j]);

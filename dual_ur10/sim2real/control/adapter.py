@@ -43,6 +43,8 @@ _MANY_TICKS = 5  # targets per period from which on they sample the path densely
 _STIFF = 2.5  # gain times a tick squared above which targets show the arm's acceleration better than the law does
 _PARTS = 8  # sub-steps of a tick for the law under time scaling
 
+_ROUNDING = 1e-6  # bounds are float32 where a policy sees them
+
 _GOAL_MARGIN_RAD = 1e-3  # goals stay this far inside the range that the limiter enforces
 
 # Rows of the adapter's state, (n, rows, 12): the last three targets, then the values that define a path.
@@ -130,7 +132,9 @@ class ServojAdapter:
         self._to_base = quat_to_matrix(quat_from_rotvec(rotations))
         self._state: Array = np.zeros((n, _VALUES, 12))
         self._commanded: Array = np.zeros((n, 12))
-        self._action: Array = np.zeros((n, 2, 6 if mode == "tcp_delta" else self.action_size))
+        self._action: Array = np.zeros((n, 2, self.action_size))
+        self._cartesian_goal: Array = np.zeros((n, 12))
+        self._clipped = np.zeros(n, dtype=np.int64)
         self._targets: Array = np.zeros((n, ticks, 12))
         self._step = RowLoop("adapter_step", self._struct(), n, threads)
 
@@ -142,12 +146,13 @@ class ServojAdapter:
         few = self.ticks < _MANY_TICKS
         between = [self._acceleration(meeting) for meeting in meetings] if few else [np.zeros((0, _VALUES))]
         speed = np.tile(self.limits.speed_rad_s, 2)
+        low, high = self.action_bounds
         return Struct(
             "Adapter",
             n=self.n,
             ticks=self.ticks,
             width=HISTORY + self.ticks + 2,
-            mode=0 if self.mode == "joint_delta" else 1,
+            mode=get_args(ActionMode).index(self.mode),
             size=self._action.shape[2],
             meetings=len(meetings),
             between_rows=len(between[0]),
@@ -169,6 +174,10 @@ class ServojAdapter:
             commanded=self._commanded,
             action=self._action,
             targets=self._targets,
+            goal=self._cartesian_goal,
+            lowest=low - _ROUNDING,
+            highest=high + _ROUNDING,
+            clipped=self._clipped,
         )
 
     def _plan(self, meeting: path.Meeting) -> tuple[Array, Array]:
@@ -265,6 +274,11 @@ class ServojAdapter:
         return low, high
 
     @property
+    def clipped_actions(self) -> int:
+        """Number of actions so far that were clipped to the bounds."""
+        return int(self._clipped.sum())
+
+    @property
     def commanded_q_rad(self) -> Array:
         """Joint positions commanded last, (n, 2, 6), from which the next action's steps start.
 
@@ -285,7 +299,9 @@ class ServojAdapter:
         Args:
             action: (n, 2, action_size), finite. Values outside the bounds are clipped to them.
         """
-        self._action[:] = self._tcp_goal(action[..., :6]) if self.mode == "tcp_delta" else action
+        self._action[:] = action
+        if self.mode == "tcp_delta":
+            self._cartesian_goal[:] = self._tcp_goal(action[..., :6]).reshape(self.n, 12)
         self._step()
         targets = self._targets.reshape(self.n, self.ticks, 2, 6).copy()
         return Command(targets, self._gripper_width(action))

@@ -11,8 +11,6 @@ from dual_ur10.sim2real.control.gate import SafetyGate, Verdict
 from dual_ur10.sim2real.control.proximity import ProximityScaling
 from dual_ur10.types import Array, Rows
 
-_ROUNDING = 1e-6  # bounds are float32 where a policy sees them
-
 
 class ServojPipeline:
     """Validates an action, converts it into targets, and passes these through the gate.
@@ -24,9 +22,6 @@ class ServojPipeline:
         gate: Releases or replaces targets.
         held: Index of an arm that stays where it is, whatever the actions are; None: neither.
         proximity: Slows one cell down near things; None: nothing does.
-
-    Attributes:
-        clipped_actions: Number of actions so far that were clipped to the action space.
     """
 
     def __init__(
@@ -40,9 +35,7 @@ class ServojPipeline:
         self.adapter, self.gate, self._held, self._proximity = adapter, gate, held, proximity
         self._scaling = 1.0
         self._shape = (adapter.n, 2, adapter.action_size)
-        low, high = adapter.action_bounds
-        self._lowest, self._highest = low - _ROUNDING, high + _ROUNDING
-        self.clipped_actions = 0
+        self._shapes = _shapes(self._shape)
         self._widths: Array = np.zeros((adapter.n, 2))  # released last: where the gripper of a stopped arm is held
 
     def reset(self, q_rad: Array, rows: Rows | None = None, gripper_m: Array | None = None) -> None:
@@ -73,8 +66,6 @@ class ServojPipeline:
             ActionError: Not numbers, the wrong shape, NaN or infinity. Nothing is sent and nothing changes.
         """
         checked = self.check(action)
-        beyond = (checked < self._lowest) | (checked > self._highest)
-        self.clipped_actions += int(np.logical_or.reduce(beyond, axis=(1, 2)).sum())
         command = self.adapter(checked)
         targets, gripper = command.targets_rad, command.gripper_m
         if self._held is not None:
@@ -89,6 +80,11 @@ class ServojPipeline:
             self._scaling = self._proximity(result.targets_rad[0, -1].reshape(12), self.gate.spare_m[0])
         return Command(result.targets_rad, gripper, scaling=self._scaling), result.verdicts
 
+    @property
+    def clipped_actions(self) -> int:
+        """Number of actions so far that were clipped to the action space."""
+        return self.adapter.clipped_actions
+
     def check(self, action: object) -> Array:
         """Return the action as float64 of shape (n, 2, action_size).
 
@@ -101,9 +97,8 @@ class ServojPipeline:
             raise ActionError(f"an action must be numbers, found {type(action).__name__}: {error}") from None
         if array.dtype.kind not in "fiu":
             raise ActionError(f"an action must be numbers, found {array.dtype} from {type(action).__name__}")
-        size = self._shape[0] * self._shape[1] * self._shape[2]
-        if array.size != size or array.shape not in _shapes(self._shape):
-            allowed = " or ".join(map(str, _shapes(self._shape)))
+        if array.shape not in self._shapes:
+            allowed = " or ".join(map(str, self._shapes))
             raise ActionError(f"an action must have shape {allowed}, found {array.shape}")
         checked: Array = array.astype(np.float64).reshape(self._shape)
         if not np.logical_and.reduce(np.isfinite(checked), axis=None):

@@ -227,8 +227,8 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         given[:, 9:] = state.flange_m.reshape(n, 6)
         self._measure()
         found = self._output.copy()
-        vectors = found[:, :30].reshape(n, 5, 2, 3)
-        return SineMeasured(*vectors.swapaxes(0, 1), found[:, 30:35], found[:, 35:].reshape(n, 2, 3))
+        here, ahead, rotation, reference, error = found[:, :30].reshape(n, 5, 2, 3).swapaxes(0, 1)
+        return SineMeasured(here, ahead, rotation, reference, error, found[:, 30:35], found[:, 35:].reshape(n, 2, 3))
 
     def observe(self, state: CellState, measured: SineMeasured, commanded_q_rad: Array) -> Array:
         """Assemble the observations, (n, 68)."""

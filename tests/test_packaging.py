@@ -28,6 +28,7 @@ def test_the_wheel_holds_the_package_and_nothing_else(wheel):
         "assets",
         "cli",
         "envs",
+        "kernel",
         "kinematics",
         "policies",
         "sim2real",
@@ -112,6 +113,7 @@ def test_readme_and_module_say_the_same_version():
 
 FLOORS = (
     ("errors", "files", "ids", "registration", "types"),
+    ("kernel",),
     ("kinematics",),
     ("assets",),
     ("sim2real.control", "sim2real.processes", "sim2real.protocol"),

@@ -250,17 +250,15 @@ def test_the_gate_refuses_a_motion_into_an_obstacle(obstacle: Obstacle) -> None:
 
 
 def test_a_start_in_an_obstacle_names_it() -> None:
-    rows = np.array([0])
     for size in (0.1, 3.0):  # around the flange; around the whole arm
         box = Box(name="crate-7", position_m=(0.0, 0.6, 0.4), size_m=(size, size, size))
         clearance = Clearance(SceneSettings(obstacles=(box,)))
         with pytest.raises(
             CollisionAtStartError, match=r"left/\w+ and obstacle/crate-7 .* move the obstacle 'crate-7'"
         ):
-            clearance.check_start(HOME_Q_RAD[None], rows)
-    Clearance(SceneSettings(obstacles=(dataclasses.replace(box, position_m=(2.5, 0.0, 0.0)),))).check_start(
-        HOME_Q_RAD[None], rows
-    )
+            clearance.check_start(HOME_Q_RAD[None])
+    away = dataclasses.replace(box, position_m=(2.5, 0.0, 0.0))
+    Clearance(SceneSettings(obstacles=(away,))).check_start(HOME_Q_RAD[None])
 
 
 def test_the_thinnest_and_longest_boxes_are_measured() -> None:

@@ -20,7 +20,6 @@ from dual_ur10.sim2real.control.adapter import (
     TCP_STEP_M_S,
     ServojAdapter,
 )
-from dual_ur10.sim2real.control.limiter import Limiter
 from dual_ur10.sim2real.control.limits import HISTORY, Envelope, MotionLimits
 from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory
@@ -418,14 +417,14 @@ def test_a_limited_step_keeps_the_direction_of_all_twelve_joints(
     limits: MotionLimits, tick_s: float, ticks: int
 ) -> None:
     envelope, rng, n = Envelope(limits, tick_s, ticks), np.random.default_rng(0), 40
-    limiter = Limiter(envelope)
     past = np.tile(HOME_Q_RAD.reshape(12), (n, HISTORY, 1))
     speed = rng.uniform(-0.2, 0.2, (n, 1, 12)) * np.tile(limits.speed_rad_s, 2)
     speed[n // 2 :] *= limits.tcp_speed_m_s / 4  # slow enough to coast
     past = past + speed * tick_s * np.arange(-2, 1)[:, None]
     planned = past[:, -1:] + rng.uniform(-1, 1, (n, 1, 12)) * np.linspace(0, 0.5, ticks + 1)[1:, None]
-    use = envelope.signed_use(envelope.rows @ np.concatenate([past, planned], axis=1))
-    limited = limiter.limit(use, past, planned)
+    window = envelope.limited(np.concatenate([past, planned], axis=1))
+    np.testing.assert_array_equal(window[:, :HISTORY], past)
+    limited = window[:, HISTORY:]
     bases = [last @ past for last in (envelope.coast, envelope.brake)]
     found = set()
     for row in range(n):
@@ -439,7 +438,6 @@ def test_a_limited_step_keeps_the_direction_of_all_twelve_joints(
         assert -1e-9 <= fraction < 1.0
         found.add((kind, fraction > 1e-9))
     assert ("coast", True) in found
-    window = np.concatenate([past, limited], axis=1)
     assert envelope.use(envelope.rows @ window).max() <= 1.0
     assert envelope.cartesian_use(window)[0].max() <= 1.0
 
@@ -448,9 +446,7 @@ def test_a_fraction_is_as_large_as_the_limits_allow() -> None:
     envelope = Envelope(TIGHT, 0.008, 5)
     past = np.tile(HOME_Q_RAD.reshape(12), (1, HISTORY, 1))
     planned = past[:, -1:] + np.linspace(0, 0.5, 6)[1:, None] * np.eye(12)[5]
-    window = np.concatenate([past, planned], axis=1)
-    limited = Limiter(envelope).limit(envelope.signed_use(envelope.rows @ window), past, planned)
-    use = envelope.use(envelope.rows @ np.concatenate([past, limited], axis=1))
+    use = envelope.use(envelope.rows @ envelope.limited(np.concatenate([past, planned], axis=1)))
     assert 0.99999 < use.max() <= 1.0
 
 

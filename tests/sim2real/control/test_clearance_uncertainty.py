@@ -168,7 +168,7 @@ def test_a_larger_uncertainty_refuses_more() -> None:
     assert least == pytest.approx(MINIMUM_M + 1.01 * spare)
     assert distance == pytest.approx(table)
     with pytest.raises(CollisionAtStartError, match=f"allowed are {least * 1e3:.1f} mm"):
-        refusing.check_start(low.reshape(1, 2, 6), np.array([0]))
+        refusing.check_start(low.reshape(1, 2, 6))
     # The other arm's base does not matter to it.
     assert Clearance(SceneSettings(), uncertainty=((0.0, 0.0), (1.01 * spare, 0.0))).is_clear(low[None])[0]
 

@@ -10,14 +10,13 @@ import pytest
 from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
+from dual_ur10.kernel import function, pointer
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
-from dual_ur10.sim2real.control.gate import SafetyGate
-from dual_ur10.sim2real.control.limits import HISTORY
+from dual_ur10.sim2real.control.gate import SWEEP_TOLERANCE_M, SafetyGate
 from dual_ur10.sim2real.control.servoj import ServojProfile
-from dual_ur10.sim2real.control.swept_clearance import SWEEP_TOLERANCE_M, SweptClearance
-from dual_ur10.sim2real.runtime.approach import retreat_clearance, plan
-from tests.sim2real.control.motion_checks import HARD, AlwaysClear
+from dual_ur10.sim2real.runtime.approach import plan, retreat_clearance
+from tests.sim2real.control.motion_checks import HARD, Measured
 from tests.sim2real.control.reference_cell import UNEQUAL, random_q
 
 WIDE_M = 0.01
@@ -29,25 +28,15 @@ RODS = tuple(
 CLUTTER = (*RODS, Box(name="plate", position_m=(0.3, 0.0, 0.9), size_m=(0.6, 0.01, 0.4)))
 
 
-class Post(AlwaysClear):
+class Post(Measured):
     """Thin obstacle at an angle of the left arm's first joint, in a cell whose arms are levers of 1 m."""
 
-    def __init__(self, at_rad, n=1):
-        self.at_rad, self.n, self.checks = at_rad, n, 0
+    def __init__(self, at_rad):
+        super().__init__(np.eye(2, 12))
+        self.at_rad = at_rad
 
     def spare_m(self, q_rad):
-        self.checks += 1
-        assert q_rad.shape == (self.n, 12)
-        return np.stack([np.abs(q_rad[:, 0] - self.at_rad) - WIDE_M, np.full(self.n, 5.0)], axis=1)
-
-    def spare_of_spheres_m(self):
-        return np.full((self.n, 2), -1.0)
-
-    def travel_m(self, path_rad):
-        return np.stack([path_rad[:, 0], path_rad[:, 1]], axis=1)
-
-    def alone(self):
-        return self if self.n == 1 else Post(self.at_rad)
+        return np.array([abs(q_rad[0] - self.at_rad) - WIDE_M, 5.0])
 
     def worst(self, q_rad):
         return "left/forearm_link and post", abs(q_rad[0] - self.at_rad), WIDE_M
@@ -89,7 +78,7 @@ def test_a_thin_obstacle_between_two_checks_is_seen(phase):
 def test_each_row_is_checked_by_itself():
     """A row in a batch stops as it does alone, and the others continue."""
     push = np.stack([TURN, 0.0 * TURN, -TURN, 0.5 * TURN])
-    whole, verdicts = driven(Post(HOME[0] + 0.93, n=4), push, 40, n=4)
+    whole, verdicts = driven(Post(HOME[0] + 0.93), push, 40, n=4)
     for row in range(4):
         alone, its_own = driven(Post(HOME[0] + 0.93), push[row], 40)
         np.testing.assert_array_equal(alone[0], whole[row])
@@ -108,10 +97,19 @@ def test_distant_pairs_need_no_further_checks():
 def test_motion_along_an_obstacle_is_not_refused():
     """Joints that do not move a pair are free, however near it is."""
     post = Post(HOME[0] + WIDE_M)
-    post.spare_m = lambda q: np.array([[0.0 if abs(q[0, 0] - HOME[0]) < 1e-9 else -1.0, 5.0]])
+    post.spare_m = lambda q: np.array([0.0 if abs(q[0] - HOME[0]) < 1e-9 else -1.0, 5.0])
     sent, verdicts = driven(post, np.roll(TURN, 1), 30)
     assert not verdicts
     assert np.ptp(sent[0, :, 1]) > 0.5
+
+
+def measured_for_the_gate(clearance, q_rad):
+    """Return (n, pairs) spare distances as the gate gets them."""
+    result = np.empty((len(q_rad), len(clearance.pairs)))
+    context = clearance.kernel.values["context"]
+    for q, row in zip(np.ascontiguousarray(q_rad), result, strict=True):
+        function("clearance_spare", 3)(context.address, pointer(q), pointer(row))
+    return result
 
 
 SCENES = [
@@ -138,7 +136,7 @@ def test_no_distance_changes_by_more_than_the_joints_move_it(settings, keywords)
             end = begin + size * rng.uniform(-1, 1, (n, 12)) * mask
             first, second = (clearance.spare_m(each).copy() for each in (begin, end))
             apart = np.minimum(first, second) > -MINIMUM_M  # how deep two things are in each other is not exact
-            travel = clearance.travel_m(np.abs(end - begin))
+            travel = np.abs(end - begin) @ clearance.kernel.values["levers"].T
             change = np.abs(first - second)
             assert (change <= travel + 1e-5)[apart].all()
             tight = max(tight, (change / np.maximum(travel, 1e-3))[apart].max())
@@ -146,26 +144,16 @@ def test_no_distance_changes_by_more_than_the_joints_move_it(settings, keywords)
 
 
 @pytest.mark.parametrize(("settings", "keywords"), SCENES)
-def test_bounding_spheres_are_nearer_than_their_geoms(settings, keywords):
+def test_the_gate_knows_distances_beyond_the_cutoff(settings, keywords):
     wall = Plane(name="wall", point_m=(2.0, 0.0, 0.0), normal=(-1.0, 0.0, 0.0))
     settings = dataclasses.replace(settings, obstacles=(*settings.obstacles, wall))
     clearance = Clearance(settings, **keywords)
-    spare = clearance.spare_m(random_q(np.random.default_rng(3), 400).reshape(400, 12)).copy()
-    spheres = clearance.spare_of_spheres_m()
-    measured = clearance.distances_m(random_q(np.random.default_rng(3), 400).reshape(400, 12)) < CLEARANCE_CUTOFF_M
-    assert (spheres <= spare + 1e-9)[measured].all()
-    assert spheres.max() > 0.5  # they tell what is not measured
-
-
-def test_a_single_one_measures_what_a_batch_does():
-    clearance = Clearance(SceneSettings(obstacles=CLUTTER), uncertainty=((0.004, 0.01), (0.002, 0.02)))
-    one = clearance.alone()
-    configurations = HOME + np.random.default_rng(1).uniform(-0.5, 0.5, (3, 12))
-    whole = clearance.spare_m(configurations).copy()
-    for row in range(3):
-        np.testing.assert_array_equal(one.spare_m(configurations[[row]])[0], whole[row])
-    assert one.alone() is one
-    assert clearance.alone() is one
+    configurations = random_q(np.random.default_rng(3), 400).reshape(400, 12)
+    near = clearance.distances_m(configurations) < CLEARANCE_CUTOFF_M
+    spare, for_the_gate = clearance.spare_m(configurations), measured_for_the_gate(clearance, configurations)
+    np.testing.assert_array_equal(for_the_gate[near], spare[near])
+    assert (for_the_gate >= spare)[~near].all()
+    assert for_the_gate.max() > 0.5  # farther than the cutoff
 
 
 @pytest.mark.parametrize(("ticks", "steady"), [(5, True), (25, True), (125, False)])
@@ -209,73 +197,43 @@ def test_impossible_motion_is_refused_without_checks(jump):
     targets[..., 0] += jump
     (verdict,) = gate(targets.reshape(1, 5, 2, 6)).verdicts.values()
     assert verdict.kind != "distance"
-    assert post.checks == 1
+    assert post.checks == 0
 
 
-class Corridor(Post):
+class Corridor(Measured):
     """Walls on all sides, 0.1 mm from too close."""
 
     def spare_m(self, q_rad):
-        self.checks += 1
-        return np.full((1, 1), 1e-4)
+        return np.array([1e-4])
 
-    def spare_of_spheres_m(self):
-        return np.full((1, 1), -1.0)
-
-    def travel_m(self, path_rad):
-        return 10.0 * path_rad.sum(axis=1, keepdims=True)
+    def worst(self, q_rad):
+        return "left/forearm_link and wall", 1e-4, 0.0
 
 
 def test_checks_are_bounded():
-    corridor = Corridor(0.0)
+    corridor = Corridor(np.full((1, 12), 10.0))
     sent, verdicts = driven(corridor, np.ones(12), 40)
     assert verdicts[0].kind == "distance"
     assert corridor.checks < 40 * 2 + 8 * 100
     assert np.ptp(sent[0, -3:], axis=0).max() < 1e-4  # at rest
 
 
-class Scripted:
-    """Two coordinates with a thin obstacle for the second one, and rows of kind 1 in which all is near."""
-
-    def __init__(self, n):
-        self.n = n
+class Crowded(Post):
+    """A post in whose cell all is near as long as the right wrist is raised."""
 
     def spare_m(self, q_rad):
-        thin = np.abs(q_rad[:, 0]) + np.abs(q_rad[:, 1] - 0.03) - 0.002
-        return np.where(q_rad[:, 3] > 0.0, 0.001, thin)[:, None]
-
-    def spare_of_spheres_m(self):
-        return np.full((self.n, 1), -1.0)
-
-    def travel_m(self, path_rad):
-        return path_rad[:, :3].sum(axis=1)[:, None]
-
-    def alone(self):
-        return self if self.n == 1 else Scripted(1)
+        return np.full(2, 1e-3) if q_rad[9] > HOME[9] else super().spare_m(q_rad)
 
 
-def test_a_row_does_not_depend_on_its_neighbours():
-    def q(x, y, z, kind=0.0):
-        return np.array([x, y, z, kind] + [0.0] * 8)
-
-    there = q(0, 0.06, 0)
-    mine = [
-        (q(-0.005, 0, 0), q(0, 0, 0), q(0, 0, 0.01)),
-        (q(0, 0, 0), there, there),
-    ]
-    near = q(0, 0.004, 0, 1.0)
-    busy = [(q(0, 0, 0, 1.0), near, near), (near, near, near)]
-    answers = []
-    for rows in ([mine], [busy, mine]):
-        distances = Scripted(len(rows))
-        swept = SweptClearance(distances, np.zeros((1, HISTORY)), 2)
-        for call in range(2):
-            last, end, rest = (np.array([row[call][k] for row in rows]) for k in range(3))
-            window = np.stack([last] * HISTORY + [(last + end) / 2, end], axis=1)
-            going = np.ones(len(rows), dtype=bool)
-            found = swept(window, rest, rest, distances.spare_m(rest), going)
-        answers.append(len(rows) - 1 in found)
-    assert answers[0] == answers[1]
+def test_a_row_does_not_depend_on_neighbours_that_need_many_checks():
+    raised = np.roll(TURN, 9) * 0.2
+    alone, verdict = driven(Crowded(HOME[0] + 0.93), TURN, 40)
+    assert verdict[0].kind == "distance"
+    crowd = Crowded(HOME[0] + 0.93)
+    together, verdicts = driven(crowd, np.stack([TURN * 0.3 + raised, TURN, TURN * 0.1 + raised]), 40, n=3)
+    assert crowd.checks > 2 * 40 * 3
+    np.testing.assert_array_equal(together[1], alone[0])
+    assert verdicts[1] == verdict[0]
 
 
 def test_arms_that_are_too_close_may_separate():

@@ -176,7 +176,9 @@ def test_the_cartesian_speed_is_never_underestimated(
     assert len(windows) > 20
     assert (fraction >= peak * (1 - 1e-9)).all()
     assert (fraction <= peak * 1.0061).all()
-    assert (envelope.cartesian_bound(use) >= peak * (1 - 1e-9)).all()
+    # From the joint speeds alone: where this bound is within the limit, the kernel computes nothing else.
+    fastest = use[:, np.array(envelope.kinds) == "joint speed"].max(axis=1)
+    assert ((fastest @ envelope.kernel.values["lever"]).max(axis=1) >= peak * (1 - 1e-9)).all()
 
 
 def test_the_cartesian_use_names_the_faster_point() -> None:

@@ -343,13 +343,10 @@ def with_grippers(widths: np.ndarray) -> np.ndarray:
 
 def test_a_refused_row_keeps_its_gripper_widths() -> None:
     class Closed(AlwaysClear):
-        """Nothing is clear in row 1 from the third period on."""
-
-        calls = 0
+        """Nothing is clear in row 1, the second of two, from the third period on."""
 
         def spare_m(self, q_rad):
-            self.calls += 1
-            return np.array([[0.1], [0.1 if self.calls < 3 else -0.1]])
+            return np.array([0.1 if self.checks <= 4 or self.checks % 2 else -0.1])
 
         def worst(self, q_rad):
             return "left/palm and table", 0.0, 0.02

@@ -24,8 +24,8 @@ from dual_ur10.sim2real.runtime.approach import (
     TCP_SPEED_M_S,
     Approach,
     Rates,
-    retreat_clearance,
     plan,
+    retreat_clearance,
 )
 from dual_ur10.sim2real.runtime.arm_memory import RING, ArmMemory
 from dual_ur10.sim2real.runtime.path_to_start import PathToStart
@@ -38,8 +38,8 @@ TICKS_S = (0.008, 0.002)
 class Anywhere:
     """Stub of `Clearance` without bodies."""
 
-    def shortfall_m(self, q_rad):
-        return np.array([-1.0])
+    def spare_m(self, q_rad):
+        return np.ones((len(q_rad), 1))
 
 
 def in_real_time(targets, start, tick_s, speed_factor):
@@ -192,7 +192,7 @@ def test_on_a_blocked_path_one_arm_moves_after_the_other(close):
     kinds, nearest = set(), []
     for q, goal in crossings():
         ends = np.array([q, goal]).reshape(2, 12)
-        if any(close.shortfall_m(end).max() > 0.0 for end in ends):
+        if not close.is_clear(ends).all():
             continue
         try:
             approach = plan(q, goal, close)
@@ -220,7 +220,7 @@ def test_on_a_blocked_path_one_arm_moves_after_the_other(close):
 
 def test_an_arm_that_is_too_close_may_only_separate(clearance):
     down = HOME_Q_RAD.copy()
-    while clearance.shortfall_m(down.reshape(12)).max() < 0.06:
+    while clearance.spare_m(down.reshape(1, 12)).min() > -0.06:
         down[0, 1] += 0.01  # towards the table, the arm comes too close to it
     approach = plan(down, HOME_Q_RAD, clearance)
     assert len(approach.parts) == 2
@@ -237,11 +237,11 @@ class Somewhere:
     def __init__(self, shortfall):
         self.shortfall = shortfall
 
-    def shortfall_m(self, q_rad):
-        return np.array([self.shortfall(q_rad[0] - HOME[0])])
+    def spare_m(self, q_rad):
+        return np.array([[-self.shortfall(q[0] - HOME[0])] for q in q_rad])
 
     def worst(self, q_rad):
-        return "left/palm and table", 0.02 - self.shortfall_m(q_rad)[0], 0.02
+        return "left/palm and table", 0.02 + self.spare_m(q_rad[None])[0, 0], 0.02
 
 
 @pytest.mark.parametrize(
@@ -275,14 +275,17 @@ def test_a_joint_out_of_its_range_is_refused(clearance, arm, name, joint, sign):
 # The gate during an approach.
 
 
-class Pairs:
-    """Stub of `Clearance` with two pairs, beyond their limits by the first two joints."""
+class Pairs(Clearance):
+    """Two pairs, beyond their limits by the first two joints."""
 
-    def shortfall_m(self, q_rad):
-        return np.asarray(q_rad)[:2].copy()
+    def __init__(self):
+        self.pairs, self._granted = (("first",), ("second",)), np.zeros(2)
 
-    def worst(self, q_rad, granted_m):
-        return ("first", "second")[int((granted_m - q_rad[:2]).argmin())], 0.0, 0.02
+    def _connect(self):
+        pass
+
+    def _measured(self, q_rad):
+        return 0.02 - q_rad[:, :2], np.full((len(q_rad), 2), 0.02)
 
 
 @pytest.mark.parametrize(
@@ -372,12 +375,8 @@ def test_checking_many_windows_delays_the_first_target(monkeypatch, tick_s, tick
     runner = Running()
     monkeypatch.setattr(way_to_start, "SafetyGate", Gate)
     targets = SimpleNamespace(write=write, rest_at=lambda q_rad: None)
-    clearance = SimpleNamespace(
-        shortfall_m=lambda q_rad: np.zeros(1),
-        alone=lambda: clearance,
-        **{name: getattr(AlwaysClear(), name) for name in ("spare_of_spheres_m", "travel_m")},
-    )
-    path = PathToStart(MotionLimits(), clearance, tick_s, ticks, 1.0, targets)
+    monkeypatch.setattr(way_to_start, "retreat_clearance", lambda clearance, start_rad: clearance)
+    path = PathToStart(MotionLimits(), AlwaysClear(), tick_s, ticks, 1.0, targets)
     led = Approach([HOME, HOME + np.eye(12)[5]]).targets(tick_s)
     path.follow(runner, HOME.reshape(2, 6), led)
     assert sum(count for _, count in written) >= len(led)

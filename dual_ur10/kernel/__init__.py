@@ -182,12 +182,20 @@ def _rebuilt(name: str, values: dict[str, Any]) -> Struct:
     return Struct(name, **values)
 
 
-def pointer(array: Array) -> int:
-    """Return the address of an array's data.
+def call(name: str, *arguments: Array | Struct | int) -> None:
+    """Call a function of the library with arrays, structures and integers, and as long as it takes keep them alive.
 
     Raises:
-        KernelError: It is not a C-contiguous array of float64.
+        KernelError: An array is not a C-contiguous one of float64.
     """
-    if array.dtype != np.float64 or not array.flags.c_contiguous:
-        raise KernelError(f"the kernel takes contiguous float64 arrays, found {array.dtype}, {array.strides}")
-    return int(array.ctypes.data)
+    function(name, len(arguments))(*map(_number, arguments))
+
+
+def _number(argument: Array | Struct | int) -> int:
+    if isinstance(argument, int):
+        return argument
+    if isinstance(argument, Struct):
+        return argument.address
+    if argument.dtype != np.float64 or not argument.flags.c_contiguous:
+        raise KernelError(f"the kernel takes contiguous float64 arrays, found {argument.dtype}, {argument.strides}")
+    return int(argument.ctypes.data)

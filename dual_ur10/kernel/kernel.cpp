@@ -2,6 +2,7 @@
 #include "adapter.hpp"
 #include "clearance.hpp"
 #include "gate.hpp"
+#include "inverse.hpp"
 #include "motion.hpp"
 #include "sine_tracking.hpp"
 

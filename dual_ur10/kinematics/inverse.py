@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dual_ur10.errors import SettingsError, UnreachableError
+from dual_ur10.kernel import call
 from dual_ur10.kinematics.closed_form import EDGE, closed_form, within
 from dual_ur10.kinematics.forward import checked_joints, pose_and_jacobian
 from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, NOMINAL_DH, DHParameters
@@ -24,7 +25,7 @@ _IDENTITY: Final = constant(np.eye(3))
 _CALIBRATED_EDGE: Final = 0.05
 
 _LOWEST_RAD: Final = constant(-JOINT_RANGE_RAD)
-_ROTATION_LIMIT_RAD: Final = constant(JOINT_RANGE_RAD + 1e-9)  # rounding may put a solution just past a joint limit
+_RANGE_RAD: Final = constant(JOINT_RANGE_RAD)
 _POLISH_STEPS: Final = 12
 _POLISH_DONE: Final = 1e-13  # m and rad; rounding leaves some 1e-15
 _POLISH_ACCEPTED: Final = 1e-7  # as at the nominal arm's edge; elsewhere the steps end at _POLISH_DONE
@@ -181,20 +182,9 @@ def try_nearest(
     batch, p, r = _poses(position, rotation)
     reference = _reference(reference_q_rad, batch)
     q, valid = _solve(p, r, dh, reference)
-    here = reference[:, None, :]
-    q = q + _TWO_PI * np.rint((here - q) / _TWO_PI)
-    beyond = np.abs(q) > _ROTATION_LIMIT_RAD
-    if beyond.any():
-        q -= _TWO_PI * np.copysign(beyond, q)
-    away = q - here
-    distance = (away * away).sum(-1)
-    distance[~valid] = np.inf
-    rows, best = np.arange(len(q)), distance.argmin(1)
-    ok: Mask = valid[rows, best]
-    chosen = np.minimum(np.maximum(q[rows, best], _LOWEST_RAD), JOINT_RANGE_RAD)
-    if not ok.all():
-        chosen = np.where(ok[:, None], chosen, reference)
-    return chosen.reshape(*batch, 6), ok.reshape(batch)
+    chosen, reached = np.empty((len(p), 6)), np.empty(len(p))
+    call("inverse_nearest", q, valid.astype(np.float64), reference, _RANGE_RAD, chosen, reached, q.shape[1], len(p))
+    return chosen.reshape(*batch, 6), reached.reshape(batch) > 0.0
 
 
 def nearest(

@@ -26,7 +26,7 @@ from dual_ur10.assets.collision_model import (
 from dual_ur10.assets.obstacles import geom_name
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.errors import CollisionAtStartError, SettingsError, UnknownNameError
-from dual_ur10.kernel import Struct, function, pointer
+from dual_ur10.kernel import Struct, call
 from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.types import Array, Mask
 
@@ -214,7 +214,7 @@ class Clearance:
     def _measured(self, q_rad: Array) -> tuple[Array, Array]:
         q_rad = np.ascontiguousarray(q_rad, dtype=np.float64)
         distances, allowed = np.empty((2, len(q_rad), len(self.pairs)))
-        function("clearance_distances", 5)(self._struct.address, *map(pointer, (q_rad, distances, allowed)), len(q_rad))
+        call("clearance_distances", self._struct, q_rad, distances, allowed, len(q_rad))
         return distances, allowed
 
     def is_clear(self, q_rad: Array) -> NDArray[np.bool_]:

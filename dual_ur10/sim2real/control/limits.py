@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.kernel import Struct, function, pointer
+from dual_ur10.kernel import Struct, call
 from dual_ur10.kinematics import ur10
 from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.types import Array, Vector3
@@ -308,15 +308,13 @@ class Envelope:
         """
         windows = np.ascontiguousarray(windows, dtype=np.float64)
         fraction, point = np.empty((2, len(windows), 2))
-        function("envelope_cartesian_use", 5)(
-            self.kernel.address, *map(pointer, (windows, fraction, point)), len(windows)
-        )
+        call("envelope_cartesian_use", self.kernel, windows, fraction, point, len(windows))
         return fraction, point.astype(np.intp)
 
     def limited(self, windows: Array) -> Array:
         """Return the legal windows nearest to planned ones, (n, 3 + ticks, 12), as the adapter's limiter finds them."""
         result: Array = np.array(windows, dtype=np.float64, order="C")
-        function("envelope_limit", 3)(self.kernel.address, pointer(result), len(result))
+        call("envelope_limit", self.kernel, result, len(result))
         return result
 
 

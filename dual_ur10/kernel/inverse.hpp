@@ -1,0 +1,122 @@
+// Inverse kinematics of one arm in closed form; see `dual_ur10.kinematics.closed_form` and `.inverse`.
+#pragma once
+
+#include "fields.hpp"
+#include "numbers.hpp"
+
+namespace {
+
+constexpr double TINIEST = 1e-300;
+constexpr double WRIST_SINGULAR = 1e-8;  // below this sine of theta5 theta6 is free: it moves the flange by less
+constexpr double WRIST_BLURRED = 1e-3;   // up to this one, rounding of the pose blurs theta6 enough to matter
+constexpr double BLUR_RAD = 1e-11;
+constexpr double PI = 3.14159265358979323846;
+
+struct Branch {
+    double q[6], offset2, cosine3;
+};
+
+// One branch, by the signs of elbow, wrist and shoulder. Every angle comes from an arc tangent of its sine and cosine,
+// and each later one compensates the rounding of the previous ones, so that the pose is exact to rounding also at
+// singularities. `columns` are the flange's axes, and `theta6` is the reference where that angle is free.
+Branch branch(const double* lengths, Vector position, const Rotation& columns, double elbow, double wrist,
+              double shoulder, double theta6, double edge) {
+    const double d1 = lengths[0], a2 = lengths[1], a3 = lengths[2], d4 = lengths[3], d5 = lengths[4], d6 = lengths[5];
+    const Vector center = position - d6 * columns.z;  // of the wrist
+    Branch result;
+
+    // Theta1 puts the wrist centre at d4 beside the arm's plane; along the plane it is then at `along`.
+    const double radius2 = center.x * center.x + center.y * center.y;
+    result.offset2 = radius2 - d4 * d4;
+    const double along = shoulder * sqrt(larger(result.offset2, 0.0)), scale1 = 1.0 / larger(radius2, TINIEST);
+    const double sin1 = (along * center.y + d4 * center.x) * scale1, cos1 = (along * center.x - d4 * center.y) * scale1;
+
+    // Theta5 and theta6 from the normal of the arm's plane, seen from the flange.
+    const Vector normal = rotate_back(columns, {sin1, -cos1, 0.0});
+    const double sin5 = sqrt(normal.x * normal.x + normal.y * normal.y), scale = wrist / larger(sin5, TINIEST);
+    double cos6 = normal.x * scale, sin6 = -normal.y * scale;
+    if (sin5 < WRIST_BLURRED) {
+        const SineCosine free6 = sine_cosine(theta6);
+        const double cos_ref = wrist * free6.cosine, sin_ref = wrist * free6.sine;
+        // Take the reference's theta6 wherever that rotates the flange by hardly more than rounding does.
+        const bool blurred = fabs(normal.x * sin_ref + normal.y * cos_ref) < BLUR_RAD;
+        if (sin5 < WRIST_SINGULAR || (blurred && cos6 * cos_ref + sin6 * sin_ref > 0.0)) {
+            cos6 = cos_ref;
+            sin6 = sin_ref;
+        }
+        // Where that asks too much of a stretched arm, let wrist 2's axis point from the shoulder to the wrist centre,
+        // which spares it most.
+        const double height = center.z - d1, length = sqrt(along * along + height * height);
+        const Vector axis = sin6 * columns.x + cos6 * columns.y;
+        const double gain = -d5 * ((axis.x * cos1 + axis.y * sin1) * along + axis.z * height);
+        const bool far = length * length + d5 * d5 - 2.0 * gain > (a2 + a3) * (a2 + a3) * (1.0 + 0.1 * edge);
+        if (far && sin5 < WRIST_SINGULAR) {
+            const Vector outward = (1.0 / larger(length, TINIEST)) * Vector{cos1 * along, sin1 * along, height};
+            sin6 = -dot(columns.x, outward);
+            cos6 = -dot(columns.y, outward);
+        }
+    }
+
+    // Wrist 2's axis lies in the arm's plane, a quarter turn behind theta2 + theta3 + theta4.
+    const Vector axis = sin6 * columns.x + cos6 * columns.y;
+    const double cos234 = axis.z, sin234 = -(axis.x * cos1 + axis.y * sin1);
+
+    // A triangle of upper arm and forearm remains.
+    const double x = along - d5 * sin234, y = (center.z - d1) + d5 * cos234;
+    const double cos3 = (x * x + y * y - (a2 * a2 + a3 * a3)) * (0.5 / (a2 * a3));
+    const double sin3 = elbow * sqrt(larger(1.0 - cos3 * cos3, 0.0)), near = a2 + a3 * cos3, beside = a3 * sin3;
+    result.cosine3 = cos3;
+    result.q[0] = atan2(sin1, cos1);
+    result.q[1] = atan2(y * near - x * beside, x * near + y * beside);
+    result.q[2] = atan2(sin3, cos3);
+    result.q[3] = atan2(sin234, cos234) - result.q[1] - result.q[2];
+    result.q[4] = atan2(wrist * sin5, normal.z);
+    result.q[5] = atan2(sin6, cos6);
+    return result;
+}
+
+}  // namespace
+
+// All eight branches of flange poses, positions (n, 3) and rotations (n, 3, 3), of an arm with exactly parallel and
+// perpendicular axes: angles (n, 8, 6), not wrapped, squares of the wrist centre's distance from the base axis less that
+// of d4 (n,), and cosines of theta3 (n, 8). References are (n, 6).
+EXPORT void inverse_branches(const double* lengths, const double* theta, const double* position, const double* turned,
+                             const double* reference, double* q, double* offset2, double* cosine3, const double* edge,
+                             int64_t n) {
+    for (int64_t row = 0; row < n; ++row)
+        for (int64_t k = 0; k < 8; ++k) {
+            const Branch found =
+                branch(lengths, vector(position + 3 * row), rotation(turned + 9 * row), k & 4 ? -1.0 : 1.0,
+                       k & 2 ? -1.0 : 1.0, k & 1 ? -1.0 : 1.0, reference[6 * row + 5] + theta[5], *edge);
+            for (int j = 0; j < 6; ++j) q[(8 * row + k) * 6 + j] = found.q[j] - theta[j];
+            offset2[row] = found.offset2;
+            cosine3[8 * row + k] = found.cosine3;
+        }
+}
+
+// The valid one of `count` solutions that is nearest to the reference, with full rotations within the joint range:
+// angles (n, 6), the reference where there is none, and 1 for those that were reached.
+EXPORT void inverse_nearest(const double* solutions, const double* valid, const double* reference, const double* range,
+                            double* q, double* reached, int64_t count, int64_t n) {
+    for (int64_t row = 0; row < n; ++row) {
+        const double* here = reference + 6 * row;
+        double least = INFINITY;
+        copy(q + 6 * row, here, 6);
+        reached[row] = 0.0;
+        for (int64_t k = 0; k < count; ++k) {
+            if (valid[row * count + k] == 0.0) continue;
+            const double* solution = solutions + (row * count + k) * 6;
+            double nearest[6], distance = 0.0;
+            for (int j = 0; j < 6; ++j) {
+                double turned = solution[j] + 2.0 * PI * rint((here[j] - solution[j]) / (2.0 * PI));
+                if (fabs(turned) > range[j] + 1e-9) turned -= copysign(2.0 * PI, turned);  // past it by rounding
+                nearest[j] = clamp(turned, -range[j], range[j]);
+                distance += (turned - here[j]) * (turned - here[j]);
+            }
+            if (!(distance < least)) continue;
+            least = distance;
+            copy(q + 6 * row, nearest, 6);
+            reached[row] = 1.0;
+        }
+    }
+}

@@ -182,8 +182,22 @@ def _rebuilt(name: str, values: dict[str, Any]) -> Struct:
     return Struct(name, **values)
 
 
-def call(name: str, *arguments: Array | Struct | int) -> None:
-    """Call a function of the library with arrays, structures and integers, and as long as it takes keep them alive.
+class Constants:
+    """Coefficients of a function of the kernel, with their address.
+
+    Args:
+        values: Numbers; copied.
+    """
+
+    def __init__(self, values: Array) -> None:
+        self._values: Array = np.array(values, dtype=np.float64, order="C")
+        self.address: Final[int] = int(self._values.ctypes.data)
+
+
+def call(name: str, *arguments: Array | Struct | Constants | int) -> None:
+    """Call a function of the library. Its arguments live as long as the call.
+
+    Looking up an array's address takes longer than most of the kernel's work: give few of them.
 
     Raises:
         KernelError: An array is not a C-contiguous one of float64.
@@ -191,10 +205,10 @@ def call(name: str, *arguments: Array | Struct | int) -> None:
     function(name, len(arguments))(*map(_number, arguments))
 
 
-def _number(argument: Array | Struct | int) -> int:
+def _number(argument: Array | Struct | Constants | int) -> int:
     if isinstance(argument, int):
         return argument
-    if isinstance(argument, Struct):
+    if isinstance(argument, Struct | Constants):
         return argument.address
     if argument.dtype != np.float64 or not argument.flags.c_contiguous:
         raise KernelError(f"the kernel takes contiguous float64 arrays, found {argument.dtype}, {argument.strides}")

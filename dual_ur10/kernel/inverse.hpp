@@ -75,48 +75,74 @@ Branch branch(const double* lengths, Vector position, const Rotation& columns, d
     return result;
 }
 
-}  // namespace
-
-// All eight branches of flange poses, positions (n, 3) and rotations (n, 3, 3), of an arm with exactly parallel and
-// perpendicular axes: angles (n, 8, 6), not wrapped, squares of the wrist centre's distance from the base axis less that
-// of d4 (n,), and cosines of theta3 (n, 8). References are (n, 6).
-EXPORT void inverse_branches(const double* lengths, const double* theta, const double* position, const double* turned,
-                             const double* reference, double* q, double* offset2, double* cosine3, const double* edge,
-                             int64_t n) {
-    for (int64_t row = 0; row < n; ++row)
-        for (int64_t k = 0; k < 8; ++k) {
-            const Branch found =
-                branch(lengths, vector(position + 3 * row), rotation(turned + 9 * row), k & 4 ? -1.0 : 1.0,
-                       k & 2 ? -1.0 : 1.0, k & 1 ? -1.0 : 1.0, reference[6 * row + 5] + theta[5], *edge);
-            for (int j = 0; j < 6; ++j) q[(8 * row + k) * 6 + j] = found.q[j] - theta[j];
-            offset2[row] = found.offset2;
-            cosine3[8 * row + k] = found.cosine3;
-        }
+// All branches of a row of `position, rotation, reference`, (18,), in the order of their signs.
+void branches(const double* arm, const double* row, Branch* found) {
+    const double *lengths = arm, *theta = arm + 6, edge = arm[12];
+    for (int k = 0; k < 8; ++k) {
+        found[k] = branch(lengths, vector(row), rotation(row + 3), k & 4 ? -1.0 : 1.0, k & 2 ? -1.0 : 1.0,
+                          k & 1 ? -1.0 : 1.0, row[17] + theta[5], edge);
+        for (int j = 0; j < 6; ++j) found[k].q[j] -= theta[j];
+    }
 }
 
-// The valid one of `count` solutions that is nearest to the reference, with full rotations within the joint range:
-// angles (n, 6), the reference where there is none, and 1 for those that were reached.
-EXPORT void inverse_nearest(const double* solutions, const double* valid, const double* reference, const double* range,
-                            double* q, double* reached, int64_t count, int64_t n) {
+// Keep a solution, with full rotations within the joint range, if it is nearer to the reference than the nearest yet.
+void keep_nearer(const double* solution, const double* reference, const double* range, double& least, double* q) {
+    double nearest[6], distance = 0.0;
+    for (int j = 0; j < 6; ++j) {
+        double turned = solution[j] + 2.0 * PI * rint((reference[j] - solution[j]) / (2.0 * PI));
+        if (fabs(turned) > range[j] + 1e-9) turned -= copysign(2.0 * PI, turned);  // it may be past it by rounding
+        nearest[j] = clamp(turned, -range[j], range[j]);
+        distance += (turned - reference[j]) * (turned - reference[j]);
+    }
+    if (!(distance < least)) return;
+    least = distance;
+    copy(q, nearest, 6);
+}
+
+}  // namespace
+
+// All eight branches of flange poses of an arm with exactly parallel and perpendicular axes; `arm` holds its lengths, its
+// theta offsets and the tolerance at the edge. A row of `block` (n, 75) gives position, rotation and reference, and takes
+// angles (8, 6), not wrapped, cosines of theta3 (8,), and the square of the wrist centre's distance from the base axis
+// less that of d4.
+EXPORT void inverse_branches(const double* arm, double* block, int64_t n) {
     for (int64_t row = 0; row < n; ++row) {
-        const double* here = reference + 6 * row;
-        double least = INFINITY;
-        copy(q + 6 * row, here, 6);
-        reached[row] = 0.0;
-        for (int64_t k = 0; k < count; ++k) {
-            if (valid[row * count + k] == 0.0) continue;
-            const double* solution = solutions + (row * count + k) * 6;
-            double nearest[6], distance = 0.0;
-            for (int j = 0; j < 6; ++j) {
-                double turned = solution[j] + 2.0 * PI * rint((here[j] - solution[j]) / (2.0 * PI));
-                if (fabs(turned) > range[j] + 1e-9) turned -= copysign(2.0 * PI, turned);  // past it by rounding
-                nearest[j] = clamp(turned, -range[j], range[j]);
-                distance += (turned - here[j]) * (turned - here[j]);
-            }
-            if (!(distance < least)) continue;
-            least = distance;
-            copy(q + 6 * row, nearest, 6);
-            reached[row] = 1.0;
+        double* here = block + 75 * row;
+        Branch found[8];
+        branches(arm, here, found);
+        for (int k = 0; k < 8; ++k) {
+            copy(here + 18 + 6 * k, found[k].q, 6);
+            here[66 + k] = found[k].cosine3;
         }
+        here[74] = found[0].offset2;
+    }
+}
+
+// The branch nearest to the reference. A row of `block` (n, 25) gives position, rotation and reference, and takes angles
+// (6,), the reference where none is in reach, and 1 if one is.
+EXPORT void inverse_nearest(const double* arm, const double* range, double* block, int64_t n) {
+    const double edge = arm[12];
+    for (int64_t row = 0; row < n; ++row) {
+        double *here = block + 25 * row, *q = here + 18, least = INFINITY;
+        copy(q, here + 12, 6);
+        Branch found[8];
+        branches(arm, here, found);
+        for (int k = 0; k < 8; ++k)
+            if (fabs(found[k].cosine3) <= 1.0 + edge && found[k].offset2 >= -edge)
+                keep_nearer(found[k].q, here + 12, range, least, q);
+        here[24] = least < INFINITY ? 1.0 : 0.0;
+    }
+}
+
+// The same of given solutions (n, count, 6), of which those with a 1 in `valid` (n, count) count.
+EXPORT void inverse_nearest_of(const double* solutions, const double* valid, const double* reference,
+                               const double* range, double* q, double* reached, int64_t count, int64_t n) {
+    for (int64_t row = 0; row < n; ++row) {
+        double least = INFINITY;
+        copy(q + 6 * row, reference + 6 * row, 6);
+        for (int64_t k = 0; k < count; ++k)
+            if (valid[row * count + k] != 0.0)
+                keep_nearer(solutions + (row * count + k) * 6, reference + 6 * row, range, least, q + 6 * row);
+        reached[row] = least < INFINITY ? 1.0 : 0.0;
     }
 }

@@ -1,6 +1,7 @@
 // The compiled control kernel, as one unit.
 #include "adapter.hpp"
 #include "clearance.hpp"
+#include "forward.hpp"
 #include "gate.hpp"
 #include "inverse.hpp"
 #include "motion.hpp"

@@ -11,14 +11,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from dual_ur10.kernel import call
+from dual_ur10.kernel import Constants, call
+from dual_ur10.kinematics.forward import lengths_m
 from dual_ur10.kinematics.ur10 import DHParameters
-from dual_ur10.types import Array, Mask, constant
+from dual_ur10.types import Array, Mask
 
 EDGE: Final = 1e-7
 """Tolerance, in the cosine of theta3, for a stretched arm's pose that rounding puts outside the workspace; 1e-7 m."""
-
-_EDGE: Final = constant([EDGE])
 
 
 class Branches(NamedTuple):
@@ -30,10 +29,17 @@ class Branches(NamedTuple):
 
 
 @lru_cache(maxsize=32)
-def _coefficients(dh: DHParameters) -> tuple[Array, Array]:
-    """Return d1, a2, a3, d4, d5, d6 of the arm, twists ignored, and its theta offsets."""
-    a, d = dh.a_m, dh.d_m
-    return np.array([d[0], a[1], a[2], d[1] + d[2] + d[3], d[4], d[5]]), np.array(dh.theta_rad, dtype=np.float64)
+def coefficients(dh: DHParameters) -> Constants:
+    """Return the arm as the kernel takes it: lengths, twists ignored, theta offsets, and the tolerance at the edge."""
+    return Constants(np.concatenate([lengths_m(dh), dh.theta_rad, [EDGE]]))
+
+
+def pose_block(position: Array, rotation: Array, reference: Array, size: int) -> Array:
+    """Return rows of the kernel's input and output, (n, size), of poses (n, 3), (n, 3, 3) and references (n, 6)."""
+    n = len(position)
+    block: Array = np.empty((n, size))
+    block[:, :3], block[:, 3:12], block[:, 12:18] = position, rotation.reshape(n, 9), reference
+    return block
 
 
 def closed_form(position: Array, rotation: Array, dh: DHParameters, reference: Array | None) -> Branches:
@@ -45,14 +51,9 @@ def closed_form(position: Array, rotation: Array, dh: DHParameters, reference: A
         dh: Lengths and theta offsets; twists, and lengths that are zero on a nominal arm, are ignored.
         reference: (n, 6) angles from which a free theta6 is taken if the pose stays in reach; None: zero.
     """
-    lengths, theta = _coefficients(dh)
-    n = len(position)
-    if reference is None:
-        reference = np.broadcast_to(-theta, (n, 6))
-    given = [np.ascontiguousarray(each) for each in (position, rotation, reference)]
-    found = Branches(np.empty((n, 8, 6)), np.empty(n), np.empty((n, 8)))
-    call("inverse_branches", lengths, theta, *given, *found, _EDGE, n)
-    return found
+    block = pose_block(position, rotation, -np.asarray(dh.theta_rad) if reference is None else reference, 75)
+    call("inverse_branches", coefficients(dh), block, len(block))
+    return Branches(block[:, 18:66].reshape(-1, 8, 6), block[:, 74], block[:, 66:74])
 
 
 def within(branches: Branches, edge: float) -> Mask:

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dual_ur10.errors import SettingsError, UnreachableError
-from dual_ur10.kernel import call
-from dual_ur10.kinematics.closed_form import EDGE, closed_form, within
+from dual_ur10.kernel import Constants, call
+from dual_ur10.kinematics.closed_form import EDGE, closed_form, coefficients, pose_block, within
 from dual_ur10.kinematics.forward import checked_joints, pose_and_jacobian
 from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, NOMINAL_DH, DHParameters
 from dual_ur10.types import Array, Mask, constant
@@ -25,7 +25,7 @@ _IDENTITY: Final = constant(np.eye(3))
 _CALIBRATED_EDGE: Final = 0.05
 
 _LOWEST_RAD: Final = constant(-JOINT_RANGE_RAD)
-_RANGE_RAD: Final = constant(JOINT_RANGE_RAD)
+_RANGE_RAD: Final = Constants(JOINT_RANGE_RAD)
 _POLISH_STEPS: Final = 12
 _POLISH_DONE: Final = 1e-13  # m and rad; rounding leaves some 1e-15
 _POLISH_ACCEPTED: Final = 1e-7  # as at the nominal arm's edge; elsewhere the steps end at _POLISH_DONE
@@ -181,9 +181,14 @@ def try_nearest(
     """
     batch, p, r = _poses(position, rotation)
     reference = _reference(reference_q_rad, batch)
+    if dh is NOMINAL_DH or dh.is_nominal:
+        block = pose_block(p, r, reference, 25)
+        call("inverse_nearest", coefficients(NOMINAL_DH), _RANGE_RAD, block, len(block))
+        return block[:, 18:24].reshape(*batch, 6), block[:, 24].reshape(batch) > 0.0
     q, valid = _solve(p, r, dh, reference)
     chosen, reached = np.empty((len(p), 6)), np.empty(len(p))
-    call("inverse_nearest", q, valid.astype(np.float64), reference, _RANGE_RAD, chosen, reached, q.shape[1], len(p))
+    good = valid.astype(np.float64)
+    call("inverse_nearest_of", q, good, reference, _RANGE_RAD, chosen, reached, q.shape[1], len(p))
     return chosen.reshape(*batch, 6), reached.reshape(batch) > 0.0
 
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from dual_ur10.errors import SettingsError
 from dual_ur10.kernel import Struct, call
 from dual_ur10.kinematics import ur10
+from dual_ur10.kinematics.forward import lengths_m
 from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.types import Array, Vector3
 
@@ -218,7 +219,6 @@ class Envelope:
         for arm in range(2):
             lever[6 * arm : 6 * arm + 6, arm] = np.asarray(limits.speed_rad_s) * reach[arm] / limits.tcp_speed_m_s
         used = self.rows != 0.0
-        d, a = NOMINAL_DH.d_m, NOMINAL_DH.a_m
         return Struct(
             "Envelope",
             ticks=self.ticks,
@@ -243,7 +243,7 @@ class Envelope:
             stop=np.array(self._stops),
             brake=self.brake,
             coast=self.coast,
-            lengths_m=np.array([d[0], a[1], a[2], d[3], d[4], d[5]]),
+            lengths_m=lengths_m(NOMINAL_DH),
             tcp_m=np.array(limits.tcp_m),
         )
 

@@ -86,11 +86,13 @@ static inline double segment_box(Vector from, Vector along, const double* half) 
     return distance(slope_high > slope_low ? low + (high - low) * (-slope_low / (slope_high - slope_low)) : low);
 }
 
+constexpr double TOUCHING_M = 1e-12;  // an axis inside a box may be as far from it by rounding
+
 static inline double capsule_box(const Body& capsule, const Body& box) {
     const Vector middle = rotate_back(box.axes, capsule.center - box.center);
     const Vector axis = rotate_back(box.axes, capsule.axes.z), along = (2.0 * capsule.size[1]) * axis;
     const double apart = segment_box(middle - 0.5 * along, along, box.size);
-    if (apart > 0.0) return apart - capsule.size[0];
+    if (apart > TOUCHING_M) return apart - capsule.size[0];
     // They overlap: the least translation that separates the axis from the box, along a normal of their sum.
     const double c[3] = {middle.x, middle.y, middle.z}, z[3] = {axis.x, axis.y, axis.z};
     double depth = INFINITY;

@@ -10,7 +10,7 @@ import pytest
 from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M
 from dual_ur10.assets.obstacles import Box, Capsule, Plane
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
-from dual_ur10.kernel import function, pointer
+from dual_ur10.kernel import call
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.gate import SWEEP_TOLERANCE_M, SafetyGate
@@ -108,7 +108,7 @@ def measured_for_the_gate(clearance, q_rad):
     result = np.empty((len(q_rad), len(clearance.pairs)))
     context = clearance.kernel.values["context"]
     for q, row in zip(np.ascontiguousarray(q_rad), result, strict=True):
-        function("clearance_spare", 3)(context.address, pointer(q), pointer(row))
+        call("clearance_spare", context, q, row)
     return result
 
 

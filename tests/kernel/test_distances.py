@@ -1,0 +1,113 @@
+"""Distances of the kernel against MuJoCo's own distance sensors, on plain data of the same collision model."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+
+from dual_ur10.assets.collision_model import CLEARANCE_CUTOFF_M, build_collision_model
+from dual_ur10.assets.obstacles import Box, Capsule, Plane
+from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
+from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
+from tests.sim2real.control.reference_cell import UNEQUAL, random_q
+from tests.soak import SOAK
+
+COUNT = 250_000 if SOAK else 1_000
+EXACT_M = 1e-9
+HULL_M = 1e-7  # MuJoCo keeps the corners of a mesh in single precision
+UNCERTAIN = ((0.004, 0.011), (0.007, 0.006))
+
+BOXES = (
+    Box(name="box", position_m=(-0.1, 0.4, 0.6), size_m=(0.3, 0.5, 0.2), rotation_rad=(0.4, -0.3, 0.8)),
+    Box(name="plate", position_m=(-0.4, -0.3, 0.5), size_m=(1.5, 0.001, 1.5), rotation_rad=(0.1, 0.0, 0.2)),
+    Box(name="shelf", position_m=(0.3, 0.0, 0.9), size_m=(0.6, 0.01, 0.4)),
+)
+ROUND = (
+    Capsule(name="post", from_m=(0.0, 0.7, 0.0), to_m=(-0.1, 0.8, 1.2), radius_m=0.05),
+    Capsule(name="upright", from_m=(0.1, -0.7, 0.0), to_m=(0.1, -0.7, 1.6), radius_m=0.004),
+    Capsule(name="ball", from_m=(-0.3, 0.5, 0.7), to_m=(-0.3, 0.5, 0.7), radius_m=0.2),
+)
+PLANES = (
+    Plane(name="wall", point_m=(0.3, 0.0, 0.0), normal=(-0.6, 0.8, 0.0)),
+    Plane(name="ceiling", point_m=(0.0, 0.0, 1.0), normal=(0.0, 0.0, -1.0)),
+)
+GRIPPERS = Equipment(grippers=True)
+SCENES = {
+    "bare": SceneSettings(),
+    "calibrated arms with a bar": dataclasses.replace(UNEQUAL, equipment=Equipment(grippers=True, prop="bar")),
+    "grippers among boxes": dataclasses.replace(UNEQUAL, equipment=GRIPPERS, obstacles=BOXES),
+    "a block among round and flat things": SceneSettings(
+        equipment=Equipment(grippers=True, prop="block"), obstacles=(*ROUND, *PLANES)
+    ),
+}
+
+
+def configurations(count: int) -> np.ndarray:
+    """Return configurations (count, 12): anywhere, near home, and at quarter turns, where axes are parallel."""
+    rng, third = np.random.default_rng(0), count // 3
+    near = HOME_Q_RAD + rng.uniform(-0.8, 0.8, (third, 2, 6))
+    quarters = rng.integers(-4, 5, (third, 2, 6)) * (np.pi / 2)
+    return np.concatenate([random_q(rng, count - 2 * third), near, quarters]).reshape(count, 12)
+
+
+def overlap_of_boxes(data: mujoco.MjData, model: mujoco.MjModel, first: int, second: int) -> float:
+    """Return the least separation along an axis of two boxes, negative: MuJoCo prefers the normals of their faces."""
+    R, S = (data.geom_xmat[geom].reshape(3, 3) for geom in (first, second))
+    axes = [*R.T, *S.T, *(np.cross(a, b) for a in R.T for b in S.T)]
+    units = np.array([axis / np.linalg.norm(axis) for axis in axes if np.linalg.norm(axis) > 1e-6])
+    spread = np.abs(units @ R) @ model.geom_size[first] + np.abs(units @ S) @ model.geom_size[second]
+    return float((np.abs(units @ (data.geom_xpos[second] - data.geom_xpos[first])) - spread).max())
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_distances_are_those_of_mujoco(scene: str) -> None:
+    settings = SCENES[scene]
+    model = build_collision_model(settings)
+    model.opt.ccd_tolerance, model.opt.ccd_iterations = 1e-12, 200
+    data = mujoco.MjData(model)
+    q_rad = configurations(COUNT)
+    found = np.maximum(Clearance(settings, uncertainty=UNCERTAIN).distances_m(q_rad), -CLEARANCE_CUTOFF_M)
+    kinds = model.geom_type[np.stack([model.sensor_objid, model.sensor_refid])]
+    tolerance = np.where((kinds == mujoco.mjtGeom.mjGEOM_MESH).any(axis=0), HULL_M, EXACT_M)
+    boxes = np.flatnonzero((kinds == mujoco.mjtGeom.mjGEOM_BOX).all(axis=0))
+    apart = overlapping = 0
+    for q, distances in zip(q_rad, found, strict=True):
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_sensorPos(model, data)
+        expected = data.sensordata.copy()
+        for pair in boxes[expected[boxes] < 0.0]:
+            expected[pair] = overlap_of_boxes(data, model, model.sensor_objid[pair], model.sensor_refid[pair])
+        off = np.abs(distances - np.clip(expected, -CLEARANCE_CUTOFF_M, CLEARANCE_CUTOFF_M))
+        worst = int((off / tolerance).argmax())
+        assert (off <= tolerance).all(), (model.sensor(worst).name, distances[worst], expected[worst], q.tolist())
+        apart += int(((expected > 0.0) & (expected < CLEARANCE_CUTOFF_M)).sum())
+        overlapping += int((expected < 0.0).sum())
+    assert min(apart, overlapping) > COUNT
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_legal_distances_are_those_of_the_definition(scene: str) -> None:
+    """A shift of a base, plus its rotation times the reach of the geom's bounding sphere from that base."""
+    settings = SCENES[scene]
+    model = build_collision_model(settings)
+    data = mujoco.MjData(model)
+    q_rad = configurations(300)
+    found = Clearance(settings, uncertainty=UNCERTAIN).allowed_m(q_rad)
+    names = [model.geom(geom).name.split("/")[0] for geom in range(model.ngeom)]
+    for q, allowed in zip(q_rad, found, strict=True):
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        for pair, each in enumerate(allowed):
+            geoms = int(model.sensor_objid[pair]), int(model.sensor_refid[pair])
+            expected = MINIMUM_M
+            for geom, other in (geoms, geoms[::-1]):
+                if names[geom] in ARMS and names[geom] != names[other]:
+                    arm = ARMS.index(names[geom])
+                    away = np.linalg.norm(data.geom_xpos[geom] - settings.mounts[arm].position_m)
+                    expected += UNCERTAIN[arm][0] + UNCERTAIN[arm][1] * (away + model.geom_rbound[geom])
+            assert each == pytest.approx(expected, abs=1e-12), model.sensor(pair).name

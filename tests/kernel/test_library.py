@@ -1,0 +1,115 @@
+"""Refusals: structures that do not fit, and libraries that are missing, foreign or of other sources."""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dual_ur10 import kernel
+from dual_ur10.errors import KernelError
+
+ROOT = Path(__file__).parents[2]
+
+
+def fitting() -> dict[str, object]:
+    return {"pairs": 2, "levers": np.zeros((2, 12)), "measure": "clearance_spare", "context": None}
+
+
+def test_a_structure_takes_what_fits() -> None:
+    struct = kernel.Struct("Distances", **fitting())
+    assert struct.address > 0
+
+
+def test_a_missing_field_is_named() -> None:
+    values = fitting()
+    del values["levers"]
+    with pytest.raises(
+        KernelError, match=r"Distances has the fields pairs, levers, .* missing or unknown: \['levers'\]"
+    ):
+        kernel.Struct("Distances", **values)
+
+
+def test_an_unknown_field_is_named() -> None:
+    with pytest.raises(KernelError, match=r"missing or unknown: \['lever'\]"):
+        kernel.Struct("Distances", **fitting(), lever=1.0)
+
+
+@pytest.mark.parametrize(
+    ("levers", "found"),
+    [
+        (np.zeros((2, 12), dtype=np.float32), "must be a contiguous array of float64"),
+        (np.zeros((2, 12), dtype=np.int64), "must be a contiguous array of float64"),
+        (np.zeros((2, 24))[:, ::2], "must be a contiguous array of float64"),
+        (np.zeros((12, 2)).T, "must be a contiguous array of float64"),
+        (np.zeros((2, 12)).tolist(), "must be a contiguous array of float64"),
+        (np.zeros((3, 12)), r"must have pairs x 12 = 24 values, found 36"),
+        (np.zeros(12), r"must have pairs x 12 = 24 values, found 12"),
+    ],
+)
+def test_an_array_that_does_not_fit_is_refused(levers: object, found: str) -> None:
+    with pytest.raises(KernelError, match=rf"Distances\.levers {found}"):
+        kernel.Struct("Distances", **fitting() | {"levers": levers})
+
+
+@pytest.mark.parametrize("array", [np.zeros(12, dtype=np.float32), np.zeros(24)[::2], np.zeros((3, 4)).T])
+def test_a_function_takes_only_contiguous_numbers(array: np.ndarray) -> None:
+    with pytest.raises(KernelError, match="contiguous float64 arrays, found"):
+        kernel.call("clearance_spare", 0, array, np.zeros(1))
+
+
+@pytest.fixture
+def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Copy of the compiled package that the loader looks at."""
+    folder = tmp_path / "kernel"
+    shutil.copytree(kernel.FOLDER, folder, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(kernel, "FOLDER", folder)
+    monkeypatch.setattr(kernel, "LIBRARY", folder / kernel.LIBRARY.name)
+    return folder
+
+
+def load() -> object:
+    return kernel.library.__wrapped__()
+
+
+def test_a_copy_is_loaded(copied: Path) -> None:
+    assert load()._name == str(copied / "_kernel.so")  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", ["gate.hpp", "kernel.cpp"])
+def test_a_library_of_other_sources_is_refused(copied: Path, name: str) -> None:
+    with (copied / name).open("a") as source:
+        source.write("// changed\n")
+    with pytest.raises(KernelError, match=r"not that of the sources beside it.*python hatch_build.py"):
+        load()
+
+
+def test_a_new_source_is_noticed(copied: Path) -> None:
+    (copied / "more.hpp").touch()
+    with pytest.raises(KernelError, match="not that of the sources beside it"):
+        load()
+
+
+def test_a_missing_library_is_reported(copied: Path) -> None:
+    (copied / "_kernel.so").unlink()
+    with pytest.raises(KernelError, match=r"_kernel\.so is missing in .*python hatch_build.py"):
+        load()
+
+
+def test_a_foreign_library_is_reported(copied: Path) -> None:
+    (copied / "_kernel.so").unlink()  # not to be written to while it is mapped
+    (copied / "_kernel.so").write_bytes(b"MZ" + bytes(1000))
+    with pytest.raises(KernelError, match=r"is not for this machine: .*install the package again"):
+        load()
+
+
+def test_the_build_hashes_sources_as_the_package_does() -> None:
+    spec = importlib.util.spec_from_file_location("hatch_build", ROOT / "hatch_build.py")
+    assert spec is not None
+    assert spec.loader is not None
+    build = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(build)
+    assert build.sources_hash(ROOT / build.KERNEL) == kernel.sources_hash()

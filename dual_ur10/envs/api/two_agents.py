@@ -58,24 +58,23 @@ class AgentSplitter:
         self._known: set[str] = set()
         self._per_arm: list[str] = []
 
-    def infos(self, info: Mapping[str, Any], terms: Array | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
+    def infos(self, info: dict[str, Any], terms: Array | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
         """Return each agent's info, from that of its cell.
 
         Of an array with a leading axis of the two arms, each agent gets its own part; other values go to both.
 
         Args:
-            info: As `dual_ur10.envs.api.dual_arm_env.DualArmEnv` returns it.
+            info: As `dual_ur10.envs.api.dual_arm_env.DualArmEnv` returns it. It becomes that of the left agent.
             terms: (2, terms) reward terms of each agent: with "individual" they replace those of both together, so
                 that `reward/<term>` are always the terms of the agent's reward. None: there was no step.
         """
-        left, right = dict(info), dict(info)
+        left, right = info, info.copy()
         if not info.keys() <= self._known:
             self._known.update(info)
             self._per_arm += [name for name, value in info.items() if name not in self._per_arm and _is_per_arm(value)]
         for name in self._per_arm:
             if name in info:
-                value = info[name]
-                left[name], right[name] = value[0], value[1]
+                left[name], right[name] = info[name]
         if self.individual and terms is not None:
             left.update(zip(self._terms, terms[0].tolist(), strict=True))
             right.update(zip(self._terms, terms[1].tolist(), strict=True))

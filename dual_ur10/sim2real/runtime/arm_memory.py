@@ -43,6 +43,9 @@ class Phase(IntEnum):
     FAULTED = 5
 
 
+_PHASES: Final = tuple(Phase)
+
+
 @dataclass(frozen=True)
 class Sent:
     """Targets sent, oldest first.
@@ -157,7 +160,7 @@ class ArmMemory:
     @property
     def phase(self) -> Phase:
         """Phase of the arm's process."""
-        return Phase(int(self._ints[_PHASE]))
+        return _PHASES[int(self._ints[_PHASE])]
 
     @property
     def text(self) -> str:

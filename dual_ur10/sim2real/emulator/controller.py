@@ -42,6 +42,17 @@ _ROBOT_BITS: Final = (  # by power, and by a running program: operations on flag
 )
 _RUNNING: Final = (int(JointMode.RUNNING),) * 6
 
+_MEASURED: Final = (
+    "target_q",
+    "actual_q",
+    "actual_qd",
+    "actual_TCP_force",
+    "actual_current",
+    "target_current",
+    "joint_control_output",
+    "actual_robot_current",
+)
+
 _HISTORY: Final = 1000  # control periods of joint positions kept for programs
 _SETPOINTS: Final = 50_000  # executed servoj targets kept
 _MESSAGES: Final = 256
@@ -345,25 +356,31 @@ class Controller:
     def _derived(self) -> dict[tuple[str, ...], Callable[[], tuple[Any, ...]]]:
         """Return functions of values that are computed when somebody reads them, by the names of these values."""
         return {
-            ("target_q",): lambda: (_numbers(self._shown.target_q),),
+            _MEASURED: self._measured,
             ("target_qd",): lambda: (_numbers(self._shown.target_qd),),
             ("target_qdd",): lambda: (_numbers(self._shown.target_qdd),),
             ("target_moment",): lambda: (_numbers(self._shown.reading.torque_nm),),
-            ("actual_current", "target_current", "joint_control_output", "actual_robot_current"): self._currents,
-            ("actual_q",): lambda: (_numbers(self._shown.reading.q_rad),),
-            ("actual_qd",): lambda: (_numbers(self._shown.reading.qd_rad_s),),
             ("actual_TCP_pose", "actual_TCP_speed"): lambda: self._shown.actual_tcp(),
             ("target_TCP_pose", "target_TCP_speed"): lambda: self._shown.target_tcp(),
             ("elbow_position", "elbow_velocity"): self._elbow,
-            ("actual_TCP_force",): lambda: (_numbers(self._shown.wrench),),
             ("tcp_force_scalar",): lambda: (float(np.linalg.norm(self._shown.wrench[:3])),),
             ("ft_raw_wrench",): lambda: (_numbers(self._shown.reading.wrench),),
         }
 
-    def _currents(self) -> tuple[Any, ...]:
-        current = self._shown.reading.torque_nm / _NM_PER_A
+    def _measured(self) -> tuple[Any, ...]:
+        shown = self._shown
+        current = shown.reading.torque_nm / _NM_PER_A
         of_joints = _numbers(current)
-        return of_joints, of_joints, of_joints, 0.5 + 0.1 * float(np.abs(current).sum())
+        return (
+            _numbers(shown.target_q),
+            _numbers(shown.reading.q_rad),
+            _numbers(shown.reading.qd_rad_s),
+            _numbers(shown.wrench),
+            of_joints,
+            of_joints,
+            of_joints,
+            0.5 + 0.1 * float(np.abs(current).sum()),
+        )
 
     def _elbow(self) -> tuple[Any, ...]:
         elbow = elbow_and_flange_position(self._shown.reading.q_rad)[0]

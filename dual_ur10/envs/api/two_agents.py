@@ -74,7 +74,8 @@ class AgentSplitter:
             self._per_arm += [name for name, value in info.items() if name not in self._per_arm and _is_per_arm(value)]
         for name in self._per_arm:
             if name in info:
-                left[name], right[name] = info[name]
+                value = info[name]
+                left[name], right[name] = value[0], value[1]
         if self.individual and terms is not None:
             left.update(zip(self._terms, terms[0].tolist(), strict=True))
             right.update(zip(self._terms, terms[1].tolist(), strict=True))

@@ -83,7 +83,7 @@ class Following:
     def __init__(self, servoj: ServojProfile) -> None:
         self._behind_s = servoj.lookahead_s + _TRANSIT_S
         self._forgetting = math.exp(-servoj.tick_s / _FORGETTING_S)
-        self._target: Sequence[float] | None = None
+        self._target: Sequence[float] | Array | None = None
         self._speed = [0.0] * 6
         self._tracking = Tracking()
         self._deviation = Deviation(

@@ -7,14 +7,26 @@ rollouts are repeated bare from the same states. The result is the median over t
 this machine and its printed load; only the ratio carries over to others. Scripted blocks begin where the object is held
 and lifted, because contacts dominate the cost of physics; random ones begin with the episode.
 
-The extra time per step of PettingZoo's parallel view is measured, too: see interfaces.py.
+Beside the steps, `--parts` has the extra time per step of PettingZoo's parallel view (see interfaces.py), environment
+steps per second with one camera of 84 x 84 pixels, and what a program waits for and stores: time of the imports, from
+there to the first step, and memory per environment.
 
     python benchmarks/throughput.py --json throughput.json
+    python benchmarks/throughput.py --parts steps pixels --task Handover
+
+With `--peer` or `--against`, only a comparison is measured, block by block in turn (see interleaved.py): simulated
+seconds per processor second against robosuite in a virtual environment of its own, or environment steps per second
+against another checkout of this project.
+
+    python benchmarks/throughput.py --peer robosuite --peer-python PEER/bin/python
+    python benchmarks/throughput.py --against OTHER --against-python OTHER/.venv/bin/python
 """
 
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")  # the batch has its own threads; small matrices gain nothing from more
@@ -27,6 +39,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import interleaved
 import numpy as np
 from interfaces import measure_views
 
@@ -37,7 +50,9 @@ PERIOD_S = 0.04
 HELD_AFTER = {"SyncCarry": 140, "Handover": 60}
 """Steps of the scripted policy after which the object is held and moves."""
 
-VIEW_GOAL_US = 10.0
+VIEW_GOAL_US = 8.0
+PIXELS = {"observation": "pixels", "cameras": ("front",), "width": 84, "height": 84}
+PIXEL_ENVS = 8
 
 
 class Recorder:
@@ -98,7 +113,7 @@ def measure(
     policy = policies.load("scripted", env_id)
     rng = np.random.default_rng(0)
     recorder = Recorder(env)
-    efficiency, duration = [], []
+    efficiency, duration, cpu = [], [], []
     for block in range(blocks):
         observation, _ = env.reset(seed=block)
         policy.reset()
@@ -113,10 +128,11 @@ def measure(
         for action in known[:begin_after]:
             env.step(action)
         recorder.recorded.clear()
-        begin = time.perf_counter()
+        begin, begin_cpu = time.perf_counter(), time.process_time()
         for action in known[begin_after:]:
             step_on(env, action, n)
         env_time = time.perf_counter() - begin
+        cpu.append(time.process_time() - begin_cpu)
         bare = recorder.replay()
         efficiency.append(bare / env_time)
         duration.append(env_time / steps)
@@ -127,14 +143,15 @@ def measure(
         "efficiency": round(ratio, 3),
         "env_steps_per_s": round(n / step_s, 1),
         "sim_s_per_s": round(n * PERIOD_S / step_s, 1),
+        "sim_s_per_cpu_s": round(n * steps * PERIOD_S / statistics.median(cpu), 1),
         "overhead_us": round(step_s * (1 - ratio) * 1e6 / n, 1),
     }
 
 
-def measure_task(env_id: str, arguments: argparse.Namespace) -> dict[str, Any]:
-    """Measure all rows of one task, and print each when it is done."""
+def measure_steps(env_id: str, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Measure one environment and a batch with scripted and random actions, and print each row when it is done."""
     figures: dict[str, Any] = {}
-    task = env_id.split("/")[1].rsplit("-v", 1)[0]
+    task = name_of(env_id)
     held = HELD_AFTER.get(task, 0)
     for key, n, steps in (("single", 1, 200), (f"vector{arguments.envs}", arguments.envs, 25)):
         # A batch of cells with contacts needs long until the object is held.
@@ -143,20 +160,109 @@ def measure_task(env_id: str, arguments: argparse.Namespace) -> dict[str, Any]:
             begin_after = held if actions == "scripted" else 0
             result: dict[str, Any] = measure(env_id, n, actions, blocks, steps, arguments.threads, begin_after)
             row = f"{f'{task}, {key}, {actions}':34}{result['efficiency']:12.3f}{result['env_steps_per_s']:14.0f}"
-            print(f"{row}{result['sim_s_per_s']:10.1f}{result['overhead_us']:19.1f}", flush=True)
+            row += f"{result['sim_s_per_s']:10.1f}{result['sim_s_per_cpu_s']:14.1f}{result['overhead_us']:19.1f}"
+            print(row, flush=True)
             if n > 1:
                 result["threads"] = arguments.threads
-            if actions == "scripted":
-                figures[key] = result
-            else:
-                figures[key]["random"] = result
-    views = measure_views(env_id, arguments.rounds, 100)
-    figures["parallel_extra_us"] = {name: views[f"parallel, {name}"] for name in ("shared", "individual")}
-    extra = ", ".join(f"{value:.1f} µs with {name} rewards" for name, value in figures["parallel_extra_us"].items())
-    print(
-        f"{task}, PettingZoo's parallel view, beyond gym.make per step: {extra} (goal {VIEW_GOAL_US:g} µs)", flush=True
-    )
+            figures[key if actions == "scripted" else f"{key}_random"] = result
     return figures
+
+
+def measure_parallel(env_id: str, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Measure the extra time per step of PettingZoo's parallel view."""
+    views = measure_views(env_id, arguments.rounds, 100)
+    found = {name: views[f"parallel, {name}"] for name in ("shared", "individual")}
+    extra = ", ".join(f"{value:.1f} µs with {name} rewards" for name, value in found.items())
+    print(
+        f"{name_of(env_id)}, PettingZoo's parallel view, beyond gym.make per step: {extra} (goal {VIEW_GOAL_US:g} µs)"
+    )
+    return {"parallel_extra_us": found}
+
+
+def measure_pixels(env_id: str, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Measure environment steps per second with one camera; blocks of one environment and of a batch alternate."""
+    many = gym.make_vec(env_id, num_envs=PIXEL_ENVS, threads=arguments.threads, **PIXELS)
+    sides = (("single", gym.make(env_id, **PIXELS), 1, 40), (f"vector{PIXEL_ENVS}", many, PIXEL_ENVS, 10))
+    rng, rates = np.random.default_rng(0), {key: [] for key, *_ in sides}
+    for block in range(arguments.blocks):
+        for key, env, n, steps in sides:
+            env.reset(seed=block)
+            actions = rng.uniform(-1, 1, (steps, *env.action_space.shape)).astype(np.float32)
+            begin = time.perf_counter()
+            for action in actions:
+                step_on(env, action, n)
+            rates[key].append(n * steps / (time.perf_counter() - begin))
+    for _, env, *_ in sides:
+        env.close()
+    found = {key: {"env_steps_per_s": round(statistics.median(values), 1)} for key, values in rates.items()}
+    single, vector = rates.values()
+    ratio = statistics.median(b / a for a, b in zip(single, vector, strict=True))
+    found[f"vector{PIXEL_ENVS}"]["ratio"] = round(ratio, 2)
+    one, batch = (each["env_steps_per_s"] for each in found.values())
+    print(
+        f"{name_of(env_id)}, one camera of 84 x 84 pixels: {one:.0f} env-steps/s, {PIXEL_ENVS} envs on "
+        f"{arguments.threads} threads {batch:.0f}, {ratio:.2f} times as many",
+        flush=True,
+    )
+    return {"pixels": found}
+
+
+_START = """
+import json, sys, time
+begin = time.perf_counter()
+import gymnasium, dual_ur10
+imported = time.perf_counter()
+env = gymnasium.make(sys.argv[1])
+env.reset(seed=0)
+env.step(env.action_space.sample() * 0)
+print(json.dumps([imported - begin, time.perf_counter() - imported]))
+"""
+
+
+_MEMORY = """
+import json, sys
+import gymnasium, dual_ur10, psutil
+kept = []
+for envs in (2, int(sys.argv[2])):
+    kept.append(gymnasium.make_vec(sys.argv[1], num_envs=envs))
+    kept[-1].reset(seed=0)
+    kept[-1].step(kept[-1].action_space.sample())
+    kept.append(psutil.Process().memory_info().rss)
+print(json.dumps((kept[3] - kept[1]) / int(sys.argv[2])))
+"""
+
+
+def fresh(code: str, *arguments: str) -> Any:
+    """Return what Python code prints as JSON in a process of its own."""
+    command = [sys.executable, "-c", code, *arguments]
+    return json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+
+
+def measure_start(env_id: str, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Measure time to the first step and memory per environment of a batch, in fresh processes."""
+    times = [fresh(_START, env_id) for _ in range(5)]
+    imports, first = (statistics.median(values) for values in zip(*times, strict=True))
+    memory = fresh(_MEMORY, env_id, str(arguments.envs)) / 2**20
+    print(
+        f"{name_of(env_id)}, a fresh process: imports {imports:.2f} s, from there to the first step {first:.2f} s; "
+        f"memory of a batch of {arguments.envs}: {memory:.2f} MiB per environment",
+        flush=True,
+    )
+    return {
+        "start": {
+            "import_s": round(imports, 3),
+            "first_step_s": round(first, 3),
+            "memory_per_env_mib": round(memory, 3),
+        }
+    }
+
+
+def name_of(env_id: str) -> str:
+    """Return the task in an id."""
+    return env_id.split("/")[1].rsplit("-v", 1)[0]
+
+
+PARTS = {"steps": measure_steps, "parallel": measure_parallel, "pixels": measure_pixels, "start": measure_start}
 
 
 def main() -> None:
@@ -168,19 +274,44 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=30, help="rounds of blocks for PettingZoo's view")
     parser.add_argument("--threads", type=int, default=min(2, os.cpu_count() or 1))
     parser.add_argument("--task", action="append", help="one of the tasks, such as SyncCarry; may be repeated")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument(
+        "--peer", choices=["robosuite"], help="compare with its two-arm tasks, and measure nothing else"
+    )
+    parser.add_argument("--peer-python", type=Path, help="interpreter with the peer")
+    parser.add_argument("--against", type=Path, help="compare with this checkout, and measure nothing else")
+    parser.add_argument("--against-python", type=Path, default=Path(sys.executable), help="interpreter for --against")
     arguments = parser.parse_args()
+    if (arguments.peer is None) != (arguments.peer_python is None):
+        parser.error("--peer and --peer-python belong together")
     load = os.getloadavg()[0]
     print(
         f"{arguments.envs} envs on {arguments.threads} threads, 25 Hz; load {load:.2f} on {os.cpu_count()} processors"
     )
-    print(f"{'case':34}{'efficiency':>12}{'env-steps/s':>14}{'sim s/s':>10}{'overhead µs/step':>19}")
     figures: dict[str, Any] = {"load": load}
-    for env_id in dual_ur10.ENV_IDS:
-        task = env_id.split("/")[1].rsplit("-v", 1)[0]
-        if not arguments.task or task in arguments.task:
-            figures[task] = measure_task(env_id, arguments)
-    # The figures of SineTracking stand at the top level, too.
-    figures = {**figures.get("SineTracking", {}), **figures}
+    env_ids = [each for each in dual_ur10.ENV_IDS if not arguments.task or name_of(each) in arguments.task]
+    batch = arguments.envs, arguments.threads, arguments.blocks
+    if arguments.peer:
+        figures[arguments.peer] = interleaved.robosuite(arguments.peer_python, *batch)
+    if arguments.against:
+        names = [name_of(each) for each in env_ids]
+        figures["against"] = interleaved.against(arguments.against, arguments.against_python, names, *batch)
+    if not (arguments.peer or arguments.against):
+        if "steps" in arguments.parts:
+            heads = (
+                ("efficiency", 12),
+                ("env-steps/s", 14),
+                ("sim s/s", 10),
+                ("sim s/CPU s", 14),
+                ("overhead µs/step", 19),
+            )
+            print(f"{'case':34}" + "".join(f"{head:>{width}}" for head, width in heads))
+        for env_id in env_ids:
+            own = figures[name_of(env_id)] = {}
+            for part in arguments.parts:
+                own.update(PARTS[part](env_id, arguments))
+        # The figures of SineTracking stand at the top level, too.
+        figures = {**figures.get("SineTracking", {}), **figures}
     if arguments.json:
         arguments.json.write_text(json.dumps(figures, indent=2) + "\n")
 

@@ -2,6 +2,7 @@
 
 import importlib
 import pathlib
+import sys
 
 import pytest
 
@@ -15,3 +16,18 @@ def test_throughput_is_measured_over_the_end_of_an_episode(monkeypatch, n):
     found = throughput.measure("DualUR10/SyncCarry-v0", n, "random", 1, 40, 1)  # which random actions end at once
     assert 0.0 < found["efficiency"] < 1.0
     assert found["env_steps_per_s"] > 0.0
+
+
+def test_a_worker_runs_blocks_of_the_checkout_that_was_named(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(FOLDER)
+    interleaved = importlib.import_module("interleaved")
+    monkeypatch.setattr(interleaved, "BLOCK_S", 0.01)
+    python, case = pathlib.Path(sys.executable), {"task": "SineTracking", "envs": 2, "threads": 1}
+    worker = interleaved.Worker(python, "dual_ur10_worker.py", case, FOLDER.parent)
+    (blocks,) = interleaved.rounds_of([worker], 3)
+    worker.close()
+    assert interleaved.rate(blocks, "simulated_s", "env_steps") == pytest.approx(0.04)
+    assert interleaved.ratio(blocks, blocks, "env_steps", "wall_s") == 1.0
+    assert all(block["env_steps"] == 2 * worker.steps and block["cpu_s"] > 0.0 for block in blocks)
+    with pytest.raises(SystemExit, match=r"imports dual_ur10 from|ended with code"):
+        interleaved.Worker(python, "dual_ur10_worker.py", case, tmp_path)

@@ -457,8 +457,12 @@ class _Port:
         self.faults = LinkFaults()
         self.connections = [_Client(peer)]
 
-    def broadcast(self, data: bytes) -> None:
-        pass
+    def inject(self, **faults: Any) -> None:
+        for name, value in faults.items():
+            setattr(self.faults, name, value)
+
+    def broadcast(self, encode: Callable[[], bytes]) -> None:
+        encode()
 
     def disconnect(self, reason: str, *, reset: bool, whose: Callable[[Any], bool]) -> None:
         self.connections = [each for each in self.connections if not whose(each.peer)]

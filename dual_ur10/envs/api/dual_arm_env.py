@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.envs.core.core import PHYSICS_ERROR, Core
+from dual_ur10.envs.core.core import PHYSICS_ERROR, Core, Step
 from dual_ur10.envs.core.options import DEFAULT_RATE_HZ, MOVE_TO_START, take_consent
 from dual_ur10.envs.rendering.images import RENDER_MODES
 from dual_ur10.envs.rendering.pixels import Observer, row_of
@@ -103,20 +103,19 @@ class DualArmEnv(gym.Env[Any, Array]):
             ActionError: The action has the wrong shape or type, or holds NaN or infinity. Nothing has moved.
             ResetNeededError: There was no reset yet, or the episode was terminated.
         """
+        step = self.advance(action)
+        observation = row_of(self._observer.advance(step.observation), 0)
+        return observation, float(step.reward[0]), bool(step.terminated[0]), bool(step.truncated[0]), info_of(step)
+
+    def advance(self, action: object) -> Step:
+        """Advance one control period as `step` does, and return the core's result, which has no images."""
         if self._terminated:
             raise ResetNeededError("step was called after `terminated`: the episode is over, call reset()")
         step = self.core.step(action)
         self._terminated = bool(step.terminated[0])
-        observation = row_of(self._observer.advance(step.observation), 0)
-        info: dict[str, Any] = row_of(step.info, 0)
-        info["is_success"] = bool(info["is_success"])
-        if step.verdicts:
-            info["safety"] = step.verdicts[0]
-        if step.diverged[0]:
-            info["physics_error"] = PHYSICS_ERROR
         if self.render_mode == "human":
             self.render()
-        return observation, float(step.reward[0]), bool(step.terminated[0]), bool(step.truncated[0]), info
+        return step
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return an image, (height, width, 3), with "rgb_array"; show the viewer with "human" and return None.
@@ -134,3 +133,14 @@ class DualArmEnv(gym.Env[Any, Array]):
         """Release simulation and viewer. May be called twice."""
         self._observer.close()
         self.core.close()
+
+
+def info_of(step: Step) -> dict[str, Any]:
+    """Return the info of one cell's step."""
+    info: dict[str, Any] = {name: value[0] for name, value in step.info.items()}
+    info["is_success"] = bool(info["is_success"])
+    if step.verdicts:
+        info["safety"] = step.verdicts[0]
+    if step.diverged[0]:
+        info["physics_error"] = PHYSICS_ERROR
+    return info

@@ -21,7 +21,7 @@ from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.types import Array
 
 if TYPE_CHECKING:
-    from dual_ur10.envs.core.core import Core
+    from dual_ur10.envs.core.core import Agents, Core
 
 _LEFT, _RIGHT = ARMS
 
@@ -65,12 +65,13 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         max_cycles: int | None = None,
         **keywords: Any,
     ) -> None:
-        from dual_ur10.envs.api.dual_arm_env import DualArmEnv  # loads MuJoCo
+        from dual_ur10.envs.api.dual_arm_env import DualArmEnv, info_of  # loads MuJoCo
 
         env_id = env_id_of(task)
         check_options(reward, keywords)
         check_count("max_cycles", max_cycles, optional=True)
         self._env = DualArmEnv(task_name(env_id), render_mode=render_mode, **keywords)
+        self._info_of = info_of
         self.render_mode, self.max_cycles = render_mode, max_cycles
         self.metadata = {**type(self).metadata, **self._env.metadata, "name": env_id}
         self.possible_agents = list(ARMS)
@@ -133,10 +134,9 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         self._cycles = 0
         self.agents = list(ARMS)
         left, right = self._splitter.infos(info)
-        return self._observations(), {_LEFT: left, _RIGHT: right}
+        return self._observations(self._env.core.agents), {_LEFT: left, _RIGHT: right}
 
-    def _observations(self) -> dict[str, Array]:
-        agents = self._env.core.agents
+    def _observations(self, agents: Agents) -> dict[str, Array]:
         self._state = agents.both[0]
         own = agents.observations
         return {_LEFT: own[0, 0], _RIGHT: own[0, 1]}
@@ -167,22 +167,23 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         except ActionError as error:
             self._env.core.stop(f"the policy's action was refused: {error}")
             raise
-        _, reward, terminated, truncated, info = self._env.step(joint)
+        step = self._env.advance(joint)
+        terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
         self._cycles += 1
         if self.max_cycles is not None and self._cycles >= self.max_cycles:
             truncated = True
             self._env.core.finish()
         if terminated or truncated:
             self.agents = []
-        agents = self._env.core.agents
+        agents = step.agents
         if self._splitter.individual:
-            left, right = self._splitter.infos(info, cast("Array", agents.terms)[0])
+            left, right = self._splitter.infos(self._info_of(step), cast("Array", agents.terms)[0])
             first, second = agents.rewards[0].tolist()
         else:
-            left, right = self._splitter.infos(info)
-            first = second = reward
+            left, right = self._splitter.infos(self._info_of(step))
+            first = second = float(step.reward[0])
         return (
-            self._observations(),
+            self._observations(agents),
             {_LEFT: first, _RIGHT: second},
             {_LEFT: terminated, _RIGHT: terminated},
             {_LEFT: truncated, _RIGHT: truncated},

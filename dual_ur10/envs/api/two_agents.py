@@ -58,17 +58,17 @@ class AgentSplitter:
         self._known: set[str] = set()
         self._per_arm: list[str] = []
 
-    def infos(self, info: Mapping[str, Any], terms: Array | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
+    def infos(self, info: dict[str, Any], terms: Array | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
         """Return each agent's info, from that of its cell.
 
         Of an array with a leading axis of the two arms, each agent gets its own part; other values go to both.
 
         Args:
-            info: As `dual_ur10.envs.api.dual_arm_env.DualArmEnv` returns it.
+            info: As `dual_ur10.envs.api.dual_arm_env.DualArmEnv` returns it. It becomes that of the left agent.
             terms: (2, terms) reward terms of each agent: with "individual" they replace those of both together, so
                 that `reward/<term>` are always the terms of the agent's reward. None: there was no step.
         """
-        left, right = dict(info), dict(info)
+        left, right = info, info.copy()
         if not info.keys() <= self._known:
             self._known.update(info)
             self._per_arm += [name for name, value in info.items() if name not in self._per_arm and _is_per_arm(value)]

@@ -18,6 +18,7 @@ from dual_ur10.sim2real.emulator.pendant import Pendant
 from dual_ur10.sim2real.emulator.profile import ControllerProfile
 from dual_ur10.sim2real.emulator.realtime_packet import RealtimePacket
 from dual_ur10.sim2real.emulator.robotiq import RobotiqGripper
+from dual_ur10.sim2real.emulator.rtde_recipes import OutputRecipe
 from dual_ur10.sim2real.emulator.rtde_session import RtdePort, RtdeSession
 from dual_ur10.sim2real.emulator.script import Program, Splitter, read
 from dual_ur10.sim2real.emulator.sockets import Hub, Port
@@ -127,6 +128,7 @@ class ArmServer:
         self.controller, self.host, self.gripper = controller, host, gripper
         self.pendant = Pendant(controller, off)
         self.script_delay_s = 0.0
+        self._primary_ticks = round(1.0 / (RATE_HZ * controller.profile.tick_s))
         self._scripts: deque[tuple[float, str, Future[Program | ScriptError]]] = deque()
         self._hub = hub
         # Parsing must not delay control periods, nor the other arm's programs.
@@ -209,20 +211,18 @@ class ArmServer:
     def publish(self) -> None:
         """Send the data that are due in this control period."""
         controller, ports = self.controller, self.ports
-        for connection in list(ports["rtde"].connections):
+        packages: dict[OutputRecipe, bytes] = {}
+        for connection in tuple(ports["rtde"].connections):
             peer = connection.peer
             if isinstance(peer, RtdePeer):
-                connection.send(peer.session.publish(controller.ticks), droppable=True)
-        if ports["realtime"].connections:
-            ports["realtime"].broadcast(self._realtime.pack(controller.values))
-        streams = [ports[which] for which in ("primary", "secondary")]
-        listeners = [port for port in streams if port.connections]
-        if listeners and controller.ticks % round(1.0 / (RATE_HZ * controller.profile.tick_s)) == 0:
-            packet = self.primary.state(controller.values)
-            for port in listeners:
-                port.broadcast(packet)
+                connection.send(peer.session.publish(controller.ticks, packages), droppable=True)
+        ports["realtime"].broadcast(lambda: self._realtime.pack(self._rtde.values))
+        if controller.ticks % self._primary_ticks == 0:
+            for which in ("primary", "secondary"):
+                ports[which].broadcast(lambda: self.primary.state(controller.values))
         while controller.messages:
-            ports["primary"].broadcast(controller.messages.popleft())
+            message = controller.messages.popleft()
+            ports["primary"].broadcast(lambda: message)  # noqa: B023  # called at once
 
     def close(self) -> None:
         """Close all ports."""

@@ -70,7 +70,11 @@ def io_builtins(controller: Controller) -> Builtins:
 
 def _register_builtins(registers: Registers) -> Builtins:
     def reader(values: list[Any]) -> Callable[..., Any]:
+        count = len(values)
+
         def read(address: int) -> Any:
+            if address.__class__ is int and 0 <= address < count:  # as nearly always
+                return values[address]
             return values[_register(address, values)]
 
         return read

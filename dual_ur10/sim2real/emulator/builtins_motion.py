@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Sequence
 from typing import Any, Final
 
 from dual_ur10.errors import MotionError
@@ -38,28 +37,24 @@ class MotionOwner:
         if machine is None or machine.thread is None:  # a secondary program runs now
             raise MotionError("a secondary program must not move the arm: do that in a program, with def")
 
-    @contextmanager
-    def taken(self) -> Iterator[None]:
-        """Own the motion from the running thread.
+    def _take(self) -> tuple[Any, Any]:
+        """Own the motion from the running thread, and return it with its program.
 
         Raises:
             MotionError: Another thread owns it.
         """
         self.check()
-        machine = self._controller.program.machine
+        machine, owner = self._controller.program.machine, self._owner
         thread = (machine, machine.thread if machine is not None else None)
-        if self._owner is not None and self._owner != thread and self._owner[0] is machine:
+        if owner is not None and owner[0] is machine and owner[1] is not thread[1]:
             raise MotionError("another thread is already controlling the robot")
         self._owner = thread
-        try:
-            yield
-        finally:
-            if self._owner == thread:
-                self._owner = None
+        return thread
 
     def follow(self, start: Callable[[], Handle]) -> Blocking:
         """Start a motion and block until its command returns. A killed thread stops its motion."""
-        with self.taken():
+        thread = self._take()
+        try:
             handle = start()
             try:
                 while not handle.done:
@@ -69,6 +64,9 @@ class MotionOwner:
                 raise
             if handle.aborted:
                 raise MotionError("a stop ended the motion: start the program again")
+        finally:
+            if self._owner == thread:
+                self._owner = None
 
 
 def joints_of(controller: Controller, q: Sequence[float], near: Sequence[float] | None = None) -> list[float]:

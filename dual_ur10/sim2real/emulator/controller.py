@@ -34,6 +34,25 @@ GRAVITY_M_S2: Final = 9.81
 # UR publishes no torque constants. These give plausible currents for the simulated torques.
 _NM_PER_A: Final = np.array([13.0, 13.0, 10.0, 9.0, 9.0, 9.0])
 
+_POWERED: Final = (RobotMode.POWER_ON, RobotMode.IDLE, RobotMode.RUNNING)
+_PLAYS: Final = (RuntimeState.PLAYING, RuntimeState.RESUMING, RuntimeState.PAUSING)
+_ROBOT_BITS: Final = (  # by power, and by a running program: operations on flags are slow
+    (RobotBits(0), RobotBits.PROGRAM_RUNNING),
+    (RobotBits.POWER_ON, RobotBits.POWER_ON | RobotBits.PROGRAM_RUNNING),
+)
+_RUNNING: Final = (int(JointMode.RUNNING),) * 6
+
+_MEASURED: Final = (
+    "target_q",
+    "actual_q",
+    "actual_qd",
+    "actual_TCP_force",
+    "actual_current",
+    "target_current",
+    "joint_control_output",
+    "actual_robot_current",
+)
+
 _HISTORY: Final = 1000  # control periods of joint positions kept for programs
 _SETPOINTS: Final = 50_000  # executed servoj targets kept
 _MESSAGES: Final = 256
@@ -124,7 +143,7 @@ class Controller:
         )
         self.payload = Payload(gripper_kg)
         self.gripper_kg = gripper_kg
-        self.values: dict[str, Any] = zero_values(profile)
+        self._values = LiveValues(zero_values(profile), self._derived())
         self.overrides: dict[str, Any] = {}
         self._overridden: dict[str, Any] = {}
         self.remote_control = True
@@ -144,9 +163,15 @@ class Controller:
         self._wrench_zero: Array = np.zeros(6)
         self.program = ProgramRunner(profile, self.motion, builtins(self), self._script_failed)
         self.reading = ArmReading(np.array(q_rad, dtype=float), np.zeros(6), np.zeros(6), np.zeros(6), None)
-        self._elbow: Array = elbow_and_flange_position(self.reading.q_rad)[0]
+        self._shown = _Shown(self.reading, self.reading.q_rad, self.motion, np.zeros(6), self.wrench)
         self._constant_values()
         self._publish(np.zeros(6))
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Values that are reported to clients, by RTDE name: always the same dictionary, complete for now."""
+        self._values.complete()
+        return self._values
 
     @property
     def time_s(self) -> float:
@@ -289,7 +314,7 @@ class Controller:
         self.history.append(tuple(reading.q_rad.tolist()))
 
     def _constant_values(self) -> None:
-        values = self.values
+        values = self._values
         values.update(
             joint_temperatures=(30.0,) * 6,
             actual_main_voltage=48.0,
@@ -303,37 +328,18 @@ class Controller:
 
     def _publish(self, qdd: Array) -> None:
         """Update the values that are reported to clients."""
-        values, motion, reading, program, safety = self.values, self.motion, self.reading, self.program, self.safety
+        values, motion, reading, program, safety = self._values, self.motion, self.reading, self.program, self.safety
         running = safety.robot_mode == RobotMode.RUNNING
-        current = reading.torque_nm / _NM_PER_A
+        self._shown = _Shown(reading, self._shown.reading.q_rad, motion, qdd, self.wrench)
+        values.forget()
         values["timestamp"] = self.time_s
-        values["target_q"] = tuple(motion.q.tolist())
-        values["target_qd"] = tuple(motion.qd.tolist())
-        values["target_qdd"] = tuple(qdd.tolist())
-        values["target_moment"] = tuple(reading.torque_nm.tolist())
-        values["target_current"] = values["actual_current"] = values["joint_control_output"] = tuple(current.tolist())
-        values["actual_robot_current"] = 0.5 + 0.1 * float(np.abs(current).sum())
-        values["actual_q"] = tuple(reading.q_rad.tolist())
-        values["actual_qd"] = tuple(reading.qd_rad_s.tolist())
-        q, qd = np.stack([reading.q_rad, motion.q]), np.stack([reading.qd_rad_s, motion.qd])
-        poses, speeds = motion.tcp_poses_and_speeds(q, qd)
-        values["actual_TCP_pose"], values["target_TCP_pose"] = poses
-        values["actual_TCP_speed"], values["target_TCP_speed"] = speeds
-        elbow = elbow_and_flange_position(reading.q_rad)[0]
-        values["elbow_velocity"] = tuple(((elbow - self._elbow) / self.profile.tick_s).tolist())
-        values["elbow_position"], self._elbow = tuple(elbow.tolist()), elbow
-        values["actual_TCP_force"] = tuple(self.wrench.tolist())
-        if "tcp_force_scalar" in values:
-            values["tcp_force_scalar"] = float(np.linalg.norm(self.wrench[:3]))
-        if "ft_raw_wrench" in values:
-            values["ft_raw_wrench"] = tuple(reading.wrench.tolist())
         values["actual_digital_input_bits"] = self.io.inputs
         values["actual_digital_output_bits"] = self.io.outputs
         values["standard_analog_output0"], values["standard_analog_output1"] = self.io.analog(0), self.io.analog(1)
         values["tool_output_voltage"] = self.io.tool_voltage
         values["analog_io_types"] = self.io.analog_types
         values["robot_mode"] = int(safety.robot_mode)
-        values["joint_mode"] = (int(JointMode.RUNNING if running else _joint_mode(safety.robot_mode)),) * 6
+        values["joint_mode"] = _RUNNING if running else (int(_joint_mode(safety.robot_mode)),) * 6
         values["safety_mode"] = values["safety_status"] = int(safety.safety_mode)
         values["safety_status_bits"] = int(safety.safety_bits)
         values["robot_status_bits"] = int(self.robot_bits)
@@ -344,18 +350,47 @@ class Controller:
         values["payload_cog"] = self.payload.cog_m
         values["payload_inertia"] = self.payload.inertia_kg_m2
         if "tcp_offset" in values:
-            values["tcp_offset"] = tuple(motion.tcp)
+            values["tcp_offset"] = motion.tcp
         values.update(self.overrides)
+
+    def _derived(self) -> dict[tuple[str, ...], Callable[[], tuple[Any, ...]]]:
+        """Return functions of values that are computed when somebody reads them, by the names of these values."""
+        return {
+            _MEASURED: self._measured,
+            ("target_qd",): lambda: (_numbers(self._shown.target_qd),),
+            ("target_qdd",): lambda: (_numbers(self._shown.target_qdd),),
+            ("target_moment",): lambda: (_numbers(self._shown.reading.torque_nm),),
+            ("actual_TCP_pose", "actual_TCP_speed"): lambda: self._shown.actual_tcp(),
+            ("target_TCP_pose", "target_TCP_speed"): lambda: self._shown.target_tcp(),
+            ("elbow_position", "elbow_velocity"): self._elbow,
+            ("tcp_force_scalar",): lambda: (float(np.linalg.norm(self._shown.wrench[:3])),),
+            ("ft_raw_wrench",): lambda: (_numbers(self._shown.reading.wrench),),
+        }
+
+    def _measured(self) -> tuple[Any, ...]:
+        shown = self._shown
+        current = shown.reading.torque_nm / _NM_PER_A
+        of_joints = _numbers(current)
+        return (
+            _numbers(shown.target_q),
+            _numbers(shown.reading.q_rad),
+            _numbers(shown.reading.qd_rad_s),
+            _numbers(shown.wrench),
+            of_joints,
+            of_joints,
+            of_joints,
+            0.5 + 0.1 * float(np.abs(current).sum()),
+        )
+
+    def _elbow(self) -> tuple[Any, ...]:
+        elbow = elbow_and_flange_position(self._shown.reading.q_rad)[0]
+        before = elbow_and_flange_position(self._shown.q_before)[0]
+        return _numbers(elbow), _numbers((elbow - before) / self.profile.tick_s)
 
     @property
     def robot_bits(self) -> RobotBits:
         """RTDE's `robot_status_bits`."""
-        bits = RobotBits(0)
-        if self.safety.robot_mode in (RobotMode.POWER_ON, RobotMode.IDLE, RobotMode.RUNNING):
-            bits |= RobotBits.POWER_ON
-        if self.program.state in (RuntimeState.PLAYING, RuntimeState.RESUMING, RuntimeState.PAUSING):
-            bits |= RobotBits.PROGRAM_RUNNING
-        return bits
+        return _ROBOT_BITS[self.safety.robot_mode in _POWERED][self.program.state in _PLAYS]
 
     @property
     def steady(self) -> bool:
@@ -393,6 +428,70 @@ class Controller:
         if self.safety.demand is not Demand.NONE:
             raise OperationRefusedError("the arm is stopped or has no power")
         self.program.play()
+
+
+class LiveValues(dict[str, Any]):
+    """Values by name, of which some are computed when they are read first after `forget`.
+
+    Args:
+        values: Values of all names.
+        derived: Functions of the derived values by their names; names that are not among `values` are skipped.
+    """
+
+    def __init__(
+        self, values: Mapping[str, Any], derived: Mapping[tuple[str, ...], Callable[[], tuple[Any, ...]]]
+    ) -> None:
+        super().__init__(values)
+        self._sources = {name: (names, source) for names, source in derived.items() for name in names if name in values}
+
+    def __missing__(self, name: str) -> Any:
+        names, source = self._sources[name]
+        for each, value in zip(names, source(), strict=True):
+            if each in self._sources:
+                self.setdefault(each, value)  # an override stays
+        return self[name]
+
+    def forget(self) -> None:
+        """Forget the derived values: what they are derived from has changed."""
+        for name in self._sources:
+            self.pop(name, None)
+
+    def complete(self) -> None:
+        """Compute all derived values that were not read yet."""
+        for name in self._sources:
+            if name not in self:
+                self.__missing__(name)
+
+
+class _Shown:
+    """State of one control period from which reported values are derived.
+
+    Args:
+        reading: Measurements.
+        q_before: (6,) joint positions one control period before.
+        motion: Reference motion.
+        target_qdd: (6,) its mean accelerations.
+        wrench: (6,) force and torque at the TCP.
+    """
+
+    __slots__ = ("_arm", "_tool", "q_before", "reading", "target_q", "target_qd", "target_qdd", "wrench")
+
+    def __init__(self, reading: ArmReading, q_before: Array, motion: Motion, target_qdd: Array, wrench: Array) -> None:
+        self.reading, self.q_before, self.wrench = reading, q_before, wrench
+        self.target_q, self.target_qd, self.target_qdd = motion.q, motion.qd, target_qdd
+        self._arm, self._tool = motion.arm, motion.tool
+
+    def actual_tcp(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return pose (6,) and speed (6,) of the TCP of the arm."""
+        return self._arm.pose_and_speed(self.reading.q_rad, self.reading.qd_rad_s, self._tool)
+
+    def target_tcp(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return pose (6,) and speed (6,) of the TCP of the reference motion."""
+        return self._arm.pose_and_speed(self.target_q, self.target_qd, self._tool)
+
+
+def _numbers(array: Array) -> tuple[float, ...]:
+    return tuple(array.tolist())
 
 
 def _joint_mode(mode: RobotMode) -> JointMode:

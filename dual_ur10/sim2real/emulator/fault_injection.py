@@ -244,8 +244,7 @@ class FaultInjection:
     def do_link(self, arm: str, port: str, **faults: Any) -> None:
         """Inject link faults into a port; see `LinkFaults`. Faults that are not named stay as they are."""
         for which in self._ports(arm, port):
-            for name, value in faults.items():
-                setattr(which.faults, name, value)
+            which.inject(**faults)
             for connection in list(which.connections):
                 connection.flush()
 

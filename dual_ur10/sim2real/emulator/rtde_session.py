@@ -15,6 +15,7 @@ import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
+from weakref import WeakValueDictionary
 
 from dual_ur10.errors import ClosedError, ProtocolError, SettingsError
 from dual_ur10.sim2real.emulator.profile import ControllerProfile
@@ -82,6 +83,15 @@ class RtdePort:
         self.input_types = input_types(profile)
         self.rate_hz = 1.0 / profile.tick_s
         self.owners: dict[str, RtdeSession] = {}
+        self._recipes: WeakValueDictionary[Any, OutputRecipe] = WeakValueDictionary()
+
+    def output_recipe(self, variables: tuple[tuple[str, DataType], ...], *, numbered: bool) -> OutputRecipe:
+        """Return the recipe of these variables: one for all connections that use it now."""
+        recipe = self._recipes.get((variables, numbered))
+        if recipe is None:
+            recipe = OutputRecipe(variables, self.values, self.registers, numbered=numbered)
+            self._recipes[variables, numbered] = recipe
+        return recipe
 
     def open(self) -> RtdeSession:
         """Open a connection."""
@@ -150,11 +160,12 @@ class RtdeSession:
             raise
         return b"".join(answers)
 
-    def publish(self, tick: int) -> bytes:
+    def publish(self, tick: int, packages: dict[OutputRecipe, bytes] | None = None) -> bytes:
         """Return the data package of a control period, or nothing if none is due.
 
         Args:
             tick: Number of the control period. The first one after START is always due.
+            packages: Packages of this control period that connections have encoded so far; this one's is added.
         """
         if not self.started or self._outputs is None:
             return b""
@@ -167,7 +178,12 @@ class RtdeSession:
         self.published += 1
         if self._outputs.numbered != (self.version > 1):  # not when it is requested: a recipe takes milliseconds
             self._outputs = self._output_recipe(self._outputs.variables)
-        return self._outputs.package()
+        if packages is None:
+            return self._outputs.package()
+        package = packages.get(self._outputs)
+        if package is None:
+            package = packages[self._outputs] = self._outputs.package()
+        return package
 
     def text(self, message: str, source: str = "", kind: TextKind = TextKind.INFO) -> bytes:
         """Encode a text message; nothing unless data are published, since other clients expect answers only.
@@ -239,7 +255,7 @@ class RtdeSession:
         return frame(Kind.SETUP_OUTPUTS, number + answer)
 
     def _output_recipe(self, variables: Sequence[tuple[str, DataType]]) -> OutputRecipe:
-        return OutputRecipe(variables, self._port.values, self._port.registers, numbered=self.version > 1)
+        return self._port.output_recipe(tuple(variables), numbered=self.version > 1)
 
     def _set_up_inputs(self, payload: bytes) -> bytes:
         port, names = self._port, _names(payload)

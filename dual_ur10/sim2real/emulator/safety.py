@@ -77,15 +77,13 @@ class Safety:
     @property
     def safety_bits(self) -> SafetyBits:
         """RTDE's `safety_status_bits`."""
+        if not self._stopped:  # without operations on flags, which are slow
+            return SafetyBits.REDUCED if self._reduced else SafetyBits.NORMAL
         bits = SafetyBits(0)
         for mode in self._stopped:
             known = _STOP_BITS.get(SafetyMode(mode)) if mode in _KNOWN else None
             bits |= (known or SafetyBits(0)) | SafetyBits.STOPPED_DUE_TO_SAFETY
-        if self._reduced:
-            bits |= SafetyBits.REDUCED
-        if not self._stopped and not self._reduced:
-            bits |= SafetyBits.NORMAL
-        return bits
+        return bits | SafetyBits.REDUCED if self._reduced else bits
 
     @property
     def reduced(self) -> bool:
@@ -95,6 +93,8 @@ class Safety:
     @property
     def demand(self) -> Demand:
         """Demand on the program."""
+        if not self._stopped and self.robot_mode is RobotMode.RUNNING and not self._loses_power:
+            return Demand.NONE
         pauses = {
             SafetyMode.PROTECTIVE_STOP: self.assumptions.protective_stop_pauses,
             SafetyMode.ROBOT_EMERGENCY_STOP: self.assumptions.emergency_stop_pauses,
@@ -106,12 +106,12 @@ class Safety:
             return Demand.STOP
         if self.robot_mode != RobotMode.RUNNING or self._loses_power:
             return Demand.PAUSE if self.assumptions.emergency_stop_pauses else Demand.STOP
-        return Demand.PAUSE if self._stopped else Demand.NONE
+        return Demand.PAUSE
 
     @property
     def resumes(self) -> bool:
         """True if a program that pauses now resumes by itself after the stop."""
-        return self.assumptions.safeguard_resumes and set(self._stopped) <= {int(SafetyMode.SAFEGUARD_STOP)}
+        return self.assumptions.safeguard_resumes and self._stopped.keys() <= _SAFEGUARD
 
     @property
     def may_move(self) -> bool:
@@ -218,6 +218,7 @@ class Safety:
 
 
 _KNOWN: Final = frozenset(int(mode) for mode in SafetyMode)
+_SAFEGUARD: Final = frozenset((int(SafetyMode.SAFEGUARD_STOP),))
 
 _BY_SEVERITY: Final = (
     SafetyMode.RECOVERY,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import random
 from collections.abc import Callable
-from typing import Final, Protocol
+from operator import attrgetter
+from typing import Any, Final, Protocol
 
 from dual_ur10.errors import ProtocolError
 from dual_ur10.sim2real.emulator.addresses import listening
@@ -56,8 +57,16 @@ class Connection:
         self.served = 0
         self.open = True
         self.half_open = port.faults.half_open
+        self._number = transport.fileno()
         self._out = bytearray()
         self._coming, self._going = DelayLine(), DelayLine()
+
+    def drop(self) -> bool:
+        """Drop one packet of a stream if it would be dropped anyway, so that nobody encodes it. Return True if so."""
+        if not self._out or self.port.faulty or self._going.waiting:
+            return False
+        self.dropped += 1
+        return True
 
     def send(self, data: bytes, *, droppable: bool = False) -> None:
         """Send, or queue unsent bytes.
@@ -66,8 +75,13 @@ class Connection:
             data: Bytes.
             droppable: Whether they are one packet of a stream, which is dropped as a whole when the client is slow.
         """
+        if not data or not self.open:
+            return
+        if not (self.port.faulty or self.half_open or self._going.waiting):
+            self._write(data, droppable)
+            return
         faults = self.port.faults
-        if not data or not self.open or faults.mute or self.half_open:
+        if faults.mute or self.half_open:
             return
         if droppable and faults.lose > 0:
             faults.lose -= 1
@@ -88,6 +102,14 @@ class Connection:
         if droppable and self._out:
             self.dropped += 1
             return
+        if not self._out:
+            try:
+                sent = self.transport.send_now(data)
+            except OSError:
+                sent = 0  # `flush` meets the same error, and handles it
+            if sent == len(data):
+                return
+            data = data[sent:]
         self._out += data
         self.flush()
         if len(self._out) > _MAX_WAITING_BYTES:
@@ -95,24 +117,23 @@ class Connection:
 
     def fileno(self) -> int:
         """Return the file number of the transport."""
-        return self.transport.fileno()
+        return self._number
 
     @property
     def reads(self) -> bool:
         """True if bytes of the client are taken."""
         return not self.port.faults.frozen
 
-    @property
-    def writes(self) -> bool:
-        """True if bytes wait for the client."""
-        return bool(self._out)
-
     def _note(self) -> None:
         """Tell the hub whether bytes wait for the client or for their time of arrival."""
-        if self.open and (self._out or self._coming.waiting or self._going.waiting):
-            self.hub.pending[self] = None
+        if self.open and self._out:
+            self.hub.unsent[self._number] = self
         else:
-            self.hub.pending.pop(self, None)
+            self.hub.unsent.pop(self._number, None)
+        if self.open and (self._coming.waiting or self._going.waiting):
+            self.hub.delayed[self] = None
+        else:
+            self.hub.delayed.pop(self, None)
 
     def flush(self) -> None:
         """Send queued bytes, as far as the client accepts them."""
@@ -141,7 +162,7 @@ class Connection:
             self.close("")
             return
         faults = self.port.faults
-        if faults.delay_s or faults.jitter_s or self._coming.waiting:
+        if self._coming.waiting or faults.delay_s or faults.jitter_s:
             self._coming.put(self.hub.due(faults), data)
             self._note()
         else:
@@ -207,19 +228,27 @@ class Port:
         greeting: Factory of the first bytes for every client.
 
     Attributes:
-        faults: Injected faults.
+        faults: Injected faults. Change them with `inject`.
+        faulty: True if some were injected and not removed since.
     """
 
     def __init__(
         self, hub: Hub, name: str, address: tuple[str, int], accept: Callable[[], Peer], greeting: Callable[[], bytes]
     ) -> None:
         self.hub, self.name, self.address = hub, name, address
-        self.faults = LinkFaults()
+        self.faults, self.faulty = LinkFaults(), False
         self.connections: list[Connection] = []
         self.served = 0  # hub's count at its last service
         self._accept, self._greeting = accept, greeting
         self._listener: Listener | None = None
         self.listen()
+
+    def inject(self, **faults: Any) -> None:
+        """Inject faults; see `LinkFaults`. Those that are not named stay as they are."""
+        for name, value in faults.items():
+            setattr(self.faults, name, value)
+        self.faulty = self.faults != LinkFaults()
+        self.hub.changed()  # a frozen port is not read
 
     def listen(self) -> None:
         """Listen, if it does not already.
@@ -272,10 +301,13 @@ class Port:
         self.hub.changed()
         connection.send(self._greeting())
 
-    def broadcast(self, data: bytes) -> None:
-        """Send one packet of a stream to all clients."""
+    def broadcast(self, encode: Callable[[], bytes]) -> None:
+        """Send one packet of a stream to all clients. It is encoded only if somebody takes it."""
+        data = b""
         for connection in list(self.connections):
-            connection.send(data, droppable=True)
+            if not connection.drop():
+                data = data or encode()
+                connection.send(data, droppable=True)
 
     def disconnect(self, reason: str, *, reset: bool = False, whose: Callable[[Peer], bool] = lambda _: True) -> None:
         """Close all connections, or those of selected peers."""
@@ -289,6 +321,9 @@ class Port:
         self.refuse()
 
 
+_served: Final = attrgetter("served")
+
+
 class Hub:
     """All ports and connections of an emulated cell, on one thread.
 
@@ -297,16 +332,19 @@ class Hub:
         system: Clock and network.
 
     Attributes:
-        pending: Connections with bytes that wait for the client or for their time of arrival, in order.
+        unsent: Connections with bytes that wait for the client, by file number, in order.
+        delayed: Connections with bytes that wait for their time of arrival, in order.
     """
 
     def __init__(self, seed: int = 0, *, system: System = LOCAL) -> None:
         self.system, self._clock = system, system.clock
         self.random = random.Random(seed)
         self.ports: list[Port] = []
-        self.pending: dict[Connection, None] = {}
+        self.unsent: dict[int, Connection] = {}
+        self.delayed: dict[Connection, None] = {}
         self._served = 0
         self._serves: dict[int, Port | Connection] | None = None
+        self._readers: list[int] = []
 
     def add(
         self, name: str, address: tuple[str, int], accept: Callable[[], Peer], greeting: Callable[[], bytes] = bytes
@@ -325,14 +363,15 @@ class Hub:
         return self._clock.now_s() + faults.delay_s + faults.jitter_s * self.random.random()
 
     def changed(self) -> None:
-        """React to new or closed ports and connections."""
+        """React to new, closed or frozen ports and connections."""
         self._serves = None
 
     def _numbered(self) -> dict[int, Port | Connection]:
-        """Return all open ports and connections by file number."""
+        """Return all ports and connections that are read, by file number."""
         serves: list[Port | Connection] = [each for each in self.ports if each.reads]
-        serves += [each for port in self.ports for each in port.connections]
+        serves += [each for port in self.ports for each in port.connections if each.reads]
         self._serves = {each.fileno(): each for each in serves}
+        self._readers = list(self._serves)
         return self._serves
 
     def poll(self, until_s: float) -> None:
@@ -341,15 +380,15 @@ class Hub:
         end = max(until_s, clock.now_s() + _SERVED_S)
         while True:
             serves = self._serves or self._numbered()
-            frozen = any(port.faults.frozen for port in self.ports)
-            readers = [number for number, each in serves.items() if each.reads] if frozen else list(serves)
-            writers = {each.fileno(): each for each in self.pending if each.writes}
-            wake_s = min((each.next_s for each in self.pending), default=until_s)
-            readable, writable = clock.wait(readers, min(wake_s, until_s), list(writers))
+            wake_s = min((each.next_s for each in self.delayed), default=until_s) if self.delayed else until_s
+            readable, writable = clock.wait(self._readers, min(wake_s, until_s), tuple(self.unsent))
             for number in writable:
-                writers[number].flush()
-            # Longest-waiting first, so that no client starves where time is short.
-            for serve in sorted((serves[number] for number in readable), key=lambda each: each.served):
+                if number in self.unsent:
+                    self.unsent[number].flush()
+            ready = [serves[number] for number in readable]
+            if len(ready) > 1:  # longest-waiting first, so that no client starves where time is short
+                ready.sort(key=_served)
+            for serve in ready:
                 self._served += 1
                 serve.served = self._served
                 if isinstance(serve, Port):
@@ -359,7 +398,7 @@ class Hub:
                 if clock.now_s() > end:
                     break  # the others are served after the control period
             now = clock.now_s()
-            for connection in list(self.pending):
+            for connection in tuple(self.delayed):
                 connection.deliver(now)
             if now >= until_s:
                 return

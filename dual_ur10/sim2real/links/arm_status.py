@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from dataclasses import dataclass
-from typing import Annotated, Any, Final, Self, get_type_hints
+from operator import itemgetter
+from typing import Annotated, Any, Final, NamedTuple, Self, get_type_hints
 
 from dual_ur10.sim2real.links.rtde_stream import Sample
 from dual_ur10.sim2real.protocol.modes import RobotBits, RobotMode, RuntimeState, SafetyBits, SafetyMode
@@ -12,8 +13,7 @@ from dual_ur10.sim2real.protocol.modes import RobotBits, RobotMode, RuntimeState
 Row = tuple[float, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
-class ArmStatus:
+class ArmStatus(NamedTuple):
     """Status of one arm, as its controller reports it. Annotations hold the RTDE variable, and the size of a row.
 
     Attributes:
@@ -83,48 +83,44 @@ class ArmStatus:
             KeyError: A variable is missing.
         """
         values: Any = sample.values
-        found = {field: values[name] for name, field in _FIELDS.items()}
-        found |= {field: values[name] for name, field in _OPTIONAL_FIELDS.items() if name in values}
-        return cls(arrival_s=sample.arrival_s, **found)
+        return cls(sample.arrival_s, *_REQUIRED(values), *map(values.get, OPTIONAL_VARIABLES))
 
     def row(self) -> list[float]:
         """Return all numbers in the order of `ROW`; NaN for unknown values."""
+        fields: tuple[Any, ...] = self
         row: list[float] = []
-        for name, size in ROW:
-            value = getattr(self, name)
-            if size == 1:
-                row.append(math.nan if value is None else float(value))
+        for part in _NUMBERS_AND_ROWS:
+            if isinstance(part, slice):
+                row.extend(map(float, fields[part]))
             else:
-                row.extend((math.nan,) * size if value is None else value)
+                row += fields[part]
+        for value, size in zip(fields[_OPTIONAL], _OPTIONAL_SIZES, strict=True):
+            row += (math.nan,) * size if value is None else (value,) if size == 1 else value
         return row
 
     @classmethod
     def from_row(cls, row: Any) -> Self:
         """Return the status of such a row."""
-        numbers, found, at = list(map(float, row)), {}, 0
-        for name, size in ROW:
-            value: Any = numbers[at] if size == 1 else tuple(numbers[at : at + size])
-            if name in _WHOLE:
-                value = int(value)
-            elif name in _OPTIONAL_FIELDS.values() and math.isnan(numbers[at]):
-                value = None
-            found[name] = value
-            at += size
-        return cls(**found)
+        found: list[Any] = list(_OF_ROW(tuple(map(float, row))))
+        for place in _WHOLE:
+            found[place] = int(found[place])
+        for place, size in enumerate(_OPTIONAL_SIZES, start=len(found) - len(_OPTIONAL_SIZES)):
+            if math.isnan(found[place] if size == 1 else found[place][0]):
+                found[place] = None
+        return cls(*found)
 
 
 _HINTS: Final = get_type_hints(ArmStatus, include_extras=True)
 _METADATA: Final[dict[str, tuple[Any, ...]]] = {
     name: getattr(hint, "__metadata__", ()) for name, hint in _HINTS.items()
 }
-_WHOLE: Final = frozenset(name for name, hint in _HINTS.items() if getattr(hint, "__origin__", None) is int)
-_FIELDS: Final = {data[0]: name for name, data in _METADATA.items() if data and not hasattr(ArmStatus, name)}
-_OPTIONAL_FIELDS: Final = {data[0]: name for name, data in _METADATA.items() if hasattr(ArmStatus, name)}
+_WHOLE: Final = [place for place, hint in enumerate(_HINTS.values()) if getattr(hint, "__origin__", None) is int]
+_FIELDS: Final = [data[0] for name, data in _METADATA.items() if data and name not in ArmStatus._field_defaults]
 
 STATUS_VARIABLES: Final = tuple(_FIELDS)
 """RTDE variables that a status needs. Every software version has them."""
 
-OPTIONAL_VARIABLES: Final = tuple(_OPTIONAL_FIELDS)
+OPTIONAL_VARIABLES: Final = tuple(_METADATA[name][0] for name in ArmStatus._field_defaults)
 """RTDE variables since software 3.11, 3.12 and 5.5.1: UR's RTDE guide."""
 
 ROW: Final = tuple((name, data[1] if len(data) > 1 else 1) for name, data in _METADATA.items())
@@ -133,6 +129,33 @@ ROW: Final = tuple((name, data[1] if len(data) > 1 else 1) for name, data in _ME
 ROW_SIZE: Final = sum(size for _, size in ROW)
 """Length of a row."""
 
+_REQUIRED: Final = itemgetter(*STATUS_VARIABLES)
+_OPTIONAL: Final = slice(1 + len(STATUS_VARIABLES), None)
+_OPTIONAL_SIZES: Final = [size for _, size in ROW[_OPTIONAL]]
+
+
+def _numbers_and_rows() -> list[slice | int]:
+    """Return the places of required fields in order: runs of single numbers as slices, and those of rows."""
+    places: list[slice | int] = []
+    for place, (_, size) in enumerate(ROW[: _OPTIONAL.start]):
+        last = places[-1] if places else None
+        if size > 1:
+            places.append(place)
+        elif isinstance(last, slice):
+            places[-1] = slice(last.start, place + 1)
+        else:
+            places.append(slice(place, place + 1))
+    return places
+
+
+def _places_in_row() -> list[slice | int]:
+    """Return the places of all fields in a row."""
+    ends = itertools.accumulate(size for _, size in ROW)
+    return [end - 1 if size == 1 else slice(end - size, end) for (_, size), end in zip(ROW, ends, strict=True)]
+
+
+_NUMBERS_AND_ROWS: Final = _numbers_and_rows()
+_OF_ROW: Final = itemgetter(*_places_in_row())
 
 _STOPPING_BITS: Final = {
     SafetyBits.PROTECTIVE_STOPPED: "protective stop",

@@ -7,6 +7,8 @@ import math
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
+from operator import itemgetter
 from typing import Any, Final
 
 from dual_ur10.errors import ProtocolError
@@ -64,15 +66,14 @@ class RtdeStream:
         self.started = False
         self._recipe, self._where, self._texts = recipe, where, 0
         self._struct = struct.Struct(">" + "".join(f"{kind.count}{kind.code}" for _, kind in variables))
-        self._scalars: list[tuple[str, int]] = []
-        self._vectors: list[tuple[str, slice]] = []
-        place = 0
-        for name, kind in variables:
-            if kind.count == 1:
-                self._scalars.append((name, place))
-            else:
-                self._vectors.append((name, slice(place, place + kind.count)))
-            place += kind.count
+        self._names = [name for name, _ in variables]
+        ends = accumulate(kind.count for _, kind in variables)
+        places = [
+            end - 1 if kind.count == 1 else slice(end - kind.count, end)
+            for (_, kind), end in zip(variables, ends, strict=True)
+        ]
+        # With one place, `itemgetter` returns no tuple.
+        self._pick = itemgetter(*places) if len(places) > 1 else lambda flat: (flat[places[0]],)
         self.size = HEADER.size + 1 + self._struct.size
         self._frames = FrameReader(max(self.size, _LARGEST_TEXT))
 
@@ -106,11 +107,8 @@ class RtdeStream:
                 f"RTDE data package of recipe {number} with {len(payload)} bytes: expected are those of recipe "
                 f"{self._recipe}, {1 + self._struct.size} bytes"
             )
-        flat = self._struct.unpack_from(payload, 1)
-        values: dict[str, Value] = {name: flat[place] for name, place in self._scalars}
-        for name, where in self._vectors:
-            values[name] = flat[where]
-        sample = Sample(values, arrival_s)
+        found: tuple[Value, ...] = self._pick(self._struct.unpack_from(payload, 1))
+        sample = Sample(dict(zip(self._names, found, strict=True)), arrival_s)
         time_s, before = sample.timestamp_s, self.latest
         if not math.isfinite(time_s):
             raise ProtocolError(f"the controller's timestamp is {time_s}")

@@ -43,6 +43,7 @@ SLICE_S: Final = 1e-4
 _POLL_S: Final = 0.002
 _AUTOGROUP: Final = "/proc/self/autogroup"
 _SCHED_SETATTR: Final = {"x86_64": 314, "aarch64": 274}  # numbers of the system call, which libc does not wrap
+_RESET_ON_FORK: Final = 1
 _SCHED_ATTR: Final = struct.Struct("IIQiIQQQ")  # sched_setattr(2): size, policy, flags, nice, priority, slice in ns, ..
 
 
@@ -65,7 +66,7 @@ def hasten(rt_priority: int = 0) -> None:
         if os.getsid(0) == os.getpid():
             with contextlib.suppress(OSError):
                 Path(_AUTOGROUP).write_text(str(NICE))
-        _shorten_slice()
+        shorten_slice(inherited=True)
         return
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(rt_priority))
@@ -74,13 +75,19 @@ def hasten(rt_priority: int = 0) -> None:
         raise SettingsError(f"{reason}: allow it (rtprio in limits.conf), or set it to 0") from error
 
 
-def _shorten_slice() -> None:
-    """Ask for the short time slice and keep policy and niceness. A refusal changes nothing."""
+def shorten_slice(*, inherited: bool) -> None:
+    """Ask for the short time slice for the calling thread. A refusal changes nothing.
+
+    Args:
+        inherited: Threads and processes that it starts from now on get it, too. Otherwise they begin with the
+            system's ordinary scheduling.
+    """
     number = _SCHED_SETATTR.get(platform.machine())
-    if sys.platform == "linux" and number is not None:
+    if sys.platform == "linux" and number is not None and os.sched_getscheduler(0) == os.SCHED_OTHER:
         nice = os.getpriority(os.PRIO_PROCESS, 0)
+        flags = 0 if inherited else _RESET_ON_FORK
         slice_ns = round(1e9 * SLICE_S)
-        attributes = _SCHED_ATTR.pack(_SCHED_ATTR.size, os.SCHED_OTHER, 0, nice, 0, slice_ns, 0, 0)
+        attributes = _SCHED_ATTR.pack(_SCHED_ATTR.size, os.SCHED_OTHER, flags, nice, 0, slice_ns, 0, 0)
         ctypes.CDLL(None).syscall(number, 0, attributes, 0)
 
 

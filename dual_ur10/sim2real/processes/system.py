@@ -20,7 +20,7 @@ from typing import Any, Final, Protocol, TypeVar
 import numpy as np
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.processes.child_process import Child, hasten
+from dual_ur10.sim2real.processes.child_process import Child, hasten, shorten_slice
 from dual_ur10.sim2real.processes.clock import Clock, SystemClock
 from dual_ur10.sim2real.processes.garbage import GarbageCollector
 from dual_ur10.sim2real.processes.transport import Listener, TcpListener, TcpTransport, Transport
@@ -152,6 +152,9 @@ class System(Protocol):
             SettingsError: The real-time priority is refused.
         """
 
+    def hurry(self) -> None:
+        """Let the calling thread run soon after it wakes, without more processor time than its share."""
+
     def garbage(self) -> GarbageCollector:
         """Return the garbage collector of a program that moves two arms."""
 
@@ -273,6 +276,10 @@ class LocalSystem:
             gc.disable()
             np.seterr(all="ignore")
         hasten(rt_priority)
+
+    def hurry(self) -> None:
+        """See `System`."""
+        shorten_slice(inherited=False)
 
     def garbage(self) -> GarbageCollector:
         """See `System`."""

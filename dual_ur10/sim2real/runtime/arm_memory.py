@@ -43,6 +43,9 @@ class Phase(IntEnum):
     FAULTED = 5
 
 
+_PHASES: Final = tuple(Phase)
+
+
 @dataclass(frozen=True)
 class Sent:
     """Targets sent, oldest first.
@@ -157,7 +160,7 @@ class ArmMemory:
     @property
     def phase(self) -> Phase:
         """Phase of the arm's process."""
-        return Phase(int(self._ints[_PHASE]))
+        return _PHASES[int(self._ints[_PHASE])]
 
     @property
     def text(self) -> str:
@@ -234,13 +237,13 @@ class ArmMemory:
     def sent(self, since: int = 0) -> tuple[Sent, int]:
         """Return the targets sent from number `since` on, as far as they are kept, and the next number."""
         count = self.sent_count
-        rows = self._sent[np.arange(max(since, count - RING + 1, 0), count) % RING]
+        rows = _kept(self._sent, since, count)
         return Sent(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3], rows[:, 4:]), count
 
     def states(self, since: int = 0) -> tuple[Array, int]:
         """Return the states from number `since` on, as rows of `ArmStatus.row`, and the next number."""
         count = int(self._ints[_STATES])
-        return self._states[np.arange(max(since, count - RING + 1, 0), count) % RING], count
+        return _kept(self._states, since, count), count
 
     @property
     def status(self) -> ArmStatus | None:
@@ -252,3 +255,12 @@ class ArmMemory:
         """Release the memory. May be called twice."""
         self._block.close()
         self._view()
+
+
+def _kept(ring: Array, since: int, count: int) -> Array:
+    """Return a copy of the rows of a ring from number `since` to `count`, as far as they are kept."""
+    since = max(since, count - RING + 1, 0)
+    if since >= count:
+        return ring[:0].copy()
+    first, last = since % RING, (count - 1) % RING + 1
+    return ring[first:last].copy() if first < last else np.concatenate([ring[first:], ring[:last]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final, Protocol
 
@@ -68,6 +69,9 @@ class Control(Protocol):
         """End the control script."""
 
 
+_RANGE_RAD: Final = tuple(JOINT_RANGE_RAD.tolist())
+_SPEED_RAD_S: Final = tuple(HARD_SPEED_RAD_S.tolist())
+
 _ASKED: Final = "a stop was requested"
 _OTHER: Final = "the other arm stops"
 _WHILE: Final = "and while stopping"
@@ -131,10 +135,11 @@ class ArmSender:
         self.name, self.servoj, self.link, self.control = name, servoj, link, control
         self.memory, self.cell, self.others = memory, cell, others
         self._parent, self._supervised = parent, supervised
+        self._other_name = next(each for each in ARMS if each != name)
         self.clock = ControllerClock(servoj.tick_s, round_trip_s)
         self._leader = leader
         self._following = Following(servoj)
-        self._sent: list[Array] = []
+        self._sent: Array | None = None
         self._sent_s = 0.0
         self._kicked_s = 0.0
         self._first = 0  # control period
@@ -142,7 +147,7 @@ class ArmSender:
         self._index = 0.0  # its number
         self._advance = 0.0  # numbers per control period
         self._rate: Array = np.zeros(6)  # per control period, of what was sent
-        self._measured_rad: Array = np.full(6, np.nan)
+        self._measured_rad: Sequence[float] = (math.nan,) * 6
         self._alone = ""
 
     def run(self) -> None:
@@ -229,17 +234,18 @@ class ArmSender:
             period += 1
 
     def _send(self, target_rad: Array, period: int, index: float) -> None:
-        self._advance = (index - self._index) / max(period - self._period, 1) if self._sent else 0.0
+        self._advance = (index - self._index) / max(period - self._period, 1) if self._sent is not None else 0.0
         if not self._check_and_send(target_rad, period, index):
             raise StopError("its control script no longer takes targets")
-        self._following.sent(target_rad, np.abs(self._rate) / self.servoj.tick_s)
+        tick_s = self.servoj.tick_s
+        self._following.sent(target_rad.tolist(), [abs(each) / tick_s for each in self._rate.tolist()])
 
     def _check_and_send(self, target_rad: Array, period: int, index: float) -> bool:
         """Check a target and send it; return False if it was not taken."""
-        periods = max(period - self._period, 1) if self._sent else 1
+        periods = 1 if self._sent is None else max(period - self._period, 1)
         self._check(target_rad, periods)
-        self._rate = (target_rad - self._sent[-1]) / periods if self._sent else np.zeros(6)
-        self._sent, self._period, self._index = [target_rad], period, index
+        self._rate = np.zeros(6) if self._sent is None else (target_rad - self._sent) / periods
+        self._sent, self._period, self._index = target_rad, period, index
         if not self.control.isConnected():
             raise LinkError(f"{self.name}: ur_rtde has lost the controller; look at its network")
         self._sent_s = self._now_s()
@@ -253,25 +259,30 @@ class ArmSender:
             TargetError: The target is not finite, out of range, or too far from the one sent `periods` periods ago; or
                 the first target is too far from the arm.
         """
-        if not np.isfinite(target_rad).all():
-            raise TargetError(f"a target is not finite: {target_rad.tolist()}")
-        if (np.abs(target_rad) > JOINT_RANGE_RAD).any():
-            raise TargetError(f"a target is beyond the joint range: {target_rad.tolist()}")
-        tick_s = self.servoj.tick_s
-        if not self._sent:
-            self._demand(np.abs(target_rad - self._measured_rad), np.full(6, START_GAP_RAD), "from where the arm is")
+        target = target_rad.tolist()  # plain numbers: arrays of six take several times as long
+        if not all(map(math.isfinite, target)):
+            raise TargetError(f"a target is not finite: {target}")
+        if any(abs(each) > limit for each, limit in zip(target, _RANGE_RAD, strict=True)):
+            raise TargetError(f"a target is beyond the joint range: {target}")
+        if self._sent is None:
+            found = [abs(each - here) for each, here in zip(target, self._measured_rad, strict=True)]
+            self._demand(found, [START_GAP_RAD] * 6, "from where the arm is")
             return
-        step = target_rad - self._sent[-1]
-        self._demand(np.abs(step), HARD_SPEED_RAD_S * tick_s * periods, "from the one before")
-        change = _ACCELERATION * HARD_ACCELERATION_RAD_S2 * tick_s**2 * (periods + 1)
-        self._demand(np.abs(step / periods - self._rate), np.full(6, change), "per period off its previous motion")
+        tick_s = self.servoj.tick_s
+        steps = [each - last for each, last in zip(target, self._sent.tolist(), strict=True)]
+        speed = tick_s * periods
+        self._demand([*map(abs, steps)], [each * speed for each in _SPEED_RAD_S], "from the one before")
+        most = _ACCELERATION * HARD_ACCELERATION_RAD_S2 * tick_s**2 * (periods + 1)
+        found = [abs(step / periods - rate) for step, rate in zip(steps, self._rate.tolist(), strict=True)]
+        self._demand(found, [most] * 6, "per period off its previous motion")
 
-    def _demand(self, found: Array, allowed: Array, what: str) -> None:
-        if not (found <= allowed * (1 + 1e-9)).all():
-            joint = int((found / allowed).argmax())
-            raise TargetError(
-                f"a target is {found[joint]:.4f} rad {what} at joint {joint}: allowed are {allowed[joint]:.4f}"
-            )
+    def _demand(self, found: list[float], allowed: list[float], what: str) -> None:
+        for each, limit in zip(found, allowed, strict=True):
+            if not each <= limit * (1 + 1e-9):
+                joint = int(np.divide(found, allowed).argmax())
+                raise TargetError(
+                    f"a target is {found[joint]:.4f} rad {what} at joint {joint}: allowed are {allowed[joint]:.4f}"
+                )
 
     def _listen(self, until_s: float, *, playing: bool = True) -> None:
         """Process the controller's states until a time.
@@ -290,7 +301,7 @@ class ArmSender:
             for sample in self.link.poll():
                 self.clock.note(sample.timestamp_s, sample.arrival_s)
                 status = ArmStatus.from_sample(sample)
-                self._measured_rad = np.array(status.q_rad)
+                self._measured_rad = status.q_rad
                 reason = stop_reason(status, allow_reduced=self.cell.allow_reduced, playing=playing)
                 reason = reason or self._following(status)
                 if reason is not None:
@@ -314,19 +325,19 @@ class ArmSender:
             raise StopError(self.cell.fault)
         if stop_requested:
             raise StopError(_ASKED)
+        sends = self._sent is not None
         for other in self.others:
             phase = other.phase
             if phase >= Phase.STOPPING:
                 raise StopError(f"{_OTHER}: {other.text}")
-            limit_s = STALE_S if self._sent or phase == Phase.STREAMING else WAITING_S
-            other_name = next(each for each in ARMS if each != self.name)
+            limit_s = STALE_S if sends or phase == Phase.STREAMING else WAITING_S
             if phase in (Phase.READY, Phase.STREAMING) and now - other.beat_s > limit_s:
-                raise StopError(f"the process of the {other_name} arm no longer responds")
-            if self._sent and phase < Phase.STREAMING and now - self.cell.begin_s > STALE_S:
-                raise StopError(f"the {other_name} arm does not begin: this machine is too busy")
+                raise StopError(f"the process of the {self._other_name} arm no longer responds")
+            if sends and phase < Phase.STREAMING and now - self.cell.begin_s > STALE_S:
+                raise StopError(f"the {self._other_name} arm does not begin: this machine is too busy")
         if self._parent is not None and self._system.is_orphan(self._parent):
             raise StopError("the program that sends targets has ended")
-        if self._supervised and self._sent and now - self.cell.supervisor_beat_s > STALE_S:
+        if self._supervised and sends and now - self.cell.supervisor_beat_s > STALE_S:
             raise StopError("the supervisor no longer responds")
 
     def _stop(self, reason: str, *, on_path: bool) -> None:
@@ -338,7 +349,7 @@ class ArmSender:
                 otherwise along the current direction.
         """
         self.memory.enter(Phase.STOPPING, f"{self.name}: {reason}")
-        if self._sent and self._now_s() - self._sent_s > MOST_LATE_S:
+        if self._sent is not None and self._now_s() - self._sent_s > MOST_LATE_S:
             # The watchdog has ended the program by now: nothing may be sent any more.
             self.memory.enter(Phase.FAULTED, f"{self.name}: {reason}")
             return
@@ -401,12 +412,12 @@ class ArmSender:
         tick_s = self.servoj.tick_s
         most = round(_ALONE_S / tick_s)
         missed = self.clock.next_period(self._now_s(), ARRIVAL_PHASE)[0] - self._period
-        if not self._sent:
+        if self._sent is None:
             return True
         if missed > most:
             self._alone = f"; sent nothing for {1e3 * missed * tick_s:.0f} ms, it stopped at its last target"
             return True
-        last, rate, begin, advance = self._sent[-1], self._rate, self._index, self._advance
+        last, rate, begin, advance = self._sent, self._rate, self._index, self._advance
         # Both arms slow down together, as the faster one requires.
         speed = max([np.abs(rate).max() / tick_s, *(_speed(other, tick_s) for other in self.others)])
         on_path = on_path and advance > 0.0

@@ -115,6 +115,7 @@ class RtdeCell:
         self._placer: ObjectPlacer | None = None
         self._garbage = system.garbage()
         self._garbage.collect()  # before any thread waits for an answer: in a large program it takes half a second
+        system.hurry()  # this program owes actions in time, also while a training fills the machine
         self._runner: Runner | None = Runner(self.file, config, coupled=coupled, system=system)
         self._end = weakref.finalize(self, self._runner.close)
         try:

@@ -225,8 +225,12 @@ class Runner:
             CellFaulted: Both arms are stopped, for example because a state is not finite.
         """
         end = self.clock.now_s() + _STATE_S
+        found: list[ArmStatus | None] = [None for _ in self.arms]
+        counts = [(-1, -1) for _ in self.arms]
         while True:
-            found = [self._status_after(memory, index) for memory in self.arms]
+            for arm, memory in enumerate(self.arms):
+                if found[arm] is None and counts[arm] != (now := (memory.sent_count, memory.state_count)):
+                    counts[arm], found[arm] = now, self._status_after(memory, index)
             known = [each for each in found if each is not None]
             late = self.clock.now_s() > end
             if late and len(known) < len(found):

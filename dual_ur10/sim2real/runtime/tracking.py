@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -30,6 +31,9 @@ _SLACK_RAD: Final = 0.02
 _FORGETTING_S: Final = 0.4  # time constant with which the largest recent speed decays
 
 
+_ALLOWED_RAD: Final = (DEVIATION_RAD,) * 6
+
+
 class Deviation:
     """Counts consecutive states with a deviation above its limit.
 
@@ -40,14 +44,19 @@ class Deviation:
     def __init__(self, text: str) -> None:
         self._text, self._rows = text, 0
 
-    def __call__(self, apart_rad: Array, allowed_rad: Array) -> str | None:
+    def __call__(self, apart_rad: Sequence[float] | Array, allowed_rad: Sequence[float] | Array) -> str | None:
         """Return the reason why the arm must stop, or None."""
-        over = apart_rad - allowed_rad
-        over = np.where(np.isnan(over), np.inf, over)
-        self._rows = self._rows + 1 if (over > 0.0).any() else 0
+        for apart, allowed in zip(apart_rad, allowed_rad, strict=True):
+            if not apart <= allowed:  # NaN, too
+                break
+        else:
+            self._rows = 0
+            return None
+        self._rows += 1
         if self._rows < _ROWS:
             return None
-        joint = int(over.argmax())
+        over = np.subtract(apart_rad, allowed_rad)
+        joint = int(np.where(np.isnan(over), np.inf, over).argmax())
         return self._text.format(
             joint=JOINTS[joint], found=f"{apart_rad[joint]:.3f}", allowed=f"{allowed_rad[joint]:.3f}"
         )
@@ -58,11 +67,10 @@ class Tracking:
 
     def __init__(self) -> None:
         self._deviation = Deviation("{joint} is {found} rad from where its controller wants it, allowed are {allowed}")
-        self._allowed: Array = np.full(6, DEVIATION_RAD)
 
     def __call__(self, status: ArmStatus) -> str | None:
         """Return the reason why the arm must stop, or None."""
-        return self._deviation(np.abs(np.subtract(status.target_q_rad, status.q_rad)), self._allowed)
+        return self._deviation(_distances(status.target_q_rad, status.q_rad), _ALLOWED_RAD)
 
 
 class Following:
@@ -75,24 +83,31 @@ class Following:
     def __init__(self, servoj: ServojProfile) -> None:
         self._behind_s = servoj.lookahead_s + _TRANSIT_S
         self._forgetting = math.exp(-servoj.tick_s / _FORGETTING_S)
-        self._target: Array | None = None
-        self._speed: Array = np.zeros(6)
+        self._target: Sequence[float] | Array | None = None
+        self._speed = [0.0] * 6
         self._tracking = Tracking()
         self._deviation = Deviation(
             "{joint} has a target {found} rad from the one sent, allowed are {allowed}: the controller does not follow"
         )
 
-    def sent(self, target_rad: Array, speed_rad_s: Array) -> None:
-        """Record a target sent and its speed."""
+    def sent(self, target_rad: Sequence[float] | Array, speed_rad_s: Sequence[float] | Array) -> None:
+        """Record a target sent and its speed, six plain numbers each."""
         self._target = target_rad
-        self._speed = np.maximum(speed_rad_s, self._forgetting * self._speed)
+        kept = self._forgetting
+        self._speed = [max(new, kept * old) for new, old in zip(speed_rad_s, self._speed, strict=True)]
 
     def __call__(self, status: ArmStatus) -> str | None:
         """Return the reason why the arm must stop, or None."""
         reason = self._tracking(status)
         if reason is not None or self._target is None:
             return reason
-        return self._deviation(np.abs(self._target - status.target_q_rad), self._speed * self._behind_s + _SLACK_RAD)
+        allowed = [speed * self._behind_s + _SLACK_RAD for speed in self._speed]
+        return self._deviation(_distances(self._target, status.target_q_rad), allowed)
+
+
+def _distances(first: Sequence[float] | Array, second: Sequence[float]) -> list[float]:
+    # Six plain numbers: an array for so few takes ten times as long, in every control period.
+    return [abs(one - other) for one, other in zip(first, second, strict=True)]
 
 
 class TemperatureWarning:

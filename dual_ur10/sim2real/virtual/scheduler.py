@@ -10,7 +10,7 @@ import heapq
 import logging
 import math
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any, Final
 
@@ -51,11 +51,12 @@ class Endpoint:
 
     def note(self) -> None:
         """Tell the scheduler whether it can be read, and wake the actors that wait for it."""
-        if self.readable:
-            self._scheduler.readable.add(self.number)
+        scheduler, number = self._scheduler, self.number
+        if self.readable or number not in scheduler.files:
+            scheduler.readable.add(number)
         else:
-            self._scheduler.readable.discard(self.number)
-        self._scheduler.notify(self.number)
+            scheduler.readable.discard(number)
+        scheduler.notify(number)
 
 
 class Group:
@@ -104,7 +105,7 @@ class Scheduler:
         now_s: Time, s.
         current: Actor that runs.
         files: Ends of connections by file number.
-        readable: Numbers of those that can be read.
+        readable: Numbers of those that can be read, or were closed.
         waiting: File numbers that actors wait for.
         failures: Actors that ended with an error.
     """
@@ -116,7 +117,7 @@ class Scheduler:
         self._queue: list[tuple[float, int, int, Actor]] = []
         self.files: dict[int, Endpoint] = {}
         self.readable: set[int] = set()
-        self.waiting: dict[Actor, set[int]] = {}
+        self.waiting: dict[Actor, Container[int]] = {}
         self._count = 0
         self._turns = 0
         self._main = Actor(0, self.program, "program")
@@ -134,7 +135,7 @@ class Scheduler:
     def forget_file(self, number: int) -> None:
         """Release a file number."""
         self.files.pop(number, None)
-        self.readable.discard(number)
+        self.readable.add(number)
 
     # Actors.
 
@@ -300,7 +301,7 @@ class VirtualClock:
             scheduler.go_on()
             return ready
         actor = scheduler.current
-        scheduler.waiting[actor] = {*readers, *writers}
+        scheduler.waiting[actor] = (*readers, *writers) if writers else readers
         try:
             scheduler.wait(until_s)
         finally:
@@ -312,8 +313,8 @@ def _ready(scheduler: Scheduler, readers: Sequence[int], writers: Sequence[int])
     """Return the readers and writers that are ready; a closed one is."""
     files, readable = scheduler.files, scheduler.readable
     return (
-        [each for each in readers if each in readable or each not in files],
-        [each for each in writers if each not in files or files[each].writable],
+        [] if readable.isdisjoint(readers) else [each for each in readers if each in readable],
+        [each for each in writers if each not in files or files[each].writable] if writers else [],
     )
 
 

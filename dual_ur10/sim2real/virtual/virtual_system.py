@@ -211,6 +211,9 @@ class VirtualSystem:
                 "emulated cell"
             )
 
+    def hurry(self) -> None:
+        """Do nothing: a virtual process runs whenever it is due."""
+
     def garbage(self) -> GarbageCollector:
         """See `System`."""
         return NoGarbageCollector()

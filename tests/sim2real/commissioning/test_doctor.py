@@ -211,7 +211,7 @@ def test_an_old_controller_has_no_serial_number_and_no_model(cb3):
 
 
 def test_an_old_controller_does_not_report_its_tool():
-    status = dataclasses.replace(status_of(), payload_kg=None, payload_cog_m=None, tcp_offset=None)
+    status = status_of()._replace(payload_kg=None, payload_cog_m=None, tcp_offset=None)
     findings = list(tool_findings("left", ExpectedArm(host="127.0.0.1", **BARE), status))
     assert [each.name for each in findings] == ["TCP", "payload"]
     assert {each.level for each in findings} == {"warn"}

@@ -115,10 +115,10 @@ def test_a_peer_that_is_finished_is_closed_after_its_answer(harness):
 def test_the_last_bytes_of_a_disconnected_client_take_effect(harness, frozen):
     """Many clients send a program and close at once, with the stream unread: the end arrives as a reset."""
     client = harness.client(greeted=False)
-    harness.port.faults.frozen = frozen
+    harness.port.inject(frozen=frozen)
     client.sendall(b"a program\n")
     client.close()
-    harness.port.broadcast(b"a packet of the stream")
+    harness.port.broadcast(lambda: b"a packet of the stream")
     assert getattr(harness.peers[0], "last", None) == (None if frozen else b"a program\n")
     assert harness.port.connections == []
     assert harness.peers[0].ended == 1
@@ -129,7 +129,7 @@ def test_a_client_that_never_reads_loses_packets(harness):
     packet = bytes(1000)
     got = 0
     for _ in range(4000):
-        harness.port.broadcast(packet)
+        harness.port.broadcast(lambda: packet)
         harness.hub.poll(0.0)
         got += len(eager.recv(1 << 20))
     connection = harness.port.connections[0]
@@ -194,31 +194,31 @@ def test_a_thousand_connections_leave_nothing_behind(harness):
 
 def test_a_muted_port_is_silent(harness):
     client = harness.client()
-    harness.port.faults.mute = True
+    harness.port.inject(mute=True)
     assert harness.answer(client, b"anyone?") is None
-    harness.port.faults.mute = False
+    harness.port.inject(mute=False)
     assert harness.answer(client, b"ah") == b"ah"
 
 
 def test_a_frozen_port_reads_later(harness):
     client = harness.client()
-    harness.port.faults.frozen = True
+    harness.port.inject(frozen=True)
     harness.port.connections[0].flush()
     assert harness.answer(client, b"later") is None
-    harness.port.faults.frozen = False
+    harness.port.inject(frozen=False)
     harness.port.connections[0].flush()
     assert harness.read(client) == b"later"
 
 
 def test_a_half_open_port_accepts_and_sends_nothing(harness):
-    harness.port.faults.half_open = True
+    harness.port.inject(half_open=True)
     client = harness.client(greeted=False)
     assert harness.answer(client, b"anyone?") is None
 
 
 def test_delayed_bytes_keep_their_order(harness):
     client = harness.client()
-    harness.port.faults.delay_s, harness.port.faults.jitter_s = 0.02, 0.03
+    harness.port.inject(delay_s=0.02, jitter_s=0.03)
     begin = time.monotonic()
     for number in range(20):
         client.sendall(b"%02d" % number)
@@ -233,16 +233,16 @@ def test_delayed_bytes_keep_their_order(harness):
 
 def test_lost_packets_are_those_of_streams(harness):
     client = harness.client()
-    harness.port.faults.lose = 2
+    harness.port.inject(lose=2)
     assert harness.answer(client, b"answered") == b"answered"
     for number in range(4):
-        harness.port.broadcast(b"%d" % number)
+        harness.port.broadcast(lambda number=number: b"%d" % number)
     assert harness.read(client) == b"23"
 
 
 def test_one_byte_of_a_packet_is_changed(harness):
     client = harness.client()
-    harness.port.faults.corrupt = 1
+    harness.port.inject(corrupt=1)
     sent = bytes(range(100, 150))
     got = harness.answer(client, sent)
     assert len(got) == len(sent)

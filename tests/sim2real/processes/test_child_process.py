@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pathlib
 import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -229,6 +230,8 @@ def test_an_orphan_does_nothing(tmp_path):
     assert not out.exists()
 
 
+LINUX = tuple(map(int, re.findall(r"\d+", os.uname().release)[:2])) if sys.platform == "linux" else (0, 0)
+
 # Program that reports niceness, time slice and the niceness of its session after `hasten`.
 HASTENED = """
 import ctypes
@@ -255,10 +258,20 @@ def hastened(*, own_session: bool) -> list[str]:
 @pytest.mark.skipif(sys.platform != "linux", reason="time slices and groups of sessions are Linux's")
 def test_a_process_with_deadlines_gets_the_priority_it_asks_for() -> None:
     nice, slice_ns, of_session = hastened(own_session=True)
-    if tuple(map(int, os.uname().release.split("-")[0].split(".")[:2])) >= (6, 12):
+    if LINUX >= (6, 12):
         assert int(slice_ns) == round(1e9 * SLICE_S)
     if os.geteuid() == 0 and int(nice) == NICE:
         assert of_session in (str(NICE), "none")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="time slices are Linux's")
+def test_a_program_that_owes_actions_keeps_its_niceness():
+    program = HASTENED.replace("hasten()", "shorten_slice(inherited=False)").replace("hasten\n", "shorten_slice\n")
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    nice, slice_ns, _ = run.stdout.split()
+    assert int(nice) == os.getpriority(os.PRIO_PROCESS, 0)
+    if LINUX >= (6, 12):
+        assert int(slice_ns) == round(1e9 * SLICE_S)
 
 
 @pytest.mark.skipif(not pathlib.Path("/proc/self/autogroup").exists(), reason="this system groups no sessions")

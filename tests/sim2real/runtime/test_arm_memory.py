@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import subprocess
 import sys
 
@@ -202,7 +201,7 @@ def test_the_newest_packets_and_states_are_kept(pair):
     np.testing.assert_array_equal(sent.period, np.arange(count - RING + 1, count))
     status = status_of()
     for number in range(count):
-        theirs.note_state(dataclasses.replace(status, timestamp_s=float(number)) if number % 100 == 0 else status)
+        theirs.note_state(status._replace(timestamp_s=float(number)) if number % 100 == 0 else status)
     states, following = mine.states()
     assert (len(states), following) == (RING - 1, count)
 

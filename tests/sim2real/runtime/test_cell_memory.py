@@ -128,6 +128,7 @@ def test_a_scaling_overwritten_during_a_read_is_read_again(pair, monkeypatch):
     monkeypatch.setattr(theirs, "_scalings", Slow())
     Slow.times = 3
     assert theirs.time_scaling == TimeScaling(13.0, 2.0)
+    mine.set_time_scaling(TimeScaling(20.0, 2.0))  # a reader reads new ones only
     Slow.times = 10_000
     with pytest.raises(LinkError, match="faster than it can be read"):
         theirs.time_scaling  # noqa: B018

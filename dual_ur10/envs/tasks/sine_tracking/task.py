@@ -249,12 +249,9 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     def observe_agents(self, observation: Array) -> Array:
         """Return each agent's own observation, (n, 2, 41), from those of both, (n, 68)."""
-        n, size = len(observation), self.layout.size
-        result = np.empty((n, 2, size + 7))
-        result[..., :size] = observation.reshape(n, 2, size)
         others = observation[:, None] @ self._others[0] + self._others[1]
-        result[..., size:] = others.reshape(n, 2, 7)
-        return result
+        arms = len(observation), 2, -1
+        return np.concatenate([observation.reshape(arms), others.reshape(arms)], axis=2)
 
     def evaluate(self, state: CellState, measured: SineMeasured) -> Outcome:
         """Evaluate reward terms, success and end."""

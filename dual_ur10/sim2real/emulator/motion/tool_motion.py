@@ -52,15 +52,9 @@ class ToolMotion(Reference):
         """Return the pose of the flange at joint angles (6,)."""
         return pose_of(self.arm.tcp(q, Tool()))
 
-    def tcp_poses_and_speeds(self, q: Array, qd: Array) -> tuple[list[UrPose], list[tuple[float, ...]]]:
-        """Return poses (6,) and speeds (6,), m/s and rad/s in base, of the TCP at joint angles and speeds (n, 6)."""
-        frames, jacobian = self.arm.tcp_and_jacobian(q, self.tool)
-        poses = [pose_of(Frame(*each)) for each in zip(*frames, strict=True)]
-        return poses, [tuple(each) for each in (jacobian @ qd[..., None])[..., 0].tolist()]
-
     def tcp_speed(self, q: Sequence[float] | Array, qd: Sequence[float] | Array) -> tuple[float, ...]:
         """Return the speed (6,) of the TCP, m/s and rad/s in base."""
-        return self.tcp_poses_and_speeds(np.array([q], dtype=np.float64), np.array([qd], dtype=np.float64))[1][0]
+        return self.arm.pose_and_speed(np.array(q, dtype=np.float64), np.array(qd, dtype=np.float64), self.tool)[1]
 
     def forward(self, q: Sequence[float] | Array, tcp: Sequence[float] | None = None) -> UrPose:
         """`get_forward_kin`: return the pose of a TCP, by default the one that is set, at joint angles (6,)."""

@@ -19,6 +19,8 @@ def add(left: Any, right: Any) -> Any:
     """Left + right."""
     if left.__class__ is float and right.__class__ is float:
         return left + right
+    if left.__class__ is int and right.__class__ is int and _INT_MIN <= (whole := left + right) <= INT_MAX:
+        return whole
     return _fits(number(left) + number(right))
 
 
@@ -26,6 +28,8 @@ def subtract(left: Any, right: Any) -> Any:
     """Left - right."""
     if left.__class__ is float and right.__class__ is float:
         return left - right
+    if left.__class__ is int and right.__class__ is int and _INT_MIN <= (whole := left - right) <= INT_MAX:
+        return whole
     return _fits(number(left) - number(right))
 
 
@@ -33,6 +37,8 @@ def multiply(left: Any, right: Any) -> Any:
     """Left * right."""
     if left.__class__ is float and right.__class__ is float:
         return left * right
+    if left.__class__ is int and right.__class__ is int and _INT_MIN <= (whole := left * right) <= INT_MAX:
+        return whole
     return _fits(number(left) * number(right))
 
 
@@ -110,6 +116,10 @@ def get_cell(base: Any, row: Any, column: Any) -> Any:
 
 def put(value: Any, base: Any, index: Any) -> Any:
     """Return a copy of base in which element `index` is the value."""
+    if base.__class__ is list and index.__class__ is int and 0 <= index < len(base) and value.__class__ in _SCALARS:
+        changed = base.copy()
+        changed[index] = value
+        return changed
     _check(base, index)
     if base.__class__ is Pose:
         changed = base.copy()

@@ -3,6 +3,7 @@ import pytest
 from dm_control.utils import rewards
 
 from dual_ur10 import errors
+from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.tasks.sine_tracking.settings import SineSettings
 from dual_ur10.envs.tasks.task import gaussian
@@ -30,6 +31,24 @@ def test_the_sine_begins_at_rest_without_acceleration():
         assert np.abs(np.diff(speed)).max() < 2e-3  # no step at the end of the soft start
         late = time >= 2.0
         assert np.allclose(x[late], 0.1 * np.sin(np.pi * time[late] + phase), atol=1e-12)
+
+
+def test_the_references_lie_on_the_sine():
+    core = Core("SineTracking", {"axis": (1.0, 2.0, -0.5), "arms": "both"}, n=3)
+    core.reset([np.random.default_rng(seed) for seed in range(3)])
+    task, settings = core.task, core.task.settings
+    begin = task.measure(core._state).reference_m
+    zero = settings.displacement_m(np.zeros((3, 1)), task._phase)
+    for _ in range(70):  # beyond the soft start
+        core.step(np.zeros((3, 12)))
+        time, measured = core._state.time_s[:, None], task.measure(core._state)
+        moved = (settings.displacement_m(time, task._phase) - zero)[:, :, None] * settings.direction
+        assert np.abs(measured.reference_m - begin - moved).max() < 1e-14
+        ahead = settings.displacement_m(time + task.timing.ahead_s, task._phase) - settings.displacement_m(
+            time, task._phase
+        )
+        away = np.linalg.norm(measured.ahead_base_m - measured.reference_base_m, axis=2)
+        assert np.abs(away - np.abs(ahead)).max() < 1e-14
 
 
 def test_displacements_do_not_depend_on_other_rows():

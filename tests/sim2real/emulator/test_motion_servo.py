@@ -47,7 +47,8 @@ def test_servoj_matches_the_simulation(family):
     simulated.reset(np.array([[Q0, Q0]]), np.array([0]))
     arm = motion(tick_s=profile.tick_s, substeps=substeps)
     for target in _targets(3, 200):
-        rows = np.stack(simulated(np.array([[[target, target]]])), axis=2)[0, :, :, :6]
+        followed = simulated(np.array([[[target, target]]]))
+        rows = np.stack([followed.q_rad, followed.qd_rad_s, followed.qdd_rad_s2], axis=2)[0, :, :, :6]
         arm.servo_joints(target, profile.tick_s, profile.lookahead_s, profile.gain)
         plan = arm.plan()
         # Differences divide rounding by the time step, once and twice.

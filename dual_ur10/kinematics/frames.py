@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, quat_to_matrix
 from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
 from dual_ur10.types import Array, Vector3, constant
@@ -126,6 +125,7 @@ class Frames:
         rotations = [quat_from_rotvec(np.array([0.0, 0.0, -np.pi - mount.yaw_rad])) for mount in mounts]
         self._quat = np.stack([left_product(each) for each in rotations])
         self._back = np.stack([left_product(quat_conjugate(each)) for each in rotations])
+        self._to_bases: dict[int, tuple[Array, Array]] = {}
 
     def position_to_base(self, position_m: Array) -> Array:
         """Convert cell frame positions (..., 2, 3) to each arm's own `base` frame."""
@@ -153,13 +153,32 @@ class Frames:
         result: Array = (quat[..., None, :] @ self._back)[..., 0, :]
         return result
 
-    def poses_to_base(self, pose: Poses) -> Poses:
-        """Convert poses in the cell frame, (n, 2 or 1, ...), to each arm's own `base` frame, (n, 2, ...)."""
-        both = (len(pose.position_m), 2)
-        return Poses(
-            self.position_to_base(np.broadcast_to(pose.position_m, (*both, 3))),
-            self.quat_to_base(np.broadcast_to(pose.quat, (*both, 4))),
-        )
+    def poses_to_bases(self, poses: Array) -> Array:
+        """Convert poses in the cell frame to the `base` frames of both arms.
+
+        Args:
+            poses: (n, 7 k) position and quaternion of k poses, one after another.
+
+        Returns:
+            (n, 2, 7 k).
+        """
+        count = poses.shape[1] // 7
+        if count not in self._to_bases:
+            self._to_bases[count] = self._matrix_of(count)
+        matrix, offset = self._to_bases[count]
+        result: Array = poses[:, None] @ matrix
+        result += offset
+        return result.reshape(len(poses), 2, 7 * count)
+
+    def _matrix_of(self, count: int) -> tuple[Array, Array]:
+        """Return the matrix (7 k, 14 k) and the offset (14 k,) that convert `count` poses."""
+        matrix, offset = np.zeros((count, 7, 2, count, 7)), np.zeros((2, count, 7))
+        for k in range(count):
+            for arm in (0, 1):
+                matrix[k, :3, arm, k, :3] = self.rotation[arm].T
+                matrix[k, 3:, arm, k, 3:] = self._quat[arm]
+        offset[..., :3] = -(self.rotation @ self.base_m[..., None])[:, None, :, 0]
+        return matrix.reshape(7 * count, 14 * count), offset.reshape(14 * count)
 
     @property
     def others_pose(self) -> Array:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, rotate
+from dual_ur10.kinematics.rotations import quat_between, quat_conjugate, quat_multiply, rotate
 from dual_ur10.types import Array
 
 
@@ -27,8 +27,8 @@ def compose(frame: Poses, pose: Poses) -> Poses:
 
 def relative_to(frame: Poses, pose: Poses) -> Poses:
     """Return `pose` in the frame `frame`; both are given in the same frame."""
-    back = quat_conjugate(frame.quat)
-    return Poses(rotate(back, pose.position_m - frame.position_m), quat_multiply(back, pose.quat))
+    away = rotate(quat_conjugate(frame.quat), pose.position_m - frame.position_m)
+    return Poses(away, quat_between(frame.quat, pose.quat))
 
 
 def rotation_angle(quat: Array) -> Array:

@@ -41,6 +41,7 @@ def _matrix_table() -> Array:
 
 
 _PRODUCT: Final = _product_table().reshape(16, 4)
+_BETWEEN: Final = (_product_table() * _CONJUGATE[:, None, None]).reshape(16, 4)
 _MATRIX: Final = _matrix_table()
 
 # The inverse map: 4 q_i q_j is linear in the matrix, plus a constant.
@@ -79,6 +80,13 @@ def quat_conjugate(quat: ArrayLike) -> Array:
     """Return the opposite rotation of each quaternion (..., 4)."""
     conjugate: Array = _float(quat) * _CONJUGATE
     return conjugate
+
+
+def quat_between(first: Array, second: Array) -> Array:
+    """Return the orientations (..., 4) of `second` in the frames of `first`: conjugate of first times second."""
+    outer = first[..., :, None] * second[..., None, :]
+    product: Array = outer.reshape(*outer.shape[:-2], 16) @ _BETWEEN
+    return product
 
 
 def quat_to_matrix(quat: ArrayLike) -> Array:

@@ -34,6 +34,11 @@ def test_conjugate_undoes() -> None:
     np.testing.assert_allclose(identity, np.tile([1.0, 0, 0, 0], (1000, 1)), atol=1e-15)
 
 
+def test_between_leads_from_the_first_to_the_second() -> None:
+    between = rotations.quat_between(wxyz(RANDOM), wxyz(OTHER))
+    np.testing.assert_allclose(rotations.quat_multiply(wxyz(RANDOM), between), wxyz(OTHER), atol=1e-14)
+
+
 def test_matrix_both_ways() -> None:
     quat = wxyz(RANDOM)
     quat *= np.copysign(1.0, quat[:, :1])

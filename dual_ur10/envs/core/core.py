@@ -253,7 +253,8 @@ class Core:
             cell.stop(f"the policy's action was refused: {error}")
             raise
         try:
-            period = self._advance(cell, command._replace(payload_kg=self.task.payload_kg()))
+            payload_kg = self.task.payload_kg()
+            period = self._advance(cell, command if payload_kg is None else command._replace(payload_kg=payload_kg))
         except CellFaulted:
             self._state = before  # a fault persists, and the next step reports it again
             raise

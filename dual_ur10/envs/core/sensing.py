@@ -25,6 +25,10 @@ class Sensing:
         randomization: Noise, in addition to that of the cell's wrench.
         period_s: Time between two observations.
         n: Number of cells.
+
+    Attributes:
+        is_exact: True if the measured state is the true one.
+        keeps_poses: True if poses and gripper widths are measured without error; joints and wrenches may have noise.
     """
 
     def __init__(self, config: CellConfig, randomization: Randomization, period_s: float, n: int) -> None:
@@ -36,27 +40,21 @@ class Sensing:
         force, torque = config.wrench_noise if simulated and config.equipment.grippers else (0.0, 0.0)
         self._sigma = np.repeat([joint, speed, force, torque], [12, 12, 6, 6])
         self._noisy = bool(self._sigma.any())
+        self._noisy_joints = bool(self._sigma[:24].any())
         self._offset = bool(randomization.object_noise_m or randomization.object_noise_rad)
         plant = config.perturbation.expanded(n)
         moved = plant["base_shift_m"].any() or plant["base_turn_rad"].any()
         self._moved = bool(moved or randomization.base_shift_m or randomization.base_turn_rad)
         self._late = bool(randomization.observation_delay_s)
+        self._all = np.arange(n)
+        self.is_exact = not (self._noisy or self._offset or self._moved or self._late)
+        self.keeps_poses = not (self._offset or self._moved or self._late)
         self._rngs = [np.random.default_rng(0) for _ in range(n)]
         self._shift: Array = np.zeros((n, 3))
         self._turn: Array = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
         self._age: Array = np.zeros(n)
         self._noise: Array = np.zeros((n, 36))
         self._before: CellState | None = None
-
-    @property
-    def is_exact(self) -> bool:
-        """True if the measured state is the true one."""
-        return not (self._noisy or self._offset or self._moved or self._late)
-
-    @property
-    def keeps_poses(self) -> bool:
-        """True if poses and gripper widths are measured without error; joints and wrenches may have noise."""
-        return not (self._offset or self._moved or self._late)
 
     def reset(self, state: CellState, rows: Rows, seeds: Sequence[int], sampled: Mapping[str, Array]) -> None:
         """Begin episodes in `rows`.
@@ -93,13 +91,13 @@ class Sensing:
         if self.is_exact:
             return state
         if self._noisy:
-            self._sample_noise(np.arange(self.n))
+            self._sample_noise(self._all)
         before, self._before = self._before, _copy(state) if self._late else None
         return self._measured(state, before)
 
     def _sample_noise(self, rows: Rows) -> None:
         for row in rows.tolist():
-            self._noise[row] = self._rngs[row].standard_normal(36)
+            self._rngs[row].standard_normal(out=self._noise[row])
 
     def _measured(self, state: CellState, before: CellState | None) -> CellState:
         measured = state if before is None else self._aged(state, before)
@@ -129,14 +127,15 @@ class Sensing:
 
     def _with_noise(self, state: CellState) -> CellState:
         noise = self._noise * self._sigma
-        state = state._replace(
-            q_rad=state.q_rad + noise[:, :12].reshape(-1, 2, 6),
-            qd_rad_s=state.qd_rad_s + noise[:, 12:24].reshape(-1, 2, 6),
-        )
+        if self._noisy_joints:
+            q_rad, qd_rad_s = noise[:, :24].reshape(-1, 2, 2, 6).swapaxes(0, 1)
+            state = state._replace(q_rad=state.q_rad + q_rad, qd_rad_s=state.qd_rad_s + qd_rad_s)
         if state.wrench is None:
             return state
-        force, torque = noise[:, 24:30].reshape(-1, 2, 3), noise[:, 30:].reshape(-1, 2, 3)
-        return state._replace(wrench=state.wrench + np.concatenate([force, torque], axis=2))
+        # The noise is that of both forces, then of both torques.
+        wrench = noise[:, 24:].reshape(-1, 2, 2, 3).swapaxes(1, 2).reshape(-1, 2, 6)
+        wrench += state.wrench
+        return state._replace(wrench=wrench)
 
 
 def _copy(state: CellState) -> CellState:

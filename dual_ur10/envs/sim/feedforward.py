@@ -84,18 +84,18 @@ class FeedForward:
         """Declare a mass at each flange, (n, 2), to the controller, in place of the one before."""
         self._declared_kg[:] = mass_kg
 
-    def __call__(self, motion: Motion, payload_kg: Array | float = 0.0) -> Array:
+    def __call__(self, motion: Motion, payload_kg: Array | None = None) -> Array:
         """Return `control`, (n, steps, 2, 6 or 7), with those of the joints written anew.
 
         Args:
             motion: Wanted motion.
-            payload_kg: (n, steps, 2) declared mass in each gripper, or one for all.
+            payload_kg: (n, steps, 2) declared mass in each gripper; None: nothing is carried.
         """
         if motion is not self._motion:  # the reference keeps writing to the same one
             self._motion = motion
             rows = motion.rows
             struct = Struct("FeedForward", **self._fields, outputs=rows.shape[1], motion=rows)
             self._step = RowLoop("feed_forward_step", struct, len(rows), self._threads)
-        self._payload_kg[:] = payload_kg
+        self._payload_kg[:] = 0.0 if payload_kg is None else payload_kg
         self._step()
         return self.control

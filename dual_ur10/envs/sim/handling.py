@@ -42,6 +42,7 @@ class GripperServos:
         self.substeps, self.slack_m = substeps, slack_m
         self._step_m = SPEED_M_S * tick_s
         self._delay = round(LATENCY_S / tick_s)
+        self._share: Array = (np.arange(1, substeps + 1) / substeps)[:, None, None]
         self._waiting: Array = np.full((n, self._delay, 2), OPENING_M)
         self._reference: Array = np.full((n, 2), OPENING_M)
 
@@ -60,8 +61,9 @@ class GripperServos:
         Raises:
             ActionError: A width is beyond the gripper's range, or not a number.
         """
-        if not ((commanded_m >= 0.0) & (commanded_m <= OPENING_M)).all():
-            row, tick, arm = np.argwhere(~((commanded_m >= 0.0) & (commanded_m <= OPENING_M)))[0]
+        within = (commanded_m >= 0.0) & (commanded_m <= OPENING_M)
+        if not np.logical_and.reduce(within, axis=None):
+            row, tick, arm = np.argwhere(~within)[0]
             raise ActionError(
                 f"gripper {('left', 'right')[arm]} is asked for an opening of {commanded_m[row, tick, arm]:.4g} m "
                 f"(cell {row}): it has 0 to {OPENING_M} m"
@@ -69,16 +71,21 @@ class GripperServos:
         ticks = commanded_m.shape[1]
         queue = np.concatenate([self._waiting, commanded_m], axis=1)
         self._waiting = queue[:, ticks:]
-        now = np.clip(self._reference, opening_m - self.slack_m, opening_m + self.slack_m)
-        points = [now]
+        now = np.minimum(np.maximum(self._reference, opening_m - self.slack_m), opening_m + self.slack_m)
+        if not np.logical_or.reduce(queue[:, :ticks] - now[:, None], axis=None):
+            self._reference = now
+            still: Array = now[:, None].repeat(ticks * self.substeps, axis=1)
+            return still
+        nodes = np.empty((ticks + 1, *now.shape))
+        nodes[0] = now
         for tick in range(ticks):
-            now = now + np.clip(queue[:, tick] - now, -self._step_m, self._step_m)
-            points.append(now)
-        self._reference = now
-        nodes = np.stack(points, axis=1)
-        share = np.arange(1, self.substeps + 1) / self.substeps
-        between = nodes[:, :-1, None] + share[:, None] * np.diff(nodes, axis=1)[:, :, None]
-        return between.reshape(len(nodes), -1, 2)
+            step = queue[:, tick] - now
+            np.minimum(np.maximum(step, -self._step_m, out=step), self._step_m, out=step)
+            now = np.add(now, step, out=nodes[tick + 1])
+        self._reference = now.copy()
+        between: Array = self._share * (nodes[1:] - nodes[:-1])[:, None]
+        between += nodes[:-1, None]
+        return between.reshape(-1, *now.shape).swapaxes(0, 1)
 
 
 class Handled(NamedTuple):
@@ -114,11 +121,15 @@ class Handling:
         sensors: Array = batch.bind("sensordata")
         first = where["left/wrench_force"].start
         self._forces: Array = sensors[:, first : first + 12].reshape(n, 2, 2, 3)
-        self._bodies = [model.body(f"{arm}/gripper").id for arm in ARMS]
-        self._orientations: Array = batch.bind("xquat")
-        self._mass_kg, self._lever_m = _weight(model)
+        left, right = (model.body(f"{arm}/gripper").id for arm in ARMS)
+        self._orientations: Array = batch.bind("xquat")[:, left : right + 1 : right - left]
+        mass_kg, lever_m = _weight(model)
+        # Bases are upright: their z points against gravity.
+        self._weight_n = mass_kg * GRAVITY_M_S2
         self._kp = float(model.actuator("left/gripper").gainprm[0])
-        self._felt: Array = np.zeros((n, 2, 2, 3))
+        # In the frame of each flange: force and torque, and the gripper's weight times its lever.
+        self._felt: Array = np.zeros((n, 2, 3, 3))
+        self._felt[:, :, 2] = self._weight_n * lever_m
         self._wrench: Array = np.zeros((n, 2, 6))
 
     def servos(self, config: CellConfig) -> GripperServos:
@@ -154,9 +165,9 @@ class Handling:
         Stages of the batch that stop before accelerations leave stale values of any cell in the force sensors.
         """
         # The sensors report the force of the wrist on the gripper.
-        self._felt = -self._forces.swapaxes(1, 2)
+        np.negative(self._forces.swapaxes(1, 2), out=self._felt[:, :, :2])
 
-    def state(self, flange_base_quat: Array, moved: Rows | None) -> Handled:
+    def state(self, flange_base_quat: Array, moved: Rows | slice | None) -> Handled:
         """Return the measurable state.
 
         Args:
@@ -164,18 +175,14 @@ class Handling:
             moved: Rows that have just made a step, and thus have a force; None: none.
         """
         if moved is not None:
-            rotation = quat_to_matrix(flange_base_quat)
-            felt = self._felt @ rotation.swapaxes(2, 3)
-            # Bases are upright: their z points against gravity.
-            weight = np.zeros((self.n, 2, 2, 3))
-            weight[..., 0, 2] = -self._mass_kg * GRAVITY_M_S2
-            lever = rotation @ self._lever_m
-            weight[..., 1, 0], weight[..., 1, 1] = lever[..., 1], -lever[..., 0]
-            weight[..., 1, :2] *= -self._mass_kg * GRAVITY_M_S2
-            self._wrench[moved] = (felt - weight).reshape(self.n, 2, 6)[moved]
+            felt = self._felt @ quat_to_matrix(flange_base_quat).swapaxes(2, 3)
+            felt[..., 0, 2] += self._weight_n
+            felt[..., 1, 0] += felt[..., 2, 1]
+            felt[..., 1, 1] -= felt[..., 2, 0]
+            self._wrench[moved] = felt[:, :, :2].reshape(self.n, 2, 6)[moved]
         target = (None, None) if self._target is None else self._target
         thing = (None, None) if self._object is None else (self._object[:, :3], self._object[:, 3:])
-        return Handled(self._orientations[:, self._bodies], self.opening_m, self._wrench.copy(), *thing, *target)
+        return Handled(self._orientations, self.opening_m, self._wrench.copy(), *thing, *target)
 
 
 def _weight(model: Any) -> tuple[float, Array]:

@@ -17,7 +17,10 @@ from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.types import Array, Rows
 
 # Attributes that hold MuJoCo's memory: not pickled, and built anew.
-_LIVE = ("_batch", "_warnings", "_arms_q", "_arms_qd", "_flange", "_handling", "_plant", "_feedforward", "_rendered")
+_LIVE = (
+    *("_batch", "_flags", "_warnings", "_integration", "_arms_q", "_arms_qd", "_flange"),
+    *("_handling", "_plant", "_feedforward", "_rendered"),
+)
 
 
 class Physics:
@@ -42,10 +45,11 @@ class Physics:
     def __init__(self, config: CellConfig, n: int, steps: int, threads: int, *, contacts: bool = True) -> None:
         self.config, self.n, self.steps, self.threads, self.contacts = config, n, steps, threads, contacts
         self.failed = np.zeros(n, dtype=bool)
-        self._good: Array = np.zeros((n, 0))
         self._build()
+        self._good: Array = self._integration.copy()
         self._grippers = self._handling.servos(config) if self._handling else None
         self._payload: Array = np.zeros((n, 2))
+        self._loaded = False  # whether any payload is not zero
         self._held_m: Array = np.zeros((n, 2))  # width of grippers without a command
 
     def _build(self) -> None:
@@ -59,7 +63,11 @@ class Physics:
         if not self.contacts:
             model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         self._batch: Any = Batch(model, n, self.threads)
-        self._warnings = self._batch.warning[:, :, 1]
+        self._warnings, self._integration = self._batch.warning[:, :, 1], self._batch.state
+        # Contacts and constraints matter to a rollout only. Without them, what follows from positions is cheap.
+        self._flags = self._batch.expand("opt.disableflags"), int(model.opt.disableflags)
+        disable = mujoco.mjtDisableBit
+        self._unconstrained = self._flags[1] | int(disable.mjDSBL_CONTACT) | int(disable.mjDSBL_CONSTRAINT)
         # Views: the arms' joints and, if there are grippers, each arm's two fingers behind its own.
         joints = 8 if scene.equipment.grippers else 6
         qpos, qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
@@ -76,13 +84,20 @@ class Physics:
         self._feedforward = FeedForward(scene, n, self.steps, self.threads)
         self._rendered: tuple[Any, Any] | None = None
 
+    def _forward(self, rows: Rows | None = None) -> None:
+        """Compute what follows from the positions of `rows`, or of all."""
+        flags, before = self._flags
+        flags[:] = self._unconstrained
+        self._batch.forward(ids=rows, stage=self._stage)
+        flags[:] = before
+
     def _joints(self, values: Array) -> Array:
         joints = 8 if self._handling is not None else 6
         return values[..., : 2 * joints].reshape(*values.shape[:-1], 2, joints)[..., :6]
 
     def integration_state(self, row: int) -> bytes:
         """Return MuJoCo's full state of one cell: `mjSTATE_INTEGRATION`, as float64."""
-        state: bytes = self._batch.state[row].tobytes()
+        state: bytes = self._integration[row].tobytes()
         return state
 
     @property
@@ -107,9 +122,10 @@ class Physics:
         if self._handling is not None and self._grippers is not None:
             self._held_m[rows] = self._handling.reset(start, rows)
             self._grippers.reset(self._held_m[rows], rows)
-        self._batch.forward(ids=rows, stage=self._stage)
+        self._forward(rows)
         self._payload[rows] = 0.0
-        self._good = self._batch.state.copy()
+        self._loaded = bool(self._payload.any())
+        self._good = self._integration.copy()
         self.failed[rows] = False
 
     def place(self, pose: Array) -> None:
@@ -122,8 +138,8 @@ class Physics:
             raise SettingsError("this cell has no object to place")
         self._handling.place(pose)
         self._batch.bind("qvel")[:, -6:] = 0.0
-        self._good = self._batch.state.copy()
-        self._batch.forward(stage=self._stage)
+        self._good = self._integration.copy()
+        self._forward()
 
     def advance(self, motion: Motion, gripper_m: Array | None = None, payload_kg: Array | None = None) -> None:
         """Advance all cells.
@@ -145,9 +161,9 @@ class Physics:
             self._handling.feel()
         if np.logical_or.reduce(self._warnings, axis=None) or np.logical_or.reduce(self.failed):
             self.failed |= self._warnings.any(axis=1)
-            self._batch.state[self.failed] = self._good[self.failed]
-        self._good = self._batch.state.copy()
-        self._batch.forward(stage=self._stage)
+            self._integration[self.failed] = self._good[self.failed]
+        np.copyto(self._good, self._integration)
+        self._forward()
 
     def _control(self, motion: Motion, commanded: Array | None, payload_kg: Array | None) -> Array:
         """Return the controls of both arms' servos, (n, steps, 12), or with their grippers, (n, steps, 14)."""
@@ -159,14 +175,22 @@ class Physics:
         if commanded is None:
             commanded = np.repeat(self._held_m[:, None], steps // self.config.substeps, axis=1)
         widths = grippers(commanded, handling.opening_m)
-        before, self._payload = self._payload, self._payload if payload_kg is None else payload_kg
-        payload: Array | float = 0.0
-        if before.any() or self._payload.any():
-            ratio = np.arange(1, steps + 1)[:, None] / steps
-            payload = before[:, None] + ratio * (self._payload - before)[:, None]
+        payload = self._ramp(payload_kg, steps) if self._loaded or payload_kg is not None else None
         control = self._feedforward(motion, payload)
         control[..., 6] = widths
         return control.reshape(self.n, steps, 14)
+
+    def _ramp(self, payload_kg: Array | None, steps: int) -> Array | None:
+        """Return the declared mass in each physics step, (n, steps, 2), on its way to a new one; None: always zero."""
+        before = self._payload
+        if payload_kg is not None:
+            loaded, self._payload = self._loaded, payload_kg
+            self._loaded = bool(np.logical_or.reduce(payload_kg, axis=None))
+            if not (loaded or self._loaded):
+                return None
+        ratio = np.arange(1, steps + 1)[:, None] / steps
+        ramp: Array = before[:, None] + ratio * (self._payload - before)[:, None]
+        return ramp
 
     def state(self, time_s: Array, *, moved: bool) -> CellState:
         """Return the measurable state.
@@ -184,12 +208,12 @@ class Physics:
             base_quat,
             flange_m,
             self.failed,
-            *(
-                self._handling.state(base_quat, np.flatnonzero(~self.failed) if moved else None)
-                if self._handling
-                else ()
-            ),
+            *(self._handling.state(base_quat, self._moved() if moved else None) if self._handling else ()),
         )
+
+    def _moved(self) -> Rows | slice:
+        """Return the rows that did not fail."""
+        return np.flatnonzero(~self.failed) if np.logical_or.reduce(self.failed) else slice(None)
 
     def model_and_data(self, row: int) -> tuple[Any, Any]:
         """Return MuJoCo's model and data of one cell for rendering: the same objects at every call, updated."""
@@ -210,21 +234,21 @@ class Physics:
         import mujoco
 
         self._plant.place_bases(model, row)
-        mujoco.mj_setState(model, data, self._batch.state[row], int(mujoco.mjtState.mjSTATE_INTEGRATION))
+        mujoco.mj_setState(model, data, self._integration[row], int(mujoco.mjtState.mjSTATE_INTEGRATION))
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()
         for name in _LIVE:
             del state[name]
-        state["integration"] = self._batch.state.copy()
+        state["integration"] = self._integration.copy()
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self._integration: Array = state.pop("integration")
+        self._pickled: Array = state.pop("integration")
         self.__dict__.update(state)
         self._build()
 
     def restore(self) -> None:
         """Restore the pickled state, once the plant is perturbed as before."""
-        self._batch.state[:] = self._integration
-        self._batch.forward(stage=self._stage)
+        self._integration[:] = self._pickled
+        self._forward()

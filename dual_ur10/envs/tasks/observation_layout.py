@@ -136,7 +136,7 @@ def wrench_values(wrench: Array) -> dict[str, Array]:
 
 def per_arm(values: Array) -> Array:
     """Repeat values, (n,), for both arms, (n, 2, 1)."""
-    return np.broadcast_to(values[:, None, None], (len(values), 2, 1))
+    return values.repeat(2).reshape(-1, 2, 1)
 
 
 def pose_of(fields: Mapping[str, Array], name: str) -> Poses:
@@ -144,9 +144,9 @@ def pose_of(fields: Mapping[str, Array], name: str) -> Poses:
     return Poses(fields[f"{name}_m"], fields[f"{name}_quat"])
 
 
-def pose_values(name: str, pose: Poses) -> dict[str, Array]:
-    """Return the values of the fields `<name>_m` and `<name>_quat`."""
-    return {f"{name}_m": pose.position_m, f"{name}_quat": pose.quat}
+def pose_values(name: str, pose: Array) -> dict[str, Array]:
+    """Return the values of the fields `<name>_m` and `<name>_quat` from positions and quaternions, (n, 2, 7)."""
+    return {f"{name}_m": pose[..., :3], f"{name}_quat": pose[..., 3:]}
 
 
 def pose_fields(name: str, thing: str, mujoco: str = "-", bound_m: float = 10.0) -> tuple[Field, Field]:

@@ -4,8 +4,8 @@ import pytest
 from dual_ur10 import errors
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.tasks.handover.settings import GRIPS, HandoverSettings, laid_quat, lying, presented_quat
-from dual_ur10.envs.tasks.handover.stages import STAGES, WIDTH_M, Facts, GripperFacts, advance, passed, terms
-from dual_ur10.envs.tasks.handover.task import SETTLED_S, Handover, _between_long_axes
+from dual_ur10.envs.tasks.handover.stages import STAGES, WIDTH_M, Facts, advance, passed, terms
+from dual_ur10.envs.tasks.handover.task import SETTLED_S, Handover
 from dual_ur10.kinematics import flange_pose_quat
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.poses import yaw_quat
@@ -29,12 +29,12 @@ def put(core, position_m, quat=(1.0, 0.0, 0.0, 0.0)):
 
 
 def gripper(between=False, holds=False, opening=0.085, away=0.5):
-    return GripperFacts(*(np.array([value]) for value in (between, holds, opening, away)))
+    return between, holds, opening, away
 
 
 def facts(giving=None, receiving=None, height=0.02, meeting=0.5, target=1.0, turn=0.3, placed=False):
-    values = (np.array([value]) for value in (height, meeting, target, turn, placed))
-    return Facts(giving or gripper(), receiving or gripper(), *values)
+    both = zip(giving or gripper(), receiving or gripper(), strict=True)
+    return Facts(*(np.array([value]) for value in (*both, height, meeting, target, turn, placed)))
 
 
 HOLDS = gripper(True, True, WIDTH_M, 0.01)
@@ -90,7 +90,6 @@ def test_near_misses_do_not_pass_a_stage(scene, stage):
 
 
 def test_terms_rise_within_a_stage_and_are_one_after_it():
-    giver = np.array([0])
     nearer = [
         (0, facts(gripper(away=0.2)), facts(gripper(away=0.05))),
         (1, facts(gripper(True, opening=0.08)), facts(gripper(True, opening=0.05))),
@@ -102,7 +101,7 @@ def test_terms_rise_within_a_stage_and_are_one_after_it():
     ]
     for k, far, near in nearer:
         stage = np.array([k])
-        low, high = (terms(each, stage, giver).mean(axis=1)[0] for each in (far, near))
+        low, high = (terms(each, stage).mean(axis=1)[0] for each in (far, near))
         assert low[:k].tolist() == high[:k].tolist() == [1.0] * k
         assert 0.0 <= low[k] < high[k] <= 1.0
         assert (high[k + 1 :] < 1.0).all()
@@ -111,11 +110,10 @@ def test_terms_rise_within_a_stage_and_are_one_after_it():
 
 def test_each_arm_earns_its_own_terms():
     expected = [2, 2, 2, 1, 1, 2, 0]
-    for giver in (0, 1):
-        done = terms(facts(), np.array([7]), np.array([giver]))[0]
-        assert done[giver].tolist() == expected
-        assert done[1 - giver].tolist() == [2 - value for value in expected]
-    approach = [terms(facts(HOLDS, gripper(away=away)), np.array([2]), np.array([0]))[0, :, 3] for away in (0.6, 0.2)]
+    done = terms(facts(), np.array([7]))[0]
+    assert done[0].tolist() == expected
+    assert done[1].tolist() == [2 - value for value in expected]
+    approach = [terms(facts(HOLDS, gripper(away=away)), np.array([2]))[0, :, 3] for away in (0.6, 0.2)]
     assert approach[0][1] < approach[1][1]
     assert approach[0][0] == approach[1][0]
 
@@ -156,9 +154,12 @@ def test_after_all_stages_the_block_must_settle():
 
 
 def test_the_direction_of_the_block_matters_but_not_its_upper_side():
-    quat = laid_quat(np.array([[0.3], [np.pi + 0.3]]))
-    angle = _between_long_axes(quat, yaw_quat(np.full((2, 1), 0.3)))
-    assert np.allclose(angle[:, 0], [0.0, np.pi])
+    core, _ = begun()
+    target = core.cell._physics._handling._target[1][0]
+    yaw = 2 * np.arctan2(target[3], target[0])
+    for turn in (0.0, 0.4, np.pi):
+        put(core, (0.0, 0.0, 0.5), laid_quat(np.array(yaw + turn)))  # it falls without turning
+        assert core.step(STAY).info["object_error_rad"][0] == pytest.approx(turn, abs=1e-6)
 
 
 @pytest.mark.parametrize("where", [(0.0, 0.0, -0.2), (1.5, 0.0, 0.02), (-0.75, 2.5, 0.02)])
@@ -217,6 +218,15 @@ def test_the_giver_can_be_chosen_and_is_observed(giver):
     role = 1.0 if giver == "left" else -1.0
     assert core.task.layout.split(observation)["role"].ravel().tolist() == [role, -role]
     assert core.step(STAY).info["giver"][0] == ("left", "right").index(giver)
+
+
+@pytest.mark.parametrize("giver", [0, 1])
+def test_the_term_of_reaching_is_the_givers(giver):
+    core, _ = begun(giver=("left", "right")[giver])
+    core.step(STAY)
+    reach = core.agents.terms[0, :, 0]
+    assert reach[giver] > 0.0
+    assert reach[1 - giver] == 0.0
 
 
 def test_the_grippers_meet_from_opposite_sides():

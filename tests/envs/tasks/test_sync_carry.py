@@ -189,20 +189,20 @@ def test_each_arm_must_carry_a_part_of_the_load():
     _, task = run(grasp="rigid", steps=SHORT)
     task._carried[:] = [[0.9, 0.1]]
     task._squares[:] = task._worst_slip[:] = 0.0
-    good = task._carried_well(np.array([True]), np.array([[True, True]]))
+    good = task._carried_well(np.array([True]))
     assert not good[0]
     task._carried[:] = [[0.7, 0.3]]
-    assert task._carried_well(np.array([True]), np.array([[True, True]]))[0]
-    assert not task._carried_well(np.array([True]), np.array([[True, False]]))[0]
+    assert task._carried_well(np.array([True]))[0]
+    assert not task._carried_well(np.array([False]))[0]
     steps = task._count[0] - 1.5 / 0.04
     for row, most in ((0, 0.01), (1, 0.05)):
         task._squares[row] = (0.98 * most) ** 2 * steps
-        assert task._carried_well(np.array([True]), np.array([[True, True]]))[0]
+        assert task._carried_well(np.array([True]))[0]
         task._squares[row] = (1.02 * most) ** 2 * steps
-        assert not task._carried_well(np.array([True]), np.array([[True, True]]))[0]
+        assert not task._carried_well(np.array([True]))[0]
         task._squares[row] = 0.0
     task._worst_slip[:] = 0.006
-    assert not task._carried_well(np.array([True]), np.array([[True, True]]))[0]
+    assert not task._carried_well(np.array([True]))[0]
 
 
 @pytest.mark.parametrize(

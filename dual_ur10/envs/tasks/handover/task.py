@@ -12,8 +12,8 @@ from dual_ur10.assets.gripper import OPENING_M, TCP_M
 from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment
 from dual_ur10.envs.tasks.handover.settings import GRIPS, MEETING_M, HandoverSettings, check_reach, lying
-from dual_ur10.envs.tasks.handover.stages import STAGES, STILL_M_S, WIDTH_M, Facts, GripperFacts, advance, passed, terms
-from dual_ur10.envs.tasks.holding import PICKING, between_fingers, holds, required, tools
+from dual_ur10.envs.tasks.handover.stages import STAGES, STILL_M_S, WIDTH_M, Facts, advance, passed, terms
+from dual_ur10.envs.tasks.holding import PICKING, between_fingers, grasp_geometry, holds, required, rotations_of
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     OTHER_FLANGE_FIELDS,
@@ -29,8 +29,8 @@ from dual_ur10.envs.tasks.observation_layout import (
 )
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, duration_ratio
 from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses, length, relative_to
-from dual_ur10.kinematics.rotations import cross, rotate
+from dual_ur10.kinematics.poses import length
+from dual_ur10.kinematics.rotations import cross
 from dual_ur10.kinematics.ur10 import DH_D_M
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import REACH_FROM_JOINT_M, MotionLimits
@@ -48,16 +48,17 @@ class HandoverMeasured(NamedTuple):
     """Poses at one instant; positions in the cell frame unless another is named.
 
     Attributes:
-        block, target: Poses, (n, 1, ...).
-        relative: Pose of the other flange in each flange's frame, (n, 2, ...).
+        poses: (n, 14) pose of the block, then of the target: position and quaternion.
+        rotations: (n, 4, 3, 3) of both flanges, the block and the target.
+        other_flange: (n, 2, 7) pose of the other flange in each flange's frame.
         grip_in_tool_m: (n, 2, 3) position of each arm's grip of the block in its tool's frame.
         between: (n, 2) True if the grip is between the fingers.
         holding: (n, 2) True if the gripper holds the block.
     """
 
-    block: Poses
-    target: Poses
-    relative: Poses
+    poses: Array
+    rotations: Array
+    other_flange: Array
     grip_in_tool_m: Array
     between: Mask
     holding: Mask
@@ -234,18 +235,25 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         super().__init__(settings, cell, timing, n)
         mounts = (cell.left, cell.right)
         self._frames = Frames(mounts)
-        self._shoulders = np.array([mount.position_m for mount in mounts]) + _SHOULDER_M
         check_reach(settings, cell.scene)
         self.duration_s = settings.duration_s * duration_ratio(type(self).limits, self.limits)
         self._steps = max(1, math.ceil(self.duration_s / timing.period_s - 1e-9))
         self._settled_steps = max(1, math.ceil(SETTLED_S / timing.period_s - 1e-9))
         self._giver = np.zeros(n, dtype=np.intp)
+        # Each arm's role, and for each role the index of its arm among the arms of all cells. The second swaps arms and
+        # roles in either direction.
+        self._role: Array = np.ones((n, 2, 1))
+        self._by_role: Rows = np.zeros((n, 2), dtype=np.intp)
         self._grip_m: Array = np.zeros((n, 2, 3))
+        # Points from which the block's distance counts: meeting, where it was, shoulders, target.
+        self._points: Array = np.zeros((n, 5, 3))
+        self._points[:, 0] = MEETING_M
+        self._points[:, 2:4] = np.array([mount.position_m for mount in mounts]) + _SHOULDER_M
+        self._vectors: Array = np.zeros((n, 10, 3))
         # Of the episode so far.
         self._stage = np.zeros(n, dtype=np.int64)
         self._count = np.zeros(n, dtype=np.int64)
         self._settled = np.zeros(n, dtype=np.int64)
-        self._was_m: Array = np.full((n, 3), np.nan)
         self._slip_from_m: Array = np.zeros((n, 2, 3))
         self._slip_m: Array = np.zeros((n, 2))
 
@@ -264,10 +272,12 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         wanted = sampled[:, 3:6] * np.array([settings.target_range_m] * 2 + [settings.target_turn_rad])
         block, target = lying(where, giver), lying(wanted, 1 - giver)
         self._giver[rows] = giver
+        self._role[rows, giver], self._role[rows, 1 - giver] = 1.0, -1.0
+        self._by_role[rows] = 2 * rows[:, None] + np.stack([giver, 1 - giver], axis=1)
         self._grip_m[rows] = np.stack([grips.position_m for grips in GRIPS])[giver]
         for counts in (self._stage, self._count, self._settled):
             counts[rows] = 0
-        self._was_m[rows] = block.position_m
+        self._points[rows, 1] = block.position_m
         self._slip_m[rows] = 0.0
         return Start(
             np.broadcast_to(HOME_Q_RAD, (len(rows), 2, 6)).copy(),
@@ -279,46 +289,44 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
 
     def measure(self, state: CellState) -> HandoverMeasured:
         """Compute the poses of all cells."""
-        block = Poses(required(state.object_m)[:, None], required(state.object_quat)[:, None])
-        target = Poses(required(state.target_m)[:, None], required(state.target_quat)[:, None])
-        tool = tools(state)
-        flange = Poses(state.flange_m, tool.quat)
-        relative = relative_to(flange, Poses(flange.position_m[:, ::-1], flange.quat[:, ::-1]))
-        grip = Poses(block.position_m + rotate(block.quat, self._grip_m), block.quat)
-        grip_in_tool_m = relative_to(tool, grip).position_m
-        holding = holds(state, grip_in_tool_m, WIDTH_M)
-        return HandoverMeasured(block, target, relative, grip_in_tool_m, between_fingers(grip_in_tool_m), holding)
+        parts = state.object_m, state.object_quat, state.target_m, state.target_quat
+        poses = np.concatenate([required(part) for part in parts], axis=1)
+        rotations = rotations_of(state, poses)
+        geometry = grasp_geometry(state, rotations, self._grip_m)
+        between = between_fingers(geometry.grip_in_tool_m)
+        return HandoverMeasured(poses, rotations, *geometry, between, holds(state, between, WIDTH_M))
 
     def observe(self, state: CellState, measured: HandoverMeasured, commanded_q_rad: Array) -> Array:
         """Assemble the observations, (n, 112)."""
         gripper_m = required(state.gripper_m)[..., None]
+        in_bases = self._frames.poses_to_bases(measured.poses)
         return self.layout.join(
             {
                 **arm_values(state, commanded_q_rad),
                 **wrench_values(required(state.wrench)),
-                **pose_values("block_base", self._frames.poses_to_base(measured.block)),
-                **pose_values("target_base", self._frames.poses_to_base(measured.target)),
-                **pose_values("other_flange", measured.relative),
+                **pose_values("block_base", in_bases[..., :7]),
+                **pose_values("target_base", in_bases[..., 7:]),
+                **pose_values("other_flange", measured.other_flange),
                 "gripper_m": gripper_m,
                 "other_gripper_m": gripper_m[:, ::-1],
-                "role": np.where(np.arange(2) == self._giver[:, None], 1.0, -1.0)[..., None],
-                "progress": per_arm(np.clip(state.time_s / self.duration_s, 0.0, 1.0)),
+                "role": self._role,
+                "progress": per_arm(np.minimum(state.time_s / self.duration_s, 1.0)),
             }
         )
 
     def evaluate(self, state: CellState, measured: HandoverMeasured) -> Outcome:
         """Evaluate stages, reward terms, success and end."""
-        position = measured.block.position_m[:, 0]
-        facts = self._facts(state, measured)
+        position, holding = measured.poses[:, :3], measured.holding
+        distances, target_rad = self._distances(measured)
+        facts = self._facts(state, measured, distances, target_rad)
         advance(self._stage, passed(facts))
-        self._was_m[:] = position
+        self._points[:, 1] = position
         self._count += 1
         placed = (self._stage == len(self.stages)) & facts.placed
-        self._settled = np.where(placed, self._settled + 1, 0)
-        self._slip_from_m = np.where(measured.holding[..., None], self._slip_from_m, measured.grip_in_tool_m)
-        slip_m = length(measured.grip_in_tool_m - self._slip_from_m)
-        self._slip_m = np.where(measured.holding, slip_m, self._slip_m)
-        lost = self._lost(position)
+        self._settled = (self._settled + 1) * placed
+        np.copyto(self._slip_m, distances[:, 7:9], where=holding)
+        far = np.logical_and.reduce(distances[:, 2:4] > _FAR_M, axis=1)
+        lost = far | (position[:, 2] < _FALLEN_M)
         terminal = lost | (self._settled >= self._settled_steps)
         over = self._count >= self._steps
         info: dict[str, Any] = {
@@ -326,38 +334,44 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
             "giver": self._giver.copy(),
             "object_m": position.copy(),
             "object_error_m": facts.target_m,
-            "object_error_rad": facts.target_rad,
-            "slip_m": self._slip_m,
+            "object_error_rad": target_rad,
+            "slip_m": self._slip_m.copy(),
         }
-        finish = np.where(terminal & ~lost, np.maximum(self._steps - self._count, 0), 0.0)
-        of_stages = terms(facts, self._stage, self._giver)
-        earned = np.concatenate([of_stages, np.broadcast_to(finish[:, None, None], (self.n, 2, 1))], axis=2)
+        earned = np.empty((self.n, 2, len(self.weights)))
+        earned[..., :-1] = terms(facts, self._stage).reshape(2 * self.n, -1).take(self._by_role, axis=0)
+        finish = np.maximum(self._steps - self._count, 0) * (terminal & ~lost)
+        earned[..., -1] = finish[:, None]
         return Outcome(earned, placed & ~lost & (terminal | over), over & ~terminal, info, terminal)
 
-    def _facts(self, state: CellState, measured: HandoverMeasured) -> Facts:
-        rows, opening, away_m = np.arange(self.n), required(state.gripper_m), length(measured.grip_in_tool_m)
-        giving, receiving = (
-            GripperFacts(measured.between[at], measured.holding[at], opening[at], away_m[at])
-            for at in ((rows, self._giver), (rows, 1 - self._giver))
-        )
-        position = measured.block.position_m[:, 0]
-        target_m = length(position - measured.target.position_m[:, 0])
-        target_rad = _between_long_axes(measured.block.quat, measured.target.quat)[:, 0]
-        still = length(position - self._was_m) < STILL_M_S * self.timing.period_s
+    def _distances(self, measured: HandoverMeasured) -> tuple[Array, Array]:
+        """Return distances, (n, 9), and the angle between the long axes of block and target, (n,).
+
+        The distances are those of the block from `_points`, of the tools from their grips, and the grips' slips.
+        """
+        vectors, grip = self._vectors, measured.grip_in_tool_m
+        np.copyto(self._slip_from_m, grip, where=~measured.holding[..., None])
+        self._points[:, 4] = measured.poses[:, 7:10]
+        np.subtract(measured.poses[:, None, :3], self._points, out=vectors[:, :5])
+        vectors[:, 5:7] = grip
+        np.subtract(grip, self._slip_from_m, out=vectors[:, 7:9])
+        # The long axes are the first columns, whichever long side is up.
+        first, second = measured.rotations[:, 2, :, 0], measured.rotations[:, 3, :, 0]
+        vectors[:, 9] = cross(first, second)
+        lengths = length(vectors)
+        return lengths[:, :9], np.arctan2(lengths[:, 9], np.add.reduce(first * second, axis=1))
+
+    def _facts(self, state: CellState, measured: HandoverMeasured, distances: Array, target_rad: Array) -> Facts:
+        holding, target_m, by_role = measured.holding, distances[:, 4], self._by_role
+        still = distances[:, 1] < STILL_M_S * self.timing.period_s
         near = (target_m < self.settings.success_error_m) & (target_rad < self.settings.success_turn_rad)
-        placed = near & still & ~np.logical_or.reduce(measured.holding, axis=1)
-        return Facts(giving, receiving, position[:, 2], length(position - MEETING_M), target_m, target_rad, placed)
-
-    def _lost(self, position_m: Array) -> Mask:
-        """Return a mask, (n,), of blocks that fell from the table or are out of both arms' reach."""
-        away = length(position_m[:, None] - self._shoulders)
-        result: Mask = (position_m[:, 2] < _FALLEN_M) | np.logical_and.reduce(away > _FAR_M, axis=1)
-        return result
-
-
-def _between_long_axes(first: Array, second: Array) -> Array:
-    """Return the angles, (...) in rad, between the long axes of blocks, whichever long side is up."""
-    axis = np.array([1.0, 0.0, 0.0])
-    one, other = (rotate(quat, np.broadcast_to(axis, (*quat.shape[:-1], 3))) for quat in (first, second))
-    result: Array = np.arctan2(length(cross(one, other)), np.add.reduce(one * other, axis=-1))
-    return result
+        return Facts(
+            measured.between.take(by_role),
+            holding.take(by_role),
+            required(state.gripper_m).take(by_role),
+            distances[:, 5:7].take(by_role),
+            measured.poses[:, 2],
+            distances[:, 0],
+            target_m,
+            target_rad,
+            near & still & ~np.logical_or.reduce(holding, axis=1),
+        )

@@ -79,6 +79,24 @@ MOVES: Final = {
 """Moves of the paths by their length in s."""
 
 
+def _turns() -> Array:
+    """Return the matrix (32, 4) from products of the parts of a quaternion, yaw, roll and pitch to the rotation.
+
+    It is that of the quaternion, then yaw, roll and pitch about the axes that the rotations before have moved.
+    """
+    unit = np.eye(4)
+    result = np.empty((4, 2, 2, 2, 4))
+    for k, yaw, roll, pitch in np.ndindex(4, 2, 2, 2):
+        turn = unit[k]
+        for part, axis in ((yaw, 3), (roll, 1), (pitch, 2)):
+            turn = quat_multiply(turn, unit[part * axis])
+        result[k, yaw, roll, pitch] = turn
+    return result.reshape(32, 4)
+
+
+_TURNS: Final = _turns()
+
+
 class CarryPath:
     """Lift, sideways, forward, yaw, roll, pitch, and down: twice continuously differentiable, by minimum jerk moves.
 
@@ -102,13 +120,15 @@ class CarryPath:
             time_s: (n, k).
             start: Poses of the bar before it is lifted, (n, 3) and (n, 4); rotated about the vertical only.
         """
-        ratio = np.clip((time_s[..., None] - self._begin) / self._length, 0.0, 1.0)
+        ratio = np.minimum(np.maximum((time_s[..., None] - self._begin) / self._length, 0.0), 1.0)
         change = (ratio * ratio * ratio * (10.0 + ratio * (6.0 * ratio - 15.0))) @ self._change
-        half = change[..., 3:] / 2
-        cosine, sine = np.cos(half), np.sin(half)
-        rotations = [np.zeros((*time_s.shape, 4)) for _ in range(3)]
-        for axis, rotation in enumerate(rotations):
-            rotation[..., 0], rotation[..., 1 + axis] = cosine[..., axis], sine[..., axis]
-        roll, pitch, yaw = rotations
-        quat = quat_multiply(quat_multiply(quat_multiply(start.quat[:, None], yaw), roll), pitch)
+        half = change[..., 3:]
+        half *= 0.5
+        # Of roll, pitch and yaw: real and imaginary part of the quaternion.
+        parts = np.empty((*time_s.shape, 3, 2))
+        np.cos(half, out=parts[..., 0])
+        np.sin(half, out=parts[..., 1])
+        roll, pitch, yaw = parts[..., 0, None, :, None], parts[..., 1, None, None, :], parts[..., 2, :, None, None]
+        products = start.quat[:, None, :, None] * (yaw * roll * pitch).reshape(*time_s.shape, 1, 8)
+        quat = products.reshape(*time_s.shape, 32) @ _TURNS
         return Poses(start.position_m[:, None] + change[..., :3], quat)

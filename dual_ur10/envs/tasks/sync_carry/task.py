@@ -11,7 +11,15 @@ import numpy as np
 from dual_ur10.assets.gripper import OPENING_M
 from dual_ur10.assets.props import BAR_MASS_KG, BAR_WIDTH_M
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment
-from dual_ur10.envs.tasks.holding import PICKING, flanges_of, holds, required, tools
+from dual_ur10.envs.tasks.holding import (
+    PICKING,
+    between_fingers,
+    flanges_of,
+    grasp_geometry,
+    holds,
+    required,
+    rotations_of,
+)
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     OTHER_FLANGE_FIELDS,
@@ -30,8 +38,8 @@ from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings, bar_pose, id
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, gaussian
 from dual_ur10.kinematics import nearest
 from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses, compose, length, relative_to, rotation_angle
-from dual_ur10.kinematics.rotations import quat_to_matrix, rotate
+from dual_ur10.kinematics.poses import Poses, compose, length, rotation_angle
+from dual_ur10.kinematics.rotations import quat_between, quat_to_matrix
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array, Mask, Rows
@@ -45,8 +53,11 @@ _LOAD_S = 1.0  # in which the declared load ramps up before the lift, and down a
 _LOST_M = 0.15  # distance of a bar from its reference at which it is lost
 _LOAD_RATIO = 0.25  # of the load, that each arm must carry
 
-# Distance at which a term is 0.1: tool to grip, bar to its reference, its angle, relative pose, internal force.
-_REACH_M, _BAR_M, _TURN_RAD, _RELATIVE_M, _INTERNAL_N = 0.15, 0.03, 0.1, 0.005, 30.0
+# Distance at which a term is 0.1: left and right tool to its grip, bar to its reference, its angle, relative position,
+# internal force.
+_MARGINS = np.array([0.15, 0.15, 0.03, 0.1, 0.005, 30.0])
+
+_HALVES_KG = np.full((1, 2), BAR_MASS_KG / 2)
 
 
 class CarryMeasured(NamedTuple):
@@ -54,19 +65,20 @@ class CarryMeasured(NamedTuple):
 
     Attributes:
         clock_s: (n,) time on the path, negative before it begins.
-        references: Reference poses of the bar now and at the end of the next motion, (n, 2, ...).
-        bar: Pose of the bar, (n, 1, ...).
-        relative: Pose of the other flange in each flange's frame, (n, 2, ...).
-        grip_in_tool: Pose of each grip of the bar in its tool's frame, (n, 2, ...).
+        poses: (n, 21) poses of the bar, of its reference now, and of that at the end of the next motion: position and
+            quaternion of each.
+        rotation: (n, 3, 3) of the bar.
+        other_flange: (n, 2, 7) pose of the other flange in each flange's frame.
+        grip_in_tool_m: (n, 2, 3) position of each arm's grip of the bar in its tool's frame.
         holding: (n, 2) True if the gripper holds the bar.
         force_n: (n, 2, 3) force of the bar on each gripper.
     """
 
     clock_s: Array
-    references: Poses
-    bar: Poses
-    relative: Poses
-    grip_in_tool: Poses
+    poses: Array
+    rotation: Array
+    other_flange: Array
+    grip_in_tool_m: Array
     holding: Mask
     force_n: Array
 
@@ -237,6 +249,8 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         self._count = np.zeros(n, dtype=np.int64)
         self._declared: Array = np.zeros((n, 2))
         self._load: Array = np.zeros((n, 2))
+        self._vectors: Array = np.zeros((n, 7, 3))
+        self._turns: Array = np.zeros((n, 2, 4))
         # Of the episode so far, since the bar is lifted.
         self._slip_from: Array = np.zeros((n, 2, 3))
         self._worst_slip: Array = np.zeros(n)
@@ -280,33 +294,31 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     def measure(self, state: CellState) -> CarryMeasured:
         """Compute poses, references and forces of all cells."""
         clock = (state.time_s[:, None] + self._when - self._grasp_s) * self._rate
-        bar = Poses(required(state.object_m)[:, None], required(state.object_quat)[:, None])
-        tool = tools(state)
-        flange = Poses(state.flange_m, tool.quat)
-        relative = relative_to(flange, Poses(flange.position_m[:, ::-1], flange.quat[:, ::-1]))
-        grip = Poses(bar.position_m + rotate(bar.quat, self._grip.position_m), bar.quat)
-        grip_in_tool = relative_to(tool, grip)
+        poses = np.empty((self.n, 3, 7))
+        poses[:, 0, :3], poses[:, 0, 3:] = required(state.object_m), required(state.object_quat)
+        poses[:, 1:, :3], poses[:, 1:, 3:] = self._path(clock, self._bar)
+        rotations = rotations_of(state, poses[:, 0])
+        geometry = grasp_geometry(state, rotations, self._grip.position_m)
         if self.settings.rigid:
             holding = np.ones((self.n, 2), dtype=bool)
         else:
-            holding = holds(state, grip_in_tool.position_m, BAR_WIDTH_M)
+            holding = holds(state, between_fingers(geometry.grip_in_tool_m), BAR_WIDTH_M)
         force = self._frames.vector_to_cell(required(state.wrench)[..., :3])
-        references = self._path(clock, self._bar)
-        return CarryMeasured(clock[:, 0], references, bar, relative, grip_in_tool, holding, force)
+        return CarryMeasured(clock[:, 0], poses.reshape(self.n, 21), rotations[:, 2], *geometry, holding, force)
 
     def observe(self, state: CellState, measured: CarryMeasured, commanded_q_rad: Array) -> Array:
         """Assemble the observations, (n, 124), or (n, 122) with a rigid grasp."""
         clock = measured.clock_s
-        now, ahead = (Poses(*(part[:, [k]] for part in measured.references)) for k in (0, 1))
+        in_bases = self._frames.poses_to_bases(measured.poses)
         values = {
             **arm_values(state, commanded_q_rad),
             **wrench_values(required(state.wrench)),
-            **pose_values("bar_base", self._frames.poses_to_base(measured.bar)),
-            **pose_values("reference_base", self._frames.poses_to_base(now)),
-            **pose_values("ahead_base", self._frames.poses_to_base(ahead)),
-            **pose_values("other_flange", measured.relative),
+            **pose_values("bar_base", in_bases[..., :7]),
+            **pose_values("reference_base", in_bases[..., 7:14]),
+            **pose_values("ahead_base", in_bases[..., 14:]),
+            **pose_values("other_flange", measured.other_flange),
             "time_to_path_s": per_arm(np.minimum(clock, 0.0)),
-            "progress": per_arm(np.clip(clock / self._path.duration_s, 0.0, 1.0)),
+            "progress": per_arm(np.minimum(np.maximum(clock / self._path.duration_s, 0.0), 1.0)),
         }
         if not self.settings.rigid:
             values["gripper_m"] = required(state.gripper_m)[..., None]
@@ -314,74 +326,83 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
 
     def evaluate(self, state: CellState, measured: CarryMeasured) -> Outcome:
         """Evaluate reward terms, success and end."""
-        clock, grip = measured.clock_s, measured.grip_in_tool.position_m
-        now = Poses(measured.references.position_m[:, 0], measured.references.quat[:, 0])
-        error = relative_to(now, Poses(measured.bar.position_m[:, 0], measured.bar.quat[:, 0]))
-        bar_m, bar_rad = length(error.position_m), rotation_angle(error.quat)
-        relative_m = length(measured.relative.position_m[:, 0] - self._ideal.position_m)
-        relative_rad = rotation_angle(measured.relative.quat[:, 0])
-        # The internal force is half the difference of both arms' forces, along the bar and across it.
-        along = quat_to_matrix(measured.bar.quat[:, 0])[:, :, 1]
-        inner = (measured.force_n[:, 0] - measured.force_n[:, 1]) / 2
-        internal = np.add.reduce(inner * along, axis=1)
-        lateral = length(inner - internal[:, None] * along)
-        load = np.maximum(-measured.force_n[..., 2], 0.0)
+        clock, grip, poses, holding = measured.clock_s, measured.grip_in_tool_m, measured.poses, measured.holding
         begun = clock > 0.0
-        self._slip_from[~begun] = grip[~begun]
-        slip = length(grip - self._slip_from)
+        both: Mask = np.logical_and.reduce(holding, axis=1)
+        np.copyto(self._slip_from, grip, where=~begun[:, None, None])
+        # The internal force is half the difference of both arms' forces, along the bar and across it.
+        force, along = measured.force_n, measured.rotation[:, :, 1]
+        inner = (force[:, 0] - force[:, 1]) / 2
+        internal = np.add.reduce(inner * along, axis=1)
+        # Errors of the bar and of the arms' relative position; lateral force; slips; tools to grips; both rotations.
+        vectors, turns = self._vectors, self._turns
+        np.subtract(poses[:, :3], poses[:, 7:10], out=vectors[:, 0])
+        np.subtract(measured.other_flange[:, 0, :3], self._ideal.position_m, out=vectors[:, 1])
+        np.subtract(inner, internal[:, None] * along, out=vectors[:, 2])
+        np.subtract(grip, self._slip_from, out=vectors[:, 3:5])
+        vectors[:, 5:7] = grip
+        turns[:, 0], turns[:, 1] = quat_between(poses[:, 10:14], poses[:, 3:7]), measured.other_flange[:, 0, 3:]
+        lengths, angles = length(vectors), rotation_angle(turns)
+        bar_m, relative_m, slip, bar_rad = lengths[:, 0], lengths[:, 1], lengths[:, 3:5], angles[:, 0]
+        load = np.maximum(-force[..., 2], 0.0)
         self._count += 1
-        self._worst_slip = np.where(begun, np.maximum(self._worst_slip, slip.max(axis=1)), 0.0)
+        self._worst_slip = np.maximum(self._worst_slip, np.maximum.reduce(slip, axis=1)) * begun
         under_way = begun & (clock < self._path.duration_s)
-        self._squares += np.where(begun, np.stack([bar_m * bar_m, bar_rad * bar_rad]), 0.0)
-        self._carried += np.where(under_way[:, None], load, 0.0)
-        self._load = self._wanted_load(clock, measured.holding)
+        errors = np.stack([bar_m, bar_rad])
+        self._squares += errors * errors * begun
+        self._carried += load * under_way[:, None]
+        self._load = self._wanted_load(clock, both)
         over = self._count >= self._steps
         lost = begun & (bar_m > _LOST_M)
-        there = (bar_m <= self.settings.success_error_m) & (bar_rad <= self.settings.success_turn_rad)
-        success = over & ~lost & there & self._carried_well(begun, measured.holding)
+        success = over & ~lost
+        if np.logical_or.reduce(success):
+            there = (bar_m <= self.settings.success_error_m) & (bar_rad <= self.settings.success_turn_rad)
+            success &= there & self._carried_well(begun & both)
         share = load / np.maximum(np.add.reduce(load, axis=1, keepdims=True), 1e-9)
         info = {
             "slip_m": slip,
             "squeeze_n": internal,
-            "lateral_n": lateral,
+            "lateral_n": lengths[:, 2],
             "load_share": share,
             "relative_error_m": relative_m,
-            "relative_error_rad": relative_rad,
+            "relative_error_rad": angles[:, 1],
             "object_error_m": bar_m,
             "object_error_rad": bar_rad,
-            "object_m": measured.bar.position_m[:, 0].copy(),
+            "object_m": poses[:, :3],
             "clock_s": clock,
         }
-        both: Mask = np.logical_and.reduce(measured.holding, axis=1)
-        shared = [gaussian(bar_m, _BAR_M), gaussian(bar_rad, _TURN_RAD), gaussian(relative_m, _RELATIVE_M)]
-        shared.append(gaussian(internal, _INTERNAL_N))
+        distances = np.empty((self.n, 6))
+        distances[:, :2], distances[:, 2], distances[:, 3] = lengths[:, 5:7], bar_m, bar_rad
+        distances[:, 4], distances[:, 5] = relative_m, internal
+        near = gaussian(distances, _MARGINS)
         terms = np.empty((self.n, 2, 6))
-        terms[..., 0] = np.where(measured.holding, 1.0, gaussian(length(grip), _REACH_M))
-        terms[..., 1] = measured.holding
-        terms[..., 2:] = np.where(both[:, None], np.stack(shared, axis=1), 0.0)[:, None]
+        np.maximum(near[:, :2], holding, out=terms[..., 0])
+        terms[..., 1] = holding
+        np.multiply(near[:, None, 2:], both[:, None, None], out=terms[..., 2:])
         return Outcome(terms, success, over & ~lost, info, lost)
 
-    def _carried_well(self, begun: Mask, holding: Mask) -> Mask:
-        """Return a mask, (n,), of bars that followed their path, in both grippers, each with enough of the load."""
+    def _carried_well(self, held: Mask) -> Mask:
+        """Return a mask, (n,), of bars that both grippers hold, that followed their path, and whose load was shared."""
         steps = np.maximum(self._count - self._grasp_s / self.timing.period_s, 1.0)
         settings = self.settings
         carried = self._carried / np.maximum(np.add.reduce(self._carried, axis=1, keepdims=True), 1e-9)
-        result: Mask = begun & np.logical_and.reduce(holding, axis=1) & (carried.min(axis=1) >= _LOAD_RATIO)
+        result: Mask = held & (carried.min(axis=1) >= _LOAD_RATIO)
         limits = np.array([[settings.success_error_m], [settings.success_turn_rad]])
         result &= np.logical_and.reduce(self._squares <= limits * limits * steps, axis=0)
         result &= self._worst_slip <= settings.success_slip_m
         return result
 
-    def _wanted_load(self, clock: Array, holding: Mask) -> Array:
+    def _wanted_load(self, clock: Array, both: Mask) -> Array:
         """Return the payload to declare, (n, 2): half the bar for each arm, while it is off the table."""
         due = (clock > -_LOAD_S) & (clock < self._path.duration_s)
-        both = np.logical_and.reduce(holding, axis=1)
-        return np.where((due & both)[:, None], np.full((1, 2), BAR_MASS_KG / 2), 0.0)
+        load: Array = (due & both)[:, None] * _HALVES_KG
+        return load
 
     def payload_kg(self) -> Array | None:
         """Return the declared payload, (n, 2), with ramps up and down; None: the load is unknown."""
         if self.settings.payload == "unknown":
             return None
         most = BAR_MASS_KG / 2 * self.timing.period_s / _LOAD_S
-        self._declared = self._declared + np.clip(self._load - self._declared, -most, most)
+        step = np.minimum(np.maximum(self._load - self._declared, -most), most)
+        self._declared = self._declared + step
         return self._declared

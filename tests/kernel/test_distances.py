@@ -17,6 +17,7 @@ from tests.sim2real.control.reference_cell import UNEQUAL, random_q
 from tests.soak import SOAK
 
 COUNT = 250_000 if SOAK else 1_000
+BOX, CAPSULE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE
 EXACT_M = 1e-9
 HULL_M = 1e-7  # MuJoCo keeps the corners of a mesh in single precision
 UNCERTAIN = ((0.004, 0.011), (0.007, 0.006))
@@ -54,13 +55,24 @@ def configurations(count: int) -> np.ndarray:
     return np.concatenate([random_q(rng, count - 2 * third), near, quarters]).reshape(count, 12)
 
 
-def overlap_of_boxes(data: mujoco.MjData, model: mujoco.MjModel, first: int, second: int) -> float:
-    """Return the least separation along an axis of two boxes, negative: MuJoCo prefers the normals of their faces."""
-    R, S = (data.geom_xmat[geom].reshape(3, 3) for geom in (first, second))
+def separation(data: mujoco.MjData, model: mujoco.MjModel, pair: int) -> float:
+    """Return the largest separation along an axis of two boxes, or of a capsule's line and a box.
+
+    Negative, it is how deep they are in each other. MuJoCo's depths are not: of two boxes it prefers the normals of
+    faces, and a line that pierces a box is a case that its distance of a capsule does not know.
+    """
+    geoms = [int(model.sensor_objid[pair]), int(model.sensor_refid[pair])]
+    (R, S), (first, second) = ([values[geom] for geom in geoms] for values in (data.geom_xmat, data.geom_xpos))
+    R, S = R.reshape(3, 3), S.reshape(3, 3)
+    sizes = [model.geom_size[geom] for geom in geoms]
+    sizes = [
+        np.array([0.0, 0.0, size[1]]) if model.geom_type[geom] == CAPSULE else size
+        for geom, size in zip(geoms, sizes, strict=True)
+    ]
     axes = [*R.T, *S.T, *(np.cross(a, b) for a in R.T for b in S.T)]
     units = np.array([axis / np.linalg.norm(axis) for axis in axes if np.linalg.norm(axis) > 1e-6])
-    spread = np.abs(units @ R) @ model.geom_size[first] + np.abs(units @ S) @ model.geom_size[second]
-    return float((np.abs(units @ (data.geom_xpos[second] - data.geom_xpos[first])) - spread).max())
+    spread = np.abs(units @ R) @ sizes[0] + np.abs(units @ S) @ sizes[1]
+    return float((np.abs(units @ (second - first)) - spread).max())
 
 
 @pytest.mark.parametrize("scene", SCENES)
@@ -73,7 +85,8 @@ def test_distances_are_those_of_mujoco(scene: str) -> None:
     found = np.maximum(Clearance(settings, uncertainty=UNCERTAIN).distances_m(q_rad), -CLEARANCE_CUTOFF_M)
     kinds = model.geom_type[np.stack([model.sensor_objid, model.sensor_refid])]
     tolerance = np.where((kinds == mujoco.mjtGeom.mjGEOM_MESH).any(axis=0), HULL_M, EXACT_M)
-    boxes = np.flatnonzero((kinds == mujoco.mjtGeom.mjGEOM_BOX).all(axis=0))
+    boxes = np.flatnonzero((kinds == BOX).any(axis=0) & np.isin(kinds, [BOX, CAPSULE]).all(axis=0))
+    radius = np.where(kinds == CAPSULE, model.geom_size[np.stack([model.sensor_objid, model.sensor_refid]), 0], 0.0)
     apart = overlapping = 0
     for q, distances in zip(q_rad, found, strict=True):
         data.qpos[:] = q
@@ -81,7 +94,8 @@ def test_distances_are_those_of_mujoco(scene: str) -> None:
         mujoco.mj_sensorPos(model, data)
         expected = data.sensordata.copy()
         for pair in boxes[expected[boxes] < 0.0]:
-            expected[pair] = overlap_of_boxes(data, model, model.sensor_objid[pair], model.sensor_refid[pair])
+            depth = separation(data, model, pair)
+            expected[pair] = depth - radius[:, pair].sum() if depth < 0.0 else expected[pair]
         off = np.abs(distances - np.clip(expected, -CLEARANCE_CUTOFF_M, CLEARANCE_CUTOFF_M))
         worst = int((off / tolerance).argmax())
         assert (off <= tolerance).all(), (model.sensor(worst).name, distances[worst], expected[worst], q.tolist())

@@ -75,7 +75,7 @@ _CELL = "sim2real/runtime/rtde_cell.py"
 _WRITER = "sim2real/runtime/target_writer.py"
 _RAMP = "sim2real/runtime/stop_ramp.py"
 _SCALING = "sim2real/control/time_scaling.py"
-_GATE = "sim2real/control/gate.py"
+_GATE = "kernel/gate.hpp"
 _CORE = "envs/core/core.py"
 _STOPS = ("safety", "press")
 
@@ -94,7 +94,7 @@ MUTANTS = (
     Mutant("ramp is too hard", _RAMP, "STOP_RAD_S3: Final = 200.0", "STOP_RAD_S3: Final = 2e5; STOP_RAD_S2 = 60.0", ("policy", "death")),
     Mutant("brake after the targets is missing", _WRITER, "brake = past[-1] + self._brake @ (past - past[-1])", "brake = past[-1] + 0 * self._brake @ (past - past[-1])"),
     Mutant("targets pass the gate and change", _WRITER, "whole = np.concatenate([targets_rad,", "whole = np.concatenate([targets_rad + 1e-7,"),
-    Mutant("gate forgets what it released", _GATE, "        self._past = window[:, -HISTORY:]\n", ""),
+    Mutant("gate forgets what it released", _GATE, "        copy(past, window + e.ticks * JOINTS, HISTORY * JOINTS);\n", "        (void)past;\n"),
     Mutant("late targets are written", _RUNNER, "        if first < self.next:\n", "        if False:\n", ("policy",)),
     Mutant("both arms get the targets of one", _RUNNER, "memory.put(first, targets_rad[:, arm])", "memory.put(first, targets_rad[:, 0])", ("slider",)),
     Mutant("program is not told of a stop", _RUNNER, "        if self._fault:\n            raise CellFaulted(", "        if False:\n            raise CellFaulted(", _STOPS),
@@ -111,7 +111,7 @@ MUTANTS = (
     Mutant("interpolation between targets is wrong", _SCALING, "(stop - before) / 2, (after - start) / 2", "(stop - before), (after - start)"),
     Mutant("a silent controller is not noticed", "sim2real/links/rtde_link.py", "        return now_s - self._stream.alive_s\n", "        return 0.0\n", test="test_network.py::test_20_a_controller_that_falls_silent_stops_both"),
 )  # fmt: skip
-"""Breaks of sender, ramp, gate, program, latch, supervisor, time scaling and links."""
+"""Breaks of sender, ramp, gate (in the compiled kernel), program, latch, supervisor, time scaling and links."""
 
 
 def copy(root: Path, target: Path) -> None:
@@ -119,7 +119,15 @@ def copy(root: Path, target: Path) -> None:
     ignored = shutil.ignore_patterns("__pycache__")
     for name in ("dual_ur10", "tests"):
         shutil.copytree(root / name, target / name, ignore=ignored)
-    shutil.copy(root / "pyproject.toml", target)
+    for name in ("pyproject.toml", "hatch_build.py"):
+        shutil.copy(root / name, target)
+
+
+def apply(mutant: Mutant, target: Path) -> None:
+    """Break the copy in `target`, and compile its kernel again if that is what is broken."""
+    (target / "dual_ur10" / mutant.path).write_text(mutant.patched(_ROOT))
+    if mutant.path.endswith(".hpp"):
+        subprocess.run([sys.executable, "hatch_build.py"], cwd=target, check=True)
 
 
 def seeds_for(mutant: Mutant) -> list[int]:
@@ -160,8 +168,7 @@ def check(number: int, most: int) -> tuple[int, str]:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder)
         copy(_ROOT, target)
-        broken = mutant.patched(_ROOT)
-        (target / "dual_ur10" / mutant.path).write_text(broken)
+        apply(mutant, target)
         command = [sys.executable, "-m", "tests.virtual.mutants", "--hunt", str(number), "--seeds", str(most)]
         if mutant.test:
             command = [sys.executable, "-m", "pytest", "-x", f"tests/virtual/faults/{mutant.test}"]

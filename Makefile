@@ -6,6 +6,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v p
 VENV := .venv
 OLDEST := .venv-oldest
 DIST := .venv-dist
+KERNEL := dual_ur10/kernel/_kernel.so
 # What is imported is compiled then: compiling all that torch and others bring takes longer than all the rest.
 PIP_FLAGS := --quiet --disable-pip-version-check --no-compile
 # The tests run the examples that come with ur_rtde's source.
@@ -70,12 +71,18 @@ $(DIST)/.dev: pyproject.toml constraints-dist.txt | check-python
 	@$(DIST)/bin/python -m pip install $(PIP_FLAGS) -c constraints-dist.txt -e '.[dist]' psutil pytest
 	@touch $@
 
-install: $(VENV)/.dev  ## set up .venv for the tests
+# The compiled kernel lies in the package, one for all environments. Each installation compiles it; this does so again
+# after a change of its sources. pip brings a compiler where there is none.
+$(KERNEL): hatch_build.py $(wildcard dual_ur10/kernel/*.?pp) | $(VENV)/bin/python
+	@echo "Compiling the control kernel ..."
+	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) --no-deps -e .
 
-demo: $(VENV)/.demo  ## install, run the scripted policies, also on emulated arms; write out/report.html and videos
+install: $(VENV)/.dev $(KERNEL)  ## set up .venv for the tests
+
+demo: $(VENV)/.demo $(KERNEL)  ## install, run the scripted policies, also on emulated arms; write out/report.html and videos
 	@$(VENV)/bin/python -m dual_ur10 demo --out out
 
-test: $(VENV)/.dev  ## install, lint, type-check, run all tests but those in real time, and a smoke test of these
+test: $(VENV)/.dev $(KERNEL)  ## install, lint, type-check, run all tests but those in real time, and a smoke test of these
 	@echo "Lint, types and documentation ..."
 	@$(VENV)/bin/ruff check .
 	@$(VENV)/bin/ruff format --check .
@@ -86,12 +93,12 @@ test: $(VENV)/.dev  ## install, lint, type-check, run all tests but those in rea
 
 # Streaming to arms asks for more than half of two cores, in real time: these tests run one at a time, with nothing
 # beside them. Controllers that wait more than they work come in pairs.
-test-live: $(VENV)/.dev  ## the tests in real time: processes, sockets and the unmodified ur_rtde client
+test-live: $(VENV)/.dev $(KERNEL)  ## the tests in real time: processes, sockets and the unmodified ur_rtde client
 	@$(VENV)/bin/python -m pytest -m real_time; code=$$?; \
 	  $(VENV)/bin/python -m pytest -n 2 -m "emulated and not real_time" || code=$$?; exit $$code
 
 # What neither steps MuJoCo nor knows Gymnasium is the same with every version of them.
-test-oldest: $(OLDEST)/.dev  ## the tests again with MuJoCo 3.17 and Gymnasium 1.2.2, without those of controllers
+test-oldest: $(OLDEST)/.dev $(KERNEL)  ## the tests again with MuJoCo 3.17 and Gymnasium 1.2.2, without those of controllers
 	@$(OLDEST)/bin/python -m pytest -n 2 --dist worksteal -m "not emulated" --ignore tests/sim2real/emulator --ignore tests/sim2real/control/test_adapter.py
 
 dist: $(VENV)/.dev  ## build wheel and sdist into out/dist, and check the sdist by building from it
@@ -99,29 +106,29 @@ dist: $(VENV)/.dev  ## build wheel and sdist into out/dist, and check the sdist 
 	@$(VENV)/bin/python -m build --outdir out/dist
 
 # Not --quiet: it hides warnings from --strict as well.
-docs: $(VENV)/.dev  ## build the documentation site into out/site, strictly
+docs: $(VENV)/.dev $(KERNEL)  ## build the documentation site into out/site, strictly
 	@found=$$(PYTHONPATH=. NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --site-dir out/site 2>&1) || \
 	  { echo "$$found" | grep -v '^INFO'; exit 1; }
 
-test-dist: $(DIST)/.dev  ## training on Ray RLlib with two workers on this machine
+test-dist: $(DIST)/.dev $(KERNEL)  ## training on Ray RLlib with two workers on this machine
 	@$(DIST)/bin/python -m pytest tests/distributed
 
-soak: $(VENV)/.dev  ## the tests with their full counts (about twenty times as long)
+soak: $(VENV)/.dev $(KERNEL)  ## the tests with their full counts (about twenty times as long)
 	@export DUAL_UR10_SOAK=1; $(VENV)/bin/python -m pytest -n 2 -m "not emulated" --durations=15; code=$$?; \
 	  $(MAKE) --no-print-directory test-live || code=$$?; exit $$code
 
-fuzz: $(VENV)/.fuzz  ## fuzz all that reads bytes of others: RUNS=20000 or TIME_S=60 per target, TARGET=name
+fuzz: $(VENV)/.fuzz $(KERNEL)  ## fuzz all that reads bytes of others: RUNS=20000 or TIME_S=60 per target, TARGET=name
 	@$(VENV)/bin/python -m tests.fuzz.run --runs $(RUNS) --seconds $(or $(TIME_S),0) --seed $(or $(SEED),1) $(TARGET)
 
 # The seeds of a failure replay exactly: make simulate SEED=123. Or a schedule from a file: make simulate SCHEDULE=file.toml
-simulate: $(VENV)/.dev  ## SEEDS random fault schedules on virtual cells, on JOBS processes
+simulate: $(VENV)/.dev $(KERNEL)  ## SEEDS random fault schedules on virtual cells, on JOBS processes
 	@$(VENV)/bin/python -m tests.virtual.simulate \
 	  $(if $(SEED),--seed $(SEED),$(if $(SCHEDULE),--schedule $(SCHEDULE),--seeds $(or $(SEEDS),1000) $(if $(JOBS),--jobs $(JOBS))))
 
-mutants: $(VENV)/.dev  ## 30 deliberate breaks of the motion path, each in a copy: the fault simulator must find them
+mutants: $(VENV)/.dev $(KERNEL)  ## 30 deliberate breaks of the motion path, each in a copy: the fault simulator must find them
 	@$(VENV)/bin/python -m tests.virtual.mutants
 
-bench: $(VENV)/.dev  ## all benchmarks, figures to out/*.json
+bench: $(VENV)/.dev $(KERNEL)  ## all benchmarks, figures to out/*.json
 	@mkdir -p out
 	@$(VENV)/bin/python benchmarks/kinematics.py --json out/kinematics.json
 	@$(VENV)/bin/python benchmarks/accuracy.py --json out/accuracy.json
@@ -144,4 +151,4 @@ format: $(VENV)/.dev  ## ruff's formatter and its safe fixes
 	@$(VENV)/bin/ruff format .
 
 clean:  ## remove what make built
-	rm -rf $(VENV) $(OLDEST) $(DIST) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(OLDEST) $(DIST) $(KERNEL) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -42,7 +42,7 @@ def compiler() -> list[str] | None:
         if found := shutil.which(name):
             return [found]
     if importlib.util.find_spec("ziglang"):
-        return [sys.executable, "-m", "ziglang", "c++", "-nostdlib++"]
+        return [sys.executable, "-m", "ziglang", "c++", "-nostdlib++", "-mcpu=baseline"]  # not for this processor alone
     return None
 
 

@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import zipfile
 
 import pytest
@@ -11,13 +12,16 @@ import pytest
 ROOT = pathlib.Path(__file__).parents[1]
 
 
+def _built(root, kind, out):
+    command = [sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", str(out)]
+    subprocess.run(command, cwd=root, check=True, timeout=120, capture_output=True)
+    (path,) = out.iterdir()
+    return path
+
+
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    out = tmp_path_factory.mktemp("wheel")
-    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(out)]
-    subprocess.run(command, cwd=ROOT, check=True, timeout=120, capture_output=True)
-    (path,) = out.glob("*.whl")
-    return path
+    return _built(ROOT, "wheel", tmp_path_factory.mktemp("wheel"))
 
 
 def test_the_wheel_holds_the_package_and_nothing_else(wheel):
@@ -37,6 +41,31 @@ def test_the_wheel_holds_the_package_and_nothing_else(wheel):
     assert "dual_ur10/sim2real/analysis/templates/page.html" in names
     assert "dual_ur10/policies/learned/learned_policies/sine_tracking/policy.safetensors" in names
     assert "dual_ur10/py.typed" in names
+    # The loader compares the sources with what the library was compiled from.
+    sources = {path.name for path in (ROOT / "dual_ur10" / "kernel").glob("*.?pp")}
+    assert {"kernel.cpp", "gate.hpp"} <= sources
+    kernel = {name.removeprefix("dual_ur10/kernel/") for name in names if name.startswith("dual_ur10/kernel/")}
+    assert kernel == {"__init__.py", "_kernel.so"} | sources
+
+
+def test_the_wheel_is_one_for_all_pythons_of_a_platform(wheel):
+    platform = re.sub("[-.]", "_", sysconfig.get_platform())
+    assert wheel.name.endswith(f"-py3-none-{platform}.whl")
+
+
+def test_the_sdist_gives_the_same_wheel(wheel, tmp_path):
+    for name in ("sdist", "root", "wheel"):
+        (tmp_path / name).mkdir()
+    with tarfile.open(_built(ROOT, "sdist", tmp_path / "sdist")) as sdist:
+        names = {name.split("/", 1)[1] for name in sdist.getnames()}
+        sdist.extractall(tmp_path / "root", filter="data")
+    assert {"hatch_build.py", "pyproject.toml", "dual_ur10/kernel/gate.hpp", "tests/test_packaging.py"} <= names
+    assert not [name for name in names if name.endswith((".so", ".pyc"))]
+    (root,) = (tmp_path / "root").iterdir()
+    again = zipfile.ZipFile(_built(root, "wheel", tmp_path / "wheel"))
+    assert again.namelist() == zipfile.ZipFile(wheel).namelist()
+    library = "dual_ur10/kernel/_kernel.so"
+    assert again.read(library) == zipfile.ZipFile(wheel).read(library)
 
 
 def test_the_installed_wheel_works(wheel, tmp_path):

@@ -243,7 +243,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         vectors = np.concatenate([error, measured.rotation, error[:, :1] - error[:, 1:]], axis=1)
         squares = np.add.reduce(vectors * vectors, axis=2)
         sizes = np.sqrt(squares)
-        terms = gaussian(sizes, _MARGINS)[:, _TERMS]
+        terms = gaussian(sizes, _MARGINS).take(_TERMS, axis=1)
         self._squares += squares[:, :2]
         self._count += 1
         over = self._count >= self._steps

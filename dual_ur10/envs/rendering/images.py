@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import importlib
 import os
 import sys
+import weakref
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,6 +30,9 @@ _NO_GL = (
     "no OpenGL backend was found for drawing. On Debian or Ubuntu: apt-get install libegl1 libegl-mesa0 "
     "libgl1-mesa-dri (or libosmesa6)"
 )
+
+
+_open: weakref.WeakSet[Canvas] = weakref.WeakSet()
 
 
 class Canvas:
@@ -60,6 +65,10 @@ class Canvas:
         if not shadows:
             quality.shadowsize = 0  # saves 64 MiB
         self._gl, self._context = _contexts(model, *size)
+        if not _open:
+            atexit.unregister(_close_all)
+            atexit.register(_close_all)  # before MuJoCo's own end of OpenGL, which is registered by now
+        _open.add(self)
         self.parallel = type(self._gl).__module__ == "mujoco.egl"
         self._model, self._supersample, self._size = model, supersample, (height, width, 3)
         self._rect = mujoco.MjrRect(0, 0, *size)
@@ -116,8 +125,14 @@ class Canvas:
             gl.free()
 
     def __del__(self) -> None:
-        with contextlib.suppress(Exception):  # at the end of the program OpenGL may be gone already
+        with contextlib.suppress(Exception):  # nobody can catch them here
             self.close()
+
+
+def _close_all() -> None:
+    """Close what nobody closed, at the end of the program."""
+    for canvas in list(_open):
+        canvas.close()
 
 
 def _halved(image: NDArray[np.uint8]) -> NDArray[np.uint16]:

@@ -64,10 +64,13 @@ class Physics:
             model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         self._batch: Any = Batch(model, n, self.threads)
         self._warnings, self._integration = self._batch.warning[:, :, 1], self._batch.state
-        # Contacts and constraints matter to a rollout only. Without them, what follows from positions is cheap.
-        self._flags = self._batch.expand("opt.disableflags"), int(model.opt.disableflags)
+        # A rollout needs no sensors but those of forces; what follows from positions needs no contacts or constraints.
         disable = mujoco.mjtDisableBit
-        self._unconstrained = self._flags[1] | int(disable.mjDSBL_CONTACT) | int(disable.mjDSBL_CONSTRAINT)
+        self._flags, self._rolling = self._batch.expand("opt.disableflags"), int(model.opt.disableflags)
+        self._positions = self._rolling | int(disable.mjDSBL_CONTACT) | int(disable.mjDSBL_CONSTRAINT)
+        if not scene.equipment.grippers:
+            self._rolling |= int(disable.mjDSBL_SENSOR)
+        self._flags[:] = self._rolling
         # Views: the arms' joints and, if there are grippers, each arm's two fingers behind its own.
         joints = 8 if scene.equipment.grippers else 6
         qpos, qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
@@ -86,10 +89,9 @@ class Physics:
 
     def _forward(self, rows: Rows | None = None) -> None:
         """Compute what follows from the positions of `rows`, or of all."""
-        flags, before = self._flags
-        flags[:] = self._unconstrained
+        self._flags[:] = self._positions
         self._batch.forward(ids=rows, stage=self._stage)
-        flags[:] = before
+        self._flags[:] = self._rolling
 
     def _joints(self, values: Array) -> Array:
         joints = 8 if self._handling is not None else 6

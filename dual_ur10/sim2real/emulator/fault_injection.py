@@ -15,6 +15,7 @@ import random
 import reprlib
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Annotated, Any, Final, Protocol, get_type_hints
 
 import numpy as np
@@ -96,7 +97,7 @@ class FaultInjection:
         self._requests: dict[str, Callable[..., Any]] = {
             name.removeprefix("do_"): method for name, method in inspect.getmembers(self) if name.startswith("do_")
         }
-        self._models = {name: _model(name, method) for name, method in self._requests.items()}
+        self._models = _models()
 
     def answer(self, line: str) -> str:
         """Answer one line. No input raises."""
@@ -346,11 +347,20 @@ def _page(name: str, kept: deque[Any], count: int, since: int) -> dict[str, Any]
     return {"first": first + begin, "count": count, name: chosen}
 
 
+@cache
+def _models() -> dict[str, type[BaseModel]]:
+    """Return the strict models of all requests by name."""
+    methods = inspect.getmembers(FaultInjection, inspect.isfunction)
+    return {name[3:]: _model(name[3:], method) for name, method in methods if name.startswith("do_")}
+
+
 def _model(name: str, method: Callable[..., Any]) -> type[BaseModel]:
     """Return the strict model of a request, made of the parameters of its method."""
     fields: dict[str, Any] = {}
     extra: Any = "forbid"
     for each in inspect.signature(method, eval_str=True).parameters.values():
+        if each.name == "self":
+            continue
         if each.kind is not inspect.Parameter.VAR_KEYWORD:
             fields[each.name] = (each.annotation, ... if each.default is each.empty else each.default)
         elif name == "link":

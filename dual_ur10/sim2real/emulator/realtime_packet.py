@@ -84,6 +84,9 @@ LENGTHS: Final = (
 """Length of the packet by version, bytes, newest first."""
 
 
+_ZEROS: Final = {count: (0.0,) * count for count in range(1, 7)}
+
+
 class RealtimePacket:
     """Encoder of the packet of one controller.
 
@@ -114,12 +117,10 @@ class RealtimePacket:
         """
         numbers: list[float] = []
         for name, count in self._fields:
-            if not name:
-                numbers += (0.0,) * count
-            elif count == 1:
-                numbers.append(values[name])
+            if count > 1:
+                numbers += values[name] if name else _ZEROS[count]
             else:
-                numbers += values[name]
+                numbers.append(values[name] if name else 0.0)
         return self._struct.pack(self.length, *numbers)
 
 

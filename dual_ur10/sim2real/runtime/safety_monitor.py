@@ -10,8 +10,7 @@ import numpy as np
 
 from dual_ur10.kinematics.forward import flange_pose_quat
 from dual_ur10.kinematics.frames import ArmMount, Frames
-from dual_ur10.kinematics.poses import Poses, relative_to
-from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
+from dual_ur10.kinematics.poses import Poses, length, relative_to, rotation_angle
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.protocol.modes import RuntimeState, SafetyMode
@@ -138,10 +137,13 @@ class SafetyMonitor:
         if not self._settings.coupled or len(latest) < len(ARMS):
             return None
         self._fresh = [False for _ in ARMS]
-        mounts = self._settings.mounts
-        found = _relative_pose([each.q_rad for each in latest], mounts, self._frames)
-        wanted = _relative_pose([each.target_q_rad for each in latest], mounts, self._frames)
-        apart_m, apart_rad = max(_pose_error(found, wanted), self._error_to_sent(found), key=_fraction)
+        sent = self._sent_for_both(0) if all(memory.sent_count for memory in self._arms) else None
+        rows = [[each.q_rad for each in latest], [each.target_q_rad for each in latest]]
+        found, *wanted = _relative_poses(
+            [*rows, *([] if sent is None else [sent])], self._settings.mounts, self._frames
+        )
+        errors = [_pose_error(found, each) for each in wanted]
+        apart_m, apart_rad = max(errors[0], self._least(errors[1], found) if sent else (0.0, 0.0), key=_fraction)
         self._apart = self._apart + 1 if apart_m > APART_M or apart_rad > APART_RAD else 0
         if self._apart < self._most_apart:
             return None
@@ -150,31 +152,47 @@ class SafetyMonitor:
             f"they should be to each other, allowed are {1e3 * APART_M:g} mm and {np.degrees(APART_RAD):.0f}°"
         )
 
-    def _error_to_sent(self, found: tuple[Array, Array]) -> tuple[float, float]:
+    def _least(self, error: tuple[float, float], found: Poses) -> tuple[float, float]:
         """Return the error of the relative pose against the targets sent for one common time, m and rad.
 
         A controller's own target does not reveal a delay of the whole arm. The common delay of both arms is not known
         exactly: the best fit within `BEHIND_S` counts.
+
+        Args:
+            error: Error without a delay.
+            found: Relative pose of the arms.
         """
-        if not all(memory.sent_count for memory in self._arms):
-            return 0.0, 0.0
-        newest = min(float(memory.sent(memory.sent_count - 1)[0].index[-1]) for memory in self._arms)
-        best = (np.inf, np.inf)
-        for back in range(_DELAYS + 1):
-            index = newest - back * BEHIND_S / _DELAYS / self._settings.tick_s
-            sent = [memory.target(index) for memory in self._arms]
-            best = min(
-                best, _pose_error(found, _relative_pose(sent, self._settings.mounts, self._frames)), key=_fraction
-            )
+        best = error
+        for back in range(1, _DELAYS + 1):
             if _fraction(best) < _NEAR:
                 break
+            (wanted,) = _relative_poses([self._sent_for_both(back)], self._settings.mounts, self._frames)
+            best = min(best, _pose_error(found, wanted), key=_fraction)
         return best
 
+    def _sent_for_both(self, back: int) -> list[Array]:
+        """Return the targets sent to both arms for one time, (2, 6): the newest, or `back` delays before."""
+        newest = min(float(memory.sent(memory.sent_count - 1)[0].index[-1]) for memory in self._arms)
+        index = newest - back * BEHIND_S / _DELAYS / self._settings.tick_s
+        return [memory.target(index) for memory in self._arms]
 
-def _pose_error(found: tuple[Array, Array], wanted: tuple[Array, Array]) -> tuple[float, float]:
+
+def _relative_poses(
+    q_rad: Sequence[Sequence[Sequence[float] | Array]], mounts: Sequence[ArmMount], frames: Frames
+) -> list[Poses]:
+    """Return the poses of the right flange in the frame of the left one at n joint angles of both arms."""
+    q = np.array(q_rad)
+    poses = [flange_pose_quat(q[:, arm], mount.dh) for arm, mount in enumerate(mounts)]
+    position = frames.position_to_cell(np.stack([each[0] for each in poses], axis=1))
+    quat = frames.quat_to_cell(np.stack([each[1] for each in poses], axis=1))
+    relative = relative_to(Poses(position[:, 0], quat[:, 0]), Poses(position[:, 1], quat[:, 1]))
+    return [Poses(*each) for each in zip(*relative, strict=True)]
+
+
+def _pose_error(found: Poses, wanted: Poses) -> tuple[float, float]:
     """Return the distance of two relative poses, m and rad."""
-    rotation = quat_multiply(quat_conjugate(wanted[1]), found[1])
-    return float(np.linalg.norm(found[0] - wanted[0])), float(np.linalg.norm(quat_to_rotvec(rotation)))
+    apart = relative_to(wanted, found)
+    return float(length(apart.position_m)), float(rotation_angle(apart.quat))
 
 
 def _fraction(apart: tuple[float, float]) -> float:
@@ -186,14 +204,3 @@ def _speed_fraction(status: ArmStatus) -> float:
     """Return the allowed fraction of an arm's speed. Emulated controllers report all of it as their speed scaling."""
     reduced = REDUCED_SCALING if status.safety_mode == SafetyMode.REDUCED else 1.0
     return min(status.slider * reduced, status.speed_scaling)
-
-
-def _relative_pose(
-    q_rad: Sequence[Sequence[float] | Array], mounts: Sequence[ArmMount], frames: Frames
-) -> tuple[Array, Array]:
-    """Return the pose of the right flange in the frame of the left one: position and orientation."""
-    poses = [flange_pose_quat(q, mount.dh) for q, mount in zip(q_rad, mounts, strict=True)]
-    position = frames.position_to_cell(np.array([each[0] for each in poses]))
-    quat = frames.quat_to_cell(np.array([each[1] for each in poses]))
-    left, right = (Poses(position[arm], quat[arm]) for arm in (0, 1))
-    return relative_to(left, right)

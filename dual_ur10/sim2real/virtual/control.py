@@ -95,11 +95,12 @@ class ScriptControl:
                 self._connected = False
 
     def _value(self, name: str) -> int:
-        self._poll()
+        """Return a value of the newest sample that was polled."""
         sample = self._link.latest
         return -1 if sample is None else int(sample.values[name])  # type: ignore[arg-type]  # a number, by its type
 
     def _plays(self) -> bool:
+        self._poll()
         return self._value("runtime_state") == RuntimeState.PLAYING
 
     def _wait_for(self, state: int) -> bool:
@@ -109,6 +110,7 @@ class ScriptControl:
             if not self._plays() or not self._connected or self._clock.now_s() > end:
                 return False
             self._clock.wait((self._link.fileno(),), end)
+            self._poll()
         return True
 
     # Commands.

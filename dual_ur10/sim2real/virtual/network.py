@@ -57,7 +57,8 @@ class MemoryTransport(Endpoint):
         piece = data[: max(0, peer._size - len(peer._data))]
         if len(piece):
             peer._data += piece
-            peer.note()
+            self._scheduler.readable.add(peer.number)
+            self._scheduler.notify_readers(peer.number)
         return len(piece)
 
     def receive_now(self, size: int) -> bytes | None:
@@ -67,9 +68,9 @@ class MemoryTransport(Endpoint):
         if self._data:
             data = bytes(self._data[:size])
             del self._data[:size]
-            self.note()
+            self.update()
             if self._peer is not None:
-                self._scheduler.notify(self._peer.number)
+                self._scheduler.notify_writers(self._peer.number)
             return data
         if self._broken:
             raise ConnectionResetError(errno.ECONNRESET, os.strerror(errno.ECONNRESET))

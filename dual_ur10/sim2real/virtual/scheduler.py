@@ -51,12 +51,16 @@ class Endpoint:
 
     def note(self) -> None:
         """Tell the scheduler whether it can be read, and wake the actors that wait for it."""
+        self.update()
+        self._scheduler.notify(self.number)
+
+    def update(self) -> None:
+        """Tell the scheduler whether it can be read."""
         scheduler, number = self._scheduler, self.number
         if self.readable or number not in scheduler.files:
             scheduler.readable.add(number)
         else:
             scheduler.readable.discard(number)
-        scheduler.notify(number)
 
 
 class Group:
@@ -106,7 +110,7 @@ class Scheduler:
         current: Actor that runs.
         files: Ends of connections by file number.
         readable: Numbers of those that can be read, or were closed.
-        waiting: File numbers that actors wait for.
+        waiting: File numbers that actors wait for, to read and to write.
         failures: Actors that ended with an error.
     """
 
@@ -117,7 +121,7 @@ class Scheduler:
         self._queue: list[tuple[float, int, int, Actor]] = []
         self.files: dict[int, Endpoint] = {}
         self.readable: set[int] = set()
-        self.waiting: dict[Actor, Container[int]] = {}
+        self.waiting: dict[Actor, tuple[Container[int], Container[int]]] = {}
         self._count = 0
         self._turns = 0
         self._main = Actor(0, self.program, "program")
@@ -205,8 +209,20 @@ class Scheduler:
 
     def notify(self, number: int) -> None:
         """Wake the actors that wait for a file number."""
-        for actor, wanted in self.waiting.items():
-            if number in wanted:
+        for actor, (readers, writers) in self.waiting.items():
+            if number in readers or number in writers:
+                self._wake(actor, self.now_s)
+
+    def notify_readers(self, number: int) -> None:
+        """Wake the actors that wait for a file number to read it."""
+        for actor, (readers, _) in self.waiting.items():
+            if number in readers:
+                self._wake(actor, self.now_s)
+
+    def notify_writers(self, number: int) -> None:
+        """Wake the actors that wait for a file number to write it."""
+        for actor, (_, writers) in self.waiting.items():
+            if number in writers:
                 self._wake(actor, self.now_s)
 
     def wait(self, until_s: float) -> None:
@@ -301,7 +317,7 @@ class VirtualClock:
             scheduler.go_on()
             return ready
         actor = scheduler.current
-        scheduler.waiting[actor] = (*readers, *writers) if writers else readers
+        scheduler.waiting[actor] = readers, writers
         try:
             scheduler.wait(until_s)
         finally:

@@ -6,7 +6,7 @@ import pytest
 from dual_ur10 import policies
 from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_rotvec
-from dual_ur10.sim2real.runtime.safety_monitor import _relative_pose
+from dual_ur10.sim2real.runtime.safety_monitor import _relative_poses
 from tests import soak
 from tests.virtual.faults.lab import ARMS, VirtualLab
 
@@ -77,7 +77,7 @@ def test_34_a_slider_does_not_tear_a_held_object(lab):
         # What each was sent, and what it should have been sent were both as far as the left one.
         was = [memory.target(index[row]) for memory, index in zip(lab.runner.arms, indices, strict=True)]
         should = [memory.target(indices[0][row]) for memory in lab.runner.arms]
-        found, wanted = (_relative_pose(each, mounts, Frames(mounts)) for each in (was, should))
+        found, wanted = _relative_poses([was, should], mounts, Frames(mounts))
         apart_m.append(np.linalg.norm(found[0] - wanted[0]))
         apart_rad.append(np.linalg.norm(quat_to_rotvec(quat_multiply(quat_conjugate(wanted[1]), found[1]))))
     assert max(apart_m) < 1e-3

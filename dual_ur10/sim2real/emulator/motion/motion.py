@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -34,7 +34,8 @@ from dual_ur10.sim2real.emulator.motion.trajectories import (
 )
 from dual_ur10.types import Array
 
-_LIMIT: Final = JOINT_RANGE_RAD + 1e-9
+_LIMITS_RAD: Final = (JOINT_RANGE_RAD + 1e-9).tolist()
+_SPEEDS_RAD_S: Final = JOINT_SPEED_RAD_S.tolist()
 _MAX_TICKS: Final = 2**31
 
 
@@ -163,13 +164,13 @@ class Motion(ToolMotion):
             self._offset = ZEROS
         return self._handle
 
-    def _may_go_to(self, target: Array) -> bool:
+    def _may_go_to(self, target: Sequence[float] | Array) -> bool:
         """Return True if a target is inside the joint limits; raise a fault if it is not."""
         if self.fault is not None:
             return False
-        beyond = np.abs(target) > _LIMIT
-        if beyond.any():
-            joint = int(beyond.argmax())
+        beyond = [abs(each) > limit for each, limit in zip(target, _LIMITS_RAD, strict=True)]
+        if any(beyond):
+            joint = beyond.index(True)
             self._fail(
                 JOINT_LIMIT,
                 f"position close to joint limits: joint {joint} would go to {target[joint]:.4f} rad, allowed are "
@@ -188,7 +189,7 @@ class Motion(ToolMotion):
             lookahead_s: Clipped to 0.03 to 0.2 s.
             gain: Clipped to 100 to 2000.
         """
-        target = np.array(six(q, "the target of servoj"))
+        target = six(q, "the target of servoj")
         ticks = self._ticks(t, "t of servoj")
         lookahead = min(
             max(number(lookahead_s, "lookahead_time of servoj"), LOOKAHEAD_RANGE_S[0]), LOOKAHEAD_RANGE_S[1]
@@ -198,18 +199,20 @@ class Motion(ToolMotion):
             return self._refuse()
         self._end_freedrive_for_command()
         servo = self._trajectory if isinstance(self._trajectory, Servo) else Servo(self.q, self._rate)
-        reach = self.assumptions.servoj_jump_factor * JOINT_SPEED_RAD_S * (lookahead + max(t, self.tick_s))
-        away = np.abs(target - servo.q)
-        if (away > reach).any():
-            joint = int((away / reach).argmax())
+        factor, time_s = self.assumptions.servoj_jump_factor, lookahead + max(t, self.tick_s)
+        reach = [factor * speed * time_s for speed in _SPEEDS_RAD_S]
+        away = [abs(one - other) for one, other in zip(target, servo.q.tolist(), strict=True)]
+        if any(far > near for far, near in zip(away, reach, strict=True)):
+            joint = int(np.divide(away, reach).argmax())
             self._fail(
                 SUDDEN_CHANGE,
                 f"sudden change in target position: joint {joint} by {away[joint]:.4f} rad, allowed are "
                 f"{reach[joint]:.4f}",
             )
             return self._refuse()
-        servo.aim(target, lookahead * self.lookahead_scale, gain, max(1, ticks))
-        return self._begin(servo, target, servo if servo is self._trajectory else None)
+        goal = np.array(target)
+        servo.aim(goal, lookahead * self.lookahead_scale, gain, max(1, ticks))
+        return self._begin(servo, goal, servo if servo is self._trajectory else None)
 
     def speed_joints(self, qd: Iterable[Any], a: float, t: float = 0.0) -> Handle:
         """`speedj`: accelerate to joint speeds (6,) and hold them. At `t` 0 it returns when they are reached.

@@ -35,6 +35,7 @@ _DAMPING: Final = 0.05  # of the damped least squares from a compliant TCP to th
 _YIELD_RAD_S2: Final = 8.0  # acceleration of the joints of a compliant TCP
 _YIELD_SPEED: Final = constant(0.4 * JOINT_SPEED_RAD_S)
 _LIMIT: Final = constant(JOINT_RANGE_RAD + 1e-9)
+_LIMITS_RAD: Final = _LIMIT.tolist()
 ZEROS: Final = constant(np.zeros(6))
 
 
@@ -125,12 +126,17 @@ class Reference:
         self._yield: Array = ZEROS
 
     @property
+    def _yields(self) -> bool:
+        """True while a compliant TCP moves off its path."""
+        return self._yield is not ZEROS and bool(self._yield.any())
+
+    @property
     def moving(self) -> bool:
         """True if the reference moves, or would move if its time passed."""
         trajectory = self._trajectory
         if trajectory is not None and not trajectory.streamed:
             return True
-        if trajectory is None and not self._yield.any():
+        if trajectory is None and not self._yields:
             return False
         return float(np.abs(self._rate + self._yield).max()) > _MOVING_RAD_S
 
@@ -161,14 +167,14 @@ class Reference:
         self._await_commands(scaling)
         self._scaling = scaling
         self._refused.abort()
-        if scaling < _NO_TIME or (self._trajectory is None and self._compliance is None and not self._yield.any()):
+        if scaling < _NO_TIME or (self._trajectory is None and self._compliance is None and not self._yields):
             return self._stand()
         self._still = None
         step = scaling * self._dt
         path = np.empty((self.substeps + 1, 6))
         path[0] = self.q
         path[1:] = self._advance(step)
-        if self._compliance is not None or self._yield.any():
+        if self._compliance is not None or self._yields:
             path[1:] += self._give_way(step, wrench)
         else:
             path[1:] += self._offset
@@ -270,7 +276,10 @@ class Reference:
         if not trajectory.streamed:
             return
         stop = q[-1] if isinstance(trajectory, Servo) else q[-1] + 0.5 * self._stopping_s(rate) * rate
-        if (np.abs(stop) > _LIMIT).any() and ((np.abs(stop) > _LIMIT) & (stop * rate > 0.0)).any():
+        if (
+            any(abs(each) > limit for each, limit in zip(stop.tolist(), _LIMITS_RAD, strict=True))
+            and ((np.abs(stop) > _LIMIT) & (stop * rate > 0.0)).any()
+        ):
             joint = int((np.abs(stop) - JOINT_RANGE_RAD).argmax())
             raise _InvalidError(
                 JOINT_LIMIT,

@@ -78,7 +78,8 @@ class Servo(Trajectory):
         """Advance by `time`."""
         self.t += time
         self._state = self._end @ self._offset
-        self._settled = float(np.abs(self._state).max()) < _AT_TARGET
+        first = float(self._state[0, 0])  # far away, as nearly always: then the others do not matter
+        self._settled = abs(first) < _AT_TARGET and float(np.abs(self._state).max()) < _AT_TARGET
         self._state[0] += self.target
 
     def rate(self) -> Array:

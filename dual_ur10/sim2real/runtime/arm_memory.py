@@ -19,6 +19,7 @@ RING: Final = 4096
 """Number of targets, packets and states kept: half a minute at 125 Hz, eight seconds at 500 Hz."""
 
 _TEXT: Final = 1024
+_RECENT: Final = 32  # newest targets and states in which one is searched
 _RETRIES: Final = 5  # of a read that a write interrupts
 _END, _SENT, _PHASE, _STOP, _SKIPPED, _STATES, _PROCESS = range(7)
 _BEAT_S, _FIRST_S = range(2)
@@ -249,6 +250,25 @@ class ArmMemory:
         """Return the states from number `since` on, as rows of `ArmStatus.row`, and the next number."""
         count = self._ints[_STATES]
         return _kept(self._states, since, count), count
+
+    def sent_s(self, index: float) -> float | None:
+        """Return the time at which the first of the last targets from number `index` on was sent; None: none was."""
+        count, found = self.sent_count, None
+        for number in range(count - 1, max(count - _RECENT, 0) - 1, -1):
+            row = self._sent[number % RING]
+            if row[1] < index:
+                break
+            found = float(row[2])
+        return found
+
+    def status_after(self, time_s: float, number: int) -> ArmStatus | None:
+        """Return the state that arrived as the `number`-th after a time; None: not so many have arrived."""
+        count = self.state_count
+        first = count
+        while first > max(count - _RECENT, 0) and self._states[(first - 1) % RING, 0] > time_s:
+            first -= 1
+        wanted = first + number - 1
+        return ArmStatus.from_row(self._states[wanted % RING]) if wanted < count else None
 
     @property
     def status(self) -> ArmStatus | None:

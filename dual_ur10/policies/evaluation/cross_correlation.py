@@ -29,11 +29,12 @@ def cross_correlation(late: Array, early: Array, most: int, *, constant: float =
 def _moved(moved: Array, still: Array, most: int, constant: float) -> Array:
     core = still[most : len(still) - most]
     core = core - core.mean(axis=0)
+    size = np.linalg.norm(core)
     result = np.empty(2 * most + 1)
     for k in range(len(result)):
         window = moved[k : k + len(core)]
         window = window - window.mean(axis=0)
-        scale = float(np.linalg.norm(core) * np.linalg.norm(window))
+        scale = float(size * np.linalg.norm(window))
         result[k] = float((core * window).sum()) / scale if scale > 0 else constant
     return result
 

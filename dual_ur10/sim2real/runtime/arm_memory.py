@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.control.time_scaling import interpolate
@@ -19,6 +19,7 @@ RING: Final = 4096
 """Number of targets, packets and states kept: half a minute at 125 Hz, eight seconds at 500 Hz."""
 
 _TEXT: Final = 1024
+_RECENT: Final = 32  # newest targets and states in which one is searched
 _RETRIES: Final = 5  # of a read that a write interrupts
 _END, _SENT, _PHASE, _STOP, _SKIPPED, _STATES, _PROCESS = range(7)
 _BEAT_S, _FIRST_S = range(2)
@@ -30,6 +31,10 @@ _LAYOUT: Final[Layout] = {
     "states": (np.float64, (RING, ROW_SIZE)),
     "text": (np.uint8, (_TEXT,)),
 }
+
+# Plain numbers are packed several times faster than NumPy converts them.
+_SENT_ROW: Final = struct.Struct("=10d")
+_STATES_ROW: Final = struct.Struct(f"={ROW_SIZE}d")
 
 
 class Phase(IntEnum):
@@ -84,8 +89,9 @@ class ArmMemory:
         self._view()
 
     def _view(self) -> None:
-        self._ints: NDArray[np.int64] = self._block["ints"]
-        self._floats: Array = self._block["floats"]
+        # Views of memory: reading one number of an array takes three times as long.
+        self._ints: memoryview[int] = memoryview(self._block["ints"])
+        self._floats: memoryview[float] = memoryview(self._block["floats"])
         self._targets: Array = self._block["targets"]
         self._sent: Array = self._block["sent"]
         self._states: Array = self._block["states"]
@@ -100,7 +106,7 @@ class ArmMemory:
         Raises:
             SettingsError: There is nothing to repeat, or no room for so many.
         """
-        end, count = int(self._ints[_END]), len(targets_rad)
+        end, count = self._ints[_END], len(targets_rad)
         if first < 0 or not count or (first and not end):
             raise SettingsError(f"{count} targets from number {first} on do not continue the {end} that are there")
         if count > RING // 2:
@@ -124,10 +130,10 @@ class ArmMemory:
 
     def note_sent(self, period: int, index: float, at_s: float, late_s: float, target_rad: Array) -> None:
         """Record a target sent."""
-        count = int(self._ints[_SENT])
-        row = self._sent[count % RING]
-        row[:4] = period, index, at_s, late_s
-        row[4:] = target_rad
+        count = self._ints[_SENT]
+        _SENT_ROW.pack_into(
+            self._sent.data.cast("B"), count % RING * _SENT_ROW.size, period, index, at_s, late_s, *target_rad.tolist()
+        )
         self._ints[_SENT] = count + 1
 
     def note_skipped(self, count: int) -> None:
@@ -136,8 +142,8 @@ class ArmMemory:
 
     def note_state(self, status: ArmStatus) -> None:
         """Record a state of the controller."""
-        count = int(self._ints[_STATES])
-        self._states[count % RING] = status.row()
+        count = self._ints[_STATES]
+        _STATES_ROW.pack_into(self._states.data.cast("B"), count % RING * _STATES_ROW.size, *status.row())
         self._ints[_STATES] = count + 1
 
     def beat(self, now_s: float) -> None:
@@ -160,7 +166,7 @@ class ArmMemory:
     @property
     def phase(self) -> Phase:
         """Phase of the arm's process."""
-        return _PHASES[int(self._ints[_PHASE])]
+        return _PHASES[self._ints[_PHASE]]
 
     @property
     def text(self) -> str:
@@ -170,17 +176,17 @@ class ArmMemory:
     @property
     def beat_s(self) -> float:
         """Time of the process's last sign of life; 0: none yet."""
-        return float(self._floats[_BEAT_S])
+        return self._floats[_BEAT_S]
 
     @property
     def first_s(self) -> float:
         """Time at which the first target is due; 0: unknown yet."""
-        return float(self._floats[_FIRST_S])
+        return self._floats[_FIRST_S]
 
     @property
     def process(self) -> int:
         """Process id; 0: it has not started yet."""
-        return int(self._ints[_PROCESS])
+        return self._ints[_PROCESS]
 
     @property
     def stop_requested(self) -> bool:
@@ -190,22 +196,22 @@ class ArmMemory:
     @property
     def end(self) -> int:
         """Number after that of the last target."""
-        return int(self._ints[_END])
+        return self._ints[_END]
 
     @property
     def sent_count(self) -> int:
         """Number of targets sent."""
-        return int(self._ints[_SENT])
+        return self._ints[_SENT]
 
     @property
     def state_count(self) -> int:
         """Number of states received."""
-        return int(self._ints[_STATES])
+        return self._ints[_STATES]
 
     @property
     def skipped(self) -> int:
         """Control periods without a target because their time had passed."""
-        return int(self._ints[_SKIPPED])
+        return self._ints[_SKIPPED]
 
     def target(self, index: float) -> Array:
         """Return the target at a number, (6,): interpolated between two, and the first or last one beyond them.
@@ -242,13 +248,32 @@ class ArmMemory:
 
     def states(self, since: int = 0) -> tuple[Array, int]:
         """Return the states from number `since` on, as rows of `ArmStatus.row`, and the next number."""
-        count = int(self._ints[_STATES])
+        count = self._ints[_STATES]
         return _kept(self._states, since, count), count
+
+    def sent_s(self, index: float) -> float | None:
+        """Return the time at which the first of the last targets from number `index` on was sent; None: none was."""
+        count, found = self.sent_count, None
+        for number in range(count - 1, max(count - _RECENT, 0) - 1, -1):
+            row = self._sent[number % RING]
+            if row[1] < index:
+                break
+            found = float(row[2])
+        return found
+
+    def status_after(self, time_s: float, number: int) -> ArmStatus | None:
+        """Return the state that arrived as the `number`-th after a time; None: not so many have arrived."""
+        count = self.state_count
+        first = count
+        while first > max(count - _RECENT, 0) and self._states[(first - 1) % RING, 0] > time_s:
+            first -= 1
+        wanted = first + number - 1
+        return ArmStatus.from_row(self._states[wanted % RING]) if wanted < count else None
 
     @property
     def status(self) -> ArmStatus | None:
         """Newest state; None: none has come yet."""
-        count = int(self._ints[_STATES])
+        count = self._ints[_STATES]
         return ArmStatus.from_row(self._states[(count - 1) % RING]) if count else None
 
     def close(self) -> None:

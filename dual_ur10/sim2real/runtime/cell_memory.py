@@ -45,8 +45,9 @@ class CellMemory:
             self.limit_scaling(1.0)
 
     def _view(self) -> None:
-        self._ints: NDArray[np.int64] = self._block["ints"]
-        self._floats: NDArray[np.float64] = self._block["floats"]
+        # Views of memory: reading one number of an array takes three times as long.
+        self._ints: memoryview[int] = memoryview(self._block["ints"])
+        self._floats: memoryview[float] = memoryview(self._block["floats"])
         self._scalings: NDArray[np.float64] = self._block["scalings"]
 
     # Written by the program.
@@ -81,7 +82,7 @@ class CellMemory:
 
     def set_time_scaling(self, scaling: TimeScaling) -> None:
         """Publish a time scaling that begins in a future control period."""
-        following = int(self._ints[_SEQUENCE]) + 1
+        following = self._ints[_SEQUENCE] + 1
         self._scalings[following % _SCALINGS] = astuple(scaling)
         self._ints[_SEQUENCE] = following
 
@@ -107,12 +108,12 @@ class CellMemory:
             LinkError: It is written faster than it can be read.
         """
         for _ in range(_TRIES):
-            before = int(self._ints[_SEQUENCE])
+            before = self._ints[_SEQUENCE]
             if before == self._read[0]:
                 return self._read[1]
             values = self._scalings[before % _SCALINGS].tolist()
             # A reader may stall for long: the row is complete until its next write begins.
-            if int(self._ints[_SEQUENCE]) - before < _SCALINGS - 1:
+            if self._ints[_SEQUENCE] - before < _SCALINGS - 1:
                 self._read = before, TimeScaling(*values)
                 return self._read[1]
         raise LinkError("the time scaling is written faster than it can be read: check what writes it")
@@ -120,17 +121,17 @@ class CellMemory:
     @property
     def largest_scaling(self) -> float:
         """Largest time scaling at the distances ahead."""
-        return float(self._floats[_PROXIMITY])
+        return self._floats[_PROXIMITY]
 
     @property
     def begin_s(self) -> float:
         """Start of control period 0; 0: not set yet."""
-        return float(self._floats[_BEGIN_S])
+        return self._floats[_BEGIN_S]
 
     @property
     def supervisor_beat_s(self) -> float:
         """Time of the supervisor's last sign of life; 0: none yet."""
-        return float(self._floats[_SUPERVISOR_S])
+        return self._floats[_SUPERVISOR_S]
 
     @property
     def ready(self) -> bool:
@@ -150,7 +151,7 @@ class CellMemory:
     @property
     def fresh(self) -> float:
         """Number after that of the policy's last target."""
-        return float(self._floats[_FRESH])
+        return self._floats[_FRESH]
 
     @property
     def live(self) -> bool:

@@ -241,13 +241,8 @@ class Runner:
             self.clock.sleep(5e-4)
 
     def _status_after(self, memory: ArmMemory, index: float) -> ArmStatus | None:
-        sent, _ = memory.sent(memory.sent_count - 32)
-        after = np.flatnonzero(sent.index >= index - 1.0 - 1e-9)
-        if not after.size:
-            return None
-        rows, _ = memory.states(memory.state_count - 32)
-        shown = rows[rows[:, 0] > sent.sent_s[after[0]]]
-        return ArmStatus.from_row(shown[SHOWN_STATES - 1]) if len(shown) >= SHOWN_STATES else None
+        sent_s = memory.sent_s(index - 1.0 - 1e-9)
+        return None if sent_s is None else memory.status_after(sent_s, SHOWN_STATES)
 
     # Stops.
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from dual_ur10.errors import OperationRefusedError
 from dual_ur10.kinematics.ur10 import JOINT_SPEED_RAD_S
+from dual_ur10.sim2real.emulator.controller import LiveValues
 from dual_ur10.sim2real.protocol.modes import RobotMode, RuntimeState, SafetyBits, SafetyMode
 from tests.sim2real.emulator.ticking import COUNT, HOME, PLAYS, Bench, program
 from tests.soak import SOAK
@@ -514,6 +515,32 @@ def test_payload_and_tcp_change_reported_values(bench):
     bench.wrench[2] = -2.5 * 9.81
     bench.tick()
     assert bench.controller.values["actual_TCP_force"][2] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_derived_values_are_computed_once_and_leave_overrides(bench):
+    made = []
+
+    def pose_and_speed():
+        made.append(1)
+        return (len(made),) * 6, (-len(made),) * 6
+
+    derived = {("pose", "speed", "absent"): lambda: (*pose_and_speed(), 9)}
+    values = LiveValues(dict.fromkeys(("mode", "pose", "speed"), 0), derived)
+    assert not made
+    values.forget()
+    assert (values["speed"], values["pose"], values["mode"]) == ((-1,) * 6, (1,) * 6, 0)
+    values.forget()
+    values["pose"] = "overridden"
+    values.complete()
+    assert values == {"mode": 0, "pose": "overridden", "speed": (-2,) * 6}
+    with pytest.raises(KeyError):
+        values["absent"]
+    # A controller reports what it overrides beside what it derives from the same state.
+    bench.controller.override("actual_TCP_pose", (9.0,) * 6)
+    bench.tick()
+    speed = bench.controller.motion.tcp_speed(bench.controller.reading.q_rad, bench.controller.reading.qd_rad_s)
+    assert bench.controller.values["actual_TCP_pose"] == (9.0,) * 6
+    assert bench.controller.values["actual_TCP_speed"] == pytest.approx(speed)
 
 
 def test_a_payload_beyond_the_arm_ends_the_program(bench):

@@ -190,6 +190,17 @@ def test_requests_of_a_version_prepare_no_recipe():
 # Data to the client.
 
 
+def test_connections_with_one_recipe_share_its_package(controller):
+    sessions = [controller.session(outputs(names), START) for names in (RECEIVED, RECEIVED, [*RECEIVED, "payload"])]
+    controller.values["robot_mode"] = 7
+    packages = {}
+    first, second, other = (each.publish(0, packages) for each in sessions)
+    assert first == second == sessions[0]._outputs.package()
+    assert second is first
+    assert len(other) > len(first)
+    assert len(packages) == 2
+
+
 def test_a_package_holds_values_in_the_requested_order(controller):
     session = controller.session(
         outputs([*RECEIVED, "payload_cog", "output_int_register_2", "output_double_register_12"])

@@ -149,6 +149,19 @@ def test_a_client_that_never_reads_loses_packets(harness):
     assert total == (4000 - connection.dropped) * len(packet)
 
 
+def test_a_packet_that_nobody_takes_is_not_encoded(harness):
+    harness.client()
+    packets = iter([bytes(1000)] * 4000)
+    for _ in range(4000):
+        harness.port.broadcast(lambda: next(packets))
+    connection = harness.port.connections[0]
+    assert connection.dropped > 500
+    assert len(list(packets)) == connection.dropped
+    harness.port.inject(lose=1)  # which counts packets that are encoded
+    harness.port.broadcast(lambda: bytes(1000))
+    assert harness.port.faults.lose == 0
+
+
 def test_a_client_that_never_reads_its_answers_is_closed(harness, caplog):
     lazy, other = harness.client(), harness.client()
     connection = harness.port.connections[0]

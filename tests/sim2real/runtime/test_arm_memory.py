@@ -218,6 +218,23 @@ def test_states_arrive_as_they_are(pair):
     assert [type(told[0]).from_row(row) for row in states] == told[1:]
 
 
+@pytest.mark.parametrize("before", [0, RING - 3])  # also where the ring is written from its start again
+def test_the_effect_of_a_target_is_found_among_the_newest_states(pair, before):
+    mine, theirs = pair
+    assert mine.sent_s(0.0) is None
+    assert mine.status_after(0.0, 1) is None
+    for _ in range(before):
+        theirs.note_sent(0, -1.0, 0.0, 0.0, np.zeros(6))
+        theirs.note_state(status_of()._replace(arrival_s=0.0))
+    for number in range(6):
+        theirs.note_sent(number, number / 2, 100.0 + number, 0.0, np.zeros(6))
+        theirs.note_state(status_of()._replace(arrival_s=100.5 + number))
+    assert [mine.sent_s(index) for index in (0.5, 0.6, 2.5, 2.6)] == [101.0, 102.0, 105.0, None]
+    found = [mine.status_after(102.0, number) for number in (1, 2, 4, 5)]
+    assert [each and each.arrival_s for each in found] == [102.5, 103.5, 105.5, None]
+    assert mine.status_after(200.0, 1) is None
+
+
 def test_a_result_does_not_change_later(pair):
     mine, theirs = pair
     mine.put(0, rows(0, 4))

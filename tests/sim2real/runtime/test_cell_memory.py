@@ -91,8 +91,12 @@ def test_a_scaling_is_read_whole_while_it_is_written(pair):
     code = (
         "import sys\nfrom dual_ur10.sim2real.runtime.cell_memory import CellMemory\n"
         "memory = CellMemory(sys.argv[1])\n"
-        "scalings = [memory.time_scaling for _ in range(20_000)]\n"
-        "print(len(set(scalings)), sum(scaling.index != 2 * scaling.period for scaling in scalings))\n"
+        "seen = set()\n"
+        "for _ in range(10_000_000):\n"
+        "    seen.add(memory.time_scaling)\n"
+        "    if len(seen) == 5_000:\n"
+        "        break\n"
+        "print(len(seen), sum(scaling.index != 2 * scaling.period for scaling in seen))\n"
     )
     mine.set_time_scaling(TimeScaling(0.0, 0.0))
     with subprocess.Popen([sys.executable, "-c", code, mine.name], stdout=subprocess.PIPE, text=True) as process:

@@ -34,8 +34,7 @@ _TRIES: Final = 6
 _DAMPING: Final = 0.05  # of the damped least squares from a compliant TCP to the joints
 _YIELD_RAD_S2: Final = 8.0  # acceleration of the joints of a compliant TCP
 _YIELD_SPEED: Final = constant(0.4 * JOINT_SPEED_RAD_S)
-_LIMIT: Final = constant(JOINT_RANGE_RAD + 1e-9)
-_LIMITS_RAD: Final = _LIMIT.tolist()
+_LIMITS_RAD: Final = (JOINT_RANGE_RAD + 1e-9).tolist()
 ZEROS: Final = constant(np.zeros(6))
 
 
@@ -276,10 +275,8 @@ class Reference:
         if not trajectory.streamed:
             return
         stop = q[-1] if isinstance(trajectory, Servo) else q[-1] + 0.5 * self._stopping_s(rate) * rate
-        if (
-            any(abs(each) > limit for each, limit in zip(stop.tolist(), _LIMITS_RAD, strict=True))
-            and ((np.abs(stop) > _LIMIT) & (stop * rate > 0.0)).any()
-        ):
+        beyond = zip(stop.tolist(), _LIMITS_RAD, rate.tolist(), strict=True)
+        if any(abs(each) > limit and each * speed > 0.0 for each, limit, speed in beyond):
             joint = int((np.abs(stop) - JOINT_RANGE_RAD).argmax())
             raise _InvalidError(
                 JOINT_LIMIT,

@@ -323,8 +323,10 @@ class ServojAdapter:
         """Return the width of each gripper in every tick, (n, ticks, 2), in m."""
         if not self.gripper:
             return None
-        width = (np.clip(action[..., 6], -1.0, 1.0) + 1.0) * (GRIPPER_WIDTH_M / 2)
-        return np.repeat(width[:, None], self.ticks, axis=1)
+        width = (np.minimum(np.maximum(action[..., 6], -1.0), 1.0) + 1.0) * (GRIPPER_WIDTH_M / 2)
+        widths: Array = np.empty((self.n, self.ticks, 2))
+        widths[:] = width[:, None]
+        return widths
 
 
 def _parabola(after: float) -> Array:

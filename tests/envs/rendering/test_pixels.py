@@ -1,3 +1,4 @@
+import functools
 import os
 import pickle
 import subprocess
@@ -30,8 +31,9 @@ def single(observation="pixels", **keywords):
     return gym.make(SINE, observation=observation, **{**SMALL, **keywords})
 
 
-def vector(n=2, observation="pixels", **keywords):
-    return gym.make_vec(SINE, num_envs=n, observation=observation, **{**SMALL, **keywords})
+def vector(n=2, observation="pixels", threads=1, **keywords):
+    """Make n cells on one thread: making an OpenGL context for each takes longer than all images of a test."""
+    return gym.make_vec(SINE, num_envs=n, observation=observation, threads=threads, **{**SMALL, **keywords})
 
 
 def actions(steps, n=None, seed=0):
@@ -342,7 +344,7 @@ def test_a_pickled_copy_continues_bit_for_bit(make):
         assert equal(env.step(action)[0], copy.step(action)[0])
 
 
-@pytest.mark.parametrize("make", [single, vector])
+@pytest.mark.parametrize("make", [single, functools.partial(vector, threads=2)])
 def test_canvases_are_made_with_the_first_image_and_closed_with_the_environment(make, monkeypatch):
     made, closed = [], []
     init, close = Canvas.__init__, Canvas.close

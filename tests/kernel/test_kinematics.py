@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD
 from dual_ur10.sim2real.control.limits import POINTS, Envelope, MotionLimits
-from tests.sim2real.control.motion_checks import elbow_position
+from tests.sim2real.control.motion_checks import elbow_position, flange
+from tests.sim2real.control.reference_cell import dh_product
 
 TICK_S = 0.008
 TOOLS = [((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), ((0.02, -0.03, 0.19), (0.0, 0.25, 0.1)), ((0.3, 0, 0), (0, 0, 0))]
@@ -16,9 +16,16 @@ TOOLS = [((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), ((0.02, -0.03, 0.19), (0.0, 0.25, 0
 
 def points(q_rad: np.ndarray, tcp_m) -> np.ndarray:
     """Return elbow, flange and TCP of both arms, (..., 2, 3, 3)."""
-    flange, rotation = flange_pose(q_rad)
-    tcp = flange + np.einsum("...aij,aj->...ai", rotation, np.asarray(tcp_m))
-    return np.stack([elbow_position(q_rad), flange, tcp], axis=-2)
+    position, rotation = flange(q_rad)
+    tcp = position + np.einsum("...aij,aj->...ai", rotation, np.asarray(tcp_m))
+    return np.stack([elbow_position(q_rad), position, tcp], axis=-2)
+
+
+def test_the_reference_is_the_product_of_the_dh_matrices() -> None:
+    for q in np.random.default_rng(0).uniform(-6.0, 6.0, (100, 6)):
+        position, rotation = flange(q)
+        np.testing.assert_allclose(position, dh_product(q)[:3, 3], atol=1e-14)
+        np.testing.assert_allclose(rotation, dh_product(q)[:3, :3], atol=1e-14)
 
 
 REST = 3e-10  # fraction of the limit at which a brake from rest moves, by the rounding of its coefficients

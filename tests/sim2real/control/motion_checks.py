@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from dual_ur10.kernel import Struct
-from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.ur10 import DH_A_M, DH_D_M
 from dual_ur10.sim2real.control.limits import MotionLimits
 
@@ -80,9 +79,30 @@ def elbow_position(q_rad: np.ndarray) -> np.ndarray:
     return np.stack([np.cos(q_rad[..., 0]) * reach, np.sin(q_rad[..., 0]) * reach, height], axis=-1)
 
 
+def flange(q_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return position, (..., 3), and rotation, (..., 3, 3), of nominal flanges, without the kernel."""
+    c1, c2, c5, c6 = (np.cos(q_rad[..., joint]) for joint in (0, 1, 4, 5))
+    s1, s2, s5, s6 = (np.sin(q_rad[..., joint]) for joint in (0, 1, 4, 5))
+    elbow, wrist = q_rad[..., 1] + q_rad[..., 2], q_rad[..., 1] + q_rad[..., 2] + q_rad[..., 3]
+    c, s = np.cos(wrist), np.sin(wrist)
+    # Columns, each by its parts outwards, beside and up: joints 2 to 4 move in a plane that joint 1 rotates.
+    x = c * c5 * c6 - s * s6, s5 * c6, s * c5 * c6 + c * s6
+    y = -c * c5 * s6 - s * c6, -s5 * s6, -s * c5 * s6 + c * c6
+    z = -c * s5, c5, -s * s5
+    p = (
+        DH_A_M[1] * c2 + DH_A_M[2] * np.cos(elbow) + DH_D_M[4] * s + DH_D_M[5] * z[0],
+        DH_D_M[3] + DH_D_M[5] * z[1],
+        DH_D_M[0] + DH_A_M[1] * s2 + DH_A_M[2] * np.sin(elbow) - DH_D_M[4] * c + DH_D_M[5] * z[2],
+    )
+    turned = [
+        np.stack([c1 * out + s1 * beside, s1 * out - c1 * beside, up], axis=-1) for out, beside, up in (x, y, z, p)
+    ]
+    return turned[3], np.stack(turned[:3], axis=-1)
+
+
 def cartesian_speed(sent: np.ndarray, tick_s: float, tcp_m: object = ((0, 0, 0), (0, 0, 0))) -> np.ndarray:
     """Return the largest Cartesian speed of both arms, (n, t - 1), over targets (n, t, 2, 6)."""
-    position, rotation = flange_pose(sent)
+    position, rotation = flange(sent)
     tool = position + np.einsum("ntaij,aj->ntai", rotation, np.asarray(tcp_m))
     points = np.stack([elbow_position(sent), position, tool])
     moved = np.linalg.norm(np.diff(points, axis=2), axis=-1) / tick_s

@@ -188,6 +188,22 @@ def test_a_joint_that_moves_forth_and_back_is_seen(ticks):
     assert found.verdicts[0].kind == "distance"
 
 
+def test_distances_of_one_row_prove_nothing_of_another():
+    """The other row, first and far away, is what the kernel measured last."""
+    ticks = 25
+    fraction = np.minimum(np.arange(1, ticks + 1) / (ticks - 3), 1.0)
+    path = 64.0 * (fraction * (1.0 - fraction)) ** 3 * 9.0 * (0.008 * (ticks - 3)) ** 2 / 24.0
+    gate = SafetyGate(HARD, 0.008, ticks, Post(HOME[0] + WIDE_M + 2e-3), n=2)
+    start = np.tile(HOME, (2, 1))
+    start[0, 0] -= 1.0
+    gate.reset(start.reshape(2, 2, 6))
+    targets = np.repeat(start[:, None], ticks, axis=1)
+    assert not gate(targets.reshape(2, ticks, 2, 6)).verdicts
+    targets[1, :, 0] += path
+    found = gate(targets.reshape(2, ticks, 2, 6)).verdicts
+    assert [(row, verdict.kind) for row, verdict in found.items()] == [(1, "distance")]
+
+
 @pytest.mark.parametrize("jump", [0.3, 30.0, 1e6, 1e17, 1e300])
 def test_impossible_motion_is_refused_without_checks(jump):
     post = Post(HOME[0] + 0.05)

@@ -59,3 +59,23 @@ void measure(const Sine& s, int64_t row) {
 EXPORT void sine_measure(const Sine* s, int64_t first, int64_t last) {
     for (int64_t row = first; row < last; ++row) measure(*s, row);
 }
+
+// Each agent's own observation: the `size` numbers of its arm, and the pose of the other flange in its own base frame.
+// `others` gives that as a product with the pose in the other base frame, and a 1; it begins at the number `pose`.
+#define SINE_AGENTS(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                            \
+    INT(n) INT(size) INT(own_size) INT(pose) REALS(others, 112) REALS(both, n * 2 * size) REALS(own, n * 2 * own_size)
+
+STRUCTURE(SineAgents, SINE_AGENTS)
+
+// Write the agents' observations of rows `first` to `last`.
+EXPORT void sine_agents(const SineAgents* s, int64_t first, int64_t last) {
+    for (int64_t side = 2 * first; side < 2 * last; ++side) {
+        const double *numbers = s->both + side * s->size, *other = s->both + (side ^ 1) * s->size + s->pose;
+        const double* product = s->others + 56 * (side & 1);
+        double *own = s->own + side * s->own_size, *pose = own + s->size;
+        for (int64_t k = 0; k < s->size; ++k) own[k] = numbers[k];
+        for (int k = 0; k < 7; ++k) pose[k] = product[49 + k];
+        for (int i = 0; i < 7; ++i)
+            for (int k = 0; k < 7; ++k) pose[k] += other[i] * product[7 * i + k];
+    }
+}

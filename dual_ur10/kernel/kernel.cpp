@@ -3,6 +3,7 @@
 #include "clearance.hpp"
 #include "forward.hpp"
 #include "gate.hpp"
+#include "grasps.hpp"
 #include "inverse.hpp"
 #include "motion.hpp"
 #include "sine_tracking.hpp"

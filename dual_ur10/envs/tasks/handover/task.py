@@ -13,7 +13,7 @@ from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment
 from dual_ur10.envs.tasks.handover.settings import GRIPS, MEETING_M, HandoverSettings, check_reach, lying
 from dual_ur10.envs.tasks.handover.stages import STAGES, STILL_M_S, WIDTH_M, Facts, advance, passed, terms
-from dual_ur10.envs.tasks.holding import PICKING, between_fingers, grasp_geometry, holds, required, rotations_of
+from dual_ur10.envs.tasks.holding import PICKING, Grasped, Grasps, required
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     OTHER_FLANGE_FIELDS,
@@ -34,7 +34,7 @@ from dual_ur10.kinematics.rotations import cross
 from dual_ur10.kinematics.ur10 import DH_D_M
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import REACH_FROM_JOINT_M, MotionLimits
-from dual_ur10.types import Array, Mask, Rows
+from dual_ur10.types import Array, Rows
 
 SETTLED_S = 0.5
 """Time that the block must lie on its target before an episode ends with success."""
@@ -49,19 +49,11 @@ class HandoverMeasured(NamedTuple):
 
     Attributes:
         poses: (n, 14) pose of the block, then of the target: position and quaternion.
-        rotations: (n, 4, 3, 3) of both flanges, the block and the target.
-        other_flange: (n, 2, 7) pose of the other flange in each flange's frame.
-        grip_in_tool_m: (n, 2, 3) position of each arm's grip of the block in its tool's frame.
-        between: (n, 2) True if the grip is between the fingers.
-        holding: (n, 2) True if the gripper holds the block.
+        grasped: Both arms and the block; the poses and rotations are those of block and target.
     """
 
     poses: Array
-    rotations: Array
-    other_flange: Array
-    grip_in_tool_m: Array
-    between: Mask
-    holding: Mask
+    grasped: Grasped
 
 
 class Handover(Task[HandoverSettings, HandoverMeasured]):
@@ -234,7 +226,6 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     def __init__(self, settings: HandoverSettings, cell: CellConfig, timing: Timing, n: int) -> None:
         super().__init__(settings, cell, timing, n)
         mounts = (cell.left, cell.right)
-        self._frames = Frames(mounts)
         check_reach(settings, cell.scene)
         self.duration_s = settings.duration_s * duration_ratio(type(self).limits, self.limits)
         self._steps = max(1, math.ceil(self.duration_s / timing.period_s - 1e-9))
@@ -245,6 +236,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         self._role: Array = np.ones((n, 2, 1))
         self._by_role: Rows = np.zeros((n, 2), dtype=np.intp)
         self._grip_m: Array = np.zeros((n, 2, 3))
+        self._grasps = Grasps(Frames(mounts), self._grip_m, WIDTH_M, 2)
         # Points from which the block's distance counts: meeting, where it was, shoulders, target.
         self._points: Array = np.zeros((n, 5, 3))
         self._points[:, 0] = MEETING_M
@@ -291,22 +283,19 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         """Compute the poses of all cells."""
         parts = state.object_m, state.object_quat, state.target_m, state.target_quat
         poses = np.concatenate([required(part) for part in parts], axis=1)
-        rotations = rotations_of(state, poses)
-        geometry = grasp_geometry(state, rotations, self._grip_m)
-        between = between_fingers(geometry.grip_in_tool_m)
-        return HandoverMeasured(poses, rotations, *geometry, between, holds(state, between, WIDTH_M))
+        return HandoverMeasured(poses, self._grasps(state, poses))
 
     def observe(self, state: CellState, measured: HandoverMeasured, commanded_q_rad: Array) -> Array:
         """Assemble the observations, (n, 112)."""
         gripper_m = required(state.gripper_m)[..., None]
-        in_bases = self._frames.poses_to_bases(measured.poses)
+        in_bases = measured.grasped.in_bases
         return self.layout.join(
             {
                 **arm_values(state, commanded_q_rad),
                 **wrench_values(required(state.wrench)),
                 **pose_values("block_base", in_bases[..., :7]),
                 **pose_values("target_base", in_bases[..., 7:]),
-                **pose_values("other_flange", measured.other_flange),
+                **pose_values("other_flange", measured.grasped.other_flange),
                 "gripper_m": gripper_m,
                 "other_gripper_m": gripper_m[:, ::-1],
                 "role": self._role,
@@ -316,7 +305,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
 
     def evaluate(self, state: CellState, measured: HandoverMeasured) -> Outcome:
         """Evaluate stages, reward terms, success and end."""
-        position, holding = measured.poses[:, :3], measured.holding
+        position, holding = measured.poses[:, :3], measured.grasped.holding
         distances, target_rad = self._distances(measured)
         facts = self._facts(state, measured, distances, target_rad)
         advance(self._stage, passed(facts))
@@ -348,24 +337,25 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
 
         The distances are those of the block from `_points`, of the tools from their grips, and the grips' slips.
         """
-        vectors, grip = self._vectors, measured.grip_in_tool_m
-        np.copyto(self._slip_from_m, grip, where=~measured.holding[..., None])
+        vectors, grasped = self._vectors, measured.grasped
+        grip = grasped.grip_in_tool_m
+        np.copyto(self._slip_from_m, grip, where=~grasped.holding[..., None])
         self._points[:, 4] = measured.poses[:, 7:10]
         np.subtract(measured.poses[:, None, :3], self._points, out=vectors[:, :5])
         vectors[:, 5:7] = grip
         np.subtract(grip, self._slip_from_m, out=vectors[:, 7:9])
         # The long axes are the first columns, whichever long side is up.
-        first, second = measured.rotations[:, 2, :, 0], measured.rotations[:, 3, :, 0]
+        first, second = grasped.rotations[:, 0, :, 0], grasped.rotations[:, 1, :, 0]
         vectors[:, 9] = cross(first, second)
         lengths = length(vectors)
         return lengths[:, :9], np.arctan2(lengths[:, 9], np.add.reduce(first * second, axis=1))
 
     def _facts(self, state: CellState, measured: HandoverMeasured, distances: Array, target_rad: Array) -> Facts:
-        holding, target_m, by_role = measured.holding, distances[:, 4], self._by_role
+        holding, target_m, by_role = measured.grasped.holding, distances[:, 4], self._by_role
         still = distances[:, 1] < STILL_M_S * self.timing.period_s
         near = (target_m < self.settings.success_error_m) & (target_rad < self.settings.success_turn_rad)
         return Facts(
-            measured.between.take(by_role),
+            measured.grasped.between.take(by_role),
             holding.take(by_role),
             required(state.gripper_m).take(by_role),
             distances[:, 5:7].take(by_role),

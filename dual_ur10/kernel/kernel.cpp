@@ -7,6 +7,7 @@
 #include "inverse.hpp"
 #include "motion.hpp"
 #include "sine_tracking.hpp"
+#include "stages.hpp"
 
 // Hash of the sources that this library was compiled from.
 EXPORT const char* kernel_sources() { return KERNEL_SOURCES; }

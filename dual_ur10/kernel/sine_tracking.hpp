@@ -15,8 +15,6 @@ STRUCTURE(Sine, SINE)
 
 namespace {
 
-constexpr double LOG_TENTH = -2.3025850929940456840;
-
 double displacement(const Sine& s, double time_s, double phase_rad) {
     const double wave = s.amplitude_m * sine_cosine(time_s * s.omega_rad_s + phase_rad).sine;
     if (time_s >= s.soft_start_s) return wave;
@@ -48,8 +46,7 @@ void measure(const Sine& s, int64_t row) {
     for (int arm = 0; arm < 2; ++arm)
         for (int k = 0; k < 3; ++k) {
             const int size = k < 2 ? 2 * k + arm : 4;
-            const double scaled = sizes[size] / s.margins[size];
-            terms[3 * arm + k] = exponential(scaled * scaled * LOG_TENTH);
+            terms[3 * arm + k] = gaussian(sizes[size], s.margins[size]);
         }
 }
 

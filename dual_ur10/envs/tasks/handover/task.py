@@ -12,7 +12,21 @@ from dual_ur10.assets.gripper import OPENING_M, TCP_M
 from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment
 from dual_ur10.envs.tasks.handover.settings import GRIPS, MEETING_M, HandoverSettings, check_reach, lying
-from dual_ur10.envs.tasks.handover.stages import STAGES, STILL_M_S, WIDTH_M, Facts, advance, passed, terms
+from dual_ur10.envs.tasks.handover.stages import (
+    AWAY,
+    BETWEEN,
+    HEIGHT,
+    HOLDS,
+    MEETING,
+    OPENING,
+    PLACED,
+    STAGES,
+    STILL_M_S,
+    TARGET,
+    TURN,
+    WIDTH_M,
+    Stages,
+)
 from dual_ur10.envs.tasks.holding import PICKING, Grasped, Grasps, required
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
@@ -34,7 +48,7 @@ from dual_ur10.kinematics.rotations import cross
 from dual_ur10.kinematics.ur10 import DH_D_M
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import REACH_FROM_JOINT_M, MotionLimits
-from dual_ur10.types import Array, Rows
+from dual_ur10.types import Array, Mask, Rows
 
 SETTLED_S = 0.5
 """Time that the block must lie on its target before an episode ends with success."""
@@ -243,7 +257,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         self._points[:, 2:4] = np.array([mount.position_m for mount in mounts]) + _SHOULDER_M
         self._vectors: Array = np.zeros((n, 10, 3))
         # Of the episode so far.
-        self._stage = np.zeros(n, dtype=np.int64)
+        self._stages = Stages(n)
         self._count = np.zeros(n, dtype=np.int64)
         self._settled = np.zeros(n, dtype=np.int64)
         self._slip_from_m: Array = np.zeros((n, 2, 3))
@@ -267,7 +281,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         self._role[rows, giver], self._role[rows, 1 - giver] = 1.0, -1.0
         self._by_role[rows] = 2 * rows[:, None] + np.stack([giver, 1 - giver], axis=1)
         self._grip_m[rows] = np.stack([grips.position_m for grips in GRIPS])[giver]
-        for counts in (self._stage, self._count, self._settled):
+        for counts in (self._stages.passed, self._count, self._settled):
             counts[rows] = 0
         self._points[rows, 1] = block.position_m
         self._slip_m[rows] = 0.0
@@ -307,11 +321,10 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         """Evaluate stages, reward terms, success and end."""
         position, holding = measured.poses[:, :3], measured.grasped.holding
         distances, target_rad = self._distances(measured)
-        facts = self._facts(state, measured, distances, target_rad)
-        advance(self._stage, passed(facts))
+        now_placed = self._check(state, measured.grasped, distances, target_rad)
         self._points[:, 1] = position
         self._count += 1
-        placed = (self._stage == len(self.stages)) & facts.placed
+        placed = (self._stages.passed == len(self.stages)) & now_placed
         self._settled = (self._settled + 1) * placed
         np.copyto(self._slip_m, distances[:, 7:9], where=holding)
         far = np.logical_and.reduce(distances[:, 2:4] > _FAR_M, axis=1)
@@ -319,15 +332,15 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         terminal = lost | (self._settled >= self._settled_steps)
         over = self._count >= self._steps
         info: dict[str, Any] = {
-            "stage": self._stage.copy(),
+            "stage": self._stages.passed.copy(),
             "giver": self._giver.copy(),
             "object_m": position.copy(),
-            "object_error_m": facts.target_m,
+            "object_error_m": distances[:, 4],
             "object_error_rad": target_rad,
             "slip_m": self._slip_m.copy(),
         }
         earned = np.empty((self.n, 2, len(self.weights)))
-        earned[..., :-1] = terms(facts, self._stage).reshape(2 * self.n, -1).take(self._by_role, axis=0)
+        earned[..., :-1] = self._stages.terms.reshape(2 * self.n, -1).take(self._by_role, axis=0)
         finish = np.maximum(self._steps - self._count, 0) * (terminal & ~lost)
         earned[..., -1] = finish[:, None]
         return Outcome(earned, placed & ~lost & (terminal | over), over & ~terminal, info, terminal)
@@ -350,18 +363,21 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         lengths = length(vectors)
         return lengths[:, :9], np.arctan2(lengths[:, 9], np.add.reduce(first * second, axis=1))
 
-    def _facts(self, state: CellState, measured: HandoverMeasured, distances: Array, target_rad: Array) -> Facts:
-        holding, target_m, by_role = measured.grasped.holding, distances[:, 4], self._by_role
+    def _check(self, state: CellState, grasped: Grasped, distances: Array, target_rad: Array) -> Mask:
+        """Check the stages, and return a mask, (n,), of blocks that are placed."""
+        facts, by_role, target_m = self._stages.facts, self._by_role, distances[:, 4]
         still = distances[:, 1] < STILL_M_S * self.timing.period_s
         near = (target_m < self.settings.success_error_m) & (target_rad < self.settings.success_turn_rad)
-        return Facts(
-            measured.grasped.between.take(by_role),
-            holding.take(by_role),
-            required(state.gripper_m).take(by_role),
-            distances[:, 5:7].take(by_role),
-            measured.poses[:, 2],
+        placed: Mask = near & still & ~np.logical_or.reduce(grasped.holding, axis=1)
+        facts[:, BETWEEN], facts[:, HOLDS] = grasped.between.take(by_role), grasped.holding.take(by_role)
+        facts[:, OPENING] = required(state.gripper_m).take(by_role)
+        facts[:, AWAY] = distances[:, 5:7].take(by_role)
+        facts[:, HEIGHT], facts[:, MEETING], facts[:, TARGET] = (
+            required(state.object_m)[:, 2],
             distances[:, 0],
             target_m,
-            target_rad,
-            near & still & ~np.logical_or.reduce(holding, axis=1),
         )
+        facts[:, TURN], facts[:, PLACED] = target_rad, placed
+        self._stages.check()
+        self._stages.advance()
+        return placed

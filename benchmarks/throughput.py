@@ -170,7 +170,7 @@ def measure_steps(env_id: str, arguments: argparse.Namespace) -> dict[str, Any]:
 
 def measure_parallel(env_id: str, arguments: argparse.Namespace) -> dict[str, Any]:
     """Measure the extra time per step of PettingZoo's parallel view."""
-    views = measure_views(env_id, arguments.rounds, 100)
+    views = measure_views(env_id, arguments.rounds, 20)  # short blocks: other work spoils few of them
     found = {name: views[f"parallel, {name}"] for name in ("shared", "individual")}
     extra = ", ".join(f"{value:.1f} µs with {name} rewards" for name, value in found.items())
     print(
@@ -271,7 +271,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the figures to this file")
     parser.add_argument("--blocks", type=int, default=15)
     parser.add_argument("--envs", type=int, default=64)
-    parser.add_argument("--rounds", type=int, default=30, help="rounds of blocks for PettingZoo's view")
+    parser.add_argument("--rounds", type=int, default=200, help="rounds of blocks for PettingZoo's view")
     parser.add_argument("--threads", type=int, default=min(2, os.cpu_count() or 1))
     parser.add_argument("--task", action="append", help="one of the tasks, such as SyncCarry; may be repeated")
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))

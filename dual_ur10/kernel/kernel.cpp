@@ -3,9 +3,11 @@
 #include "clearance.hpp"
 #include "forward.hpp"
 #include "gate.hpp"
+#include "grasps.hpp"
 #include "inverse.hpp"
 #include "motion.hpp"
 #include "sine_tracking.hpp"
+#include "stages.hpp"
 
 // Hash of the sources that this library was compiled from.
 EXPORT const char* kernel_sources() { return KERNEL_SOURCES; }

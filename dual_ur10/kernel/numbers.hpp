@@ -82,6 +82,12 @@ static inline double exponential(double x) {
     return sum * scale;
 }
 
+// 1 at distance 0 and 0.1 at `margin`.
+static inline double gaussian(double distance, double margin) {
+    const double scaled = distance / margin, log_tenth = -2.3025850929940456840;
+    return exponential(scaled * scaled * log_tenth);
+}
+
 struct Vector {
     double x, y, z;
 };

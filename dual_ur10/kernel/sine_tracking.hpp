@@ -15,8 +15,6 @@ STRUCTURE(Sine, SINE)
 
 namespace {
 
-constexpr double LOG_TENTH = -2.3025850929940456840;
-
 double displacement(const Sine& s, double time_s, double phase_rad) {
     const double wave = s.amplitude_m * sine_cosine(time_s * s.omega_rad_s + phase_rad).sine;
     if (time_s >= s.soft_start_s) return wave;
@@ -48,8 +46,7 @@ void measure(const Sine& s, int64_t row) {
     for (int arm = 0; arm < 2; ++arm)
         for (int k = 0; k < 3; ++k) {
             const int size = k < 2 ? 2 * k + arm : 4;
-            const double scaled = sizes[size] / s.margins[size];
-            terms[3 * arm + k] = exponential(scaled * scaled * LOG_TENTH);
+            terms[3 * arm + k] = gaussian(sizes[size], s.margins[size]);
         }
 }
 
@@ -58,4 +55,24 @@ void measure(const Sine& s, int64_t row) {
 // Measure rows `first` to `last`.
 EXPORT void sine_measure(const Sine* s, int64_t first, int64_t last) {
     for (int64_t row = first; row < last; ++row) measure(*s, row);
+}
+
+// Each agent's own observation: the `size` numbers of its arm, and the pose of the other flange in its own base frame.
+// `others` gives that as a product with the pose in the other base frame, and a 1; it begins at the number `pose`.
+#define SINE_AGENTS(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                            \
+    INT(n) INT(size) INT(own_size) INT(pose) REALS(others, 112) REALS(both, n * 2 * size) REALS(own, n * 2 * own_size)
+
+STRUCTURE(SineAgents, SINE_AGENTS)
+
+// Write the agents' observations of rows `first` to `last`.
+EXPORT void sine_agents(const SineAgents* s, int64_t first, int64_t last) {
+    for (int64_t side = 2 * first; side < 2 * last; ++side) {
+        const double *numbers = s->both + side * s->size, *other = s->both + (side ^ 1) * s->size + s->pose;
+        const double* product = s->others + 56 * (side & 1);
+        double *own = s->own + side * s->own_size, *pose = own + s->size;
+        for (int64_t k = 0; k < s->size; ++k) own[k] = numbers[k];
+        for (int k = 0; k < 7; ++k) pose[k] = product[49 + k];
+        for (int i = 0; i < 7; ++i)
+            for (int k = 0; k < 7; ++k) pose[k] += other[i] * product[7 * i + k];
+    }
 }

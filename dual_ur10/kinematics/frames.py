@@ -118,14 +118,18 @@ class Frames:
 
     Args:
         mounts: Mounts of both arms.
+
+    Attributes:
+        base_m: (2, 3) positions of the bases.
+        rotation: (2, 3, 3) rotations of cell frame vectors into each arm's own `base` frame.
+        quat_products: (2, 4, 4) matrices M: `q @ M` is the orientation q in that frame.
     """
 
     def __init__(self, mounts: tuple[ArmMount, ArmMount]) -> None:
         self.base_m, self.rotation = to_base(mounts)
         rotations = [quat_from_rotvec(np.array([0.0, 0.0, -np.pi - mount.yaw_rad])) for mount in mounts]
-        self._quat = np.stack([left_product(each) for each in rotations])
+        self.quat_products = np.stack([left_product(each) for each in rotations])
         self._back = np.stack([left_product(quat_conjugate(each)) for each in rotations])
-        self._to_bases: dict[int, tuple[Array, Array]] = {}
 
     def position_to_base(self, position_m: Array) -> Array:
         """Convert cell frame positions (..., 2, 3) to each arm's own `base` frame."""
@@ -145,40 +149,13 @@ class Frames:
 
     def quat_to_base(self, quat: Array) -> Array:
         """Convert cell frame orientations (..., 2, 4) to each arm's own `base` frame."""
-        result: Array = (quat[..., None, :] @ self._quat)[..., 0, :]
+        result: Array = (quat[..., None, :] @ self.quat_products)[..., 0, :]
         return result
 
     def quat_to_cell(self, quat: Array) -> Array:
         """Convert orientations (..., 2, 4) in each arm's own `base` frame to the cell frame."""
         result: Array = (quat[..., None, :] @ self._back)[..., 0, :]
         return result
-
-    def poses_to_bases(self, poses: Array) -> Array:
-        """Convert poses in the cell frame to the `base` frames of both arms.
-
-        Args:
-            poses: (n, 7 k) position and quaternion of k poses, one after another.
-
-        Returns:
-            (n, 2, 7 k).
-        """
-        count = poses.shape[1] // 7
-        if count not in self._to_bases:
-            self._to_bases[count] = self._matrix_of(count)
-        matrix, offset = self._to_bases[count]
-        result: Array = poses[:, None] @ matrix
-        result += offset
-        return result.reshape(len(poses), 2, 7 * count)
-
-    def _matrix_of(self, count: int) -> tuple[Array, Array]:
-        """Return the matrix (7 k, 14 k) and the offset (14 k,) that convert `count` poses."""
-        matrix, offset = np.zeros((count, 7, 2, count, 7)), np.zeros((2, count, 7))
-        for k in range(count):
-            for arm in (0, 1):
-                matrix[k, :3, arm, k, :3] = self.rotation[arm].T
-                matrix[k, 3:, arm, k, 3:] = self._quat[arm]
-        offset[..., :3] = -(self.rotation @ self.base_m[..., None])[:, None, :, 0]
-        return matrix.reshape(7 * count, 14 * count), offset.reshape(14 * count)
 
     @property
     def others_pose(self) -> Array:
@@ -189,6 +166,6 @@ class Frames:
         result = np.zeros((2, 8, 7))
         for own, other in ((0, 1), (1, 0)):
             result[own, :3, :3] = self.rotation[other] @ self.rotation[own].T
-            result[own, 3:7, 3:] = self._back[other] @ self._quat[own]
+            result[own, 3:7, 3:] = self._back[other] @ self.quat_products[own]
             result[own, 7, :3] = (self.base_m[other] - self.base_m[own]) @ self.rotation[own].T
         return result

@@ -77,8 +77,8 @@ class AgentSplitter:
                 value = info[name]
                 left[name], right[name] = value[0], value[1]
         if self.individual and terms is not None:
-            left.update(zip(self._terms, terms[0].tolist(), strict=True))
-            right.update(zip(self._terms, terms[1].tolist(), strict=True))
+            for agent, values in zip((left, right), terms.tolist(), strict=True):
+                agent.update(zip(self._terms, values, strict=True))
         return left, right
 
 

@@ -8,8 +8,10 @@ import numpy as np
 
 from dual_ur10.assets.gripper import OPENING_M, PAD_LENGTH_M, TCP_M
 from dual_ur10.errors import SettingsError
+from dual_ur10.kernel import RowLoop, Struct
+from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.poses import Poses
-from dual_ur10.kinematics.rotations import quat_between, quat_to_matrix, rotate
+from dual_ur10.kinematics.rotations import rotate
 from dual_ur10.sim2real.config.cell import CellState
 from dual_ur10.types import Array, Mask
 
@@ -28,71 +30,83 @@ _BETWEEN_M: Final = np.array([0.06, OPENING_M / 4, PAD_LENGTH_M * 0.75])
 """Largest distances of a grip from the tool centre point, along the axes of the tool, between the fingers."""
 
 
-class GraspGeometry(NamedTuple):
+class Grasped(NamedTuple):
     """Both arms and the object, relative to each other.
 
     Attributes:
         other_flange: (n, 2, 7) pose of the other flange in each flange's frame: position and quaternion.
         grip_in_tool_m: (n, 2, 3) position of each arm's grip on the object in its tool's frame.
+        between: (n, 2) True if the grip is between the fingers of its gripper, open or closed.
+        holding: (n, 2) True if the fingers hold the object there.
+        rotations: (n, 2, 3, 3) rotations of the first two poses in the cell frame.
+        in_bases: (n, 2, 7 k) poses in the `base` frame of each arm.
     """
 
     other_flange: Array
     grip_in_tool_m: Array
+    between: Mask
+    holding: Mask
+    rotations: Array
+    in_bases: Array
 
 
-def rotations_of(state: CellState, poses: Array) -> Array:
-    """Return the rotations, (n, 2 + k, 3, 3), of both flanges and of k poses, (n, 7 k), in the cell frame."""
-    quat = poses.reshape(len(poses), -1, 7)[..., 3:]
-    return quat_to_matrix(np.concatenate([required(state.flange_quat), quat], axis=1))
-
-
-def grasp_geometry(state: CellState, rotations: Array, grip_m: Array) -> GraspGeometry:
-    """Compute where flanges and grips are relative to each other.
+class Grasps:
+    """Measurement of flanges, grips and poses of n cells.
 
     Args:
-        state: Measured state.
-        rotations: (n, 3 or more, 3, 3) rotations of both flanges and the object in the cell frame.
-        grip_m: (n, 2, 3) or (2, 3) position of each arm's grip in the object's frame.
+        frames: Frames of both arms.
+        grip_m: (n, 2, 3) position of each arm's grip in the object's frame; later changes count.
+        width_m: Width of the object at the grips.
+        poses: Number k of poses: the object's, and at least another one.
     """
-    flange_m, quat, n = state.flange_m, required(state.flange_quat), len(rotations)
-    # From each flange to the other one, and to its grip.
-    away = np.empty((n, 2, 2, 3))
-    np.subtract(flange_m[:, ::-1], flange_m, out=away[:, :, 0])
-    np.matmul(grip_m, rotations[:, 2].swapaxes(1, 2), out=away[:, :, 1])
-    away[:, :, 1] += required(state.object_m)[:, None] - flange_m
-    inside = away @ rotations[:, :2]
-    other = np.empty((n, 2, 7))
-    other[..., :3], other[..., 3:] = inside[:, :, 0], quat_between(quat, quat[:, ::-1])
-    inside[:, :, 1, 2] -= TCP_M
-    return GraspGeometry(other, inside[:, :, 1])
+
+    def __init__(self, frames: Frames, grip_m: Array, width_m: float, poses: int) -> None:
+        self._n = n = len(grip_m)
+        self._input, self._output = np.zeros((n, 16 + 7 * poses)), np.zeros((n, 42 + 14 * poses))
+        struct = Struct(
+            "Grasps",
+            n=n,
+            poses=poses,
+            inputs=self._input.shape[1],
+            outputs=self._output.shape[1],
+            tcp_m=TCP_M,
+            width_m=width_m,
+            width_margin_m=_WIDTH_MARGIN_M,
+            between_m=_BETWEEN_M,
+            base_m=frames.base_m,
+            to_base=np.ascontiguousarray(frames.rotation),
+            quat_to_base=frames.quat_products,
+            grip_m=grip_m,
+            input=self._input,
+            output=self._output,
+        )
+        self._measure = RowLoop("grasps_measure", struct, n, 1)
+
+    def __call__(self, state: CellState, poses: Array) -> Grasped:
+        """Measure a state with poses in the cell frame, (n, 7 k): position and quaternion of each."""
+        n, given = self._n, self._input
+        given[:, :8] = required(state.flange_quat).reshape(n, 8)
+        given[:, 8:14] = state.flange_m.reshape(n, 6)
+        if state.gripper_m is not None:  # nothing that is welded has a width
+            given[:, 14:16] = state.gripper_m
+        given[:, 16:] = poses
+        self._measure()
+        found = self._output.copy()
+        holding = found[:, 20:24] > 0.0
+        return Grasped(
+            found[:, :14].reshape(n, 2, 7),
+            found[:, 14:20].reshape(n, 2, 3),
+            holding[:, :2],
+            holding[:, 2:],
+            found[:, 24:42].reshape(n, 2, 3, 3),
+            found[:, 42:].reshape(n, 2, -1),
+        )
 
 
 def flanges_of(tools: Poses) -> Poses:
     """Return the flange poses of tool poses, in the same frame."""
     away = rotate(tools.quat, np.broadcast_to(TCP_LEVER, tools.position_m.shape))
     return Poses(tools.position_m - away, tools.quat)
-
-
-def between_fingers(grip_in_tool_m: Array) -> Mask:
-    """Return a mask, (...), of grips that are between the fingers of their gripper, open or closed.
-
-    Args:
-        grip_in_tool_m: (..., 3) position of the grip on the object in the frame of the tool.
-    """
-    result: Mask = np.logical_and.reduce(np.abs(grip_in_tool_m) < _BETWEEN_M, axis=-1)
-    return result
-
-
-def holds(state: CellState, between: Mask, width_m: float) -> Mask:
-    """Return a mask, (n, 2), of grippers whose fingers hold the object.
-
-    Args:
-        state: Measured state.
-        between: (n, 2) result of `between_fingers`.
-        width_m: Width of the object at the grip.
-    """
-    touching: Mask = np.abs(required(state.gripper_m) - width_m) < _WIDTH_MARGIN_M
-    return touching & between
 
 
 def required(values: Array | None) -> Array:

@@ -6,10 +6,9 @@ import logging
 import math
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import accumulate
 from operator import itemgetter
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from dual_ur10.errors import ProtocolError
 from dual_ur10.sim2real.protocol.rtde import HEADER, DataType, FrameReader, Kind, Value
@@ -23,8 +22,7 @@ _LARGEST_TEXT: Final = HEADER.size + 1 + 255 + 1 + 255 + 1  # two texts, whose l
 _MOST_TEXTS: Final = 20  # logged messages, so that a controller cannot fill the log
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
+class Sample(NamedTuple):
     """One data package.
 
     Attributes:
@@ -61,6 +59,7 @@ class RtdeStream:
 
     def __init__(self, recipe: int, variables: Sequence[tuple[str, DataType]], start_s: float, where: str = "") -> None:
         self.latest: Sample | None = None
+        self._latest_s = -math.inf
         self.alive_s = start_s
         self.count = 0
         self.started = False
@@ -109,17 +108,16 @@ class RtdeStream:
             )
         found: tuple[Value, ...] = self._pick(self._struct.unpack_from(payload, 1))
         sample = Sample(dict(zip(self._names, found, strict=True)), arrival_s)
-        time_s, before = sample.timestamp_s, self.latest
+        time_s, before_s = sample.timestamp_s, self._latest_s
         if not math.isfinite(time_s):
             raise ProtocolError(f"the controller's timestamp is {time_s}")
-        if before is None or time_s > before.timestamp_s:
+        if time_s > before_s:
             self.alive_s = arrival_s
-        elif time_s < before.timestamp_s:
+        elif time_s < before_s:
             raise ProtocolError(
-                f"the controller's timestamp went back from {before.timestamp_s:.3f} to {time_s:.3f} s, as after a "
-                "restart"
+                f"the controller's timestamp went back from {before_s:.3f} to {time_s:.3f} s, as after a restart"
             )
-        self.latest = sample
+        self.latest, self._latest_s = sample, time_s
         self.count += 1
         return sample
 

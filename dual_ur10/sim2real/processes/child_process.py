@@ -38,7 +38,10 @@ NICE: Final = -15
 """Niceness of a process with deadlines. The system may deny it to users; then the process keeps its own."""
 
 SLICE_S: Final = 1e-4
-"""Time slice of a process with deadlines, the shortest that Linux takes. Any user may ask for it."""
+"""Time slice of a process that sends targets, the shortest that Linux takes. Any user may ask for it."""
+
+LONGER_SLICE_S: Final = 1e-3
+"""Time slice of other processes with deadlines, which a process that sends targets interrupts when it wakes."""
 
 _POLL_S: Final = 0.002
 _AUTOGROUP: Final = "/proc/self/autogroup"
@@ -47,7 +50,7 @@ _RESET_ON_FORK: Final = 1
 _SCHED_ATTR: Final = struct.Struct("IIQiIQQQ")  # sched_setattr(2): size, policy, flags, nice, priority, slice in ns, ..
 
 
-def hasten(rt_priority: int = 0) -> None:
+def hasten(rt_priority: int = 0, slice_s: float = LONGER_SLICE_S) -> None:
     """Give the calling thread, and those that it starts, priority over other processes.
 
     Niceness compares processes of one session only where Linux groups processes by session. There the session gets it,
@@ -56,6 +59,7 @@ def hasten(rt_priority: int = 0) -> None:
 
     Args:
         rt_priority: Real-time priority; 0: only niceness and time slice, where the system allows them.
+        slice_s: Time slice, s.
 
     Raises:
         SettingsError: A real-time priority is wanted, and the system refuses it.
@@ -66,7 +70,7 @@ def hasten(rt_priority: int = 0) -> None:
         if os.getsid(0) == os.getpid():
             with contextlib.suppress(OSError):
                 Path(_AUTOGROUP).write_text(str(NICE))
-        shorten_slice(inherited=True)
+        shorten_slice(slice_s, inherited=True)
         return
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(rt_priority))
@@ -75,10 +79,11 @@ def hasten(rt_priority: int = 0) -> None:
         raise SettingsError(f"{reason}: allow it (rtprio in limits.conf), or set it to 0") from error
 
 
-def shorten_slice(*, inherited: bool) -> None:
-    """Ask for the short time slice for the calling thread. A refusal changes nothing.
+def shorten_slice(slice_s: float = LONGER_SLICE_S, *, inherited: bool) -> None:
+    """Ask for a short time slice for the calling thread. A refusal changes nothing.
 
     Args:
+        slice_s: Time slice, s.
         inherited: Threads and processes that it starts from now on get it, too. Otherwise they begin with the
             system's ordinary scheduling.
     """
@@ -86,7 +91,7 @@ def shorten_slice(*, inherited: bool) -> None:
     if sys.platform == "linux" and number is not None and os.sched_getscheduler(0) == os.SCHED_OTHER:
         nice = os.getpriority(os.PRIO_PROCESS, 0)
         flags = 0 if inherited else _RESET_ON_FORK
-        slice_ns = round(1e9 * SLICE_S)
+        slice_ns = round(1e9 * slice_s)
         attributes = _SCHED_ATTR.pack(_SCHED_ATTR.size, os.SCHED_OTHER, flags, nice, 0, slice_ns, 0, 0)
         ctypes.CDLL(None).syscall(number, 0, attributes, 0)
 

@@ -20,7 +20,7 @@ from typing import Any, Final, Protocol, TypeVar
 import numpy as np
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.sim2real.processes.child_process import Child, hasten, shorten_slice
+from dual_ur10.sim2real.processes.child_process import LONGER_SLICE_S, SLICE_S, Child, hasten, shorten_slice
 from dual_ur10.sim2real.processes.clock import Clock, SystemClock
 from dual_ur10.sim2real.processes.garbage import GarbageCollector
 from dual_ur10.sim2real.processes.transport import Listener, TcpListener, TcpTransport, Transport
@@ -141,12 +141,13 @@ class System(Protocol):
     def terminated(self) -> Event:
         """Return an event that is set once this process is asked to terminate (SIGTERM)."""
 
-    def dedicate(self, rt_priority: int = 0, *, collect: bool = True) -> None:
+    def dedicate(self, rt_priority: int = 0, *, collect: bool = True, sends: bool = False) -> None:
         """Give this process priority, and freeze the garbage collector so that it does not delay deadlines.
 
         Args:
             rt_priority: Real-time priority; 0: none.
             collect: Keep collecting what is created later.
+            sends: It sends targets to an arm, and interrupts the other processes with deadlines.
 
         Raises:
             SettingsError: The real-time priority is refused.
@@ -268,14 +269,14 @@ class LocalSystem:
         signal.signal(signal.SIGTERM, lambda *_: event.set())
         return event
 
-    def dedicate(self, rt_priority: int = 0, *, collect: bool = True) -> None:
+    def dedicate(self, rt_priority: int = 0, *, collect: bool = True, sends: bool = False) -> None:
         """See `System`."""
         gc.collect()
         gc.freeze()
         if not collect:
             gc.disable()
             np.seterr(all="ignore")
-        hasten(rt_priority)
+        hasten(rt_priority, SLICE_S if sends else LONGER_SLICE_S)
 
     def hurry(self) -> None:
         """See `System`."""

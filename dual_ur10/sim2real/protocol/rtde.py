@@ -65,8 +65,10 @@ class FrameReader:
             ProtocolError: A frame claims to be shorter than its header, so that the start of the next one is unknown,
                 or larger than `largest`.
         """
-        buffer = self._buffer
-        buffer += data
+        rest = self._buffer
+        if rest:
+            rest += data
+        buffer = rest or data  # nearly always whole frames, which need no copy
         start, available = 0, len(buffer)
         while available - start >= HEADER.size:
             size, kind = HEADER.unpack_from(buffer, start)
@@ -80,7 +82,10 @@ class FrameReader:
             yield kind, bytes(buffer[start + HEADER.size : end])
             start = end
         # Once per call, not once per frame: many small frames in one piece stay cheap.
-        del buffer[:start]
+        if rest:
+            del rest[:start]
+        else:
+            rest += data[start:]
 
 
 def frame(kind: int, payload: bytes = b"") -> bytes:

@@ -113,7 +113,7 @@ def main(
         link = RtdeLink(
             connection.host, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES, name=connection.name, system=system
         )
-        system.dedicate(connection.rt_priority, collect=False)
+        system.dedicate(connection.rt_priority, collect=False, sends=True)
         control = _control(connection, system.control or _ur_rtde)  # from here on the watchdog must be fed
         # ur_rtde reconnects when it loses a controller, at any time and in a thread of its own, restarts its script
         # there and sends the last command again, without a watchdog. No setting of its own prevents that.

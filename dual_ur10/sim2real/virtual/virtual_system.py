@@ -199,7 +199,7 @@ class VirtualSystem:
         """Return an event that is never set: a virtual process is not asked to terminate."""
         return VirtualEvent(self._world.scheduler)
 
-    def dedicate(self, rt_priority: int = 0, *, collect: bool = True) -> None:
+    def dedicate(self, rt_priority: int = 0, *, collect: bool = True, sends: bool = False) -> None:
         """Do nothing: nothing delays a virtual process but what a test asks for.
 
         Raises:

@@ -48,17 +48,6 @@ def sensing(cell=QUIET, sampled=None, **values):
     return made, first
 
 
-def test_poses_in_both_bases_are_those_of_each():
-    frames, rng = Frames((CELL.left, CELL.right)), np.random.default_rng(2)
-    poses = rng.normal(size=(5, 3, 7))
-    got = frames.poses_to_bases(poses.reshape(5, 21)).reshape(5, 2, 3, 7)
-    for k in range(3):
-        both = np.repeat(poses[:, k, None], 2, axis=1)
-        assert np.allclose(got[:, :, k, :3], frames.position_to_base(both[..., :3]), atol=1e-14)
-        assert np.allclose(got[:, :, k, 3:], frames.quat_to_base(both[..., 3:]), atol=1e-14)
-    assert np.array_equal(got[3], frames.poses_to_bases(poses[3:4].reshape(1, 21)).reshape(2, 3, 7))
-
-
 def test_without_noise_the_true_state_is_returned():
     made, first = sensing()
     assert made.is_exact

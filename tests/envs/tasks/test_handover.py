@@ -4,7 +4,7 @@ import pytest
 from dual_ur10 import errors
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.tasks.handover.settings import GRIPS, HandoverSettings, laid_quat, lying, presented_quat
-from dual_ur10.envs.tasks.handover.stages import STAGES, WIDTH_M, Facts, advance, passed, terms
+from dual_ur10.envs.tasks.handover.stages import STAGES, WIDTH_M, Stages
 from dual_ur10.envs.tasks.handover.task import SETTLED_S, Handover
 from dual_ur10.kinematics import flange_pose_quat
 from dual_ur10.kinematics.frames import ArmMount
@@ -33,8 +33,24 @@ def gripper(between=False, holds=False, opening=0.085, away=0.5):
 
 
 def facts(giving=None, receiving=None, height=0.02, meeting=0.5, target=1.0, turn=0.3, placed=False):
-    both = zip(giving or gripper(), receiving or gripper(), strict=True)
-    return Facts(*(np.array([value]) for value in (*both, height, meeting, target, turn, placed)))
+    both = [value for each in zip(giving or gripper(), receiving or gripper(), strict=True) for value in each]
+    return [*both, height, meeting, target, turn, placed]
+
+
+def at(scene, passed=0):
+    """Return stages of one handover whose conditions are checked in a scene, after some passed stages."""
+    stages = Stages(1)
+    stages.facts[0], stages.passed[0] = scene, passed
+    stages.check()
+    return stages
+
+
+def terms(scene, passed):
+    stages = at(scene)
+    stages.conditions[:] = 0.0
+    stages.passed[0] = passed
+    stages.advance()
+    return stages.terms[0]
 
 
 HOLDS = gripper(True, True, WIDTH_M, 0.01)
@@ -51,28 +67,31 @@ SCENES = [
 
 
 def test_stages_are_passed_one_after_the_other():
-    stage = np.zeros(1, dtype=np.int64)
     for k, scene in enumerate(SCENES):
-        advance(stage, passed(scene))
-        assert stage[0] == k + 1
+        stages = at(scene, k)
+        stages.advance()
+        assert stages.passed[0] == k + 1
 
 
 @pytest.mark.parametrize("left_out", [0, 1, 2, 4, 5])
 def test_no_stage_can_be_skipped(left_out):
-    stage = np.zeros(1, dtype=np.int64)
+    passed = 0
     for scene in SCENES:
-        conditions = passed(scene)
-        conditions[:, left_out] = False
-        advance(stage, conditions)
-    assert stage[0] == left_out
+        stages = at(scene, passed)
+        stages.conditions[:, left_out] = 0.0
+        stages.advance()
+        passed = stages.passed[0]
+    assert passed == left_out
 
 
 def test_stages_that_hold_at_once_are_passed_at_once_and_never_lost():
-    stage = np.zeros(1, dtype=np.int64)
-    advance(stage, passed(SCENES[3]))
-    assert stage[0] == 4
-    advance(stage, passed(facts()))
-    assert stage[0] == 4
+    stages = at(SCENES[3])
+    stages.advance()
+    assert stages.passed[0] == 4
+    stages.facts[0] = facts()
+    stages.check()
+    stages.advance()
+    assert stages.passed[0] == 4
 
 
 @pytest.mark.parametrize(
@@ -86,7 +105,7 @@ def test_stages_that_hold_at_once_are_passed_at_once_and_never_lost():
     ],
 )
 def test_near_misses_do_not_pass_a_stage(scene, stage):
-    assert not passed(scene)[0, stage]
+    assert not at(scene).conditions[0, stage]
 
 
 def test_terms_rise_within_a_stage_and_are_one_after_it():
@@ -100,8 +119,7 @@ def test_terms_rise_within_a_stage_and_are_one_after_it():
         (6, facts(receiving=HOLDS, target=0.5), facts(receiving=HOLDS, target=0.1)),
     ]
     for k, far, near in nearer:
-        stage = np.array([k])
-        low, high = (terms(each, stage).mean(axis=1)[0] for each in (far, near))
+        low, high = (terms(each, k).mean(axis=0) for each in (far, near))
         assert low[:k].tolist() == high[:k].tolist() == [1.0] * k
         assert 0.0 <= low[k] < high[k] <= 1.0
         assert (high[k + 1 :] < 1.0).all()
@@ -110,10 +128,10 @@ def test_terms_rise_within_a_stage_and_are_one_after_it():
 
 def test_each_arm_earns_its_own_terms():
     expected = [2, 2, 2, 1, 1, 2, 0]
-    done = terms(facts(), np.array([7]))[0]
+    done = terms(facts(), 7)
     assert done[0].tolist() == expected
     assert done[1].tolist() == [2 - value for value in expected]
-    approach = [terms(facts(HOLDS, gripper(away=away)), np.array([2]))[0, :, 3] for away in (0.6, 0.2)]
+    approach = [terms(facts(HOLDS, gripper(away=away)), 2)[:, 3] for away in (0.6, 0.2)]
     assert approach[0][1] < approach[1][1]
     assert approach[0][0] == approach[1][0]
 
@@ -135,7 +153,7 @@ def test_after_all_stages_the_block_must_settle():
     core, _ = begun()
     core.step(STAY)
     handling = core.cell._physics._handling
-    core.task._stage[:] = 6
+    core.task._stages.passed[:] = 6
     put(core, handling._target[0][0] + [0.1, 0.0, 0.0], handling._target[1][0])
     assert core.step(STAY).info["stage"][0] == 6  # off the target
     put(core, handling._target[0][0], handling._target[1][0])
@@ -276,7 +294,7 @@ def test_measuring_changes_nothing():
     core, _ = begun()
     core.step(STAY)
     first, second = (core.task.measure(core._state) for _ in range(2))
-    assert np.array_equal(first.grip_in_tool_m, second.grip_in_tool_m)
+    assert all(np.array_equal(one, other) for one, other in zip(first.grasped, second.grasped, strict=True))
     assert core.task._count[0] == 1
 
 

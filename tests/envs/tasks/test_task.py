@@ -1,3 +1,6 @@
+import dataclasses
+import pickle
+
 import numpy as np
 import pytest
 from dm_control.utils import rewards
@@ -7,7 +10,8 @@ from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.tasks.sine_tracking.settings import SineSettings
 from dual_ur10.envs.tasks.task import gaussian
-from dual_ur10.kinematics.frames import ArmMount, to_base
+from dual_ur10.kinematics.frames import ArmMount, Frames, to_base
+from dual_ur10.sim2real.config.cell import CellConfig
 
 
 @pytest.mark.parametrize("margin", [0.005, 0.02])
@@ -49,6 +53,26 @@ def test_the_references_lie_on_the_sine():
         )
         away = np.linalg.norm(measured.ahead_base_m - measured.reference_base_m, axis=2)
         assert np.abs(away - np.abs(ahead)).max() < 1e-14
+
+
+def test_agents_of_the_sine_observe_the_other_flange_in_their_own_base():
+    cell = CellConfig()
+    cell = dataclasses.replace(cell, left=dataclasses.replace(cell.left, yaw_rad=0.1))
+    core = Core("SineTracking", {"cell": cell}, n=3)
+    core.reset([np.random.default_rng(seed) for seed in range(3)])
+    both, task, frames = core.step(np.full((3, 12), 0.1)).observation, core.task, Frames((cell.left, cell.right))
+    own = task.observe_agents(both)
+    assert np.array_equal(own[..., : task.layout.size], both.reshape(3, 2, -1))
+    arms = task.layout.split(both)
+    position = frames.position_to_base(frames.position_to_cell(arms["flange_base_m"])[:, ::-1])
+    quat = frames.quat_to_base(frames.quat_to_cell(arms["flange_base_quat"])[:, ::-1])
+    assert np.allclose(own[..., task.layout.size :], np.concatenate([position, quat], axis=2), rtol=0, atol=1e-14)
+    assert np.abs(own[:, 0] - own[:, 1]).max() > 0.1
+    copy = pickle.loads(pickle.dumps(task))
+    for rows in (slice(0, 1), slice(1, 3)):  # for any number of rows, and the same
+        assert np.array_equal(task.observe_agents(both[rows]), own[rows])
+        assert np.array_equal(copy.observe_agents(both[rows]), own[rows])
+    assert not np.shares_memory(task.observe_agents(both), task.observe_agents(both))
 
 
 def test_displacements_do_not_depend_on_other_rows():

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dual_ur10.assets.gripper import OPENING_M
 from dual_ur10.assets.props import BLOCK_SIZE_M
-from dual_ur10.envs.tasks.task import gaussian
-from dual_ur10.types import Array, Mask
-
-Counts = NDArray[np.int64]
+from dual_ur10.kernel import RowLoop, Struct
+from dual_ur10.types import Array
 
 STAGES: Final = ("reach", "grasp", "lift", "present", "mutual_grasp", "release", "place")
 
@@ -32,92 +29,48 @@ STILL_M_S: Final = 0.02
 # meeting, block to the target, angle of the block.
 _MARGINS: Final = np.array([0.15, 0.15, 0.5, 0.5, 0.3, 0.5])
 
-_ORDER: Final = np.arange(len(STAGES))
-# Stages passed from which on a term is earned. "present" begins as soon as the block is held.
-_BEGIN: Final = np.array([0, 1, 2, 2, 4, 5, 6])
-# Terms of giver and receiver for a passed stage.
-_DONE: Final = np.array([[2.0, 2.0, 2.0, 1.0, 1.0, 2.0, 0.0], [0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 2.0]])
+# Columns of `Stages.facts` where values are of the giver and of the receiver.
+BETWEEN, HOLDS, OPENING, AWAY = slice(0, 2), slice(2, 4), slice(4, 6), slice(6, 8)
+HEIGHT, MEETING, TARGET, TURN, PLACED = range(8, 13)
 
 
-class Facts(NamedTuple):
-    """Quantities on which the stages depend. Those of two grippers are of the giver, then of the receiver.
-
-    Attributes:
-        between: (n, 2) True if the gripper's grip of the block is between its fingers.
-        holds: (n, 2) True if the gripper holds the block.
-        opening_m: (n, 2) width of the gripper.
-        away_m: (n, 2) distance of the tool from its grip.
-        height_m: (n,) height of the block's middle above the table.
-        meeting_m: (n,) distance of the block from the meeting place.
-        target_m, target_rad: (n,) distance of the block from its target, and angle between their long axes.
-        placed: (n,) True if the block lies still on its target, and no gripper holds it.
-    """
-
-    between: Mask
-    holds: Mask
-    opening_m: Array
-    away_m: Array
-    height_m: Array
-    meeting_m: Array
-    target_m: Array
-    target_rad: Array
-    placed: Mask
-
-
-def passed(facts: Facts) -> Mask:
-    """Return an (n, 7) mask of stage conditions that hold now, regardless of order."""
-    gives, receives, lifted = facts.holds[:, 0], facts.holds[:, 1], facts.height_m > LIFTED_M
-    result = np.empty((len(lifted), len(STAGES)), dtype=bool)
-    reached, grasped, raised, presented, mutual, released, placed = result.T
-    reached[:], grasped[:], placed[:] = facts.between[:, 0], gives, facts.placed
-    np.logical_and(gives, lifted, out=raised)
-    np.logical_and(raised, facts.meeting_m < MEETING_RANGE_M, out=presented)
-    np.logical_and(raised, receives, out=mutual)
-    np.greater(receives & lifted, gives, out=released)
-    return result
-
-
-def advance(stage: Counts, conditions: Mask) -> None:
-    """Advance the number of stages passed in their order, (n,), in place; by several if they hold at once."""
-    reached = np.logical_and.accumulate(conditions | (stage[:, None] > _ORDER), axis=1)
-    np.add.reduce(reached, axis=1, out=stage)
-
-
-def terms(facts: Facts, stage: Counts) -> Array:
-    """Return the reward terms of giver and receiver, (n, 2, 7), 0 to 1 in their mean.
-
-    A term is 1 for a passed stage, less for progress.
+class Stages:
+    """Stages of n handovers, and the reward terms of progress towards them.
 
     Args:
-        facts: Current quantities.
-        stage: (n,) number of stages passed.
+        n: Number of handovers.
+
+    Attributes:
+        facts: (n, 13) quantities on which the stages depend, written by the caller. Of the giver and the receiver:
+            `BETWEEN`, 1 if the gripper's grip of the block is between its fingers; `HOLDS`, 1 if it holds the block;
+            `OPENING`, its width; `AWAY`, distance of the tool from its grip. `HEIGHT` of the block's middle above the
+            table; distances of the block from the `MEETING` place and the `TARGET`; `TURN`, angle between its long axis
+            and that of the target; `PLACED`, 1 if it lies still on its target, and no gripper holds it.
+        conditions: (n, 7) 1 for stage conditions that hold, regardless of order.
+        passed: (n,) number of stages passed in their order.
+        terms: (n, 2, 7) reward terms of giver and receiver, 0 to 1 in their mean: 1 for a passed stage, less for
+            progress.
     """
-    gives, receives = facts.holds[:, 0], facts.holds[:, 1]
-    distances = np.empty((len(stage), 6))
-    distances[:, :2], distances[:, 2], distances[:, 3] = facts.away_m, facts.away_m[:, 1], facts.meeting_m
-    distances[:, 4], distances[:, 5] = facts.target_m, facts.target_rad
-    near = gaussian(distances, _MARGINS)
-    closed = _closed(facts.opening_m)
-    closing = closed * facts.between
-    result = np.zeros((len(stage), 2, len(STAGES)))
-    giver, receiver = result[:, 0], result[:, 1]
-    np.multiply(near[:, 0], 2.0, out=giver[:, 0])
-    np.multiply(closing[:, 0], 2.0, out=giver[:, 1])
-    height = np.minimum(np.maximum(facts.height_m / LIFTED_M, 0.0), 1.0)
-    np.multiply(height, 2.0 * gives, out=giver[:, 2])
-    np.multiply(near[:, 3], gives, out=giver[:, 3])
-    mutual = np.maximum(0.5 * (near[:, 1] + closing[:, 1]), receives)
-    np.multiply(mutual, gives, out=giver[:, 4])
-    np.multiply(1.0 - closed[:, 0], 2.0 * receives, out=giver[:, 5])
-    receiver[:, 3], receiver[:, 4] = near[:, 2], giver[:, 4]
-    on_target = 1.4 * near[:, 4] + 0.6 * near[:, 5]
-    np.multiply(on_target, receives | facts.placed, out=receiver[:, 6])
-    result *= (stage[:, None] >= _BEGIN)[:, None]
-    np.copyto(result, _DONE, where=(stage[:, None] > _ORDER)[:, None])
-    return result
 
-
-def _closed(opening_m: Array) -> Array:
-    """Return 1 for a gripper at the block's width, 0 fully open or closed beyond it."""
-    result: Array = np.maximum(1.0 - np.abs(opening_m - WIDTH_M) / (OPENING_M - WIDTH_M), 0.0)
-    return result
+    def __init__(self, n: int) -> None:
+        self.facts: Array = np.zeros((n, 13))
+        self.conditions: Array = np.zeros((n, len(STAGES)))
+        self.passed = np.zeros(n, dtype=np.int64)
+        self.terms: Array = np.zeros((n, 2, len(STAGES)))
+        struct = Struct(
+            "Stages",
+            n=n,
+            lifted_m=LIFTED_M,
+            meeting_m=MEETING_RANGE_M,
+            width_m=WIDTH_M,
+            opening_m=OPENING_M,
+            margins=_MARGINS,
+            facts=self.facts,
+            conditions=self.conditions,
+            stage=self.passed,
+            terms=self.terms,
+        )
+        self.check = RowLoop("stages_check", struct, n, 1)
+        """Compute `conditions`."""
+        self.advance = RowLoop("stages_advance", struct, n, 1)
+        """Advance `passed` by the conditions, by several stages if they hold at once, and compute `terms`."""

@@ -12,8 +12,22 @@ from dual_ur10.assets.gripper import OPENING_M, TCP_M
 from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment
 from dual_ur10.envs.tasks.handover.settings import GRIPS, MEETING_M, HandoverSettings, check_reach, lying
-from dual_ur10.envs.tasks.handover.stages import STAGES, STILL_M_S, WIDTH_M, Facts, advance, passed, terms
-from dual_ur10.envs.tasks.holding import PICKING, between_fingers, grasp_geometry, holds, required, rotations_of
+from dual_ur10.envs.tasks.handover.stages import (
+    AWAY,
+    BETWEEN,
+    HEIGHT,
+    HOLDS,
+    MEETING,
+    OPENING,
+    PLACED,
+    STAGES,
+    STILL_M_S,
+    TARGET,
+    TURN,
+    WIDTH_M,
+    Stages,
+)
+from dual_ur10.envs.tasks.holding import PICKING, Grasped, Grasps, required
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     OTHER_FLANGE_FIELDS,
@@ -49,19 +63,11 @@ class HandoverMeasured(NamedTuple):
 
     Attributes:
         poses: (n, 14) pose of the block, then of the target: position and quaternion.
-        rotations: (n, 4, 3, 3) of both flanges, the block and the target.
-        other_flange: (n, 2, 7) pose of the other flange in each flange's frame.
-        grip_in_tool_m: (n, 2, 3) position of each arm's grip of the block in its tool's frame.
-        between: (n, 2) True if the grip is between the fingers.
-        holding: (n, 2) True if the gripper holds the block.
+        grasped: Both arms and the block; the poses and rotations are those of block and target.
     """
 
     poses: Array
-    rotations: Array
-    other_flange: Array
-    grip_in_tool_m: Array
-    between: Mask
-    holding: Mask
+    grasped: Grasped
 
 
 class Handover(Task[HandoverSettings, HandoverMeasured]):
@@ -234,7 +240,6 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     def __init__(self, settings: HandoverSettings, cell: CellConfig, timing: Timing, n: int) -> None:
         super().__init__(settings, cell, timing, n)
         mounts = (cell.left, cell.right)
-        self._frames = Frames(mounts)
         check_reach(settings, cell.scene)
         self.duration_s = settings.duration_s * duration_ratio(type(self).limits, self.limits)
         self._steps = max(1, math.ceil(self.duration_s / timing.period_s - 1e-9))
@@ -245,13 +250,14 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         self._role: Array = np.ones((n, 2, 1))
         self._by_role: Rows = np.zeros((n, 2), dtype=np.intp)
         self._grip_m: Array = np.zeros((n, 2, 3))
+        self._grasps = Grasps(Frames(mounts), self._grip_m, WIDTH_M, 2)
         # Points from which the block's distance counts: meeting, where it was, shoulders, target.
         self._points: Array = np.zeros((n, 5, 3))
         self._points[:, 0] = MEETING_M
         self._points[:, 2:4] = np.array([mount.position_m for mount in mounts]) + _SHOULDER_M
         self._vectors: Array = np.zeros((n, 10, 3))
         # Of the episode so far.
-        self._stage = np.zeros(n, dtype=np.int64)
+        self._stages = Stages(n)
         self._count = np.zeros(n, dtype=np.int64)
         self._settled = np.zeros(n, dtype=np.int64)
         self._slip_from_m: Array = np.zeros((n, 2, 3))
@@ -275,7 +281,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         self._role[rows, giver], self._role[rows, 1 - giver] = 1.0, -1.0
         self._by_role[rows] = 2 * rows[:, None] + np.stack([giver, 1 - giver], axis=1)
         self._grip_m[rows] = np.stack([grips.position_m for grips in GRIPS])[giver]
-        for counts in (self._stage, self._count, self._settled):
+        for counts in (self._stages.passed, self._count, self._settled):
             counts[rows] = 0
         self._points[rows, 1] = block.position_m
         self._slip_m[rows] = 0.0
@@ -291,22 +297,19 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         """Compute the poses of all cells."""
         parts = state.object_m, state.object_quat, state.target_m, state.target_quat
         poses = np.concatenate([required(part) for part in parts], axis=1)
-        rotations = rotations_of(state, poses)
-        geometry = grasp_geometry(state, rotations, self._grip_m)
-        between = between_fingers(geometry.grip_in_tool_m)
-        return HandoverMeasured(poses, rotations, *geometry, between, holds(state, between, WIDTH_M))
+        return HandoverMeasured(poses, self._grasps(state, poses))
 
     def observe(self, state: CellState, measured: HandoverMeasured, commanded_q_rad: Array) -> Array:
         """Assemble the observations, (n, 112)."""
         gripper_m = required(state.gripper_m)[..., None]
-        in_bases = self._frames.poses_to_bases(measured.poses)
+        in_bases = measured.grasped.in_bases
         return self.layout.join(
             {
                 **arm_values(state, commanded_q_rad),
                 **wrench_values(required(state.wrench)),
                 **pose_values("block_base", in_bases[..., :7]),
                 **pose_values("target_base", in_bases[..., 7:]),
-                **pose_values("other_flange", measured.other_flange),
+                **pose_values("other_flange", measured.grasped.other_flange),
                 "gripper_m": gripper_m,
                 "other_gripper_m": gripper_m[:, ::-1],
                 "role": self._role,
@@ -316,13 +319,12 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
 
     def evaluate(self, state: CellState, measured: HandoverMeasured) -> Outcome:
         """Evaluate stages, reward terms, success and end."""
-        position, holding = measured.poses[:, :3], measured.holding
+        position, holding = measured.poses[:, :3], measured.grasped.holding
         distances, target_rad = self._distances(measured)
-        facts = self._facts(state, measured, distances, target_rad)
-        advance(self._stage, passed(facts))
+        now_placed = self._check(state, measured.grasped, distances, target_rad)
         self._points[:, 1] = position
         self._count += 1
-        placed = (self._stage == len(self.stages)) & facts.placed
+        placed = (self._stages.passed == len(self.stages)) & now_placed
         self._settled = (self._settled + 1) * placed
         np.copyto(self._slip_m, distances[:, 7:9], where=holding)
         far = np.logical_and.reduce(distances[:, 2:4] > _FAR_M, axis=1)
@@ -330,15 +332,15 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         terminal = lost | (self._settled >= self._settled_steps)
         over = self._count >= self._steps
         info: dict[str, Any] = {
-            "stage": self._stage.copy(),
+            "stage": self._stages.passed.copy(),
             "giver": self._giver.copy(),
             "object_m": position.copy(),
-            "object_error_m": facts.target_m,
+            "object_error_m": distances[:, 4],
             "object_error_rad": target_rad,
             "slip_m": self._slip_m.copy(),
         }
         earned = np.empty((self.n, 2, len(self.weights)))
-        earned[..., :-1] = terms(facts, self._stage).reshape(2 * self.n, -1).take(self._by_role, axis=0)
+        earned[..., :-1] = self._stages.terms.reshape(2 * self.n, -1).take(self._by_role, axis=0)
         finish = np.maximum(self._steps - self._count, 0) * (terminal & ~lost)
         earned[..., -1] = finish[:, None]
         return Outcome(earned, placed & ~lost & (terminal | over), over & ~terminal, info, terminal)
@@ -348,30 +350,34 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
 
         The distances are those of the block from `_points`, of the tools from their grips, and the grips' slips.
         """
-        vectors, grip = self._vectors, measured.grip_in_tool_m
-        np.copyto(self._slip_from_m, grip, where=~measured.holding[..., None])
+        vectors, grasped = self._vectors, measured.grasped
+        grip = grasped.grip_in_tool_m
+        np.copyto(self._slip_from_m, grip, where=~grasped.holding[..., None])
         self._points[:, 4] = measured.poses[:, 7:10]
         np.subtract(measured.poses[:, None, :3], self._points, out=vectors[:, :5])
         vectors[:, 5:7] = grip
         np.subtract(grip, self._slip_from_m, out=vectors[:, 7:9])
         # The long axes are the first columns, whichever long side is up.
-        first, second = measured.rotations[:, 2, :, 0], measured.rotations[:, 3, :, 0]
+        first, second = grasped.rotations[:, 0, :, 0], grasped.rotations[:, 1, :, 0]
         vectors[:, 9] = cross(first, second)
         lengths = length(vectors)
         return lengths[:, :9], np.arctan2(lengths[:, 9], np.add.reduce(first * second, axis=1))
 
-    def _facts(self, state: CellState, measured: HandoverMeasured, distances: Array, target_rad: Array) -> Facts:
-        holding, target_m, by_role = measured.holding, distances[:, 4], self._by_role
+    def _check(self, state: CellState, grasped: Grasped, distances: Array, target_rad: Array) -> Mask:
+        """Check the stages, and return a mask, (n,), of blocks that are placed."""
+        facts, by_role, target_m = self._stages.facts, self._by_role, distances[:, 4]
         still = distances[:, 1] < STILL_M_S * self.timing.period_s
         near = (target_m < self.settings.success_error_m) & (target_rad < self.settings.success_turn_rad)
-        return Facts(
-            measured.between.take(by_role),
-            holding.take(by_role),
-            required(state.gripper_m).take(by_role),
-            distances[:, 5:7].take(by_role),
-            measured.poses[:, 2],
+        placed: Mask = near & still & ~np.logical_or.reduce(grasped.holding, axis=1)
+        facts[:, BETWEEN], facts[:, HOLDS] = grasped.between.take(by_role), grasped.holding.take(by_role)
+        facts[:, OPENING] = required(state.gripper_m).take(by_role)
+        facts[:, AWAY] = distances[:, 5:7].take(by_role)
+        facts[:, HEIGHT], facts[:, MEETING], facts[:, TARGET] = (
+            required(state.object_m)[:, 2],
             distances[:, 0],
             target_m,
-            target_rad,
-            near & still & ~np.logical_or.reduce(holding, axis=1),
         )
+        facts[:, TURN], facts[:, PLACED] = target_rad, placed
+        self._stages.check()
+        self._stages.advance()
+        return placed

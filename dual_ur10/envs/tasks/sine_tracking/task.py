@@ -164,11 +164,8 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         check_path(settings, cell.measured_scene, self.limits, cell.minimum_clearance_m, cell.uncertainty)
         frames = Frames(mounts)
         self._base_m, self._to_base = frames.base_m, frames.rotation
-        # Pose of the other flange in each arm's `base`, (14,), from the numbers of both arms.
-        size, pose = self.layout.size, self.layout.indices(["flange_base_m", "flange_base_quat"])
-        others = np.zeros((2, size, 2, 7))
-        others[1, pose, 0], others[0, pose, 1] = frames.others_pose[0, :7], frames.others_pose[1, :7]
-        self._others = others.reshape(2 * size, 14), frames.others_pose[:, 7].reshape(14)
+        self._others: Array = frames.others_pose
+        self._agents: dict[int, tuple[Array, Array, RowLoop]] = {}  # buffers and function, by the number of rows
         along_base = (self._to_base @ settings.direction) * settings.tracking[:, None]
         # Directions of the reference in `base` now and ahead, and in the cell frame now.
         self._along = np.stack([along_base, along_base, settings.direction * settings.tracking[:, None]])
@@ -249,9 +246,20 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     def observe_agents(self, observation: Array) -> Array:
         """Return each agent's own observation, (n, 2, 41), from those of both, (n, 68)."""
-        others = observation[:, None] @ self._others[0] + self._others[1]
-        arms = len(observation), 2, -1
-        return np.concatenate([observation.reshape(arms), others.reshape(arms)], axis=2)
+        both, own, split = self._agents.get(len(observation)) or self._begin_agents(len(observation))
+        both[...] = observation
+        split()
+        return own.copy()
+
+    def _begin_agents(self, n: int) -> tuple[Array, Array, RowLoop]:
+        size, own_size = self.layout.size, self.layout.size + 7
+        both, own = np.zeros((n, 2 * size)), np.zeros((n, 2, own_size))
+        pose = self.layout.indices(["flange_base_m"])[0]
+        struct = Struct(
+            "SineAgents", n=n, size=size, own_size=own_size, pose=pose, others=self._others, both=both, own=own
+        )
+        self._agents[n] = both, own, RowLoop("sine_agents", struct, n, 1)
+        return self._agents[n]
 
     def evaluate(self, state: CellState, measured: SineMeasured) -> Outcome:
         """Evaluate reward terms, success and end."""

@@ -13,12 +13,10 @@ from dual_ur10.assets.props import BAR_MASS_KG, BAR_WIDTH_M
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment
 from dual_ur10.envs.tasks.holding import (
     PICKING,
-    between_fingers,
+    Grasped,
+    Grasps,
     flanges_of,
-    grasp_geometry,
-    holds,
     required,
-    rotations_of,
 )
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
@@ -67,18 +65,14 @@ class CarryMeasured(NamedTuple):
         clock_s: (n,) time on the path, negative before it begins.
         poses: (n, 21) poses of the bar, of its reference now, and of that at the end of the next motion: position and
             quaternion of each.
-        rotation: (n, 3, 3) of the bar.
-        other_flange: (n, 2, 7) pose of the other flange in each flange's frame.
-        grip_in_tool_m: (n, 2, 3) position of each arm's grip of the bar in its tool's frame.
+        grasped: Both arms and the bar; the poses are these, the rotations those of the bar and its reference.
         holding: (n, 2) True if the gripper holds the bar.
         force_n: (n, 2, 3) force of the bar on each gripper.
     """
 
     clock_s: Array
     poses: Array
-    rotation: Array
-    other_flange: Array
-    grip_in_tool_m: Array
+    grasped: Grasped
     holding: Mask
     force_n: Array
 
@@ -244,6 +238,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         self._grasp_s = _GRASP_S[settings.rigid] / self._rate
         self.duration_s = self._grasp_s + settings.duration_s / self._rate + _SETTLE_S
         self._steps = math.ceil(self.duration_s / timing.period_s - 1e-9)
+        self._grasps = Grasps(self._frames, np.tile(self._grip.position_m, (n, 1, 1)), BAR_WIDTH_M, 3)
         self._bar = Poses(np.zeros((n, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)))
         self._when = np.array([0.0, timing.ahead_s])
         self._count = np.zeros(n, dtype=np.int64)
@@ -297,26 +292,23 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         poses = np.empty((self.n, 3, 7))
         poses[:, 0, :3], poses[:, 0, 3:] = required(state.object_m), required(state.object_quat)
         poses[:, 1:, :3], poses[:, 1:, 3:] = self._path(clock, self._bar)
-        rotations = rotations_of(state, poses[:, 0])
-        geometry = grasp_geometry(state, rotations, self._grip.position_m)
-        if self.settings.rigid:
-            holding = np.ones((self.n, 2), dtype=bool)
-        else:
-            holding = holds(state, between_fingers(geometry.grip_in_tool_m), BAR_WIDTH_M)
+        flat = poses.reshape(self.n, 21)
+        grasped = self._grasps(state, flat)
+        holding = np.ones((self.n, 2), dtype=bool) if self.settings.rigid else grasped.holding
         force = self._frames.vector_to_cell(required(state.wrench)[..., :3])
-        return CarryMeasured(clock[:, 0], poses.reshape(self.n, 21), rotations[:, 2], *geometry, holding, force)
+        return CarryMeasured(clock[:, 0], flat, grasped, holding, force)
 
     def observe(self, state: CellState, measured: CarryMeasured, commanded_q_rad: Array) -> Array:
         """Assemble the observations, (n, 124), or (n, 122) with a rigid grasp."""
         clock = measured.clock_s
-        in_bases = self._frames.poses_to_bases(measured.poses)
+        in_bases = measured.grasped.in_bases
         values = {
             **arm_values(state, commanded_q_rad),
             **wrench_values(required(state.wrench)),
             **pose_values("bar_base", in_bases[..., :7]),
             **pose_values("reference_base", in_bases[..., 7:14]),
             **pose_values("ahead_base", in_bases[..., 14:]),
-            **pose_values("other_flange", measured.other_flange),
+            **pose_values("other_flange", measured.grasped.other_flange),
             "time_to_path_s": per_arm(np.minimum(clock, 0.0)),
             "progress": per_arm(np.minimum(np.maximum(clock / self._path.duration_s, 0.0), 1.0)),
         }
@@ -326,22 +318,23 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
 
     def evaluate(self, state: CellState, measured: CarryMeasured) -> Outcome:
         """Evaluate reward terms, success and end."""
-        clock, grip, poses, holding = measured.clock_s, measured.grip_in_tool_m, measured.poses, measured.holding
+        clock, grasped, poses, holding = measured.clock_s, measured.grasped, measured.poses, measured.holding
+        grip = grasped.grip_in_tool_m
         begun = clock > 0.0
         both: Mask = np.logical_and.reduce(holding, axis=1)
         np.copyto(self._slip_from, grip, where=~begun[:, None, None])
         # The internal force is half the difference of both arms' forces, along the bar and across it.
-        force, along = measured.force_n, measured.rotation[:, :, 1]
+        force, along = measured.force_n, grasped.rotations[:, 0, :, 1]
         inner = (force[:, 0] - force[:, 1]) / 2
         internal = np.add.reduce(inner * along, axis=1)
         # Errors of the bar and of the arms' relative position; lateral force; slips; tools to grips; both rotations.
         vectors, turns = self._vectors, self._turns
         np.subtract(poses[:, :3], poses[:, 7:10], out=vectors[:, 0])
-        np.subtract(measured.other_flange[:, 0, :3], self._ideal.position_m, out=vectors[:, 1])
+        np.subtract(grasped.other_flange[:, 0, :3], self._ideal.position_m, out=vectors[:, 1])
         np.subtract(inner, internal[:, None] * along, out=vectors[:, 2])
         np.subtract(grip, self._slip_from, out=vectors[:, 3:5])
         vectors[:, 5:7] = grip
-        turns[:, 0], turns[:, 1] = quat_between(poses[:, 10:14], poses[:, 3:7]), measured.other_flange[:, 0, 3:]
+        turns[:, 0], turns[:, 1] = quat_between(poses[:, 10:14], poses[:, 3:7]), grasped.other_flange[:, 0, 3:]
         lengths, angles = length(vectors), rotation_angle(turns)
         bar_m, relative_m, slip, bar_rad = lengths[:, 0], lengths[:, 1], lengths[:, 3:5], angles[:, 0]
         load = np.maximum(-force[..., 2], 0.0)

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
+from dual_ur10.kernel import Constants, call
 from dual_ur10.kinematics.poses import Poses
-from dual_ur10.kinematics.rotations import quat_multiply
 from dual_ur10.types import Array
 
 _X, _Y, _Z, _ROLL, _PITCH, _YAW = range(6)
@@ -79,24 +79,6 @@ MOVES: Final = {
 """Moves of the paths by their length in s."""
 
 
-def _turns() -> Array:
-    """Return the matrix (32, 4) from products of the parts of a quaternion, yaw, roll and pitch to the rotation.
-
-    It is that of the quaternion, then yaw, roll and pitch about the axes that the rotations before have moved.
-    """
-    unit = np.eye(4)
-    result = np.empty((4, 2, 2, 2, 4))
-    for k, yaw, roll, pitch in np.ndindex(4, 2, 2, 2):
-        turn = unit[k]
-        for part, axis in ((yaw, 3), (roll, 1), (pitch, 2)):
-            turn = quat_multiply(turn, unit[part * axis])
-        result[k, yaw, roll, pitch] = turn
-    return result.reshape(32, 4)
-
-
-_TURNS: Final = _turns()
-
-
 class CarryPath:
     """Lift, sideways, forward, yaw, roll, pitch, and down: twice continuously differentiable, by minimum jerk moves.
 
@@ -107,11 +89,11 @@ class CarryPath:
     def __init__(self, duration_s: float) -> None:
         moves = MOVES[duration_s]
         self.duration_s = duration_s
-        self._begin = np.array([move[0] for move in moves])
-        self._length = np.array([move[1] for move in moves]) - self._begin
-        self._change = np.zeros((len(moves), 6))
-        for row, (_, _, number, change) in enumerate(moves):
-            self._change[row, number] = change
+        self._count = len(moves)
+        rows = np.zeros((len(moves), 8))
+        for row, (begin, end, number, change) in zip(rows, moves, strict=True):
+            row[0], row[1], row[2 + number] = begin, end - begin, change
+        self._moves = Constants(rows)
 
     def __call__(self, time_s: Array, start: Poses) -> Poses:
         """Return the poses at times on the path, (n, k); before 0 that of the start, after the end the last one.
@@ -120,15 +102,6 @@ class CarryPath:
             time_s: (n, k).
             start: Poses of the bar before it is lifted, (n, 3) and (n, 4); rotated about the vertical only.
         """
-        ratio = np.minimum(np.maximum((time_s[..., None] - self._begin) / self._length, 0.0), 1.0)
-        change = (ratio * ratio * ratio * (10.0 + ratio * (6.0 * ratio - 15.0))) @ self._change
-        half = change[..., 3:]
-        half *= 0.5
-        # Of roll, pitch and yaw: real and imaginary part of the quaternion.
-        parts = np.empty((*time_s.shape, 3, 2))
-        np.cos(half, out=parts[..., 0])
-        np.sin(half, out=parts[..., 1])
-        roll, pitch, yaw = parts[..., 0, None, :, None], parts[..., 1, None, None, :], parts[..., 2, :, None, None]
-        products = start.quat[:, None, :, None] * (yaw * roll * pitch).reshape(*time_s.shape, 1, 8)
-        quat = products.reshape(*time_s.shape, 32) @ _TURNS
-        return Poses(start.position_m[:, None] + change[..., :3], quat)
+        times, result = np.ascontiguousarray(time_s), np.empty((*time_s.shape, 7))
+        call("carry_path", self._moves, self._count, *start, times, *time_s.shape, result)
+        return Poses(result[..., :3], result[..., 3:])

@@ -73,7 +73,7 @@ $(DIST)/.dev: pyproject.toml constraints-dist.txt | check-python
 
 # The compiled kernel lies in the package, one for all environments. Each installation compiles it; this does so again
 # after a change of its sources. pip brings a compiler where there is none.
-$(KERNEL): hatch_build.py $(wildcard dual_ur10/kernel/*.?pp) | $(VENV)/bin/python
+$(KERNEL): hatch_build.py $(wildcard dual_ur10/kernel/*.?pp) dual_ur10/kernel/flags.txt | $(VENV)/bin/python
 	@echo "Compiling the control kernel ..."
 	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) --no-deps -e .
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import os
+import platform
 import shlex
 import shutil
 import subprocess
@@ -21,12 +22,6 @@ from typing import Any
 ZIG = "ziglang>=0.13"
 KERNEL = Path("dual_ur10", "kernel")
 LIBRARY = "_kernel.so"
-FLAGS = (
-    *("-std=c++17", "-O3", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-fvisibility=hidden"),
-    *("-fno-exceptions", "-fno-rtti"),
-    "-ffp-contract=off",  # the same bits with and without fused multiplications in the processor
-    "-fno-math-errno",
-)
 
 try:
     from hatchling.builders.hooks.plugin.interface import BuildHookInterface
@@ -39,7 +34,8 @@ def compiler() -> list[str] | None:
     if os.environ.get("CXX"):
         return shlex.split(os.environ["CXX"])
     for name in ("c++", "g++", "clang++"):
-        if found := shutil.which(name):
+        # macOS has programs of these names that only ask to install a compiler.
+        if (found := shutil.which(name)) and subprocess.run([found, "--version"], capture_output=True).returncode == 0:
             return [found]
     if importlib.util.find_spec("ziglang"):
         return [sys.executable, "-m", "ziglang", "c++", "-nostdlib++", "-mcpu=baseline"]  # not for this processor alone
@@ -47,22 +43,26 @@ def compiler() -> list[str] | None:
 
 
 def sources_hash(folder: Path) -> str:
-    """Return the hash of the sources, as `dual_ur10.kernel.sources_hash` does."""
+    """Return the hash of the sources and flags, as `dual_ur10.kernel.sources_hash` does."""
     digest = hashlib.sha256()
-    for path in sorted([*folder.glob("*.hpp"), *folder.glob("*.cpp")]):
+    for path in sorted([*folder.glob("*.?pp"), folder / "flags.txt"]):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
 
 
-def build(root: Path) -> Path:
-    """Compile the kernel of a checkout in place, and return the library."""
+def build(root: Path, *more: str) -> Path:
+    """Compile the kernel of a checkout in place, with more flags than its own, and return the library."""
     folder = root / KERNEL
     library, command = folder / LIBRARY, compiler()
     if command is None:
         sys.exit(f"no C++ compiler was found: install one (on Debian: g++), or `pip install '{ZIG}'`, and try again")
     unfinished = library.with_suffix(f".{os.getpid()}")
     define = f'-DKERNEL_SOURCES="{sources_hash(folder)}"'
-    done = subprocess.run([*command, *FLAGS, define, str(folder / "kernel.cpp"), "-o", str(unfinished), "-lm"])
+    flags = [*(folder / "flags.txt").read_text().split(), *more, define]
+    try:
+        done = subprocess.run([*command, *flags, str(folder / "kernel.cpp"), "-o", str(unfinished), "-lm"])
+    except FileNotFoundError:
+        sys.exit(f"there is no compiler {command[0]!r}: correct the environment variable CXX, or unset it")
     if done.returncode:
         sys.exit(f"the control kernel could not be compiled with {shlex.join(command)}: see its messages above")
     unfinished.replace(library)  # a process that has loaded the former one keeps it
@@ -80,11 +80,15 @@ class CustomBuildHook(BuildHookInterface):  # type: ignore[misc]
         """Compile, and mark the wheel as one of this platform and any Python 3."""
         if self.target_name != "wheel":
             return
-        build(Path(self.root))
-        platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
-        build_data.update(pure_python=False, tag=f"py3-none-{platform}")
+        system = sysconfig.get_platform().replace("-", "_").replace(".", "_")
+        if sys.platform == "darwin":  # this processor alone, also where Python itself is for both kinds
+            system = f"macosx_11_0_{platform.machine()}"
+            build(Path(self.root), "-mmacosx-version-min=11.0")
+        else:
+            build(Path(self.root))
+        build_data.update(pure_python=False, tag=f"py3-none-{system}")
         build_data["artifacts"].append(f"{KERNEL.as_posix()}/{LIBRARY}")
 
 
 if __name__ == "__main__":
-    build(Path(__file__).parent)
+    build(Path(__file__).parent, "-Werror")

@@ -1,8 +1,8 @@
-"""Compiled control kernel: adapter, limiter, safety gate and distances, row by row, in C++.
+"""Compiled kernel, in C++: kinematics, adapter, safety gate, distances, feed-forward and measurements of tasks.
 
-Python computes all coefficients and owns all memory; the kernel does the arithmetic of a control period without
-allocating, without Python, and without the GIL. A `Struct` mirrors one of its structures, whose fields the library
-itself describes. This package imports nothing of the project but its errors; `control` and `envs.sim` use it.
+Python computes all coefficients and owns all memory that lasts; the kernel does the arithmetic of a control period,
+row by row, without the GIL. A `Struct` mirrors one of its structures, whose fields the library itself describes. This
+package imports only the project's errors and types; kinematics, control, simulation and tasks use it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import hashlib
 import itertools
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 from math import prod
 from pathlib import Path
@@ -35,9 +35,9 @@ _ELEMENTS: Final = {"ints": np.dtype(np.int64), "reals": np.dtype(np.float64)}
 
 
 def sources_hash() -> str:
-    """Return the hash of the C++ sources beside this file."""
+    """Return the hash of the C++ sources beside this file, and of the compiler's flags."""
     digest = hashlib.sha256()
-    for path in sorted([*FOLDER.glob("*.hpp"), *FOLDER.glob("*.cpp")]):
+    for path in sorted([*FOLDER.glob("*.?pp"), FOLDER / "flags.txt"]):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
 
@@ -56,10 +56,18 @@ def library() -> ctypes.CDLL:
         loaded = ctypes.CDLL(str(LIBRARY))
     except OSError as error:
         raise KernelError(f"the compiled kernel is not for this machine: {error}. {again}") from None
-    loaded.kernel_sources.restype = ctypes.c_char_p
-    if loaded.kernel_sources().decode() != sources_hash():
+    if not _is_of_these_sources(loaded):
         raise KernelError(f"the compiled kernel is not that of the sources beside it, in {FOLDER}. {again}")
     return loaded
+
+
+def _is_of_these_sources(loaded: ctypes.CDLL) -> bool:
+    try:
+        describe = loaded.kernel_sources
+    except AttributeError:
+        return False
+    describe.restype = ctypes.c_char_p
+    return bool(describe().decode() == sources_hash())
 
 
 @cache
@@ -94,9 +102,10 @@ class RowLoop:
     def __call__(self) -> None:
         """Call the function for all rows."""
         waiting = [_pool(os.getpid()).submit(self._call, self._address, *part) for part in self._others]
-        self._call(self._address, *self._first)
-        for each in waiting:
-            each.result()
+        try:
+            self._call(self._address, *self._first)
+        finally:  # also after an interrupt: nobody may touch the arrays before
+            wait(waiting)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return RowLoop, self._made_of
@@ -141,8 +150,9 @@ class Struct:
         if set(names) != set(values):
             wrong = sorted(set(names) ^ set(values))
             raise KernelError(f"{name} has the fields {', '.join(names)}: these are missing or unknown: {wrong}")
-        self._name, self.values = name, values
+        self.name, self.values = name, values
         self._kept: list[Any] = []
+        self._raised: list[BaseException] = []
         self._struct = kind_of(**{field: self._member(kind, field, size) for kind, field, size in fields})
         self.address: Final[int] = ctypes.addressof(self._struct)
         """Address for the kernel's functions; valid as long as this object lives."""
@@ -152,14 +162,21 @@ class Struct:
         if kind in _TYPES:
             return value
         if kind == "link":
+            if value is not None and size[0] not in (value.name, "void"):
+                raise KernelError(f"{self.name}.{field} must be a {size[0]}, found a {value.name}")
             return None if value is None else value.address
         if kind == "function":
             return self._function(value)
         count = prod(int(each) if each.isdigit() else int(self.values[each]) for each in size)
-        if not (isinstance(value, np.ndarray) and value.dtype == _ELEMENTS[kind] and value.flags.c_contiguous):
-            raise KernelError(f"{self._name}.{field} must be a contiguous array of {_ELEMENTS[kind]}, found {value!r}")
+        if not (
+            isinstance(value, np.ndarray)
+            and value.dtype == _ELEMENTS[kind]
+            and value.flags.c_contiguous
+            and value.flags.aligned
+        ):
+            raise KernelError(f"{self.name}.{field} must be a contiguous array of {_ELEMENTS[kind]}, found {value!r}")
         if value.size != count:
-            raise KernelError(f"{self._name}.{field} must have {' x '.join(size)} = {count} values, found {value.size}")
+            raise KernelError(f"{self.name}.{field} must have {' x '.join(size)} = {count} values, found {value.size}")
         return value.ctypes.data
 
     def _function(self, value: str | Callable[[Array, Array], None]) -> int | None:
@@ -168,14 +185,23 @@ class Struct:
         pairs, function = int(self.values["pairs"]), value
 
         def measure(context: object, q_rad: Any, spare_m: Any) -> None:
-            function(np.ctypeslib.as_array(q_rad, (12,)), np.ctypeslib.as_array(spare_m, (pairs,)))
+            try:
+                function(np.ctypeslib.as_array(q_rad, (12,)), np.ctypeslib.as_array(spare_m, (pairs,)))
+            except BaseException as error:  # the kernel cannot raise it
+                self._raised.append(error)
 
         callback = _MEASURE(measure)
         self._kept.append(callback)
         return ctypes.cast(callback, ctypes.c_void_p).value
 
+    def check(self) -> None:
+        """Raise what a callable of this structure raised during the last call of the kernel."""
+        if self._raised:
+            error, self._raised = self._raised[0], []
+            raise error
+
     def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuilt, (self._name, self.values)
+        return _rebuilt, (self.name, self.values)
 
 
 def _rebuilt(name: str, values: dict[str, Any]) -> Struct:
@@ -192,6 +218,9 @@ class Constants:
     def __init__(self, values: Array) -> None:
         self._values: Array = np.array(values, dtype=np.float64, order="C")
         self.address: Final[int] = int(self._values.ctypes.data)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Constants, (self._values,)
 
 
 def call(name: str, *arguments: Array | Struct | Constants | int) -> None:

@@ -50,8 +50,8 @@ bool products_within(const double* matrix, int64_t rows, const double* state, co
 // brake takes its place, which the last period left possible: a fraction of zero is always legal.
 void limit(const Envelope& e, const double* planned, double* window) {
     const int64_t count = e.ticks * JOINTS;
-    double *scratch = ON_STACK(e.width * JOINTS), *wanted_scratch = ON_STACK(e.width * JOINTS);
-    double *base = ON_STACK(count), *past = ON_STACK(HISTORY * JOINTS);
+    const Scratch scratch(e.width * JOINTS), wanted_scratch(e.width * JOINTS), base(count);
+    double past[HISTORY * JOINTS];
     const double* last = window + (HISTORY - 1) * JOINTS;
     double* targets = window + HISTORY * JOINTS;
     for (int64_t k = 0; k < HISTORY; ++k)
@@ -66,7 +66,7 @@ void limit(const Envelope& e, const double* planned, double* window) {
     if (!is_legal(e, window, scratch, FULL, CARTESIAN_FULL)) follow(e.brake);
     const Quantities used(e, window, scratch), wanted(e, planned, wanted_scratch);
     double fraction = 1.0, now[JOINTS], then[JOINTS];
-    double *speed = ON_STACK(e.speed_rows * JOINTS), *gained = ON_STACK(e.speed_rows * JOINTS);
+    const Scratch speed(e.speed_rows * JOINTS), gained(e.speed_rows * JOINTS);
     for (int64_t row = 0; row < e.m; ++row) {
         used.fraction(row, now);
         wanted.fraction(row, then);
@@ -113,7 +113,7 @@ void step(const Adapter& a, int64_t row, const double* action, double* targets) 
         const double here = (1.0 - a.approach) * now[j];
         goal[j] = clamp(aim, here + a.lower[j], here + a.upper[j]);
     }
-    double *window = ON_STACK(e.width * JOINTS), *scratch = ON_STACK(e.width * JOINTS);
+    const Scratch window(e.width * JOINTS), scratch(e.width * JOINTS);
     double end[4 * JOINTS];
     copy(window, state, HISTORY * JOINTS);
     bool legal = false;
@@ -127,7 +127,7 @@ void step(const Adapter& a, int64_t row, const double* action, double* targets) 
         if (legal) multiply(a.ends + k * 4 * VALUES, 4, VALUES, state, end);
     }
     if (!legal) {
-        double *planned = ON_STACK(e.width * JOINTS), *known = ON_STACK(a.width * JOINTS);
+        const Scratch planned(e.width * JOINTS), known(a.width * JOINTS);
         copy(planned, window, e.width * JOINTS);
         limit(e, planned, window);
         copy(known, window, e.width * JOINTS);
@@ -164,7 +164,7 @@ EXPORT void envelope_cartesian_use(const Envelope* e, const double* windows, dou
 
 // Scale planned windows (n, width, 12) down to the nearest legal ones, in place.
 EXPORT void envelope_limit(const Envelope* e, double* windows, int64_t n) {
-    double* planned = ON_STACK(e->width * JOINTS);
+    const Scratch planned(e->width * JOINTS);
     for (int64_t row = 0; row < n; ++row) {
         copy(planned, windows + row * e->width * JOINTS, e->width * JOINTS);
         limit(*e, planned, windows + row * e->width * JOINTS);

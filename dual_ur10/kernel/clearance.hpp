@@ -6,8 +6,8 @@
 #include "distances.hpp"
 
 #define CLEARANCE(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                              \
-    INT(bodies) INT(geoms) INT(pairs) REAL(cutoff_m) INTS(parent, bodies) REALS(offset_m, bodies * 3)                  \
-    REALS(turned, bodies * 9) REALS(axis, bodies * 3) INTS(body, geoms) INTS(shape, geoms) REALS(center_m, geoms * 3)  \
+    INT(geoms) INT(pairs) REAL(cutoff_m) INTS(parent, 13) REALS(offset_m, 39)                  \
+    REALS(turned, 117) REALS(axis, 39) INTS(body, geoms) INTS(shape, geoms) REALS(center_m, geoms * 3)  \
     REALS(axes, geoms * 9) REALS(size_m, geoms * 3) REALS(radius_m, geoms) REALS(base_m, geoms * 3)                    \
     INTS(first, pairs) INTS(second, pairs) REALS(known_m, pairs) REALS(granted_m, pairs) REALS(shift_m, pairs)         \
     REALS(first_rad, pairs) REALS(second_rad, pairs)
@@ -16,13 +16,21 @@ STRUCTURE(Clearance, CLEARANCE)
 
 namespace {
 
+// All geoms of a cell, in the cell frame.
+struct Placed {
+    Scratch memory;
+
+    explicit Placed(int64_t geoms) : memory(geoms * static_cast<int64_t>(sizeof(Body) / sizeof(double))) {}
+    operator Body*() const { return reinterpret_cast<Body*>(memory.data); }
+};
+
 // Poses of all geoms at a configuration: body k > 0 turns with joint k - 1, body 0 is the world.
 void place(const Clearance& c, const double* q, Body* placed) {
-    Vector* positions = static_cast<Vector*>(__builtin_alloca(sizeof(Vector) * static_cast<uint64_t>(c.bodies)));
-    Rotation* turned = static_cast<Rotation*>(__builtin_alloca(sizeof(Rotation) * static_cast<uint64_t>(c.bodies)));
+    Vector positions[JOINTS + 1];
+    Rotation turned[JOINTS + 1];
     positions[0] = {0.0, 0.0, 0.0};
     turned[0] = {{1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}, {0.0, 0.0, 1.0}};
-    for (int64_t k = 1; k < c.bodies; ++k) {
+    for (int64_t k = 1; k <= JOINTS; ++k) {
         const int64_t parent = c.parent[k];
         positions[k] = positions[parent] + rotate(turned[parent], vector(c.offset_m + 3 * k));
         turned[k] = turned[parent] * (rotation(c.turned + 9 * k) * about(vector(c.axis + 3 * k), q[k - 1]));
@@ -62,7 +70,7 @@ double measured(const Clearance& c, const Body* placed, int64_t pair) {
 // Distances above the smallest legal ones, (pairs,), at a configuration (12,); beyond the cutoff a lower bound.
 EXPORT void clearance_spare(const void* context, const double* q, double* spare) {
     const Clearance& c = *static_cast<const Clearance*>(context);
-    Body* placed = static_cast<Body*>(__builtin_alloca(sizeof(Body) * static_cast<uint64_t>(c.geoms)));
+    const Placed placed(c.geoms);
     place(c, q, placed);
     for (int64_t pair = 0; pair < c.pairs; ++pair)
         spare[pair] = measured(c, placed, pair) + c.granted_m[pair] - allowed(c, placed, pair);
@@ -70,7 +78,7 @@ EXPORT void clearance_spare(const void* context, const double* q, double* spare)
 
 // Distances, those beyond the cutoff as the cutoff, and the smallest legal ones, (n, pairs), at (n, 12).
 EXPORT void clearance_distances(const Clearance* c, const double* q, double* distances, double* legal, int64_t n) {
-    Body* placed = static_cast<Body*>(__builtin_alloca(sizeof(Body) * static_cast<uint64_t>(c->geoms)));
+    const Placed placed(c->geoms);
     for (int64_t row = 0; row < n; ++row) {
         place(*c, q + row * JOINTS, placed);
         for (int64_t pair = 0; pair < c->pairs; ++pair) {

@@ -57,7 +57,7 @@ static inline double cartesian_bound(const Envelope& e, const double* peak) {
     double bound[2] = {};
     for (int64_t j = 0; j < JOINTS; ++j)
         for (int64_t arm = 0; arm < 2; ++arm) bound[arm] += peak[j] * e.lever[2 * j + arm];
-    return larger(bound[0], bound[1]);
+    return larger_or_nan(bound[0], bound[1]);
 }
 
 struct Points {
@@ -134,7 +134,7 @@ static inline void cartesian_use(const Envelope& e, const double* window, double
 static inline double cartesian_use(const Envelope& e, const double* window, double settled) {
     Fastest best[2];
     cartesian_use(e, window, settled, best);
-    return best[0].fraction <= best[1].fraction ? best[1].fraction : best[0].fraction;
+    return larger_or_nan(best[0].fraction, best[1].fraction);
 }
 
 // True if the window keeps all limits up to a fraction `full` of the joints' and `cartesian_full` of the Cartesian one.

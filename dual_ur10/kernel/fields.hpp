@@ -18,7 +18,7 @@
 #define DESCRIBE_REAL(name) "real " #name "\n"
 #define DESCRIBE_INTS(name, size) "ints " #name " " #size "\n"
 #define DESCRIBE_REALS(name, size) "reals " #name " " #size "\n"
-#define DESCRIBE_LINK(name, type) "link " #name "\n"
+#define DESCRIBE_LINK(name, type) "link " #name " " #type "\n"
 #define DESCRIBE_FUNCTION(name, type) "function " #name "\n"
 
 #define STRUCTURE(Name, FIELDS)                                                                                        \

@@ -33,7 +33,11 @@ struct Sweep {
     const double* window;
     double* found;  // (12,) configuration at which a pair is too close
 
-    void measure(const double* q, double* spare) const { distances.measure(distances.context, q, spare); }
+    // What is not measured is NaN, which no check lets pass.
+    void measure(const double* q, double* spare) const {
+        for (int64_t pair = 0; pair < distances.pairs; ++pair) spare[pair] = NAN;
+        distances.measure(distances.context, q, spare);
+    }
 
     // Largest decrease of a pair's distance over joint travel (12,).
     double travel(int64_t pair, const double* path) const {
@@ -67,7 +71,7 @@ struct Sweep {
             copy(away, braking, JOINTS);
             return true;
         }
-        double *begin = ON_STACK(pairs), *there = ON_STACK(pairs);
+        const Scratch begin(pairs), there(pairs);
         for (int64_t pair = 0; pair < pairs; ++pair) begin[pair] = larger(known[pair] - travel(pair, away), 0.0);
         measure(end, there);
         copy(known, there, pairs);
@@ -87,7 +91,7 @@ struct Sweep {
     // Check by bisection every part of the path that the bounds at its ends do not prove clear.
     bool bisect(const double* begin, const double* there, const double* rest) const {
         const int64_t ticks = envelope.ticks, length = 1 + ticks + gate.brake_rows;
-        double *path = ON_STACK(length * JOINTS), *gone = ON_STACK(length * JOINTS);
+        const Scratch path(length * JOINTS), gone(length * JOINTS);
         const double* end = window + (envelope.width - 1) * JOINTS;
         copy(path, window + (HISTORY - 1) * JOINTS, (1 + ticks) * JOINTS);
         double last[HISTORY * JOINTS];
@@ -111,7 +115,8 @@ struct Sweep {
               const double* spare_last, int64_t& checks) const {
         if (last - first < 2) return true;
         const int64_t pairs = distances.pairs;
-        double moved[JOINTS], *least = ON_STACK(pairs), *spare = ON_STACK(pairs);
+        double moved[JOINTS];
+        const Scratch least(pairs), spare(pairs);
         for (int64_t j = 0; j < JOINTS; ++j) moved[j] = gone[last * JOINTS + j] - gone[first * JOINTS + j];
         bool proven = true;
         for (int64_t pair = 0; pair < pairs; ++pair) {
@@ -142,11 +147,12 @@ bool check(const Gate& g, int64_t row, const double* window, double* scratch) {
         quantities.fraction(k, fraction);
         if (k < e.speed_rows) raise_peak(peak, fraction);
         if (all_within(fraction, TOLERANCE)) continue;
-        for (int64_t j = 0; j < JOINTS; ++j)
-            if (!(fabs(fraction[j]) <= worst)) {
-                worst = fabs(fraction[j]);
-                worst_index = k * JOINTS + j;
-            }
+        for (int64_t j = 0; j < JOINTS; ++j) {
+            const double used = fabs(fraction[j]) <= INFINITY ? fabs(fraction[j]) : INFINITY;  // NaN is the worst
+            if (used <= worst) continue;
+            worst = used;
+            worst_index = k * JOINTS + j;
+        }
     }
     double* q = g.q_rad + row * JOINTS;
     if (worst_index >= 0) {
@@ -206,7 +212,7 @@ void brake(const Gate& g, double* window) {
 EXPORT void gate_step(const Gate* g, int64_t first, int64_t last) {
     const Envelope& e = *g->envelope;
     const int64_t count = e.ticks * JOINTS;
-    double *window = ON_STACK(e.width * JOINTS), *scratch = ON_STACK(e.width * JOINTS);
+    const Scratch window(e.width * JOINTS), scratch(e.width * JOINTS);
     for (int64_t row = first; row < last; ++row) {
         double *past = g->past + row * HISTORY * JOINTS, *wanted = g->targets + row * count;
         copy(window, past, HISTORY * JOINTS);

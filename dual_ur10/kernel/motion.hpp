@@ -17,7 +17,7 @@ STRUCTURE(Reference, REFERENCE)
 // Follow the targets, (n, targets, 12), by the servoj law of each arm.
 EXPORT void reference_step(const Reference* r, int64_t first, int64_t last) {
     const int64_t outputs = r->outputs, inputs = r->inputs;
-    double* input = ON_STACK(inputs * JOINTS);
+    const Scratch input(inputs * JOINTS);
     for (int64_t row = first; row < last; ++row) {
         double *state = r->state + row * STATE * JOINTS, *motion = r->motion + row * outputs * JOINTS;
         copy(input, state, STATE * JOINTS);

@@ -6,11 +6,23 @@
 
 #include <math.h>
 #include <stdint.h>
+#include <stdlib.h>
 #include <string.h>
 
 constexpr int64_t JOINTS = 12;
 
-#define ON_STACK(size) static_cast<double*>(__builtin_alloca(sizeof(double) * static_cast<uint64_t>(size)))
+// Memory for numbers whose count has no bound: threads may have small stacks.
+struct Scratch {
+    double* const data;
+
+    explicit Scratch(int64_t size) : data(static_cast<double*>(malloc(sizeof(double) * static_cast<uint64_t>(size)))) {
+        if (data == nullptr && size > 0) abort();  // the arms' watchdogs stop them
+    }
+    ~Scratch() { free(data); }
+    Scratch(const Scratch&) = delete;
+    Scratch& operator=(const Scratch&) = delete;
+    operator double*() const { return data; }
+};
 
 static inline double smaller(double a, double b) { return a < b ? a : b; }
 static inline double larger(double a, double b) { return a > b ? a : b; }
@@ -34,14 +46,18 @@ static inline void multiply(const double* matrix, int64_t rows, int64_t columns,
         weighted(matrix + row * columns, 0, columns, values, out + row * JOINTS);
 }
 
+// The larger of two numbers, or NaN if one is.
+static inline double larger_or_nan(double a, double b) { return a > b || a != a ? a : b; }
+
 struct SineCosine {
     double sine, cosine;
 };
 
-// Sine and cosine by Taylor series on [-pi/4, pi/4], whose remainders stay below 1e-18. Angles up to 1e5 rad are
-// reduced with pi/2 in three parts, of which the products with the first two are exact. The same bits on every
-// platform, which those of the mathematical libraries are not.
+// Sine and cosine by Taylor series on [-pi/4, pi/4], whose remainders stay below 1e-18. Angles up to 1e6 rad are
+// reduced with pi/2 in three parts, of which the products with the first two are exact; larger ones give NaN. The same
+// bits on every platform, which those of the mathematical libraries are not.
 static inline SineCosine sine_cosine(double angle) {
+    if (!(fabs(angle) <= 1e6)) return {NAN, NAN};
     const double nearest = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to an integer
     const double turns = (angle * 0.63661977236758134308 + nearest) - nearest;
     const double x = ((angle - turns * 1.57079632673412561417e+00) - turns * 6.07710050630396597660e-11) -

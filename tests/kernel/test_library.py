@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import copy
+import ctypes
 import importlib.util
+import pickle
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from dual_ur10 import kernel
+from dual_ur10 import kernel, kinematics
+from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.errors import KernelError
+from dual_ur10.kernel import Constants, Struct
+from dual_ur10.sim2real.control.gate import SafetyGate
+from dual_ur10.sim2real.control.limits import Envelope, MotionLimits
+from tests.sim2real.control.motion_checks import AlwaysClear
 
 ROOT = Path(__file__).parents[2]
 
@@ -113,3 +123,31 @@ def test_the_build_hashes_sources_as_the_package_does() -> None:
     build = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(build)
     assert build.sources_hash(ROOT / build.KERNEL) == kernel.sources_hash()
+
+
+def test_constants_keep_their_own_memory(tmp_path: Path) -> None:
+    """A pickled task goes on in another process, where no former address holds."""
+    file = tmp_path / "tasks"
+    tasks = [EnvSetup.resolve(name, {}).make_task() for name in ("SineTracking", "SyncCarry", "Handover")]
+    poses = kinematics.flange_pose(np.zeros(6))[0]
+    file.write_bytes(pickle.dumps((tasks, Constants(poses))))
+    code = (
+        "import pickle, sys, numpy as np; tasks, constants = pickle.loads(open(sys.argv[1], 'rb').read())\n"
+        "for task in tasks: start = task.start(np.arange(1), [np.random.default_rng(0)]); print(start.q_rad.tolist())"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(file)], capture_output=True, text=True, check=True)
+    expected = [task.start(np.arange(1), [np.random.default_rng(0)]).q_rad.tolist() for task in tasks]
+    assert done.stdout.split("\n")[:-1] == [str(each) for each in expected]
+    again = copy.deepcopy(Constants(poses))
+    assert again.address != Constants(poses).address
+    assert (np.ctypeslib.as_array((ctypes.c_double * 3).from_address(again.address)) == poses).all()
+
+
+def test_a_link_to_another_structure_is_refused() -> None:
+    envelope = Envelope(MotionLimits(), 0.008, 5).kernel
+    with pytest.raises(KernelError, match=r"Gate.distances must be a Distances, found a Envelope"):
+        Struct("Gate", **_gate_fields() | {"distances": envelope})
+
+
+def _gate_fields() -> dict[str, object]:
+    return dict(SafetyGate(MotionLimits(), 0.008, 5, AlwaysClear())._step._made_of[1].values)

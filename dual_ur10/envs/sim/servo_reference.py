@@ -126,6 +126,9 @@ class Motion:
         steps = rows.shape[1] // 3 - 1
         self.q_rad, self.qd_rad_s, self.qdd_rad_s2 = (rows[:, k * steps : (k + 1) * steps] for k in range(3))
 
+    def __reduce__(self) -> tuple[type[Motion], tuple[Array]]:
+        return Motion, (self.rows,)  # views of it again, not copies
+
 
 class ServojReference:
     """Servoj law of every arm, and its motion at every physics step.

@@ -88,7 +88,6 @@ def _shapes(settings: SceneSettings) -> dict[str, Any]:
     size = model.geom_size.copy()
     size[model.geom_type == int(kinds.mjGEOM_SPHERE), 1:] = 0.0
     return {
-        "bodies": count,
         "geoms": model.ngeom,
         "pairs": len(first),
         "parent": model.body_parentid.astype(np.int64),
@@ -213,6 +212,8 @@ class Clearance:
 
     def _measured(self, q_rad: Array) -> tuple[Array, Array]:
         q_rad = np.ascontiguousarray(q_rad, dtype=np.float64)
+        if q_rad.shape[1:] != (12,):
+            raise SettingsError(f"configurations must have the shape (n, 12), found {q_rad.shape}")
         distances, allowed = np.empty((2, len(q_rad), len(self.pairs)))
         call("clearance_distances", self._struct, q_rad, distances, allowed, len(q_rad))
         return distances, allowed

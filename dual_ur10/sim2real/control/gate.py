@@ -185,6 +185,7 @@ class SafetyGate:
             raise ActionError(_not_finite(targets_rad))
         self._targets[:] = targets_rad.reshape(self._targets.shape)
         self._step()
+        self._clearance.kernel.check()
         if np.logical_or.reduce(self._reason):
             for row in np.flatnonzero(self._reason).tolist():
                 if row not in self._verdicts:

@@ -62,18 +62,24 @@ REACH_FROM_JOINT_M: Array = np.array(
 )
 
 
+MOST_TCP_M = 2.0
+"""Largest coordinate of a tool centre point in its flange's frame: chosen, longer than any tool that an arm carries."""
+
+
 def checked_tcp(values: Any) -> tuple[Vector3, Vector3]:
     """Return the tool centre points of both arms as plain numbers.
 
     Raises:
-        SettingsError: They are not three finite numbers for each arm.
+        SettingsError: They are not three numbers for each arm, or too large.
     """
     try:
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
         array = np.empty(0)
-    if array.shape != (2, 3) or not np.isfinite(array).all():
-        raise SettingsError(f"tcp_m is {values!r}: it must be three finite numbers for each of the two arms")
+    if array.shape != (2, 3) or not (np.abs(array) <= MOST_TCP_M).all():
+        raise SettingsError(
+            f"tcp_m is {values!r}: it must be three numbers for each of the two arms, at most {MOST_TCP_M:g} m in size"
+        )
     left, right = array.tolist()
     return (*left,), (*right,)
 
@@ -306,14 +312,25 @@ class Envelope:
         Returns:
             (n, 2) fraction of each arm, and (n, 2) index of its fastest point in `POINTS`.
         """
-        windows = np.ascontiguousarray(windows, dtype=np.float64)
+        windows = self._checked(windows)
         fraction, point = np.empty((2, len(windows), 2))
         call("envelope_cartesian_use", self.kernel, windows, fraction, point, len(windows))
         return fraction, point.astype(np.intp)
 
+    def _checked(self, windows: Array) -> Array:
+        """Return windows as the kernel takes them.
+
+        Raises:
+            SettingsError: They are not (n, 3 + ticks, 12).
+        """
+        found: Array = np.ascontiguousarray(windows, dtype=np.float64)
+        if found.shape[1:] != (HISTORY + self.ticks, 12):
+            raise SettingsError(f"windows must have the shape (n, {HISTORY + self.ticks}, 12), found {found.shape}")
+        return found
+
     def limited(self, windows: Array) -> Array:
         """Return the legal windows nearest to planned ones, (n, 3 + ticks, 12), as the adapter's limiter finds them."""
-        result: Array = np.array(windows, dtype=np.float64, order="C")
+        result = self._checked(windows).copy()
         call("envelope_limit", self.kernel, result, len(result))
         return result
 

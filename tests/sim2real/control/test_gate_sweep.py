@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import threading
 
 import numpy as np
 import pytest
@@ -14,9 +15,10 @@ from dual_ur10.kernel import call
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.gate import SWEEP_TOLERANCE_M, SafetyGate
+from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.runtime.approach import plan, retreat_clearance
-from tests.sim2real.control.motion_checks import HARD, Measured
+from tests.sim2real.control.motion_checks import HARD, AlwaysClear, Measured
 from tests.sim2real.control.reference_cell import UNEQUAL, random_q
 
 WIDE_M = 0.01
@@ -274,3 +276,59 @@ def test_arms_that_are_too_close_may_separate():
             gate = SafetyGate(HARD, 0.008, 5, retreat_clearance(clearance, start.reshape(2, 6)))
             gate.reset(start.reshape(1, 2, 6))
             assert not any(gate(window).verdicts for window in targets)
+
+
+class Failing(AlwaysClear):
+    """Stub whose measurement fails from a given check on."""
+
+    def __init__(self, after):
+        super().__init__()
+        self.after = after
+
+    def spare_m(self, q_rad):
+        if self.checks > self.after:
+            raise ZeroDivisionError("no sensor")
+        return super().spare_m(q_rad)
+
+    def worst(self, q_rad):
+        return "left/forearm_link and post", np.nan, 0.02
+
+
+@pytest.mark.parametrize("after", [0, 3])
+def test_what_cannot_be_measured_is_not_released(after):
+    gate = SafetyGate(HARD, 0.008, 5, Failing(after))
+    gate.reset(HOME_Q_RAD[None])
+    still = np.tile(HOME, (1, 5, 1)).reshape(1, 5, 2, 6)
+    for _ in range(after):
+        assert not gate(still).verdicts
+    with pytest.raises(ZeroDivisionError, match="no sensor"):
+        gate(still)
+    found = gate(still + 1e-6)
+    assert found.verdicts[0].kind == "distance"
+    assert (found.targets_rad == still).all()
+
+
+def test_a_brake_that_takes_minutes_fits_any_stack():
+    """The path to the end of the brake has 72,000 points under the smallest acceleration that a cell file allows."""
+    slow = MotionLimits(acceleration_rad_s2=0.1, jerk_rad_s3=10.0)
+    refused = []
+
+    def drive():
+        gate = SafetyGate(slow, 0.002, 20, Post(HOME[0] + WIDE_M + 1e-3))
+        gate.reset(HOME_Q_RAD[None])
+        adapter = ServojAdapter(ServojProfile("e-series"), slow, 20)
+        adapter.reset(HOME_Q_RAD[None])
+        for _ in range(400):
+            found = gate(adapter(np.broadcast_to(TURN, (1, 12)).reshape(1, 2, 6)).targets_rad)
+            refused.extend(found.verdicts.values())
+            if refused:
+                break
+
+    before = threading.stack_size(512 * 1024)
+    try:
+        thread = threading.Thread(target=drive)
+        thread.start()
+        thread.join()
+    finally:
+        threading.stack_size(before)
+    assert refused[0].kind == "distance"

@@ -1,4 +1,6 @@
-"""Collision model of a cell: a MuJoCo model without contacts that measures distances, one sensor per pair of bodies.
+"""Collision model of a cell: a MuJoCo model of shapes and pairs, without contacts, with one distance sensor per pair.
+
+The safety gate's kernel takes the shapes and pairs from it and measures by itself; the sensors check it in tests.
 
 Nothing reports to the safety gate whether a gripper holds the prop. So each gripper of a cell with a prop carries the
 payload geometry all the time: the prop where it should be gripped, and of the bar, which both grippers hold, the part
@@ -205,8 +207,9 @@ def hull_name(box: str) -> str:
 def add_hulls(document: ET.Element) -> None:
     """Give every box of the world a second geom of the same shape, a mesh.
 
-    MuJoCo's distance of a capsule from a box is wrong where the capsule's line pierces it: a link that pierces a
-    plate may read as clear of it. The distance from a mesh, which MuJoCo computes differently, is right everywhere.
+    MuJoCo's own distance of a capsule from a box is wrong where the capsule's line pierces it: a link that pierces a
+    plate may read as clear of it. The distance from a mesh, which MuJoCo computes differently, is right everywhere. To
+    the kernel both are the box.
 
     Args:
         document: MJCF of a collision model.

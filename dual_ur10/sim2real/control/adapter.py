@@ -2,8 +2,8 @@
 
     interpolate (C²)  ->  compensate the lag  ->  limit
 
-The first two are linear in the values that an arm's motion is made of, and so are the limits: a period of all cells is
-one matrix product as long as no limit binds.
+The first two are linear in the values that an arm's motion is made of, and so are the limits. This module computes the
+matrices; the kernel applies them to each cell, and limits what breaks a limit.
 """
 
 from __future__ import annotations

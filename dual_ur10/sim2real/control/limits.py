@@ -166,9 +166,6 @@ class Envelope:
     position at each new target, the same along the brake that would follow, and the position where it stops.
     With `q = rows @ window`, the window is legal if |q - middle| <= half for every row and joint.
 
-    Arrays are (n, rows, 12): one small matrix product per cell, so that a cell's numbers do not depend, to the last
-    bit, on how many others are computed beside it.
-
     Args:
         limits: Limits of each arm.
         tick_s: Time between two targets.

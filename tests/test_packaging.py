@@ -45,7 +45,7 @@ def test_the_wheel_holds_the_package_and_nothing_else(wheel):
     sources = {path.name for path in (ROOT / "dual_ur10" / "kernel").glob("*.?pp")}
     assert {"kernel.cpp", "gate.hpp"} <= sources
     kernel = {name.removeprefix("dual_ur10/kernel/") for name in names if name.startswith("dual_ur10/kernel/")}
-    assert kernel == {"__init__.py", "_kernel.so"} | sources
+    assert kernel == {"__init__.py", "_kernel.so", "flags.txt"} | sources
 
 
 def test_the_wheel_is_one_for_all_pythons_of_a_platform(wheel):
@@ -59,7 +59,7 @@ def test_the_sdist_gives_the_same_wheel(wheel, tmp_path):
     with tarfile.open(_built(ROOT, "sdist", tmp_path / "sdist")) as sdist:
         names = {name.split("/", 1)[1] for name in sdist.getnames()}
         sdist.extractall(tmp_path / "root", filter="data")
-    assert {"hatch_build.py", "pyproject.toml", "dual_ur10/kernel/gate.hpp", "tests/test_packaging.py"} <= names
+    assert {"hatch_build.py", "pyproject.toml", "dual_ur10/kernel/gate.hpp", "dual_ur10/kernel/flags.txt"} <= names
     assert not [name for name in names if name.endswith((".so", ".pyc"))]
     (root,) = (tmp_path / "root").iterdir()
     again = zipfile.ZipFile(_built(root, "wheel", tmp_path / "wheel"))

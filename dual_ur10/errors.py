@@ -7,6 +7,8 @@ what to do.
 
 from __future__ import annotations
 
+import re
+
 
 class DualUR10Error(Exception):
     """Base class of all errors of this package; raised itself when a file cannot be written."""
@@ -31,6 +33,30 @@ class UnknownNameError(DualUR10Error, ValueError):
 
     def __reduce__(self) -> tuple[type, tuple[str, str, tuple[str, ...]]]:
         return type(self), (self.kind, self.found, self.allowed)
+
+
+class UnknownKeywordError(UnknownNameError, TypeError):
+    """Raised when an environment has no such keyword.
+
+    It is a `TypeError` with Python's own words, too, because libraries find out by it which keywords an environment
+    takes. Gymnasium raises it anew from its text alone, to which it appends all keywords: that part is left out.
+
+    Args:
+        text: Text of the error.
+    """
+
+    def __init__(self, text: str) -> None:
+        Exception.__init__(self, text.split(" was raised from the environment creator", 1)[0])
+        names = re.findall(r"'([^']*)'", str(self))
+        self.kind, self.found, self.allowed = "keyword", names[0] if names else "", tuple(names[1:])
+
+    @classmethod
+    def of(cls, task: str, found: str, allowed: list[str]) -> UnknownKeywordError:
+        """Return the error of a keyword that a task does not have."""
+        return cls(f"{task} got an unexpected keyword argument {found!r}: use one of {', '.join(map(repr, allowed))}")
+
+    def __reduce__(self) -> tuple[type, tuple[str]]:  # type: ignore[override]  # made of its text
+        return type(self), (str(self),)
 
 
 class ActionError(DualUR10Error, ValueError):

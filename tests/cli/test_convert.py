@@ -294,8 +294,11 @@ def test_no_code_runs_before_the_arguments_are_checked(sb3: Any, tmp_path: Path)
         (("SineTracking", "--out", out, "--algo", "sac"), "is a model of ppo"),
         (("SineTracking", "--out", out, "--algo", "dqn"), "unknown algorithm 'dqn': use one of 'ppo', 'sac'"),
         (("SineTracking", "--out", out, "--agents", "independent"), "unknown agents 'independent': use one of 'joint'"),
-        (("SineTracking", "--out", out, "--set", "colour=red"), "unknown keyword of SineTracking 'colour'"),
-        (("SineTracking", "--out", out, "--set", "path=x"), "unknown keyword of SineTracking 'path'"),
+        (
+            ("SineTracking", "--out", out, "--set", "colour=red"),
+            "unexpected keyword argument 'colour'",
+        ),
+        (("SineTracking", "--out", out, "--set", "path=x"), "unexpected keyword argument 'path'"),
         (("SineTracking", "--out", out, "--set", "amplitude_m=much"), "amplitude_m is 'much'"),
         (("SineTracking", "--out", out, "--set", "center_m=7"), "center_m"),
         (("SineTracking", "--out", out, "--set", "action_latency_ticks=x"), "action_latency_ticks is 'x'"),

@@ -11,7 +11,7 @@ from dual_ur10.assets.settings import Equipment
 from dual_ur10.envs.core.options import MOVE_TO_START, OPTION_NAMES, EnvOptions
 from dual_ur10.envs.core.randomization import Randomization, resolve_randomization
 from dual_ur10.envs.tasks.task import SceneRequirements, Task, Timing
-from dual_ur10.errors import ResetRefusedError, SettingsError, UnknownNameError
+from dual_ur10.errors import ResetRefusedError, SettingsError, UnknownKeywordError, UnknownNameError
 from dual_ur10.ids import ENTRY_POINTS, task_name
 from dual_ur10.sim2real.config.cell import CellConfig, HostedCell, Perturbation
 from dual_ur10.sim2real.config.cell_file import resolve_cell
@@ -74,7 +74,8 @@ class EnvSetup:
             ignore_unknown: Accept further keywords, which have no effect.
 
         Raises:
-            UnknownNameError: There is no such task, or keyword.
+            UnknownNameError: There is no such task.
+            UnknownKeywordError: There is no such keyword.
             SettingsError: Or one of its kinds: a value is not legal.
         """
         task_type = load_task(task)
@@ -83,7 +84,7 @@ class EnvSetup:
         own = {name: value for name, value in keywords.items() if name not in OPTION_NAMES}
         unknown = [name for name in own if name not in known]
         if unknown and not ignore_unknown:
-            raise UnknownNameError(f"keyword of {task}", str(unknown[0]), [*known, *OPTION_NAMES])
+            raise UnknownKeywordError.of(task, str(unknown[0]), [*known, *OPTION_NAMES])
         own = {name: value for name, value in own.items() if name in known}
         randomization = resolve_randomization(options.randomization)
         settings = randomization.spread(task_type.settings_type(**own), own)

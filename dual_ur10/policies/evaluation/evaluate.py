@@ -268,6 +268,8 @@ def _make(env_id: str, num_envs: int, keywords: Mapping[str, Any]) -> Any:
             autoreset_mode="Disabled",
             **keywords,
         )
+    except UnknownNameError:
+        raise
     except TypeError as error:
         # Gymnasium appends its location and all keywords.
         reason = str(error).split(" was raised from the environment creator")[0]

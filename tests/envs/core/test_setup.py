@@ -1,4 +1,6 @@
 import dataclasses
+import functools
+import pickle
 
 import gymnasium as gym
 import mujoco
@@ -6,8 +8,9 @@ import numpy as np
 import pytest
 
 from dual_ur10 import CellConfig
+from dual_ur10.envs.core.options import OPTION_NAMES
 from dual_ur10.envs.core.setup import EnvSetup
-from dual_ur10.errors import UnknownNameError
+from dual_ur10.errors import UnknownKeywordError, UnknownNameError
 from dual_ur10.sim2real.config.cell import Perturbation
 
 KEYWORDS = {
@@ -84,7 +87,17 @@ def test_a_wider_spread_applies_only_to_ranges_that_are_not_given():
 
 
 def test_unknown_keywords_are_refused_unless_they_are_ignored():
-    with pytest.raises(UnknownNameError, match="keyword of Handover 'render_mode'"):
+    with pytest.raises(UnknownNameError, match="Handover got an unexpected keyword argument 'render_mode'"):
         EnvSetup.resolve("Handover", {"render_mode": "human"})
     ignored = EnvSetup.resolve("Handover", {"render_mode": "human"}, ignore_unknown=True)
     assert ignored == EnvSetup.resolve("Handover", {})
+
+
+@pytest.mark.parametrize("make", [gym.make, functools.partial(gym.make_vec, vectorization_mode="vector_entry_point")])
+def test_an_unknown_keyword_is_found_out_as_of_any_function(make):
+    with pytest.raises(TypeError, match="unexpected keyword argument 'amplitud'") as caught:
+        make("DualUR10/SineTracking-v0", amplitud=1)
+    for error in (caught.value, pickle.loads(pickle.dumps(caught.value))):
+        assert isinstance(error, UnknownKeywordError)
+        assert (error.found, error.allowed[:2]) == ("amplitud", ("axis", "amplitude_m"))
+        assert str(error).endswith(repr(OPTION_NAMES[-1]))  # without what Gymnasium appends

@@ -222,6 +222,7 @@ class Injector:
         self.policy: list[Any] = []  # faults of the policy that are due
         self.second = False
         self._undo: list[Any] = []
+        self._healed = False
 
     def enter(self, phase: str) -> None:
         """Start the actors of a phase, once."""
@@ -235,6 +236,8 @@ class Injector:
     def _run(self, number: int, fault: Any) -> None:
         clock = self._cell.clock
         clock.sleep(fault.at_s)
+        if self._healed:
+            return
         self.fired[number] = clock.now_s()
         undo = self._begin(fault)
         if undo is not None:
@@ -244,7 +247,8 @@ class Injector:
                 undo()
 
     def heal(self) -> None:
-        """Remove all faults."""
+        """Remove all faults, and cancel those that wait."""
+        self._healed = True
         for undo in self._undo:
             undo()
         for arm in ARMS:

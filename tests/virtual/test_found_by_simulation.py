@@ -10,3 +10,13 @@ def test_no_step_returns_a_state_that_stops_the_arms():
     outcome = run(Schedule(cell=cell, faults=(Override(arm="left", what="nan", at_s=0.28, duration_s=0.0201),)))
     assert not outcome.violations
     assert "not finite" in outcome.latched
+
+
+def test_a_failed_start_leaves_no_program_running():
+    """Seed 883: a controller reported no program while the control script ran, and no later start succeeded."""
+    cell = Cell(again=True)
+    outcome = run(Schedule(cell=cell, faults=(Override(arm="right", what="program", when="start", at_s=0.0),)))
+    assert not outcome.violations
+    assert "did not start" in outcome.error
+    assert not outcome.latched
+    assert outcome.moved

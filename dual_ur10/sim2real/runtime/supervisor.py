@@ -136,12 +136,13 @@ class Supervisor:
         return None
 
     def _end(self) -> None:
-        if not self._cell.begin_s:
-            return  # nothing has moved
+        started = any(memory.phase == Phase.FAULTED for memory in self._arms)  # a failed start may have left a program
+        if not (self._cell.begin_s or started):
+            return
         self._enforcer.begin()
         self._wait_for_stop()
         failed = [memory.text for memory in self._arms if memory.phase == Phase.FAULTED] + self._enforcer.unended
-        if failed:
+        if failed and self._cell.begin_s:
             Latch(self._file, self._system).set(self._cell.fault or root_cause(failed))
         self._enforcer.close()
 

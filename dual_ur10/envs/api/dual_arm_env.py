@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dual_ur10.envs.core.core import PHYSICS_ERROR, Core, Step
+from dual_ur10.envs.core.core import Core, Step
 from dual_ur10.envs.core.options import DEFAULT_RATE_HZ, MOVE_TO_START, take_consent
 from dual_ur10.envs.rendering.images import RENDER_MODES
 from dual_ur10.envs.rendering.pixels import Observer, row_of
@@ -37,9 +37,12 @@ class DualArmEnv(gym.Env[Any, Array]):
     every later one needs `options={"move_to_start": True}` as well, unless `confirm` is given. A wrapper that resets by
     itself passes no options and is refused with `ResetRefusedError`. In simulation the option has no effect.
 
-    `info` of `reset` and `step` holds `q_rad` (2, 6) and `flange_m` (2, 3); that of `step` also the
-    task's values, `is_success`, `reward/<term>`, and the cause of an early end of the episode: `safety` (a
-    `dual_ur10.sim2real.control.gate.Verdict`) or `physics_error` (a message).
+    `info` of `reset` and `step` holds `q_rad` (2, 6) and `flange_m` (2, 3); that of `step` also the task's values,
+    `is_success` and `reward/<term>`. That of the last step holds `end_reason`: "success", "time", "refused: <limit>",
+    such as "refused: distance", if the safety gate kept a limit, "physics", or a reason of the task, such as "bar
+    lost". A wrapper that truncates, such as `TimeLimit`, adds none. `safety` (a
+    `dual_ur10.sim2real.control.gate.Verdict`) and `physics_error` (a message) hold the details of a refusal and of
+    diverged physics.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # as Gymnasium declares it
@@ -139,8 +142,6 @@ def info_of(step: Step) -> dict[str, Any]:
     """Return the info of one cell's step."""
     info: dict[str, Any] = {name: value[0] for name, value in step.info.items()}
     info["is_success"] = bool(info["is_success"])
-    if step.verdicts:
-        info["safety"] = step.verdicts[0]
-    if step.diverged[0]:
-        info["physics_error"] = PHYSICS_ERROR
+    if step.verdicts or step.ends:
+        info.update(step.details(0))
     return info

@@ -12,7 +12,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from dual_ur10.envs.core.core import PHYSICS_ERROR, Core, Step
+from dual_ur10.envs.core.core import Core, Step
+from dual_ur10.envs.core.ends import TIME
 from dual_ur10.envs.core.options import DEFAULT_RATE_HZ, MOVE_TO_START, check_count, take_consent
 from dual_ur10.envs.rendering.pixels import Observer, row_of
 from dual_ur10.errors import ResetNeededError, SettingsError, UnknownNameError
@@ -165,7 +166,10 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
         self._steps += 1
         reward, terminated, truncated = step.reward, step.terminated, step.truncated
         if self._max_steps is not None:
-            truncated = truncated | (self._steps >= self._max_steps)
+            stopped = self._steps >= self._max_steps
+            if stopped.any():
+                step = step._replace(ends={**dict.fromkeys(np.flatnonzero(stopped).tolist(), TIME), **step.ends})
+            truncated = truncated | stopped
             if truncated.all():
                 self.core.finish()
         info = self._info(step)
@@ -195,16 +199,12 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
     def _info(self, step: Step) -> dict[str, Any]:
         everyone = np.ones(self.num_envs, dtype=bool)
         info = _masked(step.info, everyone)
-        for name, rows, values in (
-            ("safety", sorted(step.verdicts), step.verdicts),
-            ("physics_error", np.flatnonzero(step.diverged).tolist(), None),
-        ):
-            if rows:
-                column, mask = np.full(self.num_envs, None, dtype=object), np.zeros(self.num_envs, dtype=bool)
-                for row in rows:
-                    column[row] = values[row] if values else PHYSICS_ERROR
-                    mask[row] = True
-                info.update({name: column, "_" + name: mask})
+        for row in {*step.verdicts, *step.ends}:
+            for name, value in step.details(row).items():
+                if name not in info:
+                    info[name] = np.full(self.num_envs, None, dtype=object)
+                    info["_" + name] = np.zeros(self.num_envs, dtype=bool)
+                info[name][row], info["_" + name][row] = value, True
         return info
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:

@@ -12,11 +12,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from dual_ur10.envs.core.cells import make_cell, make_recorder
+from dual_ur10.envs.core.ends import DIVERGED, SUCCESS, TIME, early_end, refusal
 from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.envs.core.randomization import apply_sample
 from dual_ur10.envs.core.sensing import Sensing
 from dual_ur10.envs.core.setup import EnvSetup, check_for_controllers, check_reset
-from dual_ur10.envs.tasks.task import Task, Timing
+from dual_ur10.envs.tasks.task import Outcome, Task, Timing
 from dual_ur10.errors import ActionError, CellFaulted, ClosedError, DualUR10Error, ResetNeededError
 from dual_ur10.sim2real.config.cell import Cell, CellConfig, CellState, CellStep
 from dual_ur10.sim2real.control.adapter import Command
@@ -73,6 +74,7 @@ class Step(NamedTuple):
         info: Arrays (n, ...) by name.
         verdicts: Reasons of the gate's refusals, by row.
         diverged: (n,) True if the physics diverged.
+        ends: Reasons of the ends of episodes, by row; see `dual_ur10.envs.core.ends`.
         agents: Observations and rewards of the two agents.
     """
 
@@ -83,7 +85,19 @@ class Step(NamedTuple):
     info: dict[str, NDArray[Any]]
     verdicts: dict[int, Verdict]
     diverged: Mask
+    ends: dict[int, str]
     agents: Agents
+
+    def details(self, row: int) -> dict[str, Any]:
+        """Return the part of a cell's info that is no number and that most steps do not have."""
+        found: dict[str, Any] = {}
+        if row in self.verdicts:
+            found["safety"] = self.verdicts[row]
+        if self.diverged[row]:
+            found["physics_error"] = PHYSICS_ERROR
+        if row in self.ends:
+            found["end_reason"] = self.ends[row]
+        return found
 
 
 def _spread(values: Array, rows: Rows, n: int) -> Array:
@@ -282,13 +296,26 @@ class Core:
             measured = measured if self._sensing.keeps_poses else self.task.measure(state)
         self._observation = observation = self.task.observe(state, measured, self.pipeline.adapter.commanded_q_rad)
         self.agents = agents = Agents(self.task, observation, outcome.terms, self._weights)
-        if np.logical_or.reduce(terminated | outcome.over):
+        ended, ends = terminated | outcome.over, {}
+        if np.logical_or.reduce(ended):
             cell.finish()
-        step = Step(observation.copy(), reward, terminated, outcome.over, info, verdicts, state.failed, agents)
+            ends = {row: self._end(row, true, verdicts, outcome, success) for row in np.flatnonzero(ended).tolist()}
+        step = Step(observation.copy(), reward, terminated, outcome.over, info, verdicts, state.failed, ends, agents)
         self._state = true
         if self._hook is not None:
-            self._hook.step(action, command, step, period, PHYSICS_ERROR if state.failed[0] else "")
+            self._hook.step(action, command, step, period, early_end(step.details(0)))
         return step
+
+    def _end(self, row: int, state: CellState, verdicts: dict[int, Verdict], outcome: Outcome, success: Mask) -> str:
+        """Return the reason of the end of an episode."""
+        if state.failed[row]:
+            return DIVERGED
+        if row in verdicts:
+            return refusal(verdicts[row])
+        if success[row]:
+            return SUCCESS
+        terminal = outcome.terminal is not None and outcome.terminal[row]
+        return self.task.failure(row, outcome) if terminal else TIME
 
     def _continue_from_stop(self, period: CellStep, gripper_m: Array | None) -> None:
         """Restart the pipeline from where the arms stand, if they did not follow it."""

@@ -144,6 +144,10 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
     def evaluate(self, state: CellState, measured: MeasuredT) -> Outcome:
         """Evaluate the state after a step. Call it once per step, because it may count steps of an episode."""
 
+    def failure(self, row: int, outcome: Outcome) -> str:
+        """Return the name of the failure for which a row is terminal, for `info["end_reason"]`."""
+        return "failure"
+
     def payload_kg(self) -> Array | None:
         """Return the payload to set on the controllers at the end of the next period, (n, 2); None: none."""
         return None

@@ -14,6 +14,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from dual_ur10.envs.core.ends import details_of, early_end
 from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 from dual_ur10.ids import ENTRY_POINTS, __version__
@@ -212,22 +213,20 @@ class _Tally:
         # A name that only another row's info had is no part of this episode.
         peak = {name: value for name, value in _by_name(self._peak, row).items() if math.isfinite(value)}
         last = {name: value for name, value in _by_name(self._last, row).items() if name in peak}
+        ended = details_of(info, row)
         return Episode(
             seed=seed,
-            success=bool(_value(info, "is_success", row, False)),
+            success=bool("is_success" in info and info["_is_success"][row] and info["is_success"][row]),
             total_reward=float(self._reward[row]),
             steps=steps,
             time_s=steps * period_s,
-            ended_by=str(_value(info, "safety", row, _value(info, "physics_error", row, ""))),
+            end_reason=str(ended.get("end_reason", "")),
+            ended_by=early_end(ended),
             stage=int(self._stage[row]) if staged else None,
             best_stage=int(self._best_stage[row]) if staged else None,
             peak=peak,
             last={name: value if math.isfinite(value) else None for name, value in last.items()},
         )
-
-
-def _value(info: Mapping[str, Any], name: str, row: int, default: Any) -> Any:
-    return info[name][row] if name in info and info["_" + name][row] else default
 
 
 def _by_name(values: Mapping[str, Array], row: int) -> dict[str, float]:

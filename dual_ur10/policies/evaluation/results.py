@@ -7,6 +7,7 @@ import dataclasses
 import io
 import json
 import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,6 +21,8 @@ from dual_ur10.files import write_text
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+_WIDTH = 100  # of a printed summary, in characters
 
 CONFIDENCE = 0.95
 """Confidence of every interval of an evaluation."""
@@ -65,7 +68,8 @@ class Episode:
         total_reward: Sum of all rewards; "return" in files.
         steps: Number of steps.
         time_s: Simulated time from the reset to the end.
-        ended_by: Reason of an early end, such as the gate's verdict; "" if there was none.
+        end_reason: `info["end_reason"]` of its last step; "" if there was none.
+        ended_by: Reason of an early end, such as the gate's verdict or "bar lost"; "" if there was none.
         stage: Stage of the task at the end, 0 before the first; None if the task has no stages.
         best_stage: Highest stage that was reached; None as above.
         peak: Largest magnitude over all steps of each number in `info` with a unit, by name; values per arm as
@@ -78,6 +82,7 @@ class Episode:
     total_reward: float
     steps: int
     time_s: float
+    end_reason: str = ""
     ended_by: str = ""
     stage: int | None = None
     best_stage: int | None = None
@@ -90,6 +95,26 @@ class Episode:
         for each in dataclasses.fields(self):
             result["return" if each.name == "total_reward" else each.name] = getattr(self, each.name)
         return result
+
+
+class Summary(dict[str, Any]):
+    """Figures by name, which print as a table.
+
+    Args:
+        figures: Figures by name.
+        table: The same for a person.
+    """
+
+    def __init__(self, figures: Mapping[str, Any], table: Table) -> None:
+        super().__init__(figures)
+        self._table = table
+
+    def __str__(self) -> str:
+        from rich.console import Console
+
+        text = io.StringIO()
+        Console(file=text, width=_WIDTH, color_system=None).print(self._table)
+        return text.getvalue().rstrip("\n")
 
 
 @dataclass(frozen=True)
@@ -176,8 +201,14 @@ class Evaluation:
 
     @property
     def cut_short(self) -> tuple[Episode, ...]:
-        """Episodes that the safety gate or an error ended."""
+        """Episodes that the safety gate, a failure or an error ended."""
         return tuple(each for each in self.episodes if each.ended_by)
+
+    @property
+    def end_reasons(self) -> dict[str, int]:
+        """Number of episodes by the reason of their end, the most frequent first."""
+        counts = Counter(each.end_reason for each in self.episodes if each.end_reason)
+        return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
 
     @property
     def stage_scores(self) -> dict[str, float]:
@@ -202,9 +233,9 @@ class Evaluation:
     def _names(self) -> list[str]:
         return sorted({name for each in self.episodes for name in each.peak})
 
-    def summary(self) -> dict[str, Any]:
-        """Return the figures of all episodes together, as they are written to files."""
-        return {
+    def summary(self) -> Summary:
+        """Return the figures of all episodes together, as they are written to files. They print as a table."""
+        figures = {
             "episodes": len(self.episodes),
             "successes": self.successes,
             "success_rate": self.success_rate,
@@ -214,11 +245,13 @@ class Evaluation:
             "std_return": self.std_return,
             "median_time_s": self.median_time_s,
             "p90_time_s": self.p90_time_s,
+            "end_reasons": self.end_reasons,
             "cut_short": len(self.cut_short),
             **({"late_actions": self.late_actions} if self.late_actions else {}),
             "stage_scores": self.stage_scores,
             "spreads": {name: dataclasses.asdict(spread) for name, spread in self.spreads.items()},
         }
+        return Summary(figures, self.as_table())
 
     def as_table(self) -> Table:
         """Return the figures of all episodes together as a table for the terminal."""
@@ -239,6 +272,8 @@ class Evaluation:
         table.add_row("return", f"{self.mean_return:.2f} ± {self.std_return:.2f}")
         table.add_row("time of successes, median", _seconds(self.median_time_s))
         table.add_row("time of successes, 90 %", _seconds(self.p90_time_s))
+        for reason, number in self.end_reasons.items():
+            table.add_row(f"ended: {escape(reason)}", str(number))
         if self.cut_short:
             first = self.cut_short[0]
             table.add_row("cut short", str(len(self.cut_short)))

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dual_ur10.envs.core.ends import early_end
 from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.policies.policy import Policy
@@ -27,7 +28,7 @@ class Record:
         flange_m: (k, 2, 3) flange positions in the cell frame, as the cell reports them.
         reward: (k,).
         success: True if the task reports success.
-        ended_by: Reason of an early end, such as the gate's verdict; "" if there was none.
+        ended_by: Reason of an early end, such as the gate's verdict or "bar lost"; "" if there was none.
         reference_m: (k, 2, 3) reference positions of the flanges; None if the task has none.
         flange_error_m: (k, 2) distance of each flange to its reference, as the task reports it; None as above.
         orientation_error_rad: (k, 2) angle of each flange to its reference orientation; None as above.
@@ -117,7 +118,7 @@ def rollout(
         mounts=(core.config.left, core.config.right),
         reward=np.array(rewards),
         success=bool(info.get("is_success", False)),
-        ended_by=str(info.get("safety", info.get("physics_error", ""))),
+        ended_by=early_end(info),
         **arrays,  # type: ignore[arg-type]  # the keys are the fields
     )
 

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
+from dual_ur10.envs.core.ends import details_of, early_end
 from dual_ur10.errors import DatasetError, DualUR10Error, MissingExtraError
 from dual_ur10.ids import env_id_of, task_name
 from dual_ur10.kinematics.ur10 import ARMS
@@ -134,8 +135,7 @@ def _batch(env: Any, actor: Any, seeds: range, count: int, number: int) -> list[
             own["time_s"].append(period_s * len(own["reward"]))
             if over[row]:
                 success[row] = bool(info["is_success"][row])
-                if own["gated"][-1]:
-                    ended_by[row] = str(info["safety"][row])
+                ended_by[row] = early_end(details_of(info, row))
         live &= ~over
         if over.any() and live.any():
             observation, _ = env.reset(options={"reset_mask": over})

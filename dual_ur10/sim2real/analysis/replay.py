@@ -12,6 +12,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from dual_ur10.envs.core.ends import early_end
 from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.errors import DualUR10Error, RecordingError
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS
@@ -272,7 +273,7 @@ def _play(
             break
         over = terminated or truncated
         if over:
-            ended_by = str(info.get("safety", info.get("physics_error", "")))
+            ended_by = early_end(info)
             success = bool(info.get("is_success", False))
             if not difference and step + 1 < len(source.action):
                 difference = f"the episode ended {where}, and was {len(source.action)} steps long: {ended_by or 'over'}"

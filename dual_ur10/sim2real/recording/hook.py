@@ -73,7 +73,7 @@ class RecordHook:
         if sampled:
             self.recorder.event("drawn", json.dumps(plain(dict(sampled))))
 
-    def step(self, action: object, command: Command, step: Any, period: CellStep, ended_by: str = "") -> None:
+    def step(self, action: object, command: Command, step: Any, period: CellStep, ended_by: str) -> None:
         """Record a step.
 
         Args:
@@ -81,21 +81,20 @@ class RecordHook:
             command: The command that the gate released.
             step: A `dual_ur10.envs.core.core.Step`.
             period: The cell's step, with the true state at its end.
-            ended_by: Reason of the episode's end, if it is not a verdict of the gate.
+            ended_by: Reason of an early end of the episode; "": there is none.
         """
         state = period.state
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
-        verdict = step.verdicts.get(0)
         row = StepRow(
             action=np.asarray(action).reshape(-1),
             targets_rad=command.targets_rad[0],
             gripper_m=None if command.gripper_m is None else command.gripper_m[0],
-            gated=verdict is not None,
+            gated=0 in step.verdicts,
             reward=float(step.reward[0]),
             terminated=terminated,
             truncated=truncated,
             success=bool(step.info["is_success"][0]) if terminated or truncated else None,
-            ended_by=str(verdict) if verdict is not None else ended_by,
+            ended_by=ended_by,
             time_s=float(state.time_s[0]),
             q_rad=state.q_rad[0],
             flange_m=state.flange_m[0],

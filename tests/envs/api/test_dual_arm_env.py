@@ -357,6 +357,7 @@ def test_a_refused_motion_ends_the_episode_with_its_reason():
             break
     assert terminated
     assert info["safety"].kind == "distance"
+    assert info["end_reason"] == "refused: distance"
     assert "table" in info["safety"].subject
     assert "allowed at least 0.02 m" in str(info["safety"])
     assert info["flange_m"][:, 2].min() > 0.02
@@ -375,6 +376,7 @@ def test_diverged_physics_ends_the_episode_and_returns_no_nan():
     after, reward, terminated, _, info = env.step(np.zeros(12, dtype=np.float32))
     assert terminated
     assert "diverged" in info["physics_error"]
+    assert info["end_reason"] == "physics"
     assert np.isfinite(reward)
     assert np.isfinite(after).all()
     assert np.allclose(after[:6], observation[:6])

@@ -167,6 +167,7 @@ def test_after_all_stages_the_block_must_settle():
             break
         assert not step.info["is_success"][0]
     assert step.info["is_success"][0]
+    assert step.ends == {0: "success"}
     assert not step.truncated[0]
     assert steps * core.timing.period_s == pytest.approx(SETTLED_S, abs=core.timing.period_s)
 
@@ -180,13 +181,21 @@ def test_the_direction_of_the_block_matters_but_not_its_upper_side():
         assert core.step(STAY).info["object_error_rad"][0] == pytest.approx(turn, abs=1e-6)
 
 
-@pytest.mark.parametrize("where", [(0.0, 0.0, -0.2), (1.5, 0.0, 0.02), (-0.75, 2.5, 0.02)])
-def test_a_lost_block_ends_the_episode(where):
+@pytest.mark.parametrize(
+    ("where", "reason"),
+    [
+        ((0.0, 0.0, -0.2), "block fell"),
+        ((1.5, 0.0, 0.02), "block out of reach"),
+        ((-0.75, 2.5, 0.02), "block out of reach"),
+    ],
+)
+def test_a_lost_block_ends_the_episode(where, reason):
     core, _ = begun()
     assert not core.step(STAY).terminated[0]
     put(core, where)
     step = core.step(STAY)
     assert step.terminated[0]
+    assert step.ends == {0: reason}
     assert not step.truncated[0]
     assert not step.info["is_success"][0]
 

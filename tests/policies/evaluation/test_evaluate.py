@@ -318,6 +318,9 @@ class Stub(VectorEnv[Any, Any, Any]):
         }
         if (seeds == 6).any():
             info |= {"rare_m": np.ones(n), "_rare_m": seeds == 6}
+        reasons = np.where(refused, "refused: distance", np.where(diverged, "physics", "time")).astype(object)
+        if over.any():
+            info |= {"end_reason": np.where(over, reasons, None), "_end_reason": over}
         if refused.any():
             info |= {"safety": text, "_safety": refused}
         if diverged.any():
@@ -366,6 +369,8 @@ def test_every_episode_counts_once_in_the_order_of_seeds() -> None:
     assert [each.total_reward for each in alone.episodes] == [(s + 0.25) * stub_length(s) for s in range(9)]
     assert [each.success for each in alone.episodes] == [seed % 4 == 0 for seed in range(9)]
     assert [each.ended_by for each in alone.episodes] == (["", "too close", "diverged", ""] * 3)[:9]
+    assert [each.end_reason for each in alone.episodes][:4] == ["time", "refused: distance", "physics", "time"]
+    assert list(alone.end_reasons.items()) == [("time", 5), ("physics", 2), ("refused: distance", 2)]
     for num_envs in (2, 3, 4, 8, 9, 50):
         found = stub_evaluation(num_envs=num_envs)
         assert found.episodes == alone.episodes
@@ -530,6 +535,18 @@ def test_the_table_has_every_figure() -> None:
     ):
         assert words in text
     assert re.search(r"cut short\s*│\s*4 ", text)
+    assert re.search(r"ended: refused: distance\s*│\s*2 ", text)
+
+
+def test_a_summary_prints_as_a_table_and_is_a_dict() -> None:
+    summary = stub_evaluation().summary()
+    lines = str(summary).splitlines()
+    assert lines[0].startswith("Test/Stub-v0, Watching, 9 episodes from seed 0")
+    assert any(re.fullmatch(r"│ success +│ +3 of 9, 33.3 % │", line) for line in lines)
+    assert max(map(len, lines)) <= 100
+    assert f"{summary}" == str(summary)
+    assert json.loads(json.dumps(summary)) == dict(summary)
+    assert summary["successes"] == 3
 
 
 def test_json_is_complete_and_independent_of_the_rows(tmp_path: Path) -> None:
@@ -568,6 +585,15 @@ def test_csv_has_a_row_per_episode(tmp_path: Path) -> None:
     assert rows[0]["last/late_s"] == ""
     assert float(rows[4]["last/force_n"]) == -46.0
     assert rows[8]["ended_by"] == 'a, "b"\nc'
+
+
+def test_a_carry_that_never_begins_ends_with_its_reason() -> None:
+    found = evaluate("DualUR10/SyncCarry-v0", "zero", episodes=2, num_envs=2)
+    assert [(each.end_reason, each.ended_by) for each in found.episodes] == [("bar lost", "bar lost")] * 2
+    assert found.end_reasons == found.summary()["end_reasons"] == {"bar lost": 2}
+    limited = evaluate("DualUR10/SyncCarry-v0", "zero", episodes=2, num_envs=2, env_kwargs={"max_episode_steps": 3})
+    assert limited.end_reasons == {"time": 2}
+    assert not limited.cut_short
 
 
 # Files

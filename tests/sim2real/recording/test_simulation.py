@@ -294,7 +294,7 @@ def test_an_action_that_missed_its_deadline_is_an_event_and_has_no_target():
         firsts.clear()
         for number in range(4):
             period = CellStep(state, late=number == 2, first_target=begin + 5 * number)
-            hook.step(np.zeros(12), command, step, period)
+            hook.step(np.zeros(12), command, step, period, "")
         assert firsts == [begin, begin + 5, LATE, begin + 15]
         ((kind, text),) = events
         assert kind == "late"

@@ -178,14 +178,17 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
 
     ### Termination
 
-    - Success: all stages were passed and the block has lain on its target for 0.5 s.
-    - The block is lost: it fell from the table, or lies where no arm can reach it.
-    - The safety gate refused a motion; `info["safety"]` gives the reason.
-    - The physics diverged (`info["physics_error"]`).
+    `info["end_reason"]` is
+
+    - "success": all stages were passed and the block has lain on its target for 0.5 s;
+    - "block fell": it fell from the table;
+    - "block out of reach": it lies where no arm can reach it;
+    - "refused: <limit>": the safety gate refused a motion; `info["safety"]` gives the details;
+    - "physics": the simulation diverged (`info["physics_error"]`).
 
     ### Truncation
 
-    After `duration_s`, 500 steps with the defaults; longer in proportion if the cell's speed limits are tighter than the
+    After `duration_s`, 500 steps with the defaults, with the reason "time"; longer in proportion if the cell's speed limits are tighter than the
     task's. No time limit is registered, because a registered one would not follow the settings.
 
     ## Arguments
@@ -344,6 +347,10 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         finish = np.maximum(self._steps - self._count, 0) * (terminal & ~lost)
         earned[..., -1] = finish[:, None]
         return Outcome(earned, placed & ~lost & (terminal | over), over & ~terminal, info, terminal)
+
+    def failure(self, row: int, outcome: Outcome) -> str:
+        """Return the name of the failure: the block fell from the table, or lies where no arm can reach it."""
+        return "block fell" if outcome.info["object_m"][row, 2] < _FALLEN_M else "block out of reach"
 
     def _distances(self, measured: HandoverMeasured) -> tuple[Array, Array]:
         """Return distances, (n, 9), and the angle between the long axes of block and target, (n,).

@@ -117,11 +117,12 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     ### Termination
 
-    The safety gate refused a motion (`info["safety"]` gives the reason), or the physics diverged (`info["physics_error"]`).
+    `info["end_reason"]` is "refused: <limit>" if the safety gate refused a motion (`info["safety"]` gives the details),
+    and "physics" if the simulation diverged (`info["physics_error"]`).
 
     ### Truncation
 
-    After `duration_s`, 750 steps with the defaults. No time limit is registered, because the path itself ends.
+    After `duration_s`, 750 steps with the defaults, with the reason "success" or "time". No time limit is registered, because the path itself ends.
 
     ## Arguments
 

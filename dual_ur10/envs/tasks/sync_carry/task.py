@@ -174,12 +174,15 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
 
     ### Termination
 
-    The bar is more than 0.15 m away from its reference, the safety gate refused a motion (`info["safety"]` gives the
-    reason), or the physics diverged (`info["physics_error"]`).
+    `info["end_reason"]` is
+
+    - "bar lost": the bar is more than 0.15 m away from its reference, because it was dropped or never lifted;
+    - "refused: <limit>": the safety gate refused a motion; `info["safety"]` gives the details;
+    - "physics": the simulation diverged (`info["physics_error"]`).
 
     ### Truncation
 
-    One second after the end of the path: 900 steps with the defaults. No time limit is registered, because the path
+    One second after the end of the path, 900 steps with the defaults, with the reason "success" or "time". No time limit is registered, because the path
     itself ends.
 
     ## Arguments
@@ -373,6 +376,10 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         terms[..., 1] = holding
         np.multiply(near[:, None, 2:], both[:, None, None], out=terms[..., 2:])
         return Outcome(terms, success, over & ~lost, info, lost)
+
+    def failure(self, row: int, outcome: Outcome) -> str:
+        """Return the name of the only failure: the bar was dropped, or never lifted."""
+        return "bar lost"
 
     def _carried_well(self, held: Mask) -> Mask:
         """Return a mask, (n,), of bars that both grippers hold, that followed their path, and whose load was shared."""

@@ -138,10 +138,16 @@ class DualArmEnv(gym.Env[Any, Array]):
         self.core.close()
 
 
+def numbers_of(numbers: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    """Return the numbers in the info of one cell's step, which every step has."""
+    info: dict[str, Any] = {name: value[0] for name, value in numbers.items()}
+    info["is_success"] = bool(info["is_success"])
+    return info
+
+
 def info_of(step: Step) -> dict[str, Any]:
     """Return the info of one cell's step."""
-    info: dict[str, Any] = {name: value[0] for name, value in step.info.items()}
-    info["is_success"] = bool(info["is_success"])
+    info = numbers_of(step.info)
     if step.verdicts or step.ends:
         info.update(step.details(0))
     return info

@@ -321,7 +321,7 @@ def test_an_arm_stops_before_it_comes_too_near(action: np.ndarray, other: str) -
     assert other in verdict.subject
     assert verdict.found < verdict.allowed == MINIMUM_M
     assert f"at least {MINIMUM_M}" in str(verdict)
-    along = Clearance(SceneSettings()).distances_m(sent.reshape(-1, 12))
+    along = Clearance(SceneSettings()).measure(sent.reshape(-1, 12)).distances_m
     assert along.min() >= MINIMUM_M - 1e-4  # up to and at its final configuration
     assert along.min() < 0.1  # and it did come near
     np.testing.assert_array_equal(sent[0, -1], sent[0, -100])

@@ -151,7 +151,7 @@ def test_the_gate_knows_distances_beyond_the_cutoff(settings, keywords):
     settings = dataclasses.replace(settings, obstacles=(*settings.obstacles, wall))
     clearance = Clearance(settings, **keywords)
     configurations = random_q(np.random.default_rng(3), 400).reshape(400, 12)
-    near = clearance.distances_m(configurations) < CLEARANCE_CUTOFF_M
+    near = clearance.measure(configurations).distances_m < CLEARANCE_CUTOFF_M
     spare, for_the_gate = clearance.spare_m(configurations), measured_for_the_gate(clearance, configurations)
     np.testing.assert_array_equal(for_the_gate[near], spare[near])
     assert (for_the_gate >= spare)[~near].all()
@@ -171,7 +171,7 @@ def test_arms_at_full_speed_keep_away_from_thin_rods(ticks, steady):
     by = push if steady else lambda period: rng.uniform(-1.0, 1.0, (n, 12))
     sent, verdicts = driven(Clearance(settings), by, max(500 // ticks, 24), n=n, ticks=ticks)
     measured = Clearance(settings)
-    nearest = min(measured.distances_m(row).min() for row in sent)
+    nearest = min(measured.measure(row).distances_m.min() for row in sent)
     assert nearest >= MINIMUM_M - SWEEP_TOLERANCE_M
     assert len(verdicts) > 0.9 * n
 

@@ -9,6 +9,7 @@
 #include "motion.hpp"
 #include "sine_tracking.hpp"
 #include "stages.hpp"
+#include "threads.hpp"
 
 // Hash of the sources that this library was compiled from.
 EXPORT const char* kernel_sources() { return KERNEL_SOURCES; }

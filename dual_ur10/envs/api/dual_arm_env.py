@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from dual_ur10.envs.core.core import Core, Step
@@ -61,11 +63,21 @@ class DualArmEnv(gym.Env[Any, Array]):
             self.core.close()
             raise
         self._terminated = False
+        self._spec: EnvSpec | None = None
         self._renderer = self._observer.renderer
         self.action_space: Any = self.core.action_space
         self.observation_space: Any = self._observer.space
         # A class attribute in Gymnasium; an environment with another rate gets its own.
         self.metadata = {**type(self).metadata, "render_fps": round(1 / self.core.timing.period_s)}
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Spec as of `gym.make`. Its `max_episode_steps` is the horizon of the task with these settings."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = spec if spec is None else dataclasses.replace(spec, max_episode_steps=self.task.horizon)
 
     @property
     def task(self) -> Any:
@@ -138,10 +150,16 @@ class DualArmEnv(gym.Env[Any, Array]):
         self.core.close()
 
 
+def numbers_of(numbers: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    """Return the numbers in the info of one cell's step, which every step has."""
+    info: dict[str, Any] = {name: value[0] for name, value in numbers.items()}
+    info["is_success"] = bool(info["is_success"])
+    return info
+
+
 def info_of(step: Step) -> dict[str, Any]:
     """Return the info of one cell's step."""
-    info: dict[str, Any] = {name: value[0] for name, value in step.info.items()}
-    info["is_success"] = bool(info["is_success"])
+    info = numbers_of(step.info)
     if step.verdicts or step.ends:
         info.update(step.details(0))
     return info

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -333,6 +334,19 @@ class Core:
 
     def _measurements(self, state: CellState) -> dict[str, NDArray[Any]]:
         return {"q_rad": state.q_rad.copy(), "flange_m": state.flange_m.copy()}
+
+    def initial_info(self) -> dict[str, NDArray[Any]]:
+        """Return the info that a step would add, for the state after a reset of all cells; rewards are 0.
+
+        Raises:
+            ResetNeededError: There was no reset yet.
+        """
+        if self._state is None:
+            raise ResetNeededError("the initial info was asked for before the first reset: call reset() first")
+        task = copy.deepcopy(self.task)  # because an evaluation counts as a step
+        info = task.evaluate(self._state, task.measure(self._state)).info
+        nothing = {name: np.zeros(self.n) for name in self._terms}
+        return {**info, "is_success": np.zeros(self.n, dtype=bool), **nothing}
 
     def cell_data(self, row: int) -> tuple[Any, Any]:
         """Return MuJoCo's model and data of one cell, for a viewer: the same objects at every call, updated."""

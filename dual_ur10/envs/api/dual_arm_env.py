@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from dual_ur10.envs.core.core import Core, Step
@@ -61,11 +63,21 @@ class DualArmEnv(gym.Env[Any, Array]):
             self.core.close()
             raise
         self._terminated = False
+        self._spec: EnvSpec | None = None
         self._renderer = self._observer.renderer
         self.action_space: Any = self.core.action_space
         self.observation_space: Any = self._observer.space
         # A class attribute in Gymnasium; an environment with another rate gets its own.
         self.metadata = {**type(self).metadata, "render_fps": round(1 / self.core.timing.period_s)}
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Spec as of `gym.make`. Its `max_episode_steps` is the horizon of the task with these settings."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = spec if spec is None else dataclasses.replace(spec, max_episode_steps=self.task.horizon)
 
     @property
     def task(self) -> Any:

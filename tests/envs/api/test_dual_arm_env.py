@@ -11,7 +11,7 @@ import numpy as np
 import psutil
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import FrameStackObservation, RecordVideo, RescaleAction
+from gymnasium.wrappers import FrameStackObservation, RecordVideo, RescaleAction, TimeAwareObservation, TimeLimit
 
 import dual_ur10
 from dual_ur10 import errors, policies
@@ -384,6 +384,32 @@ def test_diverged_physics_ends_the_episode_and_returns_no_nan():
     _, _, terminated, _, info = env.step(np.zeros(12, dtype=np.float32))
     assert not terminated
     assert "physics_error" not in info
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_the_spec_has_the_horizon_at_which_the_task_ends_an_episode(env_id):
+    assert gym.spec(env_id).max_episode_steps is None
+    default = gym.make(env_id)
+    assert default.spec.max_episode_steps == {"Sine": 750, "Sync": 900, "Hand": 500}[task_name(env_id)[:4]]
+    fast = gym.make(env_id, **({"duration_s": 60.0} if "Sync" in env_id else {"duration_s": 45.0}), policy_rate_hz=12.5)
+    assert fast.spec.max_episode_steps > 500
+    assert not isinstance(fast, TimeLimit)
+    for env in (default, fast, gym.make(env_id, max_episode_steps=10)):
+        env.close()
+
+
+def test_the_horizon_follows_the_settings_and_serves_gymnasiums_wrapper():
+    made = gym.make(SINE, duration_s=0.4)
+    for env in (made, gym.make(made.spec), pickle.loads(pickle.dumps(made))):
+        aware = TimeAwareObservation(env, normalize_time=True)
+        assert env.spec.max_episode_steps == 10
+        assert env.spec.kwargs["duration_s"] == 0.4
+        aware.reset(seed=0)
+        steps = [aware.step(np.zeros(12, dtype=np.float32)) for _ in range(10)]
+        assert [each[3] for each in steps] == [False] * 9 + [True]
+        assert steps[4][0][-1] == 0.5
+        assert steps[-1][0][-1] == 1.0
+    assert gym.make(SINE, max_episode_steps=4).spec.max_episode_steps == 4
 
 
 BAD_ACTIONS = {

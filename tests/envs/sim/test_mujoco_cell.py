@@ -1,3 +1,6 @@
+import copy
+import pickle
+
 import mujoco
 import numpy as np
 import pytest
@@ -277,6 +280,22 @@ def test_delay_against_a_plain_queue():
                             held[row][arm] = (order, value)
                     assert np.array_equal(got[row, step, arm], held[row][arm][1])
             number += 1
+
+
+@pytest.mark.parametrize("through", [copy.deepcopy, lambda each: pickle.loads(pickle.dumps(each))])
+def test_a_copied_reference_shows_its_own_motion(through):
+    reference = ServojReference(ServojProfile(), 2, 4, TICKS)
+    reference.reset(np.repeat(home(), 2, axis=0), np.arange(2))
+    reference(np.repeat(wave(0), 2, axis=0))
+    copied = through(reference)
+    shown = copied.motion  # as a cell keeps it
+    for period in (1, 2):
+        expected = reference(np.repeat(wave(period), 2, axis=0))
+        assert copied(np.repeat(wave(period), 2, axis=0)) is shown
+        for name in ("rows", "q_rad", "qd_rad_s", "qdd_rad_s2"):
+            np.testing.assert_array_equal(getattr(shown, name), getattr(expected, name))
+            assert np.shares_memory(getattr(shown, name), shown.rows)
+            assert not np.shares_memory(getattr(shown, name), expected.rows)
 
 
 def test_reference_moves_as_the_integrator_does():

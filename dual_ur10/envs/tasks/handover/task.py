@@ -188,8 +188,9 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
 
     ### Truncation
 
-    After `duration_s`, 500 steps with the defaults, with the reason "time"; longer in proportion if the cell's speed limits are tighter than the
-    task's. No time limit is registered, because a registered one would not follow the settings.
+    After `duration_s`, 500 steps with the defaults, with the reason "time"; longer in proportion if the cell's speed
+    limits are tighter than the task's. No time limit is registered
+    with the id; `env.spec.max_episode_steps` is this number.
 
     ## Arguments
 
@@ -245,7 +246,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         mounts = (cell.left, cell.right)
         check_reach(settings, cell.scene)
         self.duration_s = settings.duration_s * duration_ratio(type(self).limits, self.limits)
-        self._steps = max(1, math.ceil(self.duration_s / timing.period_s - 1e-9))
+        self.horizon = self._steps = max(1, math.ceil(self.duration_s / timing.period_s - 1e-9))
         self._settled_steps = max(1, math.ceil(SETTLED_S / timing.period_s - 1e-9))
         self._giver = np.zeros(n, dtype=np.intp)
         # Each arm's role, and for each role the index of its arm among the arms of all cells. The second swaps arms and

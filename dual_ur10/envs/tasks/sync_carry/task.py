@@ -182,8 +182,8 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
 
     ### Truncation
 
-    One second after the end of the path, 900 steps with the defaults, with the reason "success" or "time". No time limit is registered, because the path
-    itself ends.
+    One second after the end of the path, 900 steps with the defaults, with the reason "success" or "time". No time limit
+    is registered with the id; `env.spec.max_episode_steps` is this number.
 
     ## Arguments
 
@@ -240,7 +240,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         self._grip, self._ideal = settings.grip, ideal_relative(settings.grip)
         self._grasp_s = _GRASP_S[settings.rigid] / self._rate
         self.duration_s = self._grasp_s + settings.duration_s / self._rate + _SETTLE_S
-        self._steps = math.ceil(self.duration_s / timing.period_s - 1e-9)
+        self.horizon = self._steps = math.ceil(self.duration_s / timing.period_s - 1e-9)
         self._grasps = Grasps(self._frames, np.tile(self._grip.position_m, (n, 1, 1)), BAR_WIDTH_M, 3)
         self._bar = Poses(np.zeros((n, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)))
         self._when = np.array([0.0, timing.ahead_s])

@@ -326,7 +326,7 @@ def test_feed_forward_is_mujocos_inverse_dynamics(declared_kg, grippers):
         motion = Motion(np.zeros((1, 3 * steps + 3, 12)))
         for rows in (motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2):
             rows[:] = rng.normal(size=rows.shape)
-        control = forward(motion, np.tile(carried_kg, (1, steps, 1)) if grippers else None)[..., :6].reshape(steps, 12)
+        control = forward(motion, carried_kg, carried_kg)[..., :6].reshape(steps, 12)
         data.qpos[:], data.qvel[:] = motion.q_rad[0, 2], motion.qd_rad_s[0, 2]
         mujoco.mj_forward(model, data)
         inertia, gravity = np.zeros((12, 12)), np.zeros(12)

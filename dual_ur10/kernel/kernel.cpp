@@ -5,6 +5,7 @@
 #include "forward.hpp"
 #include "gate.hpp"
 #include "grasps.hpp"
+#include "grippers.hpp"
 #include "inverse.hpp"
 #include "motion.hpp"
 #include "sine_tracking.hpp"

@@ -8,12 +8,13 @@ legal when that target was accepted.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from dual_ur10.errors import ActionError
+from dual_ur10.errors import ActionError, SettingsError
 from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.control.limits import HISTORY, POINTS, Envelope, MotionLimits
@@ -158,9 +159,18 @@ class SafetyGate:
         return self._spare
 
     def reset(self, q_rad: Array, rows: Rows | None = None) -> None:
-        """Start from rest at `q_rad`, (n, 2, 6), in all cells or in `rows` of them (then (len(rows), 2, 6))."""
+        """Start from rest at `q_rad`, (n, 2, 6), in all cells or in `rows` of them (then (len(rows), 2, 6)).
+
+        Raises:
+            SettingsError: A configuration is not finite: nothing changes.
+        """
+        start: Array = np.asarray(q_rad, dtype=np.float64).reshape(-1, 1, 12)
+        if not np.isfinite(start).all():
+            raise SettingsError(
+                f"the gate must start from finite configurations, found {start.tolist()}: measure again"
+            )
         index = np.arange(self.n) if rows is None else rows
-        self._past[index] = np.asarray(q_rad).reshape(-1, 1, 12)
+        self._past[index] = start
         self._sent[index] = self._reason[index] = 0
         self._known[index] = self._away[index] = 0.0  # the caller has checked the start
         for row in index.tolist():
@@ -185,12 +195,12 @@ class SafetyGate:
             raise ActionError(_not_finite(targets_rad))
         self._targets[:] = targets_rad.reshape(self._targets.shape)
         self._step()
-        self._clearance.kernel.check()
         if np.logical_or.reduce(self._reason):
             for row in np.flatnonzero(self._reason).tolist():
                 if row not in self._verdicts:
                     self._verdicts[row] = self._explain(row)
         self._sent += self.ticks
+        self._clearance.kernel.check()
         # Copies: the released targets are the checked ones, and no caller holds the gate's own record.
         return GateResult(self._targets.reshape(shape).copy(), dict(self._verdicts))
 
@@ -210,7 +220,11 @@ class SafetyGate:
             arm, point = divmod(index, len(POINTS))
             limit = limits.tcp_speed_m_s
             return Verdict("Cartesian speed", f"{ARMS[arm]}/{POINTS[point]}", found * limit, limit, tick)
-        pair, distance, smallest = self._clearance.worst(self._q[row])
+        try:
+            pair, distance, smallest = self._clearance.worst(self._q[row])
+        except Exception as error:  # the brake must leave, whatever its reason
+            unknown = f"unknown pair ({type(error).__name__}: {error})"
+            return Verdict("distance", unknown, math.nan, math.nan, tick)
         return Verdict("distance", pair, distance, smallest, tick)
 
 

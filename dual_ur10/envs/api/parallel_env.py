@@ -86,7 +86,7 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         self.state_space: spaces.Box = core.observation_space
         self._shape = action[0].shape
         self._splitter = AgentSplitter(core, reward)
-        self._state: Array | None = None
+        self._agents: Agents | None = None
         self._cycles = 0
         self._begun: dict[str, Any] = {}
         self._step: Step | None = None
@@ -112,7 +112,7 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         return self._env.viewer
 
     def observation_space(self, agent: str) -> spaces.Space[Array]:
-        """Return the space of an agent's observations, `Box((size,), float64)`."""
+        """Return the space of an agent's observations, `Box((size,), observation_dtype)`."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[NDArray[Any]]:
@@ -148,7 +148,7 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         return self._observations(self._env.core.agents), {_LEFT: left, _RIGHT: right}
 
     def _observations(self, agents: Agents) -> dict[str, Array]:
-        self._state = agents.both[0]
+        self._agents = agents
         own = agents.observations
         return {_LEFT: own[0, 0], _RIGHT: own[0, 1]}
 
@@ -239,9 +239,10 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         Raises:
             ResetNeededError: There was no reset yet.
         """
-        if self._state is None:
+        if self._agents is None:
             raise ResetNeededError("state was called before the first reset: call reset() first")
-        return self._state.copy()
+        state: Array = self._agents.joint[0]
+        return state
 
     def render(self) -> NDArray[np.uint8] | None:
         """Render the scene; see `dual_ur10.envs.api.dual_arm_env.DualArmEnv.render`.

@@ -242,7 +242,7 @@ class JointVecEnv(CellsVecEnv):
         return self.cells.core.observation_space, self.cells.core.action_space
 
     def _observations(self) -> Array:
-        return self.cells.core.agents.both.copy()
+        return self.cells.core.agents.joint
 
     def _rewards(self, reward: Array) -> Array:
         return reward

@@ -15,6 +15,7 @@ from gymnasium.wrappers import FrameStackObservation, RecordVideo, RescaleAction
 
 import dual_ur10
 from dual_ur10 import errors, policies
+from dual_ur10.envs import dm_env, parallel_env
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.ids import task_name
 from dual_ur10.kinematics import flange_pose
@@ -410,6 +411,35 @@ def test_the_horizon_follows_the_settings_and_serves_gymnasiums_wrapper():
         assert steps[4][0][-1] == 0.5
         assert steps[-1][0][-1] == 1.0
     assert gym.make(SINE, max_episode_steps=4).spec.max_episode_steps == 4
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_single_precision_is_the_same_numbers_rounded_in_every_interface(env_id):
+    single, keywords = np.float32, {"observation_dtype": "float32"}
+    control, env, dm = gym.make(env_id), gym.make(env_id, **keywords), dm_env(env_id, seed=3, **keywords)
+    envs = gym.make_vec(env_id, num_envs=1, **keywords)
+    two, two_control = parallel_env(env_id, **keywords), parallel_env(env_id)
+    found = {"gym": env.reset(seed=3)[0], "dm_env": dm.reset().observation, "vector": envs.reset(seed=3)[0][0]}
+    expected, agents, agents_control = control.reset(seed=3)[0], two.reset(seed=3)[0], two_control.reset(seed=3)[0]
+    assert env.observation_space.dtype == envs.single_observation_space.dtype == dm.observation_spec().dtype == single
+    for action in actions(env, 3):
+        by_agent = dict(zip(two.agents, action.reshape(2, -1), strict=True))
+        for name, observation in {**found, "state": two.state()}.items():
+            assert observation.dtype == single, name
+            assert np.array_equal(observation, expected.astype(single)), name
+        for agent, observation in agents.items():
+            assert observation in two.observation_space(agent)
+            assert observation.dtype == two.observation_space(agent).dtype == single
+            assert np.array_equal(observation, agents_control[agent].astype(single))
+        expected, *rest = control.step(action)
+        found = {
+            "gym": env.step(action)[0],
+            "dm_env": dm.step(action).observation,
+            "vector": envs.step(action[None])[0][0],
+        }
+        agents, agents_control = two.step(by_agent)[0], two_control.step(by_agent)[0]
+    assert found["gym"] in env.observation_space
+    assert rest[1] is False
 
 
 BAD_ACTIONS = {

@@ -19,8 +19,8 @@ def test_torchrl_makes_an_environment_from_an_id(env_id):
     env.close()
 
 
-def test_torchrl_wraps_a_gymnasium_environment():
-    env = envs.GymWrapper(gym.make(ENV_IDS[0]))
+def test_torchrl_wraps_a_gymnasium_environment_of_single_precision():
+    env = envs.GymWrapper(gym.make(ENV_IDS[0], observation_dtype="float32"))
     envs.check_env_specs(env)
     env.close()
 

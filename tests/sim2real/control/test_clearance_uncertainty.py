@@ -216,5 +216,5 @@ def test_distances_that_would_not_be_measured_are_refused() -> None:
         ((0.0, 0.2), (0.0, 0.0)),
         ((1.0, 0.0), (0.0, 0.0)),
     ):
-        with pytest.raises(SettingsError, match=r"left/\w+ and .* must be below 0.2 m.*Measure where the bases stand"):
+        with pytest.raises(SettingsError, match=r"left/\w+ and .* below 0.2 m, .*measure where the bases stand"):
             Clearance(SceneSettings(), uncertainty=uncertainty)

@@ -350,7 +350,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         over = self._count >= self._steps
         lost = begun & (bar_m > _LOST_M)
         success = over & ~lost
-        if np.logical_or.reduce(success):
+        if np.count_nonzero(success):
             there = (bar_m <= self.settings.success_error_m) & (bar_rad <= self.settings.success_turn_rad)
             success &= there & self._carried_well(begun & both)
         info = {

@@ -1,5 +1,6 @@
 // The compiled control kernel, as one unit.
 #include "adapter.hpp"
+#include "carry.hpp"
 #include "carry_path.hpp"
 #include "clearance.hpp"
 #include "forward.hpp"

@@ -292,7 +292,7 @@ class Core:
         terminated, success = state.failed.copy(), outcome.success
         if verdicts:
             terminated[list(verdicts)] = True
-        if np.logical_or.reduce(terminated):
+        if np.count_nonzero(terminated):
             success = success & ~terminated
         if outcome.terminal is not None:
             terminated |= outcome.terminal
@@ -307,7 +307,7 @@ class Core:
         self._observation = observation = self.task.observe(state, measured, self.pipeline.adapter.commanded_q_rad)
         self.agents = agents = Agents(self.task, observation, outcome.terms, self._weights, self._dtype)
         ended, ends = terminated | outcome.over, {}
-        if np.logical_or.reduce(ended):
+        if np.count_nonzero(ended):
             cell.finish()
             ends = {row: self._end(row, true, verdicts, outcome, success) for row in np.flatnonzero(ended).tolist()}
         step = Step(agents.joint, reward, terminated, outcome.over, info, verdicts, state.failed, ends, agents)

@@ -159,7 +159,7 @@ class Physics:
             self.trace = self._joints(record["qpos"]), self._joints(record["qvel"])
         if self._handling is not None:
             self._handling.feel()
-        if np.logical_or.reduce(self._warnings, axis=None) or np.logical_or.reduce(self.failed):
+        if np.count_nonzero(self._warnings) or np.count_nonzero(self.failed):
             self.failed |= self._warnings.any(axis=1)
             self._integration[self.failed] = self._good[self.failed]
         np.copyto(self._good, self._integration)
@@ -203,7 +203,7 @@ class Physics:
 
     def _moved(self) -> Rows | slice:
         """Return the rows that did not fail."""
-        return np.flatnonzero(~self.failed) if np.logical_or.reduce(self.failed) else slice(None)
+        return np.flatnonzero(~self.failed) if np.count_nonzero(self.failed) else slice(None)
 
     def model_and_data(self, row: int) -> tuple[Any, Any]:
         """Return MuJoCo's model and data of one cell for rendering: the same objects at every call, updated."""

@@ -118,7 +118,7 @@ class SafetyGate:
         self._past: Array = np.zeros((n, HISTORY, 12))
         self._sent = np.zeros(n, dtype=np.int64)
         self._verdicts: dict[int, Verdict] = {}
-        self._targets: Array = np.zeros((n, ticks, 12))
+        self._targets: Array = np.zeros((n, ticks, 2, 6))
         self._spare: Array = np.zeros((n, pairs))
         # Known of the last target: the spare distance at a configuration, and the travel from there.
         self._known, self._away = np.zeros((n, pairs)), np.zeros((n, 12))
@@ -185,24 +185,24 @@ class SafetyGate:
         Raises:
             ActionError: Wrong shape or type, or NaN or infinity: nothing leaves and nothing changes.
         """
-        shape = (self.n, self.ticks, 2, 6)
+        shape = self._targets.shape
         if not isinstance(targets_rad, np.ndarray) or targets_rad.shape != shape:
             found = getattr(targets_rad, "shape", type(targets_rad).__name__)
             raise ActionError(f"targets must be an array of shape {shape}, found {found}: send all of them")
         if targets_rad.dtype != np.float64:
             raise ActionError(f"targets must be float64, found {targets_rad.dtype}: convert them first")
-        if not np.logical_and.reduce(np.isfinite(targets_rad), axis=None):
+        if np.count_nonzero(np.isfinite(targets_rad)) < targets_rad.size:
             raise ActionError(_not_finite(targets_rad))
-        self._targets[:] = targets_rad.reshape(self._targets.shape)
+        self._targets[:] = targets_rad
         self._step()
-        if np.logical_or.reduce(self._reason):
+        if np.count_nonzero(self._reason):
             for row in np.flatnonzero(self._reason).tolist():
                 if row not in self._verdicts:
                     self._verdicts[row] = self._explain(row)
         self._sent += self.ticks
         self._clearance.kernel.check()
         # Copies: the released targets are the checked ones, and no caller holds the gate's own record.
-        return GateResult(self._targets.reshape(shape).copy(), dict(self._verdicts))
+        return GateResult(self._targets.copy(), dict(self._verdicts))
 
     def _explain(self, row: int) -> Verdict:
         """Return the reason that the kernel left for the refusal of a row."""

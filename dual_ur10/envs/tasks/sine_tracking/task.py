@@ -270,7 +270,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         self._count += 1
         over = self._count >= self._steps
         success = over.copy()
-        if np.logical_or.reduce(over):
+        if np.count_nonzero(over):
             success = over & (self._squares.max(axis=1) <= self.settings.success_rms_m**2 * self._count)
         info = {
             "flange_error_m": sizes[:, :2],

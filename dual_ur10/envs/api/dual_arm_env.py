@@ -41,9 +41,9 @@ class DualArmEnv(gym.Env[Any, Array]):
     itself passes no options and is refused with `ResetRefusedError`. In simulation the option has no effect.
 
     `info` of `reset` and `step` holds `q_rad` (2, 6) and `flange_m` (2, 3); that of `step` also the task's values,
-    `is_success` and `reward/<term>`. That of the last step holds `end_reason`: "success", "time", "refused: <limit>",
-    such as "refused: distance", if the safety gate kept a limit, "physics", or a reason of the task, such as "bar
-    lost". A wrapper that truncates, such as `TimeLimit`, adds none. `safety` (a
+    `is_success` and `reward/<term>`. That of the last step holds `end_reason`: "success", "time", "refused/<limit>",
+    such as "refused/distance", if the safety gate kept a limit, "physics", or a reason of the task, such as
+    "bar_lost". A wrapper that truncates, such as `TimeLimit`, adds none. `safety` (a
     `dual_ur10.sim2real.control.gate.Verdict`) and `physics_error` (a message) hold the details of a refusal and of
     diverged physics.
     """

@@ -358,7 +358,7 @@ def test_a_refused_motion_ends_the_episode_with_its_reason():
             break
     assert terminated
     assert info["safety"].kind == "distance"
-    assert info["end_reason"] == "refused: distance"
+    assert info["end_reason"] == "refused/distance"
     assert "table" in info["safety"].subject
     assert "allowed at least 0.02 m" in str(info["safety"])
     assert info["flange_m"][:, 2].min() > 0.02

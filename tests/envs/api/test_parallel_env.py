@@ -228,7 +228,7 @@ def test_a_refused_motion_ends_both_agents_with_its_reason():
     assert terminations == {"left": True, "right": True}
     assert truncations == {"left": False, "right": False}
     assert "right/" in env.info["safety"].subject
-    assert env.info["end_reason"] == "refused: distance"
+    assert env.info["end_reason"] == "refused/distance"
     assert not infos["left"]["is_success"]
 
 

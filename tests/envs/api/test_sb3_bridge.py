@@ -20,7 +20,7 @@ stable_baselines3 = pytest.importorskip("stable_baselines3", reason="needs the e
 from stable_baselines3.common.monitor import Monitor  # noqa: E402  # skipped above
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize  # noqa: E402  # as above
 
-from dual_ur10.envs.api.sb3_bridge import TwoAgentVecEnv  # noqa: E402  # as above
+from dual_ur10.envs.api.sb3_bridge import JointVecEnv, TwoAgentVecEnv  # noqa: E402  # as above
 
 
 def zeros(env):
@@ -237,3 +237,17 @@ def test_images_are_one_per_cell():
     assert [image.shape for image in env.get_images()] == [(48, 64, 3)] * 2
     assert env.render().shape == (96, 64, 3) or env.render().shape == (48, 128, 3)
     assert TwoAgentVecEnv(SINE).get_images() == []
+
+
+@pytest.mark.parametrize("kind", [JointVecEnv, TwoAgentVecEnv])
+def test_observations_have_the_type_of_their_space(kind):
+    env, control = kind(SINE, 2, observation_dtype="float32"), kind(SINE, 2)
+    for each in (env, control):
+        each.seed(3)
+    found, expected = env.reset(), control.reset()
+    for _ in range(3):
+        assert env.observation_space.dtype == found.dtype == np.float32
+        assert np.array_equal(found, expected.astype(np.float32))
+        found, expected = env.step(zeros(env))[0], control.step(zeros(control))[0]
+    for each in (env, control):
+        each.close()

@@ -153,7 +153,7 @@ def test_a_refused_row_has_its_reason_and_restarts():
     assert terminated.tolist() == [False, True]
     assert info["_safety"].tolist() == [False, True]
     assert info["safety"][1].kind == "distance"
-    assert info["end_reason"].tolist() == [None, "refused: distance"]
+    assert info["end_reason"].tolist() == [None, "refused/distance"]
     assert info["_end_reason"].tolist() == [False, True]
     _, reward, terminated, _, info = env.step(goal.reshape(2, 12).astype(np.float32))
     assert not terminated.any()

@@ -185,7 +185,7 @@ def test_a_bar_that_is_dropped_ends_the_episode_without_success(arm):
     assert infos[-1]["terminated"]
     assert not infos[-1]["is_success"]
     assert infos[-1]["object_error_m"] > 0.15 or "safety" in infos[-1]
-    assert infos[-1]["end_reason"] == ("bar lost" if infos[-1]["object_error_m"] > 0.15 else "refused: distance")
+    assert infos[-1]["end_reason"] == ("bar_lost" if infos[-1]["object_error_m"] > 0.15 else "refused/distance")
     assert not any("end_reason" in info for info in infos[:-1])
     assert infos[SHORT + 15]["reward/grasp"] == 0.5
     assert infos[SHORT + 15]["reward/position"] == 0.0

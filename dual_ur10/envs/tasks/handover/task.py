@@ -181,9 +181,9 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     `info["end_reason"]` is
 
     - "success": all stages were passed and the block has lain on its target for 0.5 s;
-    - "block fell": it fell from the table;
-    - "block out of reach": it lies where no arm can reach it;
-    - "refused: <limit>": the safety gate refused a motion; `info["safety"]` gives the details;
+    - "block_fell": it fell from the table;
+    - "block_out_of_reach": it lies where no arm can reach it;
+    - "refused/<limit>": the safety gate refused a motion; `info["safety"]` gives the details;
     - "physics": the simulation diverged (`info["physics_error"]`).
 
     ### Truncation
@@ -351,7 +351,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
 
     def failure(self, row: int, outcome: Outcome) -> str:
         """Return the name of the failure: the block fell from the table, or lies where no arm can reach it."""
-        return "block fell" if outcome.info["object_m"][row, 2] < _FALLEN_M else "block out of reach"
+        return "block_fell" if outcome.info["object_m"][row, 2] < _FALLEN_M else "block_out_of_reach"
 
     def _distances(self, measured: HandoverMeasured) -> tuple[Array, Array]:
         """Return distances, (n, 9), and the angle between the long axes of block and target, (n,).

@@ -117,7 +117,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     ### Termination
 
-    `info["end_reason"]` is "refused: <limit>" if the safety gate refused a motion (`info["safety"]` gives the details),
+    `info["end_reason"]` is "refused/<limit>" if the safety gate refused a motion (`info["safety"]` gives the details),
     and "physics" if the simulation diverged (`info["physics_error"]`).
 
     ### Truncation

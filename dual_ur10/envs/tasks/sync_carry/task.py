@@ -176,8 +176,8 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
 
     `info["end_reason"]` is
 
-    - "bar lost": the bar is more than 0.15 m away from its reference, because it was dropped or never lifted;
-    - "refused: <limit>": the safety gate refused a motion; `info["safety"]` gives the details;
+    - "bar_lost": the bar is more than 0.15 m away from its reference, because it was dropped or never lifted;
+    - "refused/<limit>": the safety gate refused a motion; `info["safety"]` gives the details;
     - "physics": the simulation diverged (`info["physics_error"]`).
 
     ### Truncation
@@ -374,7 +374,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
 
     def failure(self, row: int, outcome: Outcome) -> str:
         """Return the name of the only failure: the bar was dropped, or never lifted."""
-        return "bar lost"
+        return "bar_lost"
 
     def _carried_well(self, held: Mask) -> Mask:
         """Return a mask, (n,), of bars that both grippers hold, that followed their path, and whose load was shared."""

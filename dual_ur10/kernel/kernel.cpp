@@ -7,6 +7,7 @@
 #include "gate.hpp"
 #include "grasps.hpp"
 #include "grippers.hpp"
+#include "handover.hpp"
 #include "inverse.hpp"
 #include "motion.hpp"
 #include "sine_tracking.hpp"

@@ -28,6 +28,7 @@ from dual_ur10.policies.evaluation.evaluate import evaluate
 from dual_ur10.policies.evaluation.results import Episode, Evaluation, wilson_interval
 from dual_ur10.policies.evaluation.rollout import rollout
 from dual_ur10.policies.policy import EpisodeAware
+from dual_ur10.policies.registry import load, shipped_folder
 from tests.soak import scaled
 
 SINE = "DualUR10/SineTracking-v0"
@@ -585,6 +586,20 @@ def test_csv_has_a_row_per_episode(tmp_path: Path) -> None:
     assert rows[0]["last/late_s"] == ""
     assert float(rows[4]["last/force_n"]) == -46.0
     assert rows[8]["ended_by"] == 'a, "b"\nc'
+
+
+@pytest.mark.parametrize("kind", ["name", "folder", "policy"])
+def test_a_learned_policy_gets_the_latency_that_it_was_made_for(kind: str) -> None:
+    folder = shipped_folder("learned", SINE)
+    policy: Any = {"name": "learned", "folder": str(folder), "policy": load(folder)}[kind]
+    short = {"duration_s": 0.4}
+    found = evaluate(SINE, policy, episodes=1, env_kwargs=short)
+    assert found.kwargs == {**short, "action_latency_ticks": 5}
+    assert found.successes == 1
+    if kind != "policy":  # which was checked when it was loaded
+        with pytest.raises(errors.CheckpointError, match="latency_ticks 5, the environment has 4"):
+            evaluate(SINE, policy, episodes=1, env_kwargs={**short, "action_latency_ticks": 4})
+    assert "action_latency_ticks" not in evaluate(SINE, "zero", episodes=1, env_kwargs=short).kwargs
 
 
 def test_a_carry_that_never_begins_ends_with_its_reason() -> None:

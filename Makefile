@@ -20,7 +20,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # `make fuzz`: executions per target, or seconds (TIME_S=60); some targets only (TARGET=rtde_server); another seed.
 RUNS ?= $(if $(TIME_S),0,20000)
 
-.PHONY: help demo dist docs test test-live test-oldest test-dist soak simulate mutants fuzz bench install lint format clean check-python
+.PHONY: help demo dist docs test test-live test-oldest test-dist test-torchrl soak simulate mutants fuzz bench install lint format clean check-python
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*  ## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -109,6 +109,10 @@ dist: $(VENV)/.dev  ## build wheel and sdist into out/dist, and check the sdist 
 docs: $(VENV)/.dev $(KERNEL)  ## build the documentation site into out/site, strictly
 	@found=$$(PYTHONPATH=. NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --site-dir out/site 2>&1) || \
 	  { echo "$$found" | grep -v '^INFO'; exit 1; }
+
+test-torchrl: $(VENV)/.dev $(KERNEL)  ## TorchRL's own wrappers and checks, which `make test` skips without TorchRL
+	@$(VENV)/bin/python -m pip install $(PIP_FLAGS) -c constraints.txt torchrl
+	@$(VENV)/bin/python -m pytest tests/envs/api/test_torchrl.py
 
 test-dist: $(DIST)/.dev $(KERNEL)  ## training on Ray RLlib with two workers on this machine
 	@$(DIST)/bin/python -m pytest tests/distributed

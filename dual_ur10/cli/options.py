@@ -16,6 +16,7 @@ from dual_ur10 import policies
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 from dual_ur10.ids import env_id_of
 from dual_ur10.policies.baselines import BASELINES, RandomPolicy, ZeroPolicy
+from dual_ur10.policies.registry import with_latency
 
 console = Console()
 errors = Console(stderr=True)
@@ -172,8 +173,11 @@ def make(env: str, policy: str, keywords: dict[str, Any], seed: int) -> tuple[An
     names = (*policies.NAMES, *BASELINES)
     if policy not in names and not policies.is_path(policy):
         raise UnknownNameError("policy", policy, names)
+    keywords = with_latency(policy, env_id, keywords)
     try:
         made = gym.make(env_id, **keywords)
+    except UnknownNameError:
+        raise
     except TypeError as error:
         # Gymnasium appends where it was raised and all keywords.
         reason = str(error).split(" was raised from the environment creator")[0]

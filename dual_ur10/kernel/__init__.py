@@ -9,10 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import itertools
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 from math import prod
 from pathlib import Path
@@ -79,7 +76,12 @@ def function(name: str, arguments: int) -> Callable[..., None]:
     return result
 
 
-_LEAST_ROWS: Final = 16  # per call from which on another thread is worth waking
+_LEAST_ROWS: Final = 16  # per thread from which on another one is worth waking
+
+
+def _address(name: str) -> int:
+    """Return the address of a function of the library."""
+    return int(ctypes.cast(getattr(library(), name), ctypes.c_void_p).value or 0)
 
 
 class RowLoop:
@@ -94,27 +96,17 @@ class RowLoop:
 
     def __init__(self, name: str, struct: Struct, n: int, threads: int) -> None:
         self._made_of = name, struct, n, threads
-        self._call, self._address = function(name, 3), struct.address
-        parts = max(1, min(threads, n // _LEAST_ROWS))
-        bounds = [n * k // parts for k in range(parts + 1)]
-        self._first, *self._others = itertools.pairwise(bounds)
+        threads = min(threads, n // _LEAST_ROWS)
+        self._call, self._arguments = function(name, 3), [struct.address, 0, n]
+        if threads > 1:
+            self._call, self._arguments = function("share_rows", 4), [_address(name), struct.address, n, threads]
 
     def __call__(self) -> None:
         """Call the function for all rows."""
-        waiting = [_pool(os.getpid()).submit(self._call, self._address, *part) for part in self._others]
-        try:
-            self._call(self._address, *self._first)
-        finally:  # also after an interrupt: nobody may touch the arrays before
-            wait(waiting)
+        self._call(*self._arguments)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return RowLoop, self._made_of
-
-
-@cache
-def _pool(process: int) -> ThreadPoolExecutor:
-    """Return the threads of a process: they do not survive a fork."""
-    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="kernel")
 
 
 @cache
@@ -181,7 +173,7 @@ class Struct:
 
     def _function(self, value: str | Callable[[Array, Array], None]) -> int | None:
         if isinstance(value, str):
-            return ctypes.cast(getattr(library(), value), ctypes.c_void_p).value
+            return _address(value)
         pairs, function = int(self.values["pairs"]), value
 
         def measure(context: object, q_rad: Any, spare_m: Any) -> None:

@@ -23,8 +23,9 @@ enum Mode { STEP = 0, POSITION = 1, GOAL_GIVEN = 2 };
     LINK(envelope, Envelope) REALS(plans, meetings * ticks * 11) REALS(ends, meetings * 44) INTS(cubic, meetings)      \
     REALS(continuations, meetings * 22) REALS(continuation_limits, 24) REALS(between, meetings * between_rows * 11)    \
     REALS(resume, 4 * width) REALS(joint_step, 12) REALS(lower, 12) REALS(upper, 12) REALS(leash, 12)                  \
-    REALS(state, n * 132) REALS(commanded, n * 12) REALS(action, n * 2 * size) REALS(targets, n * ticks * 12)  \
-    REALS(goal, n * 12) REALS(lowest, 2 * size) REALS(highest, 2 * size) INTS(clipped, n)
+    REALS(state, n * 132) REALS(commanded, n * 12) REALS(action, n * 2 * size) REALS(targets, n * ticks * 12)          \
+    REALS(widths_m, n * ticks * 2) REAL(most_m) REALS(goal, n * 12) REALS(lowest, 2 * size) REALS(highest, 2 * size)   \
+    INTS(clipped, n)
 
 STRUCTURE(Adapter, ADAPTER)
 
@@ -143,10 +144,15 @@ void step(const Adapter& a, int64_t row, const double* action, double* targets) 
 
 }  // namespace
 
-// Plan the targets, (n, ticks, 12), of rows `first` to `last` from the actions, (n, 2, size).
+// Plan the targets, (n, ticks, 12), of rows `first` to `last` from the actions, (n, 2, size), and the widths of grippers,
+// (n, ticks, 2), from their seventh number: -1 is closed, 1 is open.
 EXPORT void adapter_step(const Adapter* a, int64_t first, int64_t last) {
-    for (int64_t row = first; row < last; ++row)
-        step(*a, row, a->action + row * 2 * a->size, a->targets + row * a->ticks * JOINTS);
+    for (int64_t row = first; row < last; ++row) {
+        const double* action = a->action + row * 2 * a->size;
+        step(*a, row, action, a->targets + row * a->ticks * JOINTS);
+        for (int64_t k = 0; a->size == 7 && k < 2 * a->ticks; ++k)
+            a->widths_m[row * 2 * a->ticks + k] = (clamp(action[6 + 7 * (k & 1)], -1.0, 1.0) + 1.0) * (a->most_m / 2.0);
+    }
 }
 
 // Return the fastest point of each arm in windows (n, width, 12): fractions and points, (n, 2).

@@ -109,7 +109,7 @@ static inline void faster_of(const Envelope& e, const double* from, const double
         const double moved[3] = {squared(b.elbow - a.elbow), squared(b.flange - a.flange), squared(b.tcp - a.tcp)};
         for (int64_t point = 0; point < 3; ++point) {
             const double fraction = sqrt(moved[point]) * unit;
-            if (!(fraction <= best[arm].fraction)) best[arm] = {fraction, arm, point};
+            if (fraction > best[arm].fraction || fraction != fraction) best[arm] = {fraction, arm, point};  // NaN stays
         }
     }
 }

@@ -166,7 +166,8 @@ bool check(const Gate& g, int64_t row, const double* window, double* scratch) {
     if (!(cartesian_bound(e, peak) <= 1.0)) {
         Fastest best[2];
         cartesian_use(e, window, TOLERANCE, best);
-        const Fastest& fastest = best[best[0].fraction <= best[1].fraction];
+        const double second = best[1].fraction;
+        const Fastest& fastest = best[best[0].fraction <= second || second != second];
         if (!(fastest.fraction <= TOLERANCE)) {
             g.reason[row] = CARTESIAN;
             g.index[row] = 3 * fastest.arm + fastest.point;

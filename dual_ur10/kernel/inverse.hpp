@@ -99,7 +99,30 @@ void keep_nearer(const double* solution, const double* reference, const double* 
     copy(q, nearest, 6);
 }
 
+// Check a row of position, rotation and reference, and bring the reference into the joint range. Return 0, or for a part
+// that is not finite or no rotation: -1 position, -2 rotation, -3 reference. `limits` holds the joint range, and by how
+// much the product of a rotation with its transpose may differ from 1.
+double check(const double* limits, double* row) {
+    for (int k = 0; k < 3; ++k)
+        if (!(fabs(row[k]) < INFINITY)) return -1.0;
+    for (int i = 0; i < 3; ++i)
+        for (int j = 0; j <= i; ++j) {
+            const double product = dot(vector(row + 3 + 3 * i), vector(row + 3 + 3 * j));
+            if (!(fabs(product - (i == j)) < limits[6])) return -2.0;
+        }
+    for (int j = 0; j < 6; ++j) {
+        if (!(fabs(row[12 + j]) < INFINITY)) return -3.0;
+        row[12 + j] = clamp(row[12 + j], -limits[j], limits[j]);
+    }
+    return 0.0;
+}
+
 }  // namespace
+
+// Check rows of `block`, (n, 19): position, rotation and reference; the last number takes the result of `check`.
+EXPORT void inverse_check(const double* limits, double* block, int64_t n) {
+    for (int64_t row = 0; row < n; ++row) block[19 * row + 18] = check(limits, block + 19 * row);
+}
 
 // All eight branches of flange poses of an arm with exactly parallel and perpendicular axes; `arm` holds its lengths, its
 // theta offsets and the tolerance at the edge. A row of `block` (n, 75) gives position, rotation and reference, and takes
@@ -119,17 +142,18 @@ EXPORT void inverse_branches(const double* arm, double* block, int64_t n) {
 }
 
 // The branch nearest to the reference. A row of `block` (n, 25) gives position, rotation and reference, and takes angles
-// (6,), the reference where none is in reach, and 1 if one is.
-EXPORT void inverse_nearest(const double* arm, const double* range, double* block, int64_t n) {
+// (6,), the reference where none is in reach, and 1 if one is; or the result of `check` for a row that is not solved.
+EXPORT void inverse_nearest(const double* arm, const double* limits, double* block, int64_t n) {
     const double edge = arm[12];
     for (int64_t row = 0; row < n; ++row) {
         double *here = block + 25 * row, *q = here + 18, least = INFINITY;
+        if ((here[24] = check(limits, here)) < 0.0) continue;
         copy(q, here + 12, 6);
         Branch found[8];
         branches(arm, here, found);
         for (int k = 0; k < 8; ++k)
             if (fabs(found[k].cosine3) <= 1.0 + edge && found[k].offset2 >= -edge)
-                keep_nearer(found[k].q, here + 12, range, least, q);
+                keep_nearer(found[k].q, here + 12, limits, least, q);
         here[24] = least < INFINITY ? 1.0 : 0.0;
     }
 }

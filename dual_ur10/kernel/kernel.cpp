@@ -1,14 +1,18 @@
 // The compiled control kernel, as one unit.
 #include "adapter.hpp"
+#include "carry.hpp"
 #include "carry_path.hpp"
 #include "clearance.hpp"
 #include "forward.hpp"
 #include "gate.hpp"
 #include "grasps.hpp"
+#include "grippers.hpp"
+#include "handover.hpp"
 #include "inverse.hpp"
 #include "motion.hpp"
 #include "sine_tracking.hpp"
 #include "stages.hpp"
+#include "threads.hpp"
 
 // Hash of the sources that this library was compiled from.
 EXPORT const char* kernel_sources() { return KERNEL_SOURCES; }

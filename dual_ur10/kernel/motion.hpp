@@ -40,7 +40,7 @@ EXPORT void reference_step(const Reference* r, int64_t first, int64_t last) {
     INT(n) INT(steps) INT(outputs) INT(stride) INT(block) INT(carries) REAL(damps_before_s) REAL(gravity_m_s2)         \
     REALS(offset_m, 39) REALS(turned, 117) REALS(axis, 39) REALS(mass_kg, 13) REALS(center_m, 39) REALS(inertia, 117)  \
     REALS(armature, 12) REALS(flange_m, 6) REALS(tcp_m, 6) REALS(compliance, 12) REALS(damping, 12)                    \
-    REALS(declared_kg, n * 2) REALS(payload_kg, n * steps * 2) REALS(motion, n * outputs * 12)                         \
+    REALS(declared_kg, n * 2) REALS(payload_kg, n * 4) REALS(motion, n * outputs * 12)                                 \
     REALS(control, n * steps * 2 * stride)
 
 STRUCTURE(FeedForward, FEED_FORWARD)
@@ -181,7 +181,8 @@ void lead(const FeedForward& f, int64_t row, int64_t arm, const double* q, const
         const double *now = q + step * JOINTS + LINKS * arm, *speed = v + step * JOINTS + LINKS * arm;
         const double* acceleration = a + step * JOINTS + LINKS * arm;
         double* control = f.control + ((row * f.steps + step) * 2 + arm) * f.stride;
-        const double payload = f.carries ? f.payload_kg[(row * f.steps + step) * 2 + arm] : 0.0;
+        const double ratio = static_cast<double>(step + 1) / static_cast<double>(f.steps);
+        const double *before = f.payload_kg + 4 * row + arm, payload = before[0] + ratio * (before[2] - before[0]);
         for (int i = 0; i < LINKS; ++i) {
             double sum = torque[i];
             for (int j = 0; j < LINKS; ++j) sum += inertia[j * LINKS + i] * acceleration[j];
@@ -198,7 +199,7 @@ void lead(const FeedForward& f, int64_t row, int64_t arm, const double* q, const
 
 }  // namespace
 
-// Controls, (n, steps, 2, stride), of motions.
+// Controls, (n, steps, 2, stride), of motions. The payload of each arm rises linearly from that before to that after.
 EXPORT void feed_forward_step(const FeedForward* f, int64_t first, int64_t last) {
     const int64_t size = f->steps * JOINTS;
     for (int64_t row = first; row < last; ++row) {

@@ -140,8 +140,12 @@ def elbow_flange_and_tcp(q_rad: Array, tcp_m: Sequence[Sequence[float]]) -> Arra
 
     Returns:
         (..., 2, 3, 3) positions in each arm's `base`, in m.
+
+    Raises:
+        SettingsError: Not six joints.
     """
-    return np.stack([_points(q_rad[..., arm, :], tuple(tcp_m[arm])) for arm in range(2)], axis=-3)
+    q = checked_joints(q_rad)
+    return np.stack([_points(q[..., arm, :], tuple(tcp_m[arm])) for arm in range(2)], axis=-3)
 
 
 def _points(q: Array, tcp_m: Sequence[float]) -> Array:

@@ -24,13 +24,13 @@ _IDENTITY: Final = constant(np.eye(3))
 # Allowed at the edge of the workspace before the polish: a calibrated arm's edges lie some mm elsewhere.
 _CALIBRATED_EDGE: Final = 0.05
 
-_LOWEST_RAD: Final = constant(-JOINT_RANGE_RAD)
-_RANGE_RAD: Final = Constants(JOINT_RANGE_RAD)
 _POLISH_STEPS: Final = 12
 _POLISH_DONE: Final = 1e-13  # m and rad; rounding leaves some 1e-15
 _POLISH_ACCEPTED: Final = 1e-7  # as at the nominal arm's edge; elsewhere the steps end at _POLISH_DONE
 
 _ORTHONORMAL_TOLERANCE: Final = 1e-5  # lets float32 rotations pass
+_LIMITS: Final = Constants(np.append(JOINT_RANGE_RAD, _ORTHONORMAL_TOLERANCE))
+_POSITION, _ROTATION = -1.0, -2.0  # parts at fault in the kernel's check; the third is the reference
 
 
 def _wrap(q: Array) -> Array:
@@ -94,36 +94,48 @@ def _solve(position: Array, rotation: Array, dh: DHParameters, reference: Array 
     return q, valid
 
 
-def _poses(position: ArrayLike, rotation: ArrayLike) -> tuple[tuple[int, ...], Array, Array]:
-    """Check poses and flatten them: batch shape, positions (n, 3), rotations (n, 3, 3)."""
+def _block(
+    position: ArrayLike, rotation: ArrayLike, reference_q_rad: ArrayLike, size: int
+) -> tuple[tuple[int, ...], Array]:
+    """Return the batch shape of poses and their references, and rows of the kernel, (n, size), with their values."""
     p, r = np.asarray(position, dtype=np.float64), np.asarray(rotation, dtype=np.float64)
     if p.shape[-1:] != (3,) or r.shape[-2:] != (3, 3):
         raise SettingsError(f"poses need the shapes (..., 3) and (..., 3, 3), found {p.shape} and {r.shape}")
-    if p.shape[:-1] != r.shape[:-2]:
-        batch = np.broadcast_shapes(p.shape[:-1], r.shape[:-2])
+    reference, batch = checked_joints(reference_q_rad), p.shape[:-1]
+    if batch != r.shape[:-2]:
+        batch = np.broadcast_shapes(batch, r.shape[:-2])
         p, r = np.broadcast_to(p, (*batch, 3)), np.broadcast_to(r, (*batch, 3, 3))
-    batch, p, r = p.shape[:-1], p.reshape(-1, 3), r.reshape(-1, 3, 3)
-    if not np.isfinite(p).all():
-        row = int((~np.isfinite(p).all(-1)).argmax())
-        raise SettingsError(f"position of pose {row} is {p[row].tolist()}: positions must be finite")
-    off = np.abs(r @ r.transpose(0, 2, 1) - _IDENTITY)
-    if off.size and not off.max() < _ORTHONORMAL_TOLERANCE:
-        row = int((~(off.max((1, 2)) < _ORTHONORMAL_TOLERANCE)).argmax())
-        raise SettingsError(
-            f"rotation of pose {row} is no rotation matrix (R R' differs from 1 by {off[row].max():.3g}, allowed "
-            f"{_ORTHONORMAL_TOLERANCE:g}): {r[row].tolist()}. Normalise it, and look for NaN"
-        )
-    return batch, p, r
-
-
-def _reference(reference_q_rad: ArrayLike, batch: tuple[int, ...]) -> Array:
-    """Check the reference, bring it into the joint range, and shape it (n, 6)."""
-    reference = checked_joints(reference_q_rad)
-    if not np.isfinite(reference).all():
-        raise SettingsError(f"reference joint angles must be finite, found {reference.tolist()}")
     if reference.shape[:-1] != batch:
         reference = np.broadcast_to(reference, (*batch, 6))
-    return np.minimum(np.maximum(reference.reshape(-1, 6), _LOWEST_RAD), JOINT_RANGE_RAD)
+    return batch, pose_block(p.reshape(-1, 3), r.reshape(-1, 3, 3), reference.reshape(-1, 6), size)
+
+
+def _raise_fault(block: Array) -> None:
+    """Raise what the kernel found in its check of a row."""
+    row = int((block[:, -1] < 0.0).argmax())
+    position, rotation, reference = block[row, :3], block[row, 3:12].reshape(3, 3), block[row, 12:18]
+    fault = block[row, -1]
+    if fault == _POSITION:
+        raise SettingsError(f"position of pose {row} is {position.tolist()}: positions must be finite")
+    if fault == _ROTATION:
+        off = np.abs(rotation @ rotation.T - _IDENTITY).max()
+        raise SettingsError(
+            f"rotation of pose {row} is no rotation matrix (R R' differs from 1 by {off:.3g}, allowed "
+            f"{_ORTHONORMAL_TOLERANCE:g}): {rotation.tolist()}. Normalise it, and look for NaN"
+        )
+    raise SettingsError(f"reference joint angles must be finite, found {reference.tolist()} for pose {row}")
+
+
+def _checked(
+    position: ArrayLike, rotation: ArrayLike, reference_q_rad: ArrayLike
+) -> tuple[tuple[int, ...], Array, Array, Array]:
+    """Check poses and references: batch shape, positions (n, 3), rotations (n, 3, 3), references (n, 6) in range."""
+    batch, block = _block(position, rotation, reference_q_rad, 19)
+    call("inverse_check", _LIMITS, block, len(block))
+    if np.count_nonzero(block[:, 18]):
+        _raise_fault(block)
+    p, r, reference = (np.ascontiguousarray(block[:, part]) for part in (slice(3), slice(3, 12), slice(12, 18)))
+    return batch, p, r.reshape(-1, 3, 3), reference
 
 
 def inverse(
@@ -151,8 +163,9 @@ def inverse(
     Raises:
         SettingsError: Wrong shapes, NaN or infinity, or no rotation matrix.
     """
-    batch, p, r = _poses(position, rotation)
-    q, valid = _solve(p, r, dh, None if reference_q_rad is None else _reference(reference_q_rad, batch))
+    given = reference_q_rad is not None
+    batch, p, r, reference = _checked(position, rotation, np.zeros(6) if reference_q_rad is None else reference_q_rad)
+    q, valid = _solve(p, r, dh, reference if given else None)
     q, valid = _wrap(q[:, :8]), valid[:, :8]
     return np.where(valid[..., None], q, np.nan).reshape(*batch, 8, 6), valid.reshape(*batch, 8)
 
@@ -179,16 +192,17 @@ def try_nearest(
     Raises:
         SettingsError: Wrong shapes, NaN or infinity, or no rotation matrix.
     """
-    batch, p, r = _poses(position, rotation)
-    reference = _reference(reference_q_rad, batch)
     if dh is NOMINAL_DH or dh.is_nominal:
-        block = pose_block(p, r, reference, 25)
-        call("inverse_nearest", coefficients(NOMINAL_DH), _RANGE_RAD, block, len(block))
+        batch, block = _block(position, rotation, reference_q_rad, 25)
+        call("inverse_nearest", coefficients(NOMINAL_DH), _LIMITS, block, len(block))
+        if np.count_nonzero(block[:, 24] < 0.0):
+            _raise_fault(block)
         return block[:, 18:24].reshape(*batch, 6), block[:, 24].reshape(batch) > 0.0
+    batch, p, r, reference = _checked(position, rotation, reference_q_rad)
     q, valid = _solve(p, r, dh, reference)
     chosen, reached = np.empty((len(p), 6)), np.empty(len(p))
     good = valid.astype(np.float64)
-    call("inverse_nearest_of", q, good, reference, _RANGE_RAD, chosen, reached, q.shape[1], len(p))
+    call("inverse_nearest_of", q, good, reference, _LIMITS, chosen, reached, q.shape[1], len(p))
     return chosen.reshape(*batch, 6), reached.reshape(batch) > 0.0
 
 
@@ -214,8 +228,8 @@ def nearest(
         UnreachableError: A pose has no solution within the joint range.
     """
     q, ok = try_nearest(position, rotation, reference_q_rad, dh)
-    if not ok.all():
-        _, p, r = _poses(position, rotation)
+    if np.count_nonzero(ok) < ok.size:
+        _, p, r, _ = _checked(position, rotation, reference_q_rad)
         raise UnreachableError(_why_unreachable(p, r, dh, (~ok.reshape(-1)).nonzero()[0]))
     return q
 

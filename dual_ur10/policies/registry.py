@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import importlib
 import os
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
@@ -17,6 +18,7 @@ from typing import Any, Final
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.ids import ENTRY_POINTS, env_id_of, task_name
 from dual_ur10.policies.policy import Policy
+from dual_ur10.sim2real.config.cell import CellConfig
 
 _SCRIPTED: Final = {
     "SineTracking": "sine_tracking:SineTrackingPolicy",
@@ -106,6 +108,36 @@ def _scripted(env_id: str, keywords: dict[str, Any]) -> Policy:
         setup.timing, setup.options.action_mode, mounts=mounts, limits=setup.limits, settings=setup.settings
     )
     return policy
+
+
+def with_latency(policy: Policy | str, env_id: str, keywords: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keywords of an environment, with the action latency that a learned policy was made for.
+
+    Keywords that state a latency, and those of a cell of two controllers, which has its own, are returned unchanged.
+
+    Args:
+        policy: A policy, a name, or the folder of a checkpoint.
+        env_id: Id of the environment.
+        keywords: Keywords of the environment.
+
+    Raises:
+        UnknownNameError: No learned policy for this environment.
+        CheckpointError: The checkpoint cannot be read, or has changed since it was saved.
+    """
+    from dual_ur10.policies.learned.checkpoint import read_manifest
+    from dual_ur10.policies.learned.learned_policy import LearnedPolicy
+
+    cell = keywords.get("cell", "mujoco")
+    if keywords.get("action_latency_ticks") is not None or not (cell == "mujoco" or isinstance(cell, CellConfig)):
+        return dict(keywords)
+    if isinstance(policy, str):
+        folder = shipped_folder(policy, env_id) if policy in _SHIPPED else policy
+        manifest = read_manifest(folder) if is_path(folder) else None
+    else:
+        manifest = policy.manifest if isinstance(policy, LearnedPolicy) else None
+    if manifest is None:
+        return dict(keywords)
+    return {**keywords, "action_latency_ticks": manifest.signature.rate.latency_ticks}
 
 
 def provenance(policy: Policy | str, env_id: str) -> dict[str, Any]:

@@ -84,7 +84,7 @@ def test_distances_are_those_of_the_shapes() -> None:
     rng = np.random.default_rng(0)
     apart, overlapping = np.zeros(len(ALL), dtype=int), np.zeros(len(ALL), dtype=int)
     for q in (*random_q(rng, scaled(1000)), *(HOME_Q_RAD + rng.uniform(-0.8, 0.8, (scaled(3000), 2, 6)))):
-        found = clearance.distances_m(q.reshape(1, 12))[0]
+        found = clearance.measure(q.reshape(1, 12)).distances_m[0]
         data.qpos[:] = q.ravel()
         mujoco.mj_kinematics(model, data)
         axes = data.geom_xmat[geoms].reshape(-1, 3, 3)[:, :, 2] * half[:, None]
@@ -125,7 +125,7 @@ def test_rods_through_the_fingers_have_negative_distances() -> None:
         through = middle + rng.uniform(-0.01, 0.01, 3)
         rods.append(Capsule(name=f"rod-{row}", from_m=through - along, to_m=through + along, radius_m=0.002))
     clearance = Clearance(SceneSettings(equipment=GRIPPERS, obstacles=tuple(rods)))
-    found = clearance.distances_m(HOME_Q_RAD.reshape(1, 12))[0]
+    found = clearance.measure(HOME_Q_RAD.reshape(1, 12)).distances_m[0]
     for rod in rods:
         assert found[clearance.pairs.index(("left/fingers", geom_name(rod)))] < 0.0
 
@@ -244,7 +244,7 @@ def test_the_gate_refuses_a_motion_into_an_obstacle(obstacle: Obstacle) -> None:
     np.testing.assert_allclose(left[-1], left[-2], atol=1e-4)  # stopped, before the obstacle
     clearance = Clearance(SceneSettings(obstacles=(obstacle,)))
     rows = [i for i, pair in enumerate(clearance.pairs) if pair[1] == geom_name(obstacle)]
-    distances = clearance.distances_m(left)[:, rows].min(axis=1)
+    distances = clearance.measure(left).distances_m[:, rows].min(axis=1)
     assert distances.min() > MINIMUM_M - 1e-6
     assert distances[-1] < 0.12  # it moved towards the obstacle
 
@@ -268,7 +268,7 @@ def test_the_thinnest_and_longest_boxes_are_measured() -> None:
         up = HOME_Q_RAD.reshape(12).copy()
         up[:6] = (0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0)  # straight up, 1.3 m high, beside a small box
         below = HOME_Q_RAD.reshape(12)
-        reading = dict(zip(clearance.pairs, clearance.distances_m(below[None])[0], strict=True))
+        reading = dict(zip(clearance.pairs, clearance.measure(below[None]).distances_m[0], strict=True))
         assert min(d for pair, d in reading.items() if pair[1] == "obstacle/box") == CLEARANCE_CUTOFF_M
         assert clearance.is_clear(below[None])[0]
         assert clearance.is_clear(up[None])[0] == (size[0] < 1.0)

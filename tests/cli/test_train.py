@@ -71,10 +71,10 @@ def test_a_training_prints_its_result_and_the_policy_runs(tmp_path):
     assert "95 % interval" in result.stdout
     shown = run(
         "rollout", "SineTracking", "--policy", out / "policy", "-n", 1, "--no-record", "--set", "duration_s=2.0",
-        "--set", "action_latency_ticks=5",
     )  # fmt: skip
     assert shown.exit_code == 0, shown.output
-    other = run("rollout", "SineTracking", "--policy", out / "policy", "-n", 1, "--no-record")
+    latency = ("--set", "action_latency_ticks=4")
+    other = run("rollout", "SineTracking", "--policy", out / "policy", "-n", 1, "--no-record", *latency)
     assert other.exit_code == 2
     assert "latency_ticks" in other.stderr
     again = run("train", "SineTracking", *SMALL, "--steps", 100, "--out", out)

@@ -82,7 +82,7 @@ def test_distances_are_those_of_mujoco(scene: str) -> None:
     model.opt.ccd_tolerance, model.opt.ccd_iterations = 1e-12, 200
     data = mujoco.MjData(model)
     q_rad = configurations(COUNT)
-    found = np.maximum(Clearance(settings, uncertainty=UNCERTAIN).distances_m(q_rad), -CLEARANCE_CUTOFF_M)
+    found = np.maximum(Clearance(settings, uncertainty=UNCERTAIN).measure(q_rad).distances_m, -CLEARANCE_CUTOFF_M)
     kinds = model.geom_type[np.stack([model.sensor_objid, model.sensor_refid])]
     tolerance = np.where((kinds == mujoco.mjtGeom.mjGEOM_MESH).any(axis=0), HULL_M, EXACT_M)
     boxes = np.flatnonzero((kinds == BOX).any(axis=0) & np.isin(kinds, [BOX, CAPSULE]).all(axis=0))
@@ -111,7 +111,7 @@ def test_legal_distances_are_those_of_the_definition(scene: str) -> None:
     model = build_collision_model(settings)
     data = mujoco.MjData(model)
     q_rad = configurations(300)
-    found = Clearance(settings, uncertainty=UNCERTAIN).allowed_m(q_rad)
+    found = Clearance(settings, uncertainty=UNCERTAIN).measure(q_rad).allowed_m
     names = [model.geom(geom).name.split("/")[0] for geom in range(model.ngeom)]
     for q, allowed in zip(q_rad, found, strict=True):
         data.qpos[:] = q

@@ -7,7 +7,7 @@ import pytest
 
 from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD
 from dual_ur10.sim2real.control.limits import POINTS, Envelope, MotionLimits
-from tests.sim2real.control.motion_checks import elbow_position, flange
+from tests.sim2real.control.motion_checks import cartesian_use, elbow_position, flange
 from tests.sim2real.control.reference_cell import dh_product
 
 TICK_S = 0.008
@@ -39,7 +39,7 @@ def test_steps_are_those_of_the_forward_kinematics(tcp_m, size: float) -> None:
     begin = rng.uniform(-1, 1, (n, 2, 6)) * JOINT_RANGE_RAD
     end = begin + size * rng.uniform(-1, 1, (n, 2, 6)) * rng.integers(0, 2, (n, 1, 6))
     # One step, after which the arms are at rest.
-    fraction, point = envelope.cartesian_use(np.stack([begin] * 3 + [end] * 3, axis=1).reshape(n, 6, 12))
+    fraction, point = cartesian_use(envelope, np.stack([begin] * 3 + [end] * 3, axis=1).reshape(n, 6, 12))
     moved = np.linalg.norm(points(end, tcp_m) - points(begin, tcp_m), axis=-1) / (TICK_S * limits.tcp_speed_m_s)
     np.testing.assert_allclose(fraction, moved.max(axis=-1), rtol=1e-12, atol=REST)
     named = np.take_along_axis(moved, point[..., None], axis=-1)[..., 0]
@@ -60,6 +60,6 @@ def test_sines_of_large_angles_are_reduced_exactly(joint: int) -> None:
     # There and back to zero, where a brake does not move at all.
     window = np.zeros((n, 7, 12))
     window[:, 3] = q.reshape(n, 12)
-    fraction, _ = envelope.cartesian_use(window)
+    fraction, _ = cartesian_use(envelope, window)
     moved = np.linalg.norm(points(q, TOOLS[0]) - points(np.zeros((2, 6)), TOOLS[0]), axis=-1).max(axis=-1)
     np.testing.assert_allclose(fraction * (TICK_S * 1.5), moved, rtol=0, atol=3e-15)

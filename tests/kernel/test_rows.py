@@ -125,6 +125,6 @@ def test_copied_distances_are_the_same(through) -> None:
     for clearance in (plain, plain.granting(np.linspace(0.0, 0.01, len(plain.pairs)))):
         copied = through(clearance)
         np.testing.assert_array_equal(copied.spare_m(q_rad), clearance.spare_m(q_rad))
-        np.testing.assert_array_equal(copied.allowed_m(q_rad), clearance.allowed_m(q_rad))
+        np.testing.assert_array_equal(copied.measure(q_rad).allowed_m, clearance.measure(q_rad).allowed_m)
         assert copied.worst(q_rad[0]) == clearance.worst(q_rad[0])
         assert copied.worst(q_rad[0])[0].split("/")[0] in ARMS

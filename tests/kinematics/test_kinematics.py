@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from dual_ur10 import kinematics
 from dual_ur10.errors import SettingsError
+from dual_ur10.kinematics.forward import elbow_flange_and_tcp
 from dual_ur10.kinematics.ur10 import DH_D_M, NOMINAL_DH, DHParameters
 from tests.kinematics.reference_arm import calibration, independent_pose, random_q
 
@@ -127,9 +129,21 @@ def _link(dh: DHParameters, joint: int, angle: float) -> np.ndarray:
     return (pin.SE3(rotation, np.zeros(3)) * offset).homogeneous
 
 
-def test_six_joints_are_needed() -> None:
-    with pytest.raises(SettingsError, match=r"\(\.\.\., 6\)"):
-        kinematics.flange_pose(np.zeros(7))
+@pytest.mark.parametrize("shape", [(), (5,), (2, 1), (2, 7), (6, 2)])
+@pytest.mark.parametrize(
+    "function",
+    [
+        kinematics.flange_pose,
+        kinematics.flange_pose_quat,
+        kinematics.jacobian,
+        kinematics.elbow_and_flange_position,
+        lambda q: elbow_flange_and_tcp(q, np.zeros((2, 3))),
+        lambda q: kinematics.nearest(np.zeros(3), np.eye(3), q),
+    ],
+)
+def test_six_joints_are_needed(function, shape: tuple[int, ...]) -> None:
+    with pytest.raises(SettingsError, match=rf"need the shape \(\.\.\., 6\), found {re.escape(str(shape))}"):
+        function(np.zeros(shape))
 
 
 def test_import_does_not_wait_for_pinocchio() -> None:

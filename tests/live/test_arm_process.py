@@ -8,7 +8,7 @@ import pytest
 
 from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.runtime.arm_memory import Phase
-from tests.sim2real.runtime.pair import Pair, assert_rests_on_path
+from tests.sim2real.runtime.pair import Pair, assert_rests_on_path, assert_stops_both
 
 pytestmark = pytest.mark.streams
 
@@ -27,13 +27,7 @@ def pair(cell):
 
 
 def test_controllers_execute_the_written_targets(pair):
-    pair.begin()
-    pair.move(300)
-    pair.memories[0].stop()
-    phases, texts = pair.ended()
-    assert phases == [Phase.STOPPED] * 2
-    assert "requested" in texts[0]
-    assert texts[1].startswith("right: the other arm stops: left:")
+    assert_stops_both(pair, 300)
     whole = [bool((memory.sent()[0].index[:30] % 1.0 == 0.0).all()) for memory in pair.memories]
     assert all(whole), "this machine is too busy to tell when control periods begin: the arms are out of step"
     for arm in range(2):

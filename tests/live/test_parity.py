@@ -4,57 +4,22 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import dual_ur10  # noqa: F401  # registers the environments
-from dual_ur10 import policies
 from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
-from dual_ur10.sim2real.recording.reader import read_run
 from tests import soak
+from tests.parity import TASK, simulated
 
 pytestmark = pytest.mark.streams
 
 ARMS = ("left", "right")
 TICKS = soak.scaled(10_000)
 LATENCY = 100  # so long that no machine is too slow, and nothing else changes by it
-PERIOD = 5
 AHEAD = 13  # targets that may be left out in a row, because their time had passed: 0.1 s later arms are stopped
 TRIES = 3
 SHARE = 0.9  # of all targets that controllers receive, however busy the machine is
 
 
-class Wild:
-    """Random actions with what a scripted policy does: every limit binds at times."""
-
-    def __init__(self, scripted, seed):
-        self._scripted, self._rng = scripted, np.random.default_rng(seed)
-
-    def reset(self):
-        """Begin again."""
-        self._scripted.reset()
-
-    def __call__(self, observation):
-        """An action, (12,)."""
-        action = np.asarray(self._scripted(observation), dtype=np.float32)
-        return (action + self._rng.uniform(-0.4, 0.4, action.shape)).astype(np.float32)
-
-
 def test_the_same_actions_give_the_same_targets_to_the_last_bit(tmp_path):
-    keywords = {"duration_s": max(4.0, TICKS * 0.008), "action_latency_ticks": LATENCY, "action_mode": "joint_delta"}
-    env_id = "DualUR10/SineTracking-v0"
-    env = gym.make(env_id, record=str(tmp_path), disable_env_checker=True, **keywords)
-    policy = Wild(policies.load("scripted", env_id, **keywords), 0)
-    policy.reset()
-    observation, _ = env.reset(seed=3)
-    actions = []
-    while PERIOD * len(actions) < TICKS:
-        actions.append(policy(observation))
-        observation, _, terminated, _, _ = env.step(actions[-1])
-        assert not terminated, "the gate has refused something: choose another seed"
-    env.close()
-    (episode,) = read_run(next(tmp_path.iterdir())).episodes
-    expected = episode.targets_rad.reshape(-1, 2, 6)
-    assert len(expected) >= TICKS
-    assert np.abs(np.diff(expected, axis=0)).max() > 1e-3
-
+    keywords, actions, expected = simulated(tmp_path, TICKS, LATENCY)
     for number in range(TRIES):
         received, shifted = received_by_controllers(tmp_path / str(number), keywords, actions)
         whole = all(tuple(expected[-1, arm]) in {tuple(each) for each in received[arm]} for arm in range(2))
@@ -79,7 +44,7 @@ def received_by_controllers(folder, keywords, actions):
     with EmulatedCell(plant="mild", seed=5, cell=str(folder / "lab.toml")) as cell:
         for arm in ARMS:
             cell.wait_until(arm, "robot_mode", 7)
-        env = gym.make("DualUR10/SineTracking-v0", cell=str(folder / "lab.toml"), disable_env_checker=True, **keywords)
+        env = gym.make(TASK, cell=str(folder / "lab.toml"), disable_env_checker=True, **keywords)
         received = [[], []]
         seen = [0, 0]
 

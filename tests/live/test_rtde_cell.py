@@ -7,19 +7,14 @@ import threading
 import time
 import weakref
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
-from dual_ur10 import policies
-from dual_ur10.policies.evaluation.rollout import rollout
-from dual_ur10.sim2real.recording.reader import read_run
 from tests.live.faults.lab import Lab, assert_gone, descendants
+from tests.parity import handed_over
 from tests.virtual.faults.lab import Swing
 
 pytestmark = pytest.mark.streams
-
-HANDOVER = "DualUR10/Handover-v0"
 
 
 @pytest.fixture(scope="module")
@@ -38,25 +33,11 @@ def lab(the_lab):
 
 
 def test_one_policy_hands_over_on_both_cells_with_a_record(lab, tmp_path):
-    keywords = {"action_latency_ticks": 8}
-    simulated = gym.make(HANDOVER, disable_env_checker=True, **keywords)
-    policy = policies.load("scripted", HANDOVER, **keywords)
-    assert rollout(simulated, policy, seed=1).success
-    simulated.close()
-    env = lab.make(record=str(tmp_path), **keywords)
-    found = rollout(env, policy, seed=1)
-    late = env.unwrapped.core.late_actions
-    lab.close_env()
+    found, late, run = handed_over(lab, tmp_path)
     assert found.success or late, found.ended_by
-    run = read_run(next(tmp_path.iterdir()))
-    assert run.complete
-    assert run.header.source == "emulated"
-    assert len(run.episodes[0].action) == found.steps
     for arm in run.arms:
         assert np.unique(np.diff(arm.state["timestamp_s"]).round(4)).tolist() == [0.008]
         assert len(arm.sent["late_s"]) > 4.8 * found.steps  # late targets are skipped
-    # The block is where the camera of the cell sees it.
-    np.testing.assert_array_equal(run.episodes[0].q_rad.shape, (found.steps + 1, 2, 6))
 
 
 def test_the_collector_ignores_objects_from_before_the_episode(lab, monkeypatch):

@@ -4,36 +4,17 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from dual_ur10 import policies
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.testing import VirtualCell
-from tests.live.test_parity import Wild
+from tests.parity import TASK, simulated
 from tests.soak import scaled
 
-TASK = "DualUR10/SineTracking-v0"
-PERIOD = 5
 TICKS = scaled(2000)
 
 
 @pytest.mark.parametrize("latency", [4, 8])
 def test_the_same_actions_give_the_same_targets_to_the_last_bit(tmp_path, latency):
-    keywords = {"duration_s": max(4.0, TICKS * 0.008), "action_latency_ticks": latency, "action_mode": "joint_delta"}
-    env = gym.make(TASK, record=str(tmp_path), disable_env_checker=True, **keywords)
-    policy = Wild(policies.load("scripted", TASK, **keywords), 0)
-    policy.reset()
-    observation, _ = env.reset(seed=3)
-    actions = []
-    while PERIOD * len(actions) < TICKS:
-        actions.append(policy(observation))
-        observation, _, terminated, _, _ = env.step(actions[-1])
-        assert not terminated, "the gate has refused something: choose another seed"
-    env.close()
-    (episode,) = read_run(next(tmp_path.iterdir())).episodes
-    expected = episode.targets_rad.reshape(-1, 2, 6)
-    assert len(expected) >= TICKS
-    assert np.abs(np.diff(expected, axis=0)).max() > 1e-3
-
+    keywords, actions, expected = simulated(tmp_path, TICKS, latency)
     with VirtualCell(plant="mild", seed=5) as cell:
         env = gym.make(TASK, cell=cell, disable_env_checker=True, **keywords)
         env.reset(seed=3)

@@ -33,14 +33,18 @@ _POSITION, _ANGLE = (
     figure_column("relative position", "mm", "relative_max_mm"),
     figure_column("relative angle", "°", "relative_max_deg"),
 )
-_FORCE, _BAR_RMS = figure_column("internal force", "N", "squeeze_max_n"), figure_column("bar RMS", "mm", "bar_rms_mm")
+_FORCE, _SLIP, _BAR_RMS = (
+    figure_column("internal force", "N", "squeeze_max_n"),
+    figure_column("slip", "mm", "slip_max_mm"),
+    figure_column("bar RMS", "mm", "bar_rms_mm"),
+)
 
 COLUMNS = (
     _POSITION,
     _ANGLE,
     _FORCE,
     figure_column("lateral", "N", "lateral_max_n"),
-    figure_column("slip", "mm", "slip_max_mm"),
+    _SLIP,
     figure_column("bar max", "mm", "bar_max_mm"),
     _BAR_RMS,
     figure_column("least load", "%", "least_load_share", 100),
@@ -274,7 +278,7 @@ TASK = Task(
     title="SyncCarry",
     cases=CASES,
     columns=COLUMNS,
-    emulated_columns=(SUCCESS, _POSITION, _ANGLE, _FORCE, _BAR_RMS),
+    emulated_columns=(SUCCESS, _POSITION, _ANGLE, _FORCE, _SLIP, _BAR_RMS),
     figures=figures,
     context=context,
     error_mm=error_mm,

@@ -21,6 +21,7 @@ from dual_ur10.cli.demo_report.emulated import (
     side_by_side,
 )
 from dual_ur10.cli.demo_report.film import Film
+from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
 from dual_ur10.errors import DualUR10Error
 from dual_ur10.ids import __version__
 from dual_ur10.sim2real.analysis.page import Table, render, video_source
@@ -104,6 +105,7 @@ def emulated_values(findings: Findings) -> dict[str, Any]:
         "timing": Table.of(
             "emulated-timing", TIMING_COLUMNS, [(pair.run.task.title, "", pair) for pair in findings.pairs]
         ),
+        "slip_mm": f"{1e3 * CarrySettings().success_slip_m:g}",
         "cores": os.cpu_count(),
         "recordings": [
             (pair.run.task.title, *(side.folder for _, side in pair.sides if side.folder is not None))

@@ -235,7 +235,7 @@ def skew(results: Results) -> str:
         bars = right.barh(
             [results[name].case.title for name in names], skews, color=[RUN_COLORS[name] for name in names], height=0.55
         )
-        right.bar_label(bars, [f"{value:+.1f} µs" for value in skews], padding=4)
+        right.bar_label(bars, [f"{value:+.1f} µs".replace("-", "−") for value in skews], padding=4)
         right.axvline(0, color="#90a4ae", linewidth=1)
         reach = 1.5 * max(map(abs, skews))
         right.set(xlabel="left arm behind the right one (µs)", xlim=(-reach, 0.5 * reach))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from dual_ur10.envs.core.core import Core, Step
@@ -30,7 +32,8 @@ class DualArmEnv(gym.Env[Any, Array]):
         **keywords: Keywords of every environment, `dual_ur10.envs.core.options.EnvOptions`, and of the task.
 
     Observations: with `observation="state"` (the default) the numbers of the task, (size,); with "pixels" a dict of
-    images, (height, width, 3) uint8, by the names in `cameras`; with "both" `{"state": ..., "pixels": {...}}`.
+    images, (height, width, 3) uint8, by the names in `cameras`; with "both" `{"state": ..., "pixels": {...}}`; with
+    "flat" the dict of images and `state`. `observation_dtype` is the type of the numbers.
 
     `reset` takes one option, `move_to_start`. On a cell of two controllers a reset moves both arms to where the episode
     begins. The first one needs the confirmation of an operator on real arms (`confirm`, or a question at the terminal);
@@ -38,9 +41,9 @@ class DualArmEnv(gym.Env[Any, Array]):
     itself passes no options and is refused with `ResetRefusedError`. In simulation the option has no effect.
 
     `info` of `reset` and `step` holds `q_rad` (2, 6) and `flange_m` (2, 3); that of `step` also the task's values,
-    `is_success` and `reward/<term>`. That of the last step holds `end_reason`: "success", "time", "refused: <limit>",
-    such as "refused: distance", if the safety gate kept a limit, "physics", or a reason of the task, such as "bar
-    lost". A wrapper that truncates, such as `TimeLimit`, adds none. `safety` (a
+    `is_success` and `reward/<term>`. That of the last step holds `end_reason`: "success", "time", "refused/<limit>",
+    such as "refused/distance", if the safety gate kept a limit, "physics", or a reason of the task, such as
+    "bar_lost". A wrapper that truncates, such as `TimeLimit`, adds none. `safety` (a
     `dual_ur10.sim2real.control.gate.Verdict`) and `physics_error` (a message) hold the details of a refusal and of
     diverged physics.
     """
@@ -61,11 +64,21 @@ class DualArmEnv(gym.Env[Any, Array]):
             self.core.close()
             raise
         self._terminated = False
+        self._spec: EnvSpec | None = None
         self._renderer = self._observer.renderer
         self.action_space: Any = self.core.action_space
         self.observation_space: Any = self._observer.space
         # A class attribute in Gymnasium; an environment with another rate gets its own.
         self.metadata = {**type(self).metadata, "render_fps": round(1 / self.core.timing.period_s)}
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Spec as of `gym.make`. Its `max_episode_steps` is the horizon of the task with these settings."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = spec if spec is None else dataclasses.replace(spec, max_episode_steps=self.task.horizon)
 
     @property
     def task(self) -> Any:
@@ -138,10 +151,16 @@ class DualArmEnv(gym.Env[Any, Array]):
         self.core.close()
 
 
+def numbers_of(numbers: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    """Return the numbers in the info of one cell's step, which every step has."""
+    info: dict[str, Any] = {name: value[0] for name, value in numbers.items()}
+    info["is_success"] = bool(info["is_success"])
+    return info
+
+
 def info_of(step: Step) -> dict[str, Any]:
     """Return the info of one cell's step."""
-    info: dict[str, Any] = {name: value[0] for name, value in step.info.items()}
-    info["is_success"] = bool(info["is_success"])
+    info = numbers_of(step.info)
     if step.verdicts or step.ends:
         info.update(step.details(0))
     return info

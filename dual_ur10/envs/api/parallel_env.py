@@ -14,6 +14,7 @@ from pettingzoo.utils.conversions import parallel_to_aec_wrapper  # type: ignore
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper  # type: ignore[import-untyped]  # as above
 
 from dual_ur10.envs.api.two_agents import AgentSplitter, agent_spaces, check_options
+from dual_ur10.envs.core.ends import TIME
 from dual_ur10.envs.core.options import MOVE_TO_START, check_count, take_consent
 from dual_ur10.errors import ActionError, ResetNeededError
 from dual_ur10.ids import env_id_of, task_name
@@ -21,7 +22,7 @@ from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.types import Array
 
 if TYPE_CHECKING:
-    from dual_ur10.envs.core.core import Agents, Core
+    from dual_ur10.envs.core.core import Agents, Core, Step
 
 _LEFT, _RIGHT = ARMS
 
@@ -33,8 +34,10 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
     has 6 numbers, 7 where there are grippers. Both agents' episodes end together. The same seed and the same actions
     give the results of `dual_ur10.envs.api.dual_arm_env.DualArmEnv`, in every bit.
 
-    Each agent's info is that of `DualArmEnv`; of an array with a leading axis of two arms (`q_rad`, `flange_m`, ...) it
-    is the agent's own part. `reward/<term>` are the terms of the agent's reward.
+    Each agent's info holds the numbers of that of `DualArmEnv`; of an array with a leading axis of two arms (`q_rad`,
+    `flange_m`, ...) it is the agent's own part. `reward/<term>` are the terms of the agent's reward. After a reset the
+    keys are the same, because libraries make tensors of them, and rewards are 0. All else, such as `end_reason`,
+    `safety` and `randomization`, is in the attribute `info`.
 
     Args:
         task: Name of the task, or id.
@@ -65,13 +68,13 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         max_cycles: int | None = None,
         **keywords: Any,
     ) -> None:
-        from dual_ur10.envs.api.dual_arm_env import DualArmEnv, info_of  # loads MuJoCo
+        from dual_ur10.envs.api.dual_arm_env import DualArmEnv, info_of, numbers_of  # loads MuJoCo
 
         env_id = env_id_of(task)
         check_options(reward, keywords)
         check_count("max_cycles", max_cycles, optional=True)
         self._env = DualArmEnv(task_name(env_id), render_mode=render_mode, **keywords)
-        self._info_of = info_of
+        self._info_of, self._numbers_of = info_of, numbers_of
         self.render_mode, self.max_cycles = render_mode, max_cycles
         self.metadata = {**type(self).metadata, **self._env.metadata, "name": env_id}
         self.possible_agents = list(ARMS)
@@ -83,8 +86,15 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         self.state_space: spaces.Box = core.observation_space
         self._shape = action[0].shape
         self._splitter = AgentSplitter(core, reward)
-        self._state: Array | None = None
+        self._agents: Agents | None = None
         self._cycles = 0
+        self._begun: dict[str, Any] = {}
+        self._step: Step | None = None
+
+    @property
+    def info(self) -> dict[str, Any]:
+        """Info of the last step or reset as `dual_ur10.envs.api.dual_arm_env.DualArmEnv` returns it."""
+        return dict(self._begun) if self._step is None else self._info_of(self._step)
 
     @property
     def core(self) -> Core:
@@ -102,7 +112,7 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         return self._env.viewer
 
     def observation_space(self, agent: str) -> spaces.Space[Array]:
-        """Return the space of an agent's observations, `Box((size,), float64)`."""
+        """Return the space of an agent's observations, `Box((size,), observation_dtype)`."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[NDArray[Any]]:
@@ -130,14 +140,15 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
                 "when making the environment"
             )
         self.agents = []  # after a failed reset, the episode must begin again
-        _, info = self._env.reset(seed=seed, options={MOVE_TO_START: consent})
-        self._cycles = 0
+        _, self._begun = self._env.reset(seed=seed, options={MOVE_TO_START: consent})
+        self._cycles, self._step = 0, None
         self.agents = list(ARMS)
-        left, right = self._splitter.infos(info)
+        info = {name: value.copy() for name, value in self._begun.items() if isinstance(value, np.ndarray)}
+        left, right = self._splitter.infos(info | self._numbers_of(self.core.initial_info()))
         return self._observations(self._env.core.agents), {_LEFT: left, _RIGHT: right}
 
     def _observations(self, agents: Agents) -> dict[str, Array]:
-        self._state = agents.both[0]
+        self._agents = agents
         own = agents.observations
         return {_LEFT: own[0, 0], _RIGHT: own[0, 1]}
 
@@ -172,15 +183,16 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         self._cycles += 1
         if self.max_cycles is not None and self._cycles >= self.max_cycles:
             truncated = True
+            step = step._replace(ends={0: TIME, **step.ends})
             self._env.core.finish()
         if terminated or truncated:
             self.agents = []
-        agents = step.agents
+        self._step, agents, info = step, step.agents, self._numbers_of(step.info)
         if self._splitter.individual:
-            left, right = self._splitter.infos(self._info_of(step), cast("Array", agents.terms)[0])
+            left, right = self._splitter.infos(info, cast("Array", agents.terms)[0])
             first, second = agents.rewards[0].tolist()
         else:
-            left, right = self._splitter.infos(self._info_of(step))
+            left, right = self._splitter.infos(info)
             first = second = float(step.reward[0])
         return (
             self._observations(agents),
@@ -227,9 +239,10 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
         Raises:
             ResetNeededError: There was no reset yet.
         """
-        if self._state is None:
+        if self._agents is None:
             raise ResetNeededError("state was called before the first reset: call reset() first")
-        return self._state.copy()
+        state: Array = self._agents.joint[0]
+        return state
 
     def render(self) -> NDArray[np.uint8] | None:
         """Render the scene; see `dual_ur10.envs.api.dual_arm_env.DualArmEnv.render`.

@@ -242,7 +242,7 @@ class JointVecEnv(CellsVecEnv):
         return self.cells.core.observation_space, self.cells.core.action_space
 
     def _observations(self) -> Array:
-        return self.cells.core.agents.both.copy()
+        return self.cells.core.agents.joint
 
     def _rewards(self, reward: Array) -> Array:
         return reward
@@ -255,7 +255,7 @@ class TwoAgentVecEnv(CellsVecEnv):
     """n cells as 2n rows: row 2k is the left arm of cell k, row 2k + 1 its right arm.
 
     The rows of a cell equal, in every bit, the agents of a `dual_ur10.envs.api.parallel_env.DualArmParallelEnv` with
-    the seed of the cell. Infos are the agents'.
+    the seed of the cell. Infos are the agents', with `end_reason`, `safety` and `physics_error` as of `DualArmEnv`.
 
     Args:
         task: Name of the task, or id.

@@ -27,7 +27,7 @@ def check_options(reward: str, keywords: Mapping[str, Any]) -> None:
     """
     if reward not in get_args(RewardKind):
         raise UnknownNameError("reward", str(reward), get_args(RewardKind))
-    if keywords.get("observation") in ("pixels", "both"):
+    if keywords.get("observation") in ("pixels", "both", "flat"):
         raise SettingsError(
             f"observation is {keywords['observation']!r}: two agents observe numbers only, observation='state'. For "
             "pixel observations use gym.make, for images of the scene render_mode='rgb_array'"
@@ -38,8 +38,9 @@ def agent_spaces(core: Core) -> tuple[list[Any], list[Any]]:
     """Return the observation spaces and the action spaces of the agents, each a `gymnasium.spaces.Box`."""
     layout = core.task.agent_layout_for(core.setup.settings)
     bounds = zip(layout.low.reshape(2, -1), layout.high.reshape(2, -1), strict=True)
+    dtype: Any = core.observation_space.dtype
+    observation = [spaces.Box(low.astype(dtype), high.astype(dtype), dtype=dtype.type) for low, high in bounds]
     low, high = (each.reshape(2, -1) for each in (core.action_space.low, core.action_space.high))
-    observation = [spaces.Box(*each, dtype=np.float64) for each in bounds]
     return observation, [spaces.Box(low[arm], high[arm], dtype=np.float32) for arm in range(2)]
 
 

@@ -207,6 +207,63 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
                 info[name][row], info["_" + name][row] = value, True
         return info
 
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Call a method or read an attribute for every row, as `gymnasium.vector.SyncVectorEnv` does.
+
+        The rows share one core and have no environments of their own. "render" and "np_random" differ from row to row,
+        and the spaces are those of a row; anything else belongs to all rows and is called or read once.
+
+        Args:
+            name: Method or attribute of this environment.
+            *args: Arguments of the method.
+            **kwargs: Keywords of the method.
+
+        Returns:
+            One result for each row.
+
+        Raises:
+            SettingsError: `reset`, `step` and `close` act on all rows: call them directly.
+            AttributeError: There is no such method or attribute.
+        """
+        if name in ("reset", "step", "close"):
+            raise SettingsError(f"call({name!r}) would {name} all rows once for each: call {name}() instead")
+        if name == "np_random" and self._rngs:
+            return tuple(self._rngs)
+        value = getattr(self, f"single_{name}" if name in ("observation_space", "action_space") else name)
+        if callable(value):
+            value = value(*args, **kwargs)
+        return value if name == "render" and value is not None else (value,) * self.num_envs
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Return an attribute for every row; see `call`.
+
+        Raises:
+            AttributeError: There is no such attribute.
+        """
+        return self.call(name)
+
+    def set_attr(self, name: str, values: list[Any] | tuple[Any, ...] | Any) -> None:
+        """Set an attribute of all rows.
+
+        Args:
+            name: Attribute of this environment.
+            values: One value, or a list or tuple of one for each row, which must be the same.
+
+        Raises:
+            SettingsError: The values differ, or their number is not that of the rows.
+        """
+        each = list(values) if isinstance(values, list | tuple) else [values] * self.num_envs
+        if len(each) != self.num_envs:
+            raise SettingsError(f"{len(each)} values of {name} for {self.num_envs} rows: pass one, or one per row")
+        if any(value is not each[0] and not np.array_equal(value, each[0]) for value in each):
+            raise SettingsError(f"{name} belongs to all rows, which share one core: pass one value, found {each!r:.99}")
+        setattr(self, name, each[0])
+
+    @property
+    def task(self) -> Any:
+        """Task object of all rows."""
+        return self.core.task
+
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Return one image per cell, (height, width, 3) each, or None without a render mode.
 

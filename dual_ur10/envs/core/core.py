@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -42,17 +43,24 @@ class Agents(NamedTuple):
         both: (n, size) observations of both agents together.
         terms: (n, 2, terms) reward terms of each agent; None after a reset.
         weights: (terms,) weights of the reward terms.
+        dtype: Type of observed numbers.
     """
 
     task: Task[Any, Any]
     both: Array
     terms: Array | None
     weights: Array
+    dtype: np.dtype[Any]
+
+    @property
+    def joint(self) -> Array:
+        """Copy of the observations of both agents together, (n, size), in the type of observations."""
+        return self.both.astype(self.dtype)
 
     @property
     def observations(self) -> Array:
-        """Each agent's own observation, (n, 2, size)."""
-        return self.task.observe_agents(self.both)
+        """Each agent's own observation, (n, 2, size), in the type of observations."""
+        return self.task.observe_agents(self.both).astype(self.dtype, copy=False)
 
     @property
     def rewards(self) -> Array:
@@ -158,7 +166,9 @@ class Core:
         layout, record = self.task.layout, setup.options.record
         self._observation: Array = np.zeros((n, 2 * layout.size))
         self.action_space = self._action_space()
-        self.observation_space = spaces.Box(layout.low, layout.high, dtype=np.float64)
+        self._dtype: np.dtype[Any] = np.dtype(setup.options.observation_dtype)
+        low, high = layout.low.astype(self._dtype), layout.high.astype(self._dtype)
+        self.observation_space = spaces.Box(low, high, dtype=self._dtype.type)
         if record is not None:
             prepare(Path(record))  # before anything is connected
         self.cell: Cell | None = make_cell(setup, n, threads=threads, clearance=clearance)
@@ -234,14 +244,14 @@ class Core:
         self._observation = self._observation.copy()
         self._observation[rows] = observation[rows]
         self._state, self._begun = state, True
-        self.agents = Agents(self.task, self._observation, None, self._weights)
+        self.agents = Agents(self.task, self._observation, None, self._weights, self._dtype)
         info: dict[str, Any] = self._measurements(state)
         randomized = {**start.sampled, **sampled}
         if randomized:
             info["randomization"] = {name: _spread(value, rows, self.n) for name, value in randomized.items()}
         if self._hook is not None:
-            self._hook.reset(self._observation, state, info.get("randomization", {}))
-        return self._observation.copy(), info
+            self._hook.reset(self.agents.joint, state, info.get("randomization", {}))
+        return self.agents.joint, info
 
     def step(self, action: object) -> Step:
         """Advance all cells by one control period.
@@ -282,7 +292,7 @@ class Core:
         terminated, success = state.failed.copy(), outcome.success
         if verdicts:
             terminated[list(verdicts)] = True
-        if np.logical_or.reduce(terminated):
+        if np.count_nonzero(terminated):
             success = success & ~terminated
         if outcome.terminal is not None:
             terminated |= outcome.terminal
@@ -295,12 +305,12 @@ class Core:
             state = self._sensing(state)
             measured = measured if self._sensing.keeps_poses else self.task.measure(state)
         self._observation = observation = self.task.observe(state, measured, self.pipeline.adapter.commanded_q_rad)
-        self.agents = agents = Agents(self.task, observation, outcome.terms, self._weights)
+        self.agents = agents = Agents(self.task, observation, outcome.terms, self._weights, self._dtype)
         ended, ends = terminated | outcome.over, {}
-        if np.logical_or.reduce(ended):
+        if np.count_nonzero(ended):
             cell.finish()
             ends = {row: self._end(row, true, verdicts, outcome, success) for row in np.flatnonzero(ended).tolist()}
-        step = Step(observation.copy(), reward, terminated, outcome.over, info, verdicts, state.failed, ends, agents)
+        step = Step(agents.joint, reward, terminated, outcome.over, info, verdicts, state.failed, ends, agents)
         self._state = true
         if self._hook is not None:
             self._hook.step(action, command, step, period, early_end(step.details(0)))
@@ -333,6 +343,19 @@ class Core:
 
     def _measurements(self, state: CellState) -> dict[str, NDArray[Any]]:
         return {"q_rad": state.q_rad.copy(), "flange_m": state.flange_m.copy()}
+
+    def initial_info(self) -> dict[str, NDArray[Any]]:
+        """Return the info that a step would add, for the state after a reset of all cells; rewards are 0.
+
+        Raises:
+            ResetNeededError: There was no reset yet.
+        """
+        if self._state is None:
+            raise ResetNeededError("the initial info was asked for before the first reset: call reset() first")
+        task = copy.deepcopy(self.task)  # because an evaluation counts as a step
+        info = task.evaluate(self._state, task.measure(self._state)).info
+        nothing = {name: np.zeros(self.n) for name in self._terms}
+        return {**info, "is_success": np.zeros(self.n, dtype=bool), **nothing}
 
     def cell_data(self, row: int) -> tuple[Any, Any]:
         """Return MuJoCo's model and data of one cell, for a viewer: the same objects at every call, updated."""

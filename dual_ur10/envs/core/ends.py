@@ -21,8 +21,8 @@ _DETAILS: Final = ("end_reason", "safety", "physics_error")
 
 
 def refusal(verdict: Verdict) -> str:
-    """Return the reason of an end by the safety gate, such as "refused: distance"."""
-    return f"refused: {verdict.kind}"
+    """Return the reason of an end by the safety gate, such as "refused/distance"."""
+    return f"refused/{verdict.kind.lower().replace(' ', '_')}"
 
 
 def early_end(info: Mapping[str, Any]) -> str:

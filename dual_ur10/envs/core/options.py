@@ -20,7 +20,8 @@ DEFAULT_RATE_HZ = 25.0
 MOVE_TO_START: Final = "move_to_start"
 """Option of `reset` by which its caller consents to the motion to the start of an episode."""
 
-ObservationKind = Literal["state", "pixels", "both"]
+ObservationKind = Literal["state", "pixels", "both", "flat"]
+ObservationDtype = Literal["float64", "float32"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -28,7 +29,7 @@ class EnvOptions:
     """Keywords of every environment.
 
     Raises:
-        UnknownNameError: `observation` is not one of its names.
+        UnknownNameError: `observation` or `observation_dtype` is not one of its names.
         SettingsError: `cameras` is empty or names a camera twice, or a value has the wrong type.
 
     Attributes:
@@ -43,7 +44,9 @@ class EnvOptions:
         compensate_lag: Compensate the lag of `servoj` in the adapter.
         randomization: Variation from episode to episode: a name of
             `dual_ur10.envs.core.randomization.PRESETS`, a mapping of single values, or a `Randomization`.
-        observation: "state" gives an array; "pixels" a dict of images by camera; "both" a dict of both.
+        observation: "state" gives an array; "pixels" a dict of images by camera; "both" a dict with `state` and
+            `pixels`; "flat" a dict of images by camera and `state`, as Stable-Baselines3's `MultiInputPolicy` needs it.
+        observation_dtype: Type of observed numbers, "float64" or "float32", of all interfaces.
         cameras: Cameras of an observation with pixels: names of `dual_ur10.assets.visuals.cameras`.
         pixels_rate_hz: Images per second of an observation with pixels, the policy's rate divided by a whole number.
             None: a new image with every observation.
@@ -70,6 +73,7 @@ class EnvOptions:
     compensate_lag: bool = True
     randomization: object = "none"
     observation: ObservationKind = "state"
+    observation_dtype: ObservationDtype = "float64"
     cameras: tuple[str, ...] = ("front",)
     pixels_rate_hz: float | None = None
     camera: str = "perspective"
@@ -105,6 +109,8 @@ class EnvOptions:
             raise UnknownNameError("action mode", str(self.action_mode), get_args(ActionMode))
         if self.observation not in get_args(ObservationKind):
             raise UnknownNameError("observation", str(self.observation), get_args(ObservationKind))
+        if self.observation_dtype not in get_args(ObservationDtype):
+            raise UnknownNameError("observation_dtype", str(self.observation_dtype), get_args(ObservationDtype))
         if not isinstance(self.cameras, str | tuple | list):
             raise SettingsError(f"cameras are {self.cameras!r}: name one, or several in a tuple")
         cameras = (self.cameras,) if isinstance(self.cameras, str) else tuple(self.cameras)

@@ -93,9 +93,11 @@ class Observer:
         self.space: spaces.Space[Any] = core.observation_space
         if self._kind != "state":
             shape = (options.height, options.width, 3)
-            pixels = spaces.Dict({camera: spaces.Box(0, 255, shape, np.uint8) for camera in options.cameras})
-            both = spaces.Dict({"state": core.observation_space, "pixels": pixels})
-            self.space = pixels if self._kind == "pixels" else both
+            pixels: dict[str, spaces.Space[Any]] = {
+                camera: spaces.Box(0, 255, shape, np.uint8) for camera in options.cameras
+            }
+            nested = {"state": core.observation_space, "pixels": spaces.Dict(pixels)}
+            self.space = spaces.Dict(nested if self._kind == "both" else self._flat(core.observation_space, pixels))
 
     def begin(self, state: Array, rows: Rows) -> Any:
         """Return the observation after a reset of `rows`, which get new images; the others keep theirs.
@@ -105,8 +107,8 @@ class Observer:
             rows: Cells that were reset.
 
         Returns:
-            `state` itself; a dict of images, (n, height, width, 3), by camera; or `{"state": state, "pixels": images}`.
-            Images are copies.
+            `state` itself; a dict of images, (n, height, width, 3), by camera, with "flat" also of `state`; or
+            `{"state": state, "pixels": images}`. Images are copies.
 
         Raises:
             RenderError: Images are observed, and no OpenGL backend was found.
@@ -138,7 +140,10 @@ class Observer:
             return state
         self._draw(rows)
         images = {camera: image.copy() for camera, image in self._images.items()}
-        return images if self._kind == "pixels" else {"state": state, "pixels": images}
+        return {"state": state, "pixels": images} if self._kind == "both" else self._flat(state, images)
+
+    def _flat(self, state: Any, images: dict[str, Any]) -> dict[str, Any]:
+        return {"state": state, **images} if self._kind == "flat" else images
 
     def _draw(self, rows: Rows) -> None:
         if not self._painters:

@@ -58,11 +58,11 @@ class FeedForward:
 
     def __init__(self, settings: SceneSettings, n: int, steps: int, threads: int) -> None:
         kp, kv = (np.tile(gains, 2) for gains in GAINS[settings.gains])
-        carries = settings.equipment.grippers
+        self._carries = carries = settings.equipment.grippers
         self.control: Array = np.zeros((n, steps, 2, 7 if carries else 6))
         """Controls of each arm's joints and, behind them, of its gripper, if it has one."""
         self._declared_kg: Array = np.zeros((n, 2))
-        self._payload_kg: Array = np.zeros((n, steps, 2))
+        self._payload_kg: Array = np.zeros((n, 2, 2))  # before and after a call
         self._motion: Motion | None = None
         self._threads = threads
         self._fields = _arms(settings) | {
@@ -84,18 +84,20 @@ class FeedForward:
         """Declare a mass at each flange, (n, 2), to the controller, in place of the one before."""
         self._declared_kg[:] = mass_kg
 
-    def __call__(self, motion: Motion, payload_kg: Array | None = None) -> Array:
+    def __call__(self, motion: Motion, before_kg: Array | float = 0.0, after_kg: Array | float = 0.0) -> Array:
         """Return `control`, (n, steps, 2, 6 or 7), with those of the joints written anew.
 
         Args:
             motion: Wanted motion.
-            payload_kg: (n, steps, 2) declared mass in each gripper; None: nothing is carried.
+            before_kg: Declared mass in each gripper before the motion, (n, 2); without grippers it has no effect.
+            after_kg: That after it, to which it rises linearly.
         """
         if motion is not self._motion:  # the reference keeps writing to the same one
             self._motion = motion
             rows = motion.rows
             struct = Struct("FeedForward", **self._fields, outputs=rows.shape[1], motion=rows)
             self._step = RowLoop("feed_forward_step", struct, len(rows), self._threads)
-        self._payload_kg[:] = 0.0 if payload_kg is None else payload_kg
+        if self._carries:
+            self._payload_kg[:, 0], self._payload_kg[:, 1] = before_kg, after_kg
         self._step()
         return self.control

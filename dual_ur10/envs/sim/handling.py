@@ -11,6 +11,7 @@ from dual_ur10.assets.scene import sensor_slices
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.sim.feedforward import GRAVITY_M_S2
 from dual_ur10.errors import ActionError
+from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig, Start
@@ -33,18 +34,34 @@ class GripperServos:
 
     Args:
         n: Number of cells.
+        ticks: Ticks per call.
         tick_s: Time between two commands.
         substeps: Physics steps per tick.
         slack_m: Largest distance of the reference ahead of the fingers: more than full force needs.
     """
 
-    def __init__(self, n: int, tick_s: float, substeps: int, slack_m: float) -> None:
-        self.substeps, self.slack_m = substeps, slack_m
-        self._step_m = SPEED_M_S * tick_s
-        self._delay = round(LATENCY_S / tick_s)
-        self._share: Array = (np.arange(1, substeps + 1) / substeps)[:, None, None]
-        self._waiting: Array = np.full((n, self._delay, 2), OPENING_M)
+    def __init__(self, n: int, ticks: int, tick_s: float, substeps: int, slack_m: float) -> None:
+        delay = round(LATENCY_S / tick_s)
+        self._waiting: Array = np.full((n, delay, 2), OPENING_M)
         self._reference: Array = np.full((n, 2), OPENING_M)
+        self._commanded: Array = np.zeros((n, ticks, 2))
+        self._opening: Array = np.zeros((n, 2))
+        self._widths: Array = np.zeros((n, ticks * substeps, 2))
+        struct = Struct(
+            "Grippers",
+            n=n,
+            ticks=ticks,
+            substeps=substeps,
+            delay=delay,
+            step_m=SPEED_M_S * tick_s,
+            slack_m=slack_m,
+            commanded_m=self._commanded,
+            opening_m=self._opening,
+            waiting_m=self._waiting,
+            reference_m=self._reference,
+            widths_m=self._widths,
+        )
+        self._step = RowLoop("grippers_step", struct, n, 1)
 
     def reset(self, opening_m: Array, rows: Rows) -> None:
         """Start `rows` at rest at the widths, (len(rows), 2)."""
@@ -52,7 +69,7 @@ class GripperServos:
         self._reference[rows] = opening_m
 
     def __call__(self, commanded_m: Array, opening_m: Array) -> Array:
-        """Return the references of every physics step, (n, ticks * substeps, 2).
+        """Return the references of every physics step, (n, ticks * substeps, 2): the same array at every call.
 
         Args:
             commanded_m: (n, ticks, 2) commanded widths.
@@ -61,31 +78,17 @@ class GripperServos:
         Raises:
             ActionError: A width is beyond the gripper's range, or not a number.
         """
-        within = (commanded_m >= 0.0) & (commanded_m <= OPENING_M)
-        if not np.logical_and.reduce(within, axis=None):
+        least, most = np.minimum.reduce(commanded_m, axis=None), np.maximum.reduce(commanded_m, axis=None)
+        if not (least >= 0.0 and most <= OPENING_M):
+            within = (commanded_m >= 0.0) & (commanded_m <= OPENING_M)
             row, tick, arm = np.argwhere(~within)[0]
             raise ActionError(
                 f"gripper {('left', 'right')[arm]} is asked for an opening of {commanded_m[row, tick, arm]:.4g} m "
                 f"(cell {row}): it has 0 to {OPENING_M} m"
             )
-        ticks = commanded_m.shape[1]
-        queue = np.concatenate([self._waiting, commanded_m], axis=1)
-        self._waiting = queue[:, ticks:]
-        now = np.minimum(np.maximum(self._reference, opening_m - self.slack_m), opening_m + self.slack_m)
-        if not np.logical_or.reduce(queue[:, :ticks] - now[:, None], axis=None):
-            self._reference = now
-            still: Array = now[:, None].repeat(ticks * self.substeps, axis=1)
-            return still
-        nodes = np.empty((ticks + 1, *now.shape))
-        nodes[0] = now
-        for tick in range(ticks):
-            step = queue[:, tick] - now
-            np.minimum(np.maximum(step, -self._step_m, out=step), self._step_m, out=step)
-            now = np.add(now, step, out=nodes[tick + 1])
-        self._reference = now.copy()
-        between: Array = self._share * (nodes[1:] - nodes[:-1])[:, None]
-        between += nodes[:-1, None]
-        return between.reshape(-1, *now.shape).swapaxes(0, 1)
+        self._commanded[:], self._opening[:] = commanded_m, opening_m
+        self._step()
+        return self._widths
 
 
 class Handled(NamedTuple):
@@ -132,10 +135,10 @@ class Handling:
         self._felt[:, :, 2] = self._weight_n * lever_m
         self._wrench: Array = np.zeros((n, 2, 6))
 
-    def servos(self, config: CellConfig) -> GripperServos:
-        """Make the controllers of the grippers."""
+    def servos(self, config: CellConfig, steps: int) -> GripperServos:
+        """Make the controllers of the grippers, for so many physics steps per call."""
         slack_m = _SLACK * config.equipment.grip_force_n / self._kp
-        return GripperServos(self.n, config.servoj.tick_s, config.substeps, slack_m)
+        return GripperServos(self.n, steps // config.substeps, config.servoj.tick_s, config.substeps, slack_m)
 
     @property
     def opening_m(self) -> Array:

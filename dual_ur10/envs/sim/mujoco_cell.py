@@ -122,7 +122,7 @@ class MujocoCell:
         motion = self._reference(targets)
         physics.advance(motion, command.gripper_m, command.payload_kg)
         trace = self._traced(command.targets_rad, motion) if physics.tracing else None
-        self._elapsed += self.ticks * ~physics.failed
+        self._elapsed += self.ticks * ~physics.failed if np.count_nonzero(physics.failed) else self.ticks
         return CellStep(physics.state(self._elapsed * self._tick_s, moved=True), trace=trace)
 
     def record(self) -> None:

@@ -47,9 +47,8 @@ class Physics:
         self.failed = np.zeros(n, dtype=bool)
         self._build()
         self._good: Array = self._integration.copy()
-        self._grippers = self._handling.servos(config) if self._handling else None
+        self._grippers = self._handling.servos(config, steps) if self._handling else None
         self._payload: Array = np.zeros((n, 2))
-        self._loaded = False  # whether any payload is not zero
         self._held_m: Array = np.zeros((n, 2))  # width of grippers without a command
 
     def _build(self) -> None:
@@ -126,7 +125,6 @@ class Physics:
             self._grippers.reset(self._held_m[rows], rows)
         self._forward(rows)
         self._payload[rows] = 0.0
-        self._loaded = bool(self._payload.any())
         self._good = self._integration.copy()
         self.failed[rows] = False
 
@@ -161,7 +159,7 @@ class Physics:
             self.trace = self._joints(record["qpos"]), self._joints(record["qvel"])
         if self._handling is not None:
             self._handling.feel()
-        if np.logical_or.reduce(self._warnings, axis=None) or np.logical_or.reduce(self.failed):
+        if np.count_nonzero(self._warnings) or np.count_nonzero(self.failed):
             self.failed |= self._warnings.any(axis=1)
             self._integration[self.failed] = self._good[self.failed]
         np.copyto(self._good, self._integration)
@@ -177,22 +175,12 @@ class Physics:
         if commanded is None:
             commanded = np.repeat(self._held_m[:, None], steps // self.config.substeps, axis=1)
         widths = grippers(commanded, handling.opening_m)
-        payload = self._ramp(payload_kg, steps) if self._loaded or payload_kg is not None else None
-        control = self._feedforward(motion, payload)
-        control[..., 6] = widths
-        return control.reshape(self.n, steps, 14)
-
-    def _ramp(self, payload_kg: Array | None, steps: int) -> Array | None:
-        """Return the declared mass in each physics step, (n, steps, 2), on its way to a new one; None: always zero."""
         before = self._payload
         if payload_kg is not None:
-            loaded, self._payload = self._loaded, payload_kg
-            self._loaded = bool(np.logical_or.reduce(payload_kg, axis=None))
-            if not (loaded or self._loaded):
-                return None
-        ratio = np.arange(1, steps + 1)[:, None] / steps
-        ramp: Array = before[:, None] + ratio * (self._payload - before)[:, None]
-        return ramp
+            self._payload = payload_kg
+        control = self._feedforward(motion, before, self._payload)
+        control[..., 6] = widths
+        return control.reshape(self.n, steps, 14)
 
     def state(self, time_s: Array, *, moved: bool) -> CellState:
         """Return the measurable state.
@@ -215,7 +203,7 @@ class Physics:
 
     def _moved(self) -> Rows | slice:
         """Return the rows that did not fail."""
-        return np.flatnonzero(~self.failed) if np.logical_or.reduce(self.failed) else slice(None)
+        return np.flatnonzero(~self.failed) if np.count_nonzero(self.failed) else slice(None)
 
     def model_and_data(self, row: int) -> tuple[Any, Any]:
         """Return MuJoCo's model and data of one cell for rendering: the same objects at every call, updated."""

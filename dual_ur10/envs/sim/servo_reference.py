@@ -170,7 +170,7 @@ class ServojReference:
         unique, which = np.unique(scale, return_inverse=True)
         matrices = np.array([self._known(float(each), hold) for each in unique])
         _, outputs, inputs = matrices.shape
-        self._targets: Array = np.zeros((self.n, inputs - 3, 12))
+        self._targets: Array = np.zeros((self.n, inputs - 3, 2, 6))
         struct = Struct(
             "Reference",
             n=self.n,
@@ -224,6 +224,6 @@ class ServojReference:
         Args:
             targets: (n, m, 2, 6), one per tick, or one per physics step after a delay.
         """
-        self._targets[:] = targets.reshape(self._targets.shape)
+        self._targets[:] = targets
         self._step()
         return self.motion

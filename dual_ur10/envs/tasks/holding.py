@@ -40,6 +40,7 @@ class Grasped(NamedTuple):
         holding: (n, 2) True if the fingers hold the object there.
         rotations: (n, 2, 3, 3) rotations of the first two poses in the cell frame.
         in_bases: (n, 2, 7 k) poses in the `base` frame of each arm.
+        values: (n, 42 + 14 k) all of these in their order, as the kernel takes them.
     """
 
     other_flange: Array
@@ -48,6 +49,7 @@ class Grasped(NamedTuple):
     holding: Mask
     rotations: Array
     in_bases: Array
+    values: Array
 
 
 class Grasps:
@@ -100,6 +102,7 @@ class Grasps:
             holding[:, 2:],
             found[:, 24:42].reshape(n, 2, 3, 3),
             found[:, 42:].reshape(n, 2, -1),
+            found,
         )
 
 

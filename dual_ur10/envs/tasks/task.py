@@ -84,6 +84,7 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         stages: Names of the stages that `info["stage"]` counts, or empty; 0 is before the first stage.
         settings_type: Dataclass of the task's keywords.
         layout: Fields of an observation; those of an instance depend on its settings.
+        horizon: Steps after which the time of an episode runs out; None: not known in advance.
 
     Args:
         settings: Values of the task's keywords.
@@ -99,6 +100,7 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
     coupled: ClassVar[bool] = False
     settings_type: ClassVar[type[Any]]
     layout: ObservationLayout
+    horizon: int | None = None
 
     def __init__(self, settings: SettingsT, cell: CellConfig, timing: Timing, n: int) -> None:
         self.settings, self.cell, self.timing, self.n = settings, cell, timing, n

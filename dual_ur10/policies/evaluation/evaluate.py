@@ -22,7 +22,7 @@ from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.baselines import BASELINES, RandomPolicy, ZeroPolicy
 from dual_ur10.policies.evaluation.results import Episode, Evaluation
 from dual_ur10.policies.policy import EpisodeAware, Policy
-from dual_ur10.policies.registry import NAMES, is_path, load, provenance
+from dual_ur10.policies.registry import NAMES, is_path, load, provenance, with_latency
 from dual_ur10.types import Array, Mask
 
 UNITS = ("_m", "_rad", "_n", "_s")
@@ -59,7 +59,8 @@ def evaluate(
         episodes: Number of episodes, 1 or more.
         seed: Seed of the first episode, 0 or more.
         num_envs: Number of parallel episodes.
-        env_kwargs: Keywords of the environment, including `threads` and `max_episode_steps` of its vector form. With
+        env_kwargs: Keywords of the environment. In simulation, the latency of a learned policy is that which it was
+            made for, unless they state one. They include `threads` and `max_episode_steps` of its vector form. With
             `record`, `num_envs` must be 1: only one cell can be recorded.
         max_steps: Steps after which an episode that has not ended is an error. None: 600 s of simulated time, or twice
             the task's `duration_s` if that is longer.
@@ -81,7 +82,8 @@ def evaluate(
     given = keywords
     if keywords.get("record") is not None and env_id in gym.registry:
         given = {"record_about": provenance(policy, env_id), **keywords}
-    keywords = {name: value for name, value in keywords.items() if name not in _RECORD}
+    given = with_latency(policy, env_id, given) if env_id in gym.registry else given
+    keywords = {name: value for name, value in given.items() if name not in _RECORD}
     env = _make(env_id, min(num_envs, episodes), given)
     try:
         actor = actor_of(policy, env_id, keywords, env)

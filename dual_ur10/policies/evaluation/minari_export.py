@@ -142,6 +142,7 @@ def _buffer(minari: Any, core: Core, number: int, episode: Episode) -> Any:
         found, expected = episode.observation.shape[1:], core.observation_space.shape
         raise RecordingError(f"observations of episode {number} have shape {found}, expected {expected}")
     own = np.stack([core.task.observe_agents(row[None])[0] for row in episode.observation])
+    own = own.astype(core.observation_space.dtype)
     action = episode.action.astype(np.float32).reshape(count, 2, -1)
     truncated = episode.truncated.copy()
     truncated[-1] |= not episode.terminated[-1]  # an episode that was cut off is truncated

@@ -69,7 +69,7 @@ class Episode:
         steps: Number of steps.
         time_s: Simulated time from the reset to the end.
         end_reason: `info["end_reason"]` of its last step; "" if there was none.
-        ended_by: Reason of an early end, such as the gate's verdict or "bar lost"; "" if there was none.
+        ended_by: Reason of an early end, such as the gate's verdict or "bar_lost"; "" if there was none.
         stage: Stage of the task at the end, 0 before the first; None if the task has no stages.
         best_stage: Highest stage that was reached; None as above.
         peak: Largest magnitude over all steps of each number in `info` with a unit, by name; values per arm as

@@ -28,7 +28,7 @@ class Record:
         flange_m: (k, 2, 3) flange positions in the cell frame, as the cell reports them.
         reward: (k,).
         success: True if the task reports success.
-        ended_by: Reason of an early end, such as the gate's verdict or "bar lost"; "" if there was none.
+        ended_by: Reason of an early end, such as the gate's verdict or "bar_lost"; "" if there was none.
         reference_m: (k, 2, 3) reference positions of the flanges; None if the task has none.
         flange_error_m: (k, 2) distance of each flange to its reference, as the task reports it; None as above.
         orientation_error_rad: (k, 2) angle of each flange to its reference orientation; None as above.

@@ -29,6 +29,9 @@ import safetensors
 from numpy.typing import NDArray
 from safetensors.numpy import save as _serialised
 
+from dual_ur10.assets.settings import Equipment
+from dual_ur10.envs.core.options import EnvOptions
+from dual_ur10.envs.core.randomization import PRESETS, resolve_randomization
 from dual_ur10.errors import CheckpointError
 from dual_ur10.ids import __version__, env_id_of
 from dual_ur10.policies.learned import schema
@@ -36,6 +39,7 @@ from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.learned.manifest import Manifest, parse
 from dual_ur10.policies.learned.network import Layer
 from dual_ur10.policies.learned.signature import (
+    OPTIONS,
     EnvironmentSignature,
     EnvironmentView,
     view_of,
@@ -351,15 +355,45 @@ def _check(path: Path, manifest: Manifest, view: EnvironmentView) -> None:
                 f"{path} was made for {name} {_shown(left[name])}, the environment has {_shown(right[name])}: "
                 f"{_REMEDIES.get(name, 'make the environment with the keywords of the training')}"
             )
+    found = [*_other_keywords(made, here, view), *_wider(made, view)]
     if made.robot.nominal_dh != here.robot.nominal_dh:
-        log.warning("%s was made for arms with other kinematics: one of both is calibrated", path)
-    differ = sorted(
-        name
-        for name in {*made.kwargs, *here.kwargs} - {"randomization", "policy_rate_hz"}
-        if made.kwargs.get(name) != here.kwargs.get(name)
-    )
-    if differ:
-        log.warning("%s was made with other values of %s: it may perform worse", path, ", ".join(differ))
+        found.append("the kinematics of one of both arms are calibrated, and those of the other are not")
+    text = f"{path} is used outside of its training, and may perform worse: {'; '.join(found)}"
+    if found and text not in _WARNED:
+        _WARNED.add(text)
+        log.warning("%s", text)
+
+
+_WARNED: Final[set[str]] = set()  # each text once, however often a checkpoint is loaded
+
+
+def _other_keywords(made: EnvironmentSignature, here: EnvironmentSignature, view: EnvironmentView) -> list[str]:
+    """Return a text on each keyword with another value than in training."""
+    settings = view.setup.settings
+    defaults = {**dataclasses.asdict(type(settings)()), **{name: getattr(EnvOptions(), name) for name in OPTIONS}}
+    names = sorted({*made.kwargs, *here.kwargs} - {"randomization", "policy_rate_hz"})
+    values = [(name, *(each.kwargs.get(name, defaults.get(name)) for each in (made, here))) for name in names]
+    return [f"{name} was {_shown(then)} and is {_shown(now)}" for name, then, now in values if then != now]
+
+
+def _wider(made: EnvironmentSignature, view: EnvironmentView) -> list[str]:
+    """Return a text on each range of the randomization that exceeds those of the training and of "mild".
+
+    "mild" is about a well-maintained cell, which is what every policy meets.
+    """
+    try:
+        trained = resolve_randomization(made.kwargs.get("randomization", "none"))
+    except (ValueError, TypeError) as error:
+        raise CheckpointError(f"its kwargs make no environment: {error!s:.300}") from error
+    here, mild = view.setup.randomization, PRESETS["mild"]
+    # The spread of an object's pose shows in the task's keywords.
+    names = {each.name for each in dataclasses.fields(here)} - {"object_spread"}
+    if view.setup.requirements.equipment == Equipment():
+        names -= {name for name in names if name.startswith(("object_", "grip_"))}
+    ranges = [(name, *(getattr(each, name) for each in (trained, mild, here))) for name in sorted(names)]
+    return [
+        f"randomization {name} was {then:g} and is {now:g}" for name, then, low, now in ranges if now > max(then, low)
+    ]
 
 
 def _flat(signature: EnvironmentSignature) -> dict[str, Any]:

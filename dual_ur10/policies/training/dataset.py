@@ -16,6 +16,7 @@ from dual_ur10.policies.evaluation.evaluate import actor_of
 from dual_ur10.policies.evaluation.minari_export import to_minari
 from dual_ur10.policies.learned.signature import EnvironmentView, view_of
 from dual_ur10.policies.policy import EpisodeAware
+from dual_ur10.policies.registry import with_latency
 from dual_ur10.policies.training.settings import check_simulated
 from dual_ur10.sim2real.recording.header import describe
 from dual_ur10.sim2real.recording.run import ArmLog, Episode, Run
@@ -74,6 +75,7 @@ def collect(
     except ValueError as error:
         raise DatasetError(f"{dataset_id!r:.80} is no name of a dataset: {error}") from None
     check_simulated(keywords, "collecting", "record a rollout with --cell, and make it a dataset with `to_minari`")
+    keywords = with_latency(policy, env_id, keywords)
     env = DualArmVectorEnv(
         min(envs, episodes), task_name(env_id), autoreset_mode="Disabled", threads=threads, **keywords
     )

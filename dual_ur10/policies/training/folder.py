@@ -282,7 +282,8 @@ class TrainingFolder:
 def summary_of(evaluation: Evaluation) -> dict[str, object]:
     """Return the results of an evaluation for a manifest."""
     found = evaluation.summary()
-    found.pop("spreads")
+    for name in ("spreads", "end_reasons"):  # keys of a manifest are not any text
+        del found[name]
     return plain({"seed": evaluation.seed, "kwargs": dict(evaluation.kwargs), **found})  # type: ignore[no-any-return]
 
 

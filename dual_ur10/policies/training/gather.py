@@ -92,9 +92,10 @@ def gather(
     noise: float,
     patience: float,
     rng: np.random.Generator,
+    rows: int | None = None,
     on_step: Callable[[int], None] = lambda steps: None,
 ) -> Gathered:
-    """Run one episode in every row.
+    """Run one episode in every row, or in the first rows alone.
 
     In a random part of the rows the expert drives up to a random step, and the learner from there on, so that the
     samples include states that the learner would not reach by itself. If the learner's action differs too much from
@@ -111,6 +112,7 @@ def gather(
         noise: Largest standard deviation of the noise on its actions.
         patience: Largest difference of any joint's action from the expert's at which the learner keeps driving.
         rng: Generator of all random choices and the noise.
+        rows: Number of rows that count; the others idle. None: all.
         on_step: Callback with the number of steps so far.
     """
     n, core = env.num_envs, env.unwrapped.core
@@ -129,7 +131,8 @@ def gather(
     observation, _ = env.reset(seed=list(seeds))
     for row in range(n):
         expert.begin(row)
-    live, alone, helped = np.ones(n, dtype=bool), handed == 0, np.zeros(n, dtype=int)
+    counted = np.arange(n) < (n if rows is None else rows)
+    live, alone, helped = counted.copy(), handed == 0, np.zeros(n, dtype=int)
     seen: list[Single] = []
     labels: list[Single] = []
     returns, successes, steps, now = np.zeros(n), np.zeros(n, dtype=bool), 0, 0
@@ -162,7 +165,8 @@ def gather(
         if over.any() and live.any():
             # These rows are done, but the environment must not step rows whose episode is over.
             observation, _ = env.reset(options={"reset_mask": over})
-    judged = handed == 0 if (handed == 0).any() else np.ones(n, dtype=bool)
+    judged = counted & (handed == 0)
+    judged = judged if judged.any() else counted
     if learner is not None:
         successes &= alone
     return Gathered(np.concatenate(seen), np.concatenate(labels), returns[judged], successes[judged], steps, now)

@@ -131,6 +131,7 @@ class Imitator:
             noise=self._settings.noise,
             patience=self._settings.patience,
             rng=np.random.default_rng([asked.seed, number, _GATHER]),
+            rows=self._rows_of_round(env.task.horizon),
             on_step=on_step,
         )
         if not len(found.observation):
@@ -139,6 +140,11 @@ class Imitator:
         self._progress.mean_return = float(found.returns.mean())
         self._progress.success_rate = float(found.successes.mean())
         self._add((found.observation, found.action), begun)
+
+    def _rows_of_round(self, horizon: int | None) -> int:
+        """Return the number of episodes of the next round: no more than the steps that are left allow."""
+        left = self._asked.steps - self._progress.steps
+        return self._asked.envs if horizon is None else min(self._asked.envs, math.ceil(left / horizon))
 
     def _add(self, samples: tuple[Single, Single], begun: float) -> None:
         path = self._path(self._rounds)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import time
 from collections import deque
 from pathlib import Path
@@ -56,7 +58,10 @@ class Reinforcer:
         self._folder, self._asked, self._threads = folder, folder.training, threads
         if not isinstance(self._asked.settings, Reinforcement):
             raise TrainingError(f"{self._asked.algorithm} is no reinforcement learning")
-        self._settings: Reinforcement = self._asked.settings
+        # An update is no longer than the training, and PPO needs two samples.
+        most = max(math.ceil(self._asked.steps / self._asked.envs), math.ceil(2 / self._asked.envs))
+        per_update = min(self._asked.settings.steps_per_update, most)
+        self._settings: Reinforcement = dataclasses.replace(self._asked.settings, steps_per_update=per_update)
         self._state, self._on_progress = state, on_progress
         self.steps = 0 if state is None else state[1].steps
         self._models: list[tuple[Any, Any]] = []

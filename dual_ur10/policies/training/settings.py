@@ -178,7 +178,8 @@ class Training(StrictJson):
         agents: "joint": one network for both arms; "shared": the same one for each arm by itself; "independent": one
             for each.
         envs: Number of cells that are stepped together.
-        steps: Total number of environment steps.
+        steps: Total number of environment steps. A training ends after the episode, or the update of PPO, in which it
+            reaches them.
         seed: Seed of all random numbers.
         keywords: Keywords of the environment.
         checks: Number of episodes of each progress check.

@@ -269,7 +269,7 @@ def _play(
             on_step(step + 1, len(source.action))
         away = float(np.abs(tap.targets_rad - source.targets_rad[step]).max())
         if not exact and away > AWAY_RAD:
-            ended_by = f"targets {where} are {away:.3f} rad from the recorded ones: {AWAY_RAD} rad are the most"
+            ended_by = f"targets {where} are {away:.3f} rad from the recorded ones, allowed at most {AWAY_RAD} rad"
             break
         over = terminated or truncated
         if over:

@@ -131,11 +131,12 @@ class ServojAdapter:
         rotations = np.array([[0.0, 0.0, -np.pi - yaw] for yaw in yaw_rad])
         self._to_base = quat_to_matrix(quat_from_rotvec(rotations))
         self._state: Array = np.zeros((n, _VALUES, 12))
-        self._commanded: Array = np.zeros((n, 12))
+        self._commanded: Array = np.zeros((n, 2, 6))
         self._action: Array = np.zeros((n, 2, self.action_size))
         self._cartesian_goal: Array = np.zeros((n, 12))
         self._clipped = np.zeros(n, dtype=np.int64)
-        self._targets: Array = np.zeros((n, ticks, 12))
+        self._targets: Array = np.zeros((n, ticks, 2, 6))
+        self._widths: Array = np.zeros((n, ticks, 2))
         self._step = RowLoop("adapter_step", self._struct(), n, threads)
 
     def _struct(self) -> Struct:
@@ -174,6 +175,8 @@ class ServojAdapter:
             commanded=self._commanded,
             action=self._action,
             targets=self._targets,
+            widths_m=self._widths,
+            most_m=GRIPPER_WIDTH_M,
             goal=self._cartesian_goal,
             lowest=low - _ROUNDING,
             highest=high + _ROUNDING,
@@ -284,14 +287,14 @@ class ServojAdapter:
 
         Where a limit keeps the arms from following, they stay within a braking distance of the targets.
         """
-        return self._commanded.reshape(self.n, 2, 6).copy()
+        return self._commanded.copy()
 
     def reset(self, q_rad: Array, rows: Rows | None = None) -> None:
         """Start from rest at `q_rad`, (n, 2, 6), in all cells or in `rows` of them (then (len(rows), 2, 6))."""
         index = slice(None) if rows is None else rows
         self._state[index] = np.asarray(q_rad).reshape(-1, 1, 12)
         self._state[index, _SPEED:] = 0.0
-        self._commanded[index] = self._state[index, _GOAL]
+        self._commanded[index] = self._state[index, _GOAL].reshape(-1, 2, 6)
 
     def __call__(self, action: Array) -> Command:
         """Return the targets of the next period.
@@ -303,8 +306,7 @@ class ServojAdapter:
         if self.mode == "tcp_delta":
             self._cartesian_goal[:] = self._tcp_goal(action[..., :6]).reshape(self.n, 12)
         self._step()
-        targets = self._targets.reshape(self.n, self.ticks, 2, 6).copy()
-        return Command(targets, self._gripper_width(action))
+        return Command(self._targets.copy(), self._widths.copy() if self.gripper else None)
 
     def _tcp_goal(self, action: Array) -> Array:
         """Return joint goals, (n, 2, 6), of Cartesian steps."""
@@ -318,15 +320,6 @@ class ServojAdapter:
             rotation = vectors[:, 1] * (TCP_ROTATION_RAD_S * self.period_s)
             goal[:, arm] = goal_of_step(now[:, arm], step, rotation, self._steps_to_rest, dh)
         return goal
-
-    def _gripper_width(self, action: Array) -> Array | None:
-        """Return the width of each gripper in every tick, (n, ticks, 2), in m."""
-        if not self.gripper:
-            return None
-        width = (np.minimum(np.maximum(action[..., 6], -1.0), 1.0) + 1.0) * (GRIPPER_WIDTH_M / 2)
-        widths: Array = np.empty((self.n, self.ticks, 2))
-        widths[:] = width[:, None]
-        return widths
 
 
 def _parabola(after: float) -> Array:

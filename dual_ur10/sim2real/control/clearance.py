@@ -5,12 +5,11 @@ The kernel computes them in closed form, on the shapes of a collision model of i
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from functools import lru_cache
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,22 +109,34 @@ def _matrices(quaternions: Array) -> Array:
     return result
 
 
+class PairDistances(NamedTuple):
+    """Distances at n configurations.
+
+    Attributes:
+        distances_m: (n, pairs) distances; those beyond 0.2 m as 0.2 m.
+        allowed_m: (n, pairs) smallest legal distances, with the uncertainty of the bases added.
+    """
+
+    distances_m: Array
+    allowed_m: Array
+
+
 class Clearance:
     """Computes distances at configurations of a cell.
 
     Args:
         settings: The scene.
         minimum_m: Smallest legal distance of any pair.
-        closer: Smallest legal distance in m of those pairs of `assets.scene.clearance_pairs(settings)` for which the
-            task sets its own; frozen at construction.
+        closer: Smallest legal distance in m of those pairs of `clearance_pairs(settings)` for which the task sets its
+            own; frozen at construction.
         uncertainty: Largest error of each base pose, left and right: m of position, and rad of rotation about any axis.
             The resulting error of a part of an arm is added to its smallest legal distances from the other arm (with
             the errors of both) and from all obstacles; not from its own arm.
 
     Raises:
         UnknownNameError: A pair in `closer` is not one of this scene.
-        SettingsError: A distance in `closer` or a value of `uncertainty` is not finite or below 0, or they demand
-            distances beyond those that are measured.
+        SettingsError: A distance or a value of `uncertainty` is not finite or below 0, or a pair would have to stay
+            0.2 m apart or more, beyond which distances are not measured.
     """
 
     def __init__(
@@ -138,25 +149,21 @@ class Clearance:
     ) -> None:
         self._settings = settings
         self.pairs = clearance_pairs(settings)
-        for pair, distance in closer.items():
+        for pair in closer:
             if pair not in self.pairs:
                 raise UnknownNameError("contact pair", str(pair), [str(each) for each in self.pairs])
-            if not (math.isfinite(distance) and distance >= 0.0):
-                raise SettingsError(
-                    f"the smallest distance of {' and '.join(pair)} is {distance} m: it must be 0 or more"
-                )
         self.minimum_m = minimum_m
         self._known = np.array([closer.get(pair, minimum_m) for pair in self.pairs])
         self._exempt = np.array([pair in closer for pair in self.pairs])
         model = build_collision_model(settings)
         self._uncertainty = BaseUncertainty(uncertainty, settings, model, self._exempt)
-        self._allowed = self._known + self._uncertainty.most_m
-        for row in np.flatnonzero((self._allowed >= CLEARANCE_CUTOFF_M) & (self._allowed > self._known))[:1]:
+        most = self._known + self._uncertainty.most_m
+        for row in np.flatnonzero(~((self._known >= 0.0) & (most < CLEARANCE_CUTOFF_M)))[:1]:
             raise SettingsError(
                 f"{' and '.join(self.pairs[row])} must stay {self._known[row]:.4g} m apart, and up to "
-                f"{self._uncertainty.most_m[row]:.4g} m more for the uncertainty of the base poses: "
-                f"together that must be below {CLEARANCE_CUTOFF_M} m, beyond which distances are not measured. Measure "
-                "where the bases stand, and write smaller uncertainties"
+                f"{self._uncertainty.most_m[row]:.4g} m more for the uncertainty of the base poses: together that must "
+                f"be 0 or more, and below {CLEARANCE_CUTOFF_M} m, beyond which distances are not measured. Allow "
+                "smaller distances, or measure where the bases stand and write smaller uncertainties"
             )
         self._granted: Array = np.zeros(len(self.pairs))
         self._connect()
@@ -188,35 +195,27 @@ class Clearance:
         return result
 
     @property
-    def most_m(self) -> Array:
-        """Largest legal minimum distance of each pair at any configuration, (pairs,)."""
-        return self._allowed.copy()
-
-    @property
     def exempt(self) -> Mask:
         """(pairs,) mask of the pairs with a smallest legal distance of their own."""
         return self._exempt.copy()
 
-    def distances_m(self, q_rad: Array) -> Array:
-        """Return distances, (n, pairs), at configurations (n, 12); those beyond 0.2 m as 0.2 m."""
-        return self._measured(q_rad)[0]
-
-    def allowed_m(self, q_rad: Array) -> Array:
-        """Return the smallest legal distances, (n, pairs), at configurations (n, 12), with the uncertainty added."""
-        return self._measured(q_rad)[1]
-
     def spare_m(self, q_rad: Array) -> Array:
         """Return the distance above the legal minimum, (n, pairs), at configurations (n, 12); negative: too close."""
-        distances, allowed = self._measured(q_rad)
+        distances, allowed = self.measure(q_rad)
         return distances + self._granted - allowed
 
-    def _measured(self, q_rad: Array) -> tuple[Array, Array]:
+    def measure(self, q_rad: Array) -> PairDistances:
+        """Return the distances of all pairs, and the smallest legal ones, at configurations (n, 12).
+
+        Raises:
+            SettingsError: Not twelve joints.
+        """
         q_rad = np.ascontiguousarray(q_rad, dtype=np.float64)
         if q_rad.shape[1:] != (12,):
             raise SettingsError(f"configurations must have the shape (n, 12), found {q_rad.shape}")
         distances, allowed = np.empty((2, len(q_rad), len(self.pairs)))
         call("clearance_distances", self._struct, q_rad, distances, allowed, len(q_rad))
-        return distances, allowed
+        return PairDistances(distances, allowed)
 
     def is_clear(self, q_rad: Array) -> NDArray[np.bool_]:
         """Return an (n,) mask of the configurations, (n, 12), at which no pair is closer than allowed."""
@@ -225,7 +224,7 @@ class Clearance:
 
     def worst(self, q_rad: Array) -> tuple[str, float, float]:
         """Return the pair with the smallest margin at a configuration, (12,), its distance and the legal minimum."""
-        (distance,), (allowed,) = self._measured(q_rad[None])
+        (distance,), (allowed,) = self.measure(q_rad[None])
         pair = int((distance + self._granted - allowed).argmin())
         return " and ".join(self.pairs[pair]), float(distance[pair]), float(allowed[pair])
 

@@ -8,12 +8,13 @@ legal when that target was accepted.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from dual_ur10.errors import ActionError
+from dual_ur10.errors import ActionError, SettingsError
 from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.control.limits import HISTORY, POINTS, Envelope, MotionLimits
@@ -117,7 +118,7 @@ class SafetyGate:
         self._past: Array = np.zeros((n, HISTORY, 12))
         self._sent = np.zeros(n, dtype=np.int64)
         self._verdicts: dict[int, Verdict] = {}
-        self._targets: Array = np.zeros((n, ticks, 12))
+        self._targets: Array = np.zeros((n, ticks, 2, 6))
         self._spare: Array = np.zeros((n, pairs))
         # Known of the last target: the spare distance at a configuration, and the travel from there.
         self._known, self._away = np.zeros((n, pairs)), np.zeros((n, 12))
@@ -158,9 +159,18 @@ class SafetyGate:
         return self._spare
 
     def reset(self, q_rad: Array, rows: Rows | None = None) -> None:
-        """Start from rest at `q_rad`, (n, 2, 6), in all cells or in `rows` of them (then (len(rows), 2, 6))."""
+        """Start from rest at `q_rad`, (n, 2, 6), in all cells or in `rows` of them (then (len(rows), 2, 6)).
+
+        Raises:
+            SettingsError: A configuration is not finite: nothing changes.
+        """
+        start: Array = np.asarray(q_rad, dtype=np.float64).reshape(-1, 1, 12)
+        if not np.isfinite(start).all():
+            raise SettingsError(
+                f"the gate must start from finite configurations, found {start.tolist()}: measure again"
+            )
         index = np.arange(self.n) if rows is None else rows
-        self._past[index] = np.asarray(q_rad).reshape(-1, 1, 12)
+        self._past[index] = start
         self._sent[index] = self._reason[index] = 0
         self._known[index] = self._away[index] = 0.0  # the caller has checked the start
         for row in index.tolist():
@@ -175,24 +185,24 @@ class SafetyGate:
         Raises:
             ActionError: Wrong shape or type, or NaN or infinity: nothing leaves and nothing changes.
         """
-        shape = (self.n, self.ticks, 2, 6)
+        shape = self._targets.shape
         if not isinstance(targets_rad, np.ndarray) or targets_rad.shape != shape:
             found = getattr(targets_rad, "shape", type(targets_rad).__name__)
             raise ActionError(f"targets must be an array of shape {shape}, found {found}: send all of them")
         if targets_rad.dtype != np.float64:
             raise ActionError(f"targets must be float64, found {targets_rad.dtype}: convert them first")
-        if not np.logical_and.reduce(np.isfinite(targets_rad), axis=None):
+        if np.count_nonzero(np.isfinite(targets_rad)) < targets_rad.size:
             raise ActionError(_not_finite(targets_rad))
-        self._targets[:] = targets_rad.reshape(self._targets.shape)
+        self._targets[:] = targets_rad
         self._step()
-        self._clearance.kernel.check()
-        if np.logical_or.reduce(self._reason):
+        if np.count_nonzero(self._reason):
             for row in np.flatnonzero(self._reason).tolist():
                 if row not in self._verdicts:
                     self._verdicts[row] = self._explain(row)
         self._sent += self.ticks
+        self._clearance.kernel.check()
         # Copies: the released targets are the checked ones, and no caller holds the gate's own record.
-        return GateResult(self._targets.reshape(shape).copy(), dict(self._verdicts))
+        return GateResult(self._targets.copy(), dict(self._verdicts))
 
     def _explain(self, row: int) -> Verdict:
         """Return the reason that the kernel left for the refusal of a row."""
@@ -210,7 +220,11 @@ class SafetyGate:
             arm, point = divmod(index, len(POINTS))
             limit = limits.tcp_speed_m_s
             return Verdict("Cartesian speed", f"{ARMS[arm]}/{POINTS[point]}", found * limit, limit, tick)
-        pair, distance, smallest = self._clearance.worst(self._q[row])
+        try:
+            pair, distance, smallest = self._clearance.worst(self._q[row])
+        except Exception as error:  # the brake must leave, whatever its reason
+            unknown = f"unknown pair ({type(error).__name__}: {error})"
+            return Verdict("distance", unknown, math.nan, math.nan, tick)
         return Verdict("distance", pair, distance, smallest, tick)
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.kernel import Struct, call
+from dual_ur10.kernel import Struct
 from dual_ur10.kinematics import ur10
 from dual_ur10.kinematics.forward import lengths_m
 from dual_ur10.kinematics.ur10 import NOMINAL_DH
@@ -287,49 +287,6 @@ class Envelope:
         }
         middle = np.array([(upper + lower) / 2 if kind == "joint position" else np.zeros(6) for kind in self.kinds])
         return middle, np.array([half[kind] for kind in self.kinds])
-
-    def use(self, quantities: Array) -> Array:
-        """Return the used fraction of each limit: above 1 is a violation.
-
-        Args:
-            quantities: (n, m, 12), `rows` times the windows.
-
-        Returns:
-            (n, m, 12), not negative.
-        """
-        fraction: Array = np.abs(quantities - np.tile(self.middle, 2)) / np.tile(self.half, 2)
-        return fraction
-
-    def cartesian_use(self, windows: Array) -> tuple[Array, NDArray[np.intp]]:
-        """Return the used fraction of the Cartesian speed limit in windows and along the brakes after them.
-
-        Args:
-            windows: (n, 3 + ticks, 12) targets.
-
-        Returns:
-            (n, 2) fraction of each arm, and (n, 2) index of its fastest point in `POINTS`.
-        """
-        windows = self._checked(windows)
-        fraction, point = np.empty((2, len(windows), 2))
-        call("envelope_cartesian_use", self.kernel, windows, fraction, point, len(windows))
-        return fraction, point.astype(np.intp)
-
-    def _checked(self, windows: Array) -> Array:
-        """Return windows as the kernel takes them.
-
-        Raises:
-            SettingsError: They are not (n, 3 + ticks, 12).
-        """
-        found: Array = np.ascontiguousarray(windows, dtype=np.float64)
-        if found.shape[1:] != (HISTORY + self.ticks, 12):
-            raise SettingsError(f"windows must have the shape (n, {HISTORY + self.ticks}, 12), found {found.shape}")
-        return found
-
-    def limited(self, windows: Array) -> Array:
-        """Return the legal windows nearest to planned ones, (n, 3 + ticks, 12), as the adapter's limiter finds them."""
-        result = self._checked(windows).copy()
-        call("envelope_limit", self.kernel, result, len(result))
-        return result
 
 
 def _brake_ticks(tick: float) -> NDArray[np.intp]:

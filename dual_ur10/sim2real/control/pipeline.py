@@ -101,7 +101,7 @@ class ServojPipeline:
             allowed = " or ".join(map(str, self._shapes))
             raise ActionError(f"an action must have shape {allowed}, found {array.shape}")
         checked: Array = array.astype(np.float64).reshape(self._shape)
-        if not np.logical_and.reduce(np.isfinite(checked), axis=None):
+        if np.count_nonzero(np.isfinite(checked)) < checked.size:
             row, arm, number = np.argwhere(~np.isfinite(checked))[0]
             raise ActionError(
                 f"number {number} of the {ARMS[arm]} arm's action is {checked[row, arm, number]} (cell {row}): actions "

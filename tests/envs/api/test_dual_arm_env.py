@@ -11,10 +11,11 @@ import numpy as np
 import psutil
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import FrameStackObservation, RecordVideo, RescaleAction
+from gymnasium.wrappers import FrameStackObservation, RecordVideo, RescaleAction, TimeAwareObservation, TimeLimit
 
 import dual_ur10
 from dual_ur10 import errors, policies
+from dual_ur10.envs import dm_env, parallel_env
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.ids import task_name
 from dual_ur10.kinematics import flange_pose
@@ -357,7 +358,7 @@ def test_a_refused_motion_ends_the_episode_with_its_reason():
             break
     assert terminated
     assert info["safety"].kind == "distance"
-    assert info["end_reason"] == "refused: distance"
+    assert info["end_reason"] == "refused/distance"
     assert "table" in info["safety"].subject
     assert "allowed at least 0.02 m" in str(info["safety"])
     assert info["flange_m"][:, 2].min() > 0.02
@@ -384,6 +385,61 @@ def test_diverged_physics_ends_the_episode_and_returns_no_nan():
     _, _, terminated, _, info = env.step(np.zeros(12, dtype=np.float32))
     assert not terminated
     assert "physics_error" not in info
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_the_spec_has_the_horizon_at_which_the_task_ends_an_episode(env_id):
+    assert gym.spec(env_id).max_episode_steps is None
+    default = gym.make(env_id)
+    assert default.spec.max_episode_steps == {"Sine": 750, "Sync": 900, "Hand": 500}[task_name(env_id)[:4]]
+    fast = gym.make(env_id, **({"duration_s": 60.0} if "Sync" in env_id else {"duration_s": 45.0}), policy_rate_hz=12.5)
+    assert fast.spec.max_episode_steps > 500
+    assert not isinstance(fast, TimeLimit)
+    for env in (default, fast, gym.make(env_id, max_episode_steps=10)):
+        env.close()
+
+
+def test_the_horizon_follows_the_settings_and_serves_gymnasiums_wrapper():
+    made = gym.make(SINE, duration_s=0.4)
+    for env in (made, gym.make(made.spec), pickle.loads(pickle.dumps(made))):
+        aware = TimeAwareObservation(env, normalize_time=True)
+        assert env.spec.max_episode_steps == 10
+        assert env.spec.kwargs["duration_s"] == 0.4
+        aware.reset(seed=0)
+        steps = [aware.step(np.zeros(12, dtype=np.float32)) for _ in range(10)]
+        assert [each[3] for each in steps] == [False] * 9 + [True]
+        assert steps[4][0][-1] == 0.5
+        assert steps[-1][0][-1] == 1.0
+    assert gym.make(SINE, max_episode_steps=4).spec.max_episode_steps == 4
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_single_precision_is_the_same_numbers_rounded_in_every_interface(env_id):
+    single, keywords = np.float32, {"observation_dtype": "float32"}
+    control, env, dm = gym.make(env_id), gym.make(env_id, **keywords), dm_env(env_id, seed=3, **keywords)
+    envs = gym.make_vec(env_id, num_envs=1, **keywords)
+    two, two_control = parallel_env(env_id, **keywords), parallel_env(env_id)
+    found = {"gym": env.reset(seed=3)[0], "dm_env": dm.reset().observation, "vector": envs.reset(seed=3)[0][0]}
+    expected, agents, agents_control = control.reset(seed=3)[0], two.reset(seed=3)[0], two_control.reset(seed=3)[0]
+    assert env.observation_space.dtype == envs.single_observation_space.dtype == dm.observation_spec().dtype == single
+    for action in actions(env, 3):
+        by_agent = dict(zip(two.agents, action.reshape(2, -1), strict=True))
+        for name, observation in {**found, "state": two.state()}.items():
+            assert observation.dtype == single, name
+            assert np.array_equal(observation, expected.astype(single)), name
+        for agent, observation in agents.items():
+            assert observation in two.observation_space(agent)
+            assert observation.dtype == two.observation_space(agent).dtype == single
+            assert np.array_equal(observation, agents_control[agent].astype(single))
+        expected, *rest = control.step(action)
+        found = {
+            "gym": env.step(action)[0],
+            "dm_env": dm.step(action).observation,
+            "vector": envs.step(action[None])[0][0],
+        }
+        agents, agents_control = two.step(by_agent)[0], two_control.step(by_agent)[0]
+    assert found["gym"] in env.observation_space
+    assert rest[1] is False
 
 
 BAD_ACTIONS = {

@@ -227,9 +227,30 @@ def test_a_refused_motion_ends_both_agents_with_its_reason():
         _, _, terminations, truncations, infos = env.step(down)
     assert terminations == {"left": True, "right": True}
     assert truncations == {"left": False, "right": False}
-    assert infos["left"]["safety"] == infos["right"]["safety"]
-    assert "right/" in infos["left"]["safety"].subject
+    assert "right/" in env.info["safety"].subject
+    assert env.info["end_reason"] == "refused/distance"
     assert not infos["left"]["is_success"]
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_infos_are_numbers_with_the_same_keys_from_reset_to_end(env_id):
+    env = parallel_env(env_id, max_cycles=2, randomization="mild", reward="individual")
+    for _ in range(2):
+        _, begun = env.reset(seed=0)
+        assert "randomization" in env.info
+        begun["left"]["q_rad"][:] = 1e3  # a caller may change its infos
+        while env.agents:
+            *_, infos = env.step(zeros(env))
+        assert env.info["end_reason"] == "time"
+        for agent in ARMS:
+            assert begun[agent].keys() == infos[agent].keys()
+            for name, value in infos[agent].items():
+                first = np.asarray(begun[agent][name])
+                assert (first.shape, first.dtype) == (np.shape(value), np.asarray(value).dtype), name
+                assert first.dtype.kind in "fib"
+        if "object_m" in infos["left"]:
+            assert np.allclose(begun["left"]["object_m"], infos["left"]["object_m"], atol=1e-3)
+            assert np.abs(begun["left"]["object_m"]).max() > 0.01
 
 
 def test_diverged_physics_ends_both_agents():
@@ -237,9 +258,9 @@ def test_diverged_physics_ends_both_agents():
     env.reset(seed=0)
     env.step(zeros(env))
     env.core.cell._physics._arms_qd[0, 0, 3] = np.nan
-    observation, _, terminations, _, infos = env.step(zeros(env))
+    observation, _, terminations, _, _ = env.step(zeros(env))
     assert terminations == {"left": True, "right": True}
-    assert "diverged" in infos["left"]["physics_error"] == infos["right"]["physics_error"]
+    assert "diverged" in env.info["physics_error"]
     assert np.isfinite(observation["left"]).all()
 
 

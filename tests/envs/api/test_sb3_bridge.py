@@ -20,11 +20,16 @@ stable_baselines3 = pytest.importorskip("stable_baselines3", reason="needs the e
 from stable_baselines3.common.monitor import Monitor  # noqa: E402  # skipped above
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize  # noqa: E402  # as above
 
-from dual_ur10.envs.api.sb3_bridge import TwoAgentVecEnv  # noqa: E402  # as above
+from dual_ur10.envs.api.sb3_bridge import JointVecEnv, TwoAgentVecEnv  # noqa: E402  # as above
 
 
 def zeros(env):
     return np.zeros((env.num_envs, *env.action_space.shape), dtype=np.float32)
+
+
+def measured(info):
+    """What a reset measures, to the bit."""
+    return [info[name].tobytes() for name in ("q_rad", "flange_m")]
 
 
 @pytest.mark.parametrize("reward", ["shared", "individual"])
@@ -43,7 +48,7 @@ def test_rows_are_the_agents_bit_for_bit_over_episodes(env_id, mode, latency, re
         own, infos = single.reset(seed=seed + cell)
         for arm, agent in enumerate(ARMS):
             assert np.array_equal(observation[2 * cell + arm], own[agent])
-            assert equal(env.reset_infos[2 * cell + arm], infos[agent])
+            assert measured(env.reset_infos[2 * cell + arm]) == measured(infos[agent])
     rng, ends = np.random.default_rng(0), 0
     for _ in range(scaled(500)):
         actions = rng.uniform(-0.4, 0.4, (env.num_envs, *env.action_space.shape)).astype(np.float32)
@@ -53,7 +58,7 @@ def test_rows_are_the_agents_bit_for_bit_over_episodes(env_id, mode, latency, re
             own, reward_of, terminated, truncated, infos_of = single.step(
                 {a: actions[r] for a, r in zip(ARMS, rows, strict=True)}
             )
-            over, fresh = not single.agents, None
+            over, fresh, ended = not single.agents, None, single.info
             if over:
                 ends += 1
                 fresh, begun = single.reset()
@@ -65,10 +70,12 @@ def test_rows_are_the_agents_bit_for_bit_over_episodes(env_id, mode, latency, re
                 if over:
                     assert np.array_equal(info.pop("terminal_observation"), own[agent])
                     assert np.array_equal(observation[row], fresh[agent])
-                    assert equal(env.reset_infos[row], begun[agent])
+                    assert measured(env.reset_infos[row]) == measured(begun[agent])
                 else:
                     assert np.array_equal(observation[row], own[agent])
-                assert equal(info, infos_of[agent])
+                assert equal({name: info.pop(name) for name in infos_of[agent]}, infos_of[agent])
+                assert info == {name: value for name, value in ended.items() if name in info}
+                assert ("end_reason" in info) is over
     assert ends >= 2 * cells
     env.close()
 
@@ -230,3 +237,17 @@ def test_images_are_one_per_cell():
     assert [image.shape for image in env.get_images()] == [(48, 64, 3)] * 2
     assert env.render().shape == (96, 64, 3) or env.render().shape == (48, 128, 3)
     assert TwoAgentVecEnv(SINE).get_images() == []
+
+
+@pytest.mark.parametrize("kind", [JointVecEnv, TwoAgentVecEnv])
+def test_observations_have_the_type_of_their_space(kind):
+    env, control = kind(SINE, 2, observation_dtype="float32"), kind(SINE, 2)
+    for each in (env, control):
+        each.seed(3)
+    found, expected = env.reset(), control.reset()
+    for _ in range(3):
+        assert env.observation_space.dtype == found.dtype == np.float32
+        assert np.array_equal(found, expected.astype(np.float32))
+        found, expected = env.step(zeros(env))[0], control.step(zeros(control))[0]
+    for each in (env, control):
+        each.close()

@@ -153,12 +153,38 @@ def test_a_refused_row_has_its_reason_and_restarts():
     assert terminated.tolist() == [False, True]
     assert info["_safety"].tolist() == [False, True]
     assert info["safety"][1].kind == "distance"
-    assert info["end_reason"].tolist() == [None, "refused: distance"]
+    assert info["end_reason"].tolist() == [None, "refused/distance"]
     assert info["_end_reason"].tolist() == [False, True]
     _, reward, terminated, _, info = env.step(goal.reshape(2, 12).astype(np.float32))
     assert not terminated.any()
     assert reward[1] == 0.0
     assert "safety" not in info
+
+
+def test_rows_are_called_as_gymnasium_calls_its_own():
+    own, sync = vector(3), gym.make_vec(SINE, num_envs=3, vectorization_mode="sync")
+    for env in (own, sync):
+        env.reset(seed=7)
+    for name in ("observation_space", "action_space", "render_mode"):
+        assert own.get_attr(name) == own.call(name) == sync.get_attr(name)
+    assert [each["render_fps"] for each in own.get_attr("metadata")] == [25] * 3
+    assert [each.settings for each in own.get_attr("task")] == [each.settings for each in sync.get_attr("task")]
+    assert own.call("__format__", "") == (str(own),) * 3
+    rngs = zip(own.get_attr("np_random"), sync.get_attr("np_random"), strict=True)
+    assert all(ours.bit_generator.state == theirs.bit_generator.state for ours, theirs in rngs)
+    for env in (own, sync):
+        env.set_attr("note", "all")
+        assert env.get_attr("note") == ("all",) * 3
+        env.set_attr("note", ["each"] * 3)
+        assert env.get_attr("note") == ("each",) * 3
+        with pytest.raises(ValueError, match="3"):
+            env.set_attr("note", [1, 2])
+        with pytest.raises(AttributeError, match="colour"):
+            env.get_attr("colour")
+    with pytest.raises(errors.SettingsError, match="share one core"):
+        own.set_attr("note", [1, 2, 3])
+    with pytest.raises(errors.SettingsError, match="reset"):
+        own.call("reset")
 
 
 def test_a_diverged_row_ends_alone():

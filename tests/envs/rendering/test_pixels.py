@@ -10,7 +10,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import TransformObservation
 
 import dual_ur10  # noqa: F401 - registers the ids
 from dual_ur10 import errors
@@ -88,33 +87,34 @@ def test_gymnasium_checks_it_without_a_warning(kind):
     env.close()
 
 
-def flat(env):
-    """Return the environment with a flat dict, as Stable-Baselines3 needs it."""
-    space = env.observation_space
-    return TransformObservation(
-        env,
-        lambda observation: {"state": observation["state"], **observation["pixels"]},
-        gym.spaces.Dict({"state": space["state"], **space["pixels"].spaces}),
-    )
-
-
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["pixels", "flat"])
 def test_stable_baselines_checks_it_without_a_warning(kind):
     checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the extra train")
     env = single(kind).unwrapped
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        checker.check_env(env if kind == "pixels" else flat(env), warn=True)
+        checker.check_env(env, warn=True)
     env.close()
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_spaces_and_observations_fit(kind):
-    env, envs = single(kind), vector(3, kind)
-    state = gym.make(SINE).observation_space
+def test_stable_baselines_learns_from_images_and_numbers():
+    sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra train")
+    env = single("flat", observation_dtype="float32")
+    model = sb3.PPO("MultiInputPolicy", env, n_steps=4, batch_size=4, n_epochs=1, seed=0).learn(4)
+    assert set(model.policy.features_extractor.extractors) == {"state", "front", "overhead"}
+    assert model.predict(env.reset(seed=0)[0])[0].shape == (12,)
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("kind", [*KINDS, "flat"])
+def test_spaces_and_observations_fit(kind, dtype):
+    env, envs = single(kind, observation_dtype=dtype), vector(3, kind, observation_dtype=dtype)
+    state = gym.make(SINE, observation_dtype=dtype).observation_space
+    assert state.dtype == dtype
     image = gym.spaces.Box(0, 255, (40, 48, 3), np.uint8)
     pixels = gym.spaces.Dict({"front": image, "overhead": image})
-    expected = pixels if kind == "pixels" else gym.spaces.Dict({"state": state, "pixels": pixels})
+    both = gym.spaces.Dict({"state": state, "pixels": pixels})
+    expected = {"pixels": pixels, "both": both, "flat": gym.spaces.Dict({"state": state, **pixels.spaces})}[kind]
     assert env.observation_space == envs.single_observation_space == expected
     assert envs.observation_space == gym.vector.utils.batch_space(expected, 3)
     for each, size in ((env, None), (envs, 3)):

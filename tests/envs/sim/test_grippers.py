@@ -41,7 +41,7 @@ def test_the_fingers_move_at_their_speed_after_the_latency():
 
 
 def test_the_reference_waits_for_blocked_fingers():
-    servos = GripperServos(1, 0.008, 4, slack_m=0.005)
+    servos = GripperServos(1, TICKS, 0.008, 4, slack_m=0.005)
     held = np.full((1, 2), 0.04)
     for _ in range(60):
         reference = servos(np.zeros((1, TICKS, 2)), held)

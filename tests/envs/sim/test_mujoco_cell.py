@@ -1,3 +1,6 @@
+import copy
+import pickle
+
 import mujoco
 import numpy as np
 import pytest
@@ -279,6 +282,22 @@ def test_delay_against_a_plain_queue():
             number += 1
 
 
+@pytest.mark.parametrize("through", [copy.deepcopy, lambda each: pickle.loads(pickle.dumps(each))])
+def test_a_copied_reference_shows_its_own_motion(through):
+    reference = ServojReference(ServojProfile(), 2, 4, TICKS)
+    reference.reset(np.repeat(home(), 2, axis=0), np.arange(2))
+    reference(np.repeat(wave(0), 2, axis=0))
+    copied = through(reference)
+    shown = copied.motion  # as a cell keeps it
+    for period in (1, 2):
+        expected = reference(np.repeat(wave(period), 2, axis=0))
+        assert copied(np.repeat(wave(period), 2, axis=0)) is shown
+        for name in ("rows", "q_rad", "qd_rad_s", "qdd_rad_s2"):
+            np.testing.assert_array_equal(getattr(shown, name), getattr(expected, name))
+            assert np.shares_memory(getattr(shown, name), shown.rows)
+            assert not np.shares_memory(getattr(shown, name), expected.rows)
+
+
 def test_reference_moves_as_the_integrator_does():
     reference = ServojReference(ServojProfile(), 1, 4, TICKS)
     reference.reset(home(), np.arange(1))
@@ -307,7 +326,7 @@ def test_feed_forward_is_mujocos_inverse_dynamics(declared_kg, grippers):
         motion = Motion(np.zeros((1, 3 * steps + 3, 12)))
         for rows in (motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2):
             rows[:] = rng.normal(size=rows.shape)
-        control = forward(motion, np.tile(carried_kg, (1, steps, 1)) if grippers else None)[..., :6].reshape(steps, 12)
+        control = forward(motion, carried_kg, carried_kg)[..., :6].reshape(steps, 12)
         data.qpos[:], data.qvel[:] = motion.q_rad[0, 2], motion.qd_rad_s[0, 2]
         mujoco.mj_forward(model, data)
         inertia, gravity = np.zeros((12, 12)), np.zeros(12)

@@ -184,9 +184,9 @@ def test_the_direction_of_the_block_matters_but_not_its_upper_side():
 @pytest.mark.parametrize(
     ("where", "reason"),
     [
-        ((0.0, 0.0, -0.2), "block fell"),
-        ((1.5, 0.0, 0.02), "block out of reach"),
-        ((-0.75, 2.5, 0.02), "block out of reach"),
+        ((0.0, 0.0, -0.2), "block_fell"),
+        ((1.5, 0.0, 0.02), "block_out_of_reach"),
+        ((-0.75, 2.5, 0.02), "block_out_of_reach"),
     ],
 )
 def test_a_lost_block_ends_the_episode(where, reason):

@@ -11,6 +11,7 @@ from dual_ur10.envs.tasks.observation_layout import pose_of
 from dual_ur10.envs.tasks.sync_carry.path import MOVES, CarryPath
 from dual_ur10.envs.tasks.sync_carry.settings import bar_pose
 from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
+from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.poses import Poses, compose, relative_to, rotation_angle
 from dual_ur10.kinematics.rotations import quat_from_rotvec, rotate
 from tests.soak import SOAK
@@ -45,6 +46,16 @@ def rigid():
 
 def column(infos, name):
     return np.array([info[name] for info in infos])
+
+
+@pytest.mark.parametrize("shape", [(), (3,), (2, 3), (3, 3, 1)])
+def test_times_that_do_not_fit_the_poses_are_refused(shape):
+    path, start = CarryPath(30.0), bar_pose(np.zeros((3, 3)))
+    with pytest.raises(SettingsError, match="times and poses of a path must be"):
+        path(np.zeros(shape), start)
+    with pytest.raises(SettingsError, match="times and poses of a path must be"):
+        path(np.zeros((3, 2)), start._replace(quat=start.quat[:2]))
+    assert path(np.zeros((3, 2)), start).quat.shape == (3, 2, 4)
 
 
 @pytest.mark.parametrize("duration_s", list(MOVES))
@@ -174,7 +185,7 @@ def test_a_bar_that_is_dropped_ends_the_episode_without_success(arm):
     assert infos[-1]["terminated"]
     assert not infos[-1]["is_success"]
     assert infos[-1]["object_error_m"] > 0.15 or "safety" in infos[-1]
-    assert infos[-1]["end_reason"] == ("bar lost" if infos[-1]["object_error_m"] > 0.15 else "refused: distance")
+    assert infos[-1]["end_reason"] == ("bar_lost" if infos[-1]["object_error_m"] > 0.15 else "refused/distance")
     assert not any("end_reason" in info for info in infos[:-1])
     assert infos[SHORT + 15]["reward/grasp"] == 0.5
     assert infos[SHORT + 15]["reward/position"] == 0.0

@@ -28,6 +28,7 @@ from dual_ur10.policies.evaluation.evaluate import evaluate
 from dual_ur10.policies.evaluation.results import Episode, Evaluation, wilson_interval
 from dual_ur10.policies.evaluation.rollout import rollout
 from dual_ur10.policies.policy import EpisodeAware
+from dual_ur10.policies.registry import load, shipped_folder
 from tests.soak import scaled
 
 SINE = "DualUR10/SineTracking-v0"
@@ -316,7 +317,7 @@ class Stub(VectorEnv[Any, Any, Any]):
         }
         if (seeds == 6).any():
             info |= {"rare_m": np.ones(n), "_rare_m": seeds == 6}
-        reasons = np.where(refused, "refused: distance", np.where(diverged, "physics", "time")).astype(object)
+        reasons = np.where(refused, "refused/distance", np.where(diverged, "physics", "time")).astype(object)
         if over.any():
             info |= {"end_reason": np.where(over, reasons, None), "_end_reason": over}
         if refused.any():
@@ -367,8 +368,8 @@ def test_every_episode_counts_once_in_the_order_of_seeds() -> None:
     assert [each.total_reward for each in alone.episodes] == [(s + 0.25) * stub_length(s) for s in range(9)]
     assert [each.success for each in alone.episodes] == [seed % 4 == 0 for seed in range(9)]
     assert [each.ended_by for each in alone.episodes] == (["", "too close", "diverged", ""] * 3)[:9]
-    assert [each.end_reason for each in alone.episodes][:4] == ["time", "refused: distance", "physics", "time"]
-    assert list(alone.end_reasons.items()) == [("time", 5), ("physics", 2), ("refused: distance", 2)]
+    assert [each.end_reason for each in alone.episodes][:4] == ["time", "refused/distance", "physics", "time"]
+    assert list(alone.end_reasons.items()) == [("time", 5), ("physics", 2), ("refused/distance", 2)]
     for num_envs in (2, 3, 4, 8, 9, 50):
         found = stub_evaluation(num_envs=num_envs)
         assert found.episodes == alone.episodes
@@ -533,7 +534,7 @@ def test_the_table_has_every_figure() -> None:
     ):
         assert words in text
     assert re.search(r"cut short\s*│\s*4 ", text)
-    assert re.search(r"ended: refused: distance\s*│\s*2 ", text)
+    assert re.search(r"ended: refused/distance\s*│\s*2 ", text)
 
 
 def test_a_summary_prints_as_a_table_and_is_a_dict() -> None:
@@ -585,10 +586,24 @@ def test_csv_has_a_row_per_episode(tmp_path: Path) -> None:
     assert rows[8]["ended_by"] == 'a, "b"\nc'
 
 
+@pytest.mark.parametrize("kind", ["name", "folder", "policy"])
+def test_a_learned_policy_gets_the_latency_that_it_was_made_for(kind: str) -> None:
+    folder = shipped_folder("learned", SINE)
+    policy: Any = {"name": "learned", "folder": str(folder), "policy": load(folder)}[kind]
+    short = {"duration_s": 0.4}
+    found = evaluate(SINE, policy, episodes=1, env_kwargs=short)
+    assert found.kwargs == {**short, "action_latency_ticks": 5}
+    assert found.successes == 1
+    if kind != "policy":  # which was checked when it was loaded
+        with pytest.raises(errors.CheckpointError, match="latency_ticks 5, the environment has 4"):
+            evaluate(SINE, policy, episodes=1, env_kwargs={**short, "action_latency_ticks": 4})
+    assert "action_latency_ticks" not in evaluate(SINE, "zero", episodes=1, env_kwargs=short).kwargs
+
+
 def test_a_carry_that_never_begins_ends_with_its_reason() -> None:
     found = evaluate("DualUR10/SyncCarry-v0", "zero", episodes=2, num_envs=2)
-    assert [(each.end_reason, each.ended_by) for each in found.episodes] == [("bar lost", "bar lost")] * 2
-    assert found.end_reasons == found.summary()["end_reasons"] == {"bar lost": 2}
+    assert [(each.end_reason, each.ended_by) for each in found.episodes] == [("bar_lost", "bar_lost")] * 2
+    assert found.end_reasons == found.summary()["end_reasons"] == {"bar_lost": 2}
     limited = evaluate("DualUR10/SyncCarry-v0", "zero", episodes=2, num_envs=2, env_kwargs={"max_episode_steps": 3})
     assert limited.end_reasons == {"time": 2}
     assert not limited.cut_short

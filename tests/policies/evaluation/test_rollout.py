@@ -44,7 +44,7 @@ class Refusing:
         self.steps += 1
         info: dict[str, Any] = {"q_rad": np.zeros((2, 6)), "flange_m": np.zeros((2, 3))}
         if self.steps == 3:
-            info |= {"safety": "too close", "end_reason": "refused: distance"}
+            info |= {"safety": "too close", "end_reason": "refused/distance"}
         return np.zeros(3), 0.5, self.steps == 3, False, info
 
 

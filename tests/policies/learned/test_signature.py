@@ -132,8 +132,16 @@ def test_differences_without_effect_are_warnings(saved: Path, caplog: pytest.Log
     with caplog.at_level(logging.WARNING):
         policies.load(saved, SINE, action_latency_ticks=5, amplitude_m=0.08, randomization="mild")
         assert not caplog.records
-        policies.load(saved, SINE, action_latency_ticks=5)
-    assert "amplitude_m" in caplog.text
+        for _ in range(2):
+            policies.load(saved, SINE, action_latency_ticks=5)
+    (record,) = caplog.records  # once
+    assert record.message.endswith("may perform worse: amplitude_m was 0.08 and is 0.1")
+    caplog.clear()
+    policies.load(saved, SINE, action_latency_ticks=5, amplitude_m=0.08, randomization={"mass": 0.04, "skew_s": 0.001})
+    assert caplog.records[-1].message.endswith("worse: randomization mass was 0 and is 0.04")
+    policies.load(saved, SINE, action_latency_ticks=5, amplitude_m=0.08, randomization="wide")
+    assert "latency_s was 0 and is 0.016" in caplog.records[-1].message
+    assert "object" not in caplog.records[-1].message
     caplog.clear()
     mount = dual_ur10.CellConfig().left
     off = dataclasses.replace(mount.dh, theta_rad=(1e-3, 0.0, 0.0, 0.0, 0.0, 0.0))

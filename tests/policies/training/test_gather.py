@@ -15,16 +15,14 @@ SINE, HANDOVER = "DualUR10/SineTracking-v0", "DualUR10/Handover-v0"
 KEYWORDS = {"duration_s": 2.0, "action_latency_ticks": 5, "randomization": "mild"}
 
 
-def run(learner=None, *, expert_ratio=0.0, within=1, noise=0.0, patience=np.inf, rows=3, seed=0, on_step=None):
-    env = DualArmVectorEnv(rows, "SineTracking", autoreset_mode="Disabled", **KEYWORDS)
+def run(learner=None, *, expert_ratio=0.0, within=1, noise=0.0, patience=np.inf, cells=3, seed=0, **given):
+    env = DualArmVectorEnv(cells, "SineTracking", autoreset_mode="Disabled", **KEYWORDS)
     low, high = env.core.action_space.low, env.core.action_space.high
     try:
         rng = np.random.default_rng(seed)
-        expert = Expert(SINE, rows, low, high, **KEYWORDS)
-        given = {"expert_ratio": expert_ratio, "within": within, "noise": noise, "patience": patience, "rng": rng}
-        if on_step is not None:
-            given["on_step"] = on_step
-        return gather(env, expert, learner, range(rows), **given)
+        expert = Expert(SINE, cells, low, high, **KEYWORDS)
+        given |= {"expert_ratio": expert_ratio, "within": within, "noise": noise, "patience": patience, "rng": rng}
+        return gather(env, expert, learner, range(cells), **given)
     finally:
         env.close()
 
@@ -43,6 +41,14 @@ def test_a_driving_expert_acts_as_it_does_alone():
     assert found.observation.dtype == found.action.dtype == np.float32
 
 
+def test_rows_that_idle_leave_no_sample_and_change_no_other_row():
+    both, first = run(noise=0.1), run(noise=0.1, rows=2)
+    assert first.steps == 2 * 50
+    assert len(first.returns) == len(first.successes) == 2
+    assert np.array_equal(first.observation.reshape(50, 2, 68), both.observation.reshape(50, 3, 68)[:, :2])
+    assert np.array_equal(first.action.reshape(50, 2, 12), both.action.reshape(50, 3, 12)[:, :2])
+
+
 def test_the_expert_labels_states_that_the_learner_led_to():
     away = np.full(12, 0.05, dtype=np.float32)
     found = run(lambda observation: np.tile(away, (len(observation), 1)), expert_ratio=0.0)
@@ -55,13 +61,13 @@ def test_the_expert_begins_some_episodes_and_hands_over():
     def learner(observation):
         return np.full((len(observation), 12), 0.02)
 
-    found = run(learner, expert_ratio=0.5, within=25, rows=8, seed=1)
+    found = run(learner, expert_ratio=0.5, within=25, cells=8, seed=1)
     rng = np.random.default_rng(1)
     begun = rng.random(8) < 0.5
     handed = np.where(begun, rng.integers(1, 26, 8), 0)
     assert 0 < begun.sum() < 8
     assert len(found.returns) == (~begun).sum()  # only those that it drove from the beginning are judged
-    alone = run(rows=8, seed=1)
+    alone = run(cells=8, seed=1)
     assert found.longest == alone.longest == 50
     # Up to where it is handed over, a row is as with the expert alone; from there on it is not.
     for row in range(8):
@@ -75,13 +81,13 @@ def test_the_expert_helps_a_learner_that_differs_too_much():
     def learner(observation):
         return np.full((len(observation), 12), 0.5)
 
-    lost, helped = run(learner, rows=4), run(learner, patience=0.4, rows=4)
+    lost, helped = run(learner, cells=4), run(learner, patience=0.4, rows=4)
     assert helped.returns.min() > lost.returns.max()
     assert not helped.successes.any()  # none is its own
     assert np.abs(helped.action).max() < 1.0
     # One who does much the same is left alone.
-    calm = run(lambda observation: np.zeros((len(observation), 12)), rows=4)
-    again = run(lambda observation: np.zeros((len(observation), 12)), patience=2.0, rows=4)
+    calm = run(lambda observation: np.zeros((len(observation), 12)), cells=4)
+    again = run(lambda observation: np.zeros((len(observation), 12)), patience=2.0, cells=4)
     assert calm.observation.tobytes() == again.observation.tobytes()
 
 

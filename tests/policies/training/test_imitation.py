@@ -57,6 +57,14 @@ def test_the_folder_holds_every_documented_file(whole):
     assert json.loads((folder / "training.json").read_text())["algorithm"] == "dagger"
 
 
+@pytest.mark.parametrize(("steps", "episodes"), [(20, 1), (3 * STEPS, 3), (3 * STEPS + 1, 4)])
+def test_a_last_round_has_only_the_episodes_that_the_steps_allow(tmp_path, steps, episodes):
+    asked = small("bc", envs=2, steps=steps)
+    policy = train(asked, tmp_path / "out", threads=2)
+    training = checkpoint.read_manifest(policy).training
+    assert training["steps"] == training["samples"] == episodes * STEPS
+
+
 def test_the_result_states_its_origin(whole):
     manifest = checkpoint.read_manifest(whole)
     assert manifest.signature.env_id == SINE

@@ -50,6 +50,12 @@ def test_the_same_seed_gives_the_same_bits(tmp_path, algorithm, agents):
     assert {"state", "training.json", "curve.png", "progress.csv"} <= {each.name for each in (tmp_path / "a").iterdir()}
 
 
+@pytest.mark.parametrize(("envs", "steps", "done"), [(2, 9, 10), (1, 1, 2), (2, 40, 64)])
+def test_a_training_shorter_than_an_update_of_ppo_is_one_update(tmp_path, envs, steps, done):
+    train(small("ppo", envs=envs, steps=steps), tmp_path / "out")
+    assert state.load(tmp_path / "out" / "state")[1]["steps"] == done  # an update has 32 steps at most
+
+
 @pytest.mark.parametrize(("algorithm", "agents"), [("ppo", "joint"), ("ppo", "independent"), ("sac", "joint")])
 def test_an_interrupted_training_continues_from_its_state(tmp_path, monkeypatch, algorithm, agents):
     real, saved = reinforce.Reinforcer.watch, []

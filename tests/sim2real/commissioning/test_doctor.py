@@ -32,8 +32,6 @@ from dual_ur10.sim2real.links.rtde_stream import Sample
 from dual_ur10.sim2real.processes.system import LOCAL
 from dual_ur10.sim2real.protocol.primary_packet import kinematics_checksums
 from dual_ur10.sim2real.protocol.rtde import Kind
-from dual_ur10.testing import VirtualCell
-from tests.sim2real.cells import restored
 from tests.sim2real.statuses import status_of
 
 TIMED = {"RTDE rate", "RTDE jitter", "round trip"}
@@ -42,28 +40,6 @@ SAFETY = PROFILES["cb3"].safety_checksum
 BARE = {
     "dh": NOMINAL_DH, "tcp": (0.0,) * 6, "payload_kg": 0.0, "payload_cog_m": (0.0,) * 3, "safety_checksum": SAFETY,
 }  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def started_cb3():
-    with VirtualCell(plant="nominal") as cell:
-        yield cell
-
-
-@pytest.fixture(scope="module")
-def started_e_series():
-    with VirtualCell(plant="nominal", family="e-series") as cell:
-        yield cell
-
-
-@pytest.fixture
-def cb3(started_cb3):
-    return restored(started_cb3)
-
-
-@pytest.fixture
-def e_series(started_e_series):
-    return restored(started_e_series)
 
 
 def expected(cell, arm="left", **values):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from dual_ur10.kernel import Struct
+from dual_ur10.kernel import Struct, call
 from dual_ur10.kinematics.ur10 import DH_A_M, DH_D_M
-from dual_ur10.sim2real.control.limits import MotionLimits
+from dual_ur10.sim2real.control.limits import HISTORY, Envelope, MotionLimits
 
 HARD = MotionLimits()
 TIGHT = MotionLimits(speed_rad_s=0.5, acceleration_rad_s2=4.0, jerk_rad_s3=200.0, tcp_speed_m_s=0.25)
@@ -51,6 +51,27 @@ class AlwaysClear(Measured):
 
     def __init__(self) -> None:
         super().__init__(np.zeros((1, 12)))
+
+
+def limit_use(envelope: Envelope, windows: np.ndarray) -> np.ndarray:
+    """Return the used fraction of each limit, (n, m, 12), in windows (n, 3 + ticks, 12): above 1 is a violation."""
+    return np.abs(envelope.rows @ windows - np.tile(envelope.middle, 2)) / np.tile(envelope.half, 2)
+
+
+def cartesian_use(envelope: Envelope, windows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the kernel's used fraction of the Cartesian speed limit in windows and along the brakes after them.
+
+    Args:
+        envelope: The limits.
+        windows: (n, 3 + ticks, 12) targets.
+
+    Returns:
+        (n, 2) fraction of each arm, and (n, 2) index of its fastest point in `POINTS`.
+    """
+    assert windows.shape[1:] == (HISTORY + envelope.ticks, 12)
+    fraction, point = np.empty((2, len(windows), 2))
+    call("envelope_cartesian_use", envelope.kernel, np.ascontiguousarray(windows), fraction, point, len(windows))
+    return fraction, point.astype(int)
 
 
 def adversarial_action(kind: str, period: int, rng: np.random.Generator, size: tuple[int, ...]) -> np.ndarray:

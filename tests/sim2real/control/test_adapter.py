@@ -10,6 +10,7 @@ import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import UnknownNameError
+from dual_ur10.kernel import call
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD
 from dual_ur10.sim2real.control.adapter import (
@@ -31,6 +32,8 @@ from tests.sim2real.control.motion_checks import (
     TOOL,
     adversarial_action,
     assert_within,
+    cartesian_use,
+    limit_use,
 )
 
 MODES = ("joint_delta", "joint_position", "tcp_delta")
@@ -411,6 +414,14 @@ def test_a_start_between_the_margin_and_the_limit_can_be_left() -> None:
     assert_within(np.concatenate([np.tile(q, (1, 3, 1, 1)), sent], axis=1), NARROW, 0.008)
 
 
+def limited_windows(envelope: Envelope, past: np.ndarray, planned: np.ndarray) -> np.ndarray:
+    """Return past and planned targets, (n, 3 + ticks, 12), as the adapter's limiter scales them down."""
+    result = np.concatenate([past, planned], axis=1)
+    assert result.shape[1:] == (HISTORY + envelope.ticks, 12)
+    call("envelope_limit", envelope.kernel, result, len(result))
+    return result
+
+
 @pytest.mark.parametrize("limits", [HARD, TIGHT, NARROW])
 @pytest.mark.parametrize(("tick_s", "ticks"), [(0.008, 5), (0.008, 1), (0.002, 20)])
 def test_a_limited_step_keeps_the_direction_of_all_twelve_joints(
@@ -422,7 +433,7 @@ def test_a_limited_step_keeps_the_direction_of_all_twelve_joints(
     speed[n // 2 :] *= limits.tcp_speed_m_s / 4  # slow enough to coast
     past = past + speed * tick_s * np.arange(-2, 1)[:, None]
     planned = past[:, -1:] + rng.uniform(-1, 1, (n, 1, 12)) * np.linspace(0, 0.5, ticks + 1)[1:, None]
-    window = envelope.limited(np.concatenate([past, planned], axis=1))
+    window = limited_windows(envelope, past, planned)
     np.testing.assert_array_equal(window[:, :HISTORY], past)
     limited = window[:, HISTORY:]
     bases = [last @ past for last in (envelope.coast, envelope.brake)]
@@ -438,15 +449,15 @@ def test_a_limited_step_keeps_the_direction_of_all_twelve_joints(
         assert -1e-9 <= fraction < 1.0
         found.add((kind, fraction > 1e-9))
     assert ("coast", True) in found
-    assert envelope.use(envelope.rows @ window).max() <= 1.0
-    assert envelope.cartesian_use(window)[0].max() <= 1.0
+    assert limit_use(envelope, window).max() <= 1.0
+    assert cartesian_use(envelope, window)[0].max() <= 1.0
 
 
 def test_a_fraction_is_as_large_as_the_limits_allow() -> None:
     envelope = Envelope(TIGHT, 0.008, 5)
     past = np.tile(HOME_Q_RAD.reshape(12), (1, HISTORY, 1))
     planned = past[:, -1:] + np.linspace(0, 0.5, 6)[1:, None] * np.eye(12)[5]
-    use = envelope.use(envelope.rows @ envelope.limited(np.concatenate([past, planned], axis=1)))
+    use = limit_use(envelope, limited_windows(envelope, past, planned))
     assert 0.99999 < use.max() <= 1.0
 
 

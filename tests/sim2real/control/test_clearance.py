@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 
 import mujoco
 import numpy as np
@@ -29,7 +30,7 @@ def test_distances_are_never_longer_than_they_are(clearance: Clearance) -> None:
     data, points = mujoco.MjData(model), np.zeros(6)
     rng = np.random.default_rng(0)
     configurations = np.stack([HOME, ON_TABLE, CROSSED, rng.uniform(-3, 3, 12)])
-    found = clearance.distances_m(configurations).copy()
+    found = clearance.measure(configurations).distances_m.copy()
     assert found.shape == (4, len(clearance_pairs(SceneSettings())))
     for row, configuration in enumerate(configurations):
         data.qpos[:] = configuration
@@ -48,9 +49,9 @@ def test_distances_are_never_longer_than_they_are(clearance: Clearance) -> None:
 def test_a_row_does_not_depend_on_the_others(clearance: Clearance) -> None:
     alone = Clearance(SceneSettings())
     configurations = np.random.default_rng(1).uniform(-3, 3, (4, 12))
-    together = clearance.distances_m(configurations).copy()
+    together = clearance.measure(configurations).distances_m.copy()
     for row in range(4):
-        np.testing.assert_array_equal(alone.distances_m(configurations[row : row + 1])[0], together[row])
+        np.testing.assert_array_equal(alone.measure(configurations[row : row + 1]).distances_m[0], together[row])
 
 
 def test_home_is_clear_and_table_and_other_arm_are_not(clearance: Clearance) -> None:
@@ -60,7 +61,7 @@ def test_home_is_clear_and_table_and_other_arm_are_not(clearance: Clearance) -> 
 def test_a_configuration_after_a_wild_one_is_measured_afresh(clearance: Clearance) -> None:
     wild = np.stack([HOME, HOME, HOME, HOME])
     wild[0, 3], wild[1, 3] = 1e300, -1e18
-    clearance.distances_m(wild)
+    clearance.measure(wild)
     assert clearance.is_clear(np.stack([ON_TABLE, CROSSED, HOME, HOME])).tolist() == [False, False, True, True]
 
 
@@ -76,14 +77,14 @@ def test_the_worst_pair_is_named(clearance: Clearance) -> None:
 
 
 def test_a_larger_minimum_refuses_more() -> None:
-    nearest = Clearance(SceneSettings()).distances_m(HOME[None]).min()
+    nearest = Clearance(SceneSettings()).measure(HOME[None]).distances_m.min()
     assert MINIMUM_M < nearest < CLEARANCE_CUTOFF_M
     assert Clearance(SceneSettings(), minimum_m=nearest * 0.99).is_clear(HOME[None])[0]
     assert not Clearance(SceneSettings(), minimum_m=nearest * 1.01).is_clear(HOME[None])[0]
 
 
 def test_pairs_with_their_own_limit_may_come_that_close() -> None:
-    distances = Clearance(SceneSettings()).distances_m(NEAR_TABLE[None])[0]
+    distances = Clearance(SceneSettings()).measure(NEAR_TABLE[None]).distances_m[0]
     pairs = clearance_pairs(SceneSettings())
     near = {pair: float(d) for pair, d in zip(pairs, distances, strict=True) if d < MINIMUM_M}
     assert near
@@ -102,7 +103,7 @@ def test_pairs_with_their_own_limit_may_come_that_close() -> None:
 
 def test_a_pair_may_have_a_larger_limit_than_the_others() -> None:
     pairs = clearance_pairs(SceneSettings())
-    distances = Clearance(SceneSettings()).distances_m(HOME[None])[0]
+    distances = Clearance(SceneSettings()).measure(HOME[None]).distances_m[0]
     nearest = int(distances.argmin())
     limit = float(distances[nearest]) + 0.001
     further = Clearance(SceneSettings(), closer={pairs[nearest]: limit})
@@ -115,6 +116,28 @@ def test_a_pair_may_have_a_larger_limit_than_the_others() -> None:
 def test_a_limit_that_is_none_is_refused(distance: float) -> None:
     with pytest.raises(SettingsError, match="left/forearm_link and table"):
         Clearance(SceneSettings(), closer={("left/forearm_link", "table"): distance})
+
+
+@pytest.mark.parametrize("distance", [-0.001, CLEARANCE_CUTOFF_M, 0.25, np.nan])
+def test_a_smallest_distance_that_is_not_measured_is_refused(distance: float) -> None:
+    below = np.nextafter(CLEARANCE_CUTOFF_M, 0.0)
+    with pytest.raises(SettingsError, match=r"must be 0 or more, and below 0.2 m"):
+        Clearance(SceneSettings(), minimum_m=distance)
+    with pytest.raises(SettingsError, match=r"left/forearm_link and table .* below 0.2 m, beyond which distances are"):
+        Clearance(SceneSettings(), closer={("left/forearm_link", "table"): distance})
+    # The largest legal one: what is further apart spares something, what is nearer does not.
+    largest = Clearance(SceneSettings(), minimum_m=below)
+    far = largest.measure(HOME[None]).distances_m[0] >= CLEARANCE_CUTOFF_M
+    np.testing.assert_array_equal(largest.spare_m(HOME[None])[0] > 0.0, far)
+    assert 0 < far.sum() < len(far)
+
+
+@pytest.mark.parametrize("shape", [(12,), (2, 6), (3, 2, 6), (3, 11), (3, 13), (12, 1)])
+def test_configurations_of_another_shape_are_refused(clearance: Clearance, shape: tuple[int, ...]) -> None:
+    for measure in (clearance.measure, clearance.spare_m, clearance.is_clear):
+        with pytest.raises(SettingsError, match=rf"must have the shape \(n, 12\), found {re.escape(str(shape))}"):
+            measure(np.zeros(shape))
+    assert clearance.measure(np.zeros((0, 12))).distances_m.shape == (0, len(clearance.pairs))
 
 
 def test_limits_are_frozen_at_construction() -> None:
@@ -147,7 +170,7 @@ def test_pickling_keeps_everything() -> None:
     first = Clearance(SceneSettings(), minimum_m=0.05, closer={clearance_pairs(SceneSettings())[0]: 0.01})
     second = pickle.loads(pickle.dumps(first))
     configurations = np.stack([HOME, ON_TABLE])
-    np.testing.assert_array_equal(first.distances_m(configurations), second.distances_m(configurations))
+    np.testing.assert_array_equal(first.measure(configurations).distances_m, second.measure(configurations).distances_m)
     assert second.minimum_m == 0.05
     np.testing.assert_array_equal(first.is_clear(configurations), second.is_clear(configurations))
 

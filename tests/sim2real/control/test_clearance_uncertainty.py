@@ -15,7 +15,7 @@ from dual_ur10.assets.settings import HOME_Q_RAD, Equipment, SceneSettings
 from dual_ur10.errors import CollisionAtStartError, SettingsError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.control.clearance import KNOWN, MINIMUM_M, Clearance
+from dual_ur10.sim2real.control.clearance import MINIMUM_M, BaseUncertainty, Clearance
 from tests.sim2real.control.reference_cell import SHIFTED, UNEQUAL, random_q, segment
 from tests.soak import scaled
 
@@ -54,7 +54,7 @@ def moved(model: mujoco.MjModel, settings: SceneSettings, rng: np.random.Generat
 
 def allowed(clearance: Clearance) -> np.ndarray:
     """Return the smallest legal distances at home, (pairs,)."""
-    return clearance.allowed_m(HOME_Q_RAD.reshape(1, 12))[0]
+    return clearance.measure(HOME_Q_RAD.reshape(1, 12)).allowed_m[0]
 
 
 def unit(rng: np.random.Generator) -> np.ndarray:
@@ -67,6 +67,7 @@ def test_no_base_error_brings_a_pair_closer_than_allowed() -> None:
     believed = build_collision_model(FURNISHED)
     data = mujoco.MjData(believed)
     clearance = Clearance(FURNISHED, uncertainty=UNCERTAIN)
+    most_m = BaseUncertainty(UNCERTAIN, FURNISHED, believed).most_m
     used, compared = np.zeros(len(clearance.pairs)), 0
     for _ in range(scaled(800)):
         truth = moved(build_collision_model(FURNISHED), FURNISHED, rng, UNCERTAIN)
@@ -76,9 +77,9 @@ def test_no_base_error_brings_a_pair_closer_than_allowed() -> None:
             mujoco.mj_forward(believed, data)
             mujoco.mj_forward(truth, true)
             lost = np.where(data.sensordata > 0.0, data.sensordata - true.sensordata, 0.0)
-            added = clearance.allowed_m(q.reshape(1, 12))[0] - MINIMUM_M
+            added = clearance.measure(q.reshape(1, 12)).allowed_m[0] - MINIMUM_M
             assert (lost <= added + 1e-6).all()
-            assert (added <= clearance.most_m - MINIMUM_M + 1e-12).all()
+            assert (added <= most_m + 1e-12).all()
             used = np.maximum(used, lost / np.maximum(added, 1e-9))
             compared += int((data.sensordata < CLEARANCE_CUTOFF_M).sum())
     assert compared > 5000
@@ -150,12 +151,12 @@ def test_pairs_that_a_task_brings_together_are_exempt() -> None:
 
 
 def test_a_larger_uncertainty_refuses_more() -> None:
-    nearest = float(Clearance(SceneSettings()).distances_m(HOME_Q_RAD.reshape(1, 12)).min())
+    nearest = float(Clearance(SceneSettings()).measure(HOME_Q_RAD.reshape(1, 12)).distances_m.min())
     pairs = Clearance(SceneSettings()).pairs
-    own = pairs[int(Clearance(SceneSettings()).distances_m(HOME_Q_RAD.reshape(1, 12))[0].argmin())]
+    own = pairs[int(Clearance(SceneSettings()).measure(HOME_Q_RAD.reshape(1, 12)).distances_m[0].argmin())]
     assert own[0].split("/")[0] == own[1].split("/")[0]  # what is nearest at home is one arm's own
     low = HOME_Q_RAD.reshape(12) + np.eye(12)[1] * 0.45  # towards the table
-    distances = Clearance(SceneSettings()).distances_m(low[None])[0]
+    distances = Clearance(SceneSettings()).measure(low[None]).distances_m[0]
     table = min(d for d, pair in zip(distances, pairs, strict=True) if pair[1] == "table")
     assert MINIMUM_M < table < 0.1
     spare = table - MINIMUM_M
@@ -179,15 +180,15 @@ def test_pickling_keeps_what_is_allowed() -> None:
     np.testing.assert_array_equal(allowed(again), allowed(clearance))
     assert allowed(again).max() > 0.03
     q = HOME_Q_RAD.reshape(1, 12)
-    np.testing.assert_array_equal(again.distances_m(q), clearance.distances_m(q))
+    np.testing.assert_array_equal(again.measure(q).distances_m, clearance.measure(q).distances_m)
 
 
 def test_a_row_does_not_depend_on_the_others() -> None:
     alone, together = Clearance(FURNISHED, uncertainty=UNCERTAIN), Clearance(FURNISHED, uncertainty=UNCERTAIN)
     q = random_q(np.random.default_rng(3), 3).reshape(3, 12)
-    found = together.allowed_m(q)
+    found = together.measure(q).allowed_m
     for row in range(3):
-        np.testing.assert_array_equal(alone.allowed_m(q[[row]])[0], found[row])
+        np.testing.assert_array_equal(alone.measure(q[[row]]).allowed_m[0], found[row])
     assert len(np.unique(found, axis=0)) == 3  # a rotation moves distant arms further
 
 
@@ -215,6 +216,5 @@ def test_distances_that_would_not_be_measured_are_refused() -> None:
         ((0.0, 0.2), (0.0, 0.0)),
         ((1.0, 0.0), (0.0, 0.0)),
     ):
-        with pytest.raises(SettingsError, match=r"left/\w+ and .* must be below 0.2 m.*Measure where the bases stand"):
+        with pytest.raises(SettingsError, match=r"left/\w+ and .* below 0.2 m, .*measure where the bases stand"):
             Clearance(SceneSettings(), uncertainty=uncertainty)
-    assert np.all(allowed(Clearance(SceneSettings(), minimum_m=0.25, uncertainty=KNOWN)) == 0.25)

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from dual_ur10.assets.collision_model import clearance_pairs
 from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
-from dual_ur10.errors import ActionError
+from dual_ur10.errors import ActionError, SettingsError
+from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
@@ -213,6 +214,52 @@ def test_a_refusal_names_joint_found_and_allowed() -> None:
     assert again.verdicts[1] == verdict  # the first reason stays
 
 
+@pytest.mark.parametrize("name", ["rows", "middle", "scale"])
+@pytest.mark.parametrize("kind", ["joint speed", "joint acceleration", "joint jerk", "joint position"])
+def test_a_limit_that_is_nan_refuses_and_is_named_first(name: str, kind: str) -> None:
+    gate = gate_at_home(2)
+    still = np.tile(HOME_Q_RAD, (2, TICKS, 1, 1))
+    assert not gate(still).verdicts
+    envelope = gate.envelope
+    row, column = envelope.kinds.index(kind), 8
+    where = (row, int(envelope.kernel.values["begins"][row])) if name == "rows" else (row, column)
+    envelope.kernel.values[name].reshape(len(envelope.rows), -1)[where] = np.nan
+    far = still.copy()
+    far[1, :, 1, 3] += 1.0  # far beyond limits that are numbers
+    result = gate(far)
+    np.testing.assert_array_equal(result.targets_rad, still)
+    assert {verdict.kind for verdict in result.verdicts.values()} == {kind}
+    if name != "rows":  # a coefficient of all joints
+        assert [result.verdicts[each].subject for each in range(2)] == ["right/elbow_joint"] * 2
+
+
+@pytest.mark.parametrize("arm", [0, 1])
+def test_a_speed_that_is_nan_refuses(arm: int) -> None:
+    limits = MotionLimits(tcp_speed_m_s=0.2, tcp_m=((0.0, 0.0, 0.1), (0.0, 0.0, 0.1)))
+    gate, speed = gate_at_home(1, limits), 0.0
+    targets = np.tile(HOME_Q_RAD, (1, TICKS, 1, 1))
+    for period in range(20):
+        if period == 15:  # within the limit, which takes the points' positions to know
+            gate.envelope.kernel.values["tcp_m"].reshape(2, 3)[arm, 0] = np.nan
+        for tick in range(TICKS):
+            speed = min(speed + 8e-5 * 0.5, 0.2 * 0.008)
+            targets[0, tick:, :, 0] += speed
+        result = gate(targets)
+        assert bool(result.verdicts) == (period >= 15)
+        targets[:] = targets[:, -1:]
+    assert (result.verdicts[0].kind, result.verdicts[0].subject.split("/")[0]) == ("Cartesian speed", ARMS[arm])
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_start_that_is_not_finite_is_refused(value: float) -> None:
+    gate = gate_at_home(2)
+    start = np.tile(HOME_Q_RAD, (2, 1, 1)) + 0.1
+    start[1, 1, 5] = value
+    with pytest.raises(SettingsError, match="the gate must start from finite configurations"):
+        gate.reset(start)
+    np.testing.assert_array_equal(gate.last_targets_rad, np.tile(HOME_Q_RAD, (2, 1, 1)))
+
+
 def test_a_position_out_of_range_is_reported_with_the_nearer_end() -> None:
     for sign, allowed in ((1, np.pi), (-1, -np.pi)):
         gate = gate_at_home()
@@ -321,7 +368,7 @@ def test_an_arm_stops_before_it_comes_too_near(action: np.ndarray, other: str) -
     assert other in verdict.subject
     assert verdict.found < verdict.allowed == MINIMUM_M
     assert f"at least {MINIMUM_M}" in str(verdict)
-    along = Clearance(SceneSettings()).distances_m(sent.reshape(-1, 12))
+    along = Clearance(SceneSettings()).measure(sent.reshape(-1, 12)).distances_m
     assert along.min() >= MINIMUM_M - 1e-4  # up to and at its final configuration
     assert along.min() < 0.1  # and it did come near
     np.testing.assert_array_equal(sent[0, -1], sent[0, -100])

@@ -151,7 +151,7 @@ def test_the_gate_knows_distances_beyond_the_cutoff(settings, keywords):
     settings = dataclasses.replace(settings, obstacles=(*settings.obstacles, wall))
     clearance = Clearance(settings, **keywords)
     configurations = random_q(np.random.default_rng(3), 400).reshape(400, 12)
-    near = clearance.distances_m(configurations) < CLEARANCE_CUTOFF_M
+    near = clearance.measure(configurations).distances_m < CLEARANCE_CUTOFF_M
     spare, for_the_gate = clearance.spare_m(configurations), measured_for_the_gate(clearance, configurations)
     np.testing.assert_array_equal(for_the_gate[near], spare[near])
     assert (for_the_gate >= spare)[~near].all()
@@ -171,7 +171,7 @@ def test_arms_at_full_speed_keep_away_from_thin_rods(ticks, steady):
     by = push if steady else lambda period: rng.uniform(-1.0, 1.0, (n, 12))
     sent, verdicts = driven(Clearance(settings), by, max(500 // ticks, 24), n=n, ticks=ticks)
     measured = Clearance(settings)
-    nearest = min(measured.distances_m(row).min() for row in sent)
+    nearest = min(measured.measure(row).distances_m.min() for row in sent)
     assert nearest >= MINIMUM_M - SWEEP_TOLERANCE_M
     assert len(verdicts) > 0.9 * n
 
@@ -279,7 +279,7 @@ def test_arms_that_are_too_close_may_separate():
 
 
 class Failing(AlwaysClear):
-    """Stub whose measurement fails from a given check on."""
+    """Stub whose measurement fails from a given check on, and with it the reason of a refusal."""
 
     def __init__(self, after):
         super().__init__()
@@ -291,7 +291,7 @@ class Failing(AlwaysClear):
         return super().spare_m(q_rad)
 
     def worst(self, q_rad):
-        return "left/forearm_link and post", np.nan, 0.02
+        raise ZeroDivisionError("no sensor, either")
 
 
 @pytest.mark.parametrize("after", [0, 3])
@@ -304,8 +304,63 @@ def test_what_cannot_be_measured_is_not_released(after):
     with pytest.raises(ZeroDivisionError, match="no sensor"):
         gate(still)
     found = gate(still + 1e-6)
-    assert found.verdicts[0].kind == "distance"
+    assert (found.verdicts[0].kind, found.verdicts[0].tick) == ("distance", 5 * after)
     assert (found.targets_rad == still).all()
+
+
+class Unnamed(Post):
+    """Stub that cannot name the pair that is too close."""
+
+    def worst(self, q_rad):
+        raise ZeroDivisionError("no names")
+
+
+def test_a_refusal_without_a_reason_still_brakes():
+    named, unnamed = ((post, *driven(post, TURN, 40, n=2)) for post in (Post(HOME[0] + 0.5), Unnamed(HOME[0] + 0.5)))
+    np.testing.assert_array_equal(named[1], unnamed[1])
+    for row in range(2):
+        expected, found = named[2][row], unnamed[2][row]
+        assert (found.kind, found.tick) == (expected.kind, expected.tick)
+        assert "unknown pair (ZeroDivisionError: no names)" in str(found)
+
+
+class Blind(Measured):
+    """Thin obstacle that the left arm passes at 20 mm, of which one check measures NaN. All levers are 1 m."""
+
+    def __init__(self, check):
+        super().__init__(np.eye(2, 12))
+        self.check = check
+
+    def spare_m(self, q_rad):
+        spare = np.array([np.hypot(q_rad[0] - HOME[0] - 0.5, 0.03) - WIDE_M, 5.0])
+        if self.checks == self.check:
+            spare[0] = np.nan
+        return spare
+
+    def worst(self, q_rad):
+        return "left/forearm_link and post", np.nan, WIDE_M
+
+
+def test_a_distance_that_is_nan_refuses_wherever_it_is_measured():
+    def passed(check):
+        """Return the number of checks up to the end of each period before the refusal, if there is one."""
+        post, checks = Blind(check), []
+        adapter = ServojAdapter(ServojProfile("cb3"), HARD, 5)
+        gate = SafetyGate(HARD, 0.008, 5, post)
+        adapter.reset(HOME_Q_RAD[None])
+        gate.reset(HOME_Q_RAD[None])
+        for _ in range(25):
+            if gate(adapter(TURN.reshape(1, 2, 6)).targets_rad.copy()).verdicts:
+                break
+            checks.append(post.checks)
+        return checks
+
+    every = passed(0)
+    assert len(every) == 25
+    # In some periods only at the end of the brake, in some at the end of the window, and in some between, too.
+    assert {1, 2} < set(np.diff([0, *every]).tolist())
+    for check in range(1, every[-1] + 1):
+        assert passed(check) == [each for each in every if each < check]
 
 
 def test_a_brake_that_takes_minutes_fits_any_stack():

@@ -9,7 +9,17 @@ from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.ur10 import HARD_SPEED_RAD_S, JOINT_RANGE_RAD
 from dual_ur10.sim2real.control.limits import HISTORY, POINTS, REACH_FROM_JOINT_M, Envelope, MotionLimits
-from tests.sim2real.control.motion_checks import HARD, NARROW, TIGHT, TOOL, assert_within, braked, cartesian_speed
+from tests.sim2real.control.motion_checks import (
+    HARD,
+    NARROW,
+    TIGHT,
+    TOOL,
+    assert_within,
+    braked,
+    cartesian_speed,
+    cartesian_use,
+    limit_use,
+)
 
 SLUGGISH = MotionLimits(speed_rad_s=1.0, acceleration_rad_s2=0.5, jerk_rad_s3=2.0)
 LIMITS = (HARD, TIGHT, NARROW, SLUGGISH)
@@ -93,7 +103,7 @@ def test_an_accepted_window_can_be_braked_within_all_limits(limits: MotionLimits
     envelope = Envelope(limits, tick_s, 5)
     windows = random_windows(envelope, np.random.default_rng(0), 200)
     # Each joint is a sample of its own: the rest of its cell is at rest.
-    accepted = envelope.use(envelope.rows @ windows).max(axis=1) <= 1.0
+    accepted = limit_use(envelope, windows).max(axis=1) <= 1.0
     still = (np.asarray(limits.lower_rad) + limits.upper_rad) / 2
     sent = np.where(accepted[:, None, :], windows, np.tile(still, 2))
     assert 0.01 < accepted.mean() < 0.9
@@ -116,7 +126,7 @@ def test_an_accepted_window_can_be_braked_within_all_limits(limits: MotionLimits
 def test_the_rows_are_the_finite_differences(limits: MotionLimits) -> None:
     envelope = Envelope(limits, 0.008, 4)
     windows = random_windows(envelope, np.random.default_rng(1), 500)
-    use = envelope.use(envelope.rows @ windows)
+    use = limit_use(envelope, windows)
     kinds = np.array(envelope.kinds)
     for kind, order, limit in (
         ("joint speed", 1, np.tile(limits.speed_rad_s, 2)),
@@ -132,9 +142,9 @@ def test_the_rows_are_the_finite_differences(limits: MotionLimits) -> None:
 def test_an_accepted_state_is_accepted_one_brake_tick_later(limits: MotionLimits, tick_s: float) -> None:
     envelope = Envelope(limits, tick_s, 1)
     windows = random_windows(envelope, np.random.default_rng(2), 3000)
-    accepted = envelope.use(envelope.rows @ windows).max(axis=1) <= 1.0
+    accepted = limit_use(envelope, windows).max(axis=1) <= 1.0
     following = np.concatenate([windows[:, 1:], envelope.brake @ windows[:, -HISTORY:]], axis=1)
-    use = envelope.use(envelope.rows @ following).max(axis=1)
+    use = limit_use(envelope, following).max(axis=1)
     assert accepted.any()
     assert use[accepted].max() <= 1.0 + 1e-8
 
@@ -160,7 +170,7 @@ def test_the_cartesian_speed_is_never_underestimated(
     still[[joint + 6 * arm for joint in moving for arm in (0, 1)]] = False
     windows[:, :, still] = windows[:, :1, still]
     windows[: count // 2, :, [0, 1, 2]] -= windows[: count // 2, -1:, [0, 1, 2]]  # stretched out: the longest lever
-    use = envelope.use(envelope.rows @ windows)
+    use = limit_use(envelope, windows)
     windows, use = windows[use.max(axis=(1, 2)) <= 2.0], use[use.max(axis=(1, 2)) <= 2.0]
     motion = np.concatenate(
         [
@@ -172,7 +182,7 @@ def test_the_cartesian_speed_is_never_underestimated(
         axis=1,
     ).reshape(len(windows), -1, 2, 6)
     peak = cartesian_speed(motion, tick_s, limits.tcp_m).max(axis=1) / limits.tcp_speed_m_s
-    fraction = envelope.cartesian_use(windows)[0].max(axis=1)
+    fraction = cartesian_use(envelope, windows)[0].max(axis=1)
     assert len(windows) > 20
     assert (fraction >= peak * (1 - 1e-9)).all()
     assert (fraction <= peak * 1.0061).all()
@@ -188,14 +198,14 @@ def test_the_cartesian_use_names_the_faster_point() -> None:
     pan[0, :, 7] = np.arange(4) * 0.001
     pan[0, :, 8] = -np.arange(4) * 0.004  # folds while it lifts
     pan[0, :, 8] -= 2.6
-    fraction, point = envelope.cartesian_use(pan)
+    fraction, point = cartesian_use(envelope, pan)
     assert fraction.shape == point.shape == (1, 2)
     assert POINTS[point[0, 0]] == "flange"
     turn = np.zeros((1, 4, 12))
     turn[0, :, 5] = np.arange(4) * 0.001  # the last joint moves no flange, but a tool beside its axis
     turn[0, :, 11] = np.arange(4) * 0.001
     beside = Envelope(MotionLimits(tcp_speed_m_s=0.25, tcp_m=((0.2, 0.0, 0.1), (0.0, 0.0, 0.1))), 0.008, 1)
-    (fraction,), (point,) = beside.cartesian_use(turn)
+    (fraction,), (point,) = cartesian_use(beside, turn)
     np.testing.assert_allclose(fraction, [0.2 * 0.001 / 0.008 / 0.25, 0.0], rtol=1e-2, atol=1e-9)
     assert POINTS[point[0]] == "TCP"
 
@@ -220,7 +230,7 @@ def test_the_assumed_reach_from_each_axis_is_an_upper_bound() -> None:
 @pytest.mark.parametrize("tick_s", TICKS_S)
 def test_very_slow_limits_work_too(speed: float, tick_s: float) -> None:
     envelope = Envelope(MotionLimits(speed_rad_s=speed, tcp_speed_m_s=0.001), tick_s, 2)
-    fraction, _ = envelope.cartesian_use(np.zeros((1, 5, 12)))
+    fraction, _ = cartesian_use(envelope, np.zeros((1, 5, 12)))
     assert fraction.max() == 0.0
     assert envelope.rest_speed_rad_s <= 1e-4
 
@@ -229,10 +239,10 @@ def test_stops_within_a_window_are_checked_as_its_end_is() -> None:
     both = Envelope(HARD, 0.008, 5, stops=(2, 5))
     short = Envelope(HARD, 0.008, 2)
     windows = random_windows(both, np.random.default_rng(6), 500)
-    use_both = both.use(both.rows @ windows).max(axis=(1, 2))
-    use_short = short.use(short.rows @ windows[:, :5]).max(axis=(1, 2))
+    use_both = limit_use(both, windows).max(axis=(1, 2))
+    use_short = limit_use(short, windows[:, :5]).max(axis=(1, 2))
     assert (use_both >= use_short * (1 - 1e-9)).all()
-    tips, tips_short = both.cartesian_use(windows)[0], short.cartesian_use(windows[:, :5])[0]
+    tips, tips_short = cartesian_use(both, windows)[0], cartesian_use(short, windows[:, :5])[0]
     assert (tips >= tips_short * (1 - 1e-9)).all()
 
 

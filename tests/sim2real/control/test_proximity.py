@@ -259,7 +259,7 @@ def closing(played: Played, family: str) -> tuple[Array, Array]:
     assert played.verdict is not None
     clearance = Clearance(SceneSettings())
     pair = [" and ".join(each) for each in clearance.pairs].index(played.verdict.subject)
-    distance = np.array([clearance.distances_m(q[None])[0, pair] for q in played.sent_rad])
+    distance = np.array([clearance.measure(q[None]).distances_m[0, pair] for q in played.sent_rad])
     return distance[1:], -np.diff(distance) / ServojProfile(family=family).tick_s
 
 

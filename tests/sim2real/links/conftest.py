@@ -1,31 +1,8 @@
-"""Virtual cells that all tests of this folder share."""
+"""Virtual cell of each family."""
 
 import pytest
 
-from dual_ur10.testing import VirtualCell
 from tests.sim2real.cells import restored
-
-
-@pytest.fixture(scope="package")
-def started_cb3():
-    with VirtualCell(plant="nominal") as cell:
-        yield cell
-
-
-@pytest.fixture(scope="package")
-def started_e_series():
-    with VirtualCell(plant="nominal", family="e-series") as cell:
-        yield cell
-
-
-@pytest.fixture
-def cb3(started_cb3):
-    return restored(started_cb3)
-
-
-@pytest.fixture
-def e_series(started_e_series):
-    return restored(started_e_series)
 
 
 @pytest.fixture(params=["cb3", "e-series"])

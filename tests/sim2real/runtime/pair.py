@@ -97,6 +97,17 @@ class Pair:
             self.cell.wait_until(arm, "runtime_state", 1)
 
 
+def assert_stops_both(pair, ticks):
+    """Move both arms for some control periods, stop the left one, and check that the right one stops because of it."""
+    pair.begin()
+    pair.move(ticks)
+    pair.memories[0].stop()
+    phases, texts = pair.ended()
+    assert phases == [Phase.STOPPED] * 2
+    assert "requested" in texts[0]
+    assert texts[1].startswith("right: the other arm stops: left:")
+
+
 def numbers_of(pair, arm):
     """Return the target numbers, possibly fractional, of all executed targets."""
     return (np.array(pair.executed(arm))[:, 1] - pair.home[arm][1]) / STEP_RAD

@@ -13,7 +13,7 @@ from dual_ur10.errors import StartError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD
 from dual_ur10.sim2real.config.cell import CellConfig
-from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance
+from dual_ur10.sim2real.control.clearance import MINIMUM_M, Clearance, PairDistances
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.time_scaling import TimeScaling
@@ -164,7 +164,8 @@ def nearest_m(clearance, approach, every=0.005):
     for start, end in itertools.pairwise(approach.parts):
         count = 2 + round(np.abs(end - start).max() / every)
         found += [
-            clearance.distances_m(q[None])[0].min() for q in start + np.linspace(0, 1, count)[:, None] * (end - start)
+            clearance.measure(q[None]).distances_m[0].min()
+            for q in start + np.linspace(0, 1, count)[:, None] * (end - start)
         ]
     return min(found)
 
@@ -284,8 +285,8 @@ class Pairs(Clearance):
     def _connect(self):
         pass
 
-    def _measured(self, q_rad):
-        return 0.02 - q_rad[:, :2], np.full((len(q_rad), 2), 0.02)
+    def measure(self, q_rad):
+        return PairDistances(0.02 - q_rad[:, :2], np.full((len(q_rad), 2), 0.02))
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_process import ArmConnection, ArmProcess, _round_trip_s
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.testing import VirtualCell
-from tests.sim2real.runtime.pair import SERVOJ, TICK_S, Pair, assert_rests_on_path, numbers_of
+from tests.sim2real.runtime.pair import SERVOJ, TICK_S, Pair, assert_rests_on_path, assert_stops_both, numbers_of
 
 
 @pytest.fixture(scope="module")
@@ -28,13 +28,7 @@ def pair(cell):
 
 
 def test_controllers_execute_the_written_targets(pair):
-    pair.begin()
-    pair.move(300)
-    pair.memories[0].stop()
-    phases, texts = pair.ended()
-    assert phases == [Phase.STOPPED] * 2
-    assert "requested" in texts[0]
-    assert texts[1].startswith("right: the other arm stops: left:")
+    assert_stops_both(pair, 300)
     for arm, memory in enumerate(pair.memories):
         assert memory.skipped == 0
         put = {tuple(target): number for number, target in enumerate(pair.put[arm])}

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import dual_ur10
-from dual_ur10 import policies
 from dual_ur10.envs.api.parallel_env import parallel_env
 from dual_ur10.errors import (
     ActionError,
@@ -19,11 +18,10 @@ from dual_ur10.errors import (
     StartError,
     UnknownNameError,
 )
-from dual_ur10.policies.evaluation.rollout import rollout
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.runtime.approach import Approach
 from dual_ur10.testing import VirtualCell
+from tests.parity import handed_over
 
 ARMS = ("left", "right")
 HANDOVER, SINE = "DualUR10/Handover-v0", "DualUR10/SineTracking-v0"
@@ -129,24 +127,12 @@ def test_a_real_cell_asks_at_the_terminal_and_a_pipe_is_none(bench):
 
 
 def test_one_policy_hands_over_on_both_cells_with_a_record(bench, tmp_path):
-    keywords = {"action_latency_ticks": 8}
-    simulated = gym.make(HANDOVER, disable_env_checker=True, **keywords)
-    policy = policies.load("scripted", HANDOVER, **keywords)
-    assert rollout(simulated, policy, seed=1).success
-    simulated.close()
-    env = bench.make(record=str(tmp_path), **keywords)
-    found = rollout(env, policy, seed=1)
+    found, late, run = handed_over(bench, tmp_path)
     assert found.success, found.ended_by
-    assert bench.core.late_actions == 0
-    bench.close_env()
-    run = read_run(next(tmp_path.iterdir()))
-    assert run.complete
-    assert run.header.source == "emulated"
-    assert len(run.episodes[0].action) == found.steps
+    assert late == 0
     for arm in run.arms:
         np.testing.assert_allclose(np.diff(arm.state["timestamp_s"]), 0.008, atol=1e-9)
         assert len(arm.sent["late_s"]) >= 5 * found.steps
-    np.testing.assert_array_equal(run.episodes[0].q_rad.shape, (found.steps + 1, 2, 6))
 
 
 def test_one_arm_moves_and_the_other_is_held(bench):

@@ -181,7 +181,7 @@ class FaultLab:
     def nearest_m(self):
         """Return the smallest measured distance of any checked pair."""
         clearance = self.env.unwrapped.core.cell._clearance
-        return min(float(clearance.distances_m(q.reshape(1, 12)).min()) for q in self.measured()[0][::3])
+        return min(float(clearance.measure(q.reshape(1, 12)).distances_m.min()) for q in self.measured()[0][::3])
 
     def assert_within_limits(self):
         """Check received targets against the limits of speed, acceleration and jerk, and that no others were executed.

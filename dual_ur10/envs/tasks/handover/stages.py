@@ -29,9 +29,7 @@ STILL_M_S: Final = 0.02
 # meeting, block to the target, angle of the block.
 _MARGINS: Final = np.array([0.15, 0.15, 0.5, 0.5, 0.3, 0.5])
 
-# Columns of `Stages.facts` where values are of the giver and of the receiver.
-BETWEEN, HOLDS, OPENING, AWAY = slice(0, 2), slice(2, 4), slice(4, 6), slice(6, 8)
-HEIGHT, MEETING, TARGET, TURN, PLACED = range(8, 13)
+TURN, PLACED = 11, 12  # columns of `Stages.facts`
 
 
 class Stages:
@@ -41,11 +39,11 @@ class Stages:
         n: Number of handovers.
 
     Attributes:
-        facts: (n, 13) quantities on which the stages depend, written by the caller. Of the giver and the receiver:
-            `BETWEEN`, 1 if the gripper's grip of the block is between its fingers; `HOLDS`, 1 if it holds the block;
-            `OPENING`, its width; `AWAY`, distance of the tool from its grip. `HEIGHT` of the block's middle above the
-            table; distances of the block from the `MEETING` place and the `TARGET`; `TURN`, angle between its long axis
-            and that of the target; `PLACED`, 1 if it lies still on its target, and no gripper holds it.
+        facts: (n, 13) quantities on which the stages depend, written by the caller. Of the giver and the receiver, two
+            each: 1 if the gripper's grip of the block is between its fingers; 1 if it holds the block; its width;
+            distance of the tool from its grip. Then the height of the block's middle above the table; its distances
+            from the meeting place and the target; `TURN`, angle between its long axis and that of the target; `PLACED`,
+            1 if it lies still on its target, and no gripper holds it.
         conditions: (n, 7) 1 for stage conditions that hold, regardless of order.
         passed: (n,) number of stages passed in their order.
         terms: (n, 2, 7) reward terms of giver and receiver, 0 to 1 in their mean: 1 for a passed stage, less for

@@ -12,21 +12,7 @@ from dual_ur10.assets.gripper import OPENING_M, TCP_M
 from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.settings import HOME_Q_RAD, Equipment
 from dual_ur10.envs.tasks.handover.settings import GRIPS, MEETING_M, HandoverSettings, check_reach, lying
-from dual_ur10.envs.tasks.handover.stages import (
-    AWAY,
-    BETWEEN,
-    HEIGHT,
-    HOLDS,
-    MEETING,
-    OPENING,
-    PLACED,
-    STAGES,
-    STILL_M_S,
-    TARGET,
-    TURN,
-    WIDTH_M,
-    Stages,
-)
+from dual_ur10.envs.tasks.handover.stages import PLACED, STAGES, STILL_M_S, TURN, WIDTH_M, Stages
 from dual_ur10.envs.tasks.holding import PICKING, Grasped, Grasps, required
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
@@ -42,13 +28,12 @@ from dual_ur10.envs.tasks.observation_layout import (
     wrench_values,
 )
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, duration_ratio
+from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import length
-from dual_ur10.kinematics.rotations import cross
 from dual_ur10.kinematics.ur10 import DH_D_M
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import REACH_FROM_JOINT_M, MotionLimits
-from dual_ur10.types import Array, Mask, Rows
+from dual_ur10.types import Array, Rows
 
 SETTLED_S = 0.5
 """Time that the block must lie on its target before an episode ends with success."""
@@ -181,15 +166,16 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     `info["end_reason"]` is
 
     - "success": all stages were passed and the block has lain on its target for 0.5 s;
-    - "block fell": it fell from the table;
-    - "block out of reach": it lies where no arm can reach it;
-    - "refused: <limit>": the safety gate refused a motion; `info["safety"]` gives the details;
+    - "block_fell": it fell from the table;
+    - "block_out_of_reach": it lies where no arm can reach it;
+    - "refused/<limit>": the safety gate refused a motion; `info["safety"]` gives the details;
     - "physics": the simulation diverged (`info["physics_error"]`).
 
     ### Truncation
 
-    After `duration_s`, 500 steps with the defaults, with the reason "time"; longer in proportion if the cell's speed limits are tighter than the
-    task's. No time limit is registered, because a registered one would not follow the settings.
+    After `duration_s`, 500 steps with the defaults, with the reason "time"; longer in proportion if the cell's speed
+    limits are tighter than the task's. No time limit is registered
+    with the id; `env.spec.max_episode_steps` is this number.
 
     ## Arguments
 
@@ -245,26 +231,40 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         mounts = (cell.left, cell.right)
         check_reach(settings, cell.scene)
         self.duration_s = settings.duration_s * duration_ratio(type(self).limits, self.limits)
-        self._steps = max(1, math.ceil(self.duration_s / timing.period_s - 1e-9))
+        self.horizon = self._steps = max(1, math.ceil(self.duration_s / timing.period_s - 1e-9))
         self._settled_steps = max(1, math.ceil(SETTLED_S / timing.period_s - 1e-9))
-        self._giver = np.zeros(n, dtype=np.intp)
+        self._giver = np.zeros(n, dtype=np.int64)
         # Each arm's role, and for each role the index of its arm among the arms of all cells. The second swaps arms and
         # roles in either direction.
         self._role: Array = np.ones((n, 2, 1))
         self._by_role: Rows = np.zeros((n, 2), dtype=np.intp)
         self._grip_m: Array = np.zeros((n, 2, 3))
         self._grasps = Grasps(Frames(mounts), self._grip_m, WIDTH_M, 2)
-        # Points from which the block's distance counts: meeting, where it was, shoulders, target.
-        self._points: Array = np.zeros((n, 5, 3))
-        self._points[:, 0] = MEETING_M
-        self._points[:, 2:4] = np.array([mount.position_m for mount in mounts]) + _SHOULDER_M
-        self._vectors: Array = np.zeros((n, 10, 3))
         # Of the episode so far.
         self._stages = Stages(n)
         self._count = np.zeros(n, dtype=np.int64)
         self._settled = np.zeros(n, dtype=np.int64)
-        self._slip_from_m: Array = np.zeros((n, 2, 3))
+        self._before_m: Array = np.zeros((n, 3))  # position of the block in the last step
         self._slip_m: Array = np.zeros((n, 2))
+        self._input, self._output = np.zeros((n, 58)), np.zeros((n, 4))
+        struct = Struct(
+            "Handover",
+            n=n,
+            still_m=STILL_M_S * timing.period_s,
+            success_error_m=settings.success_error_m,
+            far_m=_FAR_M,
+            fallen_m=_FALLEN_M,
+            meeting_m=MEETING_M,
+            shoulders_m=np.array([mount.position_m for mount in mounts]) + _SHOULDER_M,
+            giver=self._giver,
+            input=self._input,
+            before_m=self._before_m,
+            slip_from_m=np.zeros((n, 6)),
+            slip_m=self._slip_m,
+            facts=self._stages.facts,
+            output=self._output,
+        )
+        self._evaluate = RowLoop("handover_evaluate", struct, n, 1)
 
     @classmethod
     def requirements(cls, settings: HandoverSettings) -> SceneRequirements:
@@ -286,7 +286,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         self._grip_m[rows] = np.stack([grips.position_m for grips in GRIPS])[giver]
         for counts in (self._stages.passed, self._count, self._settled):
             counts[rows] = 0
-        self._points[rows, 1] = block.position_m
+        self._before_m[rows] = block.position_m
         self._slip_m[rows] = 0.0
         return Start(
             np.broadcast_to(HOME_Q_RAD, (len(rows), 2, 6)).copy(),
@@ -322,69 +322,35 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
 
     def evaluate(self, state: CellState, measured: HandoverMeasured) -> Outcome:
         """Evaluate stages, reward terms, success and end."""
-        position, holding = measured.poses[:, :3], measured.grasped.holding
-        distances, target_rad = self._distances(measured)
-        now_placed = self._check(state, measured.grasped, distances, target_rad)
-        self._points[:, 1] = position
+        parts = (measured.poses, measured.grasped.values[:, :42], required(state.gripper_m))
+        np.concatenate(parts, axis=1, out=self._input)
+        self._evaluate()
+        found, stages = self._output.copy(), self._stages
+        target_rad = np.arctan2(found[:, 1], found[:, 2])
+        now_placed = (stages.facts[:, PLACED] > 0.0) & (target_rad < self.settings.success_turn_rad)
+        stages.facts[:, TURN], stages.facts[:, PLACED] = target_rad, now_placed
+        stages.check()
+        stages.advance()
         self._count += 1
-        placed = (self._stages.passed == len(self.stages)) & now_placed
+        placed = (stages.passed == len(self.stages)) & now_placed
         self._settled = (self._settled + 1) * placed
-        np.copyto(self._slip_m, distances[:, 7:9], where=holding)
-        far = np.logical_and.reduce(distances[:, 2:4] > _FAR_M, axis=1)
-        lost = far | (position[:, 2] < _FALLEN_M)
+        lost = found[:, 3] > 0.0
         terminal = lost | (self._settled >= self._settled_steps)
         over = self._count >= self._steps
         info: dict[str, Any] = {
-            "stage": self._stages.passed.copy(),
+            "stage": stages.passed.copy(),
             "giver": self._giver.copy(),
-            "object_m": position.copy(),
-            "object_error_m": distances[:, 4],
+            "object_m": measured.poses[:, :3].copy(),
+            "object_error_m": found[:, 0],
             "object_error_rad": target_rad,
             "slip_m": self._slip_m.copy(),
         }
         earned = np.empty((self.n, 2, len(self.weights)))
-        earned[..., :-1] = self._stages.terms.reshape(2 * self.n, -1).take(self._by_role, axis=0)
+        earned[..., :-1] = stages.terms.reshape(2 * self.n, -1).take(self._by_role, axis=0)
         finish = np.maximum(self._steps - self._count, 0) * (terminal & ~lost)
         earned[..., -1] = finish[:, None]
         return Outcome(earned, placed & ~lost & (terminal | over), over & ~terminal, info, terminal)
 
     def failure(self, row: int, outcome: Outcome) -> str:
         """Return the name of the failure: the block fell from the table, or lies where no arm can reach it."""
-        return "block fell" if outcome.info["object_m"][row, 2] < _FALLEN_M else "block out of reach"
-
-    def _distances(self, measured: HandoverMeasured) -> tuple[Array, Array]:
-        """Return distances, (n, 9), and the angle between the long axes of block and target, (n,).
-
-        The distances are those of the block from `_points`, of the tools from their grips, and the grips' slips.
-        """
-        vectors, grasped = self._vectors, measured.grasped
-        grip = grasped.grip_in_tool_m
-        np.copyto(self._slip_from_m, grip, where=~grasped.holding[..., None])
-        self._points[:, 4] = measured.poses[:, 7:10]
-        np.subtract(measured.poses[:, None, :3], self._points, out=vectors[:, :5])
-        vectors[:, 5:7] = grip
-        np.subtract(grip, self._slip_from_m, out=vectors[:, 7:9])
-        # The long axes are the first columns, whichever long side is up.
-        first, second = grasped.rotations[:, 0, :, 0], grasped.rotations[:, 1, :, 0]
-        vectors[:, 9] = cross(first, second)
-        lengths = length(vectors)
-        return lengths[:, :9], np.arctan2(lengths[:, 9], np.add.reduce(first * second, axis=1))
-
-    def _check(self, state: CellState, grasped: Grasped, distances: Array, target_rad: Array) -> Mask:
-        """Check the stages, and return a mask, (n,), of blocks that are placed."""
-        facts, by_role, target_m = self._stages.facts, self._by_role, distances[:, 4]
-        still = distances[:, 1] < STILL_M_S * self.timing.period_s
-        near = (target_m < self.settings.success_error_m) & (target_rad < self.settings.success_turn_rad)
-        placed: Mask = near & still & ~np.logical_or.reduce(grasped.holding, axis=1)
-        facts[:, BETWEEN], facts[:, HOLDS] = grasped.between.take(by_role), grasped.holding.take(by_role)
-        facts[:, OPENING] = required(state.gripper_m).take(by_role)
-        facts[:, AWAY] = distances[:, 5:7].take(by_role)
-        facts[:, HEIGHT], facts[:, MEETING], facts[:, TARGET] = (
-            required(state.object_m)[:, 2],
-            distances[:, 0],
-            target_m,
-        )
-        facts[:, TURN], facts[:, PLACED] = target_rad, placed
-        self._stages.check()
-        self._stages.advance()
-        return placed
+        return "block_fell" if outcome.info["object_m"][row, 2] < _FALLEN_M else "block_out_of_reach"

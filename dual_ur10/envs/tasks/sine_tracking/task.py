@@ -117,12 +117,13 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     ### Termination
 
-    `info["end_reason"]` is "refused: <limit>" if the safety gate refused a motion (`info["safety"]` gives the details),
+    `info["end_reason"]` is "refused/<limit>" if the safety gate refused a motion (`info["safety"]` gives the details),
     and "physics" if the simulation diverged (`info["physics_error"]`).
 
     ### Truncation
 
-    After `duration_s`, 750 steps with the defaults, with the reason "success" or "time". No time limit is registered, because the path itself ends.
+    After `duration_s`, 750 steps with the defaults, with the reason "success" or "time". No time limit is registered
+    with the id; `env.spec.max_episode_steps` is this number.
 
     ## Arguments
 
@@ -174,7 +175,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         unit = np.eye(4)
         columns = [quat_multiply(TOOL_DOWN_QUAT, quat_conjugate(unit[k])) for k in range(4)]
         self._to_reference: Array = np.ascontiguousarray(np.array(columns))
-        self._steps = max(1, math.ceil(settings.duration_s / timing.period_s - 1e-9))
+        self.horizon = self._steps = max(1, math.ceil(settings.duration_s / timing.period_s - 1e-9))
         self._center: Array = np.zeros((n, 3, 2, 3))
         self._phase: Array = np.zeros((n, 1))
         self._input, self._output = np.zeros((n, 15)), np.zeros((n, 41))
@@ -269,7 +270,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         self._count += 1
         over = self._count >= self._steps
         success = over.copy()
-        if np.logical_or.reduce(over):
+        if np.count_nonzero(over):
             success = over & (self._squares.max(axis=1) <= self.settings.success_rms_m**2 * self._count)
         info = {
             "flange_error_m": sizes[:, :2],

@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from dual_ur10.errors import SettingsError
 from dual_ur10.kernel import Constants, call
 from dual_ur10.kinematics.poses import Poses
 from dual_ur10.types import Array
@@ -101,7 +102,13 @@ class CarryPath:
         Args:
             time_s: (n, k).
             start: Poses of the bar before it is lifted, (n, 3) and (n, 4); rotated about the vertical only.
+
+        Raises:
+            SettingsError: Other shapes.
         """
+        shapes = time_s.shape, start.position_m.shape, start.quat.shape
+        if len(shapes[0]) != 2 or shapes[1:] != ((len(time_s), 3), (len(time_s), 4)):
+            raise SettingsError(f"times and poses of a path must be (n, k), (n, 3) and (n, 4), found {shapes}")
         times, result = np.ascontiguousarray(time_s), np.empty((*time_s.shape, 7))
         call("carry_path", self._moves, self._count, *start, times, *time_s.shape, result)
         return Poses(result[..., :3], result[..., 3:])

@@ -34,10 +34,11 @@ from dual_ur10.envs.tasks.observation_layout import (
 from dual_ur10.envs.tasks.sync_carry.path import CarryPath
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings, bar_pose, ideal_relative, path_rate
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, gaussian
+from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics import nearest
 from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.poses import Poses, compose, length, rotation_angle
-from dual_ur10.kinematics.rotations import quat_between, quat_to_matrix
+from dual_ur10.kinematics.poses import Poses, compose
+from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array, Mask, Rows
@@ -51,11 +52,10 @@ _LOAD_S = 1.0  # in which the declared load ramps up before the lift, and down a
 _LOST_M = 0.15  # distance of a bar from its reference at which it is lost
 _LOAD_RATIO = 0.25  # of the load, that each arm must carry
 
-# Distance at which a term is 0.1: left and right tool to its grip, bar to its reference, its angle, relative position,
-# internal force.
-_MARGINS = np.array([0.15, 0.15, 0.03, 0.1, 0.005, 30.0])
-
-_HALVES_KG = np.full((1, 2), BAR_MASS_KG / 2)
+# Distance at which a term is 0.1: bar to its reference, relative position, left and right tool to its grip, internal
+# force, angle of the bar.
+_MARGINS = np.array([0.03, 0.005, 0.15, 0.15, 30.0, 0.1])
+_JOINT_TERMS = [0, 5, 1, 4]  # of them, those of both arms together, in the order of the rewards
 
 
 class CarryMeasured(NamedTuple):
@@ -176,14 +176,14 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
 
     `info["end_reason"]` is
 
-    - "bar lost": the bar is more than 0.15 m away from its reference, because it was dropped or never lifted;
-    - "refused: <limit>": the safety gate refused a motion; `info["safety"]` gives the details;
+    - "bar_lost": the bar is more than 0.15 m away from its reference, because it was dropped or never lifted;
+    - "refused/<limit>": the safety gate refused a motion; `info["safety"]` gives the details;
     - "physics": the simulation diverged (`info["physics_error"]`).
 
     ### Truncation
 
-    One second after the end of the path, 900 steps with the defaults, with the reason "success" or "time". No time limit is registered, because the path
-    itself ends.
+    One second after the end of the path, 900 steps with the defaults, with the reason "success" or "time". No time limit
+    is registered with the id; `env.spec.max_episode_steps` is this number.
 
     ## Arguments
 
@@ -237,23 +237,37 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         self._frames = Frames((cell.left, cell.right))
         self._path = CarryPath(settings.duration_s)
         self._rate = path_rate(settings, cell.scene, self.limits)
-        self._grip, self._ideal = settings.grip, ideal_relative(settings.grip)
+        self._grip = settings.grip
         self._grasp_s = _GRASP_S[settings.rigid] / self._rate
         self.duration_s = self._grasp_s + settings.duration_s / self._rate + _SETTLE_S
-        self._steps = math.ceil(self.duration_s / timing.period_s - 1e-9)
+        self.horizon = self._steps = math.ceil(self.duration_s / timing.period_s - 1e-9)
         self._grasps = Grasps(self._frames, np.tile(self._grip.position_m, (n, 1, 1)), BAR_WIDTH_M, 3)
         self._bar = Poses(np.zeros((n, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)))
         self._when = np.array([0.0, timing.ahead_s])
         self._count = np.zeros(n, dtype=np.int64)
         self._declared: Array = np.zeros((n, 2))
-        self._load: Array = np.zeros((n, 2))
-        self._vectors: Array = np.zeros((n, 7, 3))
-        self._turns: Array = np.zeros((n, 2, 4))
+        self._load: Array = np.zeros((n, 2))  # to declare: half the bar for each arm, while it is off the table
         # Of the episode so far, since the bar is lifted.
-        self._slip_from: Array = np.zeros((n, 2, 3))
         self._worst_slip: Array = np.zeros(n)
         self._squares: Array = np.zeros((2, n))
         self._carried: Array = np.zeros((n, 2))
+        self._input, self._output = np.zeros((n, 63)), np.zeros((n, 16))
+        struct = Struct(
+            "Carry",
+            n=n,
+            welded=int(settings.rigid),
+            duration_s=settings.duration_s,
+            ramp_s=_LOAD_S,
+            half_kg=BAR_MASS_KG / 2,
+            ideal_m=ideal_relative(self._grip).position_m,
+            input=self._input,
+            slip_from_m=np.zeros((n, 6)),
+            worst_slip_m=self._worst_slip,
+            carried_n=self._carried,
+            load_kg=self._load,
+            output=self._output,
+        )
+        self._evaluate = RowLoop("carry_evaluate", struct, n, 1)
 
     @classmethod
     def layout_for(cls, settings: CarrySettings) -> ObservationLayout:
@@ -322,64 +336,45 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     def evaluate(self, state: CellState, measured: CarryMeasured) -> Outcome:
         """Evaluate reward terms, success and end."""
         clock, grasped, poses, holding = measured.clock_s, measured.grasped, measured.poses, measured.holding
-        grip = grasped.grip_in_tool_m
+        parts = (clock[:, None], poses[:, :14], measured.force_n.reshape(self.n, 6), grasped.values[:, :42])
+        np.concatenate(parts, axis=1, out=self._input)
+        self._evaluate()
+        found = self._output.copy()
+        angles = 2 * np.arctan2(found[:, 12:14], found[:, 14:16])
+        bar_m, bar_rad = found[:, 0], angles[:, 0]
         begun = clock > 0.0
         both: Mask = np.logical_and.reduce(holding, axis=1)
-        np.copyto(self._slip_from, grip, where=~begun[:, None, None])
-        # The internal force is half the difference of both arms' forces, along the bar and across it.
-        force, along = measured.force_n, grasped.rotations[:, 0, :, 1]
-        inner = (force[:, 0] - force[:, 1]) / 2
-        internal = np.add.reduce(inner * along, axis=1)
-        # Errors of the bar and of the arms' relative position; lateral force; slips; tools to grips; both rotations.
-        vectors, turns = self._vectors, self._turns
-        np.subtract(poses[:, :3], poses[:, 7:10], out=vectors[:, 0])
-        np.subtract(grasped.other_flange[:, 0, :3], self._ideal.position_m, out=vectors[:, 1])
-        np.subtract(inner, internal[:, None] * along, out=vectors[:, 2])
-        np.subtract(grip, self._slip_from, out=vectors[:, 3:5])
-        vectors[:, 5:7] = grip
-        turns[:, 0], turns[:, 1] = quat_between(poses[:, 10:14], poses[:, 3:7]), grasped.other_flange[:, 0, 3:]
-        lengths, angles = length(vectors), rotation_angle(turns)
-        bar_m, relative_m, slip, bar_rad = lengths[:, 0], lengths[:, 1], lengths[:, 3:5], angles[:, 0]
-        load = np.maximum(-force[..., 2], 0.0)
         self._count += 1
-        self._worst_slip = np.maximum(self._worst_slip, np.maximum.reduce(slip, axis=1)) * begun
-        under_way = begun & (clock < self._path.duration_s)
         errors = np.stack([bar_m, bar_rad])
         self._squares += errors * errors * begun
-        self._carried += load * under_way[:, None]
-        self._load = self._wanted_load(clock, both)
         over = self._count >= self._steps
         lost = begun & (bar_m > _LOST_M)
         success = over & ~lost
-        if np.logical_or.reduce(success):
+        if np.count_nonzero(success):
             there = (bar_m <= self.settings.success_error_m) & (bar_rad <= self.settings.success_turn_rad)
             success &= there & self._carried_well(begun & both)
-        share = load / np.maximum(np.add.reduce(load, axis=1, keepdims=True), 1e-9)
         info = {
-            "slip_m": slip,
-            "squeeze_n": internal,
-            "lateral_n": lengths[:, 2],
-            "load_share": share,
-            "relative_error_m": relative_m,
+            "slip_m": found[:, 6:8],
+            "squeeze_n": found[:, 4],
+            "lateral_n": found[:, 5],
+            "load_share": found[:, 10:12],
+            "relative_error_m": found[:, 1],
             "relative_error_rad": angles[:, 1],
             "object_error_m": bar_m,
             "object_error_rad": bar_rad,
             "object_m": poses[:, :3],
             "clock_s": clock,
         }
-        distances = np.empty((self.n, 6))
-        distances[:, :2], distances[:, 2], distances[:, 3] = lengths[:, 5:7], bar_m, bar_rad
-        distances[:, 4], distances[:, 5] = relative_m, internal
-        near = gaussian(distances, _MARGINS)
+        near = gaussian(np.concatenate((found[:, :5], angles[:, :1]), axis=1), _MARGINS)
         terms = np.empty((self.n, 2, 6))
-        np.maximum(near[:, :2], holding, out=terms[..., 0])
+        np.maximum(near[:, 2:4], holding, out=terms[..., 0])
         terms[..., 1] = holding
-        np.multiply(near[:, None, 2:], both[:, None, None], out=terms[..., 2:])
+        np.multiply(near[:, None, _JOINT_TERMS], both[:, None, None], out=terms[..., 2:])
         return Outcome(terms, success, over & ~lost, info, lost)
 
     def failure(self, row: int, outcome: Outcome) -> str:
         """Return the name of the only failure: the bar was dropped, or never lifted."""
-        return "bar lost"
+        return "bar_lost"
 
     def _carried_well(self, held: Mask) -> Mask:
         """Return a mask, (n,), of bars that both grippers hold, that followed their path, and whose load was shared."""
@@ -391,12 +386,6 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         result &= np.logical_and.reduce(self._squares <= limits * limits * steps, axis=0)
         result &= self._worst_slip <= settings.success_slip_m
         return result
-
-    def _wanted_load(self, clock: Array, both: Mask) -> Array:
-        """Return the payload to declare, (n, 2): half the bar for each arm, while it is off the table."""
-        due = (clock > -_LOAD_S) & (clock < self._path.duration_s)
-        load: Array = (due & both)[:, None] * _HALVES_KG
-        return load
 
     def payload_kg(self) -> Array | None:
         """Return the declared payload, (n, 2), with ramps up and down; None: the load is unknown."""

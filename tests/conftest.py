@@ -4,6 +4,7 @@ import inspect
 import os
 import signal
 
+import hypothesis
 import pytest
 
 from tests.busy_machine import BusyMachine
@@ -15,6 +16,10 @@ os.environ.pop("COLUMNS", None)
 # A shell lets its jobs in the background ignore Ctrl-C, and what they start inherits that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# How long an example takes is the machine's affair.
+hypothesis.settings.register_profile("dual_ur10", deadline=None)
+hypothesis.settings.load_profile("dual_ur10")
 
 _STARTERS = {"EmulatedCell", "CellForTests", "Lab", "emulated_cell", "measure_emulated"}
 """Names of what starts emulated controllers."""

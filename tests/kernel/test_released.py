@@ -39,7 +39,7 @@ def spoiled(targets: np.ndarray, last: np.ndarray, kind: str, size: float, rng: 
     return targets
 
 
-@settings(max_examples=scaled(2000), deadline=None)
+@settings(max_examples=scaled(2000))
 @given(
     kinds=st.lists(
         st.tuples(st.sampled_from(["planned", "planned", "noise", "drift", "hold"]), st.floats(-9.0, 1.0)),

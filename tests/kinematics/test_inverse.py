@@ -71,7 +71,7 @@ def test_nearest_is_the_nearest_of_all_branches_and_turns() -> None:
 joint_angles = st.tuples(*(st.floats(-limit, limit) for limit in JOINT_RANGE_RAD.tolist()))
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(joint_angles)
 def test_nearest_stays_on_the_reference(angles: tuple[float, ...]) -> None:
     q = np.array(angles)

@@ -20,3 +20,9 @@ def test_a_failed_start_leaves_no_program_running():
     assert "did not start" in outcome.error
     assert not outcome.latched
     assert outcome.moved
+
+
+def test_an_episode_begins_without_a_step():
+    """Seed 2483: the brake behind the last target of a path to the start led 0.03 mrad away from there."""
+    cell = Cell(task="SyncCarry", family="e-series", plant="mild", seed=18, policy="scripted", motion_s=0.1)
+    assert not run(Schedule(cell=cell)).violations

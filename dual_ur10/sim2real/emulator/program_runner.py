@@ -37,6 +37,7 @@ class ProgramRunner:
         scaling: Time scaling of the motion in this tick, 0 to 1.
         machine: The program that plays, or None.
         last: Program that `play` starts: the one that was loaded or played last, or None.
+        stopped_by: Reason for which the last program was stopped, or "" if it ended by itself.
     """
 
     def __init__(
@@ -49,6 +50,7 @@ class ProgramRunner:
         self.machine: Machine | None = None
         self._secondary: list[Machine] = []
         self.last: Program | None = None
+        self.stopped_by = ""
         self._paused_by_safety = False
         self._demand = Demand.NONE
         self._unstarted = False
@@ -80,7 +82,7 @@ class ProgramRunner:
         if self._demand is not Demand.NONE:
             self._failed(ScriptRuntimeError(1, program.name, "not started: the arm is stopped or has no power"))
             return
-        self.last, self.name = program, program.name
+        self.last, self.name, self.stopped_by = program, program.name, ""
         self.machine, self._unstarted = self._started(program), True
         self.state = RuntimeState.PLAYING
 
@@ -138,7 +140,7 @@ class ProgramRunner:
         if self.machine is not None:
             log.info("program %s ends: %s", self.name, reason)
             self.machine.kill()
-            self.machine = None
+            self.machine, self.stopped_by = None, reason
             self._brake()
             self.state = RuntimeState.STOPPING
         self._paused_by_safety = False

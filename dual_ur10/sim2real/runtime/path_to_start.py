@@ -11,7 +11,7 @@ from dual_ur10.errors import DualUR10Error, StartError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
-from dual_ur10.sim2real.control.limits import MotionLimits
+from dual_ur10.sim2real.control.limits import HISTORY, MotionLimits
 from dual_ur10.sim2real.links.arm_status import ArmStatus
 from dual_ur10.sim2real.runtime.approach import retreat_clearance
 from dual_ur10.sim2real.runtime.runner import Runner, margin_ticks
@@ -79,7 +79,8 @@ class PathToStart:
         gate = SafetyGate(self._limits, self._tick_s, ticks, retreat_clearance(self._clearance, start_rad))
         gate.reset(start_rad[None])
         self._targets.rest_at(start_rad)
-        windows = math.ceil(len(targets_rad) / ticks)
+        windows = math.ceil((len(targets_rad) + HISTORY) / ticks)
+        # At rest for as long as the brake looks back: it must not lead away from the start.
         rest = np.repeat(targets_rad[-1:], windows * ticks - len(targets_rad), axis=0)
         waiting = np.concatenate([targets_rad, rest]).reshape(windows, 1, ticks, 2, 6)
         at_once = max(1, self._ahead // 2 // ticks)

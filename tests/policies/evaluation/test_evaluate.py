@@ -18,7 +18,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, VectorEnv
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
@@ -51,7 +51,6 @@ counts = st.integers(1, 10_000).flatmap(lambda trials: st.tuples(st.integers(0, 
 
 
 @given(counts, st.floats(0.5, 0.999))
-@settings(deadline=None)
 def test_interval_follows_wilsons_formula(count: tuple[int, int], confidence: float) -> None:
     rate, z = count[0] / count[1], NormalDist().inv_cdf((1.0 + confidence) / 2.0)
     weight = z * z / count[1]
@@ -61,7 +60,6 @@ def test_interval_follows_wilsons_formula(count: tuple[int, int], confidence: fl
 
 
 @given(counts, st.integers(2, 50))
-@settings(deadline=None)
 def test_interval_holds_the_rate_and_shrinks(count: tuple[int, int], more: int) -> None:
     low, high = wilson_interval(*count)
     assert 0.0 <= low <= count[0] / count[1] <= high <= 1.0

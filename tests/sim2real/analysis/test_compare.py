@@ -22,7 +22,7 @@ from tests.soak import scaled
 TICK_S = 0.008
 
 
-@settings(max_examples=scaled(200), deadline=None)
+@settings(max_examples=scaled(200))
 @given(st.floats(-0.2, 0.2), st.floats(0.3, 1.0), st.integers(0, 2**32))
 def test_a_lag_is_found_between_samples(shift: float, hertz: float, seed: int) -> None:
     times = np.arange(1200) * TICK_S
@@ -468,7 +468,7 @@ def test_an_episode_that_is_not_there_is_refused() -> None:
 # Numbers over time.
 
 
-@settings(max_examples=scaled(400), deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=scaled(400), suppress_health_check=list(HealthCheck))
 @given(st.integers(0, 2**32), st.integers(2, 30))
 def test_interpolation_hits_samples_and_follows_straight_lines(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)

@@ -126,7 +126,7 @@ def push_beyond(kind: str, last: np.ndarray, targets: np.ndarray, rng: np.random
     return np.zeros_like(targets)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     kind=st.sampled_from(["jump", "walk", "huge", "subtle", "zero"]),
     family=st.sampled_from(["cb3", "e-series"]),

@@ -207,7 +207,7 @@ def assert_legal_and_stoppable(sent: np.ndarray, pipeline: ServojPipeline, stops
         assert_within(braked(sent[:, end - 3 : end], limits, tick_s), limits, tick_s)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     kinds=st.one_of(
         st.lists(st.sampled_from(ACTION_KINDS), min_size=1, max_size=1),

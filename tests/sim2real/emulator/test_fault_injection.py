@@ -634,7 +634,7 @@ def fuzzed():
     made.close()
 
 
-@settings(max_examples=scaled(1500), deadline=None)
+@settings(max_examples=scaled(1500))
 @given(st.lists(requests(), min_size=1, max_size=8))
 def test_bad_requests_disturb_nothing(fuzzed, asked):
     cell = fuzzed
@@ -666,7 +666,7 @@ def test_bad_requests_disturb_nothing(fuzzed, asked):
     assert np.isfinite(cell.emulator.world.read(0).q_rad).all()
 
 
-@settings(max_examples=scaled(3000), deadline=None)
+@settings(max_examples=scaled(3000))
 @given(JSON.map(json.dumps) | st.text() | st.binary(max_size=60).map(lambda raw: raw.decode("utf-8", "replace")))
 def test_lines_that_are_no_requests_are_refused(fuzzed, line):
     answer = json.loads(fuzzed.emulator._injection.answer(line))

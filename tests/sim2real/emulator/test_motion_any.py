@@ -67,7 +67,7 @@ def _command(arm: Motion, name: str, x: np.ndarray, a: float, v: float, blends: 
         {"halt": arm.halt, "end_force": arm.end_force_mode, "end_freedrive": arm.end_freedrive}[name]()
 
 
-@settings(max_examples=scaled(1500), deadline=None)
+@settings(max_examples=scaled(1500))
 @given(
     commands=st.lists(COMMAND, min_size=1, max_size=8),
     wrench=SIX,

@@ -30,7 +30,7 @@ from tests.soak import scaled
 JOINTS = st.tuples(*(st.floats(-0.95 * r, 0.95 * r) for r in JOINT_RANGE_RAD)).map(np.array)
 
 
-@settings(max_examples=scaled(1000), deadline=None)
+@settings(max_examples=scaled(1000))
 @given(q=JOINTS, a=st.floats(0.3, 60.0), v=st.floats(0.2, 10.0))
 def test_movej_ends_at_its_target_in_time_and_keeps_the_limits(q, a, v):
     arm = motion()
@@ -217,7 +217,7 @@ def _distance_to_polyline(points, corners):
     return best
 
 
-@settings(max_examples=scaled(400), deadline=None)
+@settings(max_examples=scaled(400))
 @given(r=st.floats(0.005, 0.05), v=st.floats(0.1, 0.4), corner=st.floats(0.3, 2.6), rotation=st.floats(-0.15, 0.15))
 def test_linear_blends_stay_within_the_radius_and_do_not_stop(r, v, corner, rotation):
     arm = motion()

@@ -20,7 +20,7 @@ def _targets(seed: int, ticks: int) -> np.ndarray:
     return Q0 + np.cumsum(steps, axis=0)
 
 
-@settings(max_examples=scaled(400), deadline=None)
+@settings(max_examples=scaled(400))
 @given(seed=st.integers(0, 2**32), lookahead=st.floats(0.03, 0.2), gain=st.floats(100, 2000), scale=st.floats(0.8, 1.2))
 def test_servoj_is_the_servoj_law(seed, lookahead, gain, scale):
     arm = motion(lookahead_scale=scale)

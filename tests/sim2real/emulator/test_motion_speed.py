@@ -198,7 +198,7 @@ def test_brakes_hold_the_arm_in_place():
     assert np.array_equal(arm.q, q)
 
 
-@settings(max_examples=scaled(300), deadline=None)
+@settings(max_examples=scaled(300))
 @given(
     speed=st.lists(st.floats(-3, 3), min_size=6, max_size=6),
     a=st.floats(0.5, 40.0),

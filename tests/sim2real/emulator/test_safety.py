@@ -154,7 +154,7 @@ _EVENTS = st.one_of(
 )
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.lists(_EVENTS, max_size=25))
 def test_modes_and_bits_always_agree(events):
     safety = Safety(Assumptions())

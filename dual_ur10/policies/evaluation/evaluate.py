@@ -21,6 +21,8 @@ from dual_ur10.ids import ENTRY_POINTS, __version__
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.baselines import BASELINES, RandomPolicy, ZeroPolicy
 from dual_ur10.policies.evaluation.results import Episode, Evaluation
+from dual_ur10.policies.learned.checkpoint import warn_outside
+from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.policy import EpisodeAware, Policy
 from dual_ur10.policies.registry import NAMES, is_path, load, provenance, with_latency
 from dual_ur10.types import Array, Mask
@@ -290,6 +292,8 @@ def actor_of(policy: Policy | str, env_id: str, keywords: Mapping[str, Any], env
         UnknownNameError: No such policy.
         CheckpointError: The checkpoint cannot be read, or was made for another environment.
     """
+    if isinstance(policy, LearnedPolicy):
+        warn_outside(policy, env)
     if not isinstance(policy, str):
         return policy
     if policy == "random":

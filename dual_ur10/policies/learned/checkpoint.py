@@ -20,7 +20,7 @@ import shlex
 import shutil
 import stat
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,7 +30,6 @@ from numpy.typing import NDArray
 from safetensors.numpy import save as _serialised
 
 from dual_ur10.assets.settings import Equipment
-from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.envs.core.randomization import PRESETS, resolve_randomization
 from dual_ur10.errors import CheckpointError
 from dual_ur10.ids import __version__, env_id_of
@@ -346,19 +345,38 @@ def _check(path: Path, manifest: Manifest, view: EnvironmentView) -> None:
         raise CheckpointError(
             f"{path}: the network has {manifest.network.layers[0]} inputs, each agent observes {view.agent_size}"
         )
+    for name, then, now in _misfits(made, here):
+        raise CheckpointError(
+            f"{path} was made for {name} {_shown(then)}, the environment has {_shown(now)}: "
+            f"{_REMEDIES.get(name, 'make the environment with the keywords of the training')}"
+        )
+    _warn(str(path), made, view)
+
+
+def warn_outside(policy: LearnedPolicy, env: Any) -> None:
+    """Warn once of what differs between the training of a loaded policy and an environment in which it is to act.
+
+    Raises:
+        CheckpointError: It is no environment of this package.
+    """
+    _warn(repr(policy), policy.manifest.signature, view_of_env(env))
+
+
+def _misfits(made: EnvironmentSignature, here: EnvironmentSignature) -> Iterator[tuple[str, Any, Any]]:
+    """Yield name and both values of whatever must be as in training and is not."""
     left, right = _flat(made), _flat(here)
-    for name in ("env_id", *_REMEDIES, *left):
-        if name.startswith(("kwargs", "robot.nominal_dh")):
-            continue
-        if not _same(left[name], right[name]):
-            raise CheckpointError(
-                f"{path} was made for {name} {_shown(left[name])}, the environment has {_shown(right[name])}: "
-                f"{_REMEDIES.get(name, 'make the environment with the keywords of the training')}"
-            )
-    found = [*_other_keywords(made, here, view), *_wider(made, view)]
+    for name in dict.fromkeys(("env_id", *_REMEDIES, *left)):
+        if not name.startswith(("kwargs", "robot.nominal_dh")) and not _same(left[name], right[name]):
+            yield name, left[name], right[name]
+
+
+def _warn(what: str, made: EnvironmentSignature, view: EnvironmentView) -> None:
+    here = view.signature
+    found = [f"{name} was {_shown(then)} and is {_shown(now)}" for name, then, now in _misfits(made, here)]
+    found += [*_other_keywords(made, here, view), *_wider(made, view)]
     if made.robot.nominal_dh != here.robot.nominal_dh:
         found.append("the kinematics of one of both arms are calibrated, and those of the other are not")
-    text = f"{path} is used outside of its training, and may perform worse: {'; '.join(found)}"
+    text = f"{what} is used outside of its training, and may perform worse: {'; '.join(found)}"
     if found and text not in _WARNED:
         _WARNED.add(text)
         log.warning("%s", text)
@@ -369,9 +387,8 @@ _WARNED: Final[set[str]] = set()  # each text once, however often a checkpoint i
 
 def _other_keywords(made: EnvironmentSignature, here: EnvironmentSignature, view: EnvironmentView) -> list[str]:
     """Return a text on each keyword with another value than in training."""
-    settings = view.setup.settings
-    defaults = {**dataclasses.asdict(type(settings)()), **{name: getattr(EnvOptions(), name) for name in OPTIONS}}
-    names = sorted({*made.kwargs, *here.kwargs} - {"randomization", "policy_rate_hz"})
+    defaults = dataclasses.asdict(type(view.setup.settings)())
+    names = sorted({*made.kwargs, *here.kwargs} - {*OPTIONS})
     values = [(name, *(each.kwargs.get(name, defaults.get(name)) for each in (made, here))) for name in names]
     return [f"{name} was {_shown(then)} and is {_shown(now)}" for name, then, now in values if then != now]
 

@@ -587,16 +587,23 @@ def test_csv_has_a_row_per_episode(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["name", "folder", "policy"])
-def test_a_learned_policy_gets_the_latency_that_it_was_made_for(kind: str) -> None:
+def test_a_learned_policy_gets_the_latency_that_it_was_made_for(kind: str, caplog: pytest.LogCaptureFixture) -> None:
     folder = shipped_folder("learned", SINE)
     policy: Any = {"name": "learned", "folder": str(folder), "policy": load(folder)}[kind]
     short = {"duration_s": 0.4}
     found = evaluate(SINE, policy, episodes=1, env_kwargs=short)
     assert found.kwargs == {**short, "action_latency_ticks": 5}
     assert found.successes == 1
-    if kind != "policy":  # which was checked when it was loaded
+    other = {**short, "action_latency_ticks": 4}
+    if kind == "policy":  # which its user may try anywhere
+        caplog.clear()
+        for _ in range(2):
+            evaluate(SINE, policy, episodes=1, env_kwargs=other)
+        (record,) = caplog.records
+        assert "rate.latency_ticks was 5 and is 4; duration_s was 30.0 and is 0.4" in record.message
+    else:
         with pytest.raises(errors.CheckpointError, match="latency_ticks 5, the environment has 4"):
-            evaluate(SINE, policy, episodes=1, env_kwargs={**short, "action_latency_ticks": 4})
+            evaluate(SINE, policy, episodes=1, env_kwargs=other)
     assert "action_latency_ticks" not in evaluate(SINE, "zero", episodes=1, env_kwargs=short).kwargs
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dual_ur10.assets.gripper import OPENING_M, SPEED_M_S
 from dual_ur10.assets.scene import sensor_slices
@@ -150,6 +151,7 @@ class Handling:
         """Put fingers, object and target of `rows` at the start of an episode; return the widths, (len(rows), 2)."""
         opening = np.full((len(rows), 2), _WELDED_M) if start.gripper_m is None else np.asarray(start.gripper_m)
         self._fingers[rows] = opening[..., None] / 2
+        self._wrench = self._wrench.copy()  # that of the state before is the caller's
         self._wrench[rows] = 0.0
         if self._object is not None and start.object_pose is not None:
             self._object[rows] = start.object_pose
@@ -170,22 +172,25 @@ class Handling:
         # The sensors report the force of the wrist on the gripper.
         np.negative(self._forces.swapaxes(1, 2), out=self._felt[:, :, :2])
 
-    def state(self, flange_base_quat: Array, moved: Rows | slice | None) -> Handled:
+    def state(self, flange_base_quat: Array, failed: NDArray[np.bool_] | None) -> Handled:
         """Return the measurable state.
 
         Args:
             flange_base_quat: (n, 2, 4) orientation of the flanges in the arms' `base` frames.
-            moved: Rows that have just made a step, and thus have a force; None: none.
+            failed: (n,) True for rows that have no new force, after a step; None: there was no step.
         """
-        if moved is not None:
+        if failed is not None:
             felt = self._felt @ quat_to_matrix(flange_base_quat).swapaxes(2, 3)
-            felt[..., 0, 2] += self._weight_n
-            felt[..., 1, 0] += felt[..., 2, 1]
-            felt[..., 1, 1] -= felt[..., 2, 0]
-            self._wrench[moved] = felt[:, :, :2].reshape(self.n, 2, 6)[moved]
+            wrench = felt[:, :, :2].reshape(self.n, 2, 6)
+            wrench[..., 2] += self._weight_n
+            wrench[..., 3] += felt[..., 2, 1]
+            wrench[..., 4] -= felt[..., 2, 0]
+            if np.count_nonzero(failed):
+                wrench[failed] = self._wrench[failed]
+            self._wrench = wrench
         target = (None, None) if self._target is None else self._target
         thing = (None, None) if self._object is None else (self._object[:, :3], self._object[:, 3:])
-        return Handled(self._orientations, self.opening_m, self._wrench.copy(), *thing, *target)
+        return Handled(self._orientations, self.opening_m, self._wrench, *thing, *target)
 
 
 def _weight(model: Any) -> tuple[float, Array]:

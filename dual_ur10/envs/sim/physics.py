@@ -198,12 +198,8 @@ class Physics:
             base_quat,
             flange_m,
             self.failed,
-            *(self._handling.state(base_quat, self._moved() if moved else None) if self._handling else ()),
+            *(self._handling.state(base_quat, self.failed if moved else None) if self._handling else ()),
         )
-
-    def _moved(self) -> Rows | slice:
-        """Return the rows that did not fail."""
-        return np.flatnonzero(~self.failed) if np.count_nonzero(self.failed) else slice(None)
 
     def model_and_data(self, row: int) -> tuple[Any, Any]:
         """Return MuJoCo's model and data of one cell for rendering: the same objects at every call, updated."""

@@ -208,12 +208,12 @@ def test_each_arm_must_carry_a_part_of_the_load():
     assert task._carried_well(np.array([True]))[0]
     assert not task._carried_well(np.array([False]))[0]
     steps = task._count[0] - 1.5 / 0.04
-    for row, most in ((0, 0.01), (1, 0.05)):
-        task._squares[row] = (0.98 * most) ** 2 * steps
+    for column, most in ((0, 0.01), (1, 0.05)):
+        task._squares[:, column] = (0.98 * most) ** 2 * steps
         assert task._carried_well(np.array([True]))[0]
-        task._squares[row] = (1.02 * most) ** 2 * steps
+        task._squares[:, column] = (1.02 * most) ** 2 * steps
         assert not task._carried_well(np.array([True]))[0]
-        task._squares[row] = 0.0
+        task._squares[:, column] = 0.0
     task._worst_slip[:] = 0.006
     assert not task._carried_well(np.array([True]))[0]
 

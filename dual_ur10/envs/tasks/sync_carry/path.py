@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import SettingsError
-from dual_ur10.kernel import Constants, call
+from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.poses import Poses
 from dual_ur10.types import Array
 
@@ -90,11 +90,11 @@ class CarryPath:
     def __init__(self, duration_s: float) -> None:
         moves = MOVES[duration_s]
         self.duration_s = duration_s
-        self._count = len(moves)
         rows = np.zeros((len(moves), 8))
         for row, (begin, end, number, change) in zip(rows, moves, strict=True):
             row[0], row[1], row[2 + number] = begin, end - begin, change
-        self._moves = Constants(rows)
+        self._moves = rows
+        self._known: dict[tuple[int, ...], tuple[Array, Array, Array, Array, RowLoop]] = {}
 
     def __call__(self, time_s: Array, start: Poses) -> Poses:
         """Return the poses at times on the path, (n, k); before 0 that of the start, after the end the last one.
@@ -109,6 +109,25 @@ class CarryPath:
         shapes = time_s.shape, start.position_m.shape, start.quat.shape
         if len(shapes[0]) != 2 or shapes[1:] != ((len(time_s), 3), (len(time_s), 4)):
             raise SettingsError(f"times and poses of a path must be (n, k), (n, 3) and (n, 4), found {shapes}")
-        times, result = np.ascontiguousarray(time_s), np.empty((*time_s.shape, 7))
-        call("carry_path", self._moves, self._count, *start, times, *time_s.shape, result)
+        times, position, quat, poses, follow = self._known.get(shapes[0]) or self._begin(*shapes[0])
+        times[:], position[:], quat[:] = time_s, *start
+        follow()
+        result = poses.copy()
         return Poses(result[..., :3], result[..., 3:])
+
+    def _begin(self, n: int, k: int) -> tuple[Array, Array, Array, Array, RowLoop]:
+        """Return buffers of a shape, kept for the next call, and the function that computes the poses in the last."""
+        times, position, quat, poses = np.zeros((n, k)), np.zeros((n, 3)), np.zeros((n, 4)), np.zeros((n, k, 7))
+        struct = Struct(
+            "CarryPath",
+            n=n,
+            count=k,
+            size=len(self._moves),
+            moves=self._moves,
+            time_s=times,
+            position_m=position,
+            quat=quat,
+            poses=poses,
+        )
+        self._known[n, k] = times, position, quat, poses, RowLoop("carry_path", struct, n, 1)
+        return self._known[n, k]

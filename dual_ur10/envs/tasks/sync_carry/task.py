@@ -52,10 +52,9 @@ _LOAD_S = 1.0  # in which the declared load ramps up before the lift, and down a
 _LOST_M = 0.15  # distance of a bar from its reference at which it is lost
 _LOAD_RATIO = 0.25  # of the load, that each arm must carry
 
-# Distance at which a term is 0.1: bar to its reference, relative position, left and right tool to its grip, internal
-# force, angle of the bar.
-_MARGINS = np.array([0.03, 0.005, 0.15, 0.15, 30.0, 0.1])
-_JOINT_TERMS = [0, 5, 1, 4]  # of them, those of both arms together, in the order of the rewards
+# Distance at which a term is 0.1: left and right tool to its grip, bar to its reference, its angle, relative position,
+# internal force.
+_MARGINS = np.array([0.15, 0.15, 0.03, 0.1, 0.005, 30.0])
 
 
 class CarryMeasured(NamedTuple):
@@ -249,9 +248,9 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         self._load: Array = np.zeros((n, 2))  # to declare: half the bar for each arm, while it is off the table
         # Of the episode so far, since the bar is lifted.
         self._worst_slip: Array = np.zeros(n)
-        self._squares: Array = np.zeros((2, n))
+        self._squares: Array = np.zeros((n, 2))
         self._carried: Array = np.zeros((n, 2))
-        self._input, self._output = np.zeros((n, 63)), np.zeros((n, 16))
+        self._input, self._output = np.zeros((n, 63)), np.zeros((n, 15))
         struct = Struct(
             "Carry",
             n=n,
@@ -297,9 +296,8 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             nearest(position[:, arm], quat_to_matrix(quat[:, arm]), HOME_Q_RAD[arm], mount.dh)
             for arm, mount in enumerate((self.cell.left, self.cell.right))
         ]
-        for values in (self._count, self._declared, self._load, self._worst_slip, self._carried):
+        for values in (self._count, self._declared, self._load, self._worst_slip, self._squares, self._carried):
             values[rows] = 0
-        self._squares[:, rows] = 0.0
         opening = None if settings.rigid else np.full((len(rows), 2), OPENING_M)
         return Start(np.stack(configurations, axis=1), opening, np.concatenate(bar, axis=1), None, {"object": where})
 
@@ -340,13 +338,13 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         np.concatenate(parts, axis=1, out=self._input)
         self._evaluate()
         found = self._output.copy()
-        angles = 2 * np.arctan2(found[:, 12:14], found[:, 14:16])
-        bar_m, bar_rad = found[:, 0], angles[:, 0]
+        angles = 2 * np.arctan2(found[:, 11:13], found[:, 13:])
+        found[:, 3] = angles[:, 0]
+        bar_m, bar_rad, errors = found[:, 2], found[:, 3], found[:, 2:4]
         begun = clock > 0.0
         both: Mask = np.logical_and.reduce(holding, axis=1)
         self._count += 1
-        errors = np.stack([bar_m, bar_rad])
-        self._squares += errors * errors * begun
+        self._squares += errors * errors * begun[:, None]
         over = self._count >= self._steps
         lost = begun & (bar_m > _LOST_M)
         success = over & ~lost
@@ -354,22 +352,22 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             there = (bar_m <= self.settings.success_error_m) & (bar_rad <= self.settings.success_turn_rad)
             success &= there & self._carried_well(begun & both)
         info = {
-            "slip_m": found[:, 6:8],
-            "squeeze_n": found[:, 4],
-            "lateral_n": found[:, 5],
-            "load_share": found[:, 10:12],
-            "relative_error_m": found[:, 1],
+            "slip_m": found[:, 7:9],
+            "squeeze_n": found[:, 5],
+            "lateral_n": found[:, 6],
+            "load_share": found[:, 9:11],
+            "relative_error_m": found[:, 4],
             "relative_error_rad": angles[:, 1],
             "object_error_m": bar_m,
             "object_error_rad": bar_rad,
             "object_m": poses[:, :3],
             "clock_s": clock,
         }
-        near = gaussian(np.concatenate((found[:, :5], angles[:, :1]), axis=1), _MARGINS)
+        near = gaussian(found[:, :6], _MARGINS)
         terms = np.empty((self.n, 2, 6))
-        np.maximum(near[:, 2:4], holding, out=terms[..., 0])
+        np.maximum(near[:, :2], holding, out=terms[..., 0])
         terms[..., 1] = holding
-        np.multiply(near[:, None, _JOINT_TERMS], both[:, None, None], out=terms[..., 2:])
+        np.multiply(near[:, None, 2:], both[:, None, None], out=terms[..., 2:])
         return Outcome(terms, success, over & ~lost, info, lost)
 
     def failure(self, row: int, outcome: Outcome) -> str:
@@ -382,8 +380,8 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         settings = self.settings
         carried = self._carried / np.maximum(np.add.reduce(self._carried, axis=1, keepdims=True), 1e-9)
         result: Mask = held & (carried.min(axis=1) >= _LOAD_RATIO)
-        limits = np.array([[settings.success_error_m], [settings.success_turn_rad]])
-        result &= np.logical_and.reduce(self._squares <= limits * limits * steps, axis=0)
+        limits = np.array([settings.success_error_m, settings.success_turn_rad])
+        result &= np.logical_and.reduce(self._squares <= limits * limits * steps[:, None], axis=1)
         result &= self._worst_slip <= settings.success_slip_m
         return result
 

@@ -36,7 +36,8 @@ def to_minari(
 
     Observations and actions are dicts with the keys "left" and "right", as of `dual_ur10.envs.api.parallel_env`.
     Rewards are those of both together. `infos` hold `is_success`, `gated` and `time_s`. An episode's metadata hold
-    `ended_by` and its place in the run. The environment's spec is that of the Gymnasium environment.
+    `ended_by` and its place in the run. `recover_environment` gives an environment with the same spaces, see
+    `dual_ur10.envs.api.agent_dict.AgentDictWrapper`.
 
     Args:
         runs: One or several, of the same environment.
@@ -122,9 +123,16 @@ _NOT_OF_TASK: Final = ("cell", "arm", "confirm", "observation", "cameras", "pixe
 
 def _spec(header: Header) -> Any:
     import gymnasium as gym
+    from gymnasium.envs.registration import WrapperSpec
+
+    from dual_ur10.envs.api.agent_dict import AgentDictWrapper
 
     spec = copy.deepcopy(gym.spec(header.env_id))
-    spec.kwargs.update({name: value for name, value in header.kwargs.items() if name != "cell"})
+    spec.kwargs.update({name: value for name, value in header.kwargs.items() if name not in _NOT_OF_TASK})
+    if header.latency_ticks:  # that of two controllers is not in their keywords
+        spec.kwargs["action_latency_ticks"] = header.latency_ticks
+    wrapper = AgentDictWrapper
+    spec.additional_wrappers = (WrapperSpec(wrapper.__name__, f"{wrapper.__module__}:{wrapper.__name__}", {}),)
     return spec
 
 

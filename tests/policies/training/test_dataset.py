@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 from dual_ur10 import policies
-from dual_ur10.errors import DatasetError, SettingsError
+from dual_ur10.envs.api.agent_dict import AgentDictWrapper
+from dual_ur10.errors import ActionError, DatasetError, SettingsError
 from dual_ur10.policies import evaluate
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.training.dataset import collect, read_dataset
@@ -50,6 +52,50 @@ def test_minari_alone_reads_a_dataset():
     metadata = list(dataset.storage.get_episode_metadata(range(3)))
     assert [each["success"] for each in metadata] == ["true"] * 3
     assert [each["seed"] for each in metadata] == [4, 5, 6]
+
+
+def test_the_recovered_environment_has_the_spaces_of_the_data_and_repeats_them():
+    made(episodes=1, env_kwargs={"duration_s": 0.4, "action_latency_ticks": 5})
+    dataset = minari.load_dataset("ur10/sine/scripted-v0")
+    env = dataset.recover_environment()
+    assert env.observation_space == dataset.observation_space
+    assert env.action_space == dataset.action_space
+    (episode,) = dataset.iterate_episodes()
+    found = [env.reset(seed=4)[0]]
+    for k, reward in enumerate(episode.rewards):
+        observation, *rest = env.step({arm: actions[k] for arm, actions in episode.actions.items()})
+        found.append(observation)
+        assert rest[0] == reward
+    assert rest[1:3] == [False, True]
+    for arm in ("left", "right"):
+        assert np.array_equal([each[arm] for each in found], episode.observations[arm])
+    with pytest.raises(ActionError, match="left"):
+        env.step(np.zeros(12))
+    env.close()
+
+
+@pytest.mark.filterwarnings("ignore")  # of jax about itself
+@pytest.mark.parametrize("by_agent", [False, True])
+def test_minaris_own_collector_collects(by_agent):
+    pytest.importorskip("jax", reason="needs the extra data")
+    env = gym.make(SINE, duration_s=0.2, action_latency_ticks=5)
+    collector = minari.DataCollector(AgentDictWrapper(env) if by_agent else env, record_infos=by_agent)
+    for seed in range(2):
+        collector.reset(seed=seed)
+        over = False
+        while not over:
+            _, _, terminated, truncated, _ = collector.step(collector.action_space.sample())
+            over = terminated or truncated
+    dataset = collector.create_dataset("ur10/own-v0")
+    recovered = dataset.recover_environment()
+    assert dataset.total_steps == 10
+    assert dataset.observation_space == recovered.observation_space == collector.observation_space
+    assert dataset.action_space == recovered.action_space == collector.action_space
+    if by_agent:
+        assert next(dataset.iterate_episodes()).infos["reference_m"].shape == (6, 2, 3)
+        assert (
+            read_dataset("ur10/own-v0", view_of(SINE, {"duration_s": 0.2, "action_latency_ticks": 5}))[0].shape[1] == 68
+        )
 
 
 def test_read_samples_are_the_recorded_ones():

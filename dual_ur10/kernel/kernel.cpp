@@ -13,6 +13,7 @@
 #include "sine_tracking.hpp"
 #include "stages.hpp"
 #include "threads.hpp"
+#include "wrench.hpp"
 
 // Hash of the sources that this library was compiled from.
 EXPORT const char* kernel_sources() { return KERNEL_SOURCES; }

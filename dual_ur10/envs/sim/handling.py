@@ -13,7 +13,6 @@ from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.sim.feedforward import GRAVITY_M_S2
 from dual_ur10.errors import ActionError
 from dual_ur10.kernel import RowLoop, Struct
-from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig, Start
 from dual_ur10.types import Array, Rows
@@ -129,12 +128,21 @@ class Handling:
         self._orientations: Array = batch.bind("xquat")[:, left : right + 1 : right - left]
         mass_kg, lever_m = _weight(model)
         # Bases are upright: their z points against gravity.
-        self._weight_n = mass_kg * GRAVITY_M_S2
+        weight_n = mass_kg * GRAVITY_M_S2
         self._kp = float(model.actuator("left/gripper").gainprm[0])
-        # In the frame of each flange: force and torque, and the gripper's weight times its lever.
-        self._felt: Array = np.zeros((n, 2, 3, 3))
-        self._felt[:, :, 2] = self._weight_n * lever_m
-        self._wrench: Array = np.zeros((n, 2, 6))
+        self._sensed: Array = np.zeros((n, 2, 2, 3))
+        self._base_quat: Array = np.zeros((n, 2, 4))
+        self._computed, self._wrench = np.zeros((2, n, 2, 6))
+        struct = Struct(
+            "Wrench",
+            n=n,
+            weight_n=weight_n,
+            moment_nm=weight_n * lever_m,
+            sensed=self._sensed,
+            quat=self._base_quat,
+            wrench=self._computed,
+        )
+        self._compute = RowLoop("wrench_compute", struct, n, 1)
 
     def servos(self, config: CellConfig, steps: int) -> GripperServos:
         """Make the controllers of the grippers, for so many physics steps per call."""
@@ -169,8 +177,7 @@ class Handling:
 
         Stages of the batch that stop before accelerations leave stale values of any cell in the force sensors.
         """
-        # The sensors report the force of the wrist on the gripper.
-        np.negative(self._forces.swapaxes(1, 2), out=self._felt[:, :, :2])
+        np.copyto(self._sensed, self._forces)
 
     def state(self, flange_base_quat: Array, failed: NDArray[np.bool_] | None) -> Handled:
         """Return the measurable state.
@@ -180,11 +187,9 @@ class Handling:
             failed: (n,) True for rows that have no new force, after a step; None: there was no step.
         """
         if failed is not None:
-            felt = self._felt @ quat_to_matrix(flange_base_quat).swapaxes(2, 3)
-            wrench = felt[:, :, :2].reshape(self.n, 2, 6)
-            wrench[..., 2] += self._weight_n
-            wrench[..., 3] += felt[..., 2, 1]
-            wrench[..., 4] -= felt[..., 2, 0]
+            np.copyto(self._base_quat, flange_base_quat)
+            self._compute()
+            wrench = self._computed.copy()
             if np.count_nonzero(failed):
                 wrench[failed] = self._wrench[failed]
             self._wrench = wrench

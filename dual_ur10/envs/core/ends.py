@@ -16,13 +16,13 @@ TIME: Final = "time"
 DIVERGED: Final = "physics"
 """The simulation diverged; `info["physics_error"]` has a message."""
 
-_NATURAL: Final = (SUCCESS, TIME)
+_REFUSED: Final = "refused/"
 _DETAILS: Final = ("end_reason", "safety", "physics_error")
 
 
 def refusal(verdict: Verdict) -> str:
     """Return the reason of an end by the safety gate, such as "refused/distance"."""
-    return f"refused/{verdict.kind.lower().replace(' ', '_')}"
+    return f"{_REFUSED}{verdict.kind.lower().replace(' ', '_')}"
 
 
 def early_end(info: Mapping[str, Any]) -> str:
@@ -32,7 +32,10 @@ def early_end(info: Mapping[str, Any]) -> str:
         info: That of the last step of one environment.
     """
     reason = str(info.get("end_reason", ""))
-    return "" if reason in _NATURAL else str(info.get("safety", info.get("physics_error", reason)))
+    if reason in ("", SUCCESS, TIME):
+        return ""
+    detail = "physics_error" if reason == DIVERGED else "safety" if reason.startswith(_REFUSED) else "end_reason"
+    return str(info[detail])
 
 
 def details_of(info: Mapping[str, Any], row: int) -> dict[str, Any]:

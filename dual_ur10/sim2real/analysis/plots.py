@@ -31,8 +31,8 @@ def flange_error(found: Comparison) -> str:
                 axis.plot(pair.time_s, free, color=_FREE, label="lag taken off", linewidth=1)
             axis.set_ylabel("flange A to flange B (mm)")
             axis.set_title(f"{capital(ARMS[arm])} arm")
-            _tall(axis, float(away.max()))
             axis.legend(ncols=2, loc="upper right")
+            _make_room([axis])
         axes[-1, 0].set_xlabel("time of the task (s)")
     return address[0]
 
@@ -75,6 +75,7 @@ def paths(found: Comparison) -> str:
             axis.set_title(f"{capital(ARMS[arm])} arm")
             axis.legend(ncols=2, loc="upper right")
         axes[0, 0].set_ylabel("away from the start (mm)")
+        _make_room(axes[0])
     return address[0]
 
 
@@ -92,9 +93,12 @@ def skew(found: Comparison) -> str:
     return address[0]
 
 
-def _tall(axis: Any, most: float) -> None:
-    axis.set_ylim(0, 1.25 * max(most, 1e-9))
-    axis.margins(x=0.01)
+def _make_room(axes: Sequence[Any]) -> None:
+    """Show all lines of axes with a common scale of lengths, below their legend."""
+    most = max(float(np.nanmax(line.get_ydata())) for axis in axes for line in axis.get_lines())
+    axes[0].set_ylim(0, 1.25 * max(most, 1e-9))
+    for axis in axes:
+        axis.margins(x=0.01)
 
 
 def _shown(found: Comparison) -> Pair:

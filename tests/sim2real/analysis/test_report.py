@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +18,9 @@ from dual_ur10.cli import compare as cli_compare
 from dual_ur10.cli import fit as cli_fit
 from dual_ur10.cli import replay as cli_replay
 from dual_ur10.errors import CellFileError, DualUR10Error, MissingExtraError, RecordingError
-from dual_ur10.sim2real.analysis.compare import compare
+from dual_ur10.sim2real.analysis import plots
+from dual_ur10.sim2real.analysis.compare import Comparison, compare
+from dual_ur10.sim2real.analysis.plot_style import figure
 from dual_ur10.sim2real.analysis.report import report, write_report
 from dual_ur10.sim2real.config.cell_file import load_cell_file
 from tests.sim2real.analysis.made import run, with_arm
@@ -49,6 +54,26 @@ def test_the_report_holds_everything_and_fetches_nothing(tmp_path: Path) -> None
     assert not re.search(r"(src|href)=.(?!data:)", text)
     assert not re.search(r"<(script|link|iframe)", text)
     assert "nan" not in re.sub(r"base64,[A-Za-z0-9+/=]*", "", text)
+
+
+@pytest.mark.parametrize("plot", [plots.flange_error, plots.paths])
+def test_plots_show_all_of_their_lines(plot: Callable[[Comparison], str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where taking the lag off makes errors larger."""
+    shown: list[Any] = []
+
+    @contextmanager
+    def noted(*size: float, **options: Any) -> Iterator[Any]:
+        with figure(*size, **options) as made:
+            yield made
+            shown.extend(made[1].flat)
+
+    monkeypatch.setattr(plots, "figure", noted)
+    found = compare(run(2.0), run(2.0, delay_parts=(4, 4)))
+    plot(replace(found, pairs=[found.pairs[0]._replace(free_m=found.pairs[0].free_m + 0.1)]))
+    assert shown
+    for axis in shown:
+        top = max(float(np.nanmax(line.get_ydata())) for line in axis.get_lines())
+        assert 0.0 < top < 0.85 * axis.get_ylim()[1]  # the legend is above
 
 
 def test_a_report_without_figures_says_why() -> None:

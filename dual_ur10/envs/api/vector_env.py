@@ -283,10 +283,9 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
 def _masked(info: Mapping[str, Any], mask: Mask) -> dict[str, Any]:
     """Return `info` as Gymnasium's vector environments do: each array with a mask of its rows under "_" + name."""
     result: dict[str, Any] = {}
-    masks = np.tile(mask, (len(info), 1))  # one allocation for all
-    for (name, value), own in zip(info.items(), masks, strict=True):
+    for name, value in info.items():
         result[name] = _masked(value, mask) if isinstance(value, dict) else value
-        result["_" + name] = own
+        result["_" + name] = mask.copy()
     return result
 
 

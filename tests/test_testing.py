@@ -44,7 +44,7 @@ class Flat(Good):
     """Ignores the number of observations."""
 
     def __call__(self, observation):
-        return super().__call__(observation.reshape(-1)[:68])
+        return super().__call__(observation.reshape(-1)[:80])
 
 
 class Without(Good):

@@ -28,14 +28,18 @@ def fixed_transforms(dh: DHParameters) -> Array:
     return fixed
 
 
-@lru_cache(maxsize=32)
-def _links(dh: DHParameters) -> Constants:
+def links(dh: DHParameters) -> Array:
     """Return the chain as the kernel takes it, (6, 13): theta offset, and rotation and offset behind each joint."""
     fixed = fixed_transforms(dh)
-    links = np.empty((6, 13))
-    links[:, 0] = dh.theta_rad
-    links[:, 1:10], links[:, 10:] = fixed[:, :3, :3].reshape(6, 9), fixed[:, :3, 3]
-    return Constants(links)
+    result = np.empty((6, 13))
+    result[:, 0] = dh.theta_rad
+    result[:, 1:10], result[:, 10:] = fixed[:, :3, :3].reshape(6, 9), fixed[:, :3, 3]
+    return result
+
+
+@lru_cache(maxsize=32)
+def _links(dh: DHParameters) -> Constants:
+    return Constants(links(dh))
 
 
 def lengths_m(dh: DHParameters) -> Array:

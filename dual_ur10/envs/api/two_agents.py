@@ -54,7 +54,7 @@ class AgentSplitter:
 
     def __init__(self, core: Core, reward: str) -> None:
         self.individual = reward == "individual"
-        self._terms = [f"reward/{name}" for name in core.task.weights]
+        self._terms = [f"reward/{name}" for name in core.weights]
         # Names seen so far, and those with an axis of the two arms: that never changes.
         self._known: set[str] = set()
         self._per_arm: list[str] = []

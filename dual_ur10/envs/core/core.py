@@ -6,14 +6,14 @@ import copy
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
 from dual_ur10.envs.core.cells import make_cell, make_recorder
-from dual_ur10.envs.core.ends import DIVERGED, SUCCESS, TIME, early_end, refusal
+from dual_ur10.envs.core.ends import BRAKED, DIVERGED, SUCCESS, TIME, early_end, refusal
 from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.envs.core.randomization import apply_sample
 from dual_ur10.envs.core.sensing import Sensing
@@ -34,6 +34,8 @@ from dual_ur10.types import Array, Mask, Rows
 PHYSICS_ERROR = "the simulation diverged: the observation is that of the last good instant"
 """Text of `info["physics_error"]`."""
 
+_REFUSAL: Final = -1.0  # weight of a step in which the gate brakes: what the best step earns
+
 
 class Agents(NamedTuple):
     """Observations and rewards of the agents `left` and `right`, computed on demand.
@@ -41,7 +43,7 @@ class Agents(NamedTuple):
     Attributes:
         task: The task.
         both: (n, size) observations of both agents together.
-        terms: (n, 2, terms) reward terms of each agent; None after a reset.
+        terms: (n, 2, terms) reward terms of each agent, that of refusals included; None after a reset.
         weights: (terms,) weights of the reward terms.
         dtype: Type of observed numbers.
     """
@@ -77,7 +79,8 @@ class Step(NamedTuple):
     Attributes:
         observation: (n, size).
         reward: (n,).
-        terminated: (n,) True if the gate refused, the physics diverged, or the task reached a terminal state.
+        terminated: (n,) True if the physics diverged, the task reached a terminal state, or the gate refused and
+            refusals end episodes.
         truncated: (n,) True if the time of the episode has run out.
         info: Arrays (n, ...) by name.
         verdicts: Reasons of the gate's refusals, by row.
@@ -129,6 +132,7 @@ class Core:
         SettingsError: Or one of its kinds: a value is not legal. Nothing is left open.
 
     Attributes:
+        weights: Weight of each reward term by its name, that of refusals included.
         threads: Number of threads that step, and that draw observed images.
         late_actions: Number of actions that missed their deadline, so that both arms stopped.
     """
@@ -140,7 +144,9 @@ class Core:
         config, requirements = setup.config, setup.requirements
         self._randomization = setup.randomization
         self.n = n
-        check_for_controllers(config, n, autoreset=autoreset, randomized=not self._randomization.is_none)
+        self._brakes = setup.brakes
+        randomized = not self._randomization.is_none
+        check_for_controllers(config, n, autoreset=autoreset, randomized=randomized, brakes=self._brakes)
         self.threads = threads = threads or min(n, os.cpu_count() or 1)
         adapter = setup.make_adapter(n, threads)
         clearance = Clearance(
@@ -154,8 +160,10 @@ class Core:
         self.pipeline = ServojPipeline(adapter, gate, held=setup.options.held_arm, proximity=proximity)
         self.task = setup.make_task(n)
         self._clearance = clearance
-        self._weights = np.array(list(self.task.weights.values()))
-        self._terms = [f"reward/{name}" for name in self.task.weights]
+        self.weights = {**self.task.weights, **({"refusal": _REFUSAL} if self._brakes else {})}
+        self._weights = np.array(list(self.weights.values()))
+        self._terms = [f"reward/{name}" for name in self.weights]
+        self._refused = np.zeros(n, dtype=bool)  # since the reset
         rows = np.arange(n)
         clearance.check_start(self.task.start(rows, [np.random.default_rng(0) for _ in rows]).q_rad)
         self._state: CellState | None = None
@@ -229,6 +237,7 @@ class Core:
         seeds = [int(rng.integers(2**31)) for rng in rngs]
         self._clearance.check_start(start.q_rad)
         self.pipeline.reset(start.q_rad, rows, start.gripper_m)
+        self._refused[rows] = False
         plant = apply_sample({name: value[rows] for name, value in self._plant.items()}, sampled)
         try:
             begun = cell.reset(start, rows, seeds=seeds, perturbation=plant)
@@ -287,13 +296,20 @@ class Core:
         self.late_actions += period.late
         measured = self.task.measure(state)
         outcome = self.task.evaluate(state, measured)
-        terms = np.add.reduce(outcome.terms, axis=1) / 2
+        terms_of_arms, refused = outcome.terms, list(verdicts)
+        if self._brakes:
+            terms_of_arms = self._with_refusals(terms_of_arms, refused)
+        terms = np.add.reduce(terms_of_arms, axis=1) / 2
         reward: Array = np.add.reduce(terms * self._weights, axis=1)
         terminated, success = state.failed.copy(), outcome.success
-        if verdicts:
-            terminated[list(verdicts)] = True
-        if np.count_nonzero(terminated):
-            success = success & ~terminated
+        if refused:
+            self._refused[refused] = True
+            if self._brakes:
+                self.pipeline.resume(refused)
+            else:
+                terminated[refused] = True
+        if np.count_nonzero(terminated | self._refused):
+            success = success & ~(terminated | self._refused)
         if outcome.terminal is not None:
             terminated |= outcome.terminal
         info = self._measurements(state)
@@ -305,7 +321,7 @@ class Core:
             state = self._sensing(state)
             measured = measured if self._sensing.keeps_poses else self.task.measure(state)
         self._observation = observation = self.task.observe(state, measured, self.pipeline.adapter.commanded_q_rad)
-        self.agents = agents = Agents(self.task, observation, outcome.terms, self._weights, self._dtype)
+        self.agents = agents = Agents(self.task, observation, terms_of_arms, self._weights, self._dtype)
         ended, ends = terminated | outcome.over, {}
         if np.count_nonzero(ended):
             cell.finish()
@@ -316,14 +332,23 @@ class Core:
             self._hook.step(action, command, step, period, early_end(step.details(0)))
         return step
 
+    def _with_refusals(self, terms: Array, refused: list[int]) -> Array:
+        """Return the terms of the arms with that of refusals, (n, 2, terms + 1)."""
+        result = np.zeros((*terms.shape[:2], terms.shape[2] + 1))
+        result[..., :-1] = terms
+        result[refused, :, -1] = 1.0
+        return result
+
     def _end(self, row: int, state: CellState, verdicts: dict[int, Verdict], outcome: Outcome, success: Mask) -> str:
         """Return the reason of the end of an episode."""
         if state.failed[row]:
             return DIVERGED
-        if row in verdicts:
+        if row in verdicts and not self._brakes:
             return refusal(verdicts[row])
         if success[row]:
             return SUCCESS
+        if self._refused[row] and outcome.success[row]:
+            return BRAKED
         terminal = outcome.terminal is not None and outcome.terminal[row]
         return self.task.failure(row, outcome) if terminal else TIME
 

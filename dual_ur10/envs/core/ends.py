@@ -16,6 +16,9 @@ TIME: Final = "time"
 DIVERGED: Final = "physics"
 """The simulation diverged; `info["physics_error"]` has a message."""
 
+BRAKED: Final = "solved_after_refusal"
+"""The task was solved after a motion that the safety gate refused, which ends an episode on two controllers."""
+
 _REFUSED: Final = "refused/"
 _DETAILS: Final = ("end_reason", "safety", "physics_error")
 
@@ -32,7 +35,7 @@ def early_end(info: Mapping[str, Any]) -> str:
         info: That of the last step of one environment.
     """
     reason = str(info.get("end_reason", ""))
-    if reason in ("", SUCCESS, TIME):
+    if reason in ("", SUCCESS, TIME, BRAKED):
         return ""
     detail = "physics_error" if reason == DIVERGED else "safety" if reason.startswith(_REFUSED) else "end_reason"
     return str(info[detail])

@@ -17,11 +17,15 @@ from dual_ur10.sim2real.control.command_queue import checked_latency
 
 DEFAULT_RATE_HZ = 25.0
 
+AS_ON_CONTROLLERS: Final = {"on_refusal": "terminate"}
+"""Keywords with which a simulated episode ends where it would on two controllers, for evaluations and imitation."""
+
 MOVE_TO_START: Final = "move_to_start"
 """Option of `reset` by which its caller consents to the motion to the start of an episode."""
 
 ObservationKind = Literal["state", "pixels", "both", "flat"]
 ObservationDtype = Literal["float64", "float32"]
+OnRefusal = Literal["brake", "terminate"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -42,6 +46,10 @@ class EnvOptions:
             Develop a policy for real arms with the latency that it will have. None: 0 in simulation, and the ticks of
             40 ms on two controllers.
         compensate_lag: Compensate the lag of `servoj` in the adapter.
+        on_refusal: Reaction to a motion that the safety gate refuses. "terminate": the episode ends. "brake": both arms
+            of the cell brake, and the episode continues from rest. Each step of the brake costs a reward of 1, and the
+            episode cannot succeed, because on two controllers it would have ended. None: "brake" in simulation, so that
+            exploration is not cut short, and "terminate" on two controllers, where nothing else is possible.
         randomization: Variation from episode to episode: a name of
             `dual_ur10.envs.core.randomization.PRESETS`, a mapping of single values, or a `Randomization`.
         observation: "state" gives an array; "pixels" a dict of images by camera; "both" a dict with `state` and
@@ -71,6 +79,7 @@ class EnvOptions:
     action_mode: ActionMode = "joint_delta"
     action_latency_ticks: int | None = None
     compensate_lag: bool = True
+    on_refusal: OnRefusal | None = None
     randomization: object = "none"
     observation: ObservationKind = "state"
     observation_dtype: ObservationDtype = "float64"
@@ -111,6 +120,8 @@ class EnvOptions:
             raise UnknownNameError("observation", str(self.observation), get_args(ObservationKind))
         if self.observation_dtype not in get_args(ObservationDtype):
             raise UnknownNameError("observation_dtype", str(self.observation_dtype), get_args(ObservationDtype))
+        if self.on_refusal is not None and self.on_refusal not in get_args(OnRefusal):
+            raise UnknownNameError("on_refusal", str(self.on_refusal), [*get_args(OnRefusal), "None"])
         if not isinstance(self.cameras, str | tuple | list):
             raise SettingsError(f"cameras are {self.cameras!r}: name one, or several in a tuple")
         cameras = (self.cameras,) if isinstance(self.cameras, str) else tuple(self.cameras)

@@ -110,6 +110,12 @@ class EnvSetup:
         )
 
     @property
+    def brakes(self) -> bool:
+        """True if an episode continues after a motion that the safety gate refused."""
+        wanted = self.options.on_refusal
+        return self.config.file is None if wanted is None else wanted == "brake"
+
+    @property
     def contacts(self) -> bool:
         """True if bodies may touch in simulation: arms handle something, or differ from what the gate knows of them."""
         handles = self.requirements.equipment != Equipment()
@@ -147,7 +153,9 @@ class EnvSetup:
         )
 
 
-def check_for_controllers(config: CellConfig, n: int, *, autoreset: bool, randomized: bool) -> None:
+def check_for_controllers(
+    config: CellConfig, n: int, *, autoreset: bool, randomized: bool, brakes: bool = False
+) -> None:
     """Refuse requests that two controllers cannot serve. A simulated cell can serve all.
 
     Args:
@@ -155,6 +163,7 @@ def check_for_controllers(config: CellConfig, n: int, *, autoreset: bool, random
         n: Number of environments.
         autoreset: Whether episodes begin without a call of `reset`.
         randomized: Whether something differs from episode to episode.
+        brakes: Whether an episode continues after a refused motion.
 
     Raises:
         SettingsError: The cell is one of two controllers, and cannot serve this.
@@ -170,6 +179,11 @@ def check_for_controllers(config: CellConfig, n: int, *, autoreset: bool, random
         )
     if randomized:
         raise SettingsError("randomization is for simulated cells: leave it out on controllers")
+    if brakes:
+        raise SettingsError(
+            'on_refusal is "brake" on a cell of controllers: after a refused motion both arms stop, and a person '
+            'decides. Use "terminate", or leave it out'
+        )
     if config.perturbation != Perturbation():
         raise SettingsError("a perturbation is for simulated cells: leave it out on controllers")
 

@@ -118,6 +118,11 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         return cls.layout_for(settings)
 
     @classmethod
+    def covered(cls, trained: SettingsT, settings: SettingsT) -> frozenset[str]:
+        """Return the keywords whose values lie within the range that a training with other settings sampled."""
+        return frozenset()
+
+    @classmethod
     def requirements(cls, settings: SettingsT) -> SceneRequirements:
         """Return the scene that the task needs in the cell."""
         return SceneRequirements()

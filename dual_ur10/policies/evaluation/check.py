@@ -15,6 +15,7 @@ from typing import Any, Final
 import gymnasium as gym
 import numpy as np
 
+from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
 from dual_ur10.errors import PolicyError, SettingsError
 from dual_ur10.ids import env_id_of
 from dual_ur10.kinematics.ur10 import ARMS
@@ -122,7 +123,7 @@ def check_policy(
     if lacking or isinstance(policy, type):
         what = "a class, not an object of it" if isinstance(policy, type) else f"no {' and no '.join(lacking)}"
         raise PolicyError(f"{_kind(policy)} is no policy: found {what}; a policy has reset() and takes an observation")
-    simulated = dict(env_kwargs)
+    simulated = {**AS_ON_CONTROLLERS, **env_kwargs}
     for controllers_only in ("confirm", "arm") if cell is not None else ():
         simulated.pop(controllers_only, None)
     config = None if cell is None else _simulated(cell)

@@ -15,7 +15,7 @@ import gymnasium as gym
 import numpy as np
 
 from dual_ur10.envs.core.ends import details_of, early_end
-from dual_ur10.envs.core.options import MOVE_TO_START
+from dual_ur10.envs.core.options import AS_ON_CONTROLLERS, MOVE_TO_START
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 from dual_ur10.ids import ENTRY_POINTS, __version__
 from dual_ur10.kinematics.ur10 import ARMS
@@ -269,7 +269,7 @@ def _make(env_id: str, num_envs: int, keywords: Mapping[str, Any]) -> Any:
             num_envs=num_envs,
             vectorization_mode="vector_entry_point",
             autoreset_mode="Disabled",
-            **keywords,
+            **({**AS_ON_CONTROLLERS, **keywords} if env_id in ENTRY_POINTS else keywords),
         )
     except UnknownNameError:
         raise

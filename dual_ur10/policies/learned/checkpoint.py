@@ -387,8 +387,14 @@ _WARNED: Final[set[str]] = set()  # each text once, however often a checkpoint i
 
 def _other_keywords(made: EnvironmentSignature, here: EnvironmentSignature, view: EnvironmentView) -> list[str]:
     """Return a text on each keyword with another value than in training."""
-    defaults = dataclasses.asdict(type(view.setup.settings)())
-    names = sorted({*made.kwargs, *here.kwargs} - {*OPTIONS})
+    settings = view.setup.settings
+    defaults = dataclasses.asdict(type(settings)())
+    try:
+        trained = type(settings)(**{name: value for name, value in made.kwargs.items() if name in defaults})
+    except (ValueError, TypeError) as error:
+        raise CheckpointError(f"its kwargs make no environment: {error!s:.300}") from error
+    covered = view.setup.task_type.covered(trained, settings)
+    names = sorted({*made.kwargs, *here.kwargs} - {*OPTIONS} - covered)
     values = [(name, *(each.kwargs.get(name, defaults.get(name)) for each in (made, here))) for name in names]
     return [f"{name} was {_shown(then)} and is {_shown(now)}" for name, then, now in values if then != now]
 

@@ -87,7 +87,7 @@ class SineTrackingPolicy(ScriptedPolicy):
             self._predicted[rows] = np.inf  # any reference differs from it
 
     def __call__(self, observation: Array) -> Array:
-        """Return the float32 action, (12,), for an observation, (68,), or (n, 12) for (n, 68).
+        """Return the float32 action, (12,), for an observation, (80,), or (n, 12) for (n, 80).
 
         Raises:
             ActionError: Not an observation of SineTracking.

@@ -9,6 +9,7 @@ import numpy as np
 
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.envs.core.ends import details_of, early_end
+from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
 from dual_ur10.errors import DatasetError, DualUR10Error, MissingExtraError
 from dual_ur10.ids import env_id_of, task_name
 from dual_ur10.kinematics.ur10 import ARMS
@@ -77,7 +78,11 @@ def collect(
     check_simulated(keywords, "collecting", "record a rollout with --cell, and make it a dataset with `to_minari`")
     keywords = with_latency(policy, env_id, keywords)
     env = DualArmVectorEnv(
-        min(envs, episodes), task_name(env_id), autoreset_mode="Disabled", threads=threads, **keywords
+        min(envs, episodes),
+        task_name(env_id),
+        autoreset_mode="Disabled",
+        threads=threads,
+        **{**AS_ON_CONTROLLERS, **keywords},
     )
     try:
         actor, core = actor_of(policy, env_id, keywords, env), env.core

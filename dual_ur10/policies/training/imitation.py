@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
+from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
 from dual_ur10.errors import TrainingError
 from dual_ur10.ids import task_name
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
@@ -87,7 +88,7 @@ class Imitator:
                         task_name(self._asked.env_id),
                         autoreset_mode="Disabled",
                         threads=self._threads,
-                        **self._asked.keywords,
+                        **{**AS_ON_CONTROLLERS, **self._asked.keywords},
                     )
                 self._round(env, begun)
         finally:

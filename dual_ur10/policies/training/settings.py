@@ -116,6 +116,7 @@ class TaskSettings:
         envs: Number of cells that are stepped together.
         steps: Total number of environment steps, by algorithm.
         randomization: Variation from episode to episode.
+        keywords: Further keywords of the environment.
         reinforcement: Settings of PPO and SAC.
         imitation: Settings of bc and dagger.
         checks: Number of episodes of each progress check.
@@ -124,6 +125,7 @@ class TaskSettings:
     envs: int = 64
     steps: dict[str, int] = dataclasses.field(default_factory=dict)
     randomization: str = "mild"
+    keywords: dict[str, Any] = dataclasses.field(default_factory=dict)
     reinforcement: Reinforcement = Reinforcement()
     imitation: Imitation = Imitation()
     checks: int = 32
@@ -139,6 +141,15 @@ _MOTION_FIELDS: Final = (
     "other_flange_m",
     "other_flange_quat",
 )
+_SINE_UNSEEN: Final = (
+    "q_rad",
+    "qd_rad_s",
+    "flange_base_m",
+    "flange_base_quat",
+    "reference_base_m",
+    "ahead_base_m",
+    "rotation",
+)
 _CARRY_UNSEEN: Final = (
     *_MOTION_FIELDS,
     "gripper_m",
@@ -151,6 +162,9 @@ _CARRY_UNSEEN: Final = (
 SETTINGS: Final[dict[str, TaskSettings]] = {
     "SineTracking": TaskSettings(
         steps={"ppo": 3_000_000, "sac": 300_000, "bc": 96_000, "dagger": 288_000},
+        keywords={"random_path": True},
+        # It sees the commanded positions, and the step from there to the reference, which is all that the action needs.
+        imitation=Imitation(unseen=_SINE_UNSEEN),
     ),
     "SyncCarry": TaskSettings(
         steps={"ppo": 1_000_000, "sac": 200_000, "bc": 57_600, "dagger": 230_400},
@@ -310,7 +324,7 @@ def defaults(
     for name in changes or {}:
         if name not in names:
             raise UnknownNameError(f"setting of {algorithm}", name, names)
-    given = dict(keywords or {})
+    given = {**own.keywords, **(keywords or {})}
     if "randomization" in given and randomization is not None:
         raise SettingsError("randomization is set twice: by its option and by a keyword")
     given.setdefault("randomization", own.randomization if randomization is None else randomization)

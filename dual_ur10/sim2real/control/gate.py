@@ -18,13 +18,15 @@ from dual_ur10.errors import ActionError, SettingsError
 from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.control.limits import HISTORY, POINTS, Envelope, MotionLimits
-from dual_ur10.types import Array, Rows
+from dual_ur10.types import Array, Mask, Rows
 
 SWEEP_TOLERANCE_M: Final = 0.005
 """Distance by which a pair may be closer than allowed between two checked configurations."""
 
 # A path that needs more checks runs along an obstacle for long at full speed. It is refused, as time is short.
 _CHECKS, _CHECKS_PER_TICK = 40, 10
+
+_REST_RAD_S: Final = 1e-3  # speed that no limit notices if it ends at once
 
 _LIMIT, _CARTESIAN = 1, 2  # the kernel's reasons of a refusal; the third is a distance
 
@@ -111,7 +113,7 @@ class SafetyGate:
         n: int = 1,
         threads: int = 1,
     ) -> None:
-        self.limits, self.ticks, self.n = limits, ticks, n
+        self.limits, self.ticks, self.n, self._tick_s = limits, ticks, n, tick_s
         self.envelope = Envelope(limits, tick_s, ticks)
         self._clearance = clearance
         pairs = int(clearance.kernel.values["pairs"])
@@ -152,6 +154,12 @@ class SafetyGate:
     def last_targets_rad(self) -> Array:
         """Targets released last, (n, 2, 6)."""
         return self._past[:, -1].reshape(self.n, 2, 6).copy()
+
+    @property
+    def rests(self) -> Mask:
+        """(n,) True if the last targets are at rest, nearly: a brake decays."""
+        steps: Array = np.abs(np.diff(self._past, axis=1)).max(axis=(1, 2))
+        return steps <= _REST_RAD_S * self._tick_s
 
     @property
     def spare_m(self) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from dual_ur10.errors import ActionError
@@ -79,6 +81,18 @@ class ServojPipeline:
         if self._proximity is not None and not result.verdicts:
             self._scaling = self._proximity(result.targets_rad[0, -1].reshape(12), self.gate.spare_m[0])
         return Command(result.targets_rad, gripper, scaling=self._scaling), result.verdicts
+
+    def resume(self, rows: Sequence[int]) -> None:
+        """Let refused rows continue from where their brake has led; actions count again once it has ended.
+
+        For simulated cells: on two controllers a refusal ends in a stop.
+        """
+        refused = np.array(rows)
+        last = self.gate.last_targets_rad[refused]
+        self.adapter.reset(last, refused)
+        rest = self.gate.rests[refused]
+        if rest.any():
+            self.gate.reset(last[rest], refused[rest])
 
     @property
     def clipped_actions(self) -> int:

@@ -121,7 +121,7 @@ def test_different_seeds_start_differently_and_no_observation_is_constant():
     env = gym.make(SINE)
     starts = np.array([env.reset(seed=seed)[0] for seed in range(8)])
     assert np.ptp(starts[:, 18:21], axis=0).min() > 0.01  # flange positions
-    trace = np.array([x[:68] for seed in range(3) for x in rollout(env, 20, seed=seed)])
+    trace = np.array([x[:80] for seed in range(3) for x in rollout(env, 20, seed=seed)])
     assert np.ptp(trace, axis=0).min() > 0
 
 
@@ -204,8 +204,8 @@ def test_many_episodes_and_environments_leave_nothing_behind():
 def test_wrappers_of_gymnasium():
     env = FrameStackObservation(RescaleAction(gym.make(SINE), np.float32(-0.5), np.float32(0.5)), 3)
     observation, _ = env.reset(seed=0)
-    assert observation.shape == (3, 68)
-    assert env.step(env.action_space.sample())[0].shape == (3, 68)
+    assert observation.shape == (3, 80)
+    assert env.step(env.action_space.sample())[0].shape == (3, 80)
 
 
 def test_record_video(tmp_path):
@@ -348,7 +348,7 @@ def test_latency_holds_the_motion_back_by_whole_ticks():
 
 
 def test_a_refused_motion_ends_the_episode_with_its_reason():
-    env = gym.make(SINE, action_mode="joint_position", randomize=False)
+    env = gym.make(SINE, action_mode="joint_position", randomize=False, on_refusal="terminate")
     _, info = env.reset(seed=0)
     down = info["q_rad"].copy()
     down[:, 1] += 1.2  # both arms into the table

@@ -84,8 +84,8 @@ def test_types_and_shapes():
     env = TwoAgentVecEnv("SineTracking", 2)
     assert env.num_envs == 4
     observation = env.reset()
-    assert env.observation_space.shape == (41,)
-    assert observation.shape == (4, 41)
+    assert env.observation_space.shape == (47,)
+    assert observation.shape == (4, 47)
     observation, rewards, dones, infos = env.step(zeros(env))
     assert all(env.observation_space.contains(row) for row in observation)
     assert rewards.shape == dones.shape == (4,)
@@ -96,7 +96,7 @@ def test_types_and_shapes():
 
 
 def test_one_cell_ends_alone():
-    env = TwoAgentVecEnv(SINE, 3, action_mode="joint_position", randomize=False)
+    env = TwoAgentVecEnv(SINE, 3, action_mode="joint_position", randomize=False, on_refusal="terminate")
     env.seed(0)
     env.reset()
     start = np.array([info["q_rad"] for info in env.reset_infos])
@@ -110,7 +110,7 @@ def test_one_cell_ends_alone():
     for row in (2, 3):
         assert "right/" in infos[row]["safety"].subject
         assert infos[row]["TimeLimit.truncated"] is False
-        assert infos[row]["terminal_observation"].shape == (41,)
+        assert infos[row]["terminal_observation"].shape == (47,)
     assert "safety" not in infos[0]
     assert env.reset_infos[0] is before
     assert np.abs(observation[2:4, :6] - start[2:4]).max() < 1e-9

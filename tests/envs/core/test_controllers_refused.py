@@ -10,10 +10,11 @@ from dual_ur10 import Perturbation
 from dual_ur10.envs import dm_env
 from dual_ur10.envs.api.dual_arm_env import DualArmEnv
 from dual_ur10.envs.api.parallel_env import parallel_env
+from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.envs.core.randomization import Randomization
 from dual_ur10.envs.core.sensing import Sensing
-from dual_ur10.envs.core.setup import check_for_controllers
+from dual_ur10.envs.core.setup import EnvSetup, check_for_controllers
 from dual_ur10.errors import ResetNeededError, ResetRefusedError, SettingsError, StartError
 from dual_ur10.policies.baselines import ZeroPolicy
 from dual_ur10.policies.evaluation.rollout import rollout
@@ -221,6 +222,12 @@ def test_nothing_is_added_to_what_controllers_measure(path):
     assert Sensing(config, Randomization(), 0.04, 1).is_exact
     assert not Sensing(core.config, Randomization(), 0.04, 1).is_exact
     core.close()
+
+
+def test_a_brake_after_a_refusal_is_refused(path):
+    with pytest.raises(SettingsError, match="both arms stop, and a person decides"):
+        Core("SineTracking", {"cell": path, "on_refusal": "brake"})
+    assert not EnvSetup.resolve("SineTracking", {"cell": path}).brakes
 
 
 def test_randomization_and_perturbation_are_refused(path):

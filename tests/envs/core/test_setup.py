@@ -58,7 +58,7 @@ def test_nominal_arms_move_alike_without_contacts(monkeypatch, together):
     """Random actions, also the same for ten steps, which drive many episodes into the gate's smallest distance."""
 
     def trace():
-        envs = gym.make_vec("DualUR10/SineTracking-v0", num_envs=16, autoreset_mode="SameStep")
+        envs = gym.make_vec("DualUR10/SineTracking-v0", num_envs=16, autoreset_mode="SameStep", on_refusal="terminate")
         envs.reset(seed=5)
         rng, ended, found = np.random.default_rng(1), 0, []
         for step in range(150):

@@ -8,9 +8,17 @@ from dm_control.utils import rewards
 from dual_ur10 import errors
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.core.setup import EnvSetup
-from dual_ur10.envs.tasks.sine_tracking.settings import SineSettings
+from dual_ur10.envs.tasks.sine_tracking.settings import (
+    AMPLITUDE_RANGE_M,
+    FREQUENCY_RANGE_HZ,
+    TOOL_DOWN_QUAT,
+    SineSettings,
+    sample_path,
+)
 from dual_ur10.envs.tasks.task import gaussian
+from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.frames import ArmMount, Frames, to_base
+from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
 from dual_ur10.sim2real.config.cell import CellConfig
 
 
@@ -42,14 +50,14 @@ def test_the_references_lie_on_the_sine():
     core.reset([np.random.default_rng(seed) for seed in range(3)])
     task, settings = core.task, core.task.settings
     begin = task.measure(core._state).reference_m
-    zero = settings.displacement_m(np.zeros((3, 1)), task._phase)
+    zero = settings.displacement_m(np.zeros((3, 1)), task._wave[:, 2:])
     for _ in range(70):  # beyond the soft start
         core.step(np.zeros((3, 12)))
         time, measured = core._state.time_s[:, None], task.measure(core._state)
-        moved = (settings.displacement_m(time, task._phase) - zero)[:, :, None] * settings.direction
+        moved = (settings.displacement_m(time, task._wave[:, 2:]) - zero)[:, :, None] * settings.direction
         assert np.abs(measured.reference_m - begin - moved).max() < 1e-14
-        ahead = settings.displacement_m(time + task.timing.ahead_s, task._phase) - settings.displacement_m(
-            time, task._phase
+        ahead = settings.displacement_m(time + task.timing.ahead_s, task._wave[:, 2:]) - settings.displacement_m(
+            time, task._wave[:, 2:]
         )
         away = np.linalg.norm(measured.ahead_base_m - measured.reference_base_m, axis=2)
         assert np.abs(away - np.abs(ahead)).max() < 1e-14
@@ -97,3 +105,54 @@ def test_settings_by_keyword():
         EnvSetup.resolve("Sine", {})
     assert np.allclose(SineSettings(axis=(0, 3, 4)).direction, [0, 0.6, 0.8])
     assert SineSettings(arms="right").tracking.tolist() == [0.0, 1.0]
+
+
+def test_a_random_path_is_one_that_the_arms_can_follow():
+    core = Core("SineTracking", {"random_path": True}, n=24)
+    _, info = core.reset([np.random.default_rng(seed) for seed in range(24)])
+    drawn = info["randomization"]
+    assert np.allclose(np.linalg.norm(drawn["axis"], axis=1), 1.0)
+    assert np.ptp(drawn["axis"], axis=0).min() > 1.0
+    for name, (low, high) in (("amplitude_m", AMPLITUDE_RANGE_M), ("frequency_hz", FREQUENCY_RANGE_HZ)):
+        assert ((drawn[name] >= low) & (drawn[name] <= high)).all()
+        assert np.ptp(drawn[name]) > 0.5 * (high - low)
+    again = Core("SineTracking", {"random_path": True}, n=1)
+    _, alone = again.reset([np.random.default_rng(7)])
+    assert (alone["randomization"]["axis"][0] == drawn["axis"][7]).all()
+    # Too fast at every centre: it is refused instead of drawn for ever.
+    with pytest.raises(errors.WorkspaceError, match="choose"):
+        sample_path(
+            SineSettings(center_m=((0.0, 2.0, 0.4), (0.0, -2.0, 0.4))), np.random.default_rng(0), core.task._check
+        )
+
+
+def test_the_observed_step_leads_the_commanded_flanges_to_their_references():
+    core = Core("SineTracking", {"action_latency_ticks": 3}, n=2)
+    observation, _ = core.reset([np.random.default_rng(seed) for seed in range(2)])
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        observation = core.step(rng.uniform(-1.0, 1.0, (2, 12))).observation
+    fields = core.task.layout.split(observation)
+    at, turned = flange_pose(fields["commanded_q_rad"])
+    assert np.abs(at + fields["step_m"] - fields["ahead_base_m"]).max() < 1e-12
+    angle = np.linalg.norm(fields["step_rad"], axis=-1)
+    assert angle.min() > 0.01
+    # Twice the vector part of a quaternion: its length is twice the sine of half the angle.
+    exact = 2.0 * np.arcsin(angle / 2.0) / angle
+    step = quat_to_matrix(quat_from_rotvec(fields["step_rad"] * exact[..., None]))
+    assert np.abs(step @ turned - quat_to_matrix(TOOL_DOWN_QUAT)).max() < 1e-12
+
+
+def test_approach_leads_from_any_distance():
+    core = Core("SineTracking", {"randomize": False})
+    core.reset([np.random.default_rng(0)])
+    state, found = core._state, []
+    for away_m in np.linspace(0.0, 0.6, 61):
+        moved = state._replace(flange_m=state.flange_m + np.array([0.0, 0.0, away_m]))
+        terms = core.task.measure(moved).terms[0]
+        assert np.allclose(terms[0], terms[1], atol=1e-9)
+        found.append(terms[0])
+    approach, position, *_ = np.array(found).T
+    assert approach[0] == pytest.approx(1.0, abs=1e-3)
+    assert (np.diff(approach) < -1e-3).all()
+    assert position[5] < 1e-10

@@ -124,7 +124,7 @@ def test_the_networks_of_two_agents_must_fit_their_observations(tmp_path: Path) 
             }
         ),
     )
-    with pytest.raises(CheckpointError, match="each agent observes 41"):
+    with pytest.raises(CheckpointError, match="each agent observes 47"):
         checkpoint.load(tmp_path / "x")
 
 

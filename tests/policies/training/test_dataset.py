@@ -45,7 +45,7 @@ def test_minari_alone_reads_a_dataset():
     alone = evaluate(SINE, "scripted", episodes=3, num_envs=1, seed=4, env_kwargs=KEYWORDS)
     for episode, wanted in zip(dataset.iterate_episodes(), alone.episodes, strict=True):
         assert set(episode.observations) == set(episode.actions) == {"left", "right"}
-        assert episode.observations["left"].shape == (51, 41)
+        assert episode.observations["left"].shape == (51, 47)
         assert episode.actions["right"].shape == (50, 6)
         assert episode.rewards.sum() == pytest.approx(wanted.total_reward, abs=1e-9)
         assert episode.infos["is_success"][-1] == wanted.success
@@ -94,7 +94,7 @@ def test_minaris_own_collector_collects(by_agent):
     if by_agent:
         assert next(dataset.iterate_episodes()).infos["reference_m"].shape == (6, 2, 3)
         assert (
-            read_dataset("ur10/own-v0", view_of(SINE, {"duration_s": 0.2, "action_latency_ticks": 5}))[0].shape[1] == 68
+            read_dataset("ur10/own-v0", view_of(SINE, {"duration_s": 0.2, "action_latency_ticks": 5}))[0].shape[1] == 80
         )
 
 
@@ -102,7 +102,7 @@ def test_read_samples_are_the_recorded_ones():
     made(episodes=1)
     observation, action = read_dataset("ur10/sine/scripted-v0", view_of(SINE, KEYWORDS))
     policy = policies.load("scripted", SINE, **KEYWORDS)
-    assert observation.shape == (50, 68)
+    assert observation.shape == (50, 80)
     expected = np.array([policy(row) for row in observation.astype(np.float64)])
     np.testing.assert_allclose(expected, action, atol=2e-4)  # single precision of what was seen
 

@@ -143,7 +143,7 @@ def test_every_kind_of_agents_trains(tmp_path, agents):
     path = train(asked, tmp_path / "out")
     policy = policies.load(path, SINE, **asked.keywords)
     assert policy.manifest.agents == agents
-    assert policy.manifest.network.layers[0] == (68 if agents == "joint" else 41)
+    assert policy.manifest.network.layers[0] == (80 if agents == "joint" else 47)
     env = gym.make(SINE, **asked.keywords)
     observation, _ = env.reset(seed=0)
     action = policy(observation)
@@ -159,8 +159,8 @@ def test_every_kind_of_agents_trains(tmp_path, agents):
 @pytest.mark.parametrize(
     ("agents", "fields", "blind"),
     [
-        ("joint", ("flange_base_m", "rotation"), [18, 19, 20, 31, 32, 33, 52, 53, 54, 65, 66, 67]),
-        ("shared", ("other_flange_base_quat", "rotation"), [31, 32, 33, 37, 38, 39, 40]),
+        ("joint", ("flange_base_m", "rotation"), [18, 19, 20, 31, 32, 33, 58, 59, 60, 71, 72, 73]),
+        ("shared", ("other_flange_base_quat", "rotation"), [31, 32, 33, 43, 44, 45, 46]),
     ],
 )
 def test_a_network_does_not_see_the_unseen_fields(tmp_path, agents, fields, blind):
@@ -183,7 +183,7 @@ def test_imitation_learns(tmp_path):
     raw = checkpoint.read_manifest(train(small(rounds=1, keywords=keywords), tmp_path / "raw")).evaluation[
         "mean_return"
     ]
-    assert learned > 3 * raw
+    assert learned > 0.95 * STEPS > 2 * raw  # of at most one per step
 
 
 def test_imitation_can_begin_with_a_checkpoint(whole, tmp_path):
@@ -272,9 +272,10 @@ def test_wrong_settings_are_reported_with_their_paths(whole, tmp_path):
 
 
 def test_samples_of_another_environment_are_refused(whole, tmp_path):
-    train(small(rounds=1), tmp_path / "out")
+    train(small(rounds=1, changes={"unseen": ()}), tmp_path / "out")
     asked = tmp_path / "out" / "training.json"
-    asked.write_text(asked.read_text().replace("SineTracking", "Handover").replace('"duration_s": 2.0,', ""))
+    text = asked.read_text().replace("SineTracking", "Handover").replace('"duration_s": 2.0,', "")
+    asked.write_text(text.replace('"random_path": true,', ""))
     with pytest.raises(TrainingError, match="another environment"):
         resume(tmp_path / "out", steps=1000)
 

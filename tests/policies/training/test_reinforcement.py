@@ -41,7 +41,7 @@ def test_the_same_seed_gives_the_same_bits(tmp_path, algorithm, agents):
     assert sha_of(first) == sha_of(second)
     policy = policies.load(first, SINE, **asked.keywords)
     assert policy.manifest.agents == agents
-    assert policy(np.zeros(68)).shape == (12,)
+    assert policy(np.zeros(80)).shape == (12,)
     assert policy.manifest.evaluation["episodes"] == 2
     assert state.load(tmp_path / "a" / "state")[1]["steps"] == 64  # of the environment
     if agents == "joint":
@@ -117,9 +117,9 @@ def test_ppo_can_begin_with_the_result_of_dagger(tmp_path):
 @pytest.mark.parametrize(
     ("algorithm", "agents", "hidden", "match"),
     [
-        ("ppo", "joint", (8,), "68 - 16 - 12 tanh clip; this training makes joint, 68 - 8 - 12"),
-        ("ppo", "independent", (16,), "is joint.* makes independent, 41 - 16 - 6"),
-        ("dagger", "joint", (8,), "makes joint, 68 - 8 - 12"),
+        ("ppo", "joint", (8,), "80 - 16 - 12 tanh clip; this training makes joint, 80 - 8 - 12"),
+        ("ppo", "independent", (16,), "is joint.* makes independent, 47 - 16 - 6"),
+        ("dagger", "joint", (8,), "makes joint, 80 - 8 - 12"),
         ("sac", "joint", (16,), "use ppo"),
     ],
 )

@@ -21,7 +21,7 @@ def test_every_task_has_settings_for_every_algorithm(env_id, algorithm):
     assert asked.env_id == env_id
     own = SETTINGS[env_id.split("/")[1].rsplit("-v", 1)[0]]
     assert asked.steps == own.steps[algorithm]
-    assert asked.keywords == {"randomization": own.randomization, "action_latency_ticks": 5}
+    assert asked.keywords == {"randomization": own.randomization, "action_latency_ticks": 5, **own.keywords}
     assert isinstance(asked.settings, Imitation if algorithm in ("bc", "dagger") else Reinforcement)
 
 

@@ -136,7 +136,7 @@ def test_a_record_holds_all_that_repeats_its_episodes(tmp_path):
 
 
 def test_a_refusal_of_the_gate_is_recorded(tmp_path):
-    env = gym.make("DualUR10/SineTracking-v0", action_mode="joint_position")
+    env = gym.make("DualUR10/SineTracking-v0", action_mode="joint_position", on_refusal="terminate")
     core = env.unwrapped.core
     header = describe("DualUR10/SineTracking-v0", {}, core.config, period_ticks=5, latency_ticks=0)
     where = new_folder(tmp_path, header)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from functools import lru_cache
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -30,6 +30,12 @@ TOOL_DOWN_QUAT: Array = quat_from_rotvec(np.array([np.pi, 0.0, 0.0]))
 CENTER_RANGE_M = 0.05
 """Largest shift of the centre along each axis of the cell frame when an episode is randomised."""
 
+FAR_CENTER_RANGE_M = 0.1
+"""The same with `random_path`."""
+
+AMPLITUDE_RANGE_M, FREQUENCY_RANGE_HZ = (0.02, 0.12), (0.2, 0.8)
+"""Amplitudes and frequencies of `random_path`."""
+
 _SAMPLES = 25
 _OVERSHOOT = 0.2  # of the amplitude: distance beyond a turning point at which a stop may end
 _ROOM = 0.9  # of a speed limit, for the reference; corrections need the rest
@@ -51,6 +57,7 @@ class SineSettings:
     phase_rad: float = 0.0
     center_m: tuple[Vector, Vector] = ((0.0, 0.6, 0.4), (0.0, -0.6, 0.4))
     randomize: bool = True
+    random_path: bool = False
     arms: Arms = "both"
     success_rms_m: float = 0.003
 
@@ -68,8 +75,9 @@ class SineSettings:
             ("phase_rad", -100.0, 100.0),
             ("success_rms_m", 1e-6, 1.0),
         )
-        if not isinstance(self.randomize, bool | np.bool_):
-            raise SettingsError(f"randomize is {self.randomize!r}: it must be True or False")
+        for name in ("randomize", "random_path"):
+            if not isinstance(getattr(self, name), bool | np.bool_):
+                raise SettingsError(f"{name} is {getattr(self, name)!r}: it must be True or False")
         center = _vectors(self.center_m)
         if center.shape != (2, 3) or not np.isfinite(center).all():
             raise SettingsError(f"center_m is {self.center_m!r}: it must be a position (x, y, z) for each arm")
@@ -103,6 +111,25 @@ class SineSettings:
         rate = 30 * x * x * (1 - x) ** 2 / self.soft_start_s
         return float(self.amplitude_m * np.hypot(rate, growth * omega).max())
 
+    def covered_by(self, trained: SineSettings) -> frozenset[str]:
+        """Return the keywords whose values lie within the range that other settings with `random_path` sample."""
+        if not trained.random_path:
+            return frozenset()
+        names = {"axis", "phase_rad", "randomize", "random_path"}
+        if AMPLITUDE_RANGE_M[0] <= self.amplitude_m <= AMPLITUDE_RANGE_M[1]:
+            names.add("amplitude_m")
+        if FREQUENCY_RANGE_HZ[0] <= self.frequency_hz <= FREQUENCY_RANGE_HZ[1]:
+            names.add("frequency_hz")
+        away = np.abs(np.asarray(self.center_m) - np.asarray(trained.center_m)).max()
+        if away + CENTER_RANGE_M * self.randomize <= FAR_CENTER_RANGE_M:
+            names.add("center_m")
+        return frozenset(names)
+
+    def shifted(self, by_m: Array, **changes: Any) -> SineSettings:
+        """Return these settings with both centres shifted by a vector, (3,), and with other changes."""
+        left, right = (np.asarray(self.center_m) + by_m).tolist()
+        return dataclasses.replace(self, center_m=(tuple(left), tuple(right)), **changes)
+
     def displacement_m(self, time_s: Array, phase_rad: Array) -> Array:
         """Return the displacement along the axis. It begins at rest and without acceleration.
 
@@ -124,47 +151,94 @@ def _vectors(values: object) -> Array:
         return np.zeros(0)
 
 
-@lru_cache(maxsize=64)
-def check_path(
-    settings: SineSettings,
-    scene: SceneSettings,
-    limits: MotionLimits,
-    minimum_clearance_m: float,
-    uncertainty: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0)),
-) -> None:
-    """Refuse a sine that the arms cannot follow at some centre of an episode.
+class PathCheck:
+    """Check that two arms can follow a sine.
+
+    Args:
+        scene: Scene as measured.
+        limits: Limits of motion.
+        minimum_clearance_m: Smallest legal distance.
+        uncertainty: See `dual_ur10.sim2real.control.clearance.Clearance`.
+    """
+
+    def __init__(
+        self,
+        scene: SceneSettings,
+        limits: MotionLimits,
+        minimum_clearance_m: float,
+        uncertainty: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0)),
+    ) -> None:
+        self._scene, self._speed_limit = scene, _ROOM * np.asarray(limits.speed_rad_s)
+        self._clearance = Clearance(scene, minimum_m=minimum_clearance_m, uncertainty=uncertainty)
+
+    def __call__(self, settings: SineSettings) -> None:
+        """Refuse a sine that the arms cannot follow at some centre of an episode.
+
+        Raises:
+            WorkspaceError: The path leaves the workspace, needs a joint faster than the task's limit allows, or comes
+                closer to something than the safety gate lets it.
+        """
+        corners = itertools.product((-CENTER_RANGE_M, CENTER_RANGE_M), repeat=3)
+        shifts = list(corners) if settings.randomize else [(0, 0, 0)]
+        centers = np.asarray(settings.center_m)[None] + np.array(shifts)[:, None]
+        paths = [_joint_path(settings, self._scene, arm, centers[:, arm]) for arm in range(2)]
+        for arm, path in enumerate(paths):
+            # Steps of the path are steps of the displacement; an arm that holds its centre makes none.
+            step_m = 2 * settings.amplitude_m / (_SAMPLES - 1)
+            speed = np.abs(np.diff(path, axis=0)).max(axis=(0, 1)) / max(step_m, 1e-12) * settings.peak_speed_m_s
+            if (speed > self._speed_limit).any():
+                joint = int((speed / self._speed_limit).argmax())
+                raise WorkspaceError(
+                    f"the sine needs {speed[joint]:.3g} rad/s of {ARMS[arm]}/{JOINTS[joint]}, allowed are "
+                    f"{self._speed_limit[joint]:.3g} rad/s: choose a smaller amplitude_m or frequency_hz, or another "
+                    "center_m"
+                )
+        configurations = np.stack(paths, axis=2)
+        # The gate checks the end of a stop, which is beyond the turning points.
+        beyond = _OVERSHOOT * (_SAMPLES - 1) / 2
+        ends = [
+            configurations[k] + beyond * (configurations[k] - configurations[inner]) for k, inner in ((0, 1), (-1, -2))
+        ]
+        flat = np.concatenate([configurations, np.stack(ends)]).reshape(-1, 12)
+        close = np.flatnonzero(~self._clearance.is_clear(flat))
+        if close.size:
+            pair, distance, allowed = self._clearance.worst(flat[close[0]])
+            raise WorkspaceError(
+                f"on the sine's path {pair} come as close as {distance * 1e3:.1f} mm, allowed are "
+                f"{allowed * 1e3:.1f} mm: choose a smaller amplitude_m, another center_m, or move the bases"
+            )
+
+
+path_check = lru_cache(maxsize=16)(PathCheck)
+"""Function that returns a `PathCheck`, the same for the same cell."""
+
+_TRIES = 200
+
+
+def sample_path(settings: SineSettings, rng: np.random.Generator, check: PathCheck) -> SineSettings:
+    """Return settings of one episode: random axis, amplitude, frequency, phase and centre that the arms can follow.
 
     Raises:
-        WorkspaceError: The path leaves the workspace, needs a joint faster than the task's limit allows, or comes
-            closer to something than the safety gate lets it.
+        WorkspaceError: None of 200 was possible.
     """
-    shifts = list(itertools.product((-CENTER_RANGE_M, CENTER_RANGE_M), repeat=3)) if settings.randomize else [(0, 0, 0)]
-    centers = np.asarray(settings.center_m)[None] + np.array(shifts)[:, None]
-    paths = [_joint_path(settings, scene, arm, centers[:, arm]) for arm in range(2)]
-    speed_limit = _ROOM * np.asarray(limits.speed_rad_s)
-    for arm, path in enumerate(paths):
-        # Steps of the path are steps of the displacement; an arm that holds its centre makes none.
-        step_m = 2 * settings.amplitude_m / (_SAMPLES - 1)
-        speed = np.abs(np.diff(path, axis=0)).max(axis=(0, 1)) / max(step_m, 1e-12) * settings.peak_speed_m_s
-        if (speed > speed_limit).any():
-            joint = int((speed / speed_limit).argmax())
-            raise WorkspaceError(
-                f"the sine needs {speed[joint]:.3g} rad/s of {ARMS[arm]}/{JOINTS[joint]}, allowed are "
-                f"{speed_limit[joint]:.3g} rad/s: choose a smaller amplitude_m or frequency_hz, or another center_m"
-            )
-    configurations = np.stack(paths, axis=2)
-    # The gate checks the end of a stop, which is beyond the turning points.
-    beyond = _OVERSHOOT * (_SAMPLES - 1) / 2
-    ends = [configurations[k] + beyond * (configurations[k] - configurations[inner]) for k, inner in ((0, 1), (-1, -2))]
-    flat = np.concatenate([configurations, np.stack(ends)]).reshape(-1, 12)
-    clearance = Clearance(scene, minimum_m=minimum_clearance_m, uncertainty=uncertainty)
-    close = np.flatnonzero(~clearance.is_clear(flat))
-    if close.size:
-        pair, distance, allowed = clearance.worst(flat[close[0]])
-        raise WorkspaceError(
-            f"on the sine's path {pair} come as close as {distance * 1e3:.1f} mm, allowed are {allowed * 1e3:.1f} mm: "
-            "choose a smaller amplitude_m, another center_m, or move the bases"
-        )
+    for tried in range(1, _TRIES + 1):
+        axis = rng.normal(size=3)
+        changes = {
+            "axis": tuple((axis / np.linalg.norm(axis)).tolist()),
+            "amplitude_m": float(rng.uniform(*AMPLITUDE_RANGE_M)),
+            "frequency_hz": float(rng.uniform(*FREQUENCY_RANGE_HZ)),
+            "phase_rad": float(rng.uniform(-np.pi, np.pi)),
+            "randomize": False,
+        }
+        sampled = settings.shifted(rng.uniform(-FAR_CENTER_RANGE_M, FAR_CENTER_RANGE_M, 3), **changes)
+        try:
+            check(sampled)
+        except WorkspaceError:
+            if tried == _TRIES:
+                raise
+        else:
+            break
+    return sampled
 
 
 def _joint_path(settings: SineSettings, scene: SceneSettings, arm: int, centers: Array) -> Array:

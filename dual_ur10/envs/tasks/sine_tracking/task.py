@@ -16,10 +16,17 @@ from dual_ur10.envs.tasks.observation_layout import (
     arm_values,
     pose_fields,
 )
-from dual_ur10.envs.tasks.sine_tracking.settings import CENTER_RANGE_M, TOOL_DOWN_QUAT, SineSettings, check_path
+from dual_ur10.envs.tasks.sine_tracking.settings import (
+    CENTER_RANGE_M,
+    TOOL_DOWN_QUAT,
+    SineSettings,
+    path_check,
+    sample_path,
+)
 from dual_ur10.envs.tasks.task import Outcome, Task, Timing
 from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics import nearest
+from dual_ur10.kinematics.forward import links
 from dual_ur10.kinematics.frames import Frames
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_matrix
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
@@ -28,6 +35,9 @@ from dual_ur10.types import Array, Rows
 
 # Distance at which a term is 0.1: position errors of both flanges, angles of both, error of the vector between them.
 _MARGINS = np.array([0.01, 0.01, 0.02, 0.02, 0.005])
+# Distances at which a third of the term "approach" is halved: success, the margins' order, and the workspace.
+_SCALES_M = np.array([0.003, 0.03, 0.3])
+_LEVER_M = 0.5  # distance that an angle counts as, per rad: the ratio of the margins
 
 
 class SineMeasured(NamedTuple):
@@ -42,7 +52,7 @@ class SineMeasured(NamedTuple):
         error_m: (n, 2, 3) reference minus flange, in the cell frame.
         sizes: (n, 5) position errors of both flanges, m, rotations of both, rad, and the error of the vector between
             them, m.
-        terms: (n, 2, 3) reward terms of each arm.
+        terms: (n, 2, 4) reward terms of each arm.
     """
 
     reference_base_m: Array
@@ -81,8 +91,8 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     ## Observation Space
 
-    The observation space is a `Box(low, high, (68,), float64)` with the bounds of the table: 34 numbers of the left
-    arm, which the table shows, then the same 34 of the right arm, with left and right exchanged. All of them can be
+    The observation space is a `Box(low, high, (80,), float64)` with the bounds of the table: 40 numbers of the left
+    arm, which the table shows, then the same 40 of the right arm, with left and right exchanged. All of them can be
     measured on a real cell. Poses are in the arm's own `base` frame, the one in which UR's controller reports its TCP;
     quaternions are (w, x, y, z).
 
@@ -96,14 +106,18 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     | 25-27 | reference of the flange now | -10 | 10 | - | position (m) |
     | 28-30 | reference of the flange at the end of the next motion | -10 | 10 | - | position (m) |
     | 31-33 | rotation vector from the flange to its reference, if small | -2.01 | 2.01 | - | angle (rad) |
+    | 34-36 | translation from the commanded flange to its reference at the end of the next motion | -12 | 12 | - | position (m) |
+    | 37-39 | rotation vector from the commanded flange to its reference, if small | -2.01 | 2.01 | - | angle (rad) |
 
     ## Rewards
 
     The reward is the weighted sum of terms between 0 and 1; each raw term is in `info` as `reward/<term>`.
 
-    - *position* (0.6): mean over the arms of 0.1^((flange error / 10 mm)²).
-    - *orientation* (0.2): mean over the arms of 0.1^((angle / 0.02 rad)²).
-    - *synchrony* (0.2): 0.1^((error of the vector from flange to flange / 5 mm)²), which one arm alone cannot earn.
+    - *approach* (0.4): mean over the arms, and over s of 3, 30 and 300 mm, of s / (s + d), where d is the flange error
+      plus 0.5 m times the angle. It leads from any distance in the workspace.
+    - *position* (0.4): mean over the arms of 0.1^((flange error / 10 mm)²).
+    - *orientation* (0.1): mean over the arms of 0.1^((angle / 0.02 rad)²).
+    - *synchrony* (0.1): 0.1^((error of the vector from flange to flange / 5 mm)²), which one arm alone cannot earn.
 
     `info["is_success"]` is true at the end of an episode in which the root mean square error of both flanges over all
     steps is at most `success_rms_m`; `info["flange_rms_m"]` is the value of each arm so far.
@@ -112,6 +126,10 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     Both arms at rest with their flanges at the centres of the sine. With `randomize`, the phase is uniform on the
     circle, and both centres are shifted by the same vector, uniform within ±0.05 m along each axis.
+
+    With `random_path`, axis (any direction), amplitude (0.02 to 0.12 m), frequency (0.2 to 0.8 Hz) and phase are uniform,
+    and the centres are shifted within ±0.1 m. A path that the arms cannot follow is drawn again. `info["randomization"]`
+    has the values.
 
     ## Episode End
 
@@ -137,6 +155,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     | `phase_rad` | float | `0.0` | phase, if not randomised (rad) |
     | `center_m` | 2 positions | `((0, 0.6, 0.4), (0, -0.6, 0.4))` | centre of each flange's sine in the cell frame (m) |
     | `randomize` | bool | `True` | sample phase and centre at every reset |
+    | `random_path` | bool | `False` | sample the sine at every reset, see Starting State |
     | `arms` | str | `"both"` | "both", "left" or "right": an arm that does not track holds its centre |
     | `success_rms_m` | float | `0.003` | largest root mean square error of a success (m) |
 
@@ -151,64 +170,97 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     limits: MotionLimits = MotionLimits(
         speed_rad_s=(1.2,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.5
     )
-    weights: ClassVar[dict[str, float]] = {"position": 0.6, "orientation": 0.2, "synchrony": 0.2}
+    weights: ClassVar[dict[str, float]] = {"approach": 0.4, "position": 0.4, "orientation": 0.1, "synchrony": 0.1}
     settings_type: ClassVar[type[SineSettings]] = SineSettings
     layout: ObservationLayout = ObservationLayout(
         *ARM_FIELDS,
         Field("reference_base_m", 3, -10.0, 10.0, "position (m)", "reference of the flange now"),
         Field("ahead_base_m", 3, -10.0, 10.0, "position (m)", "reference of the flange at the end of the next motion"),
         Field("rotation", 3, -2.01, 2.01, "angle (rad)", "rotation vector from the flange to its reference, if small"),
+        Field(
+            "step_m",
+            3,
+            -12.0,
+            12.0,
+            "position (m)",
+            "translation from the commanded flange to its reference at the end of the next motion",
+        ),
+        Field(
+            "step_rad",
+            3,
+            -2.01,
+            2.01,
+            "angle (rad)",
+            "rotation vector from the commanded flange to its reference, if small",
+        ),
     )
 
     def __init__(self, settings: SineSettings, cell: CellConfig, timing: Timing, n: int) -> None:
         super().__init__(settings, cell, timing, n)
         mounts = (cell.left, cell.right)
-        check_path(settings, cell.measured_scene, self.limits, cell.minimum_clearance_m, cell.uncertainty)
+        self._check = path_check(cell.measured_scene, self.limits, cell.minimum_clearance_m, cell.uncertainty)
+        self._check(settings)
         frames = Frames(mounts)
         self._base_m, self._to_base = frames.base_m, frames.rotation
         self._others: Array = frames.others_pose
         self._agents: dict[int, tuple[Array, Array, RowLoop]] = {}  # buffers and function, by the number of rows
-        along_base = (self._to_base @ settings.direction) * settings.tracking[:, None]
-        # Directions of the reference in `base` now and ahead, and in the cell frame now.
-        self._along = np.stack([along_base, along_base, settings.direction * settings.tracking[:, None]])
         # Quaternion from flange to reference = this matrix times the flange's quaternion.
         unit = np.eye(4)
         columns = [quat_multiply(TOOL_DOWN_QUAT, quat_conjugate(unit[k])) for k in range(4)]
         self._to_reference: Array = np.ascontiguousarray(np.array(columns))
-        self.horizon = self._steps = max(1, math.ceil(settings.duration_s / timing.period_s - 1e-9))
-        self._center: Array = np.zeros((n, 3, 2, 3))
-        self._phase: Array = np.zeros((n, 1))
-        self._input, self._output = np.zeros((n, 15)), np.zeros((n, 41))
+        self.horizon = self._duration = max(1, math.ceil(settings.duration_s / timing.period_s - 1e-9))
+        self._center: Array = np.zeros((n, 3, 2, 3))  # in `base` twice, for now and ahead, and in the cell frame
+        self._along: Array = np.zeros((n, 3, 2, 3))  # the directions there
+        self._wave: Array = np.zeros((n, 3))  # amplitude, angular frequency, phase
+        self._input, self._output = np.zeros((n, 15)), np.zeros((n, 43))
         struct = Struct(
             "Sine",
             n=n,
-            amplitude_m=settings.amplitude_m,
-            omega_rad_s=2 * math.pi * settings.frequency_hz,
             soft_start_s=settings.soft_start_s,
             ahead_s=timing.ahead_s,
-            along=self._along,
-            to_reference=self._to_reference,
+            lever_m=_LEVER_M,
+            scales_m=_SCALES_M,
             margins=_MARGINS,
+            to_reference=self._to_reference,
+            wave=self._wave,
+            along=self._along,
             center_m=self._center,
-            phase_rad=self._phase,
             input=self._input,
             output=self._output,
         )
         self._measure = RowLoop("sine_measure", struct, n, 1)
+        self._commanded, self._ahead, self._steps = np.zeros((n, 2, 6)), np.zeros((n, 2, 3)), np.zeros((n, 2, 6))
+        steps = Struct(
+            "SineSteps",
+            n=n,
+            links=np.stack([links(mount.dh) for mount in mounts]),
+            down=quat_to_matrix(TOOL_DOWN_QUAT),
+            commanded=self._commanded,
+            ahead=self._ahead,
+            steps=self._steps,
+        )
+        self._step = RowLoop("sine_steps", steps, n, 1)
         self._squares: Array = np.zeros((n, 2))
         self._count = np.zeros(n, dtype=np.int64)
 
     def start(self, rows: Rows, rngs: Sequence[np.random.Generator]) -> Start:
-        """Sample phase and centre. The flanges start at the centres."""
-        settings = self.settings
+        """Sample phase, centre and, with `random_path`, the sine itself. The flanges start at the centres."""
+        given, sampled = self.settings, []
         for row, rng in zip(rows.tolist(), rngs, strict=True):
-            shift, phase = np.zeros(3), settings.phase_rad
-            if settings.randomize:
-                shift, phase = rng.uniform(-CENTER_RANGE_M, CENTER_RANGE_M, 3), rng.uniform(-np.pi, np.pi)
-            world = np.asarray(settings.center_m) + shift
-            self._center[row, :2] = (self._to_base @ (world - self._base_m)[..., None])[..., 0]
-            self._center[row, 2] = world
-            self._phase[row] = phase
+            if given.random_path:
+                settings = sample_path(given, rng, self._check)
+                sampled.append(settings)
+            elif given.randomize:
+                shift = rng.uniform(-CENTER_RANGE_M, CENTER_RANGE_M, 3)
+                settings = given.shifted(shift, phase_rad=float(rng.uniform(-np.pi, np.pi)))
+            else:
+                settings = given
+            world = np.asarray(settings.center_m)
+            self._center[row] = np.stack([*[(self._to_base @ (world - self._base_m)[..., None])[..., 0]] * 2, world])
+            along_base = self._to_base @ settings.direction
+            self._along[row] = np.stack([along_base, along_base, np.tile(settings.direction, (2, 1))])
+            self._along[row] *= settings.tracking[:, None]
+            self._wave[row] = settings.amplitude_m, 2 * math.pi * settings.frequency_hz, settings.phase_rad
         self._squares[rows] = 0.0
         self._count[rows] = 0
         down = quat_to_matrix(TOOL_DOWN_QUAT)
@@ -216,7 +268,11 @@ class SineTracking(Task[SineSettings, SineMeasured]):
             nearest(self._center[rows, 0, arm], np.broadcast_to(down, (len(rows), 3, 3)), HOME_Q_RAD[arm], mount.dh)
             for arm, mount in enumerate((self.cell.left, self.cell.right))
         ]
-        return Start(np.stack(configurations, axis=1))
+        names = ("axis", "amplitude_m", "frequency_hz") if sampled else ()
+        return Start(
+            np.stack(configurations, axis=1),
+            sampled={name: np.array([getattr(each, name) for each in sampled]) for name in names},
+        )
 
     def measure(self, state: CellState) -> SineMeasured:
         """Compute reference and errors of all cells."""
@@ -227,18 +283,27 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         self._measure()
         found = self._output.copy()
         here, ahead, rotation, reference, error = found[:, :30].reshape(n, 5, 2, 3).swapaxes(0, 1)
-        return SineMeasured(here, ahead, rotation, reference, error, found[:, 30:35], found[:, 35:].reshape(n, 2, 3))
+        return SineMeasured(here, ahead, rotation, reference, error, found[:, 30:35], found[:, 35:].reshape(n, 2, 4))
 
     def observe(self, state: CellState, measured: SineMeasured, commanded_q_rad: Array) -> Array:
-        """Assemble the observations, (n, 68)."""
+        """Assemble the observations, (n, 80)."""
+        self._commanded[:], self._ahead[:] = commanded_q_rad, measured.ahead_base_m
+        self._step()
         return self.layout.join(
             {
                 **arm_values(state, commanded_q_rad),
                 "reference_base_m": measured.reference_base_m,
                 "ahead_base_m": measured.ahead_base_m,
                 "rotation": measured.rotation,
+                "step_m": self._steps[..., :3],
+                "step_rad": self._steps[..., 3:],
             }
         )
+
+    @classmethod
+    def covered(cls, trained: SineSettings, settings: SineSettings) -> frozenset[str]:
+        """Return the keywords whose values lie within the range that a training with other settings sampled."""
+        return settings.covered_by(trained)
 
     @classmethod
     def agent_layout_for(cls, settings: SineSettings) -> ObservationLayout:
@@ -247,7 +312,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         return cls.layout.extended(*other)
 
     def observe_agents(self, observation: Array) -> Array:
-        """Return each agent's own observation, (n, 2, 41), from those of both, (n, 68)."""
+        """Return each agent's own observation, (n, 2, 47), from those of both, (n, 80)."""
         both, own, split = self._agents.get(len(observation)) or self._begin_agents(len(observation))
         both[...] = observation
         split()
@@ -268,7 +333,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         sizes = measured.sizes
         self._squares += sizes[:, :2] ** 2
         self._count += 1
-        over = self._count >= self._steps
+        over = self._count >= self._duration
         success = over.copy()
         if np.count_nonzero(over):
             success = over & (self._squares.max(axis=1) <= self.settings.success_rms_m**2 * self._count)

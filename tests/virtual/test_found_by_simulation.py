@@ -1,6 +1,6 @@
 """Schedules by which the fault simulator found defects, each named after its defect."""
 
-from tests.virtual.schedule import Cell, Override, Schedule
+from tests.virtual.schedule import Cell, Override, Schedule, ScriptDelay
 from tests.virtual.simulation import run
 
 
@@ -26,3 +26,11 @@ def test_an_episode_begins_without_a_step():
     """Seed 2483: the brake behind the last target of a path to the start led 0.03 mrad away from there."""
     cell = Cell(task="SyncCarry", family="e-series", plant="mild", seed=18, policy="scripted", motion_s=0.1)
     assert not run(Schedule(cell=cell)).violations
+
+
+def test_no_waiting_program_holds_up_the_next():
+    """Seed 2813: a program that a slow controller had not started yet kept later ones from starting."""
+    cell = Cell(again=True)
+    outcome = run(Schedule(cell=cell, faults=(ScriptDelay(arm="right", when="start", seconds=20.0, at_s=0.1),)))
+    assert not outcome.violations
+    assert outcome.moved

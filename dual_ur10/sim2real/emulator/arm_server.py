@@ -200,12 +200,15 @@ class ArmServer:
         if len(self._scripts) >= _MAX_SCRIPTS:
             raise ProtocolError(f"{_MAX_SCRIPTS} programs are waiting already")
         found = self._reader.submit(read, text, self.controller.program.builtins)
-        self._scripts.append((self.controller.time_s + self.script_delay_s, text, found))
+        self._scripts.append((self.controller.time_s, text, found))
 
     def before_tick(self) -> None:
         """Start the parsed programs, in order of arrival."""
-        while self._scripts and self._scripts[0][0] <= self.controller.time_s and self._scripts[0][2].done():
-            _, text, found = self._scripts.popleft()
+        while self._scripts:
+            arrived_s, text, found = self._scripts[0]
+            if arrived_s + self.script_delay_s > self.controller.time_s or not found.done():
+                break
+            self._scripts.popleft()
             self.controller.run_script(text, found.result())
 
     def publish(self) -> None:

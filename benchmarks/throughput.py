@@ -13,6 +13,8 @@ there to the first step, and memory per environment.
 
     python benchmarks/throughput.py --json throughput.json
     python benchmarks/throughput.py --parts steps pixels --task Handover
+    python benchmarks/throughput.py --parts steps --task SineTracking --contacts
+    python benchmarks/throughput.py --parts steps --task SineTracking --randomization mild
 
 With `--peer` or `--against`, only a comparison is measured, block by block in turn (see interleaved.py): simulated
 seconds per processor second against robosuite in a virtual environment of its own, or environment steps per second
@@ -45,6 +47,7 @@ from interfaces import measure_views
 
 import dual_ur10
 from dual_ur10 import policies
+from dual_ur10.envs.core.setup import EnvSetup
 
 PERIOD_S = 0.04
 HELD_AFTER = {"SyncCarry": 140, "Handover": 60}
@@ -93,7 +96,14 @@ def step_on(env: Any, action: np.ndarray, n: int) -> np.ndarray:
 
 
 def measure(
-    env_id: str, n: int, actions: str, blocks: int, steps: int, threads: int, begin_after: int = 0
+    env_id: str,
+    n: int,
+    actions: str,
+    blocks: int,
+    steps: int,
+    threads: int,
+    begin_after: int = 0,
+    randomization: str = "none",
 ) -> dict[str, float]:
     """Return efficiency and rates of one environment, or of n in a batch.
 
@@ -105,11 +115,12 @@ def measure(
         steps: Steps of each block.
         threads: Threads of the batch.
         begin_after: Scripted steps before those of the block.
+        randomization: Preset of the environment. SineTracking computes contacts only with one.
     """
     if n == 1:
-        env: Any = gym.make(env_id)
+        env: Any = gym.make(env_id, randomization=randomization)
     else:
-        env = gym.make_vec(env_id, num_envs=n, threads=threads)
+        env = gym.make_vec(env_id, num_envs=n, threads=threads, randomization=randomization)
     policy = policies.load("scripted", env_id)
     rng = np.random.default_rng(0)
     recorder = Recorder(env)
@@ -158,7 +169,9 @@ def measure_steps(env_id: str, arguments: argparse.Namespace) -> dict[str, Any]:
         blocks = arguments.blocks if n == 1 or not held else max(1, arguments.blocks // 5)
         for actions in ("scripted", "random"):
             begin_after = held if actions == "scripted" else 0
-            result: dict[str, Any] = measure(env_id, n, actions, blocks, steps, arguments.threads, begin_after)
+            result: dict[str, Any] = measure(
+                env_id, n, actions, blocks, steps, arguments.threads, begin_after, arguments.randomization
+            )
             row = f"{f'{task}, {key}, {actions}':34}{result['efficiency']:12.3f}{result['env_steps_per_s']:14.0f}"
             row += f"{result['sim_s_per_s']:10.1f}{result['sim_s_per_cpu_s']:14.1f}{result['overhead_us']:19.1f}"
             print(row, flush=True)
@@ -274,6 +287,8 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=200, help="rounds of blocks for PettingZoo's view")
     parser.add_argument("--threads", type=int, default=min(2, os.cpu_count() or 1))
     parser.add_argument("--task", action="append", help="one of the tasks, such as SyncCarry; may be repeated")
+    parser.add_argument("--randomization", default="none", help="preset of the environments of the steps")
+    parser.add_argument("--contacts", action="store_true", help="compute contacts also where nothing can touch")
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument(
         "--peer", choices=["robosuite"], help="compare with its two-arm tasks, and measure nothing else"
@@ -284,6 +299,8 @@ def main() -> None:
     arguments = parser.parse_args()
     if (arguments.peer is None) != (arguments.peer_python is None):
         parser.error("--peer and --peer-python belong together")
+    if arguments.contacts:
+        EnvSetup.contacts = property(lambda setup: True)
     load = os.getloadavg()[0]
     print(
         f"{arguments.envs} envs on {arguments.threads} threads, 25 Hz; load {load:.2f} on {os.cpu_count()} processors"

@@ -59,11 +59,11 @@ class TargetDelay:
         arrivals = np.concatenate([self._arrivals, arrivals], axis=1)
         known = np.concatenate([self._held, targets], axis=1)
         # The latest target that has arrived is in force. A target that a later one overtakes never acts.
-        steps = np.arange(ticks * self.substeps)
-        arrived = arrivals[:, None] <= steps[None, :, None, None]
-        order = np.arange(known.shape[1])[None, None, :, None]
-        latest = np.where(arrived, order, 0).max(axis=2)
-        in_force: Array = np.take_along_axis(known, latest[..., None], axis=1)
+        steps = np.arange(ticks * self.substeps)[:, None]
+        latest = np.zeros((self.n, ticks * self.substeps, 2), dtype=np.int64)
+        for order in range(1, known.shape[1]):
+            np.copyto(latest, order, where=arrivals[:, order, None] <= steps)
+        in_force: Array = known[np.arange(self.n)[:, None, None], latest, np.arange(2)]
         self._forget(known, arrivals, latest[:, -1], ticks * self.substeps)
         return in_force
 

@@ -1,6 +1,6 @@
 """Schedules by which the fault simulator found defects, each named after its defect."""
 
-from tests.virtual.schedule import Cell, Override, Schedule, ScriptDelay
+from tests.virtual.schedule import Cell, Override, Schedule, ScriptDelay, Stall
 from tests.virtual.simulation import run
 
 
@@ -34,3 +34,11 @@ def test_no_waiting_program_holds_up_the_next():
     outcome = run(Schedule(cell=cell, faults=(ScriptDelay(arm="right", when="start", seconds=20.0, at_s=0.1),)))
     assert not outcome.violations
     assert outcome.moved
+
+
+def test_a_stall_while_stopping_leads_to_no_two_targets_in_one_control_period():
+    """Seed 3940: after a stall of 20 ms an arm's process sent an overdue target, and the next in the same period."""
+    fault = Stall(process="left", when="end", at_s=0.0046, duration_s=0.02)
+    outcome = run(Schedule(cell=Cell(), faults=(fault,)))
+    assert not outcome.violations
+    assert outcome.fired == 1

@@ -425,8 +425,13 @@ class ArmSender:
         gone = 0.0
         while not ramp.at_rest:
             number, due = self.clock.next_period(self._now_s(), ARRIVAL_PHASE)
+            if number <= self._period:  # a late target arrived in it
+                number = self._period + 1
+                # A clock that was set back must not delay a stop.
+                due = min(self.clock.moment(number, ARRIVAL_PHASE), self._now_s() + 2 * tick_s)
             self._record(due)
-            missed = max(1, number - self._period)
+            number += int(max(0.0, self._now_s() - due) / tick_s + ARRIVAL_PHASE)  # the period in which it arrives
+            missed = number - self._period
             if missed > most:
                 self._alone = f"; sent nothing for {1e3 * missed * tick_s:.0f} ms, it stopped by itself"
                 return True

@@ -1,9 +1,18 @@
-"""Success rates of the learned policies that come with the package.
+"""Success rates of the learned policies that come with the package, and of a training from nothing.
 
 python benchmarks/learning.py [--episodes 300] [--randomization mild,none] [--tasks SineTracking] [--json FILE]
+python benchmarks/learning.py --parts from_nothing --tasks SineTracking --seeds 3 [--plot FILE]
 
 Seeds begin at 0; trainings use other seeds to learn and to check their progress. The intervals are
 Wilson's, of 95 %. On the emulated cell: `python -m dual_ur10 evaluate ENV --policy learned --cell FILE`.
+
+Parts:
+    shipped: every policy in the default environment, on plants of the presets.
+    range: SineTracking on random paths ("mild"): any axis, amplitude, frequency and centre of its range.
+    wide: every policy on "wide" plants.
+    from_nothing: PPO with the settings of `train`, one training after the other; only where it is named. Success and
+        return are of the default environment. The return is a ratio of the scripted policy's on the same seeds; steps
+        and minutes are those of the first progress check that had half and 90 % of it.
 """
 
 import argparse
@@ -13,64 +22,170 @@ import os
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
+import tempfile
 import time
+import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import dual_ur10
+from dual_ur10.ids import task_name
 from dual_ur10.policies import evaluate
 from dual_ur10.policies.evaluation.results import Evaluation
 from dual_ur10.policies.learned.checkpoint import read_manifest
 from dual_ur10.policies.registry import shipped_folder, shipped_names
+from dual_ur10.policies.training import state
+from dual_ur10.policies.training.settings import SETTINGS, defaults
+from dual_ur10.policies.training.train import train
+
+PARTS = ("shipped", "range", "wide", "from_nothing")
 
 
 def main() -> None:
     """Evaluate and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--episodes", type=int, default=300)
-    parser.add_argument("--randomization", default="mild,none", help="presets, with commas between them")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS[:3])
+    parser.add_argument("--randomization", default="mild,none", help="presets of the part shipped, with commas")
+    parser.add_argument("--seeds", type=int, default=3, help="trainings of the part from_nothing")
+    parser.add_argument("--plot", type=Path, help="draw the curves of the part from_nothing to this PNG file")
     parser.add_argument("--tasks", default="", help="names, with commas between them; all without")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     print(f"load {os.getloadavg()[0]:.2f}")
-    results: dict[str, dict[str, object]] = {}
+    results: dict[str, dict[str, Any]] = {}
     for env_id in dual_ur10.ENV_IDS:
         task = env_id.split("/")[1]
         if args.tasks and task.rsplit("-v", 1)[0] not in args.tasks.split(","):
             continue
         for name in shipped_names(env_id):
-            folder = shipped_folder(name, env_id)
-            signature = read_manifest(folder).signature
-            for preset in args.randomization.split(","):
-                own = {key: value for key, value in signature.kwargs.items() if key != "randomization"}
-                begin = time.monotonic()
-                found = evaluate(
-                    env_id,
-                    str(folder),
-                    episodes=args.episodes,
-                    num_envs=64,
-                    env_kwargs={**own, "action_latency_ticks": signature.rate.latency_ticks, "randomization": preset},
-                )
-                low, high = found.interval
-                row: dict[str, object] = {
-                    "success": found.success_rate,
-                    "low": low,
-                    "high": high,
-                    "episodes": args.episodes,
-                    "median_time_s": found.median_time_s,
-                }
-                if found.episodes[0].last.get("flange_rms_m/left") is not None:
-                    row["rms_mm"] = rms_mm(found)
-                key = task if name == "learned" else f"{task}/{name}"
-                results[key if preset == "mild" else f"{key}/{preset}"] = row
-                text = f", flange RMS {row['rms_mm']:.2f} mm" if "rms_mm" in row else ""
-                print(
-                    f"{key:40} {preset:6} {found.successes:4} of {args.episodes} "
-                    f"({100 * low:.1f} to {100 * high:.1f} %){text}, {time.monotonic() - begin:.0f} s"
-                )
+            key = task if name == "learned" else f"{task}/{name}"
+            found = results.setdefault(key, {})
+            if "shipped" in args.parts:
+                for preset in args.randomization.split(","):
+                    row = measured(env_id, name, preset, preset, args.episodes)
+                    if preset == "mild":
+                        found.update(row)
+                    else:
+                        results[f"{key}/{preset}"] = row
+            if "range" in args.parts and "random_path" in SETTINGS[task_name(env_id)].keywords:
+                found["range"] = measured(env_id, name, "range", "mild", args.episodes, random_path=True)
+            if "wide" in args.parts:
+                found["wide"] = measured(env_id, name, "wide", "wide", args.episodes)
+        if "from_nothing" in args.parts:
+            results.setdefault(task, {})["from_nothing"] = from_nothing(env_id, args.episodes, args.seeds, args.plot)
     if args.json is not None:
         args.json.write_text(json.dumps(results, indent=1) + "\n")
+
+
+def measured(
+    env_id: str, name: str, title: str, randomization: str, episodes: int, **keywords: object
+) -> dict[str, Any]:
+    """Evaluate a shipped policy on plants of a preset, print the row and return it."""
+    folder = shipped_folder(name, env_id)
+    signature = read_manifest(folder).signature
+    begin = time.monotonic()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # "wide" is beyond what they were trained for
+        found = evaluate(
+            env_id,
+            str(folder),
+            episodes=episodes,
+            num_envs=64,
+            env_kwargs={
+                **{key: value for key, value in signature.kwargs.items() if key != "random_path"},
+                "action_latency_ticks": signature.rate.latency_ticks,
+                "randomization": randomization,
+                **keywords,
+            },
+        )
+    low, high = found.interval
+    row: dict[str, Any] = {
+        "success": found.success_rate,
+        "low": low,
+        "high": high,
+        "episodes": episodes,
+        "median_time_s": found.median_time_s,
+    }
+    if found.episodes[0].last.get("flange_rms_m/left") is not None:
+        row["rms_mm"] = rms_mm(found)
+    text = f", flange RMS {row['rms_mm']:.2f} mm" if "rms_mm" in row else ""
+    print(
+        f"{f'{task_name(env_id)} {name}':34} {title:6} {found.successes:4} of {episodes} "
+        f"({100 * low:.1f} to {100 * high:.1f} %){text}, {time.monotonic() - begin:.0f} s",
+        flush=True,
+    )
+    return row
+
+
+def from_nothing(env_id: str, episodes: int, seeds: int, plot: Path | None) -> dict[str, Any]:
+    """Train by PPO, evaluate in the default environment, print each training, draw all, and return the figures."""
+    script = evaluate(env_id, "scripted", episodes=episodes, num_envs=64).mean_return
+    rows = []
+    for seed in range(seeds):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "training"
+            train(defaults(env_id, "ppo", seed=seed), path)
+            rows.append(figures_of(path, script, episodes))
+        told = {key: value for key, value in rows[-1].items() if key != "curve"}
+        print(f"{task_name(env_id)}, PPO from nothing: {json.dumps(told)}", flush=True)
+    if plot is not None:
+        draw(plot, env_id, rows)
+    return {
+        "success": min(row["success"] for row in rows),
+        "of_script": min(row["of_script"] for row in rows),
+        "minutes": max(row["minutes"] for row in rows),
+        "steps": rows[0]["steps"],
+        "seeds": rows,
+    }
+
+
+def figures_of(path: Path, script: float, episodes: int) -> dict[str, Any]:
+    """Return the figures of a finished training.
+
+    Args:
+        path: Folder of the training.
+        script: Mean return of the scripted policy.
+        episodes: Number of episodes of the evaluation.
+    """
+    asked = json.loads((path / "training.json").read_text())
+    found = evaluate(asked["env_id"], str(path / "policy"), episodes=episodes, num_envs=64)
+    values = state.load(path / "state")[1]
+    curve = [
+        (each["steps"], each["seconds"] / 60, each["mean_return"] / script, each["success_rate"])
+        for each in values["checks"]
+    ]
+    row: dict[str, Any] = {
+        "seed": asked["seed"],
+        "success": found.success_rate,
+        "of_script": found.mean_return / script,
+        "minutes": values["seconds"] / 60,
+        "steps": values["steps"],
+    }
+    for share in (0.5, 0.9):
+        steps, minutes, *_ = next((each for each in curve if each[2] >= share), (None, None))
+        row |= {f"steps_to_{share}": steps, f"minutes_to_{share}": minutes}
+    return row | {"curve": curve}
+
+
+def draw(path: Path, env_id: str, rows: list[dict[str, Any]]) -> None:
+    """Draw success and return of all trainings over their steps."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 4.2), layout="constrained")
+    axes: Any = figure.subplots(2, 1, sharex=True)
+    for row in rows:
+        steps, _, share, success = np.array(row["curve"], dtype=float).T
+        for each, values in zip(axes, (success, share), strict=True):
+            each.plot(steps / 1e6, 100 * values, "o-", markersize=3, label=f"seed {row['seed']}")
+    axes[0].set(ylabel="success, %", ylim=(-3, 103), title=f"{env_id}, PPO from nothing")
+    axes[1].set(ylabel="return, % of the script's", xlabel="million steps of the environment", ylim=(-3, 103))
+    axes[0].legend(loc="lower right", fontsize="small")
+    for each in axes:
+        each.grid(alpha=0.3)
+    figure.savefig(path, dpi=110)
 
 
 def rms_mm(found: Evaluation) -> float:

@@ -12,6 +12,7 @@ import pytest
 FOLDER = Path(__file__).parent.parent / "examples"
 ARGUMENTS = {
     "train_with_sb3": (("2048", "sine_ppo"), "stable_baselines3"),
+    "ppo": (("2048", "sine_ppo"), "torch"),
     "pettingzoo_loop": (("20",), "pettingzoo"),
     "evaluate_checkpoint": (("learned", "2"), "numpy"),
     "own_task": (("2",), "gymnasium"),
@@ -43,7 +44,7 @@ def test_it_runs(name, tmp_path):
     pytest.importorskip(needs)
     text = run(name, *arguments, folder=tmp_path)
     assert text.strip()
-    if name == "train_with_sb3":
+    if name in ("train_with_sb3", "ppo"):
         from dual_ur10.policies.learned.checkpoint import read_manifest
 
         assert read_manifest(tmp_path / "sine_ppo").signature.env_id == "DualUR10/SineTracking-v0"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,18 +20,29 @@ try:
 except ImportError as error:
     raise MissingExtraError("stable-baselines3", "train", "training") from error
 
+_EXPLORED: float = 0.9  # of the training, after which exploration does not change
 _SURE: float = 1e7  # weight of a checkpoint's normaliser, in observations: it hardly changes any more
 
 
-def make(algorithm: str, env: VecEnv, settings: Reinforcement, seed: int) -> tuple[Any, VecNormalize]:
-    """Return a model, and the normaliser around its environment."""
+def make(
+    algorithm: str, env: VecEnv, settings: Reinforcement, seed: int, share: Callable[[], float] = lambda: 0.0
+) -> tuple[Any, VecNormalize]:
+    """Return a model, and the normaliser around its environment.
+
+    Args:
+        algorithm: "ppo" or "sac".
+        env: Vector environment of one learner.
+        settings: Settings of the algorithm.
+        seed: Seed of the model.
+        share: Function that returns the ratio of the training's steps that are done.
+    """
     around = VecNormalize(VecMonitor(env), gamma=settings.gamma, norm_reward=algorithm == "ppo")
     hidden = list(settings.hidden)
     if algorithm == "ppo":
         model: Any = PPO(
             "MlpPolicy",
             around,
-            learning_rate=settings.learning_rate,
+            learning_rate=lambda _: settings.learning_rate * (1.0 - share()),
             n_steps=settings.steps_per_update,
             batch_size=min(settings.batch_size, settings.steps_per_update * env.num_envs),
             n_epochs=settings.epochs,
@@ -60,6 +73,15 @@ def make(algorithm: str, env: VecEnv, settings: Reinforcement, seed: int) -> tup
             device="cpu",
         )
     return model, around
+
+
+def explore(model: Any, settings: Reinforcement, share: float) -> None:
+    """Set the standard deviation of PPO's actions for this ratio of the training's steps."""
+    if isinstance(model, PPO):
+        ratio = settings.last_std / settings.first_std
+        std: Any = model.policy.log_std
+        std.requires_grad_(False)
+        std.fill_(math.log(settings.first_std * ratio ** min(1.0, share / _EXPLORED)))
 
 
 def begin_with(models: list[tuple[Any, VecNormalize]], policy: LearnedPolicy) -> None:

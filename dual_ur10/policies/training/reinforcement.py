@@ -80,7 +80,13 @@ class Reinforcer:
         """
         asked = self._asked
         kind = JointVecEnv if asked.agents == "joint" else TwoAgentVecEnv
-        env: CellsVecEnv = kind(task_name(asked.env_id), asked.envs, threads=self._threads, **asked.keywords)
+        env: CellsVecEnv = kind(
+            task_name(asked.env_id),
+            asked.envs,
+            max_episode_steps=self._settings.episode_steps,
+            threads=self._threads,
+            **asked.keywords,
+        )
         try:
             # A resumed training samples new episodes.
             seed = int(np.random.SeedSequence([asked.seed, self.steps]).generate_state(1)[0])
@@ -97,7 +103,7 @@ class Reinforcer:
             AlternatingLearners(env) if asked.agents == "independent" and isinstance(env, TwoAgentVecEnv) else None
         )
         rows = [env] if alternating is None else alternating.sides
-        self._models = [models.make(asked.algorithm, each, self._settings, seed % 2**31) for each in rows]
+        self._models = [models.make(asked.algorithm, each, self._settings, seed % 2**31, self._share) for each in rows]
         # `make` seeds the environment with the model's seed, but episodes have their own.
         env.seed(first_seed_of(asked.seed) + self.steps)
         if self._state is not None:
@@ -111,7 +117,7 @@ class Reinforcer:
         left = (asked.steps - self.steps) * per_step
 
         def learner(k: int) -> None:
-            callback = _Watcher(self, per_step) if k == 0 else None
+            callback = _Watcher(self, per_step) if k == 0 else _Explorer(self)
             self._models[k][0].learn(left, callback=callback, reset_num_timesteps=True)
 
         try:
@@ -130,6 +136,13 @@ class Reinforcer:
                 f"smaller learning_rate, found {self._settings.learning_rate:g}"
             ) from error
         self.save()
+
+    def _share(self) -> float:
+        return min(1.0, self.steps / self._asked.steps)
+
+    def explore(self, model: Any) -> None:
+        """Set the width of a model's exploration; called before each rollout."""
+        models.explore(model, self._settings, self._share())
 
     def save(self) -> None:
         """Save a state from which the training can continue."""
@@ -206,12 +219,26 @@ class Reinforcer:
         return self._folder.finish()
 
 
-class _Watcher(BaseCallback):
+class _Explorer(BaseCallback):
+    """Callback of every model."""
+
+    def __init__(self, reinforcer: Reinforcer) -> None:
+        super().__init__()
+        self._reinforcer = reinforcer
+
+    def _on_rollout_start(self) -> None:
+        self._reinforcer.explore(self.model)
+
+    def _on_step(self) -> bool:
+        return True
+
+
+class _Watcher(_Explorer):
     """Callback of the first model."""
 
     def __init__(self, reinforcer: Reinforcer, per_step: int) -> None:
-        super().__init__()
-        self._reinforcer, self._per_step = reinforcer, per_step
+        super().__init__(reinforcer)
+        self._per_step = per_step
 
     def _on_step(self) -> bool:
         self._reinforcer.watch(self.locals["infos"], self.num_timesteps // self._per_step)

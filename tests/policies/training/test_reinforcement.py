@@ -155,7 +155,7 @@ def test_divergence_is_a_training_error(tmp_path, monkeypatch):
                 each.data.fill_(float("nan"))
 
     monkeypatch.setattr(reinforce.Reinforcer, "watch", spoiled)
-    with pytest.raises(TrainingError, match=r"diverged after \d+ steps.* smaller learning_rate, found 0.0003"):
+    with pytest.raises(TrainingError, match=r"diverged after \d+ steps.* smaller learning_rate, found 0.001"):
         train(small("ppo", steps=128), tmp_path / "out")
 
 
@@ -192,3 +192,33 @@ def test_the_best_checks_are_kept(tmp_path, monkeypatch):
     kept = sorted(each.name for each in (tmp_path / "out").glob("steps-*"))
     assert kept == ["steps-000000032", "steps-000000064"]
     assert sha_of(path) == sha_of(tmp_path / "out" / "steps-000000064")
+
+
+def test_exploration_and_learning_rate_decay_over_the_whole_training(tmp_path, monkeypatch):
+    widths, rates = [], []
+    real = reinforce.Reinforcer.explore
+
+    def watched(self, model):
+        real(self, model)
+        widths.append(float(model.policy.log_std.exp().mean()))
+        rates.append(model.lr_schedule(1.0))
+
+    monkeypatch.setattr(reinforce.Reinforcer, "explore", watched)
+    changes = {"first_std": 0.4, "last_std": 0.1, "learning_rate": 0.01, "episode_steps": 7}
+    asked = small("ppo", steps=320, changes=changes)
+    half = {"steps": 160}
+    train(dataclasses.replace(asked, **half), tmp_path / "half")
+    assert widths[0] == pytest.approx(0.4)
+    assert rates[0] == pytest.approx(0.01)
+    assert widths == sorted(widths, reverse=True)
+    assert rates == sorted(rates, reverse=True)
+    shown = (tmp_path / "half" / "progress.csv").read_text().splitlines()
+    column = shown[0].split(",").index("rollout/ep_len_mean")
+    lengths = {line.split(",")[column] for line in shown[1:]} - {""}
+    assert {float(each) for each in lengths} == {7.0}
+    # A training that is made longer continues where a longer one would be.
+    widths.clear()
+    resume(tmp_path / "half", steps=320)
+    assert widths[0] == pytest.approx(0.4 * 0.25 ** (0.5 / 0.9), rel=1e-3)
+    assert widths[-1] == pytest.approx(0.1, rel=0.05)
+    assert np.all(np.diff(widths) <= 0)

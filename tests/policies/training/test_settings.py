@@ -9,7 +9,15 @@ import pytest
 
 from dual_ur10 import ENV_IDS
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.policies.training.settings import CHECK_SEED, SETTINGS, Imitation, Reinforcement, defaults, first_seed_of
+from dual_ur10.policies.training.settings import (
+    CHECK_SEED,
+    IMITATION,
+    SETTINGS,
+    Imitation,
+    Reinforcement,
+    defaults,
+    first_seed_of,
+)
 from dual_ur10.sim2real.config.cell_file_reference import starting_text
 from tests.policies.training.small import small
 
@@ -21,8 +29,9 @@ def test_every_task_has_settings_for_every_algorithm(env_id, algorithm):
     assert asked.env_id == env_id
     own = SETTINGS[env_id.split("/")[1].rsplit("-v", 1)[0]]
     assert asked.steps == own.steps[algorithm]
-    assert asked.keywords == {"randomization": own.randomization, "action_latency_ticks": 5, **own.keywords}
-    assert isinstance(asked.settings, Imitation if algorithm in ("bc", "dagger") else Reinforcement)
+    shown = {"randomization": own.randomization, "action_latency_ticks": 5, **own.keywords}
+    assert asked.keywords == (shown if algorithm in IMITATION else own.from_nothing)
+    assert isinstance(asked.settings, Imitation if algorithm in IMITATION else Reinforcement)
 
 
 def test_arguments_override_the_defaults():

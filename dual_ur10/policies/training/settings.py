@@ -125,7 +125,7 @@ class TaskSettings:
         keywords: Further keywords of the environment.
         from_nothing: Keywords of PPO and SAC instead of these and the default latency. Without random plants and
             latency an untrained policy learns in a third of the steps.
-        ppo: Settings of PPO.
+        ppo: Settings of PPO from nothing. With a checkpoint to begin with, the general ones count.
         sac: Settings of SAC.
         imitation: Settings of bc and dagger.
         checks: Number of episodes of each progress check.
@@ -346,7 +346,8 @@ def defaults(
         raise UnknownNameError("algorithm", str(algorithm), get_args(Algorithm))
     settings: Reinforcement | Imitation = own.imitation
     if algorithm not in IMITATION:
-        settings = own.ppo if algorithm == "ppo" else own.sac
+        # A checkpoint to begin with has a network of imitation's size, which is also the general one.
+        settings = Reinforcement() if init else own.ppo if algorithm == "ppo" else own.sac
     names = [each.name for each in dataclasses.fields(settings)]
     for name in changes or {}:
         if name not in names:

@@ -34,6 +34,13 @@ def test_every_task_has_settings_for_every_algorithm(env_id, algorithm):
     assert isinstance(asked.settings, Imitation if algorithm in IMITATION else Reinforcement)
 
 
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_ppo_can_continue_what_imitation_made(env_id):
+    made, asked = defaults(env_id, "dagger"), defaults(env_id, "ppo", init="policy")
+    assert asked.keywords == made.keywords
+    assert asked.settings.hidden == made.settings.hidden
+
+
 def test_arguments_override_the_defaults():
     asked = defaults(
         "SyncCarry",

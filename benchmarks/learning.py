@@ -24,7 +24,6 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import tempfile
 import time
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -87,20 +86,18 @@ def measured(
     folder = shipped_folder(name, env_id)
     signature = read_manifest(folder).signature
     begin = time.monotonic()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # "wide" is beyond what they were trained for
-        found = evaluate(
-            env_id,
-            str(folder),
-            episodes=episodes,
-            num_envs=64,
-            env_kwargs={
-                **{key: value for key, value in signature.kwargs.items() if key != "random_path"},
-                "action_latency_ticks": signature.rate.latency_ticks,
-                "randomization": randomization,
-                **keywords,
-            },
-        )
+    found = evaluate(
+        env_id,
+        str(folder),
+        episodes=episodes,
+        num_envs=64,
+        env_kwargs={
+            **{key: value for key, value in signature.kwargs.items() if key != "random_path"},
+            "action_latency_ticks": signature.rate.latency_ticks,
+            "randomization": randomization,
+            **keywords,
+        },
+    )
     low, high = found.interval
     row: dict[str, Any] = {
         "success": found.success_rate,

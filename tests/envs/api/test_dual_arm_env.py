@@ -197,8 +197,9 @@ def test_many_episodes_and_environments_leave_nothing_behind():
     memory, files, threads = process.memory_info().rss, process.num_fds(), process.num_threads()
     cycle(scaled(1000))
     assert process.memory_info().rss - memory < 20 * 2**20
-    assert process.num_fds() == files
-    assert process.num_threads() == threads
+    # Fewer is no leak: what an earlier test of this process left may end meanwhile.
+    assert process.num_fds() <= files
+    assert process.num_threads() <= threads
 
 
 def test_wrappers_of_gymnasium():

@@ -179,6 +179,21 @@ class StartError(DualUR10Error, RuntimeError):
     """Raised when the arms are not ready, cannot move to the start of a task, or the operator has not confirmed it."""
 
 
+class TrajectoryError(DualUR10Error, ValueError):
+    """Raised when a trajectory or a goal of one is invalid. Nothing has moved then.
+
+    Attributes:
+        code: Result code with which a goal of it is rejected; see `ResultCode` of the trajectories.
+    """
+
+    def __init__(self, text: str, code: int = -1) -> None:
+        super().__init__(text)
+        self.code = code
+
+    def __reduce__(self) -> tuple[type, tuple[str, int]]:
+        return type(self), (str(self), self.code)
+
+
 class PolicyError(DualUR10Error, ValueError):
     """Raised by `dual_ur10.testing.check_policy` when a policy violates the contract of a policy."""
 

@@ -195,7 +195,7 @@ class TrajectoryError(DualUR10Error, ValueError):
 
 
 class PolicyError(DualUR10Error, ValueError):
-    """Raised by `dual_ur10.testing.check_policy` when a policy violates the contract of a policy."""
+    """Raised when an object is no policy, or `dual_ur10.testing.check_policy` finds a violation of the contract."""
 
 
 class CheckpointError(DualUR10Error, ValueError):

@@ -1,4 +1,4 @@
-"""Policies by name or by the path of a checkpoint.
+"""Policies by name, by the path of a checkpoint, or by a class of the user's own.
 
 Learned policies come with the package in `learned/learned_policies`, one folder for each:
 
@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.errors import PolicyError, SettingsError, UnknownNameError
 from dual_ur10.ids import ENTRY_POINTS, env_id_of, task_name
+from dual_ur10.policies.baselines import BASELINES
 from dual_ur10.policies.policy import Policy
 from dual_ur10.sim2real.config.cell import CellConfig
 
@@ -36,11 +38,30 @@ NAMES: Final = ("scripted", *_SHIPPED)
 """Names that `load` accepts. Not every task has a policy of every name."""
 
 
+OTHERS: Final = ("the path of a checkpoint", "module:Class")
+"""Further forms that `load` accepts, for messages."""
+
+
 def is_path(name: object) -> bool:
     """Return True if `load` treats this as the path of a checkpoint and not as a name."""
     if not isinstance(name, str):
         return isinstance(name, os.PathLike)
     return name not in NAMES and "\0" not in name and (os.sep in name or os.path.lexists(name))
+
+
+def is_class(name: object) -> bool:
+    """Return True if `load` treats this as a class, "package.module:Class", and not as a name or path."""
+    return isinstance(name, str) and not is_path(name) and re.fullmatch(r"[^\W\d][\w.]*:[^\W\d]\w*", name) is not None
+
+
+def check_name(name: str) -> None:
+    """Check that a policy has a name that commands and evaluations accept: those of baselines, too.
+
+    Raises:
+        UnknownNameError: It has not.
+    """
+    if name not in (*NAMES, *BASELINES) and not is_path(name) and not is_class(name):
+        raise UnknownNameError("policy", name, (*NAMES, *BASELINES, *OTHERS))
 
 
 def shipped_folder(name: str, env_id: str) -> Path:
@@ -69,17 +90,20 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
     task's settings, but not the kind of cell. A checkpoint is checked against the environment.
 
     Args:
-        name: One of `NAMES`, or the path of a checkpoint's folder. Text that contains
-            a "/" or names an existing file counts as a path.
+        name: One of `NAMES`; the path of a checkpoint's folder; or "package.module:Class", a class of your own that is
+            made without arguments. Text that contains a "/" or names an existing file counts as a path.
         env_id: Id of the environment. None: that of the checkpoint; a name requires an id.
         **keywords: As for `gym.make`. A policy ignores those that concern neither task nor cell. Without `env_id` and
             keywords, the checkpoint's own keywords apply.
 
     Raises:
         UnknownNameError: The policy or the environment does not exist.
-        SettingsError: A name was given without an environment.
+        SettingsError: A name was given without an environment, or a class cannot be imported or made.
+        PolicyError: An object of the class is no policy.
         CheckpointError: The checkpoint cannot be read, or was made for another environment.
     """
+    if is_class(name):
+        return _own(str(name))
     if name in _SHIPPED and env_id is not None:
         name = shipped_folder(str(name), env_id)
     if is_path(name):
@@ -87,13 +111,28 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
 
         return checkpoint.load(name, env_id, **keywords)
     if name not in NAMES:
-        raise UnknownNameError("policy", str(name), [*NAMES, "the path of a checkpoint"])
+        raise UnknownNameError("policy", str(name), [*NAMES, *OTHERS])
     if env_id is None:
         raise SettingsError(
             f"policy {str(name)!r} needs an environment: name one of {', '.join(ENTRY_POINTS)}; only the path of a "
             "checkpoint does without"
         )
     return _scripted(env_id, keywords)
+
+
+def _own(name: str) -> Policy:
+    """Return an object of a class "package.module:Class"."""
+    module, attribute = name.split(":")
+    try:
+        policy = getattr(importlib.import_module(module), attribute)()
+    except (ImportError, AttributeError, TypeError) as error:
+        raise SettingsError(
+            f"policy {name!r} cannot be made: {error}. Run this where Python finds {module!r}, and name a class that "
+            "is made without arguments"
+        ) from error
+    if not isinstance(policy, Policy):
+        raise PolicyError(f"{name!r} is no policy: it must have `reset()` and `__call__(observation)`")
+    return policy
 
 
 def _scripted(env_id: str, keywords: dict[str, Any]) -> Policy:

@@ -19,12 +19,12 @@ from dual_ur10.envs.core.options import AS_ON_CONTROLLERS, MOVE_TO_START
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 from dual_ur10.ids import ENTRY_POINTS, __version__
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.policies.baselines import BASELINES, RandomPolicy, ZeroPolicy
+from dual_ur10.policies.baselines import RandomPolicy, ZeroPolicy
 from dual_ur10.policies.evaluation.results import Episode, Evaluation
 from dual_ur10.policies.learned.checkpoint import warn_outside
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.policy import EpisodeAware, Policy
-from dual_ur10.policies.registry import NAMES, is_path, load, provenance, with_latency
+from dual_ur10.policies.registry import check_name, load, provenance, with_latency
 from dual_ur10.types import Array, Mask
 
 UNITS = ("_m", "_rad", "_n", "_s")
@@ -57,7 +57,7 @@ def evaluate(
     Args:
         env_id: Id of the environment.
         policy: A policy that takes batches; or a name, one of `dual_ur10.policies.NAMES`, "random" or "zero"; or the
-            folder of a checkpoint, made for this environment.
+            folder of a checkpoint, made for this environment; or "module:Class", as for `load`.
         episodes: Number of episodes, 1 or more.
         seed: Seed of the first episode, 0 or more.
         num_envs: Number of parallel episodes.
@@ -79,8 +79,8 @@ def evaluate(
     if max_steps is not None:
         _check_whole("max_steps", max_steps, 1)
     keywords = dict(env_kwargs or {})
-    if isinstance(policy, str) and policy not in (*NAMES, *BASELINES) and not is_path(policy):
-        raise UnknownNameError("policy", policy, (*NAMES, *BASELINES))
+    if isinstance(policy, str):
+        check_name(policy)
     given = keywords
     if keywords.get("record") is not None and env_id in gym.registry:
         given = {"record_about": provenance(policy, env_id), **keywords}

@@ -98,7 +98,8 @@ def clear(
     file: File,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask. Only for emulated cells.")] = False,
 ) -> None:
-    """Clear a latched stop, once an operator has checked both arms, so that they may be started again."""
+    """Clear a latched stop, once an operator has checked both arms, and report what still prevents a start."""
+    from dual_ur10.sim2real.commissioning.doctor import check_file
     from dual_ur10.sim2real.commissioning.operator_prompts import ask_at_terminal
     from dual_ur10.sim2real.config.cell_file import load_cell_file
     from dual_ur10.sim2real.runtime.latch import Latch
@@ -118,6 +119,10 @@ def clear(
         raise SettingsError("not confirmed: the latched stop remains")
     latch.clear()
     console.print("cleared: the next start checks both controllers again", highlight=False)
+    for each in check_file(cell):
+        if each.level == "fail":
+            text = f"[yellow]it would be refused now:[/] {escape(each.message)}"
+            console.print(text, highlight=False, soft_wrap=True)
 
 
 def _flat(values: Mapping[str, Any], path: str = "") -> dict[str, str]:

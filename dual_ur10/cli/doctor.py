@@ -9,7 +9,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from dual_ur10.cli.options import ArmFamily, Left, Right, console
+from dual_ur10.cli.options import ArmFamily, Left, Right, console, print_whole
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.ur10 import Family
 from dual_ur10.sim2real.config.cell_file import load_cell_file
@@ -26,16 +26,15 @@ def doctor(
     family: ArmFamily = "cb3",
 ) -> None:
     """Check two UR controllers and report problems with their remedies. Nothing moves. Exit code 1 if a check fails."""
-    from dual_ur10.sim2real.commissioning.doctor import check_cell
-    from dual_ur10.sim2real.commissioning.findings import ExpectedArm, any_fails, expected_of
+    from dual_ur10.sim2real.commissioning.doctor import check_cell, check_file
+    from dual_ur10.sim2real.commissioning.findings import ExpectedArm, any_fails
 
     if file is not None and left is None and right is None:
-        arms = [expected_of(arm) for arm in load_cell_file(file).arms]
+        findings = check_file(load_cell_file(file))
     elif file is None and left is not None and right is not None:
-        arms = [ExpectedArm(host=host, family=cast(Family, family)) for host in (left, right)]
+        findings = check_cell(*(ExpectedArm(host=host, family=cast(Family, family)) for host in (left, right)))
     else:
         raise SettingsError("name either a cell file, or both addresses with --left and --right")
-    findings = check_cell(*arms)
     table = Table(header_style="bold")
     for header in ("arm", "check", "", "found", "expected", "remedy"):
         table.add_column(header, overflow="fold")
@@ -46,7 +45,7 @@ def doctor(
             arm = each.arm
         texts = map(escape, (each.found, each.expected, each.remedy))
         table.add_row(each.arm, escape(each.name), _MARKS[each.level], *texts)
-    console.print(table)
+    print_whole(table)
     counts = {level: sum(each.level == level for each in findings) for level in _MARKS}
     console.print(f"{counts['ok']} ok, {counts['warn']} warnings, {counts['fail']} failed", highlight=False)
     if any_fails(findings):

@@ -10,13 +10,15 @@ from typing import Annotated, Any
 import gymnasium as gym
 import typer
 from rich.console import Console
+from rich.measure import Measurement
 from rich.progress import Progress, ProgressColumn
+from rich.table import Table
 
 from dual_ur10 import policies
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 from dual_ur10.ids import env_id_of
-from dual_ur10.policies.baselines import BASELINES, RandomPolicy, ZeroPolicy
-from dual_ur10.policies.registry import with_latency
+from dual_ur10.policies.baselines import RandomPolicy, ZeroPolicy
+from dual_ur10.policies.registry import check_name, with_latency
 
 console = Console()
 errors = Console(stderr=True)
@@ -28,7 +30,10 @@ EnvName = Annotated[
     str, typer.Argument(metavar="ENV", help="An id, such as DualUR10/SineTracking-v0, or its short form SineTracking.")
 ]
 PolicyName = Annotated[
-    str, typer.Option("--policy", "-p", help="scripted, learned, random or zero, or the folder of a checkpoint.")
+    str,
+    typer.Option(
+        "--policy", "-p", help="scripted, learned, random or zero; the folder of a checkpoint; or module:Class."
+    ),
 ]
 Settings = Annotated[
     list[str] | None,
@@ -48,7 +53,7 @@ OneArm = Annotated[
     str | None, typer.Option("--arm", help="left or right: only this arm moves, the other holds. Needs --cell.")
 ]
 PowerOn = Annotated[
-    bool, typer.Option("--power-on", help="First power the arms on and release their brakes, once you confirm it.")
+    bool, typer.Option("--power-on", help="First power the arms on and release their brakes. Real arms need your yes.")
 ]
 Record = Annotated[
     Path, typer.Option("--record", metavar="FOLDER", help="Record the run, in a new folder inside this one.")
@@ -124,6 +129,15 @@ STOP_COMMANDED = "both arms were commanded to stop: check them"
 """Message on the arms of a cell after Ctrl-C."""
 
 
+def print_whole(table: Table) -> None:
+    """Print a table, fitted to a terminal. In a file or pipe no cell is wrapped, so that a search finds its text."""
+    if console.is_terminal:
+        console.print(table)
+        return
+    width = Measurement.get(console, console.options.update(width=10_000), table).maximum
+    Console(file=console.file, width=width).print(table)
+
+
 def late_text(count: int) -> str:
     """Return a suffix with the number of actions that missed their deadline; "" if none did."""
     if not count:
@@ -170,9 +184,7 @@ def make(env: str, policy: str, keywords: dict[str, Any], seed: int) -> tuple[An
         DualUR10Error: A name or a value is not legal.
     """
     env_id = env_id_of(env)
-    names = (*policies.NAMES, *BASELINES)
-    if policy not in names and not policies.is_path(policy):
-        raise UnknownNameError("policy", policy, names)
+    check_name(policy)
     keywords = with_latency(policy, env_id, keywords)
     try:
         made = gym.make(env_id, **keywords)

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from dual_ur10.sim2real.commissioning.findings import Finding
 from dual_ur10.sim2real.config.cell_file import load_cell_file
+from dual_ur10.sim2real.runtime.latch import Latch
 from tests.cli import command
 
 HOSTS = ("--left", "192.168.1.10", "--right", "192.168.1.11")
@@ -99,6 +101,20 @@ def test_new_with_bad_values_leaves_no_file(tmp_path: Path, arguments: tuple[str
     assert message in text
     assert text.count("\n") == 1
     assert not path.exists()
+
+
+def test_clear_names_what_still_prevents_a_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "cell.toml"
+    assert run("new", str(path), "--kind", "emulated")[0] == 0
+    held = Finding("left", "safety mode", "fail", "7 (ROBOT_EMERGENCY_STOP)", "1 (NORMAL)", "release it")
+    fine = Finding("right", "safety mode", "ok", "1 (NORMAL)")
+    monkeypatch.setattr("dual_ur10.sim2real.commissioning.doctor.check_file", lambda cell: [held, fine])
+    latch = Latch(load_cell_file(path))
+    latch.set("left: safety mode 7 (ROBOT_EMERGENCY_STOP)")
+    code, text = run("clear", str(path), "--yes")
+    assert code == 0
+    assert latch.read() is None
+    assert text.splitlines()[-1] == f"it would be refused now: {held.message}"
 
 
 def test_new_overwrites_nothing(tmp_path: Path) -> None:

@@ -19,7 +19,9 @@ from dual_ur10.sim2real.commissioning.findings import (
     ExpectedArm,
     Finding,
     Level,
+    any_fails,
     calibration_findings,
+    expected_of,
     family_findings,
     judge,
     link_failure,
@@ -30,6 +32,7 @@ from dual_ur10.sim2real.commissioning.findings import (
     stream_findings,
     tool_findings,
 )
+from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.links import dashboard_link, primary_link, rtde_link
 from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES, ArmStatus
 from dual_ur10.sim2real.links.dashboard_link import DashboardLink
@@ -73,6 +76,16 @@ class _ArmFacts:
 
     def deadline_s(self) -> float:
         return self.system.clock.now_s() + self.timeout_s
+
+
+def check_file(cell: CellFile, system: System = LOCAL) -> list[Finding]:
+    """Check both arms of a cell file. If the emulator that wrote it has ended, that is the first finding that fails."""
+    findings = check_cell(*(expected_of(arm) for arm in cell.arms), system=system)
+    pid = None if cell.emulator is None else cell.emulator.pid
+    if pid is not None and any_fails(findings) and not system.is_running(pid):
+        remedy = "start it again: `python -m dual_ur10 emulate --cell FILE` writes that file anew"
+        findings.insert(0, Finding("cell", "emulator", "fail", f"process {pid} has ended", "running", remedy))
+    return findings
 
 
 def check_cell(

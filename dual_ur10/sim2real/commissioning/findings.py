@@ -186,10 +186,10 @@ def model_findings(arm: str, expected: ExpectedArm, model: str | None, robot_typ
 def state_findings(arm: str, status: ArmStatus) -> Iterator[Finding]:
     """Check that a program could move the arm, and that none does yet."""
     running, normal = status.robot_mode == RobotMode.RUNNING, status.safety_mode == SafetyMode.NORMAL
-    remedy = "power the arm on and release its brakes at the pendant"
-    yield judge(arm, "robot mode", running, mode_name(RobotMode, status.robot_mode), "7 (RUNNING)", remedy)
     remedy = "find the cause, and clear it at the pendant or at the button or gate"
     yield judge(arm, "safety mode", normal, mode_name(SafetyMode, status.safety_mode), "1 (NORMAL)", remedy)
+    remedy = "power the arm on and release its brakes at the pendant"
+    yield judge(arm, "robot mode", running, mode_name(RobotMode, status.robot_mode), "7 (RUNNING)", remedy)
     reason = stop_reason(status, playing=False)
     if reason is not None and running and normal:
         remedy = "find the cause, and clear it at the pendant"

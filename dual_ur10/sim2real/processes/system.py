@@ -126,6 +126,9 @@ class System(Protocol):
             channel: End of a channel, which becomes the first argument. It is closed here.
         """
 
+    def is_running(self, pid: int) -> bool:
+        """Return True if a process has this number."""
+
     def killer(self, pid: int) -> Callable[[], None] | None:
         """Return a function that kills a running process and no later one of the same number; None: it has ended."""
 
@@ -237,6 +240,16 @@ class LocalSystem:
             return Child(_with_channel, number, *where, *arguments, files=[number], name=name)
         finally:
             channel.close()
+
+    def is_running(self, pid: int) -> bool:
+        """See `System`."""
+        try:
+            os.kill(pid, 0)
+        except ProcessLookupError:
+            return False
+        except PermissionError:  # of another user
+            return True
+        return True
 
     def killer(self, pid: int) -> Callable[[], None] | None:
         """See `System`."""

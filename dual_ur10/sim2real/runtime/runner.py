@@ -11,8 +11,8 @@ import numpy as np
 
 from dual_ur10.errors import CellFaulted, ClosedError, StartError
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.commissioning.doctor import check_cell
-from dual_ur10.sim2real.commissioning.findings import REST_RAD_S, any_fails, expected_of
+from dual_ur10.sim2real.commissioning.doctor import check_file
+from dual_ur10.sim2real.commissioning.findings import REST_RAD_S, any_fails
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.control.time_scaling import TimeScaling
@@ -363,11 +363,9 @@ def check(file: CellFile, system: System = LOCAL) -> None:
     Raises:
         StartError: A check failed.
     """
-    findings = check_cell(*(expected_of(each) for each in file.arms), system=system)
+    findings = check_file(file, system)
     if any_fails(findings):
-        failures = [each.message for each in findings if each.level == "fail"]
-        more = f" ({len(failures) - 1} more: `python -m dual_ur10 doctor {file.source}` shows all)"
-        raise StartError(failures[0] + (more if len(failures) > 1 else ""))
+        raise StartError(". ".join(each.message for each in findings if each.level == "fail"))
     for finding in findings:
         if finding.level == "warn":
             log.info("%s", finding.message)

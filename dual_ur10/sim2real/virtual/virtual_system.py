@@ -179,6 +179,10 @@ class VirtualSystem:
         self._world.scheduler.start(run, process.group, process.name)
         return process
 
+    def is_running(self, pid: int) -> bool:
+        """See `System`."""
+        return pid in self._world.processes
+
     def killer(self, pid: int) -> Callable[[], None] | None:
         """See `System`."""
         process = self._world.processes.get(pid)

@@ -24,6 +24,7 @@ from dual_ur10.sim2real.commissioning.findings import (
     stream_findings,
     tool_findings,
 )
+from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.emulator.profile import PROFILES
 from dual_ur10.sim2real.links.network_route import Route
 from dual_ur10.sim2real.links.primary_link import PrimaryFacts
@@ -402,6 +403,21 @@ def test_only_failures_forbid_a_run():
     assert any_fails([ok, fail, warn])
 
 
+def test_an_emulator_that_has_ended_is_named_first(cb3, tmp_path):
+    values = {**cb3.description, "emulator": {**cb3.description["emulator"], "pid": 2**31 - 1}}
+    cell = CellFile.read(values, "cell.toml")
+    assert doctor.check_file(cell, cb3.system)[0].name != "emulator"  # while its controllers answer
+    gone = CellFile.read({**values, "left": {**values["left"], "host": "127.0.0.9"}}, "cell.toml")
+    first = doctor.check_file(gone, cb3.system)[0]
+    assert first.message.startswith("cell, emulator: process 2147483647 has ended, expected: running; start it again")
+
+
+def test_the_safety_mode_comes_before_the_power_that_it_took(cb3):
+    cb3.ask("override", arm="left", safety_mode=7, robot_mode=3)
+    failed = [name for name, each in findings_of(cb3).items() if each.level == "fail"]
+    assert failed[:2] == ["safety mode", "robot mode"]
+
+
 # The command line.
 
 
@@ -410,8 +426,8 @@ def virtual_doctor(cb3, monkeypatch):
     monkeypatch.setattr(doctor, "check_cell", functools.partial(doctor.check_cell, system=cb3.system))
 
 
-def run(*arguments):
-    result = CliRunner().invoke(cli.app, ["doctor", *arguments], env={"COLUMNS": "200"})
+def run(*arguments, width=200):
+    result = CliRunner().invoke(cli.app, ["doctor", *arguments], env={"COLUMNS": str(width)})
     return result.exit_code, re.sub(r"\x1b\[[0-9;]*m", "", result.output)
 
 
@@ -430,6 +446,15 @@ def test_warnings_do_not_fail_the_command(cb3):
     code, text = run("--left", cb3.left, "--right", cb3.right)
     assert code == 0, text
     assert "8 warnings, 0 failed" in text
+
+
+@pytest.mark.usefixtures("virtual_doctor")
+def test_nothing_is_wrapped_in_a_pipe(cb3):
+    code, text = run("--left", cb3.left, "--right", cb3.right, width=80)
+    assert code == 0
+    rows = [line for line in text.splitlines() if line.startswith("│")]
+    assert all(line.split("│")[1].strip() for line in rows)  # a continued row has no arm
+    assert any(f"0x{SAFETY:08x}" in line for line in rows)
 
 
 @pytest.mark.parametrize(

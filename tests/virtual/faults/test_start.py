@@ -121,6 +121,13 @@ def test_44_a_first_target_away_from_the_arm_is_not_sent(lab):
     assert lab.programs() == before + 2
 
 
+def test_a_start_lists_all_that_is_wrong(lab):
+    lab.override("left", safety_mode=7, robot_mode=3)
+    with pytest.raises(StartError, match=r"left, safety mode: 7 .*\. left, robot mode: 3 \(POWER_OFF\)"):
+        lab.make()
+    lab.assert_nothing_executed()
+
+
 def test_45_an_arm_that_moves_is_refused(lab):
     there = joints(lab, "right")
     there[5] += 0.5

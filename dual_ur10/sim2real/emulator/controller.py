@@ -240,12 +240,27 @@ class Controller:
 
     def protective_stop(self, code: str, text: str) -> None:
         """Stop protectively, with an error code of UR."""
-        if self.safety.safety_mode == SafetyMode.PROTECTIVE_STOP:
-            return
-        log.warning("%s: protective stop: %s: %s", self.name, code, text)
-        self.safety.stop(SafetyMode.PROTECTIVE_STOP, f"{code}: {text}")
-        self.messages.append(messages.error_code_message(self.time_s, code, text))
-        self.messages.append(messages.safety_mode_message(self.time_s, SafetyMode.PROTECTIVE_STOP, code))
+        if self.safety.safety_mode != SafetyMode.PROTECTIVE_STOP:
+            log.warning("%s: protective stop: %s: %s", self.name, code, text)
+            self.stop(SafetyMode.PROTECTIVE_STOP, text, code)
+
+    def stop(self, mode: int, text: str = "", code: str | None = None) -> None:
+        """Raise a stop condition, and report it to clients of the primary interface.
+
+        Args:
+            mode: Any number that RTDE's `safety_mode` may have.
+            text: Explanation.
+            code: Error code of UR; None: the cause has none.
+
+        Raises:
+            OperationRefusedError: The mode stands for normal operation.
+        """
+        before = self.safety.safety_mode
+        self.safety.stop(mode, text if code is None else f"{code}: {text}")
+        if before != mode:
+            code = code or "C0A0"
+            self.messages.append(messages.error_code_message(self.time_s, code, text))
+            self.messages.append(messages.safety_mode_message(self.time_s, mode, code))
 
     def send_text(self, text: str) -> None:
         """Send a text message of a program to clients of the primary interface."""

@@ -225,7 +225,7 @@ class Emulator:
             self._diverged = True
             log.error("the simulation diverged: the arms hold their last valid state; start the cell again")
             for server in self.servers:
-                server.controller.safety.stop(SafetyMode.FAULT, "the simulation diverged")
+                server.controller.stop(SafetyMode.FAULT, "the simulation diverged")
         self.ticks += 1
         self._injection.after_tick(self.ticks * self.tick_s)
         if self._viewer is not None and self.ticks * self.tick_s - self._rendered_s >= _FRAME_S:

@@ -198,7 +198,7 @@ class FaultInjection:
     def do_stop(self, arm: str, mode: _Mode, reason: _Text = "") -> None:
         """Raise a stop condition: any number of RTDE's `safety_mode` except 1 and 2."""
         controller = self._arm(arm).controller
-        controller.safety.stop(mode, reason)
+        controller.stop(mode, reason)
         controller.received.stop_tick = controller.ticks + 1
 
     def do_release(self, arm: str, mode: int) -> None:

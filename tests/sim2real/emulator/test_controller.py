@@ -255,6 +255,21 @@ def test_a_safeguard_stop_with_another_stop_does_not_resume(graver):
     assert bench.state == RuntimeState.PAUSED
 
 
+@pytest.mark.parametrize("mode", [3, 7, 9])
+def test_a_stop_from_outside_is_reported_once(bench, mode):
+    """By UR's messages of an error code, type 6, and of the safety mode, type 5."""
+    bench.controller.messages.clear()
+    for _ in range(2):
+        bench.controller.stop(mode, "somebody pressed it")
+        bench.tick(3)
+    error, safety = bench.controller.messages
+    assert (error[14], safety[14]) == (6, 5)
+    assert error.endswith(b"somebody pressed it")
+    assert safety[23] == mode
+    with pytest.raises(OperationRefusedError, match="no stop"):
+        bench.controller.stop(SafetyMode.NORMAL)
+
+
 @pytest.mark.parametrize("mode", [3, 5, 7, 42])
 def test_a_program_that_is_sent_during_a_stop_is_not_started(bench, mode):
     bench.controller.safety.stop(mode)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from typing import Any, Final
 
-from dual_ur10.errors import ProtocolError, ScriptError, SettingsError
+from dual_ur10.errors import OperationRefusedError, ProtocolError, ScriptError, SettingsError
 from dual_ur10.kinematics.ur10 import DHParameters
 from dual_ur10.sim2real.emulator.addresses import PORTS
 from dual_ur10.sim2real.emulator.controller import Controller
@@ -104,6 +104,16 @@ class ScriptPeer:
         """Drop an incomplete program."""
 
 
+_COMMANDS: Final[dict[str, Callable[[Pendant], None]]] = {
+    "power on": Pendant.power_on,
+    "power off": Pendant.power_off,
+    "set robotmode run": Pendant.release_brakes,
+    "set unlock protective stop": Pendant.unlock_protective_stop,
+    "stop program": Pendant.stop,
+}
+"""Lines on the script ports that are no programs: what UR's C++ client library sends to the primary interface."""
+
+
 class ArmServer:
     """One controller on its standard ports.
 
@@ -196,11 +206,24 @@ class ArmServer:
             add("gripper", lambda: LinePeer(gripper.answer, end=""))
 
     def _take_script(self, text: str) -> None:
+        command = _COMMANDS.get(" ".join(text.split()))
+        if command is not None:
+            self._command(text.strip(), command)
+            return
         self.controller.received.upload(self.controller.ticks, text)
         if len(self._scripts) >= _MAX_SCRIPTS:
             raise ProtocolError(f"{_MAX_SCRIPTS} programs are waiting already")
         found = self._reader.submit(read, text, self.controller.program.builtins)
         self._scripts.append((self.controller.time_s, text, found))
+
+    def _command(self, text: str, command: Callable[[Pendant], None]) -> None:
+        if not self.controller.takes_scripts:
+            self.controller.refuse(text, "the controller is in local mode")
+            return
+        try:
+            command(self.pendant)
+        except OperationRefusedError as error:
+            self.controller.refuse(text, str(error))
 
     def before_tick(self) -> None:
         """Start the parsed programs, in order of arrival."""

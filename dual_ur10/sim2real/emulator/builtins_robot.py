@@ -186,6 +186,7 @@ def robot_builtins(controller: Controller) -> Builtins:
     }
     profile = controller.profile
     functions["ft_rtde_input_enable"] = enable_external_ft_sensor
+    functions["get_joint_positions"] = get_actual_joint_positions  # its name in older programs
     newer = {
         ((5, 4), None): ("tool_contact", "get_steptime", "get_actual_joint_positions_history"),
         ((5, 3), None): ("get_target_waypoint",),

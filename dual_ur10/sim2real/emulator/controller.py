@@ -426,13 +426,20 @@ class Controller:
             text: Text of the program.
             found: Result of parsing it, if it has been parsed already.
         """
-        if self.profile.has_remote_control and not self.remote_control:
-            log.warning("%s: a program is refused: the controller is in local mode", self.name)
-            self.messages.append(
-                messages.key_message(self.time_s, "PROGRAM_REFUSED", "the controller is in local mode")
-            )
-            return
-        self.program.load(text, found)
+        if self.takes_scripts:
+            self.program.load(text, found)
+        else:
+            self.refuse("a program", "the controller is in local mode")
+
+    @property
+    def takes_scripts(self) -> bool:
+        """True unless the controller is in local mode."""
+        return self.remote_control or not self.profile.has_remote_control
+
+    def refuse(self, request: str, reason: str) -> None:
+        """Report a request on a script port that is refused."""
+        log.warning("%s: %s is refused: %s", self.name, request, reason)
+        self.messages.append(messages.key_message(self.time_s, "PROGRAM_REFUSED", reason))
 
     def play(self) -> None:
         """Start or resume the program.

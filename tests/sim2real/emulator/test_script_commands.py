@@ -1,0 +1,63 @@
+"""Lines on the script ports that are no programs, as UR's C++ client library sends them."""
+
+import pytest
+
+from dual_ur10.testing import VirtualCell
+
+
+@pytest.fixture(scope="module")
+def cell():
+    with VirtualCell(family="e-series") as cell:
+        yield cell
+
+
+@pytest.fixture(params=[30001, 30002, 30003])
+def send(request, cell):
+    """Return a function that sends a line and waits for two control periods."""
+    transport = cell.system.connect(cell.left, request.param, 1.0)
+
+    def send(line):
+        transport.send_now(f"{line}\n".encode())
+        cell.clock.sleep(0.01)
+
+    yield send
+    transport.close()
+
+
+def mode(cell, name):
+    return cell.ask("state", arm="left", names=[name])[name]
+
+
+def test_power_brakes_and_program(cell, send):
+    send("power off")
+    assert mode(cell, "robot_mode") == 3
+    send("power on")
+    cell.wait_until("left", "robot_mode", 5)
+    send("set  robotmode run")
+    cell.wait_until("left", "robot_mode", 7)
+    send("def wait():\n  sleep(100)\nend")
+    assert mode(cell, "runtime_state") == 2
+    send("stop program")
+    assert mode(cell, "runtime_state") == 1
+
+
+def test_a_protective_stop_is_unlocked_after_its_wait(cell, send):
+    cell.ask("stop", arm="left", mode=3)
+    send("set unlock protective stop")
+    assert mode(cell, "safety_mode") == 3  # refused for five seconds
+    cell.clock.sleep(5.0)
+    send("set unlock protective stop")
+    assert mode(cell, "safety_mode") == 1
+
+
+def test_local_mode_refuses_them(cell, send):
+    cell.ask("remote", arm="left", on=False)
+    send("power off")
+    assert mode(cell, "robot_mode") == 7
+    cell.ask("remote", arm="left", on=True)
+    send("power off")
+    assert mode(cell, "robot_mode") == 3
+    send("power on")
+    cell.wait_until("left", "robot_mode", 5)
+    send("set robotmode run")
+    cell.wait_until("left", "robot_mode", 7)

@@ -1,0 +1,179 @@
+"""Goals that follow a trajectory, their states, feedback and results, named as in ROS."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from dual_ur10.errors import TrajectoryError
+from dual_ur10.kinematics.ur10 import JOINTS
+from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
+from dual_ur10.types import Array
+
+PATH_TOLERANCE_RAD: Final = 0.05
+"""Default largest distance of a joint from its path: chosen, ten times what friction and added mass cause here."""
+
+GOAL_TOLERANCE_RAD: Final = 0.01
+"""Default largest distance of a joint from the last point when the goal ends."""
+
+GOAL_TIME_S: Final = 2.0
+"""Default time after the last point within which the arms must rest inside the goal tolerance."""
+
+REST_RAD_S: Final = 0.01
+"""Speed below which a measured joint counts as resting: JointTrajectoryController's `stopped_velocity_tolerance`."""
+
+END_SPEED_RAD_S: Final = 1e-3
+"""Largest speed of a last point: what the safety gate counts as rest."""
+
+
+class GoalState(StrEnum):
+    """States of a goal, named as in actionlib."""
+
+    PENDING = "pending"
+    ACTIVE = "active"
+    PREEMPTING = "preempting"
+    PREEMPTED = "preempted"
+    SUCCEEDED = "succeeded"
+    ABORTED = "aborted"
+    REJECTED = "rejected"
+
+    @property
+    def is_final(self) -> bool:
+        """True for a state that a goal never leaves."""
+        return self not in (GoalState.PENDING, GoalState.ACTIVE, GoalState.PREEMPTING)
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryGoal:
+    """Trajectory to follow, with tolerances.
+
+    Attributes:
+        trajectory: The trajectory. A first point at 0 must be where the arms are; one later is reached from there.
+        path_tolerance_rad: Largest distance of each joint from the path: one number, (6,) or (arms, 6); None: any.
+        goal_tolerance_rad: Largest distance of each joint from the last point at the end of the goal, likewise.
+        goal_time_s: Time after the last point within which the arms must rest inside the goal tolerance.
+        start_s: Start of the trajectory on the executor's clock; until then a running goal continues. None: at once.
+        stream: More points will be appended: the last point may move.
+
+    Raises:
+        TrajectoryError: A value is not legal, or the last point moves.
+    """
+
+    trajectory: JointTrajectory
+    path_tolerance_rad: Any = field(default=PATH_TOLERANCE_RAD)
+    goal_tolerance_rad: Any = field(default=GOAL_TOLERANCE_RAD)
+    goal_time_s: float = GOAL_TIME_S
+    start_s: float | None = None
+    stream: bool = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.trajectory, JointTrajectory):
+            raise TrajectoryError(
+                f"the goal's trajectory is a {type(self.trajectory).__name__}: make a JointTrajectory"
+            )
+        for name in ("path_tolerance_rad", "goal_tolerance_rad"):
+            object.__setattr__(self, name, self._tolerance(name))
+        for name, least in (("goal_time_s", 0.0), ("start_s", -math.inf)):
+            value = getattr(self, name)
+            if value is None and name == "start_s":
+                continue
+            if (
+                isinstance(value, bool)
+                or not isinstance(value, int | float | np.number)
+                or not least <= value < math.inf
+            ):
+                raise TrajectoryError(f"{name} of the goal is {value!r}: it must be a finite number, {least:g} or more")
+        if not self.stream:
+            check_end(self.trajectory)
+
+    def _tolerance(self, name: str) -> Array:
+        """Return a tolerance as (arms, 6); infinite where none is given."""
+        value, shape = getattr(self, name), self.trajectory.q_rad.shape[1:]
+        try:
+            array = np.array(math.inf if value is None else value, dtype=np.float64)
+            array = np.array(np.broadcast_to(array, shape))
+        except (TypeError, ValueError):
+            raise TrajectoryError(f"{name} is {value!r}: it must be one number, or fit {shape}, (arms, 6)") from None
+        if not (array > 0.0).all():
+            arm, joint = np.argwhere(~(array > 0.0))[0]
+            raise TrajectoryError(
+                f"{name} of {self.trajectory.arms[arm]}/{JOINTS[joint]} is {array[arm, joint]:g}: it must be above 0, "
+                "or None for none"
+            )
+        array.setflags(write=False)
+        return array
+
+
+def check_end(trajectory: JointTrajectory) -> None:
+    """Check that a trajectory ends at rest.
+
+    Raises:
+        TrajectoryError: Its last point moves.
+    """
+    if trajectory.qd_rad_s is None:
+        return
+    last = trajectory.qd_rad_s[-1]
+    arm, joint = np.unravel_index(int(np.abs(last).argmax()), last.shape)
+    if abs(last[arm, joint]) > END_SPEED_RAD_S:
+        raise TrajectoryError(
+            f"the last point, {len(trajectory) - 1}, moves {trajectory.arms[arm]}/{JOINTS[joint]} at "
+            f"{last[arm, joint]:g} rad/s: it must be at rest. Add a point with speed 0, or send the goal as a stream"
+        )
+
+
+class Feedback(NamedTuple):
+    """State of a running goal after a period, of its arms.
+
+    Attributes:
+        time_s: Time on the executor's clock.
+        path_s: Time on the trajectory.
+        scaling: Rate of the trajectory's time.
+        desired_q_rad: (arms, 6) positions on the path.
+        actual_q_rad: (arms, 6) measured positions.
+        error_rad: (arms, 6) desired minus actual.
+        flange_error_m: (arms,) distance of each flange from where the desired positions put it.
+    """
+
+    time_s: float
+    path_s: float
+    scaling: float
+    desired_q_rad: Array
+    actual_q_rad: Array
+    error_rad: Array
+    flange_error_m: Array
+
+
+class Result(NamedTuple):
+    """End of a goal.
+
+    Attributes:
+        state: Final state.
+        code: Result code. A goal that was cancelled or replaced has SUCCESSFUL, as in ros2_controllers.
+        reason: Short name: "reached", "cancelled", "replaced", "rejected", "path tolerance", "goal tolerance",
+            "underrun", "refused", "stopped", "late" or "diverged".
+        text: Description: the joint, what was found, what is allowed, and the remedy.
+        time_s: Time on the executor's clock.
+        largest_error_rad: (arms, 6) largest distance of each joint from the path.
+        rms_error_rad: (arms, 6) root mean square of it.
+        largest_flange_error_m: (arms,) largest flange error.
+        rms_flange_error_m: (arms,) root mean square of it.
+    """
+
+    state: GoalState
+    code: ResultCode
+    reason: str
+    text: str
+    time_s: float
+    largest_error_rad: Array
+    rms_error_rad: Array
+    largest_flange_error_m: Array
+    rms_flange_error_m: Array
+
+    @property
+    def succeeded(self) -> bool:
+        """True if the goal was reached."""
+        return self.state == GoalState.SUCCEEDED

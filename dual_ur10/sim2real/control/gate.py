@@ -8,6 +8,7 @@ legal when that target was accepted.
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Protocol
@@ -183,6 +184,18 @@ class SafetyGate:
         self._known[index] = self._away[index] = 0.0  # the caller has checked the start
         for row in index.tolist():
             self._verdicts.pop(row, None)
+
+    def rehearsal(self, past_rad: Array | None = None) -> SafetyGate:
+        """Return another gate with the same limits, for checks of a path ahead: nothing that it releases may be sent.
+
+        Args:
+            past_rad: (n, HISTORY, 2, 6) targets from which it continues; None: those of this gate.
+        """
+        result = copy.deepcopy(self)
+        if past_rad is not None:
+            result.reset(past_rad[:, -1])
+            result._past[:] = np.asarray(past_rad).reshape(self.n, HISTORY, 12)
+        return result
 
     def __call__(self, targets_rad: Array) -> GateResult:
         """Release targets, or replace them by the brake.

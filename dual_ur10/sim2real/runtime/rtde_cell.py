@@ -109,6 +109,7 @@ class RtdeCell:
         self._mirror = MirrorModel(config.scene)
         self._origin: int | None = None  # number of the target of tick 0 of the episode
         self._elapsed = 0
+        self._paused = False  # no command was owed since the last one
         self._temperature = [TemperatureWarning(name) for name in ARMS]
         self._grippers: Grippers | None = None
         self._tracker: ObjectTracker | None = None
@@ -189,7 +190,7 @@ class RtdeCell:
             self.system.clock.sleep(2.0 * _POLL_S)
         target = None if start.target_pose is None else np.asarray(start.target_pose).reshape(7)
         self._mirror.aim(None if target is None else (target[:3], target[3:]))
-        self._origin, self._elapsed = None, 0
+        self._origin, self._elapsed, self._paused = None, 0, False
         self._garbage.prepare_episode()
         return CellStep(self._state(statuses), None if self._only is None else goal[None])
 
@@ -210,6 +211,7 @@ class RtdeCell:
         if not self._targets.write(runner, first, command.targets_rad[0]):
             return self._stopped(runner, first)
         runner.cell.expect(first + self.ticks, live=True)
+        self._paused = False
         try:
             if self._grippers is not None and command.gripper_m is not None:
                 self._grip(runner, first, command.gripper_m[0, 0])
@@ -231,7 +233,7 @@ class RtdeCell:
 
     def _stopped(self, runner: Runner, first: int) -> CellStep:
         """Wait until both arms have stopped, after an action missed the deadline of target `first`."""
-        if not self._warned_late:  # further warnings would hide other messages
+        if not (self._warned_late or self._paused):  # further warnings would hide other messages
             self._warned_late = True
             log.warning(
                 "an action missed its deadline: both arms stop, and continue from there. Further ones are counted, and "
@@ -252,6 +254,7 @@ class RtdeCell:
     def finish(self) -> None:
         """End the episode: both arms stop along the brake that follows their targets."""
         if self._runner is not None and self._origin is not None:
+            self._paused = True
             self._runner.cell.expect(0.0, live=False)
 
     def stop(self, reason: str) -> None:

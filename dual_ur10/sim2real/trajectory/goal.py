@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from dual_ur10.errors import TrajectoryError
-from dual_ur10.kinematics.ur10 import JOINTS
+from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
 from dual_ur10.types import Array
 
@@ -28,6 +28,8 @@ REST_RAD_S: Final = 0.01
 
 END_SPEED_RAD_S: Final = 1e-3
 """Largest speed of a last point: what the safety gate counts as rest."""
+
+_POINTS: Final = ("time_s", "q_rad", "qd_rad_s", "qdd_rad_s2")
 
 
 class GoalState(StrEnum):
@@ -88,7 +90,49 @@ class TrajectoryGoal:
             ):
                 raise TrajectoryError(f"{name} of the goal is {value!r}: it must be a finite number, {least:g} or more")
         if not self.stream:
-            check_end(self.trajectory)
+            _check_end(self.trajectory)
+
+    @property
+    def rows(self) -> list[int]:
+        """Indices of the arms that move."""
+        return [ARMS.index(each) for each in self.trajectory.arms]
+
+    def extended(self, points: JointTrajectory) -> TrajectoryGoal:
+        """Return this stream with further points.
+
+        Raises:
+            TrajectoryError: They are of other arms, carry other values, or are not later.
+        """
+        before = self.trajectory
+        if points.arms != before.arms:
+            raise TrajectoryError(
+                f"points of {points.arms} were appended to a goal of {before.arms}: send all of its arms, and no other",
+                ResultCode.INVALID_JOINTS,
+            )
+        values: dict[str, Any] = {}
+        for name in _POINTS:
+            first, second = getattr(before, name), getattr(points, name)
+            if (first is None) != (second is None):
+                raise TrajectoryError(f"appended points must carry {name} exactly where the points before do")
+            values[name] = None if first is None else np.concatenate([first, second])
+        return replace(self, trajectory=JointTrajectory(before.arms, **values))
+
+    def since(self, path_s: float) -> TrajectoryGoal:
+        """Return this goal without points before a time of the trajectory, except the last two of them."""
+        trajectory = self.trajectory
+        first = max(min(int(np.searchsorted(trajectory.time_s, path_s)), len(trajectory)) - 2, 0)
+        given = {name: getattr(trajectory, name) for name in _POINTS}
+        values: dict[str, Any] = {name: None if each is None else each[first:] for name, each in given.items()}
+        kept = JointTrajectory(trajectory.arms, **values)
+        return replace(self, trajectory=kept) if first else self
+
+    def completed(self) -> TrajectoryGoal:
+        """Return this stream as a whole.
+
+        Raises:
+            TrajectoryError: Its last point moves.
+        """
+        return replace(self, stream=False)
 
     def _tolerance(self, name: str) -> Array:
         """Return a tolerance as (arms, 6); infinite where none is given."""
@@ -108,7 +152,7 @@ class TrajectoryGoal:
         return array
 
 
-def check_end(trajectory: JointTrajectory) -> None:
+def _check_end(trajectory: JointTrajectory) -> None:
     """Check that a trajectory ends at rest.
 
     Raises:

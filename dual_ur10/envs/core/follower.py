@@ -1,0 +1,85 @@
+"""Executor of trajectories on a cell that is named as for an environment, without a task and its equipment."""
+
+from __future__ import annotations
+
+from dual_ur10.assets.settings import HOME_Q_RAD, Equipment
+from dual_ur10.envs.sim.mujoco_cell import MujocoCell
+from dual_ur10.errors import UnknownNameError
+from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.sim2real.commissioning.operator_prompts import Confirm
+from dual_ur10.sim2real.config.cell import Cell, CellConfig, HostedCell, Perturbation
+from dual_ur10.sim2real.config.cell_file import resolve_cell
+from dual_ur10.sim2real.control.clearance import Clearance
+from dual_ur10.sim2real.control.gate import SafetyGate
+from dual_ur10.sim2real.control.limits import MotionLimits
+from dual_ur10.sim2real.control.proximity import ProximityScaling
+from dual_ur10.sim2real.processes.system import LOCAL
+from dual_ur10.sim2real.trajectory.executor import TrajectoryExecutor
+from dual_ur10.sim2real.trajectory.path_check import TargetLaw
+
+TICKS = 2
+"""Targets per period: after so many ticks at most, a violated tolerance is noticed."""
+
+
+def make_follower(
+    cell: object = "mujoco",
+    *,
+    limits: MotionLimits | None = None,
+    arm: str | None = None,
+    ticks: int = TICKS,
+    confirm: Confirm | None = None,
+) -> TrajectoryExecutor:
+    """Return an executor of trajectories on a cell. Simulated arms are at home; nothing else has moved.
+
+    Args:
+        cell: "mujoco", a `CellConfig`, the path of a cell file, or a `dual_ur10.testing.VirtualCell`.
+        limits: Motion limits, as far as the cell allows them; None: the hard ones.
+        arm: "left" or "right": the only arm that moves on two controllers; None: both may.
+        ticks: Controller ticks per period.
+        confirm: Called with a description before the arms of two controllers move to a start; None: real arms need a
+            yes at the terminal, emulated ones none.
+
+    Raises:
+        UnknownNameError: There is no such cell or arm.
+        DualUR10Error: The cell cannot be made; see `MujocoCell` and `RtdeCell`.
+    """
+    if arm is not None and arm not in ARMS:
+        raise UnknownNameError("arm", str(arm), [*ARMS, "None"])
+    config = resolve_cell(cell).equipped(Equipment(), 0.002, "stiff")
+    limits = config.capped(MotionLimits() if limits is None else limits)
+    clearance = Clearance(config.measured_scene, minimum_m=config.minimum_clearance_m, uncertainty=config.uncertainty)
+    law = TargetLaw.of(config.servoj, ticks, config.speed_factor, config.measured_lookahead_s)
+    gate = SafetyGate(limits, law.tick_s, ticks, clearance)
+    made = _cell(cell, config, gate, clearance, arm, confirm)
+    executor = TrajectoryExecutor(
+        made,
+        gate,
+        law,
+        latency_ticks=config.latency_ticks,
+        dh=[mount.dh for mount in (config.left, config.right)],
+        proximity=None if config.file is None else ProximityScaling(clearance, law.period_s),
+    )
+    with executor.closed_on_error():
+        if config.file is None:
+            clearance.check_start(HOME_Q_RAD[None])
+            executor.start(HOME_Q_RAD)
+    return executor
+
+
+def _cell(
+    cell: object, config: CellConfig, gate: SafetyGate, clearance: Clearance, arm: str | None, confirm: Confirm | None
+) -> Cell:
+    if config.file is None:
+        return MujocoCell(config, gate.ticks, contacts=config.perturbation != Perturbation())
+    from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell  # a simulation does not need its imports
+
+    return RtdeCell(
+        config,
+        gate.ticks,
+        limits=gate.limits,
+        clearance=clearance,
+        latency_ticks=config.latency_ticks,
+        confirm=confirm,
+        only=arm,
+        system=cell.system if isinstance(cell, HostedCell) else LOCAL,
+    )

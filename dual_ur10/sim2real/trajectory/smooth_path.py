@@ -1,0 +1,162 @@
+"""Path of both arms with continuous accelerations, made of a trajectory's segments.
+
+The law of `servoj` is inverted with the acceleration: where that jumps, so would the targets. Near such a point of a
+trajectory, a quintic polynomial replaces the ends of both segments.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from scipy.interpolate import PPoly
+
+from dual_ur10.sim2real.trajectory.interpolation import ORDER, Interpolation, Motion, quintic
+from dual_ur10.types import Array
+
+ROUNDING_S: Final = 0.04
+"""Time before and after a point with a jump of speed or acceleration that is rounded, at most half a segment: long
+enough for the targets' jerk, at a distance from the segments below 0.02 mrad per rad/s² of the jump."""
+
+_JUMP_RAD_S: Final = 1e-9
+_JUMP_RAD_S2: Final = 1e-6  # jumps below these do not count
+_SHORTEST_S: Final = 1e-9  # of a piece
+_FACTORIALS: Final = np.array([math.factorial(ORDER - row) for row in range(ORDER + 1)], dtype=np.float64)
+
+
+class SmoothPath:
+    """Positions of both arms as a function of a trajectory's time, with continuous speed and acceleration.
+
+    Before its start and after its end the path is at rest.
+
+    Args:
+        breaks_s: (k + 1,) times at which the polynomials change.
+        coefficients: (6, k, 2, 6) coefficients, the highest power first, time from each break.
+        end_s: End of the motion; None: the last break.
+    """
+
+    def __init__(self, breaks_s: Array, coefficients: Array, end_s: float | None = None) -> None:
+        self.polynomial = PPoly.construct_fast(np.ascontiguousarray(coefficients), np.ascontiguousarray(breaks_s))
+        self._derivatives = [self.polynomial, self.polynomial.derivative(1), self.polynomial.derivative(2)]
+        self.start_s, self.end_s = float(breaks_s[0]), float(breaks_s[-1]) if end_s is None else end_s
+
+    @classmethod
+    def hold(cls, q_rad: Array) -> SmoothPath:
+        """Return rest at (2, 6)."""
+        coefficients = np.zeros((ORDER + 1, 1, 2, 6))
+        coefficients[ORDER] = q_rad
+        return cls(np.array([0.0, 1.0]), coefficients, 0.0)
+
+    @classmethod
+    def of(
+        cls, interpolation: Interpolation, rows: list[int], others_rad: Array, *, is_open: bool = False
+    ) -> SmoothPath:
+        """Return the path of a trajectory.
+
+        A jump of the speed at its end, as where points carry positions only, ends the motion `ROUNDING_S` later.
+
+        Args:
+            interpolation: The trajectory between its points.
+            rows: Indices of its arms.
+            others_rad: (2, 6) positions of the arms that are not in it.
+            is_open: More points will follow, so that the end is not rounded.
+        """
+        polynomial = interpolation.polynomial
+        if interpolation.start_s == interpolation.end_s:
+            breaks, coefficients = polynomial.x, polynomial.c
+            end_s = interpolation.end_s
+        else:
+            breaks, coefficients = _rounded(polynomial, is_open)
+            end_s = float(breaks[-1])
+        both = np.zeros((ORDER + 1, coefficients.shape[1], 2, 6))
+        both[ORDER] = others_rad
+        both[:, :, rows] = coefficients
+        return cls(breaks, both, end_s)
+
+    def __call__(self, path_s: Array) -> Motion:
+        """Return positions and their first two derivatives at (m,) times of the trajectory."""
+        inside = np.clip(path_s, self.start_s, self.end_s)
+        moves = ((path_s >= self.start_s) & (path_s < self.end_s))[:, None, None]
+        q, speed, acceleration = (each(inside) for each in self._derivatives)
+        return Motion(q, speed * moves, acceleration * moves)
+
+    def extended(self, path_s: Array) -> Motion:
+        """Return the same, except that the first and the last polynomial continue outside."""
+        return Motion(*(each(path_s) for each in self._derivatives))
+
+    def joined(self, at_s: float, now: Motion, meets_s: float) -> SmoothPath:
+        """Return a path that leaves a motion, (2, 6) each, at one time and is this one from another time on."""
+        meeting = self(np.array([meets_s]))
+        first = quintic(meets_s - at_s, now, Motion(*(each[0] for each in meeting)))[:, None]
+        if meets_s > self.end_s - _SHORTEST_S:
+            return SmoothPath(np.array([at_s, meets_s]), first)
+        breaks, coefficients = self._between(meets_s, self._last_s)
+        return SmoothPath(np.append(at_s, breaks), np.concatenate([first, coefficients], axis=1), self.end_s)
+
+    def continued(self, following: SmoothPath, at_s: float, from_s: float = -math.inf) -> SmoothPath:
+        """Return this path, and from a time on the following one, which must be equal there.
+
+        Args:
+            following: The path from then on.
+            at_s: That time.
+            from_s: Time before which the result is not needed.
+        """
+        start_s = max(from_s, self.start_s)
+        if at_s <= start_s + _SHORTEST_S:
+            return following
+        first, second = self._between(start_s, at_s), following._between(at_s, following._last_s)
+        breaks = np.concatenate([first[0][:-1], second[0]])
+        return SmoothPath(breaks, np.concatenate([first[1], second[1]], axis=1), following.end_s)
+
+    @property
+    def _last_s(self) -> float:
+        return float(self.polynomial.x[-1])
+
+    def _between(self, start_s: float, end_s: float) -> tuple[Array, Array]:
+        """Return breaks and coefficients of a part."""
+        x = self.polynomial.x
+        starts = np.append(start_s, x[(x > start_s + _SHORTEST_S) & (x < end_s - _SHORTEST_S)])
+        return np.append(starts, end_s), _expanded(self.polynomial, starts)
+
+
+def _expanded(polynomial: PPoly, starts_s: Array) -> Array:
+    """Return the coefficients, (6, k, ...), of the polynomials about (k,) times."""
+    values = np.stack([polynomial(starts_s, nu=ORDER - row) for row in range(ORDER + 1)])
+    result: Array = values / _FACTORIALS.reshape(-1, *[1] * (values.ndim - 1))
+    return result
+
+
+def _rounded(polynomial: PPoly, is_open: bool) -> tuple[Array, Array]:
+    """Return breaks and coefficients, (6, k, arms, 6), with rounded jumps."""
+    x, c = polynomial.x, polynomial.c
+    steps = np.diff(x)
+    h = steps.reshape(-1, 1, 1)
+    speed = (((5 * c[0] * h + 4 * c[1]) * h + 3 * c[2]) * h + 2 * c[3]) * h + c[4]
+    acceleration = ((20 * c[0] * h + 12 * c[1]) * h + 6 * c[2]) * h + 2 * c[3]
+    nothing = np.zeros((1, *c.shape[2:]))
+    speeds = np.abs(np.concatenate([c[4, 1:], nothing]) - speed).max(axis=(1, 2)) > _JUMP_RAD_S
+    corners = speeds | (np.abs(np.concatenate([2 * c[3, 1:], nothing]) - acceleration).max(axis=(1, 2)) > _JUMP_RAD_S2)
+    if is_open:
+        speeds[-1] = corners[-1] = False
+    beside = np.minimum(steps, np.append(steps[1:], np.inf)) / 2
+    before = np.where(corners, np.minimum(ROUNDING_S, beside), 0.0)
+    after = before.copy()
+    if not speeds[-1]:
+        after[-1] = 0.0  # it stops at its own time
+    # What is left of each segment, then the rounded corners.
+    starts, ends = x[:-1] + np.append(0.0, after[:-1]), x[1:] - before
+    left = ends - starts > _SHORTEST_S
+    pieces = [(starts[left], _expanded(polynomial, starts[left]))]
+    rows = np.flatnonzero(corners)
+    if rows.size:
+        away, back = x[1:][rows] - before[rows], x[1:][rows] + after[rows]
+        start = Motion(*(polynomial(away, nu=order) for order in range(3)))
+        end = Motion(*(polynomial(back, nu=order) for order in range(3)))
+        if rows[-1] == len(steps) - 1:  # the polynomial would go on
+            end.q_rad[-1], end.qd_rad_s[-1], end.qdd_rad_s2[-1] = polynomial(x[-1]), 0.0, 0.0
+        pieces.append((away, quintic((back - away).reshape(-1, 1, 1), start, end)))
+    begins = np.concatenate([each for each, _ in pieces])
+    order = np.argsort(begins, kind="stable")
+    breaks = np.append(begins[order], x[-1] + after[-1])
+    return breaks, np.concatenate([each for _, each in pieces], axis=1)[:, order]

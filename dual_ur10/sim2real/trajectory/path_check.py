@@ -90,7 +90,7 @@ class Refusal(NamedTuple):
         after = int(np.searchsorted(trajectory.time_s, self.path_s, side="right"))
         last = len(trajectory) - 1
         where = f"between points {after - 1} and {after}" if 0 < after <= last else f"at point {min(after, last)}"
-        remedy = "Give the points more time, and speeds that fit"
+        remedy = "Give the points more time, and speeds and accelerations that fit"
         if self.verdict.kind in ("distance", "joint position"):
             remedy = "Choose another path there"
         return f"the path is refused {where}, {self}. {remedy}"

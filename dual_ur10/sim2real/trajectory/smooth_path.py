@@ -54,21 +54,20 @@ class SmoothPath:
     ) -> SmoothPath:
         """Return the path of a trajectory.
 
-        A jump of the speed at its end, as where points carry positions only, ends the motion `ROUNDING_S` later.
+        A jump of speed or acceleration at its end makes the motion end `ROUNDING_S` later.
 
         Args:
             interpolation: The trajectory between its points.
             rows: Indices of its arms.
             others_rad: (2, 6) positions of the arms that are not in it.
-            is_open: More points will follow, so that the end is not rounded.
+            is_open: More points will follow, so that it does not end at rest.
         """
-        polynomial = interpolation.polynomial
-        if interpolation.start_s == interpolation.end_s:
-            breaks, coefficients = polynomial.x, polynomial.c
-            end_s = interpolation.end_s
-        else:
-            breaks, coefficients = _rounded(polynomial, is_open)
-            end_s = float(breaks[-1])
+        polynomial, end_s = interpolation.polynomial, interpolation.end_s
+        if interpolation.start_s < end_s:
+            polynomial = _rounded(polynomial)
+            polynomial = polynomial if is_open else _landed(polynomial)
+            end_s = float(polynomial.x[-1])
+        breaks, coefficients = polynomial.x, polynomial.c
         both = np.zeros((ORDER + 1, coefficients.shape[1], 2, 6))
         both[ORDER] = others_rad
         both[:, :, rows] = coefficients
@@ -91,7 +90,7 @@ class SmoothPath:
         first = quintic(meets_s - at_s, now, Motion(*(each[0] for each in meeting)))[:, None]
         if meets_s > self.end_s - _SHORTEST_S:
             return SmoothPath(np.array([at_s, meets_s]), first)
-        breaks, coefficients = self._between(meets_s, self._last_s)
+        breaks, coefficients = _between(self.polynomial, meets_s, self._last_s)
         return SmoothPath(np.append(at_s, breaks), np.concatenate([first, coefficients], axis=1), self.end_s)
 
     def continued(self, following: SmoothPath, at_s: float, from_s: float = -math.inf) -> SmoothPath:
@@ -105,19 +104,14 @@ class SmoothPath:
         start_s = max(from_s, self.start_s)
         if at_s <= start_s + _SHORTEST_S:
             return following
-        first, second = self._between(start_s, at_s), following._between(at_s, following._last_s)
+        first = _between(self.polynomial, start_s, at_s)
+        second = _between(following.polynomial, at_s, following._last_s)
         breaks = np.concatenate([first[0][:-1], second[0]])
         return SmoothPath(breaks, np.concatenate([first[1], second[1]], axis=1), following.end_s)
 
     @property
     def _last_s(self) -> float:
         return float(self.polynomial.x[-1])
-
-    def _between(self, start_s: float, end_s: float) -> tuple[Array, Array]:
-        """Return breaks and coefficients of a part."""
-        x = self.polynomial.x
-        starts = np.append(start_s, x[(x > start_s + _SHORTEST_S) & (x < end_s - _SHORTEST_S)])
-        return np.append(starts, end_s), _expanded(self.polynomial, starts)
 
 
 def _expanded(polynomial: PPoly, starts_s: Array) -> Array:
@@ -127,36 +121,52 @@ def _expanded(polynomial: PPoly, starts_s: Array) -> Array:
     return result
 
 
-def _rounded(polynomial: PPoly, is_open: bool) -> tuple[Array, Array]:
-    """Return breaks and coefficients, (6, k, arms, 6), with rounded jumps."""
+def _rounded(polynomial: PPoly) -> PPoly:
+    """Return a polynomial with rounded jumps between its first and its last break."""
     x, c = polynomial.x, polynomial.c
-    steps = np.diff(x)
-    h = steps.reshape(-1, 1, 1)
-    speed = (((5 * c[0] * h + 4 * c[1]) * h + 3 * c[2]) * h + 2 * c[3]) * h + c[4]
-    acceleration = ((20 * c[0] * h + 12 * c[1]) * h + 6 * c[2]) * h + 2 * c[3]
-    nothing = np.zeros((1, *c.shape[2:]))
-    speeds = np.abs(np.concatenate([c[4, 1:], nothing]) - speed).max(axis=(1, 2)) > _JUMP_RAD_S
-    corners = speeds | (np.abs(np.concatenate([2 * c[3, 1:], nothing]) - acceleration).max(axis=(1, 2)) > _JUMP_RAD_S2)
-    if is_open:
-        speeds[-1] = corners[-1] = False
-    beside = np.minimum(steps, np.append(steps[1:], np.inf)) / 2
-    before = np.where(corners, np.minimum(ROUNDING_S, beside), 0.0)
-    after = before.copy()
-    if not speeds[-1]:
-        after[-1] = 0.0  # it stops at its own time
+    h = np.diff(x)[:-1].reshape(-1, 1, 1)
+    speed, acceleration = _at_ends(c[:, :-1], h)
+    jumps = [np.abs(each).max(axis=(1, 2), initial=0.0) for each in (c[4, 1:] - speed, 2 * c[3, 1:] - acceleration)]
+    corners = (jumps[0] > _JUMP_RAD_S) | (jumps[1] > _JUMP_RAD_S2)
+    if not corners.any():
+        return polynomial
+    beside = np.minimum(np.diff(x)[:-1], np.diff(x)[1:]) / 2
+    around = np.where(corners, np.minimum(ROUNDING_S, beside), 0.0)
     # What is left of each segment, then the rounded corners.
-    starts, ends = x[:-1] + np.append(0.0, after[:-1]), x[1:] - before
-    left = ends - starts > _SHORTEST_S
-    pieces = [(starts[left], _expanded(polynomial, starts[left]))]
-    rows = np.flatnonzero(corners)
-    if rows.size:
-        away, back = x[1:][rows] - before[rows], x[1:][rows] + after[rows]
-        start = Motion(*(polynomial(away, nu=order) for order in range(3)))
-        end = Motion(*(polynomial(back, nu=order) for order in range(3)))
-        if rows[-1] == len(steps) - 1:  # the polynomial would go on
-            end.q_rad[-1], end.qd_rad_s[-1], end.qdd_rad_s2[-1] = polynomial(x[-1]), 0.0, 0.0
-        pieces.append((away, quintic((back - away).reshape(-1, 1, 1), start, end)))
-    begins = np.concatenate([each for each, _ in pieces])
+    starts, ends = x[:-1] + np.append(0.0, around), x[1:] - np.append(around, 0.0)
+    starts = starts[ends - starts > _SHORTEST_S]
+    away, back = x[1:-1][corners] - around[corners], x[1:-1][corners] + around[corners]
+    start, end = (Motion(*(polynomial(each, nu=order) for order in range(3))) for each in (away, back))
+    begins = np.concatenate([starts, away])
+    pieces = np.concatenate(
+        [_expanded(polynomial, starts), quintic((back - away).reshape(-1, 1, 1), start, end)], axis=1
+    )
     order = np.argsort(begins, kind="stable")
-    breaks = np.append(begins[order], x[-1] + after[-1])
-    return breaks, np.concatenate([each for _, each in pieces], axis=1)[:, order]
+    return PPoly.construct_fast(np.ascontiguousarray(pieces[:, order]), np.append(begins[order], x[-1]))
+
+
+def _landed(polynomial: PPoly) -> PPoly:
+    """Return a polynomial that comes to rest at its last value smoothly, `ROUNDING_S` later where it would jump."""
+    x, c = polynomial.x, polynomial.c
+    speed, acceleration = _at_ends(c[:, -1:], np.diff(x)[-1:].reshape(-1, 1, 1))
+    if np.abs(speed).max() <= _JUMP_RAD_S and np.abs(acceleration).max() <= _JUMP_RAD_S2:
+        return polynomial
+    around = min(ROUNDING_S, float(x[-1] - x[0]) / 2)
+    leaves_s = float(x[-1]) - around
+    breaks, pieces = _between(polynomial, float(x[0]), leaves_s)
+    start = Motion(*(polynomial(leaves_s, nu=order) for order in range(3)))
+    landing = quintic(2 * around, start, Motion.at_rest(polynomial(x[-1])))
+    return PPoly.construct_fast(np.concatenate([pieces, landing[:, None]], axis=1), np.append(breaks, x[-1] + around))
+
+
+def _at_ends(c: Array, h: Array) -> tuple[Array, Array]:
+    """Return speed and acceleration at the ends of polynomials."""
+    speed = (((5 * c[0] * h + 4 * c[1]) * h + 3 * c[2]) * h + 2 * c[3]) * h + c[4]
+    return speed, ((20 * c[0] * h + 12 * c[1]) * h + 6 * c[2]) * h + 2 * c[3]
+
+
+def _between(polynomial: PPoly, start_s: float, end_s: float) -> tuple[Array, Array]:
+    """Return breaks and coefficients of a part."""
+    x = polynomial.x
+    starts = np.append(start_s, x[(x > start_s + _SHORTEST_S) & (x < end_s - _SHORTEST_S)])
+    return np.append(starts, end_s), _expanded(polynomial, starts)

@@ -206,7 +206,7 @@ def draw(rng):
     executor = made(int(rng.choice([0, 5])))
     order = int(rng.integers(3))
     duration = rng.uniform(1.0, 3.0)
-    amplitude = rng.uniform(0.05, 0.25) * duration
+    amplitude = rng.uniform(0.05, 0.25) * duration * (1.0 if order else 0.25)  # lines have corners
     points = int(rng.integers(4, 20)) if order else int(duration / 0.04)
     return executor, wave(duration, points, amplitude, order)
 
@@ -262,7 +262,9 @@ def test_a_stream_runs_out_of_points_at_random_instants():
         rng = np.random.default_rng(seed)
         executor = made(int(rng.choice([0, 5])))
         duration = rng.uniform(1.0, 3.0)
-        trajectory = wave(duration, int(duration * 25) + 1, rng.uniform(0.05, 0.2) * duration, int(rng.integers(3)))
+        order = int(rng.integers(3))
+        amplitude = rng.uniform(0.05, 0.2) * duration * (1.0 if order else 0.25)
+        trajectory = wave(duration, int(duration * 25) + 1, amplitude, order)
         known = 20
         last = int(rng.integers(known, len(trajectory)))
         handle = executor.execute(TrajectoryGoal(part(trajectory, 0, known), stream=True))

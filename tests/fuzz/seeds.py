@@ -22,6 +22,8 @@ from dual_ur10.sim2real.recording.encoding import single_record
 from dual_ur10.sim2real.recording.rows import BeginRow, StepRow
 from dual_ur10.sim2real.recording.run import Event
 from dual_ur10.sim2real.recording.schemas import EPISODE_TOPIC, EVENT, EVENT_TOPIC, STEP_TOPIC, TOPICS
+from dual_ur10.sim2real.trajectory.files import _csv_of, _json_of
+from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from tests.fuzz.targets import HEADER, MANIFEST, NETWORKS, PREAMBLE, PROFILE, in_pieces
 from tests.sim2real.emulator.rtde_bytes import VERSION_2, data, inputs, message, outputs
 
@@ -160,6 +162,8 @@ _PRIMARY: Final = version_message(PROFILE) + PrimaryPacket(PROFILE, NOMINAL_DH).
 _MANIFEST: Final = json.loads(MANIFEST.text())
 _FLAT: Final = struct.pack("<d", 0.5)
 
+_TRAJECTORY: Final = JointTrajectory(("left", "right"), [0.0, 1.5], *np.zeros((3, 2, 2, 6)))
+
 SEEDS: Final[dict[str, list[bytes]]] = {
     "rtde_frames": [in_pieces(*_STREAM), in_pieces(b"\0\3S\0\4U", b"\1\0\3P")],
     "rtde_stream": [in_pieces(*_STREAM), in_pieces(b"".join(_STREAM)[:50], b"".join(_STREAM)[50:])],
@@ -219,6 +223,12 @@ SEEDS: Final[dict[str, list[bytes]]] = {
         starting_text("real", "10.0.0.1", "10.0.0.2", task="DualUR10/SyncCarry-v0").encode(),
         starting_text("emulated").split(EXAMPLES)[0].encode()
         + "\n".join(line.removeprefix("# ") for line in EXAMPLES.splitlines() if "=" in line or "[" in line).encode(),
+    ],
+    "trajectory_file": [
+        b"\0" + _json_of(_TRAJECTORY).encode(),
+        b"\1header:\n  frame_id: world\n"
+        + b"".join(f"{key}: {json.dumps(each)}\n".encode() for key, each in json.loads(_json_of(_TRAJECTORY)).items()),
+        b"\2" + _csv_of(_TRAJECTORY).encode(),
     ],
     "checkpoint_manifest": [json.dumps(_MANIFEST).encode()],
     "checkpoint_weights": [save(_tensors(NETWORKS, MANIFEST))],

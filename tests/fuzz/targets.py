@@ -27,6 +27,7 @@ from dual_ur10.errors import (
     RecordingError,
     ScriptError,
     SettingsError,
+    TrajectoryError,
     UnknownNameError,
 )
 from dual_ur10.kinematics.ur10 import NOMINAL_DH
@@ -69,6 +70,7 @@ from dual_ur10.sim2real.recording.header import from_metadata, mounts_of
 from dual_ur10.sim2real.recording.reader import _WANTED, _run
 from dual_ur10.sim2real.recording.scan import _Scan
 from dual_ur10.sim2real.recording.schemas import BEGIN, EVENT, SENT_COLUMNS, SINGLE, STATE_COLUMNS, STEP, TOPICS
+from dual_ur10.sim2real.trajectory.files import Format, _csv_of, parse_trajectory
 from tests.policies.learned.checkpoints import parts
 from tests.sim2real.recording.runs import header
 
@@ -573,6 +575,23 @@ def cell_file(data: bytes) -> None:
         cell.notes()
         cell.config()
         cell.simulated()
+
+
+@target(
+    TrajectoryError,
+    words="header: stamp: sec: nanosec: frame_id joint_names points positions velocities accelerations effort "
+    "time_from_start time_s left/elbow_joint right_elbow_joint .speed .acceleration {} [] - --- & * !! << .nan 1e999",
+)
+def trajectory_file(data: bytes) -> None:
+    """Files of trajectories; the first byte chooses the format. What is accepted can be written and read again."""
+    if data:
+        found = parse_trajectory(data[1:], FORMATS[data[0] % len(FORMATS)])
+        again = parse_trajectory(_csv_of(found).encode(), "csv")
+        assert np.array_equal(again.q_rad, found.q_rad)
+        assert np.array_equal(again.time_s, found.time_s)
+
+
+FORMATS: Final[tuple[Format, ...]] = ("json", "yaml", "csv")
 
 
 @target(CheckpointError)

@@ -17,6 +17,7 @@ from dual_ur10.cli.doctor import doctor
 from dual_ur10.cli.emulate import emulate
 from dual_ur10.cli.evaluate import evaluate
 from dual_ur10.cli.fit import fit
+from dual_ur10.cli.follow import follow
 from dual_ur10.cli.list import list_environments
 from dual_ur10.cli.options import console, errors
 from dual_ur10.cli.replay import replay
@@ -67,7 +68,11 @@ def _options(
 
 
 app.command("list")(list_environments)
-for command in (demo, rollout, view, evaluate, train, collect, convert, emulate, doctor, status, replay, compare, fit):
+_COMMANDS = (
+    *(demo, rollout, follow, view, evaluate, train, collect, convert),
+    *(emulate, doctor, status, replay, compare, fit),
+)
+for command in _COMMANDS:
     app.command()(command)
 app.add_typer(cell.app, name="cell")
 

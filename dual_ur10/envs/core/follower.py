@@ -55,13 +55,13 @@ def make_follower(
         made,
         gate,
         law,
+        clearance,
         latency_ticks=config.latency_ticks,
         dh=[mount.dh for mount in (config.left, config.right)],
         proximity=None if config.file is None else ProximityScaling(clearance, law.period_s),
     )
     with executor.closed_on_error():
         if config.file is None:
-            clearance.check_start(HOME_Q_RAD[None])
             executor.start(HOME_Q_RAD)
     return executor
 

@@ -19,6 +19,7 @@ from dual_ur10.kinematics.forward import flange_pose
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS, NOMINAL_DH, DHParameters
 from dual_ur10.sim2real.config.cell import Cell, CellStep, Start
 from dual_ur10.sim2real.control.adapter import Command
+from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import HISTORY
 from dual_ur10.sim2real.control.proximity import ProximityScaling
@@ -78,6 +79,7 @@ class TrajectoryExecutor(Closing):
         cell: The cell, which is closed with the executor.
         gate: Safety gate, whose window is the period.
         law: Makes the targets.
+        clearance: Checks where the arms are to start.
         latency_ticks: Ticks from a command to its effect.
         dh: Kinematics of both arms, for the flange errors.
         proximity: Slows the cell down near things; None: nothing does.
@@ -88,13 +90,15 @@ class TrajectoryExecutor(Closing):
         cell: Cell,
         gate: SafetyGate,
         law: TargetLaw,
+        clearance: Clearance,
         *,
         latency_ticks: int = 0,
         dh: Sequence[DHParameters] = (NOMINAL_DH, NOMINAL_DH),
         proximity: ProximityScaling | None = None,
     ) -> None:
         self.cell, self.gate, self.law = cell, gate, law
-        self._latency_ticks, self._dh, self._proximity = latency_ticks, tuple(dh), proximity
+        self._clearance, self._proximity = clearance, proximity
+        self._latency_ticks, self._dh = latency_ticks, tuple(dh)
         self._limits = gate.limits
         self._scaling = 1.0
         self._closed = False
@@ -161,15 +165,17 @@ class TrajectoryExecutor(Closing):
         """Bring the arms to a configuration, (2, 6), where goals can begin; on controllers by a confirmed approach.
 
         Raises:
+            SettingsError: The configuration is not finite, or bodies are too close in it. Nothing changes.
             StartError: There is no path, it was not confirmed, or an arm does not arrive.
             CellFaulted: The arms were stopped.
         """
         self._check_open()
+        start = np.array(q_rad, dtype=np.float64).reshape(2, 6)
+        self._clearance.check_start(start[None])
         if self._active is not None:
             self._end_preempted(self._active, "cancelled", "the arms were brought to another start")
         self._drop_pending("the arms are brought to another start")
         self._why_not, self._braking = _NOT_STARTED, False
-        start = np.asarray(q_rad, dtype=np.float64).reshape(2, 6)
         step = self.cell.reset(Start(start[None]))
         self._rest_at(start if step.stopped_q_rad is None else step.stopped_q_rad[0])
         self._measured = step.state.q_rad[0].copy()

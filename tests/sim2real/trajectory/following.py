@@ -76,7 +76,7 @@ def made(latency_ticks=0, **changes):
     """Return an executor on such a cell, at home."""
     gate = SafetyGate(LIMITS, PROFILE.tick_s, TICKS, CLEARANCE)
     law = TargetLaw.of(PROFILE, TICKS, 1.0, None)
-    executor = TrajectoryExecutor(LawCell(latency_ticks), gate, law, latency_ticks=latency_ticks, **changes)
+    executor = TrajectoryExecutor(LawCell(latency_ticks), gate, law, CLEARANCE, latency_ticks=latency_ticks, **changes)
     executor.start(HOME_Q_RAD)
     return executor
 

@@ -1,0 +1,146 @@
+"""The command `follow`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from dual_ur10.cli.options import CellFileName, Perturbed, PowerOn, console, errors, keywords_of, power_on
+from dual_ur10.kinematics.ur10 import ARMS, JOINTS
+from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
+
+if TYPE_CHECKING:
+    from dual_ur10.sim2real.trajectory.goal import Feedback, Result, TrajectoryGoal
+    from dual_ur10.sim2real.trajectory.handle import GoalHandle
+
+NOT_REACHED = 1
+"""Exit code of a goal that was not reached."""
+
+_SHOWN_S = 1.0
+
+
+def follow(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="A trajectory: .json or .yaml as in ROS's JointTrajectory, or .csv.")
+    ],
+    cell: CellFileName = None,
+    perturbed: Perturbed = False,
+    scaling: Annotated[
+        float, typer.Option("--scaling", help="Rate of the trajectory's time, at most 1: slower on the same path.")
+    ] = 1.0,
+    path_tolerance: Annotated[
+        float | None, typer.Option("--path-tolerance", metavar="RAD", help="Largest distance of a joint from the path.")
+    ] = None,
+    goal_tolerance: Annotated[
+        float | None, typer.Option("--goal-tolerance", metavar="RAD", help="The same from the last point, at the end.")
+    ] = None,
+    goal_time: Annotated[
+        float | None,
+        typer.Option("--goal-time", metavar="S", help="Time after the last point in which both arms must rest there."),
+    ] = None,
+    power: PowerOn = False,
+    record: Annotated[
+        Path | None,
+        typer.Option("--record", metavar="CSV", help="Write desired and measured positions to a new file."),
+    ] = None,
+) -> None:
+    """Follow a trajectory with one arm or both, in MuJoCo or on two controllers.
+
+    The arms first move to its first point: on two controllers slowly, once you confirm it. Ctrl-C stops both arms on
+    the path; a second one closes the cell.
+    """
+    from dual_ur10.assets.settings import HOME_Q_RAD
+    from dual_ur10.envs.core.follower import make_follower
+    from dual_ur10.sim2real.trajectory.feedback_file import FeedbackFile
+    from dual_ur10.sim2real.trajectory.files import read_trajectory
+    from dual_ur10.sim2real.trajectory.goal import TrajectoryGoal
+
+    keywords = keywords_of(None, perturbed, cell)
+    trajectory = read_trajectory(file)
+    given: dict[str, Any] = {
+        "path_tolerance_rad": path_tolerance,
+        "goal_tolerance_rad": goal_tolerance,
+        "goal_time_s": goal_time,
+    }
+    goal = TrajectoryGoal(trajectory, **{name: each for name, each in given.items() if each is not None})
+    table = None if record is None else FeedbackFile(record, trajectory.arms)
+    if power:
+        power_on(cell)
+    start = HOME_Q_RAD.copy()
+    start[goal.rows] = trajectory.q_rad[0]
+    only = trajectory.arms[0] if len(trajectory.arms) < len(ARMS) else None
+    with make_follower(keywords.get("cell", "mujoco"), arm=only) as executor:
+        executor.scaling = scaling
+        executor.start(start)
+        handle = executor.execute(goal)
+        shown = _Shown()
+
+        def seen(feedback: Feedback) -> None:
+            shown(feedback)
+            if table is not None:
+                table.add(feedback)
+
+        interrupted = False
+        try:
+            try:
+                result = handle.wait(seen)
+            except KeyboardInterrupt:
+                interrupted = True
+                errors.print("interrupted: both arms stop on the path", highlight=False)
+                handle.cancel()
+                result = handle.wait(seen)
+        finally:
+            if table is not None:
+                table.close()
+        _print(goal, handle, result)
+    if not result.succeeded:
+        raise typer.Exit(INTERRUPTED if interrupted else NOT_REACHED)
+
+
+class _Shown:
+    """Prints a feedback per second."""
+
+    def __init__(self) -> None:
+        self._next_s = 0.0
+
+    def __call__(self, feedback: Feedback) -> None:
+        if feedback.path_s < self._next_s:
+            return
+        self._next_s = feedback.path_s + _SHOWN_S
+        console.print(
+            f"{feedback.path_s:8.2f} s   joints {1e3 * np.abs(feedback.error_rad).max():.3f} mrad   flanges "
+            f"{1e3 * feedback.flange_error_m.max():.3f} mm",
+            highlight=False,
+        )
+
+
+def _print(goal: TrajectoryGoal, handle: GoalHandle, result: Result) -> None:
+    if handle.feedback is not None:
+        table = Table(header_style="bold")
+        for header in ("arm", "largest joint error\n[dim]mrad[/]", "of", "RMS\n[dim]mrad[/]"):
+            table.add_column(header, justify="left" if header in ("arm", "of") else "right")
+        table.add_column("largest flange error\n[dim]mm[/]", justify="right")
+        table.add_column("RMS\n[dim]mm[/]", justify="right")
+        for row, arm in enumerate(goal.trajectory.arms):
+            joint = int(result.largest_error_rad[row].argmax())
+            table.add_row(
+                arm,
+                f"{1e3 * result.largest_error_rad[row, joint]:.4f}",
+                JOINTS[joint],
+                f"{1e3 * result.rms_error_rad[row].max():.4f}",
+                f"{1e3 * result.largest_flange_error_m[row]:.4f}",
+                f"{1e3 * result.rms_flange_error_m[row]:.4f}",
+            )
+        console.print(table)
+    colour = "green" if result.succeeded else "red"
+    console.print(
+        f"[{colour}]{result.state}[/], {result.code.name} ({result.code.value}), after {result.time_s:.2f} s: "
+        f"{escape(result.text)}",
+        highlight=False,
+        soft_wrap=True,
+    )

@@ -1,0 +1,99 @@
+"""The command `follow`, in simulation: what it prints, writes and returns."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from dual_ur10.assets.settings import HOME_Q_RAD
+from dual_ur10.cli import follow
+from dual_ur10.sim2real.trajectory.files import write_trajectory
+from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
+from tests.cli.command import run
+from tests.sim2real.trajectory.following import wave
+
+
+@pytest.fixture
+def file(tmp_path):
+    return str(write_trajectory(tmp_path / "wave.json", wave(1.0, start=HOME_Q_RAD + 0.1)))
+
+
+def test_a_file_is_followed_and_its_errors_are_shown(file, tmp_path):
+    record = tmp_path / "found.csv"
+    code, text = run("follow", file, "--record", str(record))
+    assert code == 0
+    assert "succeeded, SUCCESSFUL (0), after 1." in text
+    rows = [line.split("│")[1:-1] for line in text.splitlines() if line.startswith("│")]
+    assert [row[0].strip() for row in rows] == ["left", "right"]
+    assert all(float(row[1]) < 0.05 and float(row[4]) < 0.05 for row in rows)
+    with record.open() as table:
+        found = list(csv.DictReader(table))
+    assert len(found) > 60
+    assert float(found[-1]["left/elbow_joint.desired_rad"]) == pytest.approx(HOME_Q_RAD[0, 2] + 0.1 - 0.15)
+    assert float(found[-1]["left/elbow_joint.actual_rad"]) == pytest.approx(HOME_Q_RAD[0, 2] - 0.05, abs=1e-4)
+    code, text = run("follow", file, "--record", str(record))
+    assert code == 2
+    assert "exists" in text
+
+
+def test_a_smaller_scaling_takes_longer(file):
+    code, text = run("follow", file, "--scaling", "0.5")
+    assert code == 0
+    assert "after 2." in text
+
+
+def test_a_violated_tolerance_has_a_code(file):
+    code, text = run("follow", file, "--perturbed", "--path-tolerance", "0.0001")
+    assert code == follow.NOT_REACHED
+    assert "aborted, PATH_TOLERANCE_VIOLATED (-4)" in text
+
+
+def test_a_path_through_the_table_is_rejected(tmp_path):
+    down = np.stack([HOME_Q_RAD, HOME_Q_RAD])
+    down[1, 0, 1] += 0.6
+    deep = JointTrajectory(("left", "right"), [0.0, 4.0], down, np.zeros((2, 2, 6)))
+    code, text = run("follow", str(write_trajectory(tmp_path / "deep.csv", deep)))
+    assert code == follow.NOT_REACHED
+    assert "rejected, INVALID_GOAL (-1)" in text
+    assert "between points" in text
+
+
+def test_an_interrupt_stops_both_arms_on_the_path(file, monkeypatch):
+    shown = []
+
+    def interrupt(self, feedback):
+        shown.append(feedback.path_s)
+        if len(shown) == 30:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(follow._Shown, "__call__", interrupt)
+    code, text = run("follow", file)
+    assert code == 130
+    assert "interrupted: both arms stop on the path" in text
+    assert "preempted, SUCCESSFUL (0)" in text
+    assert len(shown) > 30
+    assert 0.0 < shown[-1] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("nothing.json",), "there is no file"),
+        (("FILE", "--scaling", "2"), "the scaling is 2.0: allowed are 0.01 to 1"),
+        (("FILE", "--path-tolerance", "-1"), "path_tolerance_rad of left/shoulder_pan_joint is -1"),
+        (("FILE", "--perturbed", "--cell", "lab.toml"), "--perturbed is for simulation"),
+        (("FILE", "--cell", "lab.toml"), "there is no cell file lab.toml"),
+    ],
+)
+def test_a_bad_argument_is_one_line_and_exit_code_2(file, arguments, text):
+    code, found = run("follow", *(file if each == "FILE" else each for each in arguments))
+    assert code == 2
+    assert found.startswith("error: ")
+    assert text in found
+
+
+def test_one_arm_alone_moves(tmp_path):
+    path = write_trajectory(tmp_path / "one.csv", wave(1.0, arms=("right",)))
+    code, text = run("follow", str(path))
+    assert code == 0
+    assert [line.split("│")[1].strip() for line in text.splitlines() if line.startswith("│")] == ["right"]

@@ -3,3 +3,32 @@
 Trajectories, interpolation, timing, reduction, files, and the executor of goals on any `Cell`. Imports `control` and
 `config`, and no clock or connection. Imported by `runtime`, `envs` and `cli`.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from dual_ur10.sim2real.trajectory.goal import Feedback, GoalState, Result, TrajectoryGoal
+from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
+
+if TYPE_CHECKING:
+    from dual_ur10.sim2real.trajectory.files import read_trajectory, write_trajectory
+
+__all__ = [
+    "Feedback",
+    "GoalState",
+    "JointTrajectory",
+    "Result",
+    "ResultCode",
+    "TrajectoryGoal",
+    "read_trajectory",
+    "write_trajectory",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in ("read_trajectory", "write_trajectory"):  # on first use, because it loads readers of files
+        from dual_ur10.sim2real.trajectory import files
+
+        return getattr(files, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -179,6 +179,10 @@ class StartError(DualUR10Error, RuntimeError):
     """Raised when the arms are not ready, cannot move to the start of a task, or the operator has not confirmed it."""
 
 
+class PlanningError(DualUR10Error, RuntimeError):
+    """Raised when no collision-free path between two configurations of both arms exists, or none was found."""
+
+
 class TrajectoryError(DualUR10Error, ValueError):
     """Raised when a trajectory or a goal of one is invalid. Nothing has moved then.
 

@@ -87,3 +87,43 @@ EXPORT void clearance_distances(const Clearance* c, const double* q, double* dis
         }
     }
 }
+
+// Proven fractions, (n, 2), of straight paths in joint space; see `dual_ur10.sim2real.control.planner`. Each row of `paths`
+// is a first and a last configuration, (12,) each; `margin` and `tolerance` are distances in m of each pair.
+//
+// Up to the first fraction no pair comes nearer than its margin, or, where it began nearer, than it was before: at every
+// measured configuration, and from one to the next within the tolerance. At the second one all pairs keep their margins.
+EXPORT void clear_fractions(const Distances* d, const double* paths, const double* margin, const double* tolerance,
+                            double* fractions, int64_t n) {
+    constexpr double rounding = 1e-6;
+    const Scratch spare(d->pairs), least(d->pairs), travel(d->pairs);
+    for (int64_t row = 0; row < n; ++row) {
+        const double *from = paths + row * 2 * JOINTS, *to = from + JOINTS;
+        double *clear = fractions + 2 * row, *kept = clear + 1;
+        *clear = *kept = 0.0;
+        for (int64_t pair = 0; pair < d->pairs; ++pair) {
+            travel[pair] = 0.0;
+            for (int64_t j = 0; j < JOINTS; ++j) travel[pair] += d->levers[pair * JOINTS + j] * fabs(to[j] - from[j]);
+            least[pair] = -INFINITY;
+        }
+        for (double here = 0.0;;) {
+            double q[JOINTS], step = 1.0;
+            for (int64_t j = 0; j < JOINTS; ++j) q[j] = here < 1.0 ? from[j] + here * (to[j] - from[j]) : to[j];
+            for (int64_t pair = 0; pair < d->pairs; ++pair) spare[pair] = NAN;  // what is not measured is not clear
+            d->measure(d->context, q, spare);
+            bool no_nearer = true, all_kept = true;
+            for (int64_t pair = 0; pair < d->pairs; ++pair) {
+                no_nearer &= spare[pair] >= least[pair] - rounding;
+                all_kept &= spare[pair] >= margin[pair] - rounding;
+                least[pair] = larger(least[pair], smaller(spare[pair], margin[pair]));
+                const double room = spare[pair] - least[pair] + tolerance[pair];
+                if (room < step * travel[pair]) step = room / travel[pair];
+            }
+            if (!no_nearer) break;
+            *clear = here;
+            if (all_kept) *kept = here;
+            if (here >= 1.0) break;
+            here = smaller(here + step, 1.0);
+        }
+    }
+}

@@ -1,4 +1,4 @@
-"""Plan of the slow approach to a start: straight in joint space, one arm after the other where both at once may not."""
+"""Plan of the slow approach to a start: straight in joint space, around what is in the way where it is not free."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from dual_ur10.errors import StartError
+from dual_ur10.errors import PlanningError, StartError
 from dual_ur10.kinematics.forward import elbow_flange_and_tcp
 from dual_ur10.kinematics.ur10 import ARMS, JOINT_RANGE_RAD, JOINTS
 from dual_ur10.sim2real.control.clearance import Clearance
+from dual_ur10.sim2real.control.limits import MotionLimits
+from dual_ur10.sim2real.control.planner import nearest_on_straight, plan_path
 from dual_ur10.types import Array, Vector3
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.config.cell import CellConfig
-    from dual_ur10.sim2real.control.limits import MotionLimits
 
 SPEED_RAD_S: Final = 0.2
 TCP_SPEED_M_S: Final = 0.25
@@ -30,7 +31,7 @@ ACCELERATION_RAD_S2: Final = 0.5
 _SPEED_FRACTION: Final = 0.9  # of a speed limit
 _END_RAD: Final = 0.1  # margin to a joint's range inside which no approach begins: an extra turn is near
 _ROUNDING_M: Final = 1e-6  # apparent decrease of a distance that stays equal
-_STEP_RAD: Final = 0.02  # between configurations at which distances are checked
+_STEP_RAD: Final = 0.02  # between configurations at which Cartesian speeds are computed
 # Peaks of the quintic polynomial from rest to rest.
 _PEAK_SPEED, _PEAK_ACCELERATION, _PEAK_JERK = 1.875, 10 / math.sqrt(3), 60.0
 
@@ -89,10 +90,14 @@ class Approach:
         parts: (k, 12) configurations at the ends of the parts.
         speed_factor: Rate of task time in real time; the approach takes the same real time at any.
         rates: Largest rates in real time.
+        detour: Reason why the path is not straight; empty: it is.
     """
 
-    def __init__(self, parts: Sequence[Array], speed_factor: float = 1.0, rates: Rates | None = None) -> None:
-        self.parts = list(parts)
+    def __init__(
+        self, parts: Sequence[Array] | Array, speed_factor: float = 1.0, rates: Rates | None = None, detour: str = ""
+    ) -> None:
+        self.parts: Array = np.array(parts)
+        self.detour = detour
         self._speed_factor, self._rates = speed_factor, rates or Rates()
         self.durations_s = [self._duration_s(*ends) for ends in itertools.pairwise(self.parts)]
 
@@ -127,9 +132,18 @@ class Approach:
 
 
 def plan(
-    q_rad: Array, goal_rad: Array, clearance: Clearance, speed_factor: float = 1.0, rates: Rates | None = None
+    q_rad: Array,
+    goal_rad: Array,
+    clearance: Clearance,
+    speed_factor: float = 1.0,
+    rates: Rates | None = None,
+    *,
+    limits: MotionLimits | None = None,
+    arms: Sequence[str] = ARMS,
 ) -> Approach:
     """Return an approach on which no pair comes closer than the gate allows, or than it is at the beginning.
+
+    The same ends give the same path.
 
     Args:
         q_rad: (2, 6) current configuration.
@@ -137,6 +151,8 @@ def plan(
         clearance: Computes distances.
         speed_factor: See `Approach`.
         rates: See `Approach`.
+        limits: Limits whose joint range holds; None: the widest.
+        arms: Arms that move.
 
     Raises:
         StartError: A joint is near the end of its range, or no path was found.
@@ -150,29 +166,9 @@ def plan(
             f"{ARMS[arm]}: {JOINTS[joint]} is at {start[outside][0]:.3f} rad, allowed are "
             f"±{allowed[joint]:.3f}: rotate it back by hand"
         )
-    left_first = np.concatenate([goal[:6], start[6:]])
-    right_first = np.concatenate([start[:6], goal[6:]])
-    for parts in ([start, goal], [start, left_first, goal], [start, right_first, goal]):
-        if all(_is_clear(*ends, clearance) for ends in itertools.pairwise(parts)):
-            return Approach(parts, speed_factor, rates)
-    raise StartError(
-        f"no straight path leads from where the arms are to the start of the task: {_nearest(start, goal, clearance)}. "
-        "Bring them nearer to it by hand"
-    )
-
-
-def _along(start: Array, end: Array) -> Array:
-    count = 1 + math.ceil(float(np.abs(end - start).max()) / _STEP_RAD)
-    return start + np.linspace(0.0, 1.0, count + 1)[1:, None] * (end - start)
-
-
-def _is_clear(start: Array, end: Array, clearance: Clearance) -> bool:
-    # Arms that are too close may separate.
-    short = -clearance.spare_m(np.vstack([start, _along(start, end)]))
-    least = np.minimum.accumulate(short, axis=0)[:-1]
-    return bool((short[1:] <= np.maximum(least, 0.0) + _ROUNDING_M).all())
-
-
-def _nearest(start: Array, goal: Array, clearance: Clearance) -> str:
-    worst = min((clearance.worst(q_rad) for q_rad in _along(start, goal)), key=lambda found: found[1] - found[2])
-    return f"{worst[0]} would come within {1e3 * worst[1]:.0f} mm, allowed are {1e3 * worst[2]:.0f} mm"
+    try:
+        parts = plan_path(clearance, start, goal, limits or MotionLimits(), np.random.default_rng(0), arms=arms)
+    except PlanningError as error:
+        raise StartError(f"the arms cannot move from where they are to the start of the task: {error}") from None
+    detour = nearest_on_straight(clearance, start, goal) if len(parts) > 2 else ""
+    return Approach(parts, speed_factor, rates, detour)

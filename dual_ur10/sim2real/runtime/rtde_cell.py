@@ -176,7 +176,8 @@ class RtdeCell:
             goal[1 - self._only] = now[1 - self._only]
         factor = self.file.speed_factor
         rates = Rates().capped(self.config).within(self._limits, factor)
-        approach = plan(now, goal, self._clearance, factor, rates)
+        arms = ARMS if self._only is None else (ARMS[self._only],)
+        approach = plan(now, goal, self._clearance, factor, rates, limits=self._limits, arms=arms)
         self._ask(self._question(approach, start))
         runner.check()  # the confirmation may have taken minutes
         self._open_grippers(runner, start)
@@ -315,11 +316,16 @@ class RtdeCell:
     # Operator and equipment.
 
     def _question(self, approach: Approach, start: Start) -> str:
-        angles = np.abs(approach.parts[-1] - approach.parts[0]).reshape(2, 6).max(axis=1)
+        angles = np.abs(approach.parts - approach.parts[0]).reshape(-1, 2, 6).max(axis=(0, 2))
         text = ", ".join(
             f"{name} turns a joint by up to {each:.2f} rad" for name, each in zip(ARMS, angles, strict=True)
         )
         lines = [f"The arms move to where the task begins, in {approach.duration_s:.0f} s: {text}."]
+        if approach.detour:
+            lines.append(
+                f"On the straight path {approach.detour}. They move around, in {len(approach.parts) - 1} straight "
+                "parts of joint motion, and stop between them: watch them all the way."
+            )
         if start.gripper_m is not None and self._grippers is not None:
             lines.append("Before that, the grippers are activated if they are not, and open: what they hold falls.")
         if start.object_pose is not None:

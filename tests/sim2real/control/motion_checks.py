@@ -45,6 +45,11 @@ class Measured:
         """Return (pairs,) spare distances at a configuration, (12,)."""
         return np.ones(1)
 
+    def worst(self, q_rad: np.ndarray) -> tuple[str, float, float]:
+        """Return the name of the pair with the least to spare, its distance and the smallest legal one."""
+        spare_m = self.spare_m(q_rad)
+        return f"pair {spare_m.argmin()}", 0.02 + float(spare_m.min()), 0.02
+
 
 class AlwaysClear(Measured):
     """Stub of `Clearance` without bodies."""

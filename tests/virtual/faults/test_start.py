@@ -179,7 +179,7 @@ def test_46_an_extra_turn_is_undone_completely_or_refused(lab):
 def test_26_the_confirmation_shows_swapped_arms(lab):
     lab.configure(left={"host": lab.cell.right}, right={"host": lab.cell.left})
     lab.make(confirm=lambda question: False)
-    with pytest.raises(StartError, match=r"not confirmed|no straight path"):
+    with pytest.raises(StartError, match=r"not confirmed|the arms cannot move"):
         lab.env.reset(seed=0)
     lab.assert_nothing_executed()
 

@@ -152,6 +152,11 @@ class SafetyGate:
         self._step = RowLoop("gate_step", struct, n, threads)
 
     @property
+    def distances(self) -> Distances:
+        """Distances that it checks."""
+        return self._clearance
+
+    @property
     def last_targets_rad(self) -> Array:
         """Targets released last, (n, 2, 6)."""
         return self._past[:, -1].reshape(self.n, 2, 6).copy()

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.emulator.serial_firmware import SerialFirmware
-from dual_ur10.sim2real.peripherals.serial_arm import SerialLimits, execute
+from dual_ur10.sim2real.peripherals.open_loop_arm import SerialLimits, execute
 from dual_ur10.sim2real.protocol.serial_arm import MotionState, Request
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
 from tests.sim2real.serial_rig import STEP_S, Rig, trajectory
@@ -302,7 +302,7 @@ def test_bad_trajectories_are_refused_with_joint_and_remedy(rig, motion, words):
 @given(st.integers(0, 2**32 - 1))
 def test_bounds_of_cubics_hold_everywhere(seed):
     from dual_ur10.sim2real.emulator.serial_firmware import _hermite
-    from dual_ur10.sim2real.peripherals.serial_arm import _extremes
+    from dual_ur10.sim2real.peripherals.open_loop_arm import _extremes
     from dual_ur10.sim2real.protocol.serial_arm import Point
 
     rng = np.random.default_rng(seed)

@@ -47,7 +47,10 @@ Randomization = Annotated[
     typer.Option("--randomization", metavar="PRESET", help="Randomization from episode to episode, such as mild."),
 ]
 CellFileName = Annotated[
-    Path | None, typer.Option("--cell", metavar="FILE", help="A cell file: run on its two controllers, not in MuJoCo.")
+    Path | None,
+    typer.Option(
+        "--cell", metavar="FILE", help="A cell file: run on its two controllers, not in MuJoCo. Or echo: a dry run."
+    ),
 ]
 OneArm = Annotated[
     str | None, typer.Option("--arm", help="left or right: only this arm moves, the other holds. Needs --cell.")

@@ -167,7 +167,9 @@ def with_latency(policy: Policy | str, env_id: str, keywords: Mapping[str, Any])
     from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 
     cell = keywords.get("cell", "mujoco")
-    if keywords.get("action_latency_ticks") is not None or not (cell == "mujoco" or isinstance(cell, CellConfig)):
+    if keywords.get("action_latency_ticks") is not None or not (
+        cell in ("mujoco", "echo") or isinstance(cell, CellConfig)
+    ):
         return dict(keywords)
     if isinstance(policy, str):
         folder = shipped_folder(policy, env_id) if policy in _SHIPPED else policy

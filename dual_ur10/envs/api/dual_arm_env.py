@@ -40,7 +40,8 @@ class DualArmEnv(gym.Env[Any, Array]):
     every later one needs `options={"move_to_start": True}` as well, unless `confirm` is given. A wrapper that resets by
     itself passes no options and is refused with `ResetRefusedError`. In simulation the option has no effect.
 
-    `info` of `reset` and `step` holds `q_rad` (2, 6) and `flange_m` (2, 3); that of `step` also the task's values,
+    `info` of `reset` and `step` holds `q_rad` (2, 6) and `flange_m` (2, 3), and in a dry run (`cell="echo"`)
+    `state_is_commanded`, true, since nothing is measured there; that of `step` also the task's values,
     `is_success` and `reward/<term>`. That of the last step holds `end_reason`: "success", "time", "refused/<limit>",
     such as "refused/distance", if the safety gate kept a limit, "physics", or a reason of the task, such as
     "bar_lost". A wrapper that truncates, such as `TimeLimit`, adds none. `safety` (a

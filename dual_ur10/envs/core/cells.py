@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dual_ur10.envs.core.setup import EnvSetup
+from dual_ur10.envs.sim.echo_cell import EchoCell
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.errors import SettingsError
 from dual_ur10.ids import env_id_of
@@ -19,7 +20,7 @@ _NOT_RECORDED: Final = ("cell", "confirm", "record", "record_failure", "record_a
 
 
 def make_cell(setup: EnvSetup, n: int, *, threads: int, clearance: Clearance) -> Cell:
-    """Make a simulated cell, or that of two controllers.
+    """Make a simulated cell, a dry run, or that of two controllers.
 
     Args:
         setup: Of the environment.
@@ -28,9 +29,13 @@ def make_cell(setup: EnvSetup, n: int, *, threads: int, clearance: Clearance) ->
         clearance: Measures the distances on the path to a start.
 
     Raises:
-        DualUR10Error: It cannot be made; see `MujocoCell` and `RtdeCell`.
+        DualUR10Error: It cannot be made; see `MujocoCell`, `EchoCell` and `RtdeCell`.
     """
     config, ticks, latency = setup.config, setup.ticks, setup.latency_ticks
+    if config.state_is_commanded:
+        if not setup.randomization.is_none:
+            raise SettingsError("randomization is for simulated cells: leave it out in a dry run")
+        return EchoCell(config, ticks, n=n, latency_ticks=latency)
     if config.file is None:
         varied = setup.randomization.varied
         return MujocoCell(

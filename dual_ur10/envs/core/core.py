@@ -367,7 +367,10 @@ class Core:
             self.cell.stop(reason)
 
     def _measurements(self, state: CellState) -> dict[str, NDArray[Any]]:
-        return {"q_rad": state.q_rad.copy(), "flange_m": state.flange_m.copy()}
+        found: dict[str, NDArray[Any]] = {"q_rad": state.q_rad.copy(), "flange_m": state.flange_m.copy()}
+        if self.config.state_is_commanded:
+            found["state_is_commanded"] = np.ones(self.n, dtype=bool)
+        return found
 
     def initial_info(self) -> dict[str, NDArray[Any]]:
         """Return the info that a step would add, for the state after a reset of all cells; rewards are 0.

@@ -37,8 +37,9 @@ class EnvOptions:
         SettingsError: `cameras` is empty or names a camera twice, or a value has the wrong type.
 
     Attributes:
-        cell: "mujoco", a `dual_ur10.sim2real.config.cell.CellConfig`, or, for two controllers, the path of a
-            cell file or a `dual_ur10.testing.VirtualCell`.
+        cell: "mujoco"; "echo", a dry run without physics, whose state is what was commanded; a
+            `dual_ur10.sim2real.config.cell.CellConfig`; or, for two controllers, the path of a cell file or a
+            `dual_ur10.testing.VirtualCell`.
         policy_rate_hz: Actions per second. The period must be a whole number of controller ticks (8 ms on a CB3).
         action_mode: "joint_delta", "joint_position" or "tcp_delta"; see
             `dual_ur10.sim2real.control.adapter.ServojAdapter`.

@@ -300,7 +300,7 @@ def check_simulated(keywords: Mapping[str, Any], purpose: str, remedy: str) -> N
     options, _ = split_keywords(dict(keywords))
     if resolve_cell(options.cell).kind != "mujoco":
         raise SettingsError(
-            f"the cell {options.cell!s:.120} is of two controllers, and {purpose} is in simulation: {remedy}"
+            f"the cell {options.cell!s:.120} is not simulated, and {purpose} is in simulation: {remedy}"
         )
     if options.observation != "state":
         raise SettingsError(f"observation is {options.observation!r:.40}: {purpose} needs observation='state'")

@@ -23,6 +23,7 @@ from dual_ur10.sim2real.recording.run import Header
 
 _SOURCES: Final = {
     "mujoco": "simulated in MuJoCo",
+    "echo": "a dry run: its states are commanded, not measured",
     "emulated": "emulated controllers, no arms",
     "real": "real arms",
 }

@@ -1,7 +1,7 @@
 """Interface of a cell of two arms, its state, its configuration and its perturbation.
 
 A cell executes joint targets tick by tick and returns its state; it does not depend on tasks. The simulated cell is
-`dual_ur10.envs.sim.mujoco_cell.MujocoCell`.
+`dual_ur10.envs.sim.mujoco_cell.MujocoCell`, the dry run `dual_ur10.envs.sim.echo_cell.EchoCell`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from dual_ur10.types import Array, Rows, Vector3
 
 Numbers = float | Array | tuple[Any, ...]
 
-CellKind = Literal["mujoco", "emulated", "real"]
+CellKind = Literal["mujoco", "echo", "emulated", "real"]
 
 LEAST_DAMPING = 0.3
 """Smallest damping ratio of the servoj law: below it the arms overshoot the targets that the gate checks.
@@ -327,7 +327,8 @@ class CellConfig:
     """Configuration of a cell, for `gym.make(..., cell=...)`.
 
     Attributes:
-        kind: "mujoco", the simulated cell; "emulated" or "real", two controllers that a cell file describes.
+        kind: "mujoco", the simulated cell; "echo", a dry run, whose state is what was commanded; "emulated" or "real",
+            two controllers that a cell file describes.
         left, right: Mount and kinematics of each arm.
         servoj: Controller family and servoj settings of both arms.
         timestep_s: Physics step; it must divide the controller's tick. None: the task's own.
@@ -418,7 +419,7 @@ class CellConfig:
             )
         if not 0.0 < _number("speed_factor", self.speed_factor) <= 1.0:
             raise SettingsError(f"speed_factor of the cell is {self.speed_factor!r}: it must be above 0 and at most 1")
-        if (self.kind == "mujoco") is not (self.file is None):
+        if (self.kind in ("mujoco", "echo")) is not (self.file is None):
             raise SettingsError(f"a cell of kind {self.kind!r} needs a cell file: pass its path as `cell`")
         checked_base_uncertainty(self.uncertainty)
         object.__setattr__(self, "tcp_m", checked_tcp(self.tcp_m))
@@ -496,9 +497,14 @@ class CellConfig:
         )
 
     @property
+    def state_is_commanded(self) -> bool:
+        """True if the state of the cell is what was commanded, and nothing is measured or simulated."""
+        return self.kind == "echo"
+
+    @property
     def latency_ticks(self) -> int:
-        """Default action latency in ticks: that of two controllers, none in simulation."""
-        return 0 if self.kind == "mujoco" else math.ceil(LATENCY_S / self.servoj.tick_s - 1e-9)
+        """Default action latency in ticks: that of two controllers, none without them."""
+        return 0 if self.file is None else math.ceil(LATENCY_S / self.servoj.tick_s - 1e-9)
 
     @property
     def substeps(self) -> int:

@@ -322,7 +322,7 @@ def resolve_cell(cell: object) -> CellConfig:
     """Return the configuration that the keyword `cell` of an environment stands for.
 
     Args:
-        cell: "mujoco", a `CellConfig`, the path of a cell file, or a `HostedCell`.
+        cell: "mujoco", "echo", a `CellConfig`, the path of a cell file, or a `HostedCell`.
 
     Raises:
         UnknownNameError: None of them.
@@ -334,9 +334,11 @@ def resolve_cell(cell: object) -> CellConfig:
         return cell.config()
     if isinstance(cell, str) and cell == "mujoco":
         return CellConfig()
+    if isinstance(cell, str) and cell == "echo":
+        return CellConfig(kind="echo")
     if isinstance(cell, os.PathLike) or (isinstance(cell, str) and ("/" in cell or cell.endswith(".toml"))):
         return load_cell_file(os.fspath(cell)).config()
-    raise UnknownNameError("cell", str(cell), ("mujoco", "a path such as lab.toml", "a dual_ur10.CellConfig"))
+    raise UnknownNameError("cell", str(cell), ("mujoco", "echo", "a path such as lab.toml", "a dual_ur10.CellConfig"))
 
 
 def _text_of(path: str | Path) -> str:

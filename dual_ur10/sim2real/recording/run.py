@@ -21,7 +21,7 @@ from dual_ur10.types import Array, Mask
 LATE: Final = -1
 """Number of a target whose action missed its deadline: nothing of the action was sent."""
 
-Source = Literal["mujoco", "emulated", "real"]
+Source = Literal["mujoco", "echo", "emulated", "real"]
 
 _STRICT: Final = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 _MOST_TICKS: Final = 10_000
@@ -73,7 +73,7 @@ class Header:
         kwargs: Keywords of the environment, as far as JSON can hold them.
         seed: Seed of the first reset; None: no seed was given. A file's header is written before the first reset, so
             the reader takes the seed from the first episode.
-        source: "mujoco", "emulated" or "real".
+        source: "mujoco", "echo" (its states are what was commanded), "emulated" or "real".
         family: "cb3" or "e-series".
         tick_s: Length of a control period.
         period_ticks: Control periods per step.

@@ -129,7 +129,7 @@ def test_impossible_settings_of_ppo_are_refused(wrong):
 def test_nothing_is_trained_on_two_controllers(tmp_path, algorithm):
     path = tmp_path / "lab.toml"
     path.write_text(starting_text("emulated", None, None, "cb3", None, str(path)))
-    with pytest.raises(SettingsError, match="is of two controllers, and training is in simulation: train without"):
+    with pytest.raises(SettingsError, match="is not simulated, and training is in simulation: train without"):
         defaults("SineTracking", algorithm, envs=1, randomization="none", keywords={"cell": str(path)})
 
 

@@ -73,7 +73,7 @@ class Progress(NamedTuple):
     Attributes:
         arm: Index of the arm.
         path_s: Time on the path, with the dwell.
-        late_s: Time by which that is behind the sender's, s.
+        late_s: Time by which that is behind the sender's, s; NaN with `movej`.
         status: Status of the arm.
     """
 
@@ -256,6 +256,18 @@ class PointStream(Closing):
         if sample is None:
             raise LinkError(f"{arm.name}: its controller sends no state: check the link")
         return ArmStatus.from_sample(sample)
+
+    def thin(self, targets_rad: Array) -> PointPath:
+        """Return the points of a path of targets, at the stream's rate and the cell's speed factor.
+
+        Args:
+            targets_rad: (n, 2, 6) targets in task time, one per control period, as an adapter makes them; from rest to
+                rest.
+
+        Raises:
+            TrajectoryError: They are no such targets.
+        """
+        return PointPath.of_targets(targets_rad, self._tick_s / self._file.speed_factor, self.profile.interval_s)
 
     def check(self, path: PointPath) -> None:
         """Pass a whole path through the safety gate, as the controllers will interpolate it.
@@ -442,7 +454,7 @@ class _Motion:
             path_s = float(values[PATH_TIME])
             if arm.link.count > self._count[number] and state == State.MOVING and path_s < self._time_s[-1]:
                 self._count[number] = arm.link.count
-                late_s = (sample.arrival_s - self._begin_s) * _RATE - path_s
+                late_s = math.nan if self._moves else (sample.arrival_s - self._begin_s) * _RATE - path_s
                 arm.late_s.append(late_s)
                 if self._feedback is not None:
                     self._feedback(Progress(number, path_s, late_s, status))

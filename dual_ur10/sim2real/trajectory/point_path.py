@@ -17,7 +17,6 @@ from dual_ur10.errors import TrajectoryError
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.control.gate import Distances, SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
-from dual_ur10.sim2real.control.servoj import ServojLaw
 from dual_ur10.types import Array
 
 _REST_RAD_S: Final = 1e-3  # what the gate counts as rest
@@ -42,8 +41,8 @@ class PointPath:
         """Take points of the targets of a path, with their speeds. The last target is held to the last point.
 
         Args:
-            targets_rad: (n, 2, 6) targets, one per control period, from rest to rest.
-            tick_s: Control period.
+            targets_rad: (n, 2, 6) targets, from rest to rest.
+            tick_s: Time between two of them in real time: the control period, divided by the cell's speed factor.
             interval_s: Time between two points, at least a control period.
 
         Raises:
@@ -68,7 +67,7 @@ class PointPath:
         wide = np.concatenate([targets[:1], targets[:1], targets, targets[-1:], targets[-1:]])
         speeds = (8 * (wide[3:-1] - wide[1:-3]) - (wide[4:] - wide[:-4])) / (12 * tick_s)
         count = math.ceil((len(targets) - 1) * tick_s / interval_s - 1e-9)
-        times = interval_s * np.arange(count + 1)
+        times: Array = interval_s * np.arange(count + 1, dtype=np.float64)
         q, qd = _cubics(targets, speeds, tick_s, times)
         qd[0] = qd[-1] = 0.0
         return cls(interval_s, q, qd)
@@ -99,7 +98,7 @@ class PointPath:
         return float(np.abs(own - targets_rad[: len(own)]).max())
 
     def _ticks(self, tick_s: float) -> Array:
-        times: Array = tick_s * np.arange(1 + math.ceil(self.duration_s / tick_s - 1e-9))
+        times: Array = tick_s * np.arange(1 + math.ceil(self.duration_s / tick_s - 1e-9), dtype=np.float64)
         return times
 
 
@@ -114,9 +113,8 @@ def _cubics(q: Array, qd: Array, interval_s: float, time_s: Array) -> tuple[Arra
     """Return positions and speeds of the cubics through equidistant points at times; after the last, those there."""
     interval, s = _parts(interval_s, time_s, len(q))
     a, b, u, v = q[interval], q[interval + 1], qd[interval] * interval_s, qd[interval + 1] * interval_s
-    position: Array = (
-        (1 + s * s * (2 * s - 3)) * a + s * (1 - s) ** 2 * u + s * s * (3 - 2 * s) * b + s * s * (s - 1) * v
-    )
+    near, far = 1 + s * s * (2 * s - 3), s * s * (3 - 2 * s)
+    position: Array = near * a + s * (1 - s) ** 2 * u + far * b + s * s * (s - 1) * v
     speed: Array = (6 * s * (1 - s) * (b - a) + (1 - s) * (1 - 3 * s) * u + s * (3 * s - 2) * v) / interval_s
     return position, speed
 
@@ -146,16 +144,3 @@ def check_targets(targets_rad: Array, limits: MotionLimits, tick_s: float, ticks
                 f"the path is refused at {at_s:.2f} s: {found.verdicts.get(0, 'the gate changed a target')}. "
                 "Change it, or slow it down"
             )
-
-
-def lead(q_rad: Array, qd_rad_s: Array, qdd_rad_s2: Array, law: ServojLaw) -> Array:
-    """Return the targets with which the servoj law moves along a path without lag, as the adapter sends them.
-
-    Args:
-        q_rad: (n, 2, 6) positions, half a control period after each target is sent: a target is held for a period.
-        qd_rad_s: Speeds, likewise.
-        qdd_rad_s2: Accelerations, likewise.
-        law: The law; its lookahead may be a measured one.
-    """
-    found: Array = q_rad + law.lookahead_s * qd_rad_s + qdd_rad_s2 / law.gain
-    return found

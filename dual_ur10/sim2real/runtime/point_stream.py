@@ -228,6 +228,11 @@ class PointStream(Closing):
             for name, entry in zip(ARMS, file.arms, strict=True):
                 self._arms.append(_Arm(name, entry, rate_hz, system))
 
+    @property
+    def rate(self) -> float:
+        """Rate of the path's time on the clock of this program."""
+        return 1.0 if self.profile.mode == "movej" else _RATE
+
     def measured(self) -> Array:
         """Return the measured joint positions, (2, 6).
 

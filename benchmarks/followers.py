@@ -121,11 +121,8 @@ def figures(seen: list[tuple[Any, Any]], path: Sine, rate: float) -> dict[str, f
     moved = np.abs(seen[0][1] - seen[0][1][0]).max(axis=1) > 1e-3
     about_s = float(seen[0][0][moved.argmax()]) - 0.3
     coarse = min(np.arange(about_s - 1.5, about_s + 1.5, 0.02), key=lambda each: float((errors(each) ** 2).mean()))
-    fitted = minimize_scalar(
-        lambda each: float((1e3 * errors(each) ** 2).sum()), bounds=(coarse - 0.03, coarse + 0.03), method="bounded",
-        options={"xatol": 1e-8},
-    )  # fmt: skip
-    begin_s = float(fitted.x)
+    squares, near = (lambda each: float((1e3 * errors(each) ** 2).sum())), (coarse - 0.03, coarse + 0.03)
+    begin_s = float(minimize_scalar(squares, bounds=near, method="bounded", options={"xatol": 1e-8}).x)
     late = []
     common = np.arange(begin_s + RAMP_S / rate, begin_s + (DURATION_S - RAMP_S) / rate, 0.008)
     for arm, (time_s, q) in enumerate(seen):
@@ -230,8 +227,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cell", choices=("virtual", "emulated"), default="virtual")
     parser.add_argument("--plant", default="nominal", help="deviation of the plant from its model, such as mild")
-    parser.add_argument("--with", dest="others", type=Path, action="append", default=[], metavar="FILE",
-                        help="JSON of another benchmark, whose figures of this table are added; may be repeated")  # fmt: skip
+    parser.add_argument("--with", dest="others", type=Path, action="append", default=[], help="JSON with more figures")
     parser.add_argument("--json", type=Path, help="file to write")
     arguments = parser.parse_args()
     found = merged(run(emulated if arguments.cell == "emulated" else virtual, arguments.plant), arguments.others)

@@ -78,9 +78,15 @@ class _ArmFacts:
         return self.system.clock.now_s() + self.timeout_s
 
 
-def check_file(cell: CellFile, system: System = LOCAL) -> list[Finding]:
-    """Check both arms of a cell file. If the emulator that wrote it has ended, that is the first finding that fails."""
-    findings = check_cell(*(expected_of(arm) for arm in cell.arms), system=system)
+def check_file(cell: CellFile, system: System = LOCAL, *, timeout_s: float = 1.5) -> list[Finding]:
+    """Check both arms of a cell file. If the emulator that wrote it has ended, that is the first finding that fails.
+
+    Args:
+        cell: The cell file.
+        system: Clock and network.
+        timeout_s: Time limit of each connection with all its requests.
+    """
+    findings = check_cell(*(expected_of(arm) for arm in cell.arms), timeout_s=timeout_s, system=system)
     pid = None if cell.emulator is None else cell.emulator.pid
     if pid is not None and any_fails(findings) and not system.is_running(pid):
         remedy = "start it again: `python -m dual_ur10 emulate --cell FILE` writes that file anew"

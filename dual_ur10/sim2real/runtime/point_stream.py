@@ -56,7 +56,7 @@ DWELL_S: Final = 0.6
 """Least time for which both arms rest before they move, while their path times are brought together."""
 
 _SCRIPT_PORT: Final = 30003
-_CONNECT_S: Final = 2.5
+_CONNECT_S: Final = 6.0  # of each connection with its requests, on a slow link
 _READY_S: Final = 5.0
 _STALE_S: Final = 0.2  # oldest state of a controller, in addition to an interval
 _STOP_S: Final = 2.0
@@ -65,6 +65,7 @@ _GAIN_1_S: Final = 0.5  # of the correction of the rate, per second of differenc
 _NEAR_RAD: Final = 1e-3  # from the first point to where the arms stand
 _SEND_S: Final = 0.1
 _POLL_S: Final = 0.01
+_ROUND_TRIPS: Final = 5
 
 
 class Progress(NamedTuple):
@@ -86,7 +87,7 @@ class Progress(NamedTuple):
 class _Arm(Closing):
     """Connections to one controller, and the program that runs on it."""
 
-    def __init__(self, name: str, entry: ArmEntry, rate_hz: float, system: System) -> None:
+    def __init__(self, name: str, entry: ArmEntry, rate_hz: float, most_s: float, system: System) -> None:
         self.name, self._clock, self._system, self._host = name, system.clock, system, entry.host
         self.values: dict[str, float] = {"command": 0, "number": 0, "last": 0, "rate": _RATE, "shift": 0.0, "time": 0.0}
         self.point: Array = np.zeros(12)
@@ -99,6 +100,7 @@ class _Arm(Closing):
                 entry.host,
                 (*STATUS_VARIABLES, *OUTPUTS),
                 rate_hz,
+                timeout_s=_CONNECT_S,
                 optional=OPTIONAL_VARIABLES,
                 name=name,
                 system=system,
@@ -107,6 +109,12 @@ class _Arm(Closing):
             inputs = RtdeClient(name, entry.host, PORT, deadline_s, system=system)
             self._inputs = inputs.socket
             self._open.append(self._inputs)
+            trip_s = max(inputs.round_trips_s(_ROUND_TRIPS, deadline_s))
+            if trip_s > most_s:
+                raise StartError(
+                    f"{name}: a round trip took {1e3 * trip_s:.0f} ms, allowed at this rate are {1e3 * most_s:.0f} ms: "
+                    "lower the rate, or use a faster link"
+                )
             self._recipe, types = inputs.set_up(Kind.SETUP_INPUTS, INPUTS, b"", deadline_s)
             if not self._recipe or {"IN_USE", "NOT_FOUND"}.intersection(types):
                 raise self._inputs.error(
@@ -188,7 +196,8 @@ class PointStream(Closing):
     Raises:
         CellFaulted: A latched stop was not cleared.
         CellBusyError: Another program moves one of the arms.
-        StartError: A controller is not ready, or the profile is one of direct `servoj` targets.
+        StartError: A controller is not ready, the link is too slow for this rate, or the profile is one of direct
+            `servoj` targets.
         LinkError: A controller cannot be reached.
     """
 
@@ -223,10 +232,10 @@ class PointStream(Closing):
             if self._lock.left_moving:
                 self._latch.set("the program that moved the arms before ended without stopping them in order")
             self._latch.check()
-            check(file, system)
+            check(file, system, timeout_s=_CONNECT_S, streams=False)
             rate_hz = min(1.0 / self._tick_s, 5.0 * profile.rate_hz)
             for name, entry in zip(ARMS, file.arms, strict=True):
-                self._arms.append(_Arm(name, entry, rate_hz, system))
+                self._arms.append(_Arm(name, entry, rate_hz, profile.interval_s / 2, system))
 
     @property
     def rate(self) -> float:
@@ -327,7 +336,7 @@ class PointStream(Closing):
                 self._token += 1
                 arm.upload(self._script(self._token), self._token)
             return motion.run(canceled or (lambda: False))
-        except BaseException as error:
+        except (Exception, KeyboardInterrupt, SystemExit) as error:
             stop_arms(self._arms, self._clock)
             if isinstance(error, StartError) and not motion.begun:
                 raise
@@ -343,7 +352,7 @@ class PointStream(Closing):
     def _script(self, token: int) -> str:
         speed = max(self.limits.speed_rad_s)
         if self.profile.mode == "movej":
-            return moves_script(token, speed)
+            return moves_script(token, self.profile.servoj, speed, self.profile.interval_s)
         return points_script(token, self.profile.servoj, speed)
 
     def close(self) -> None:
@@ -423,18 +432,21 @@ class _Motion:
             arm.put(number, self._q[number - 1, k], self._qd[number - 1, k], time_s)
 
     def _steer(self) -> None:
-        """Correct the path times of both controllers by what they were behind since the last point."""
+        """Correct the path times of both controllers by what they were behind since the last point.
+
+        The least of several counts: delays of the network and of this machine only add to it.
+        """
         if self._moves:
             return
         for arm in self._arms:
             late, arm.late_s = arm.late_s, []
             if not late:
                 continue
-            mean_s = float(np.mean(late))
+            late_s = min(late)
             resting = (self._clock.now_s() - self._begin_s) * _RATE < self._time_s[1]
             if resting:
-                arm.values["shift"] += mean_s
-            arm.values["rate"] = _RATE + min(max(_GAIN_1_S * mean_s, -RATE_BAND / 2), RATE_BAND / 2)
+                arm.values["shift"] += late_s
+            arm.values["rate"] = _RATE + min(max(_GAIN_1_S * late_s, -RATE_BAND / 2), RATE_BAND / 2)
 
     def _poll(self) -> bool:
         """Read the states of both arms; return True once both have finished.
@@ -463,7 +475,7 @@ class _Motion:
                 arm.late_s.append(late_s)
                 if self._feedback is not None:
                     self._feedback(Progress(number, path_s, late_s, status))
-            ended.append(state == State.FINISHED)
+            ended.append(state == State.FINISHED and status.runtime_state == RuntimeState.STOPPED)
         return all(ended)
 
 

@@ -4,7 +4,8 @@ Each arm's controller runs one of them, uploaded like any client's program. A po
 speeds and a time on the path. The program for points interpolates cubics between them, a target of `servoj` in every
 control period, on a path time of its own that a factor from the sender steers by half a part in a thousand. It trusts
 no sender: it stops the arm by itself, by `stopj`, if the next point has not come when it reaches the last one, if a
-point was skipped, or if a target is farther from the one before than the largest joint speed allows.
+point was skipped, or if a target is farther from the one before than the largest joint speed allows. That for moves
+rests at each point in any case.
 """
 
 from __future__ import annotations
@@ -237,6 +238,7 @@ _MOVES: Final = f"""def dual_ur10_moves():
     moving = False
   end
   mover = 0
+  idle = 0
   while state < {State.FINISHED:d}:{_READ}
     if fresh and not moving and command == {Command.RUN:d}:
       fresh = False
@@ -261,12 +263,18 @@ _MOVES: Final = f"""def dual_ur10_moves():
         goal = q2
         span = t2
         moving = True
+        idle = 0
         mover = run dual_ur10_move()
       end
     end
     fresh = False
-    if state == {State.MOVING:d} and accepted == last and not moving:
-      state = {State.FINISHED:d}
+    if state == {State.MOVING:d} and not moving:
+      idle = idle + 1
+      if accepted == last:
+        state = {State.FINISHED:d}
+      elif idle > @patience@:
+        state = {State.STARVED:d}
+      end
     end{_WRITE}
     sync()
   end
@@ -298,9 +306,17 @@ def points_script(token: int, servoj: ServojProfile, speed_rad_s: float) -> str:
     )
 
 
-def moves_script(token: int, speed_rad_s: float) -> str:
-    """Return the program that moves from point to point in a fixed time; see `points_script`."""
-    return _filled(_MOVES, token=token, speed=speed_rad_s)
+def moves_script(token: int, servoj: ServojProfile, speed_rad_s: float, interval_s: float) -> str:
+    """Return the program that moves from point to point in a fixed time; see `points_script`.
+
+    Args:
+        token: See `points_script`.
+        servoj: Family of the controller.
+        speed_rad_s: Largest mean speed of a joint between two points.
+        interval_s: Time between two points. The program ends when it rests for twice as long without another one.
+    """
+    patience = round(2.0 * interval_s / servoj.tick_s)
+    return _filled(_MOVES, token=token, speed=speed_rad_s, patience=patience)
 
 
 def _filled(text: str, **values: float) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,12 +13,16 @@ from rich.markup import escape
 from rich.table import Table
 
 from dual_ur10.cli.options import CellFileName, Perturbed, PowerOn, console, errors, keywords_of, power_on
+from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
+from dual_ur10.sim2real.trajectory.goal import GoalState
+from dual_ur10.types import Array
 
 if TYPE_CHECKING:
     from dual_ur10.sim2real.trajectory.goal import Feedback, Result, TrajectoryGoal
     from dual_ur10.sim2real.trajectory.handle import GoalHandle
+    from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 
 NOT_REACHED = 1
 """Exit code of a goal that was not reached."""
@@ -44,12 +50,19 @@ def follow(
         typer.Option("--goal-time", metavar="S", help="Time after the last point in which both arms must rest there."),
     ] = None,
     power: PowerOn = False,
+    serial: Annotated[
+        str | None,
+        typer.Option("--serial", metavar="PORT", help="Servo arms without encoders on this serial port, open-loop."),
+    ] = None,
+    at_start: Annotated[
+        bool, typer.Option("--at-start", help="With --serial: you see that these arms stand at the first point.")
+    ] = False,
     record: Annotated[
         Path | None,
         typer.Option("--record", metavar="CSV", help="Write desired and measured positions to a new file."),
     ] = None,
 ) -> None:
-    """Follow a trajectory with one arm or both, in MuJoCo or on two controllers.
+    """Follow a trajectory with one arm or both, in MuJoCo, on two controllers, or on a serial line.
 
     The arms first move to its first point: on two controllers slowly, once you confirm it. Ctrl-C stops both arms on
     the path; a second one closes the cell.
@@ -62,6 +75,10 @@ def follow(
 
     keywords = keywords_of(None, perturbed, cell)
     trajectory = read_trajectory(file)
+    if serial is not None or at_start:
+        others = {"--cell": cell, "--perturbed": perturbed, "--power-on": power, "--record": record}
+        _follow_on_line(trajectory, serial, at_start, scaling, [name for name, each in others.items() if each])
+        return
     given: dict[str, Any] = {
         "path_tolerance_rad": path_tolerance,
         "goal_tolerance_rad": goal_tolerance,
@@ -100,6 +117,44 @@ def follow(
         _print(goal, handle, result)
     if not result.succeeded:
         raise typer.Exit(INTERRUPTED if interrupted else NOT_REACHED)
+
+
+def _follow_on_line(
+    trajectory: JointTrajectory, port: str | None, at_start: bool, scaling: float, others: list[str]
+) -> None:
+    """Follow a trajectory with the arms on a serial line.
+
+    Raises:
+        SettingsError: Options do not go together, or the scaling is not legal.
+    """
+    from dual_ur10.sim2real.peripherals.open_loop_arm import execute, scaled
+
+    if port is None:
+        raise SettingsError("--at-start is for arms on a serial line: name their port with --serial, or leave it out")
+    if others:
+        raise SettingsError(f"{others[0]} is not for arms on a serial line: leave it out, or --serial")
+    canceled, next_s = threading.Event(), 0.0
+
+    def seen(time_s: float, q_rad: Array) -> None:
+        nonlocal next_s
+        if time_s >= next_s:
+            next_s = time_s + _SHOWN_S
+            console.print(f"{time_s:8.2f} s   commanded, not measured", highlight=False)
+
+    before = signal.signal(signal.SIGINT, lambda *_: canceled.set())
+    try:
+        result = execute(scaled(trajectory, scaling), port, at_start=at_start, canceled=canceled.is_set, feedback=seen)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    succeeded = result.state == GoalState.SUCCEEDED
+    console.print(
+        f"[{'green' if succeeded else 'red'}]{result.state}[/], {result.code.name} ({result.code.value}): "
+        f"{escape(result.text or 'the last point was commanded; nothing measures these arms')}",
+        highlight=False,
+        soft_wrap=True,
+    )
+    if not succeeded:
+        raise typer.Exit(INTERRUPTED if canceled.is_set() else NOT_REACHED)
 
 
 class _Shown:

@@ -7,9 +7,11 @@ import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.cli import follow
+from dual_ur10.sim2real.emulator.serial_firmware import SerialFirmware
 from dual_ur10.sim2real.trajectory.files import write_trajectory
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from tests.cli.command import run
+from tests.sim2real.serial_rig import serial_port, trajectory
 from tests.sim2real.trajectory.following import wave
 
 
@@ -97,3 +99,36 @@ def test_one_arm_alone_moves(tmp_path):
     code, text = run("follow", str(path))
     assert code == 0
     assert [line.split("│")[1].strip() for line in text.splitlines() if line.startswith("│")] == ["right"]
+
+
+def test_a_dry_run_has_no_errors(file):
+    code, text = run("follow", file, "--cell", "echo")
+    assert code == 0
+    assert "succeeded, SUCCESSFUL (0)" in text
+
+
+def test_arms_on_a_serial_line_follow_and_say_that_nothing_measures_them(tmp_path):
+    there = str(write_trajectory(tmp_path / "there.csv", trajectory(duration_s=0.3, size_rad=0.05)))
+    with serial_port(SerialFirmware(device=77)) as port:
+        code, text = run("follow", there, "--serial", port)
+        assert code == follow.NOT_REACHED
+        assert "rejected, INVALID_GOAL (-1)" in text
+        assert "--at-start" in text
+        code, text = run("follow", there, "--serial", port, "--at-start", "--scaling", "0.5")
+    assert code == 0
+    assert "succeeded, SUCCESSFUL (0)" in text
+    assert "nothing measures" in text
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--at-start"], "--serial"),
+        (["--serial", "/dev/none", "--cell", "echo"], "--cell is not for arms on a serial line"),
+        (["--serial", "/dev/none", "--scaling", "2"], "scaling is 2"),
+    ],
+)
+def test_options_that_do_not_fit_a_serial_line_are_refused(file, options, words):
+    code, text = run("follow", file, *options)
+    assert code == 2
+    assert words in text

@@ -1,7 +1,11 @@
 """Emulated firmware at the other end of a faulty line, on a virtual clock."""
 
 import contextlib
+import errno
+import os
+import pty
 import random
+import threading
 from collections import deque
 from pathlib import Path
 
@@ -112,3 +116,36 @@ class Rig:
         """Largest step of the commanded positions between two steps of the clock."""
         q = np.array([each for _, each in self.path])
         return float(np.abs(np.diff(q, axis=0)).max(initial=0.0))
+
+
+@contextlib.contextmanager
+def serial_port(firmware):
+    """Yield the name of a pseudo-terminal at whose other end a firmware runs."""
+    master, slave = pty.openpty()
+    ended = threading.Event()
+
+    def serve():
+        now_s = 0.0
+        os.set_blocking(master, False)
+        while not ended.is_set():
+            try:
+                data = os.read(master, 4096)
+            except OSError as error:
+                if error.errno not in (errno.EAGAIN, errno.EIO):  # nothing has come, or nobody has opened it
+                    raise
+                data = b""
+            now_s += STEP_S  # its own time: a busy machine must not wake its watchdog
+            answers = firmware.receive(data, now_s)
+            if answers:
+                os.write(master, answers)
+            ended.wait(STEP_S)
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    try:
+        yield os.ttyname(slave)
+    finally:
+        ended.set()
+        thread.join()
+        os.close(master)
+        os.close(slave)

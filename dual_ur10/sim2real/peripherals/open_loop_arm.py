@@ -24,6 +24,7 @@ from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.processes.transport import Transport
 from dual_ur10.sim2real.protocol.serial_arm import (
     BAUD,
+    CAPACITY,
     STOP_S,
     WATCHDOG_S,
     MotionState,
@@ -33,7 +34,9 @@ from dual_ur10.sim2real.protocol.serial_arm import (
     pack_point,
     pack_start,
 )
+from dual_ur10.sim2real.trajectory.goal import END_SPEED_RAD_S, GoalState
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
+from dual_ur10.sim2real.trajectory.reduction import BOUND_RAD, reduce_points
 from dual_ur10.types import Array
 
 log = logging.getLogger(__name__)
@@ -44,7 +47,6 @@ START_TOLERANCE_RAD: Final = 1e-3
 _POLL_S: Final = 0.1
 _LATE_S: Final = 1.0
 _ROUNDING_RAD: Final = 2e-6  # numbers travel in microradians
-_REST_RAD_S: Final = 1e-6
 
 
 @dataclass(frozen=True)
@@ -72,8 +74,8 @@ class SerialResult:
     """End of a goal on a serial line, in the words of `dual_ur10.sim2real.trajectory`.
 
     Attributes:
-        state: Final state: "succeeded", "preempted" (canceled by the caller), "aborted" (the motion was begun and did
-            not end as it should), or "rejected" (nothing has moved).
+        state: Final state: SUCCEEDED, PREEMPTED (canceled by the caller), ABORTED (the motion was begun and did not end
+            as it should), or REJECTED (nothing has moved).
         code: Result code. PATH_TOLERANCE_VIOLATED: the motion broke off, so that the arms stand anywhere on the path.
         reason: Short name: "reached", "cancelled", "rejected", "stopped", "underrun", "goal tolerance" or "lost".
         text: Description with the remedy; "": none is needed.
@@ -81,7 +83,7 @@ class SerialResult:
         state_is_commanded: Always true: nothing measures these arms.
     """
 
-    state: str
+    state: GoalState
     code: ResultCode
     reason: str
     text: str = ""
@@ -94,6 +96,7 @@ def execute(
     port: str,
     *,
     limits: SerialLimits | None = None,
+    bound_rad: float = BOUND_RAD,
     at_start: bool = False,
     canceled: Callable[[], bool] | None = None,
     feedback: Callable[[float, Array], None] | None = None,
@@ -109,6 +112,8 @@ def execute(
         trajectory: Trajectory of exactly the device's arms, from rest to rest.
         port: Name of the port, such as /dev/ttyACM0.
         limits: Limits of the arms; None: the defaults.
+        bound_rad: Largest deviation of a joint at any time, if the trajectory has to be reduced to the cubics between
+            36 points, the buffer of the firmware.
         at_start: The operator has seen that the arms stand at the first point: needed at the first use of a device,
             after it lost its power, and after a motion with an unknown end.
         canceled: Function that is called ten times a second; it returns True to stop the arms along the path.
@@ -121,6 +126,7 @@ def execute(
     """
     limits = SerialLimits() if limits is None else limits
     try:
+        trajectory = fitted(trajectory, bound_rad)
         check(trajectory, limits)
         line = SerialLine(SerialTransport(port, BAUD) if transport is None else transport, system.clock, port)
     except (LinkError, TrajectoryError) as error:
@@ -135,7 +141,37 @@ def execute(
 
 def _rejected(error: DualUR10Error) -> SerialResult:
     code = error.code if isinstance(error, TrajectoryError) else ResultCode.INVALID_GOAL
-    return SerialResult("rejected", ResultCode(code), "rejected", str(error))
+    return SerialResult(GoalState.REJECTED, ResultCode(code), "rejected", str(error))
+
+
+def scaled(trajectory: JointTrajectory, rate: float) -> JointTrajectory:
+    """Return a trajectory whose time passes at a rate above 0 and at most 1: slower on the same path.
+
+    Raises:
+        SettingsError: The rate is not legal.
+    """
+    if not 0.0 < rate <= 1.0:
+        raise SettingsError(f"scaling is {rate!r}: it must be above 0 and at most 1")
+    speeds, accelerations = trajectory.qd_rad_s, trajectory.qdd_rad_s2
+    return JointTrajectory(
+        trajectory.arms,
+        trajectory.time_s / rate,
+        trajectory.q_rad,
+        None if speeds is None else speeds * rate,
+        None if accelerations is None else accelerations * rate**2,
+    )
+
+
+def fitted(trajectory: JointTrajectory, bound_rad: float) -> JointTrajectory:
+    """Return a trajectory that the firmware can hold and follow: cubics between few points.
+
+    Raises:
+        TrajectoryError: So few points deviate by more than the bound.
+    """
+    most = CAPACITY - (trajectory.time_s[0] > 0.0)  # the firmware begins at 0, where the arms are
+    if len(trajectory) <= most and trajectory.qd_rad_s is not None and trajectory.qdd_rad_s2 is None:
+        return trajectory
+    return reduce_points(trajectory, most, bound_rad).trajectory
 
 
 def check(trajectory: JointTrajectory, limits: SerialLimits) -> None:
@@ -147,11 +183,10 @@ def check(trajectory: JointTrajectory, limits: SerialLimits) -> None:
     speeds = trajectory.qd_rad_s
     if speeds is None or len(trajectory) < 2:
         raise TrajectoryError(
-            "the trajectory needs 2 points or more, with speeds: the firmware follows cubics. Give them, or reduce a "
-            "denser trajectory, which finds them"
+            "the trajectory needs 2 points or more, with speeds: the firmware follows cubics. Give them"
         )
     for name, point in (("first", 0), ("last", -1)):
-        fast = np.abs(speeds[point]) > _REST_RAD_S
+        fast = np.abs(speeds[point]) > END_SPEED_RAD_S
         if fast.any():
             arm, joint = np.argwhere(fast)[0]
             raise TrajectoryError(
@@ -253,7 +288,7 @@ class _Motion:
         rows.insert(0, (0.0, self._start, np.zeros_like(self._start)))
         if len(rows) > capacity:
             raise TrajectoryError(
-                f"the trajectory has {len(rows)} points, and the firmware at {self._port} holds {capacity}: reduce it"
+                f"the trajectory has {len(rows)} points, and the firmware at {self._port} holds {capacity}: give fewer"
             )
         self._line.ask(Request.CLEAR)
         self._crc32, self._points = 0, len(rows)
@@ -303,21 +338,21 @@ class _Motion:
         self._positions.write(Commanded(_rows(q), True, self._info.boot))
         off = float(np.abs(q - self._trajectory.q_rad[-1]).max())
         if status.state == MotionState.DONE and off <= _ROUNDING_RAD:
-            return SerialResult("succeeded", ResultCode.SUCCESSFUL, "reached", q_rad=q)
+            return SerialResult(GoalState.SUCCEEDED, ResultCode.SUCCESSFUL, "reached", q_rad=q)
         if stopped == "canceled":
-            return SerialResult("preempted", ResultCode.SUCCESSFUL, "cancelled", q_rad=q)
+            return SerialResult(GoalState.PREEMPTED, ResultCode.SUCCESSFUL, "cancelled", q_rad=q)
         if status.by_watchdog:
             text = f"the firmware at {self._port} heard nothing for too long, and stopped the arms on their path"
-            return SerialResult("aborted", ResultCode.PATH_TOLERANCE_VIOLATED, "underrun", text, q)
+            return SerialResult(GoalState.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED, "underrun", text, q)
         text = f"the arms stopped {off:.4f} rad from the last point after {status.elapsed_s:.2f} s on the path"
-        return SerialResult("aborted", ResultCode.GOAL_TOLERANCE_VIOLATED, "goal tolerance", text, q)
+        return SerialResult(GoalState.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED, "goal tolerance", text, q)
 
     def _lost(self, found: str) -> SerialResult:
         text = (
             f"{found}. If the arms moved, they stop by themselves on their path within {WATCHDOG_S + STOP_S:g} s: look "
             "where they stand before the next motion"
         )
-        return SerialResult("aborted", ResultCode.PATH_TOLERANCE_VIOLATED, "lost", text)
+        return SerialResult(GoalState.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED, "lost", text)
 
 
 def _rows(q_rad: Array) -> tuple[tuple[float, ...], ...]:

@@ -1,13 +1,9 @@
 """Arms on a serial line: motions, refusals, and every fault of a line, on a virtual clock; and one real pty."""
 
-import errno
 import itertools
 import json
-import os
-import pty
 import subprocess
 import sys
-import threading
 
 import numpy as np
 import pytest
@@ -19,7 +15,7 @@ from dual_ur10.sim2real.emulator.serial_firmware import SerialFirmware
 from dual_ur10.sim2real.peripherals.open_loop_arm import SerialLimits, execute
 from dual_ur10.sim2real.protocol.serial_arm import MotionState, Request
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
-from tests.sim2real.serial_rig import STEP_S, Rig, trajectory
+from tests.sim2real.serial_rig import STEP_S, Rig, serial_port, trajectory
 from tests.soak import scaled
 
 REJECTED = ("rejected", ResultCode.INVALID_GOAL)
@@ -284,7 +280,6 @@ def bad(**changes):
 @pytest.mark.parametrize(
     ("motion", "words"),
     [
-        (bad(qd_rad_s=None), "speeds"),
         (bad(time_s=[0.0], q_rad=np.zeros((1, 1, 6)), qd_rad_s=np.zeros((1, 1, 6))), "2 points"),
         (bad(qd_rad_s=np.stack([np.zeros((1, 6)), np.eye(6)[2:3] * 0.1])), "elbow_joint has 0.1 rad/s at the last"),
         (bad(qd_rad_s=np.stack([np.eye(6)[:1] * 0.1, np.zeros((1, 6))])), "at the first"),
@@ -343,31 +338,23 @@ SerialTransport("/dev/null", 57600)"""
 
 
 def test_a_real_port_with_pyserial():
-    master, slave = pty.openpty()
-    firmware, ended = SerialFirmware(), threading.Event()
-
-    def serve():
-        now_s = 0.0
-        os.set_blocking(master, False)
-        while not ended.is_set():
-            try:
-                data = os.read(master, 4096)
-            except OSError as error:
-                assert error.errno in (errno.EAGAIN, errno.EIO)  # noqa: PT017  # nothing, or nobody has opened it yet
-                data = b""
-            now_s += 0.002  # its own time: a busy machine must not wake its watchdog
-            answers = firmware.receive(data, now_s)
-            if answers:
-                os.write(master, answers)
-            ended.wait(0.002)
-
-    thread = threading.Thread(target=serve, daemon=True)
-    thread.start()
-    try:
-        result = execute(trajectory(duration_s=0.3, size_rad=0.05), os.ttyname(slave), at_start=True)
-    finally:
-        ended.set()
-        thread.join()
-        os.close(master)
-        os.close(slave)
+    with serial_port(SerialFirmware()) as port:
+        result = execute(trajectory(duration_s=0.3, size_rad=0.05), port, at_start=True)
     assert end(result) == ("succeeded", ResultCode.SUCCESSFUL), result.text
+
+
+def test_a_dense_trajectory_is_reduced_to_the_buffer_of_the_firmware(rig):
+    time_s = np.linspace(0.0, 10.0, 1251)
+    s = np.clip(np.minimum(time_s, 10.0 - time_s) / 2.0, 0.0, 1.0)
+    wave = (0.08 * s**2 * (3 - 2 * s) * np.sin(np.pi * time_s))[:, None, None] * np.ones((1, 1, 6))
+    dense = JointTrajectory(("left",), time_s, wave, np.gradient(wave, time_s, axis=0))
+    result = run(rig, dense, at_start=True)
+    assert result.state == "succeeded", result.text
+    assert rig.firmware.executed.count(Request.POINT) <= 36
+    begin_s = rig.path[0][0]
+    for at_s, q in rig.path[::20]:
+        near = [np.interp(at_s - begin_s + late, time_s, wave[:, 0, 0]) for late in (-0.003, 0.0, 0.003)]
+        assert min(near) - 1.1e-3 <= q[0, 0] <= max(near) + 1.1e-3
+    narrow = run(rig, dense, at_start=True, bound_rad=1e-6)
+    assert end(narrow) == REJECTED
+    assert "deviate" in narrow.text

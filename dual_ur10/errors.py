@@ -183,6 +183,10 @@ class PlanningError(DualUR10Error, RuntimeError):
     """Raised when no collision-free path between two configurations of both arms exists, or none was found."""
 
 
+class CalibrationError(DualUR10Error, ValueError):
+    """Raised when observations of a calibration are invalid, do not determine the bases, or fit badly."""
+
+
 class TrajectoryError(DualUR10Error, ValueError):
     """Raised when a trajectory or a goal of one is invalid. Nothing has moved then.
 

@@ -1,0 +1,253 @@
+"""Next observations that tell most about the right base, from candidates that both arms reach.
+
+A candidate is the better, the smaller the mean square of the base's error becomes: the trace of the covariance, with
+rotations at `LEVER_M`. Whether the way there is free is for the operator to see.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from dual_ur10.errors import CalibrationError
+from dual_ur10.kinematics.frames import BASE_TO_BASE_LINK
+from dual_ur10.kinematics.inverse import try_nearest
+from dual_ur10.kinematics.ur10 import DH_D_M, REACH_M, DHParameters
+from dual_ur10.sim2real.calibration.directions import SCALES
+from dual_ur10.sim2real.calibration.equations import Equations
+from dual_ur10.sim2real.calibration.estimate import BaseEstimate
+from dual_ur10.sim2real.calibration.observations import BarPose, Noise, Observation, Touch
+from dual_ur10.sim2real.calibration.transforms import flange, inverse_of, rotation_of, rotvec_of, transform
+from dual_ur10.types import Array, Vector3
+
+PRIOR_M: Final = 0.1
+"""Standard deviation of the base before any observation, m and rad times `LEVER_M`."""
+
+_GRID_M: Final = 0.1
+_FRONT_M: Final = 0.2  # least distance of points in front of both bases
+_NEAR_M: Final = 0.35  # least horizontal distance from a base
+_SHOULDER_M: Final = np.array([0.0, 0.0, DH_D_M[0]])
+_FAR_M: Final = 1.1  # flange from shoulder, of 1.18 m with a wrist across: bases may stand otherwise than thought
+_HEIGHTS_M: Final = (0.1, 1.0)  # above both bases
+_BAR_RAD: Final = 0.45
+_BAR_M: Final = 0.15
+_ELBOW_UP: Final = np.array([0.0, -1.2, 1.6, -2.0, -1.57, 0.0])
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """Proposed observation.
+
+    Attributes:
+        observation: Joint angles at which it is expected.
+        text: Where to bring the arms, for the operator.
+        expected_m: Standard deviation of the base after it, at the stated noise: root of the trace.
+    """
+
+    observation: Observation
+    text: str
+    expected_m: float
+
+
+def touch_candidates(dh: tuple[DHParameters, DHParameters], base: Array, tcp_m: tuple[Vector3, Vector3]) -> list[Touch]:
+    """Return touches on a grid in front of both bases that both arms reach with tools from opposite sides.
+
+    Args:
+        dh: Kinematics of the left and the right arm.
+        base: (4, 4) pose of the right base in the left one.
+        tcp_m: Tool centre points in the flange frames.
+    """
+    steps = np.arange(-REACH_M, REACH_M + _GRID_M / 2, _GRID_M)
+    flat = np.stack(np.meshgrid(steps, steps, np.arange(*_HEIGHTS_M, _GRID_M), indexing="ij"), axis=-1).reshape(-1, 3)
+    back = inverse_of(base)
+    others = flat @ back[:3, :3].T + back[:3, 3]
+    ahead = [(each @ BASE_TO_BASE_LINK)[:, 0] > _FRONT_M for each in (flat, others)]
+    near = [np.linalg.norm(each[:, :2], axis=1) > _NEAR_M for each in (flat, others)]
+    points = flat[ahead[0] & ahead[1] & near[0] & near[1] & (others[:, 2] > _HEIGHTS_M[0] / 2)]
+    across = base[:3, 3] * [1.0, 1.0, 0.0]
+    across = across / max(float(np.linalg.norm(across)), 1e-9)
+    found: dict[int, Touch] = {}
+    for down in (0.0, 1.0, 2.0):
+        todo = np.array([k for k in range(len(points)) if k not in found], dtype=int)
+        joints, good = [], np.ones(len(todo), dtype=np.bool_)
+        for arm, (frame, sign) in enumerate(((np.eye(4), 1.0), (back, -1.0))):
+            tool = frame[:3, :3] @ _pointing(sign * across - [0.0, 0.0, down])
+            at = points[todo] @ frame[:3, :3].T + frame[:3, 3] - tool @ np.asarray(tcp_m[arm])
+            reference = np.tile(_ELBOW_UP, (len(todo), 1))
+            reference[:, 0] = np.arctan2(-at[:, 1], -at[:, 0])
+            q, reached = try_nearest(at, np.tile(tool, (len(todo), 1, 1)), reference, dh[arm])
+            joints.append(q)
+            good &= reached & (np.linalg.norm(at - _SHOULDER_M, axis=1) < _FAR_M)
+        for k in np.flatnonzero(good):
+            left, right = (tuple(each[k].tolist()) for each in joints)
+            found[int(todo[k])] = Touch(left, right, *tcp_m)
+    return [found[k] for k in sorted(found)]
+
+
+def _pointing(axis: Array) -> Array:
+    """Return a rotation whose z axis points along a direction."""
+    z = axis / np.linalg.norm(axis)
+    x = np.cross(z, [0.0, 0.0, 1.0]) if abs(z[2]) < 0.9 else np.cross(z, [0.0, 1.0, 0.0])
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def bar_candidates(
+    dh: tuple[DHParameters, DHParameters], estimate: BaseEstimate, observed: Sequence[BarPose]
+) -> list[BarPose]:
+    """Return poses of the last grasp, rotated and shifted from the mean of the observed ones, that both arms reach."""
+    grasp = observed[-1].grasp
+    own = [each for each in observed if each.grasp == grasp]
+    between = estimate.constants[f"grasp {grasp}"]
+    poses = flange([each.left_q_rad for each in own], dh[0])
+    middle = poses[np.linalg.norm(poses[:, :3, 3] - poses[:, :3, 3].mean(0), axis=-1).argmin()]
+    axes = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+    found = []
+    for rotation, shift in itertools.product(_BAR_RAD * axes, _BAR_M * axes):
+        left = transform(poses[:, :3, 3].mean(0) + shift, rotation_of(rotation) @ middle[:3, :3])
+        right = inverse_of(estimate.pose) @ left @ between
+        joints = []
+        for arm, goal in enumerate((left, right)):
+            reference = (own[-1].left_q_rad, own[-1].right_q_rad)[arm]
+            q, reached = try_nearest(goal[None, :3, 3], goal[None, :3, :3], np.asarray(reference)[None], dh[arm])
+            if reached[0]:
+                joints.append(tuple(q[0].tolist()))
+        if len(joints) == 2:
+            found.append(BarPose(*joints, grasp))
+    return found
+
+
+def best(
+    candidates: Sequence[Observation],
+    dh: tuple[DHParameters, DHParameters],
+    base: Array,
+    noise: Noise | None = None,
+    estimate: BaseEstimate | None = None,
+) -> Suggestion:
+    """Return the best candidate.
+
+    Args:
+        candidates: Observations at which the arms are thought.
+        dh: Kinematics of the left and the right arm.
+        base: (4, 4) approximate pose of the right base in the left one, without an estimate.
+        noise: Standard deviations; None: the defaults.
+        estimate: Estimate to be improved; None: there is none yet.
+
+    Raises:
+        CalibrationError: There is no candidate.
+    """
+    return _ranked(candidates, dh, base, noise or Noise(), estimate)[0]
+
+
+def plan(
+    count: int,
+    candidates: Sequence[Observation],
+    dh: tuple[DHParameters, DHParameters],
+    base: Array,
+    noise: Noise | None = None,
+) -> list[Suggestion]:
+    """Return a series of touches, each the best after those before it.
+
+    Raises:
+        CalibrationError: There are fewer candidates.
+    """
+    rows = _rows(candidates, dh, base, noise or Noise())
+    if len(candidates) < count:
+        raise CalibrationError(
+            f"both arms reach only {len(candidates)} points in front of both bases: {count} are needed. Check the "
+            "poses of the bases, or choose the points by hand"
+        )
+    information, left, series = _prior(6), list(range(len(candidates))), []
+    for _ in range(count):
+        expected = [_expected(information + rows[k].T @ rows[k]) for k in left]
+        chosen = left.pop(int(np.argmin(expected)))
+        information = information + rows[chosen].T @ rows[chosen]
+        series.append(Suggestion(candidates[chosen], _text(candidates[chosen], dh, base), min(expected)))
+    return series
+
+
+def _ranked(
+    candidates: Sequence[Observation],
+    dh: tuple[DHParameters, DHParameters],
+    base: Array,
+    noise: Noise,
+    estimate: BaseEstimate | None,
+) -> list[Suggestion]:
+    if not candidates:
+        raise CalibrationError(
+            "both arms reach none of the candidates in front of both bases: check the poses of the bases, or choose "
+            "the next observation by hand"
+        )
+    base = base if estimate is None else estimate.pose
+    information = _prior(6) if estimate is None else estimate.normal
+    if estimate is not None and any(isinstance(each, BarPose) for each in candidates):
+        rows = _bar_rows(candidates, dh, noise, estimate)
+    else:
+        rows = _padded(_rows(candidates, dh, base, noise), len(information))
+    expected = np.array([_expected(information + each.T @ each) for each in rows])
+    order = np.argsort(expected, kind="stable")
+    return [Suggestion(candidates[k], _text(candidates[k], dh, base), float(expected[k])) for k in order[:1]]
+
+
+def _rows(
+    candidates: Sequence[Observation], dh: tuple[DHParameters, DHParameters], base: Array, noise: Noise
+) -> list[Array]:
+    """Return the derivatives of the residuals of touches by the base's pose, (3, 6) for each."""
+    equations = Equations(candidates, dh, noise, base)
+    jacobian = equations.jacobian(equations.start)
+    return [jacobian[each, :6] for each in equations.rows]
+
+
+def _bar_rows(
+    candidates: Sequence[Observation], dh: tuple[DHParameters, DHParameters], noise: Noise, estimate: BaseEstimate
+) -> list[Array]:
+    equations = Equations(candidates, dh, noise, estimate.pose)
+    names = ["base", *estimate.constants]
+    poses = np.stack([estimate.pose, *(estimate.constants[each] for each in equations.unknown[1:])])
+    jacobian = equations.jacobian(poses)
+    result = np.zeros((len(jacobian), 6 * len(names)))
+    for k, name in enumerate(equations.unknown):
+        there = 6 * names.index(name)
+        result[:, there : there + 6] = jacobian[:, 6 * k : 6 * k + 6]
+    return [result[each] for each in equations.rows]
+
+
+def _padded(rows: list[Array], width: int) -> list[Array]:
+    return [np.pad(each, ((0, 0), (0, width - each.shape[1]))) for each in rows]
+
+
+def _prior(size: int) -> Array:
+    result: Array = np.diag(np.tile(1 / (PRIOR_M * SCALES), size // 6) ** 2)
+    return result
+
+
+def _expected(normal: Array) -> float:
+    """Return the root of the trace of the base's covariance, with rotations at `LEVER_M`, m."""
+    covariance = np.linalg.inv(normal + 1e-6 * _prior(len(normal)))[:6, :6]
+    return float(np.sqrt((np.diag(covariance) / SCALES**2).sum()))
+
+
+def _text(observation: Observation, dh: tuple[DHParameters, DHParameters], base: Array) -> str:
+    if isinstance(observation, Touch):
+        pose = flange(observation.left_q_rad, dh[0])
+        point = pose @ [*observation.left_tcp_m, 1.0]
+        other = inverse_of(base) @ point
+        return (
+            f"touch the point {_numbers(point[:3])} m in the left base's frame, which is {_numbers(other[:3])} m in "
+            "the right one's"
+        )
+    if isinstance(observation, BarPose):
+        pose = flange(observation.left_q_rad, dh[0])
+        return (
+            f"bring the bar to where the left flange is at {_numbers(pose[:3, 3])} m with the rotation vector "
+            f"{_numbers(rotvec_of(pose[:3, :3]))} rad, in the left base's frame"
+        )
+    raise CalibrationError("views of a board are not suggested: rotate the arm about another axis than before")
+
+
+def _numbers(values: Array) -> str:
+    return f"({', '.join(f'{each:.2f}' for each in values)})"

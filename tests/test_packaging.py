@@ -147,7 +147,7 @@ FLOORS = (
     ("assets",),
     ("sim2real.control", "sim2real.processes", "sim2real.protocol"),
     ("sim2real.config", "sim2real.links"),
-    ("sim2real.peripherals", "sim2real.commissioning", "sim2real.trajectory"),
+    ("sim2real.peripherals", "sim2real.commissioning", "sim2real.trajectory", "sim2real.calibration"),
     ("sim2real.runtime",),
     ("sim2real.recording",),
     ("envs",),

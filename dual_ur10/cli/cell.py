@@ -1,4 +1,4 @@
-"""The commands `cell new`, `cell check`, `cell show` and `cell clear`."""
+"""The commands `cell new`, `cell check`, `cell show` and `cell clear`; `cell calibrate` is in `calibrate`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from dual_ur10.cli.calibrate import calibrate
 from dual_ur10.cli.options import ArmFamily, Left, Right, console, errors
 from dual_ur10.errors import CellFileError, SettingsError, UnknownNameError
 from dual_ur10.ids import env_id_of
@@ -18,7 +19,7 @@ from dual_ur10.ids import env_id_of
 FINDINGS = 2
 """Exit code of a file with errors."""
 
-app = typer.Typer(help="Create, check and show cell files, and clear latched stops.", no_args_is_help=True)
+app = typer.Typer(help="Create, check, show and calibrate cell files, and clear latched stops.", no_args_is_help=True)
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="A cell file, such as lab.toml.")]
 
@@ -145,3 +146,6 @@ def _short(value: Any) -> Any:
     if isinstance(value, tuple):
         return [_short(each) for each in value]
     return float(f"{value:.9g}") if isinstance(value, float) else value
+
+
+app.command()(calibrate)

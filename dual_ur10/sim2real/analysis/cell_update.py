@@ -1,22 +1,27 @@
-"""Update of a cell file with measured lookahead and latency. The former file is kept as a backup."""
+"""Updates of a cell file with measured values: lookahead and latency, or the bases. The former file is kept."""
 
 from __future__ import annotations
 
 import contextlib
+import datetime
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import tomlkit
 from tomlkit.items import InlineTable
 
-from dual_ur10.errors import CellFileError, DualUR10Error, RecordingError
+from dual_ur10.errors import CalibrationError, CellFileError, DualUR10Error, RecordingError
 from dual_ur10.files import check_target, write_text
-from dual_ur10.kinematics.ur10 import ARMS
+from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.analysis.fit import ArmFit
+from dual_ur10.sim2real.calibration.directions import LEVER_M
+from dual_ur10.sim2real.calibration.estimate import BaseEstimate
 from dual_ur10.sim2real.config.cell_file import CellFile, examine_text, load_cell_file
-from dual_ur10.sim2real.config.cell_file_tables import MAX_LATENCY_S, Measured
+from dual_ur10.sim2real.config.cell_file_reference import write_new
+from dual_ur10.sim2real.config.cell_file_tables import MAX_LATENCY_S, ZERO, BaseToBase, Calibration, Measured
 from dual_ur10.sim2real.control.servoj import MEASURED_LOOKAHEAD_S
 from dual_ur10.sim2real.recording.run import Header
 
@@ -49,10 +54,152 @@ def write_back(path: str | Path, header: Header, found: Sequence[ArmFit]) -> Pat
     measured = [_measured(arm, each) for arm, each in zip(ARMS, found, strict=True)]
     text = target.read_bytes().decode("utf-8")
     left, right = (arm.replace(measured=each) for arm, each in zip(cell.arms, measured, strict=True))
-    updated = _updated(text, cell.replace(left=left, right=right), measured)
+    for_hand = "".join(f"[{arm}.measured] {each}, " for arm, each in zip(ARMS, measured, strict=True))
+
+    def put(document: Any) -> None:
+        for arm, each in zip(ARMS, measured, strict=True):
+            _table(document[arm], "measured").update({"lookahead_s": each.lookahead_s, "latency_s": each.latency_s})
+
+    updated = _updated(text, cell.replace(left=left, right=right), put, for_hand)
     kept = _keep(target)
     write_text(target, updated)
     return kept
+
+
+ACCEPTED_M: Final = 0.001
+"""Default of the largest error at `LEVER_M` with which bases are written: half of what a carry allows."""
+
+_DIGITS: Final = 7  # of metres and radians
+
+
+def write_bases(
+    path: str | Path,
+    found: BaseEstimate,
+    data: str | Path,
+    *,
+    day: datetime.date,
+    kinematics: Mapping[str, Calibration] | None = None,
+    accept_m: float = ACCEPTED_M,
+    out: str | Path | None = None,
+) -> Path | None:
+    """Write the estimated pose of the right base into a cell file, and beside it day, data and uncertainty.
+
+    The left base stays. The right one's uncertainty in the cell is that of the left one plus that of the estimate;
+    what the estimate itself leaves is in the table `base_to_base`. Comments stay. The former file is kept as
+    `NAME.bak`, or `NAME.bak1` and so on.
+
+    Args:
+        path: The cell file.
+        found: The estimate.
+        data: Its data file.
+        day: Day of the calibration.
+        kinematics: Calibration of arms, by name, that the estimate was made with and the file lacks.
+        accept_m: Largest legal `uncertainty_at_lever_m`.
+        out: New file for the result; None: change the cell file.
+
+    Returns:
+        Path of the backup; None if the result is a new file.
+
+    Raises:
+        CalibrationError: The estimate is too uncertain. Nothing is written.
+        CellFileError: The cell file is not legal, would not be, or `out` exists. Nothing is written.
+        DualUR10Error: A file cannot be written. The cell file is unchanged.
+    """
+    target = check_target(path)
+    check_accepted(found, accept_m)
+    cell = load_cell_file(target)
+    text = target.read_bytes().decode("utf-8")
+    left, right = cell.arms
+    mount = found.mount(left.mount)
+    left_at = left.base_position_m or ZERO
+    position, yaw = tuple(round(each, _DIGITS) for each in mount.position_m), round(mount.yaw_rad, _DIGITS)
+    position_m, rotation_rad = found.mount_uncertainty
+    relative = found.mount(ArmMount((0.0, 0.0, 0.0)))
+    base_to_base = BaseToBase(
+        position_m=tuple(round(each, _DIGITS) for each in relative.position_m),  # type: ignore[arg-type]  # three
+        yaw_rad=round(relative.yaw_rad, _DIGITS),
+        uncertainty_m=_rounded_up(position_m),
+        uncertainty_rad=_rounded_up(rotation_rad),
+        date=day.isoformat(),
+        data=str(data),
+    )
+    apart_m = math.dist(left_at, mount.position_m)
+    values = {
+        "base_position_m": position,
+        "base_yaw_rad": yaw,
+        "base_uncertainty_m": _rounded_up(left.base_uncertainty_m + left.base_uncertainty_rad * apart_m + position_m),
+        "base_uncertainty_rad": _rounded_up(left.base_uncertainty_rad + rotation_rad),
+    }
+    arms = dict(zip(ARMS, (left, right.replace(**values)), strict=True))
+    for arm, each in (kinematics or {}).items():
+        arms[arm] = arms[arm].replace(calibration=each)
+
+    def put(document: Any) -> None:
+        document[ARMS[1]].update({name: list(v) if isinstance(v, tuple) else v for name, v in values.items()})
+        for arm, each in (kinematics or {}).items():
+            _table(document[arm], "calibration").update(_plain(each.mapping()))
+        _table(document, "base_to_base").update(_plain(base_to_base.mapping()))
+
+    updated = _updated(text, cell.replace(**arms, base_to_base=base_to_base), put, f"[right] {values}, ")
+    if out is not None:
+        write_new(out, updated)
+        return None
+    kept = _keep(target)
+    write_text(target, updated)
+    return kept
+
+
+def check_accepted(found: BaseEstimate, accept_m: float) -> None:
+    """Refuse an estimate that is too uncertain.
+
+    Raises:
+        CalibrationError: It is.
+    """
+    if found.uncertainty_at_lever_m <= accept_m:
+        return
+    position_m, rotation_rad = found.mount_uncertainty
+    tilt = float(math.hypot(*found.tilt_rad))
+    if found.is_tilted and position_m + LEVER_M * (rotation_rad - tilt) <= accept_m:
+        remedy = (
+            f"{1e3 * LEVER_M * tilt:.2g} mm of it are the tilt of the right base against the left one, for which a "
+            "cell file has no key: level the bases against each other, or accept more with --accept-m"
+        )
+    else:
+        remedy = (
+            f"{found.weakest.text} of the right base is known least: add observations (`--suggest` names one), or "
+            "accept more with --accept-m"
+        )
+    raise CalibrationError(
+        f"the right base is uncertain by {1e3 * position_m:.3g} mm and {math.degrees(rotation_rad):.3g}°, together "
+        f"{1e3 * found.uncertainty_at_lever_m:.3g} mm at {LEVER_M:g} m, accepted are {1e3 * accept_m:g} mm: {remedy}. "
+        "Nothing was written"
+    )
+
+
+def calibration_of(dh: DHParameters, checksum: Sequence[int] | None = None) -> Calibration:
+    """Return the table `calibration` of an arm's kinematics."""
+    return Calibration(
+        a_m=dh.a_m,  # type: ignore[arg-type]  # six of them, as of the others
+        d_m=dh.d_m,  # type: ignore[arg-type]
+        alpha_rad=dh.alpha_rad,  # type: ignore[arg-type]
+        theta_rad=dh.theta_rad,  # type: ignore[arg-type]
+        checksum=None if checksum is None else tuple(checksum),  # type: ignore[arg-type]
+    )
+
+
+def _rounded_up(value: float) -> float:
+    return math.ceil(value * 1e6) / 1e6
+
+
+def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
+
+
+def _table(parent: Any, name: str) -> Any:
+    """Return a table inside another one, made in its style if there is none."""
+    if name not in parent:
+        parent[name] = tomlkit.inline_table() if isinstance(parent, InlineTable) else tomlkit.table()
+    return parent[name]
 
 
 def _measured(arm: str, found: ArmFit) -> Measured:
@@ -112,27 +259,27 @@ def _check_same_cell(cell: CellFile, header: Header) -> None:
             )
 
 
-def _updated(text: str, wanted: CellFile, measured: Sequence[Measured]) -> str:
-    """Return the text of the file with the measured values, and all else unchanged.
+def _updated(text: str, wanted: CellFile, put: Callable[[Any], None], for_hand: str) -> str:
+    """Return the text of the file with measured values, and all else unchanged.
+
+    Args:
+        text: Text of the file.
+        wanted: Cell that the result must describe.
+        put: Puts the values into the document.
+        for_hand: The values in words, for the message.
 
     Raises:
         CellFileError: The result is not the wanted cell.
     """
     document = tomlkit.parse(text)
-    for arm, each in zip(ARMS, measured, strict=True):
-        entry: Any = document[arm]
-        if "measured" not in entry:
-            inline = isinstance(entry, InlineTable)
-            entry["measured"] = tomlkit.inline_table() if inline else tomlkit.table()
-        entry["measured"]["lookahead_s"], entry["measured"]["latency_s"] = each.lookahead_s, each.latency_s
+    put(document)
     changed = document.as_string()
     found, findings = examine_text(changed)
     if found != wanted:
         reason = findings[0] if findings else "it would say something else"
         raise CellFileError(
             f"{wanted.source}: the measured values cannot be put into this file: {reason}. Nothing was changed; put "
-            + "".join(f"[{arm}.measured] {each}, " for arm, each in zip(ARMS, measured, strict=True))
-            + "into it by hand"
+            f"{for_hand}into it by hand"
         )
     return changed
 

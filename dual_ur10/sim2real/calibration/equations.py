@@ -79,7 +79,8 @@ class Equations:
         """Return the touched points (n, 4, 1) in the frame of the arm's own base."""
         joints = [(each.left_q_rad, each.right_q_rad)[arm] for each in touches]
         tcp = [[*(each.left_tcp_m, each.right_tcp_m)[arm], 1.0] for each in touches]
-        return flange(np.reshape(joints, (-1, 6)), self._dh[arm]) @ np.reshape(tcp, (-1, 4, 1))
+        points: Array = flange(np.reshape(joints, (-1, 6)), self._dh[arm]) @ np.reshape(tcp, (-1, 4, 1))
+        return points
 
     def _arm(self, observation: BarPose | BoardView, carrier: Carrier) -> Array:
         if carrier == "fixed":
@@ -148,7 +149,8 @@ class Equations:
 
     @staticmethod
     def _stack(poses: Array) -> Array:
-        return np.concatenate([np.eye(4)[None], poses])
+        stack: Array = np.concatenate([np.eye(4)[None], poses])
+        return stack
 
     def moved(self, poses: Array, change: Array) -> Array:
         """Return the unknown poses after a change: 3 m and 3 rad for each, along and about the left base's axes."""
@@ -164,7 +166,8 @@ class Equations:
         tips = (self._tips[0] - stack[_BASE] @ self._tips[1])[:, :3, 0] / self._noise.touch_m
         bars = (self._whiten_bars @ _differences(*self._bars, stack)[..., None])[..., 0]
         views = _differences(*self._views, stack) * self._scale_views
-        return np.concatenate([tips.ravel(), bars.ravel(), views.ravel()])
+        whole: Array = np.concatenate([tips.ravel(), bars.ravel(), views.ravel()])
+        return whole
 
     def jacobian(self, poses: Array) -> Array:
         """Return the derivatives of all residuals by the changes of all poses, by central differences."""
@@ -174,7 +177,8 @@ class Equations:
             change[k] = _STEP
             ahead, behind = (self.residuals(self.moved(poses, sign * change)) for sign in (1, -1))
             columns.append((ahead - behind) / (2 * _STEP))
-        return np.stack(columns, axis=1)
+        jacobian: Array = np.stack(columns, axis=1)
+        return jacobian
 
     def plain(self, poses: Array) -> Array:
         """Return the distance in m and the angle in rad of each observation's residual, (n, 2), in its order."""
@@ -217,7 +221,8 @@ def _mounts_of(between: Array, measured: Array, camera: Array | None, board: Arr
     Args:
         between: (n, 4, 4) what carries the camera, in the frame of what carries the board.
         measured: (n, 4, 4) the board in the camera's frame.
-        camera, board: What is known already.
+        camera: Its mount, if it is known already.
+        board: Likewise.
     """
     if camera is None:
         camera = (

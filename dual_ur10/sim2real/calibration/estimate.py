@@ -21,8 +21,8 @@ from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
 from dual_ur10.sim2real.calibration.directions import LEVER_M, SCALES, Direction, weakest
 from dual_ur10.sim2real.calibration.equations import Equations
 from dual_ur10.sim2real.calibration.observations import Noise, Observation
-from dual_ur10.sim2real.calibration.transforms import base_in_cell, inverse_of, rotation_of, rotvec_of
-from dual_ur10.types import Array
+from dual_ur10.sim2real.calibration.transforms import base_in_cell, rotation_of, rotvec_of
+from dual_ur10.types import Array, Mask
 
 LEVEL: Final = 0.95
 """Confidence of all stated intervals."""
@@ -195,7 +195,7 @@ def estimate(
     probabilities = _probabilities(equations, fit, kept)
     return BaseEstimate(
         pose=fit.poses[0],
-        covariance=scale**2 * np.linalg.inv(information),
+        covariance=np.asarray(scale**2 * np.linalg.inv(information), dtype=np.float64),
         degrees_of_freedom=freedom,
         noise_scale=scale,
         residuals=tuple(
@@ -211,13 +211,13 @@ def estimate(
     )
 
 
-def _chosen(equations: Equations, kept: Array) -> Array:
+def _chosen(equations: Equations, kept: Mask) -> Array:
     """Return the numbers of the residuals of some observations."""
     parts = [np.arange(rows.start, rows.stop) for rows, keep in zip(equations.rows, kept, strict=True) if keep]
     return np.concatenate(parts) if parts else np.empty(0, dtype=int)
 
 
-def _solved(equations: Equations, start: Array, kept: Array, loss: str = "linear") -> _Fit:
+def _solved(equations: Equations, start: Array, kept: Mask, loss: str = "linear") -> _Fit:
     """Solve for the poses; residuals and Jacobian are those of all observations."""
     from scipy.optimize import least_squares
 
@@ -250,7 +250,7 @@ def _information(jacobian: Array) -> tuple[Array, Array]:
     return own.T @ own, jacobian.T @ jacobian
 
 
-def _check_determined(equations: Equations, fit: _Fit, kept: Array, observations: Sequence[Observation]) -> None:
+def _check_determined(equations: Equations, fit: _Fit, kept: Mask, observations: Sequence[Observation]) -> None:
     rows = _chosen(equations, kept)
     direction = weakest(_information(fit.jacobian[rows])[0], fit.poses[0])
     unknown = fit.jacobian.shape[1]
@@ -267,7 +267,7 @@ def _check_determined(equations: Equations, fit: _Fit, kept: Array, observations
         )
 
 
-def _count(observations: Sequence[Observation], kept: Array) -> str:
+def _count(observations: Sequence[Observation], kept: Mask) -> str:
     names = {"Touch": "touch", "BarPose": "pose of a bar", "BoardView": "view of a board"}
     plural = {"Touch": "touches", "BarPose": "poses of a bar", "BoardView": "views of a board"}
     kinds = [type(each).__name__ for each, keep in zip(observations, kept, strict=True) if keep]
@@ -290,7 +290,7 @@ def _remedy(observations: Sequence[Observation], direction: Direction) -> str:
     )
 
 
-def _kept(equations: Equations, robust: _Fit) -> Array:
+def _kept(equations: Equations, robust: _Fit) -> Mask:
     """Return a mask of the observations that do not contradict the others.
 
     The start are those close to the robust solution. Then the worst of them is taken out, or one of the others put
@@ -303,7 +303,7 @@ def _kept(equations: Equations, robust: _Fit) -> Array:
     medians = stats.chi2.median(sizes)
     scale = max(float(np.median(squares / medians)), _LEAST_SCALE**2)
     far = stats.chi2.sf(squares / scale, sizes) < _CONTRADICTED / len(sizes)
-    kept: Array = ~far
+    kept: Mask = ~far
     seen = set()
     while kept.any() and kept.tobytes() not in seen:
         seen.add(kept.tobytes())
@@ -324,7 +324,7 @@ def _kept(equations: Equations, robust: _Fit) -> Array:
     return kept
 
 
-def _probabilities(equations: Equations, fit: _Fit, kept: Array) -> Array:
+def _probabilities(equations: Equations, fit: _Fit, kept: Mask) -> Array:
     """Return for each observation the probability that the others contradict it at least this much, (n,).
 
     An F test of its residuals against those of the other kept observations, whose estimate predicts them.
@@ -333,7 +333,7 @@ def _probabilities(equations: Equations, fit: _Fit, kept: Array) -> Array:
 
     rows = _chosen(equations, kept)
     inside, jacobian = fit.residuals[rows], fit.jacobian[rows]
-    u, values, vt = np.linalg.svd(jacobian, full_matrices=False)
+    _, values, vt = np.linalg.svd(jacobian, full_matrices=False)
     good = values > _SINGULAR * values[0]
     root = vt[good].T / values[good]  # the covariance is this times its transpose
     square, freedom = float(inside @ inside), len(rows) - int(good.sum())

@@ -20,7 +20,7 @@ from dual_ur10.kinematics.ur10 import DH_D_M, REACH_M, DHParameters
 from dual_ur10.sim2real.calibration.directions import SCALES
 from dual_ur10.sim2real.calibration.equations import Equations
 from dual_ur10.sim2real.calibration.estimate import BaseEstimate
-from dual_ur10.sim2real.calibration.observations import BarPose, Noise, Observation, Touch
+from dual_ur10.sim2real.calibration.observations import BarPose, JointAngles, Noise, Observation, Touch
 from dual_ur10.sim2real.calibration.transforms import flange, inverse_of, rotation_of, rotvec_of, transform
 from dual_ur10.types import Array, Vector3
 
@@ -110,14 +110,14 @@ def bar_candidates(
     for rotation, shift in itertools.product(_BAR_RAD * axes, _BAR_M * axes):
         left = transform(poses[:, :3, 3].mean(0) + shift, rotation_of(rotation) @ middle[:3, :3])
         right = inverse_of(estimate.pose) @ left @ between
-        joints = []
+        joints: list[JointAngles] = []
         for arm, goal in enumerate((left, right)):
             reference = (own[-1].left_q_rad, own[-1].right_q_rad)[arm]
             q, reached = try_nearest(goal[None, :3, 3], goal[None, :3, :3], np.asarray(reference)[None], dh[arm])
             if reached[0]:
                 joints.append(tuple(q[0].tolist()))
         if len(joints) == 2:
-            found.append(BarPose(*joints, grasp))
+            found.append(BarPose(joints[0], joints[1], grasp))
     return found
 
 
@@ -126,26 +126,48 @@ def best(
     dh: tuple[DHParameters, DHParameters],
     base: Array,
     noise: Noise | None = None,
+    *,
     estimate: BaseEstimate | None = None,
+    observed: Sequence[Observation] = (),
 ) -> Suggestion:
     """Return the best candidate.
 
     Args:
-        candidates: Observations at which the arms are thought.
+        candidates: Observations of one kind at which the arms are thought. Poses of a bar need an estimate.
         dh: Kinematics of the left and the right arm.
-        base: (4, 4) approximate pose of the right base in the left one, without an estimate.
+        base: (4, 4) approximate pose of the right base in the left one.
         noise: Standard deviations; None: the defaults.
         estimate: Estimate to be improved; None: there is none yet.
+        observed: Observations so far, if there is no estimate; only touches count.
 
     Raises:
         CalibrationError: There is no candidate.
     """
-    return _ranked(candidates, dh, base, noise or Noise(), estimate)[0]
+    if not candidates:
+        raise CalibrationError(
+            "both arms reach none of the candidates in front of both bases: check the poses of the bases, or choose "
+            "the next observation by hand"
+        )
+    noise = noise or Noise()
+    if estimate is None:
+        touches = [each for each in observed if isinstance(each, Touch)]
+        information = _prior(6) + sum(each.T @ each for each in (_rows(touches, dh, base, noise) if touches else []))
+        rows = _rows(candidates, dh, base, noise)
+    elif isinstance(candidates[0], BarPose):
+        information, base = estimate.normal, estimate.pose
+        rows = _bar_rows(candidates, dh, noise, estimate)
+    else:
+        information, base = estimate.normal, estimate.pose
+        width = len(information) - 6
+        rows = [np.pad(each, ((0, 0), (0, width))) for each in _rows(candidates, dh, base, noise)]
+    expected = np.array([_expected(information + each.T @ each) for each in rows])
+    chosen = candidates[int(expected.argmin())]
+    return Suggestion(chosen, _text(chosen, dh, base), float(expected.min()))
 
 
 def plan(
     count: int,
-    candidates: Sequence[Observation],
+    candidates: Sequence[Touch],
     dh: tuple[DHParameters, DHParameters],
     base: Array,
     noise: Noise | None = None,
@@ -155,42 +177,17 @@ def plan(
     Raises:
         CalibrationError: There are fewer candidates.
     """
-    rows = _rows(candidates, dh, base, noise or Noise())
     if len(candidates) < count:
         raise CalibrationError(
             f"both arms reach only {len(candidates)} points in front of both bases: {count} are needed. Check the "
             "poses of the bases, or choose the points by hand"
         )
-    information, left, series = _prior(6), list(range(len(candidates))), []
+    left, series = list(candidates), list[Suggestion]()
     for _ in range(count):
-        expected = [_expected(information + rows[k].T @ rows[k]) for k in left]
-        chosen = left.pop(int(np.argmin(expected)))
-        information = information + rows[chosen].T @ rows[chosen]
-        series.append(Suggestion(candidates[chosen], _text(candidates[chosen], dh, base), min(expected)))
+        observed = [each.observation for each in series]
+        series.append(best(left, dh, base, noise, observed=observed))
+        left.remove(series[-1].observation)  # type: ignore[arg-type]  # a touch
     return series
-
-
-def _ranked(
-    candidates: Sequence[Observation],
-    dh: tuple[DHParameters, DHParameters],
-    base: Array,
-    noise: Noise,
-    estimate: BaseEstimate | None,
-) -> list[Suggestion]:
-    if not candidates:
-        raise CalibrationError(
-            "both arms reach none of the candidates in front of both bases: check the poses of the bases, or choose "
-            "the next observation by hand"
-        )
-    base = base if estimate is None else estimate.pose
-    information = _prior(6) if estimate is None else estimate.normal
-    if estimate is not None and any(isinstance(each, BarPose) for each in candidates):
-        rows = _bar_rows(candidates, dh, noise, estimate)
-    else:
-        rows = _padded(_rows(candidates, dh, base, noise), len(information))
-    expected = np.array([_expected(information + each.T @ each) for each in rows])
-    order = np.argsort(expected, kind="stable")
-    return [Suggestion(candidates[k], _text(candidates[k], dh, base), float(expected[k])) for k in order[:1]]
 
 
 def _rows(
@@ -214,10 +211,6 @@ def _bar_rows(
         there = 6 * names.index(name)
         result[:, there : there + 6] = jacobian[:, 6 * k : 6 * k + 6]
     return [result[each] for each in equations.rows]
-
-
-def _padded(rows: list[Array], width: int) -> list[Array]:
-    return [np.pad(each, ((0, 0), (0, width - each.shape[1]))) for each in rows]
 
 
 def _prior(size: int) -> Array:

@@ -28,6 +28,7 @@ from dual_ur10.sim2real.config.cell_file_tables import (
     ZERO,
     ArmEntry,
     ArmLimits,
+    BaseToBase,
     EmulatedTrackerEntry,
     EmulatorEntry,
     Kind,
@@ -54,6 +55,7 @@ _FIRST: Final = {"speed_rad_s": (FIRST_SPEED_RAD_S, "rad/s"), "tcp_speed_m_s": (
 
 _UNIT_TOLERANCE: Final = 1e-3
 _BEHIND_M: Final = 0.01
+_CALIBRATED: Final = 1e-6  # m and rad, as many digits as are written
 
 
 class _UnfitError(ValueError):
@@ -84,6 +86,7 @@ class CellFile(Table):
     rt_priority: int = key("real-time priority of the senders; 0 is off", 0, low=0, high=90)
     left: ArmEntry
     right: ArmEntry
+    base_to_base: BaseToBase | None = None
     emulator: EmulatorEntry | None = None
     tracker: Tracker | None = Field(None, description="source of the objects' poses")
     obstacle: tuple[ObstacleEntry, ...] = Field((), max_length=MAX_OBSTACLES, description="shape of the obstacle")
@@ -164,6 +167,19 @@ class CellFile(Table):
     def sha256(self) -> str:
         """SHA-256 of `text()` in hexadecimal digits: of the content of the file, not of its comments."""
         return hashlib.sha256(self.text().encode()).hexdigest()
+
+    @property
+    def relative_uncertainty(self) -> tuple[float, float] | None:
+        """Uncertainty of the right base relative to the left one, m and rad; None: the file states none."""
+        if self.base_to_base is not None:
+            return self.base_to_base.uncertainty_m, self.base_to_base.uncertainty_rad
+        (left_m, left_rad), (right_m, right_rad) = (
+            (arm.base_uncertainty_m, arm.base_uncertainty_rad) for arm in self.arms
+        )
+        if not any((left_m, left_rad, right_m, right_rad)):
+            return None
+        apart_m = math.dist(self.left.base_position_m or ZERO, self.right.base_position_m or ZERO)
+        return left_m + left_rad * apart_m + right_m, left_rad + right_rad
 
     def config(self) -> CellConfig:
         """Return the configuration for adapter, gate and simulation: mounts, servoj settings, speed caps.
@@ -434,6 +450,7 @@ def _rules(cell: CellFile) -> Iterator[str]:
             "Write both addresses as the controllers show them"
         )
     yield from _bases(cell)
+    yield from _calibrated(cell)
     for name, arm in zip(ARMS, cell.arms, strict=True):
         yield from _servoj(name, arm)
     if cell.emulator is not None and not emulated:
@@ -475,6 +492,23 @@ def _bases(cell: CellFile) -> Iterator[str]:
             SceneSettings(left=mounts[0], right=mounts[1])
         except SettingsError as error:
             yield f"left.base_position_m and right.base_position_m: {error}. Write where the bases stand"
+
+
+def _calibrated(cell: CellFile) -> Iterator[str]:
+    found = cell.base_to_base
+    if found is None:
+        return
+    left, right = (each.base_position_m or ZERO for each in cell.arms)
+    yaw = cell.left.base_yaw_rad
+    x, y, z = (b - a for a, b in zip(left, right, strict=True))
+    there = (math.cos(yaw) * x + math.sin(yaw) * y, math.cos(yaw) * y - math.sin(yaw) * x, z)
+    off_m = math.dist(there, found.position_m)
+    off_rad = abs(math.remainder(cell.right.base_yaw_rad - yaw - found.yaw_rad, 2 * math.pi))
+    if off_m > _CALIBRATED or off_rad > _CALIBRATED:
+        yield (
+            f"base_to_base: the bases stand {1e3 * off_m:.3g} mm and {off_rad:.3g} rad otherwise than calibrated on "
+            f"{found.date}: calibrate again with `cell calibrate`, or take this table out"
+        )
 
 
 def _servoj(name: str, arm: ArmEntry) -> Iterator[str]:

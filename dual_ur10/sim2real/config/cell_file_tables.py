@@ -99,6 +99,8 @@ def _text(allowed: str, **constraints: Any) -> Any:
 Name = Annotated[str, _text("up to 64 letters, digits, _ and -, in quotes", pattern=f"^{obstacles.NAME}$")]
 Serial = Annotated[str, _text("up to 32 letters, digits and hyphens, in quotes", pattern="^[A-Za-z0-9-]{1,32}$")]
 Address = Annotated[str, AfterValidator(_checked_address), _text("an IPv4 address; names are not looked up")]
+Day = Annotated[str, _text("a day such as 2026-01-31, in quotes", pattern=r"^\d{4}-\d{2}-\d{2}$")]
+FileName = Annotated[str, _text("a file name of up to 200 characters, in quotes", pattern=r"^[^\x00-\x1f\x7f]{1,200}$")]
 Task = Annotated[str, AfterValidator(_checked_id), _text("the id of an environment")]
 
 
@@ -284,6 +286,19 @@ class ArmEntry(Table):
         if self.tcp_position_m is None and self.tcp_rotation_rad is None:
             return None
         return (*(self.tcp_position_m or ZERO), *(self.tcp_rotation_rad or ZERO))
+
+
+class BaseToBase(Table):
+    """Pose of the right base in the left one's `base_link`, as `cell calibrate` found it."""
+
+    position_m: Vector[Annotated[float, Field(ge=-2 * MAX_MOUNT_M, le=2 * MAX_MOUNT_M)]] = key(
+        "position of the right base in the left one's frame", example=(0.0, -1.2, 0.0)
+    )
+    yaw_rad: Angle = key("rotation of the right base about the vertical, relative to the left one", example=0.0)
+    uncertainty_m: float = key("uncertainty of that position", low=0, high=0.1, example=0.0002)
+    uncertainty_rad: float = key("uncertainty of that rotation, about any axis", low=0, high=0.2, example=0.0003)
+    date: Day = key("day of the calibration", example="2026-01-31")
+    data: FileName = key("its data file", example="touches.json")
 
 
 class EmulatorEntry(Table):

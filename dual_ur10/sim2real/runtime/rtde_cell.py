@@ -44,6 +44,14 @@ log = logging.getLogger(__name__)
 _NOT_OF_FILE: Final = ("equipment", "timestep_s", "integrator", "gains", "meshes", "wrench_noise", "perturbation")
 """Fields that the task sets, or that are visual or of simulation only."""
 
+MOST_COUPLED_M: Final = 0.002
+"""Largest error of the arms' relative pose, 1 m from the right base, with which both may hold one object.
+
+Simulated arms press on a welded bar with 7 N per mm of it with the compliant servos, and with 12 to 42 N with stiffer
+ones. Nothing is known of real arms.
+"""
+
+_COUPLED_LEVER_M: Final = 1.0
 _POLL_S: Final = 0.01
 _OPENING_S: Final = 4.0
 _OPENING_M: Final = 0.003  # largest error of an empty gripper's width
@@ -68,7 +76,7 @@ class RtdeCell:
         SettingsError: There is no cell file, the configuration differs from it, or the latency is not legal.
         CellFaulted: A latched stop was not cleared.
         CellBusyError: Another program moves one of the arms.
-        StartError: A controller is not ready.
+        StartError: A controller is not ready, or the relative pose of the bases is too uncertain for one object.
         LinkError: A controller or a gripper cannot be reached.
     """
 
@@ -99,6 +107,8 @@ class RtdeCell:
         _check_against_file(config)
         if config.equipment.welded:
             raise SettingsError("arms that are welded to what they hold exist in simulation only: use a friction grasp")
+        if coupled:
+            _check_bases(config.file)
         self.config, self.file, self.ticks, self.latency_ticks = config, config.file, ticks, int(latency_ticks)
         self._warned_late = False
         self._tick_s = config.servoj.tick_s
@@ -402,6 +412,30 @@ class RtdeCell:
         seen = self._tracker.pose(self.system.clock.now_s(), Flanges(state.flange_m[0], state.flange_quat[0]))
         thing = (np.asarray(seen.position_m), np.asarray(seen.quat))
         return self._mirror.follow(time_s, q, qd / slow, gripper_m=widths, wrench=wrench, thing=thing)
+
+
+def _check_bases(file: CellFile) -> None:
+    """Refuse to hold one object with arms whose relative pose is too uncertain.
+
+    Raises:
+        StartError: It is, or the file of a real cell does not state how uncertain.
+    """
+    stated = file.relative_uncertainty
+    remedy = f"measure the bases with `python -m dual_ur10 cell calibrate {file.source}`"
+    if stated is None:
+        if file.kind == "real":
+            raise StartError(
+                f"{file.source} does not state how uncertain the bases are, and both arms are to hold one object: "
+                f"{remedy}"
+            )
+        return  # an emulated cell whose bases are known
+    error_m = stated[0] + _COUPLED_LEVER_M * stated[1]
+    if error_m > MOST_COUPLED_M:
+        raise StartError(
+            f"the relative pose of the bases is uncertain by {1e3 * stated[0]:.3g} mm and {stated[1]:.3g} rad, "
+            f"together {1e3 * error_m:.3g} mm at {_COUPLED_LEVER_M:g} m: with more than {1e3 * MOST_COUPLED_M:g} mm "
+            f"both arms must not hold one object. For that, {remedy}"
+        )
 
 
 def _check_against_file(config: CellConfig) -> None:

@@ -1,0 +1,104 @@
+"""Simulated observations of cells whose right base is known: for studies, tests and emulated cells."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from dual_ur10.errors import UnreachableError
+from dual_ur10.kinematics.inverse import nearest, try_nearest
+from dual_ur10.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, DHParameters
+from dual_ur10.sim2real.calibration.observations import BarPose, JointAngles, Noise, Touch
+from dual_ur10.sim2real.calibration.transforms import flange, inverse_of, rotation_of, transform
+from dual_ur10.types import Array
+
+BAR_M: Final = 1.0
+"""Length of the simulated bar between both flanges."""
+
+_LENGTH_ERROR_M: Final = 1e-3
+_ANGLE_ERROR_RAD: Final = 1e-3
+_TRIES: Final = 50
+_DOWN: Final = np.diag([1.0, -1.0, -1.0])
+_ELBOW_UP: Final = np.array([0.0, -1.2, 1.6, -2.0, -1.57, 0.0])
+
+
+def random_dh(rng: np.random.Generator) -> DHParameters:
+    """Return the kinematics of an arm as built: 1 mm and 1 mrad from the nominal ones, one standard deviation.
+
+    Their flange is some millimetres beside that of the nominal arm, as the flanges of UR's arms are.
+    """
+    a, d = (each + rng.normal(0.0, _LENGTH_ERROR_M, 6) for each in (DH_A_M, DH_D_M))
+    alpha, theta = (each + rng.normal(0.0, _ANGLE_ERROR_RAD, 6) for each in (DH_ALPHA_RAD, np.zeros(6)))
+    return DHParameters(*(tuple(each.tolist()) for each in (a, d, alpha, theta)))
+
+
+def touched(
+    planned: Touch, dh: tuple[DHParameters, DHParameters], base: Array, noise: Noise, rng: np.random.Generator
+) -> Touch:
+    """Return a touch as measured: the right tip is brought to the left one, up to the noise.
+
+    Args:
+        planned: Its left joint angles and tools are taken, and the right tool's orientation.
+        dh: True kinematics of both arms.
+        base: (4, 4) true pose of the right base in the left one.
+        noise: Standard deviations.
+        rng: Source of the noise.
+
+    Raises:
+        UnreachableError: The right arm does not reach the point.
+    """
+    point = flange(planned.left_q_rad, dh[0]) @ [*planned.left_tcp_m, 1.0]
+    point[:3] += rng.normal(0.0, noise.touch_m, 3)
+    tool = flange(planned.right_q_rad, dh[1])[:3, :3]
+    at = (inverse_of(base) @ point)[:3] - tool @ np.asarray(planned.right_tcp_m)
+    right = nearest(at, tool, np.asarray(planned.right_q_rad), dh[1])
+    return Touch(planned.left_q_rad, tuple(right.tolist()), planned.left_tcp_m, planned.right_tcp_m)
+
+
+def bar_poses(
+    count: int,
+    dh: tuple[DHParameters, DHParameters],
+    base: Array,
+    noise: Noise,
+    rng: np.random.Generator,
+    angle_rad: float = 0.6,
+) -> list[BarPose]:
+    """Return random poses of a bar of 1 m between both hands, as measured.
+
+    The hands stand beside the bases and point down. The bar sits in each hand up to the noise.
+
+    Args:
+        count: Number of poses.
+        dh: True kinematics of both arms.
+        base: (4, 4) true pose of the right base in the left one.
+        noise: Standard deviations.
+        rng: Source of poses and noise.
+        angle_rad: Largest rotation of the bar about each axis.
+
+    Raises:
+        UnreachableError: The arms reach hardly any pose.
+    """
+    across = base[:3, 3] / np.linalg.norm(base[:3, 3])
+    middle, ahead = base[:3, 3] / 2, np.cross(across, [0.0, 0.0, 1.0])
+    ahead = ahead if ahead[0] < 0.0 else -ahead  # in front of the arms is -x of `base`
+    found: list[BarPose] = []
+    for _ in range(_TRIES * count):
+        if len(found) == count:
+            return found
+        bar = rotation_of(rng.uniform(-angle_rad, angle_rad, 3))
+        centre = middle + (0.7 + rng.uniform(-0.1, 0.1)) * ahead + [0.0, 0.0, 0.45 + rng.uniform(-0.1, 0.1)]
+        joints: list[JointAngles] = []
+        for arm, sign in enumerate((-1.0, 1.0)):
+            hand = transform(centre + bar @ (0.5 * sign * BAR_M * across), bar @ _DOWN) @ _seat(noise, rng)
+            own = hand if arm == 0 else inverse_of(base) @ hand
+            q, reached = try_nearest(own[:3, 3], own[:3, :3], _ELBOW_UP, dh[arm])
+            if reached:
+                joints.append(tuple(q.tolist()))
+        if len(joints) == 2:
+            found.append(BarPose(joints[0], joints[1]))
+    raise UnreachableError(f"both arms reach only {len(found)} poses of the bar, {count} are needed: move the bases")
+
+
+def _seat(noise: Noise, rng: np.random.Generator) -> Array:
+    return transform(rng.normal(0.0, noise.bar_m, 3), rotation_of(rng.normal(0.0, noise.bar_rad, 3)))

@@ -187,9 +187,9 @@ class Equations:
         six = np.concatenate(
             [np.pad(tips, ((0, 0), (0, 3))), _differences(*self._bars, stack), _differences(*self._views, stack)]
         )
-        sizes = np.linalg.norm(six.reshape(-1, 2, 3), axis=-1)
+        sizes: Array = np.linalg.norm(six.reshape(-1, 2, 3), axis=-1)
         order = np.argsort([each.start for each in self.rows], kind="stable")
-        result = np.empty_like(sizes)
+        result: Array = np.empty_like(sizes)
         result[order] = sizes
         return result
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -9,8 +10,8 @@ import numpy as np
 from dual_ur10.errors import UnreachableError
 from dual_ur10.kinematics.inverse import nearest, try_nearest
 from dual_ur10.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, DHParameters
-from dual_ur10.sim2real.calibration.observations import BarPose, JointAngles, Noise, Touch
-from dual_ur10.sim2real.calibration.transforms import flange, inverse_of, rotation_of, transform
+from dual_ur10.sim2real.calibration.observations import BarPose, BoardView, JointAngles, Noise, Touch
+from dual_ur10.sim2real.calibration.transforms import flange, inverse_of, rotation_of, rotvec_of, transform
 from dual_ur10.types import Array
 
 BAR_M: Final = 1.0
@@ -66,7 +67,7 @@ def bar_poses(
 ) -> list[BarPose]:
     """Return random poses of a bar of 1 m between both hands, as measured.
 
-    The hands stand beside the bases and point down. The bar sits in each hand up to the noise.
+    The hands stand on a line along that of the bases and point down. The bar sits in each hand up to the noise.
 
     Args:
         count: Number of poses.
@@ -79,10 +80,65 @@ def bar_poses(
     Raises:
         UnreachableError: The arms reach hardly any pose.
     """
+    return [
+        BarPose(*hands)
+        for hands in _both_hands(
+            count, dh, base, angle_rad, rng, lambda hand: hand @ _seat(noise.bar_m, noise.bar_rad, rng)
+        )
+    ]
+
+
+def board_views(
+    count: int,
+    dh: tuple[DHParameters, DHParameters],
+    base: Array,
+    noise: Noise,
+    rng: np.random.Generator,
+    angle_rad: float = 0.3,
+) -> list[BoardView]:
+    """Return random views of a board on the right flange by a camera on the left one, as measured.
+
+    Both hands stand as those of a bar, each with a rotation and a place of its own. Camera and board look across.
+
+    Args:
+        count: Number of views.
+        dh: True kinematics of both arms.
+        base: (4, 4) true pose of the right base in the left one.
+        noise: Standard deviations.
+        rng: Source of poses and noise.
+        angle_rad: Largest rotation of each hand about each axis.
+
+    Raises:
+        UnreachableError: The arms reach hardly any pose.
+    """
+    camera = transform((0.02, 0.05, 0.1), rotation_of((0.1, -0.05, 1.0)))
+    board = transform((-0.04, 0.03, 0.05), rotation_of((0.2, 0.1, -0.5)))
+
+    def move(hand: Array) -> Array:
+        return hand @ transform(rng.uniform(-0.1, 0.1, 3), rotation_of(rng.uniform(-angle_rad, angle_rad, 3)))
+
+    found = []
+    for left, right in _both_hands(count, dh, base, angle_rad, rng, move):
+        seen = inverse_of(flange(left, dh[0]) @ camera) @ base @ flange(right, dh[1]) @ board
+        position = seen[:3, 3] + rng.normal(0.0, noise.board_m, 3)
+        rotation = rotvec_of(seen[:3, :3] @ rotation_of(rng.normal(0.0, noise.board_rad, 3)))
+        found.append(BoardView("left", "right", left, right, tuple(position.tolist()), tuple(rotation.tolist())))
+    return found
+
+
+def _both_hands(
+    count: int,
+    dh: tuple[DHParameters, DHParameters],
+    base: Array,
+    angle_rad: float,
+    rng: np.random.Generator,
+    change: Callable[[Array], Array],
+) -> list[tuple[JointAngles, JointAngles]]:
+    """Return joint angles of both arms whose flanges stand at the ends of a bar, after a change of each flange."""
     across = base[:3, 3] / np.linalg.norm(base[:3, 3])
     middle, ahead = base[:3, 3] / 2, np.cross(across, [0.0, 0.0, 1.0])
     ahead = ahead if ahead[0] < 0.0 else -ahead  # in front of the arms is -x of `base`
-    found: list[BarPose] = []
+    found: list[tuple[JointAngles, JointAngles]] = []
     for _ in range(_TRIES * count):
         if len(found) == count:
             return found
@@ -90,15 +146,15 @@ def bar_poses(
         centre = middle + (0.7 + rng.uniform(-0.1, 0.1)) * ahead + [0.0, 0.0, 0.45 + rng.uniform(-0.1, 0.1)]
         joints: list[JointAngles] = []
         for arm, sign in enumerate((-1.0, 1.0)):
-            hand = transform(centre + bar @ (0.5 * sign * BAR_M * across), bar @ _DOWN) @ _seat(noise, rng)
+            hand = change(transform(centre + bar @ (0.5 * sign * BAR_M * across), bar @ _DOWN))
             own = hand if arm == 0 else inverse_of(base) @ hand
             q, reached = try_nearest(own[:3, 3], own[:3, :3], _ELBOW_UP, dh[arm])
             if reached:
                 joints.append(tuple(q.tolist()))
         if len(joints) == 2:
-            found.append(BarPose(joints[0], joints[1]))
-    raise UnreachableError(f"both arms reach only {len(found)} poses of the bar, {count} are needed: move the bases")
+            found.append((joints[0], joints[1]))
+    raise UnreachableError(f"both arms reach only {len(found)} poses, {count} are needed: move the bases")
 
 
-def _seat(noise: Noise, rng: np.random.Generator) -> Array:
-    return transform(rng.normal(0.0, noise.bar_m, 3), rotation_of(rng.normal(0.0, noise.bar_rad, 3)))
+def _seat(shift_m: float, rotation_rad: float, rng: np.random.Generator) -> Array:
+    return transform(rng.normal(0.0, shift_m, 3), rotation_of(rng.normal(0.0, rotation_rad, 3)))

@@ -8,7 +8,8 @@ right one), a constant, and a measurement.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -146,6 +147,19 @@ class Equations:
         factor = np.linalg.cholesky(covariance)
         weights: Array = np.linalg.solve(factor, np.broadcast_to(_SIX, factor.shape))
         return weights
+
+    @property
+    def has_views(self) -> bool:
+        """True if there are views of a board."""
+        return len(self._views[0].measured) > 0
+
+    def resized(self, factor: float) -> Equations:
+        """Return these equations with a board that is larger by a factor."""
+        result = copy(self)
+        measured = self._views[0].measured.copy()
+        measured[:, :3, 3] *= factor
+        result._views = (replace(self._views[0], measured=measured), self._views[1])
+        return result
 
     @staticmethod
     def _stack(poses: Array) -> Array:

@@ -33,6 +33,9 @@ UNDETERMINED_M: Final = 0.02
 _CONTRADICTED: Final = 1e-3
 """Probability, over all observations of a calibration together, of rejecting one although all are right."""
 
+_BOARD_SIZE: Final = 0.01
+"""Error of a board's size from which it is refused: 5 mm at a distance of 0.5 m."""
+
 _LEAST_SCALE: Final = 0.1  # of the stated noise: residuals of zero would state an exact result
 _DONE: Final = 1e-12
 _MOST_STEPS: Final = 200
@@ -178,7 +181,7 @@ def estimate(
 
     Raises:
         CalibrationError: There are too few observations, or all of them leave a direction undetermined, which the
-            message names together with what to add.
+            message names together with what to add; or most contradict each other, or the board has another size.
     """
     equations = Equations(observations, dh, noise or Noise(), near)
     every = np.ones(len(observations), dtype=np.bool_)
@@ -192,6 +195,7 @@ def estimate(
     _check_determined(equations, fit, kept, observations)
     freedom = len(rows) - fit.jacobian.shape[1]
     scale = max(float(np.sqrt(fit.residuals[rows] @ fit.residuals[rows] / freedom)), _LEAST_SCALE)
+    _check_board_size(equations, fit, kept)
     probabilities = _probabilities(equations, fit, kept)
     return BaseEstimate(
         pose=fit.poses[0],
@@ -264,6 +268,34 @@ def _check_determined(equations: Equations, fit: _Fit, kept: Mask, observations:
         raise CalibrationError(
             f"{_count(observations, kept)} give {len(rows)} equations for {unknown} unknowns: none is left to tell "
             "how accurate the result is. Add an observation"
+        )
+
+
+def _check_board_size(equations: Equations, fit: _Fit, kept: Mask) -> None:
+    """Refuse views whose distances all are too large or too small by one factor: the board is of another size."""
+    from scipy import stats
+    from scipy.optimize import least_squares
+
+    rows = _chosen(equations, kept)
+    freedom = len(rows) - fit.jacobian.shape[1] - 1
+    if not equations.has_views or freedom < 1:
+        return
+    units = np.append(np.tile(SCALES, len(fit.poses)), 1.0)
+
+    def residuals(change: Array) -> Array:
+        values = equations.resized(float(np.exp(change[-1]))).residuals(
+            equations.moved(fit.poses, change[:-1] * units[:-1])
+        )
+        return values[rows]
+
+    found = least_squares(residuals, np.zeros(len(units)), xtol=_DONE, ftol=_DONE, gtol=_DONE, max_nfev=_MOST_STEPS)
+    before, after = float(fit.residuals[rows] @ fit.residuals[rows]), 2.0 * float(found.cost)
+    factor = float(np.exp(found.x[-1]))
+    after = max(after, freedom * _LEAST_SCALE**2)
+    if abs(factor - 1.0) > _BOARD_SIZE and stats.f.sf((before - after) / (after / freedom), 1, freedom) < _CONTRADICTED:
+        raise CalibrationError(
+            f"the board is {factor:.3f} times as large as described, by the motion of the arms: measure the edge of a "
+            "square over many squares, and correct square_m and marker_m of `board`"
         )
 
 

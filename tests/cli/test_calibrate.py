@@ -1,0 +1,188 @@
+"""The command `cell calibrate`, and what it writes, on a virtual cell."""
+
+import datetime
+import functools
+import json
+
+import numpy as np
+import pytest
+
+from dual_ur10.errors import CalibrationError, CellFileError, StartError
+from dual_ur10.sim2real.analysis.cell_update import write_bases
+from dual_ur10.sim2real.calibration.estimate import estimate
+from dual_ur10.sim2real.calibration.recording import emulated_base, read_joints
+from dual_ur10.sim2real.calibration.transforms import right_in_left
+from dual_ur10.sim2real.config.cell_file import CellFile, load_cell_file
+from dual_ur10.sim2real.config.cell_file_reference import starting_text
+from dual_ur10.sim2real.emulator.emulator import write_cell_file
+from dual_ur10.sim2real.runtime.rtde_cell import _check_bases
+from dual_ur10.testing import VirtualCell
+from tests.cli import command
+from tests.sim2real.calibration.cells import NEAR, NOMINAL, shifted, touches
+
+run = functools.partial(command.run, "cell", "calibrate")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    path = tmp_path_factory.mktemp("cell") / "cell.toml"
+    with VirtualCell(task="SyncCarry", seed=3) as cell:
+        write_cell_file(path, cell.description)
+        yield cell, path
+
+
+@pytest.fixture
+def here(made, tmp_path, monkeypatch):
+    cell, path = made
+    for module in (
+        "dual_ur10.sim2real.calibration.recording.emulated_base",
+        "dual_ur10.sim2real.calibration.recording.read_joints",
+    ):
+        name = module.rsplit(".", 1)[1]
+        monkeypatch.setattr(
+            module,
+            functools.partial({"emulated_base": emulated_base, "read_joints": read_joints}[name], system=cell.system),
+        )
+    file = tmp_path / "cell.toml"
+    file.write_text("# of the lab\n" + path.read_text())
+    return cell, file, tmp_path / "data.json"
+
+
+def test_touches_of_an_emulated_cell_find_its_bases(here):
+    cell, file, data = here
+    code, text = run(str(file), "--data", str(data), "--touch", "8", "--write")
+    assert code == 0, text
+    assert "simulated 8 touches" in text
+    assert f"{file.name}.bak" in text.replace("\n", "")
+    before, after = load_cell_file(file.with_name("cell.toml.bak")), load_cell_file(file)
+    true = emulated_base(before, system=cell.system)
+    found = right_in_left(after.left.mount, after.right.mount)
+    assert np.linalg.norm(found[:3, 3] - true[:3, 3]) < 3e-4
+    assert np.linalg.norm(true[:3, 3] - NEAR[:3, 3]) > 3e-4
+    assert after.left == before.left
+    assert after.base_to_base.data == str(data)
+    assert 0 < after.base_to_base.uncertainty_m < 5e-4
+    assert after.right.base_uncertainty_m == pytest.approx(after.base_to_base.uncertainty_m, abs=2e-6)
+    assert file.read_text().startswith("# of the lab\n")
+    _check_bases(after)
+
+
+def test_a_plan_is_printed_before_the_first_touch(here):
+    _, file, data = here
+    code, text = run(str(file), "--data", str(data), "--suggest")
+    assert code == 0
+    assert text.count("touch the point") == 8
+    assert not data.exists()
+
+
+def test_too_few_touches_name_the_next_one(here):
+    _, file, data = here
+    code, text = run(str(file), "--data", str(data), "--touch", "2", "--suggest")
+    assert code == 2
+    assert "2 touches leave a rotation about the line" in " ".join(text.split())
+    assert "next: touch the point" in text
+    assert len(json.loads(data.read_text())["observations"]) == 2  # nothing recorded is lost
+
+
+def test_recorded_observations_are_in_the_file_at_once(here, monkeypatch):
+    cell, file, data = here
+    answers = iter(["", "", "q"])
+    monkeypatch.setattr("dual_ur10.cli.calibrate.sys.stdin", type("Terminal", (), {"isatty": lambda self: True})())
+    monkeypatch.setattr("builtins.input", lambda question: next(answers))
+    from dual_ur10.cli import calibrate
+
+    calibrate._record(load_cell_file(file), data, "touch", "1", NOMINAL, NEAR)
+    observed = json.loads(data.read_text())["observations"]
+    assert len(observed) == 2
+    np.testing.assert_allclose(observed[0]["left_q_rad"], cell.emulator.world.read(0).q_rad, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("--record", "poke"), "unknown kind of observation"),
+        (("--record", "touch"), "needs a terminal"),
+        (("--write", "--out", "x.toml"), "leave one of them out"),
+        (("--kinematics", "middle=controller"), "left=controller"),
+        (("--kinematics", "left=none.yaml"), "cannot read none.yaml"),
+        ((), "there is no data file"),
+    ],
+)
+def test_bad_options_are_refused(here, arguments, text):
+    _, file, data = here
+    code, printed = run(str(file), "--data", str(data), *arguments)
+    assert code == 2
+    assert text in " ".join(printed.split())
+
+
+@pytest.fixture
+def lab(tmp_path):
+    path = tmp_path / "lab.toml"
+    path.write_text(starting_text("real", "192.168.1.10", "192.168.1.11"))
+    return path
+
+
+def found_base(**keywords):
+    return estimate(touches(shifted(**keywords), np.random.default_rng(1)), NOMINAL, NEAR)
+
+
+DAY = datetime.date(2026, 1, 31)
+
+
+def test_the_uncertainty_of_the_left_base_stays_in_that_of_the_right_one(lab, tmp_path):
+    out = tmp_path / "new.toml"
+    before = lab.read_text()
+    assert write_bases(lab, found_base(), "t.json", day=DAY, out=out) is None
+    cell = load_cell_file(out)
+    assert lab.read_text() == before
+    assert cell.base_to_base.date == "2026-01-31"
+    # 5 mm and 0.01 rad of the left base, over the distance of the bases.
+    assert cell.right.base_uncertainty_m == pytest.approx(
+        0.005 + 0.01 * 1.2 + cell.base_to_base.uncertainty_m, abs=1e-4
+    )
+    assert cell.relative_uncertainty == (cell.base_to_base.uncertainty_m, cell.base_to_base.uncertainty_rad)
+    with pytest.raises(CellFileError, match="exists"):
+        write_bases(lab, found_base(), "t.json", day=DAY, out=out)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "accept_m", "text"),
+    [({}, 1e-4, "--suggest"), ({"rotation_rad": (0.002, 0.0, 0.0)}, 1e-3, "tilt of the right base")],
+)
+def test_an_uncertain_base_is_not_written(lab, keywords, accept_m, text):
+    before = lab.read_text()
+    with pytest.raises(CalibrationError, match=rf"uncertain by .*{text}.*Nothing was written"):
+        write_bases(lab, found_base(**keywords), "t.json", day=DAY, accept_m=accept_m)
+    assert lab.read_text() == before
+    assert list(lab.parent.iterdir()) == [lab]
+
+
+def test_a_carry_needs_known_bases(lab):
+    cell = load_cell_file(lab)
+    with pytest.raises(StartError, match=r"uncertain by 22 mm and 0.02 rad.*cell calibrate"):
+        _check_bases(cell)
+    none = {"base_uncertainty_m": 0.0, "base_uncertainty_rad": 0.0}
+    with pytest.raises(StartError, match=r"does not state.*cell calibrate"):
+        _check_bases(cell.replace(left=cell.left.replace(**none), right=cell.right.replace(**none)))
+    write_bases(lab, found_base(), "t.json", day=DAY)
+    _check_bases(load_cell_file(lab))
+
+
+def test_a_carry_on_an_emulated_cell_with_uncertain_bases_does_not_start():
+    import gymnasium as gym
+
+    description = {"right": {"base_uncertainty_m": 0.003}}
+    with VirtualCell(task="SyncCarry", plant="nominal") as cell:
+        right = {**cell.description["right"], **description["right"]}
+        cell.file = CellFile.read({**cell.description, "right": right}, "lab.toml")
+        with pytest.raises(StartError, match=r"cell calibrate lab.toml"):
+            gym.make("DualUR10/SyncCarry-v0", cell=cell)
+
+
+def test_bases_moved_by_hand_after_a_calibration_are_found(lab):
+    write_bases(lab, found_base(), "t.json", day=DAY)
+    lab.write_text(
+        lab.read_text().replace("base_position_m = [-0.75, 0.6, 0.0]", "base_position_m = [-0.75, 0.61, 0.0]")
+    )
+    with pytest.raises(CellFileError, match=r"base_to_base: the bases stand 10 mm .*cell calibrate"):
+        load_cell_file(lab)

@@ -1,14 +1,14 @@
 """Measure how well `cell calibrate` finds the right base, on simulated cells.
 
 Each cell has arms with kinematics of their own (1 mm and 1 mrad, one standard deviation per parameter), which the
-estimator knows, as from the controllers, and a right base that stands up to 5 mm and 0.5° beside where the cell file
-has it, tilted by 0.05° (one standard deviation about each axis). `touch`: the eight touches that `--suggest` names,
-0.1 mm of noise along each axis. `nominal`: the same data, read with the kinematics of the nominal arm. `bar`: 40 poses
-of a bar that sits in each hand up to 0.05 mm and 0.1 mrad. `board`: 20 views of a board on the right flange by a camera on
-the left one, with 0.5 mm and 1 mrad. Coverage is the fraction of all components inside their 95 % interval; `region`
-that of the poses inside the joint 95 % region. `carry`: internal force of a bar welded to both grippers on bases that
-are 5 mm and 0.5° off, before and after a calibration from eight touches, the worst of several cells. No real arm is in
-this.
+estimator knows, as from the controllers, and a right base that stands up to 5 mm and 0.5° beside where the cell
+file has it, tilted by 0.05° (one standard deviation about each axis). `touch`: the eight touches that `--suggest`
+names, 0.1 mm of noise along each axis. `nominal`: the same data, read with the kinematics of the nominal arm.
+`bar`: 40 poses of a bar that sits in each hand up to 0.05 mm and 0.1 mrad. `board`: 20 views of a board on the
+right flange by a camera on the left one, with 0.5 mm and 1 mrad. Coverage is the fraction of all components inside
+their 95 % interval; `region` that of the poses inside the joint 95 % region. `carry`: internal force of a bar
+welded to both grippers, on bases that are 5 mm and 0.5° off, before and after a calibration from eight touches, the
+worst of several cells. No real arm is in this.
 
     python benchmarks/calibration.py --json calibration.json
 """

@@ -283,10 +283,11 @@ def _check_board_size(equations: Equations, fit: _Fit, kept: Mask) -> None:
     units = np.append(np.tile(SCALES, len(fit.poses)), 1.0)
 
     def residuals(change: Array) -> Array:
-        values = equations.resized(float(np.exp(change[-1]))).residuals(
+        values: Array = equations.resized(float(np.exp(change[-1]))).residuals(
             equations.moved(fit.poses, change[:-1] * units[:-1])
         )
-        return values[rows]
+        chosen: Array = values[rows]
+        return chosen
 
     found = least_squares(residuals, np.zeros(len(units)), xtol=_DONE, ftol=_DONE, gtol=_DONE, max_nfev=_MOST_STEPS)
     before, after = float(fit.residuals[rows] @ fit.residuals[rows]), 2.0 * float(found.cost)

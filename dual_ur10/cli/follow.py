@@ -94,6 +94,9 @@ def follow(
     with make_follower(keywords.get("cell", "mujoco"), arm=only) as executor:
         executor.scaling = scaling
         executor.start(start)
+        # Rich loads modules when it prints first, for which a period has no time.
+        moved = " and ".join(trajectory.arms)
+        console.print(f"{moved}: {len(trajectory)} points, {trajectory.duration_s:.2f} s", highlight=False)
         handle = executor.execute(goal)
         shown = _Shown()
 

@@ -179,6 +179,8 @@ class TrajectoryExecutor(Closing):
         step = self.cell.reset(Start(start[None]))
         self._rest_at(start if step.stopped_q_rad is None else step.stopped_q_rad[0])
         self._measured = step.state.q_rad[0].copy()
+        for dh in self._dh:  # the first call computes constants, for which a period has no time
+            flange_pose(start, dh)
         self._periods, self._why_not, self._finished = 0, "", True
 
     def execute(self, goal: TrajectoryGoal | JointTrajectory) -> GoalHandle:

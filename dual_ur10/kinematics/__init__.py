@@ -1,4 +1,4 @@
-"""Kinematics and dynamics of one UR10: robot facts, rotations, frames, forward and inverse kinematics.
+"""Kinematics and dynamics of one arm: robot facts, rotations, frames, forward and inverse kinematics.
 
 All functions are batched: joint angles have shape (..., 6) and results keep the leading axes. Units are m, rad, kg, s
 and N·m. Every pose is that of the flange (UR's tool with a zero TCP; ``tool0`` in ROS) in UR's own ``base`` frame, the

@@ -1,4 +1,4 @@
-"""The eight configurations of one UR10 for a flange pose, in closed form.
+"""The eight configurations of one arm for a flange pose, in closed form.
 
 Branches are named by three signs, in C order of (elbow, wrist, shoulder), + first: index
 ``4 * elbow + 2 * wrist + shoulder``. Elbow + is theta3 >= 0, wrist + is theta5 >= 0.

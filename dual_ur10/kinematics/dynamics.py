@@ -1,4 +1,4 @@
-"""Inverse dynamics of one nominal UR10, by pinocchio."""
+"""Inverse dynamics of one nominal arm, by pinocchio."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ from numpy.typing import ArrayLike
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.forward import checked_joints, fixed_transforms
-from dual_ur10.kinematics.ur10 import LINK_COM_M, LINK_INERTIA_KG_M2, LINK_MASS_KG, NOMINAL_DH
+from dual_ur10.kinematics.robots import robot_model
+from dual_ur10.kinematics.ur10 import nominal_dh
 from dual_ur10.types import Array, Vector3
 
 
 @lru_cache(maxsize=32)
-def _model(payload_kg: float, payload_com_m: Vector3, gravity: bool) -> tuple[Any, Any, Any]:
+def _model(robot: str, payload_kg: float, payload_com_m: Vector3, gravity: bool) -> tuple[Any, Any, Any]:
     """Return pinocchio's module, model and data of a nominal arm with a point mass at the flange."""
     pin = importlib.import_module("pinocchio")  # here, because it takes longer to import than the rest of the package
-    model = pin.Model()
+    model, facts = pin.Model(), robot_model(robot)
     joint, placement = 0, np.eye(4)
-    for link, fixed in enumerate(fixed_transforms(NOMINAL_DH)):
+    for link, fixed in enumerate(fixed_transforms(nominal_dh(robot))):
         joint = model.addJoint(joint, pin.JointModelRZ(), pin.SE3(placement), f"joint_{link + 1}")
-        xx, yy, zz, xy, xz, yz = LINK_INERTIA_KG_M2[link]
+        xx, yy, zz, xy, xz, yz = facts.inertia_kg_m2[link]
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        body = pin.Inertia(LINK_MASS_KG[link], LINK_COM_M[link], inertia)
+        body = pin.Inertia(facts.mass_kg[link], np.array(facts.com_m[link]), inertia)
         model.appendBodyToJoint(joint, body, pin.SE3(fixed))
         placement = fixed
     if payload_kg:
@@ -45,6 +46,7 @@ def inverse_dynamics(
     payload_com_m: Sequence[float] = (0.0, 0.0, 0.0),
     gravity: bool = True,
     armature_kg_m2: float = 0.0,
+    robot: str = "ur10",
 ) -> Array:
     """Return the joint torques of a motion of a nominal arm on an upright base, without friction.
 
@@ -55,18 +57,20 @@ def inverse_dynamics(
         payload_kg: Mass of a point payload.
         payload_com_m: Its place in the flange frame.
         gravity: Whether to count gravity, 9.81 m/s² along -z of ``base``.
-        armature_kg_m2: Reflected inertia of every rotor, ``ARMATURE_KG_M2`` on the simulated arm.
+        armature_kg_m2: Reflected inertia of every rotor, ``ARMATURE_KG_M2`` on the simulated UR10.
+        robot: Model of the arm, a name in ``dual_ur10.kinematics.robots.ROBOTS``.
 
     Returns:
         Torques (..., 6) in N·m.
 
     Raises:
         SettingsError: Not six joints, or a payload that is negative or not finite.
+        UnknownNameError: There is no such model.
     """
     com = (float(payload_com_m[0]), float(payload_com_m[1]), float(payload_com_m[2]))
     if not (np.isfinite((payload_kg, *com)).all() and payload_kg >= 0.0):
         raise SettingsError(f"payload must be finite and not negative, found {payload_kg!r} kg at {com} m")
-    pin, model, data = _model(float(payload_kg), com, bool(gravity))
+    pin, model, data = _model(robot, float(payload_kg), com, bool(gravity))
     q, qd, qdd = np.broadcast_arrays(checked_joints(q_rad), checked_joints(qd_rad_s), checked_joints(qdd_rad_s2))
     torque = np.empty(q.shape)
     flat = (array.reshape(-1, 6) for array in (q, qd, qdd))

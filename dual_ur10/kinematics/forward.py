@@ -1,4 +1,4 @@
-"""Forward kinematics of one UR10: flange pose, Jacobian, and positions of elbow, flange and TCP.
+"""Forward kinematics of one arm: flange pose, Jacobian, and positions of elbow, flange and TCP.
 
 Joint angles have shape (..., 6) and results keep the leading axes. Poses are those of the flange in UR's own ``base``
 frame; see [kinematics][dual_ur10.kinematics].
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from dual_ur10.errors import SettingsError
 from dual_ur10.kernel import Constants, call
 from dual_ur10.kinematics.rotations import quat_from_matrix
-from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
+from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters, nominal_dh
 from dual_ur10.types import Array
 
 
@@ -119,11 +119,12 @@ def pose_and_jacobian(q: Array, dh: DHParameters) -> tuple[Array, Array, Array]:
     return block[..., 6:9], _matrices(block[..., 9:18]), block[..., 18:].reshape(*q.shape[:-1], 6, 6)
 
 
-def elbow_and_flange_position(q_rad: ArrayLike) -> tuple[Array, Array]:
+def elbow_and_flange_position(q_rad: ArrayLike, robot: str = "ur10") -> tuple[Array, Array]:
     """Return the positions of elbow and flange of a nominal arm, in ``base``.
 
     Args:
         q_rad: (..., 6) joint angles.
+        robot: Model of the arm.
 
     Returns:
         Elbow position (..., 3), the origin of DH frame 2, and flange position (..., 3), in m.
@@ -131,16 +132,19 @@ def elbow_and_flange_position(q_rad: ArrayLike) -> tuple[Array, Array]:
     Raises:
         SettingsError: Not six joints.
     """
-    points = _points(checked_joints(q_rad), (0.0, 0.0, 0.0))
+    points = _points(checked_joints(q_rad), robot, (0.0, 0.0, 0.0))
     return points[..., 0, :], points[..., 1, :]
 
 
-def elbow_flange_and_tcp(q_rad: Array, tcp_m: Sequence[Sequence[float]]) -> Array:
+def elbow_flange_and_tcp(
+    q_rad: Array, tcp_m: Sequence[Sequence[float]], robots: tuple[str, str] = ("ur10", "ur10")
+) -> Array:
     """Return the positions of elbow, flange and tool centre point of both nominal arms.
 
     Args:
         q_rad: (..., 2, 6) joint angles of both arms.
         tcp_m: (2, 3) tool centre points in the flange frames; zeros: at the flange.
+        robots: Models of both arms.
 
     Returns:
         (..., 2, 3, 3) positions in each arm's `base`, in m.
@@ -149,16 +153,16 @@ def elbow_flange_and_tcp(q_rad: Array, tcp_m: Sequence[Sequence[float]]) -> Arra
         SettingsError: Not six joints.
     """
     q = checked_joints(q_rad)
-    return np.stack([_points(q[..., arm, :], tuple(tcp_m[arm])) for arm in range(2)], axis=-3)
+    return np.stack([_points(q[..., arm, :], robots[arm], tuple(tcp_m[arm])) for arm in range(2)], axis=-3)
 
 
-def _points(q: Array, tcp_m: Sequence[float]) -> Array:
+def _points(q: Array, robot: str, tcp_m: Sequence[float]) -> Array:
     """Return elbow, flange and tool centre point, (..., 3, 3)."""
     block = _block(q, 15)
-    call("forward_points", _arm_with_tool(tuple(tcp_m)), block, block.size // 15)
+    call("forward_points", _arm_with_tool(robot, tuple(tcp_m)), block, block.size // 15)
     return _matrices(block[..., 6:])
 
 
 @lru_cache(maxsize=32)
-def _arm_with_tool(tcp_m: tuple[float, ...]) -> Constants:
-    return Constants(np.concatenate([lengths_m(NOMINAL_DH), tcp_m]))
+def _arm_with_tool(robot: str, tcp_m: tuple[float, ...]) -> Constants:
+    return Constants(np.concatenate([lengths_m(nominal_dh(robot)), tcp_m]))

@@ -1,4 +1,4 @@
-"""Inverse kinematics of one UR10: all branches, or the configuration nearest to another one.
+"""Inverse kinematics of one arm: all branches, or the configuration nearest to another one.
 
 The closed form solves a nominal arm. The axes of a calibrated arm are not exactly parallel and perpendicular: there the
 closed form is the start of some damped Newton steps.
@@ -81,7 +81,7 @@ def _solve(position: Array, rotation: Array, dh: DHParameters, reference: Array 
     solution found from there becomes a ninth.
     """
     nominal = dh is NOMINAL_DH or dh.is_nominal
-    branches = closed_form(position, rotation, NOMINAL_DH if nominal else dh, reference)
+    branches = closed_form(position, rotation, dh, reference)
     valid = within(branches, EDGE if nominal else _CALIBRATED_EDGE)
     if nominal:
         return branches.q, valid
@@ -194,7 +194,7 @@ def try_nearest(
     """
     if dh is NOMINAL_DH or dh.is_nominal:
         batch, block = _block(position, rotation, reference_q_rad, 25)
-        call("inverse_nearest", coefficients(NOMINAL_DH), _LIMITS, block, len(block))
+        call("inverse_nearest", coefficients(dh), _LIMITS, block, len(block))
         if np.count_nonzero(block[:, 24] < 0.0):
             _raise_fault(block)
         return block[:, 18:24].reshape(*batch, 6), block[:, 24].reshape(batch) > 0.0

@@ -1,24 +1,30 @@
-"""Facts of the UR10 (CB3): geometry, masses, limits.
+"""Names of arms, joints and links; Denavit-Hartenberg parameters of one arm; facts of the UR10 as arrays.
 
-Everything here is a published figure of the robot, with its source beside it. Lengths in m, angles in rad, masses in
-kg, inertias in kg m². Nothing here is tuned.
+The facts of all models stand in `dual_ur10.kinematics.robots`. Lengths in m, angles in rad, masses in kg, inertias in
+kg m².
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from functools import lru_cache
+from typing import Final
 
 import numpy as np
 
 from dual_ur10.errors import SettingsError
+from dual_ur10.kinematics.robot_model import (
+    ALPHA_RAD,
+    ARMATURE_KG_M2,
+    HARD_ACCELERATION_RAD_S2,
+    HARD_JERK_RAD_S3,
+    HARD_TCP_SPEED_M_S,
+    JOINT_RANGE_RAD,
+    TICK_S,
+    Family,
+)
+from dual_ur10.kinematics.robots import ROBOTS, robot_model
 from dual_ur10.types import constant
-
-Family = Literal["cb3", "e-series"]
-"""Controller families."""
-
-TICK_S: Final[dict[str, float]] = {"cb3": 0.008, "e-series": 0.002}
-"""Control period of each controller family: UR's real-time client guide."""
 
 ARMS: Final = ("left", "right")
 """Agents and name prefixes, in the order of every array axis of size 2."""
@@ -41,59 +47,52 @@ LINKS: Final = (
 )
 
 
-# Denavit-Hartenberg parameters: Universal_Robots_ROS2_Description, config/ur10/default_kinematics.yaml, and Universal
-# Robots' article "DH Parameters for calculations of kinematics and dynamics". The table in the CB3 manual ("UR10
-# series 1": d1 0.118, a2 -0.6127, a3 -0.5716) describes other hardware and is 10.7 mm off.
-DH_A_M: Final = constant([0.0, -0.612, -0.5723, 0.0, 0.0, 0.0])
-DH_D_M: Final = constant([0.1273, 0.0, 0.0, 0.163941, 0.1157, 0.0922])
-DH_ALPHA_RAD: Final = constant([np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0])
+__all__ = [
+    "ARMATURE_KG_M2",
+    "ARMS",
+    "BASE_MASS_KG",
+    "DH_ALPHA_RAD",
+    "DH_A_M",
+    "DH_D_M",
+    "HARD_ACCELERATION_RAD_S2",
+    "HARD_JERK_RAD_S3",
+    "HARD_SPEED_RAD_S",
+    "HARD_TCP_SPEED_M_S",
+    "JOINTS",
+    "JOINT_RANGE_RAD",
+    "JOINT_SPEED_RAD_S",
+    "JOINT_TORQUE_NM",
+    "LINKS",
+    "LINK_COM_M",
+    "LINK_INERTIA_KG_M2",
+    "LINK_MASS_KG",
+    "NOMINAL_DH",
+    "PAYLOAD_KG",
+    "REACH_M",
+    "TICK_S",
+    "DHParameters",
+    "Family",
+    "nominal_dh",
+]
 
-# Masses, centres of mass and inertias about the centre of mass, in the distal DH frame of each link: the same article;
-# Universal_Robots_ROS2_Description, config/ur10/physical_parameters.yaml, holds the same figures ("extracted from
-# URSim") with the centres of mass in link frames. The base's mass is marked there as doubtful; it never moves.
+_UR10: Final = ROBOTS["ur10"]
+DH_A_M: Final = constant(_UR10.a_m)
+DH_D_M: Final = constant(_UR10.d_m)
+DH_ALPHA_RAD: Final = ALPHA_RAD
+
+# The base's mass is marked as doubtful in Universal_Robots_ROS2_Description; it never moves.
 BASE_MASS_KG: Final = 4.0
-LINK_MASS_KG: Final = constant([7.1, 12.7, 4.27, 2.0, 2.0, 0.365])
-LINK_COM_M: Final = constant(
-    [
-        [0.021, 0.0, 0.027],
-        [0.38, 0.0, 0.158],
-        [0.24, 0.0, 0.068],
-        [0.0, 0.007, 0.018],
-        [0.0, 0.007, 0.018],
-        [0.0, 0.0, -0.026],
-    ]
-)
-# ixx, iyy, izz, ixy, ixz, iyz
-LINK_INERTIA_KG_M2: Final = constant(
-    [
-        [0.03408, 0.03529, 0.02156, 0.00002, -0.00425, 0.00008],
-        [0.02814, 0.77068, 0.76943, 0.00005, -0.01561, 0.00002],
-        [0.01014, 0.30928, 0.30646, 0.00008, 0.00916, 0.0],
-        [0.00296, 0.00222, 0.00258, -0.00001, 0.0, -0.00024],
-        [0.00296, 0.00222, 0.00258, -0.00001, 0.0, -0.00024],
-        [0.00040, 0.00041, 0.00034, 0.0, 0.0, 0.0],
-    ]
-)
+LINK_MASS_KG: Final = constant(_UR10.mass_kg)
+LINK_COM_M: Final = constant(_UR10.com_m)
+LINK_INERTIA_KG_M2: Final = constant(_UR10.inertia_kg_m2)
 
-# Joint limits: config/ur10/joint_limits.yaml. The elbow has ±360° on paper and is blocked by the arm itself; like
-# that file, this project keeps it within ±180°.
-JOINT_RANGE_RAD: Final = constant([2 * np.pi, 2 * np.pi, np.pi, 2 * np.pi, 2 * np.pi, 2 * np.pi])
-JOINT_SPEED_RAD_S: Final = constant(np.deg2rad([120.0, 120.0, 180.0, 180.0, 180.0, 180.0]))
-JOINT_TORQUE_NM: Final = constant([330.0, 330.0, 150.0, 56.0, 56.0, 56.0])
+JOINT_SPEED_RAD_S: Final = _UR10.joint_speed_rad_s
+JOINT_TORQUE_NM: Final = constant(_UR10.joint_torque_nm)
 
-PAYLOAD_KG: Final = 10.0  # UR10 data sheet
-REACH_M: Final = 1.3  # UR10 data sheet
+PAYLOAD_KG: Final = _UR10.payload_kg
+REACH_M: Final = _UR10.reach_m
 
-# Reflected rotor inertia is not published; 0.1 kg m² is the convention of public MuJoCo models of this robot family.
-ARMATURE_KG_M2: Final = 0.1
-
-# This project's hard limits on what goes on the wire: 80 % of the data sheet's speeds; acceleration as UR's and
-# Franka's client libraries use it; no public figure exists for a UR10's acceleration or jerk. 1.5 m/s is UR's own
-# default safety limit for the tool speed of a CB3.
-HARD_SPEED_RAD_S: Final = constant([1.68, 1.68, 2.51, 2.51, 2.51, 2.51])
-HARD_ACCELERATION_RAD_S2: Final = 10.0
-HARD_JERK_RAD_S3: Final = 2000.0
-HARD_TCP_SPEED_M_S: Final = 1.5
+HARD_SPEED_RAD_S: Final = _UR10.hard_speed_rad_s
 
 
 @dataclass(frozen=True)
@@ -105,24 +104,28 @@ class DHParameters:
         d_m: (6,) link offsets.
         alpha_rad: (6,) link twists.
         theta_rad: (6,) offsets added to the joint angles; zero on the nominal arm.
+        robot: Model of the arm, a name in `dual_ur10.kinematics.robots.ROBOTS`.
 
     Raises:
-        SettingsError: A row is not six finite numbers, or differs from the nominal arm by more than a calibration
-            can (50 mm, 0.05 rad), which means the parameters of another robot. The lengths of the upper arm's and
-            forearm's parallel axes, d2 and d3, may shift freely against each other in a UR calibration.
+        UnknownNameError: There is no such model.
+        SettingsError: A row is not six finite numbers, or differs from the nominal arm of this model by more than a
+            calibration can (50 mm, 0.05 rad), which means the parameters of another robot. The lengths of the upper
+            arm's and forearm's parallel axes, d2 and d3, may shift freely against each other in a UR calibration.
     """
 
-    a_m: tuple[float, ...] = tuple(DH_A_M.tolist())
-    d_m: tuple[float, ...] = tuple(DH_D_M.tolist())
-    alpha_rad: tuple[float, ...] = tuple(DH_ALPHA_RAD.tolist())
+    a_m: tuple[float, ...] = _UR10.a_m
+    d_m: tuple[float, ...] = _UR10.d_m
+    alpha_rad: tuple[float, ...] = tuple(ALPHA_RAD.tolist())
     theta_rad: tuple[float, ...] = (0.0,) * 6
+    robot: str = _UR10.name
 
     def __post_init__(self) -> None:
-        for name, nominal, tolerance in (
-            ("a_m", DH_A_M, 0.05),
-            ("d_m", DH_D_M, 0.05),
-            ("alpha_rad", DH_ALPHA_RAD, 0.05),
-            ("theta_rad", np.zeros(6), 0.05),
+        model = robot_model(self.robot)
+        for name, nominal in (
+            ("a_m", np.array(model.a_m)),
+            ("d_m", np.array(model.d_m)),
+            ("alpha_rad", ALPHA_RAD),
+            ("theta_rad", np.zeros(6)),
         ):
             values = np.asarray(getattr(self, name), dtype=np.float64)
             if values.shape != (6,) or not np.isfinite(values).all():
@@ -132,18 +135,33 @@ class DHParameters:
             if name == "d_m":
                 # Joints 2, 3 and 4 are nearly parallel: only the sum of d2, d3 and d4 is observable.
                 off = np.array([off[0], abs(values[1:4].sum() - nominal[1:4].sum()), 0.0, 0.0, off[4], off[5]])
-            if (off > tolerance).any():
+            if (off > _CALIBRATION).any():
                 row = int(off.argmax())
                 raise SettingsError(
-                    f"DH parameter {name}[{row}] is {values[row]:.6g}, {off[row]:.3g} from the UR10's "
-                    f"{nominal[row]:.6g}; a calibration differs by at most {tolerance}. These may be the parameters "
+                    f"DH parameter {name}[{row}] is {values[row]:.6g}, {off[row]:.3g} from the {model.title}'s "
+                    f"{nominal[row]:.6g}; a calibration differs by at most {_CALIBRATION}. These may be the parameters "
                     f"of another robot"
                 )
 
     @property
     def is_nominal(self) -> bool:
-        """True for the nominal parameters of the UR10."""
-        return self == NOMINAL_DH
+        """True for the nominal parameters of its model."""
+        return self == nominal_dh(self.robot)
 
 
-NOMINAL_DH: Final = DHParameters()
+_CALIBRATION: Final = 0.05
+"""Largest difference, m or rad, between the parameters of a calibrated arm and those of its model."""
+
+
+@lru_cache(maxsize=len(ROBOTS))
+def nominal_dh(robot: str) -> DHParameters:
+    """Return the nominal parameters of a model, the same object at every call.
+
+    Raises:
+        UnknownNameError: There is no such model.
+    """
+    model = robot_model(robot)
+    return DHParameters(model.a_m, model.d_m, robot=robot)
+
+
+NOMINAL_DH: Final = nominal_dh("ur10")

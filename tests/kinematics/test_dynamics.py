@@ -9,22 +9,24 @@ from scipy.spatial.transform import Rotation
 
 from dual_ur10 import kinematics
 from dual_ur10.errors import SettingsError
-from dual_ur10.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, LINK_COM_M, LINK_INERTIA_KG_M2, LINK_MASS_KG
+from dual_ur10.kinematics.robots import ROBOTS
+from dual_ur10.kinematics.ur10 import DH_ALPHA_RAD
 from tests.kinematics.reference_arm import random_q
 
 
-def mujoco_arm(payload_kg: float, com: tuple[float, float, float]) -> mujoco.MjModel:
+def mujoco_arm(payload_kg: float, com: tuple[float, float, float], robot: str) -> mujoco.MjModel:
     """The arm as nested MuJoCo bodies, each frame a DH frame."""
+    facts = ROBOTS[robot]
     spec = mujoco.MjSpec()
     body = spec.worldbody
     place, turn = np.zeros(3), Rotation.identity()
     for link in range(6):
         body = body.add_body(name=f"link_{link}", pos=place, quat=np.roll(turn.as_quat(), 1))
         body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
-        place = np.array([DH_A_M[link], 0.0, DH_D_M[link]])
+        place = np.array([facts.a_m[link], 0.0, facts.d_m[link]])
         turn = Rotation.from_euler("x", DH_ALPHA_RAD[link])
         distal = body.add_body(name=f"inertia_{link}", pos=place, quat=np.roll(turn.as_quat(), 1))
-        distal.mass, distal.ipos, distal.fullinertia = LINK_MASS_KG[link], LINK_COM_M[link], LINK_INERTIA_KG_M2[link]
+        distal.mass, distal.ipos, distal.fullinertia = facts.mass_kg[link], facts.com_m[link], facts.inertia_kg_m2[link]
         distal.explicitinertial = True
     if payload_kg:
         payload = distal.add_body(name="payload", pos=com)
@@ -34,13 +36,14 @@ def mujoco_arm(payload_kg: float, com: tuple[float, float, float]) -> mujoco.MjM
 
 
 @pytest.mark.parametrize(("payload", "com"), [(0.0, (0.0, 0.0, 0.0)), (5.0, (0.02, -0.03, 0.15))])
-def test_inverse_dynamics_matches_mujoco(payload: float, com: tuple[float, float, float]) -> None:
-    model = mujoco_arm(payload, com)
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_inverse_dynamics_matches_mujoco(robot: str, payload: float, com: tuple[float, float, float]) -> None:
+    model = mujoco_arm(payload, com, robot)
     data = mujoco.MjData(model)
     rng = np.random.default_rng(18)
     q, qd, qdd = random_q(50, 18), rng.uniform(-2, 2, (50, 6)), rng.uniform(-10, 10, (50, 6))
-    torque = kinematics.inverse_dynamics(q, qd, qdd, payload, com)
-    without = kinematics.inverse_dynamics(q, qd, qdd, payload, com, gravity=False)
+    torque = kinematics.inverse_dynamics(q, qd, qdd, payload, com, robot=robot)
+    without = kinematics.inverse_dynamics(q, qd, qdd, payload, com, gravity=False, robot=robot)
     for row in range(50):
         data.qpos, data.qvel, data.qacc = q[row], qd[row], qdd[row]
         model.opt.gravity[2] = -9.81

@@ -65,7 +65,7 @@ def describe(
         period_ticks=period_ticks,
         latency_ticks=latency_ticks,
         speed_factor=float(speed_factor),
-        mounts=[plain(asdict(mount)) for mount in (config.left, config.right)],
+        mounts=[_plain_mount(mount) for mount in (config.left, config.right)],
         servoj=[servoj, servoj.copy()],
         versions=versions(*_PACKAGES),
         started_utc=(started or datetime.now(UTC)).isoformat(timespec="microseconds").replace("+00:00", "Z"),
@@ -96,6 +96,12 @@ def _mount(values: Mount) -> ArmMount:
     x, y, z = values["position_m"]
     dh: dict[str, Any] = {name: tuple(each) for name, each in values.get("dh", {}).items()}
     return ArmMount((x, y, z), values.get("yaw_rad", 0.0), DHParameters(**dh) if dh else NOMINAL_DH)
+
+
+def _plain_mount(mount: ArmMount) -> Mount:
+    dh = mount.dh
+    rows = {"a_m": dh.a_m, "d_m": dh.d_m, "alpha_rad": dh.alpha_rad, "theta_rad": dh.theta_rad}
+    return plain({"position_m": mount.position_m, "yaw_rad": mount.yaw_rad, "dh": rows})  # type: ignore[no-any-return]
 
 
 def plain(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""One arm's tree: ``ur10.xml``, corrected to the arm's own Denavit-Hartenberg parameters."""
+"""One arm's tree: ``ur10.xml``, fitted to the arm's model and corrected to its own Denavit-Hartenberg parameters."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.assets.settings import GAINS
+from dual_ur10.assets.arm_shape import fit_bodies, fit_shape
+from dual_ur10.assets.settings import gains_of
+from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.kinematics.rotations import quat_multiply
-from dual_ur10.kinematics.ur10 import JOINTS, LINKS, NOMINAL_DH, DHParameters
+from dual_ur10.kinematics.ur10 import JOINTS, LINKS, DHParameters, nominal_dh
 from dual_ur10.types import Array
 
 _ARM_FILE: Final = Path(__file__).with_name("ur10") / "ur10.xml"
@@ -33,13 +35,16 @@ def arm_tree(name: str, dh: DHParameters, gains: str) -> Any:
 
     Args:
         name: Name of the arm, the prefix of its names once it is attached.
-        dh: Kinematics of the arm.
+        dh: Kinematics of the arm, which name its model.
         gains: Gains of the joint servos, a key of `GAINS`.
     """
     arm = composer().from_path(str(_ARM_FILE))
     arm.model = name
+    if dh.robot != "ur10":  # whom the file describes
+        fit_bodies(arm, robot_model(dh.robot))
+        fit_shape(arm, robot_model(dh.robot))
     _apply_dh(arm, dh)
-    for joint, kp, kv in zip(JOINTS, *GAINS[gains], strict=True):
+    for joint, kp, kv in zip(JOINTS, *gains_of(dh.robot, gains), strict=True):
         actuator = arm.find("actuator", joint)
         actuator.kp, actuator.kv = kp, kv
     return arm
@@ -65,11 +70,11 @@ def _apply_dh(arm: Any, dh: DHParameters) -> None:
     kinematics.
     """
     if dh.is_nominal:
-        return  # the file holds the nominal arm
+        return  # the tree holds the nominal arm
     slide = np.zeros(7)
     slide[2] = -dh.d_m[1] / math.cos(dh.alpha_rad[1])
     slide[3] = (slide[2] - dh.d_m[2]) / math.cos(dh.alpha_rad[2])
-    nominal, corrected = _link_ends(NOMINAL_DH, np.zeros(7)), _link_ends(dh, slide)
+    nominal, corrected = _link_ends(nominal_dh(dh.robot), np.zeros(7)), _link_ends(dh, slide)
     shoulder = arm.find("body", LINKS[0])
     shoulder.quat = quat_multiply((0.0, 0.0, 0.0, 1.0), quat_z(dh.theta_rad[0]))
     for i, link in enumerate(LINKS):

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Final
+
+import numpy as np
 
 from dual_ur10.assets.obstacles import Obstacle, checked
 from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.kinematics.dynamics import stretched_inertia_kg_m2
 from dual_ur10.kinematics.frames import MAX_MOUNT_M, ArmMount, finite_floats
-from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.types import constant
+from dual_ur10.kinematics.inverse import try_nearest
+from dual_ur10.kinematics.robots import ROBOTS, robot_model
+from dual_ur10.kinematics.ur10 import ARMS, nominal_dh
+from dual_ur10.types import Array, constant
 
 GAINS: Final[dict[str, tuple[tuple[float, ...], tuple[float, ...]]]] = {
     "stiff": ((20000.0, 20000.0, 10000.0, 3000.0, 3000.0, 3000.0), (1000.0, 1000.0, 500.0, 60.0, 60.0, 60.0)),
     "compliant": ((4000.0, 4000.0, 3500.0, 3200.0, 3200.0, 3200.0), (350.0, 350.0, 200.0, 30.0, 30.0, 30.0)),
 }
-"""kp in N·m/rad and kv in N·m·s/rad per joint: "stiff" for free motion, "compliant" where both arms hold one object."""
+"""kp in N·m/rad and kv in N·m·s/rad per joint of a UR10: "stiff" for free motion, "compliant" where both arms hold one
+object."""
 
 INTEGRATORS: Final = ("implicitfast", "Euler")
 """MuJoCo's integrators for the physics: "Euler" treats the damping of the servos explicitly."""
@@ -25,8 +33,28 @@ MOST_UNSTABLE: Final = 2.2
 """Largest stability number with which "Euler" is used. It diverges from 4 on. The rest is for lighter arms: an episode
 may sample half of the links' masses, while the armature of the joints stays."""
 
-# Largest eigenvalues of M^-1 kv (1/s) and M^-1 kp (1/s²) of one arm without gripper, over all configurations.
+# Largest eigenvalues of M^-1 kv (1/s) and M^-1 kp (1/s²) of a UR10 without gripper, over all configurations; and of
+# those models whose eigenvalues are larger, a bound of their ratio.
 _RATES: Final = {"stiff": (2735.0, 54800.0), "compliant": (973.0, 32000.0)}
+_RATE_RATIO: Final = {"ur8long": 1.28, "ur20": 1.06, "ur30": 1.06}
+
+
+@lru_cache(maxsize=64)
+def gains_of(robot: str, gains: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return kp and kv of a model's joints: those of `GAINS`, as many times as large as its stretched arm's inertia.
+
+    So every joint of every model answers at about the same rate and with the same damping.
+
+    Args:
+        robot: Name of the model.
+        gains: A key of `GAINS`.
+    """
+    if robot == "ur10":
+        return GAINS[gains]
+    ratio = stretched_inertia_kg_m2(robot) / stretched_inertia_kg_m2("ur10")
+    kp, kv = (tuple((ratio * each).tolist()) for each in GAINS[gains])
+    return kp, kv
+
 
 TABLE_THICKNESS_M: Final = 0.06
 BASE_RADIUS_M: Final = 0.15
@@ -44,7 +72,51 @@ GRIP_FORCE_N: Final = (20.0, 235.0)
 _HOME: Final = (-0.22036724, -1.4126697, 1.84438035, -2.00250698, -math.pi / 2, 1.35042908)
 
 HOME_Q_RAD: Final = constant([_HOME, _HOME])
-"""(2, 6) rad: flanges 0.75 m in front of the bases and 0.4 m above them, at (0, ±0.6, 0.4) with default mounts."""
+"""(2, 6) rad, of two UR10s: flanges 0.75 m in front of the bases and 0.4 m above them, at (0, ±0.6, 0.4) with default
+mounts."""
+
+_HOME_M: Final = (0.75, 0.4)  # in front of the base and above it
+_SIDE_M: Final = 0.6
+_TOOL_DOWN: Final = np.diag([1.0, -1.0, -1.0])
+
+
+@lru_cache(maxsize=len(ROBOTS))
+def _home_of(robot: str) -> tuple[float, ...]:
+    """Return the home configuration of a model: flange 0.4 m above the base, before it in proportion to its reach."""
+    if robot == "ur10":
+        return _HOME
+    front, up = _HOME_M
+    place = (-front * _reach_ratio(robot), 0.0, up)
+    q, _ = try_nearest(place, _TOOL_DOWN, _HOME, nominal_dh(robot))  # a test holds that all reach it
+    return tuple(q.tolist())
+
+
+def home_q_rad(mounts: Sequence[ArmMount]) -> Array:
+    """Return the home configuration of both arms, (2, 6); with default mounts the flanges are at (0, ±0.6, 0.4).
+
+    Args:
+        mounts: Mounts of both arms.
+    """
+    return np.array([_home_of(mount.robot) for mount in mounts])
+
+
+def _reach_ratio(robot: str) -> float:
+    return robot_model(robot).reach_m / ROBOTS["ur10"].reach_m
+
+
+@lru_cache(maxsize=2 * len(ROBOTS))
+def default_mount(arm: int, robot: str = "ur10") -> ArmMount:
+    """Return the default mount of an arm, the same object at every call: a shorter arm stands nearer to the workspace.
+
+    Args:
+        arm: Index of the arm in `ARMS`.
+        robot: Its model.
+
+    Raises:
+        UnknownNameError: There is no such model.
+    """
+    front, _ = _HOME_M
+    return ArmMount((-front * _reach_ratio(robot), _SIDE_M * (1 - 2 * arm), 0.0), robot=robot)
 
 
 @dataclass(frozen=True)
@@ -87,7 +159,9 @@ class Equipment:
         object.__setattr__(self, "grip_force_n", force)
 
 
-def stability_number(gains: str, timestep_s: float, mass_scale: float = 1.0) -> float:
+def stability_number(
+    gains: str, timestep_s: float, mass_scale: float = 1.0, robots: Collection[str] = ("ur10",)
+) -> float:
     """Return an upper bound, over all configurations, of the largest eigenvalue of M^-1 (2 h kv + h² kp).
 
     Explicit integration of the servos diverges if it reaches 4.
@@ -96,12 +170,16 @@ def stability_number(gains: str, timestep_s: float, mass_scale: float = 1.0) -> 
         gains: A key of `GAINS`.
         timestep_s: Physics timestep h.
         mass_scale: Factor on the links' masses.
+        robots: Models of the arms.
     """
     damping, stiffness = _RATES[gains]
-    return (2 * timestep_s * damping + timestep_s**2 * stiffness) / min(mass_scale, 1.0)
+    ratio = max(_RATE_RATIO.get(robot, 1.0) for robot in robots)
+    return ratio * (2 * timestep_s * damping + timestep_s**2 * stiffness) / min(mass_scale, 1.0)
 
 
-def check_integrator(integrator: str, gains: str, timestep_s: float, mass_scale: float = 1.0) -> None:
+def check_integrator(
+    integrator: str, gains: str, timestep_s: float, mass_scale: float = 1.0, robots: Collection[str] = ("ur10",)
+) -> None:
     """Refuse "Euler" where it is unstable or close to it.
 
     Raises:
@@ -110,7 +188,7 @@ def check_integrator(integrator: str, gains: str, timestep_s: float, mass_scale:
     """
     if integrator not in INTEGRATORS:
         raise UnknownNameError("integrator", str(integrator), INTEGRATORS)
-    number = stability_number(gains, timestep_s, mass_scale)
+    number = stability_number(gains, timestep_s, mass_scale, robots)
     if integrator == "Euler" and number > MOST_UNSTABLE:
         raise SettingsError(
             f'integrator="Euler" with gains={gains!r}, timestep_s={timestep_s:g} and masses times {mass_scale:g}: its '
@@ -141,8 +219,8 @@ class SceneSettings:
         UnknownNameError: `gains` is no name of a gain set, or `integrator` no integrator.
     """
 
-    left: ArmMount = field(default_factory=lambda: ArmMount((-0.75, 0.6, 0.0)))
-    right: ArmMount = field(default_factory=lambda: ArmMount((-0.75, -0.6, 0.0)))
+    left: ArmMount = field(default_factory=lambda: default_mount(0))
+    right: ArmMount = field(default_factory=lambda: default_mount(1))
     timestep_s: float = 0.002
     integrator: str = "implicitfast"
     gains: str = "stiff"
@@ -158,7 +236,8 @@ class SceneSettings:
             raise SettingsError(f"timestep_s is {timestep:.6g}: must be above 0 and at most 0.02 s")
         if self.gains not in tuple(GAINS):
             raise UnknownNameError("gains", str(self.gains), tuple(GAINS))
-        check_integrator(self.integrator, self.gains, timestep)
+        self._check_mounts()
+        check_integrator(self.integrator, self.gains, timestep, robots=self.robots)
         center = finite_floats("table_center_m", self.table_center_m, 2)
         size = finite_floats("table_size_m", self.table_size_m, 2)
         if min(size) < 0.1 or max(size) > 2 * MAX_MOUNT_M or max(map(abs, center)) > MAX_MOUNT_M:
@@ -175,18 +254,30 @@ class SceneSettings:
         self._check_bases()
 
     @property
+    def robots(self) -> tuple[str, str]:
+        """Models of both arms."""
+        return self.left.robot, self.right.robot
+
+    @property
     def mounts(self) -> tuple[ArmMount, ArmMount]:
         """Both mounts in the order of [ARMS][dual_ur10.kinematics.ur10.ARMS]."""
         return self.left, self.right
 
-    def _check_bases(self) -> None:
+    def _check_mounts(self) -> None:
         for arm, mount in zip(ARMS, self.mounts, strict=True):
             if not isinstance(mount, ArmMount):
                 raise SettingsError(f"{arm} must be an ArmMount, found {type(mount).__name__}")
+        if self.meshes and self.robots != ("ur10", "ur10"):
+            raise SettingsError(
+                f"meshes=True with {' and '.join(self.robots)}: the package example-robot-data has those of the UR10 "
+                "alone. Leave meshes out"
+            )
+
+    def _check_bases(self) -> None:
         distance = math.dist(self.left.position_m, self.right.position_m)
         if distance < MIN_BASE_DISTANCE_M:
             raise SettingsError(
-                f"the bases are {distance:.3f} m apart: two UR10s need at least {MIN_BASE_DISTANCE_M} m between them"
+                f"the bases are {distance:.3f} m apart: two arms need at least {MIN_BASE_DISTANCE_M} m between them"
             )
         for arm, mount in zip(ARMS, self.mounts, strict=True):
             if self._inside_table(mount):

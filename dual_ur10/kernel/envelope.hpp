@@ -10,7 +10,7 @@ constexpr int64_t HISTORY = 3;
     INT(ticks) INT(width) INT(m) INT(speed_rows) INT(position_row) INT(samples) INT(stops) REAL(tick_s)                \
     REAL(tcp_speed_m_s) REAL(rest_speed_rad_s) REAL(peak_between) REALS(rows, m * width) INTS(begins, m) INTS(ends, m) \
     REALS(middle, m * 12) REALS(scale, m * 12) REALS(lever, 24) REALS(reach_m, 12) REALS(brake_samples, samples * 6)   \
-    INTS(stop, stops) REALS(brake, ticks * 3) REALS(coast, ticks * 3) REALS(lengths_m, 6) REALS(tcp_m, 6)
+    INTS(stop, stops) REALS(brake, ticks * 3) REALS(coast, ticks * 3) REALS(lengths_m, 12) REALS(tcp_m, 6)
 
 STRUCTURE(Envelope, ENVELOPE)
 
@@ -105,7 +105,8 @@ static inline void faster_of(const Envelope& e, const double* from, const double
         double travel = 0.0;
         for (int64_t j = 0; j < 6; ++j) travel += fabs(stop[j] - start[j]) * reach[j];
         if (travel * unit <= larger(best[arm].fraction, settled)) continue;
-        const Points a = points_of_arm(e.lengths_m, tcp, start), b = points_of_arm(e.lengths_m, tcp, stop);
+        const double* lengths = e.lengths_m + 6 * arm;
+        const Points a = points_of_arm(lengths, tcp, start), b = points_of_arm(lengths, tcp, stop);
         const double moved[3] = {squared(b.elbow - a.elbow), squared(b.flange - a.flange), squared(b.tcp - a.tcp)};
         for (int64_t point = 0; point < 3; ++point) {
             const double fraction = sqrt(moved[point]) * unit;

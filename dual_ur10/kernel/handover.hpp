@@ -9,7 +9,7 @@
 // sine and cosine of the angle between their long axes; and 1 if the block is lost. `facts` are those of the stages, but
 // for the angle: a block that is near its target, still, and held by no gripper counts as placed.
 #define HANDOVER(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                               \
-    INT(n) REAL(still_m) REAL(success_error_m) REAL(far_m) REAL(fallen_m) REALS(meeting_m, 3) REALS(shoulders_m, 6)    \
+    INT(n) REAL(still_m) REAL(success_error_m) REALS(far_m, 2) REAL(fallen_m) REALS(meeting_m, 3) REALS(shoulders_m, 6)    \
     INTS(giver, n) REALS(input, n * 58) REALS(before_m, n * 3) REALS(slip_from_m, n * 6) REALS(slip_m, n * 2)          \
     REALS(facts, n * 13) REALS(output, n * 4)
 
@@ -42,7 +42,7 @@ inline void evaluate(const Handover& s, int64_t row) {
     const Vector first = {turned[0], turned[3], turned[6]}, second = {turned[9], turned[12], turned[15]};
     output[1] = sqrt(squared(cross(first, second)));
     output[2] = dot(first, second);
-    const bool far = distance(block, s.shoulders_m) > s.far_m && distance(block, s.shoulders_m + 3) > s.far_m;
+    const bool far = distance(block, s.shoulders_m) > s.far_m[0] && distance(block, s.shoulders_m + 3) > s.far_m[1];
     output[3] = far || block.z < s.fallen_m;
     facts[8] = block.z;
     facts[9] = distance(block, s.meeting_m);

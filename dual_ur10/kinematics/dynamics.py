@@ -80,3 +80,23 @@ def inverse_dynamics(
     if armature_kg_m2:
         torque += armature_kg_m2 * qdd
     return torque
+
+
+def stretched_inertia_kg_m2(robot: str) -> Array:
+    """Return the moments of inertia, (6,), of a stretched arm about each of its joints, with the rotors.
+
+    Raises:
+        UnknownNameError: There is no such model.
+    """
+    facts, pose = robot_model(robot), np.eye(4)
+    axes, moments = [], facts.armature_kg_m2.copy()
+    for link, fixed in enumerate(fixed_transforms(nominal_dh(robot))):
+        axes.append((pose[:3, 2], pose[:3, 3]))
+        pose = pose @ fixed
+        xx, yy, zz, xy, xz, yz = facts.inertia_kg_m2[link]
+        turn, center = pose[:3, :3], pose[:3, :3] @ np.array(facts.com_m[link]) + pose[:3, 3]
+        inertia = turn @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn.T
+        for joint, (axis, origin) in enumerate(axes):
+            lever = np.cross(axis, center - origin)
+            moments[joint] += axis @ inertia @ axis + facts.mass_kg[link] * (lever @ lever)
+    return moments

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dual_ur10.errors import SettingsError
+from dual_ur10.kinematics.robots import RobotModel, robot_model
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, quat_to_matrix
-from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
+from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters, nominal_dh
 from dual_ur10.types import Array, Vector3, constant
 
 
@@ -72,15 +73,19 @@ class ArmMount:
     Attributes:
         position_m: (3,) position of `base_link` in the cell frame.
         yaw_rad: Rotation of `base_link` about the cell's z axis; 0 faces +x.
-        dh: Kinematics of this arm, nominal or as calibrated.
+        dh: Kinematics of this arm, nominal or as calibrated. Left out: the nominal ones of its model.
+        robot: Model of the arm, a name in `dual_ur10.kinematics.robots.ROBOTS`.
 
     Raises:
-        SettingsError: A number is not finite, more than 3 m from the cell's origin, below the floor, or beyond ±2π.
+        UnknownNameError: There is no such model.
+        SettingsError: A number is not finite, more than 3 m from the cell's origin, below the floor, or beyond ±2π; or
+            the kinematics are those of another model.
     """
 
     position_m: Vector3
     yaw_rad: float = 0.0
     dh: DHParameters = NOMINAL_DH
+    robot: str = "ur10"
 
     def __post_init__(self) -> None:
         position = finite_floats("mount position_m", self.position_m, 3)
@@ -94,8 +99,20 @@ class ArmMount:
             raise SettingsError(f"mount yaw_rad is {yaw:.6g}: must be within ±2π (radians, not degrees)")
         if not isinstance(self.dh, DHParameters):
             raise SettingsError(f"mount dh must be DHParameters, found {type(self.dh).__name__}")
+        model = robot_model(self.robot)
+        if self.dh == NOMINAL_DH:
+            object.__setattr__(self, "dh", nominal_dh(self.robot))
+        elif self.dh.robot != self.robot:
+            raise SettingsError(
+                f"mount dh is of a {robot_model(self.dh.robot).title}, robot of a {model.title}: name one model in both"
+            )
         object.__setattr__(self, "position_m", position)
         object.__setattr__(self, "yaw_rad", yaw)
+
+    @property
+    def model(self) -> RobotModel:
+        """Facts of the arm's model."""
+        return robot_model(self.robot)
 
 
 def to_base(mounts: tuple[ArmMount, ArmMount]) -> tuple[Array, Array]:

@@ -17,6 +17,8 @@ from dual_ur10.errors import UnknownNameError
 from dual_ur10.kinematics.robot_model import REFERENCE_TORQUE_NM, RobotModel, Six, stretched_inertia
 from dual_ur10.types import Vector3
 
+__all__ = ["MODEL_OF_FAMILY", "ROBOTS", "RobotModel", "robot_model"]
+
 _SHARED: Final = "the mechanics of {} with a larger payload: Universal_Robots_ROS2_Description"
 
 _Coms = tuple[Vector3, ...]
@@ -353,6 +355,9 @@ ROBOTS: Final[dict[str, RobotModel]] = {
     )
 }
 """All models by name, in families and by payload."""
+
+MODEL_OF_FAMILY: Final[dict[str, str]] = {"cb3": "ur10", "e-series": "ur10e"}
+"""Model where only the family of a controller is given."""
 
 
 def robot_model(name: str) -> RobotModel:

@@ -10,6 +10,7 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 
 from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.adapter import ActionMode
@@ -33,13 +34,16 @@ class EnvOptions:
     """Keywords of every environment.
 
     Raises:
-        UnknownNameError: `observation` or `observation_dtype` is not one of its names.
+        UnknownNameError: `robot`, `observation` or `observation_dtype` is not one of its names.
         SettingsError: `cameras` is empty or names a camera twice, or a value has the wrong type.
 
     Attributes:
         cell: "mujoco"; "echo", a dry run without physics, whose state is what was commanded; a
             `dual_ur10.sim2real.config.cell.CellConfig`; or, for two controllers, the path of a cell file or a
             `dual_ur10.testing.VirtualCell`.
+        robot: Model of both arms, such as "ur5e", or of the left and the right one; see
+            `dual_ur10.kinematics.robots.ROBOTS`. A shorter arm stands nearer to the workspace. None: two UR10s, or
+            those of `cell`.
         policy_rate_hz: Actions per second. The period must be a whole number of controller ticks (8 ms on a CB3).
         action_mode: "joint_delta", "joint_position" or "tcp_delta"; see
             `dual_ur10.sim2real.control.adapter.ServojAdapter`.
@@ -76,6 +80,7 @@ class EnvOptions:
     """
 
     cell: object = "mujoco"
+    robot: str | tuple[str, str] | None = None
     policy_rate_hz: float = DEFAULT_RATE_HZ
     action_mode: ActionMode = "joint_delta"
     action_latency_ticks: int | None = None
@@ -97,6 +102,8 @@ class EnvOptions:
     record_about: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
+        for robot in self.robots or ():
+            robot_model(robot)
         for name in ("compensate_lag", "shadows"):
             if not isinstance(getattr(self, name), bool | np.bool_):
                 raise SettingsError(f"{name} is {getattr(self, name)!r}: it must be True or False")
@@ -129,6 +136,22 @@ class EnvOptions:
         if not cameras or len(set(cameras)) < len(cameras):
             raise SettingsError(f"cameras are {cameras!r}: name at least one, and each once")
         object.__setattr__(self, "cameras", cameras)
+
+    @property
+    def robots(self) -> tuple[str, str] | None:
+        """Models of both arms; None: those of the cell.
+
+        Raises:
+            SettingsError: There are not two.
+        """
+        if self.robot is None:
+            return None
+        if isinstance(self.robot, str):
+            return self.robot, self.robot
+        if not isinstance(self.robot, tuple | list) or len(self.robot) != len(ARMS):
+            raise SettingsError(f"robot is {self.robot!r}: name one model, or one for each arm, such as 'ur5e'")
+        left, right = self.robot
+        return left, right
 
     @property
     def held_arm(self) -> int | None:

@@ -7,7 +7,7 @@ import importlib
 from collections.abc import Mapping
 from typing import Any
 
-from dual_ur10.assets.settings import Equipment
+from dual_ur10.assets.settings import Equipment, default_mount
 from dual_ur10.envs.core.options import MOVE_TO_START, OPTION_NAMES, EnvOptions
 from dual_ur10.envs.core.randomization import Randomization, resolve_randomization
 from dual_ur10.envs.tasks.task import SceneRequirements, Task, Timing
@@ -89,9 +89,7 @@ class EnvSetup:
         randomization = resolve_randomization(options.randomization)
         settings = randomization.spread(task_type.settings_type(**own), own)
         requirements = task_type.requirements(settings)
-        config = resolve_cell(options.cell).equipped(
-            requirements.equipment, requirements.timestep_s, requirements.gains
-        )
+        config = _cell_of(options).equipped(requirements.equipment, requirements.timestep_s, requirements.gains)
         tick_s, latency_ticks = config.servoj.tick_s, options.latency_ticks(config)
         ticks = config.servoj.ticks_per_action(options.policy_rate_hz)
         period_s = ticks * tick_s
@@ -151,6 +149,24 @@ class EnvSetup:
             lookahead_s=config.measured_lookahead_s,
             threads=threads,
         )
+
+
+def _cell_of(options: EnvOptions) -> CellConfig:
+    """Return the cell of an environment, with arms of the models that its keywords name.
+
+    Raises:
+        SettingsError: Or one of its kinds: there is no such cell, or its arms are of other models.
+    """
+    robots = options.robots
+    if robots is not None and isinstance(options.cell, str) and options.cell == "mujoco":
+        return CellConfig(left=default_mount(0, robots[0]), right=default_mount(1, robots[1]))
+    config = resolve_cell(options.cell)
+    if robots is not None and config.robots != robots:
+        raise SettingsError(
+            f"robot is {' and '.join(robots)}, the arms of the cell are {' and '.join(config.robots)}: leave robot "
+            "out, or name the models in the cell, as robot of an ArmMount or model in a cell file"
+        )
+    return config
 
 
 def check_for_controllers(

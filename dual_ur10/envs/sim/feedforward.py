@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.assets.collision_model import build_collision_model
-from dual_ur10.assets.settings import GAINS, SceneSettings
+from dual_ur10.assets.settings import SceneSettings, gains_of
 from dual_ur10.envs.sim.servo_reference import Motion
 from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.rotations import quat_to_matrix
@@ -57,7 +57,8 @@ class FeedForward:
     """
 
     def __init__(self, settings: SceneSettings, n: int, steps: int, threads: int) -> None:
-        kp, kv = (np.tile(gains, 2) for gains in GAINS[settings.gains])
+        both = [gains_of(robot, settings.gains) for robot in settings.robots]
+        kp, kv = (np.concatenate(each) for each in zip(*both, strict=True))
         self._carries = carries = settings.equipment.grippers
         self.control: Array = np.zeros((n, steps, 2, 7 if carries else 6))
         """Controls of each arm's joints and, behind them, of its gripper, if it has one."""

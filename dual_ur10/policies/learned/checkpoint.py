@@ -321,6 +321,7 @@ def _check_id(path: Path, manifest: Manifest, env: str | None) -> None:
 
 _REMEDIES: Final = {
     "env_id": "load a checkpoint of that task",
+    "robot.model": "use these arms, or train with those of the environment",
     "rate.tick_s": "use controllers of that family, or train with it",
     "rate.period_ticks": "set policy_rate_hz as it was in training",
     "rate.latency_ticks": "set action_latency_ticks to what it was in training, or train with what it will be",

@@ -12,13 +12,15 @@ from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 
+from dual_ur10.assets.settings import default_mount
 from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.envs.core.randomization import Randomization, resolve_randomization
 from dual_ur10.envs.core.setup import EnvSetup, load_task
 from dual_ur10.envs.tasks.task import Task
 from dual_ur10.errors import CheckpointError
 from dual_ur10.ids import ENTRY_POINTS, env_id_of, task_name
-from dual_ur10.kinematics.ur10 import Family
+from dual_ur10.kinematics.robots import ROBOTS
+from dual_ur10.kinematics.ur10 import ARMS, Family
 from dual_ur10.policies.learned.schema import JsonList, Numbers, Object, StrictJson, Text, Whole
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.adapter import ActionMode, ServojAdapter
@@ -30,6 +32,7 @@ OPTIONS: Final = ("policy_rate_hz", "action_mode", "action_latency_ticks", "comp
 """Options of the environment that a signature keeps. Paths of cells and records are private."""
 
 _MOST_SIZE: Final = 4096
+_AND: Final = " + "
 
 
 @dataclass(frozen=True)
@@ -98,17 +101,36 @@ class Robot(StrictJson):
     """Arms and their controllers.
 
     Attributes:
-        model: Always "UR10".
+        model: Model of both arms, such as "UR10", or the left and the right one, such as "UR5e + UR10e".
         family: Family of the controllers.
         lookahead_s, gain: Settings of `servoj`.
         nominal_dh: For left and right, True for the kinematics of the data sheet, False for calibrated ones.
     """
 
-    model: Literal["UR10"]
+    model: Text
     family: Family
     lookahead_s: float
     gain: float
     nominal_dh: Annotated[tuple[bool, bool], JsonList]
+
+    def __post_init__(self) -> None:
+        _ = self.names
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """Names of both models in `dual_ur10.kinematics.robots.ROBOTS`.
+
+        Raises:
+            CheckpointError: One is none of them.
+        """
+        titles = self.model.split(_AND)
+        found = [name for title in titles for name, model in ROBOTS.items() if model.title == title]
+        if not len(found) == len(titles) <= len(ARMS):
+            raise CheckpointError(
+                f"robot.model is {self.model!r:.80}: allowed are {', '.join(each.title for each in ROBOTS.values())}, "
+                f"or two of them with{_AND}between"
+            )
+        return found[0], found[-1]
 
 
 @dataclass(frozen=True)
@@ -170,7 +192,7 @@ class EnvironmentView:
             rate=Rate(config.servoj.tick_s, setup.ticks, int(setup.latency_ticks)),
             actions=Actions(adapter.mode, adapter.gripper, bool(adapter.compensate_lag), step_rad),
             robot=Robot(
-                "UR10",
+                _AND.join(dict.fromkeys(mount.model.title for mount in mounts)),
                 config.servoj.family,
                 float(config.servoj.lookahead_s),
                 float(config.servoj.gain),
@@ -225,7 +247,8 @@ def view_of_signature(signature: EnvironmentSignature) -> EnvironmentView:
             raise CheckpointError(f"kwargs has an unknown {name!r:.80}: allowed are {', '.join(known)}")
     robot = signature.robot
     try:
-        cell = CellConfig(servoj=ServojProfile(robot.family, robot.lookahead_s, robot.gain))
+        left, right = (default_mount(arm, name) for arm, name in enumerate(robot.names))
+        cell = CellConfig(left=left, right=right, servoj=ServojProfile(robot.family, robot.lookahead_s, robot.gain))
         return view_of(signature.env_id, {**signature.kwargs, "cell": cell})
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
         raise CheckpointError(f"its kwargs make no environment: {error!s:.300}") from error

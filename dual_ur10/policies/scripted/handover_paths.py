@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dual_ur10.assets.props import BLOCK_SIZE_M
-from dual_ur10.assets.settings import HOME_Q_RAD
+from dual_ur10.assets.settings import home_q_rad
 from dual_ur10.envs.tasks.handover.settings import APPROACH_M, GRIPS, MEETING_M, laid_quat, presented_quat
 from dual_ur10.envs.tasks.holding import flanges_of
 from dual_ur10.kinematics import nearest
@@ -78,7 +78,7 @@ class HandoverPaths:
     def __init__(self, mounts: Sequence[ArmMount], speed_rad_s: Array, period_s: float, higher_m: float = 0.0) -> None:
         self._mounts, self._speed, self._higher_m = mounts, speed_rad_s, higher_m
         self._smooth_s = max(_SMOOTH_S, _SMOOTH_PERIODS * period_s)
-        self._frames = Frames((mounts[0], mounts[1]))
+        self._frames, self._home = Frames((mounts[0], mounts[1])), home_q_rad(mounts)
 
     def pick(self, q_rad: Array, giver: int, block: Poses) -> FreeMotion:
         """Plan the giver's motion down to its grip of a block on the table."""
@@ -117,7 +117,7 @@ class HandoverPaths:
         down = ToolState(compose(Poses(lower, laid_quat(yaw)), grip))
         vias = [
             Via({arm: tool.back(_APART_M, -_PASS_M_S) for arm, tool in enumerate(held)}, _APART_M),
-            Via({giver: HOME_Q_RAD[giver], receiver: down.back(_ABOVE_M, _PASS_M_S)}),
+            Via({giver: self._home[giver], receiver: down.back(_ABOVE_M, _PASS_M_S)}),
             Via({receiver: down}, _ABOVE_M, _DOWN),
         ]
         return self._motion(q_rad, vias)
@@ -136,7 +136,7 @@ class HandoverPaths:
             before, q, qd = q, q.copy(), np.zeros((2, 6))
             for arm, goal in via.arms.items():
                 # A free motion ends on the branch nearest to home, for any yaw of the block: others fold the wrist.
-                near = q[arm] if via.line_m else HOME_Q_RAD[arm]
+                near = q[arm] if via.line_m else self._home[arm]
                 q[arm], qd[arm] = self._reached(arm, goal, near)
             qd *= min(1.0, _PASS_RATIO / float(np.abs(qd.reshape(12) / self._speed).max(initial=1e-9)))
             limits = _on_line(q - before, via) if via.line_m else (None, None)

@@ -10,8 +10,9 @@ import numpy as np
 
 from dual_ur10.errors import LinkError, SettingsError, UnknownNameError
 from dual_ur10.kinematics import flange_pose
+from dual_ur10.kinematics.robots import MODEL_OF_FAMILY, ROBOTS, RobotModel, robot_model
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, quat_to_rotvec
-from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters, Family
+from dual_ur10.kinematics.ur10 import DHParameters, Family, nominal_dh
 from dual_ur10.sim2real.config.cell_file_tables import ArmEntry
 from dual_ur10.sim2real.control.time_scaling import FULL
 from dual_ur10.sim2real.links.arm_status import ArmStatus, mode_name, stop_reason
@@ -37,9 +38,6 @@ _MOST_JITTER_S = 0.1  # a state that old counts as stale, and stops both arms
 MOST_ROUND_TRIP_S = 0.004
 """Half a control period of a CB3."""
 
-_UR10 = 2  # robot type of the primary interface: UR's client library
-_TYPES = {1: "UR5", 2: "UR10", 3: "UR3", 4: "UR16", 5: "UR18", 6: "UR8L", 7: "UR20", 8: "UR30", 9: "UR15"}
-_MODELS = {"cb3": ("UR10",), "e-series": ("UR10", "UR10e")}
 
 _CONFIGURATIONS_RAD = (
     (0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0),
@@ -106,6 +104,8 @@ class ExpectedArm:
     Attributes:
         host: IPv4 address of its controller.
         family: "cb3" or "e-series".
+        model: Model of the arm, a name in `dual_ur10.kinematics.robots.ROBOTS`; None: a UR10, or a UR10e of the
+            e-Series.
         dh: Calibrated kinematics.
         checksums: (6,) checksums of the calibration.
         safety_checksum: Checksum of the safety settings.
@@ -121,6 +121,7 @@ class ExpectedArm:
 
     host: str
     family: Family = "cb3"
+    model: str | None = None
     dh: DHParameters | None = None
     checksums: tuple[int, ...] | None = None
     safety_checksum: int | None = None
@@ -133,6 +134,7 @@ class ExpectedArm:
         object.__setattr__(self, "host", check_host(self.host))
         if self.family not in get_args(Family):
             raise UnknownNameError("controller family", str(self.family), get_args(Family))
+        _ = self.robot
         for name, value, count in (
             ("checksums", self.checksums, 6),
             ("tcp", self.tcp, 6),
@@ -141,12 +143,18 @@ class ExpectedArm:
             if value is not None and len(value) != count:
                 raise SettingsError(f"expected {name} is {value!r}: it has {count} numbers")
 
+    @property
+    def robot(self) -> RobotModel:
+        """Facts of the model."""
+        return robot_model(self.model or MODEL_OF_FAMILY[self.family])
+
 
 def expected_of(arm: ArmEntry) -> ExpectedArm:
     """Return the expectations that a cell file states."""
     return ExpectedArm(
         host=arm.host,
         family=arm.family,
+        model=arm.robot,
         dh=arm.mount.dh,
         checksums=arm.calibration.checksum,
         safety_checksum=arm.safety_checksum,
@@ -166,7 +174,7 @@ def family_findings(arm: str, expected: ExpectedArm, version: Version) -> Iterat
 
 
 def model_findings(arm: str, expected: ExpectedArm, model: str | None, robot_type: int | None) -> Iterator[Finding]:
-    """Check that it is a UR10.
+    """Check that it is the expected model.
 
     Args:
         arm: Name of the arm.
@@ -174,13 +182,16 @@ def model_findings(arm: str, expected: ExpectedArm, model: str | None, robot_typ
         model: Model that the dashboard reports, or None.
         robot_type: Robot type that the primary interface reports, or None.
     """
-    remedy = "this program moves UR10s only: correct the address"
-    models = _MODELS[expected.family]
+    remedy = "correct the address, or the model in the cell file"
+    robot = expected.robot
+    # Some versions of the e-Series report the name without its "e".
+    titles = tuple(dict.fromkeys((robot.title.removesuffix("e"), robot.title)))
     if model is not None:
-        yield judge(arm, "model", model in models, model, " or ".join(models), remedy)
+        yield judge(arm, "model", model in titles, model, " or ".join(titles), remedy)
     if robot_type is not None:
-        name = _TYPES.get(robot_type, "unknown")
-        yield judge(arm, "robot type", robot_type == _UR10, f"{robot_type} ({name})", f"{_UR10} (UR10)", remedy)
+        names = " or ".join(each.title for each in ROBOTS.values() if each.robot_type == robot_type) or "unknown"
+        wanted, good = f"{robot.robot_type} ({robot.title})", robot_type == robot.robot_type
+        yield judge(arm, "robot type", good, f"{robot_type} ({names})", wanted, remedy)
 
 
 def state_findings(arm: str, status: ArmStatus) -> Iterator[Finding]:
@@ -230,18 +241,22 @@ def tool_findings(arm: str, expected: ExpectedArm, status: ArmStatus) -> Iterato
 
 def calibration_findings(arm: str, expected: ExpectedArm, facts: PrimaryFacts) -> Iterator[Finding]:
     """Check that the arm has the kinematics with which targets are computed."""
-    remedy = "read the calibration of this arm into the cell file, or correct the address"
+    remedy, robot = "read the calibration of this arm into the cell file, or correct the address", expected.robot
     try:
-        dh = facts.dh()
+        dh = facts.dh(robot.name)
     except SettingsError as error:
-        yield Finding(arm, "calibration", "fail", str(error), "a UR10's kinematics", remedy)
+        yield Finding(arm, "calibration", "fail", str(error), f"a {robot.title}'s kinematics", remedy)
         return
-    error_m = flange_error_m(dh, NOMINAL_DH if expected.dh is None else expected.dh)
+    error_m = flange_error_m(dh, nominal_dh(robot.name) if expected.dh is None else expected.dh)
     text = f"flange {1e3 * error_m:.3f} mm off"
     if expected.dh is None:
-        yield Finding(arm, "calibration", "warn", f"{text} the nominal UR10's", "", _GIVE)
+        yield Finding(arm, "calibration", "warn", f"{text} the nominal {robot.title}'s", "", _GIVE)
     else:
-        of = "the nominal UR10's, which the cell file uses" if expected.dh.is_nominal else "that of the cell file"
+        of = (
+            f"the nominal {robot.title}'s, which the cell file uses"
+            if expected.dh.is_nominal
+            else "that of the cell file"
+        )
         good, most = error_m <= OTHER_CALIBRATION_M, f"at most {1e3 * OTHER_CALIBRATION_M:g} mm"
         level: Level = "fail" if error_m > WRONG_CALIBRATION_M else "warn"
         yield judge(arm, "calibration", good, f"{text} {of}", most, remedy, otherwise=level)

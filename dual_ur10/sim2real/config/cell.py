@@ -23,14 +23,17 @@ from dual_ur10.assets.settings import (
     Equipment,
     SceneSettings,
     check_integrator,
+    default_mount,
     stability_number,
 )
 from dual_ur10.errors import RateError, SettingsError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.robots import MODEL_OF_FAMILY
+from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.clearance import MINIMUM_M, checked_base_uncertainty
 from dual_ur10.sim2real.control.limits import MotionLimits, checked_tcp
-from dual_ur10.sim2real.control.servoj import MEASURED_LOOKAHEAD_S, ServojProfile
+from dual_ur10.sim2real.control.servoj import DEFAULT_SERVOJ, MEASURED_LOOKAHEAD_S, ServojProfile
 from dual_ur10.sim2real.processes.system import System
 from dual_ur10.types import Array, Rows, Vector3
 
@@ -329,8 +332,10 @@ class CellConfig:
     Attributes:
         kind: "mujoco", the simulated cell; "echo", a dry run, whose state is what was commanded; "emulated" or "real",
             two controllers that a cell file describes.
-        left, right: Mount and kinematics of each arm.
-        servoj: Controller family and servoj settings of both arms.
+        left, right: Mount, model and kinematics of each arm. Left out: the model of the other arm, if that is given,
+            and otherwise a UR10 or, with controllers of the e-Series, a UR10e. A shorter arm stands nearer to the
+            workspace.
+        servoj: Controller family and servoj settings of both arms. Left out: those of the arms' family.
         timestep_s: Physics step; it must divide the controller's tick. None: the task's own.
         integrator: Integrator of the physics, a name of `dual_ur10.assets.settings.INTEGRATORS`. None: "Euler" where
             `stability_number` is small, as with the friction grasp of SyncCarry; otherwise "implicitfast".
@@ -364,9 +369,9 @@ class CellConfig:
     """
 
     kind: CellKind = "mujoco"
-    left: ArmMount = field(default_factory=lambda: SceneSettings().left)
-    right: ArmMount = field(default_factory=lambda: SceneSettings().right)
-    servoj: ServojProfile = field(default_factory=ServojProfile)
+    left: ArmMount = field(default_factory=lambda: default_mount(0))
+    right: ArmMount = field(default_factory=lambda: default_mount(1))
+    servoj: ServojProfile = field(default_factory=lambda: DEFAULT_SERVOJ)
     timestep_s: float | None = None
     integrator: str | None = None
     gains: str | None = None
@@ -395,6 +400,7 @@ class CellConfig:
                 raise SettingsError(
                     f"{name} of the cell must be a {kind.__name__}, found {type(getattr(self, name)).__name__}"
                 )
+        self._settle_models()
         if self.servoj.damping < LEAST_DAMPING:
             least = (2 * LEAST_DAMPING / self.servoj.lookahead_s) ** 2
             raise SettingsError(
@@ -435,6 +441,38 @@ class CellConfig:
         if None not in (self.gains, self.timestep_s):
             _ = self.scene  # otherwise the task's own decide whether the integrator is stable
 
+    def _settle_models(self) -> None:
+        """Complete what is left out of mounts and servoj, and refuse controllers of another family than the arms.
+
+        Raises:
+            SettingsError: An arm's controller would be of another family than the cell's.
+        """
+        mounts = [self.left, self.right]
+        for arm, mount in zip(ARMS, mounts, strict=True):
+            if not isinstance(mount, ArmMount):
+                raise SettingsError(f"{arm} of the cell must be an ArmMount, found {type(mount).__name__}")
+        given = [mount for arm, mount in enumerate(mounts) if mount is not default_mount(arm)]
+        servoj = self.servoj
+        if servoj is DEFAULT_SERVOJ and given:
+            servoj = replace(servoj, family=given[0].model.family)
+        robot = given[0].robot if given else MODEL_OF_FAMILY[servoj.family]
+        mounts = [default_mount(arm, robot) if m is default_mount(arm) else m for arm, m in enumerate(mounts)]
+        for arm, mount in zip(ARMS, mounts, strict=True):
+            if mount.model.family != servoj.family:
+                raise SettingsError(
+                    f"the {arm} arm is a {mount.model.title}, whose controller is of the family {mount.model.family} "
+                    f"({1e3 * mount.model.tick_s:g} ms), the cell's servoj is of {servoj.family} "
+                    f"({1e3 * servoj.tick_s:g} ms): both arms need one control period. Name models of one family, and "
+                    "that family in servoj"
+                )
+        for name, value in zip((*ARMS, "servoj"), (*mounts, servoj), strict=True):
+            object.__setattr__(self, name, value)
+
+    @property
+    def robots(self) -> tuple[str, str]:
+        """Models of both arms."""
+        return self.left.robot, self.right.robot
+
     @property
     def scene(self) -> SceneSettings:
         """The scene of this cell.
@@ -446,9 +484,9 @@ class CellConfig:
         lightest = float(np.min(self.perturbation.mass_scale))
         integrator = self.integrator
         if integrator is None:
-            number = stability_number(scene.gains, scene.timestep_s, lightest)
+            number = stability_number(scene.gains, scene.timestep_s, lightest, self.robots)
             integrator = "Euler" if number <= MOST_UNSTABLE else "implicitfast"
-        check_integrator(integrator, scene.gains, scene.timestep_s, lightest)
+        check_integrator(integrator, scene.gains, scene.timestep_s, lightest, self.robots)
         return replace(scene, integrator=integrator)
 
     @property
@@ -486,6 +524,7 @@ class CellConfig:
         def cap(value: float, own: float | None, power: int) -> float:
             return value if own is None else min(value, own / slow**power)
 
+        limits = limits.of(self.robots)
         speeds: Any = [cap(each, self.speed_rad_s, 1) for each in limits.speed_rad_s]
         return replace(
             limits,

@@ -19,8 +19,9 @@ from typing import Any, Final, NamedTuple, Self, cast
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from dual_ur10.assets.obstacles import Obstacle
-from dual_ur10.assets.settings import SceneSettings
+from dual_ur10.assets.settings import SceneSettings, default_mount
 from dual_ur10.errors import CellFileError, SettingsError, UnknownNameError
+from dual_ur10.kinematics.robots import MODEL_OF_FAMILY, ROBOTS, robot_model
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import LEAST_DAMPING, CellConfig, HostedCell, Perturbation
 from dual_ur10.sim2real.config.cell_file_tables import (
@@ -124,11 +125,13 @@ class CellFile(Table):
         if not isinstance(values, Mapping) or values.get("kind") == "real":
             return values
         filled = dict(values)
-        for arm, mount in zip(ARMS, SceneSettings().mounts, strict=True):
-            entry = values.get(arm)
+        for arm, name in enumerate(ARMS):
+            entry = values.get(name)
             entry = entry.model_dump(exclude_unset=True) if isinstance(entry, ArmEntry) else entry
             if isinstance(entry, Mapping):
-                filled[arm] = {"base_position_m": mount.position_m, **entry}
+                robot = entry.get("model") or MODEL_OF_FAMILY.get(str(entry.get("family")))
+                mount = default_mount(arm, robot if isinstance(robot, str) and robot in ROBOTS else "ur10")
+                filled[name] = {"base_position_m": mount.position_m, **entry}
         return filled
 
     @model_validator(mode="after")
@@ -256,7 +259,14 @@ class CellFile(Table):
             exact = not (arm.base_uncertainty_m and arm.base_uncertainty_rad)
             tool = isinstance(arm.gripper, NoGripper) and any(arm.tcp_position_m or ZERO)
             for noted, note in (
-                (arm.mount.dh.is_nominal, "calibration is the nominal UR10's: flange poses may be off by millimetres"),
+                (
+                    arm.mount.dh.is_nominal,
+                    f"calibration is the nominal {arm.mount.model.title}'s: flange poses may be off by millimetres",
+                ),
+                (
+                    arm.model is None,
+                    f'model is missing: the arm counts as a {arm.mount.model.title}. Write "{arm.robot}"',
+                ),
                 (arm.calibration.checksum is None, "calibration.checksum is missing: others would not be noticed"),
                 (arm.serial_number is None, "serial_number is missing: swapped arms may not be noticed"),
                 (arm.safety_checksum is None, "safety_checksum is missing: other settings would not be noticed"),
@@ -453,6 +463,7 @@ def _rules(cell: CellFile) -> Iterator[str]:
     yield from _calibrated(cell)
     for name, arm in zip(ARMS, cell.arms, strict=True):
         yield from _servoj(name, arm)
+        yield from _model(name, arm)
     if cell.emulator is not None and not emulated:
         yield 'emulator is in the file of a real cell: it is allowed with kind = "emulated" only. Take the table out'
     if isinstance(cell.tracker, EmulatedTrackerEntry) and (not emulated or cell.emulator is None):
@@ -508,6 +519,20 @@ def _calibrated(cell: CellFile) -> Iterator[str]:
         yield (
             f"base_to_base: the bases stand {1e3 * off_m:.3g} mm and {off_rad:.3g} rad otherwise than calibrated on "
             f"{found.date}: calibrate again with `cell calibrate`, or take this table out"
+        )
+
+
+def _model(name: str, arm: ArmEntry) -> Iterator[str]:
+    facts = robot_model(arm.robot)
+    if facts.family != arm.family:
+        yield (
+            f"{name}.model is {arm.robot!r} and {name}.family is {arm.family!r}: the controller of a {facts.title} is "
+            f"of the family {facts.family!r}. Correct one of them"
+        )
+    if (arm.payload_kg or 0.0) > facts.payload_kg:
+        yield (
+            f"{name}.payload_kg is {arm.payload_kg:g}: a {facts.title} may carry 0 to {facts.payload_kg:g} kg. "
+            "Correct it, or the model"
         )
 
 

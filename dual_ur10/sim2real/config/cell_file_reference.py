@@ -6,9 +6,10 @@ import contextlib
 from pathlib import Path
 from typing import Any, Final
 
-from dual_ur10.assets.settings import SceneSettings
+from dual_ur10.assets.settings import default_mount
 from dual_ur10.errors import CellFileError, DualUR10Error
 from dual_ur10.files import check_target
+from dual_ur10.kinematics.robots import MODEL_OF_FAMILY, ROBOTS
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell_file import (
     FIRST_SPEED_FACTOR,
@@ -25,9 +26,9 @@ from dual_ur10.sim2real.config.cell_file_text import Key, toml_text, toml_value
 EXAMPLES: Final = """\
 # More that a cell file may hold: take the "# " away from what you need. All keys: docs, reference, cell file.
 #
-# [left.calibration]  # as on the controller; without it, the nominal UR10
+# [left.calibration]  # as on the controller; a key that is missing is that of the nominal model
 # a_m = [0.0, -0.612, -0.5723, 0.0, 0.0, 0.0]
-# d_m = [0.1273, 0.0, 0.0, 0.163941, 0.1157, 0.0922]
+# theta_rad = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 #
 # [tracker]  # source of the objects' poses
 # kind = "attached"
@@ -72,6 +73,7 @@ def starting_text(
     family: str = "cb3",
     task: str | None = None,
     source: str = "the cell file",
+    model: str | None = None,
 ) -> str:
     """Return a commented file to begin with: slow, and with all keys that the file of such a cell needs.
 
@@ -82,11 +84,12 @@ def starting_text(
         family: Controller family of both.
         task: Id of the environment that it is set up for; None: any.
         source: The file, for messages.
+        model: Model of both arms; None: that of `ArmEntry`.
 
     Raises:
         CellFileError: A value is not legal, or the address of a real arm is missing.
     """
-    real = kind == "real"
+    real, robot = kind == "real", model or MODEL_OF_FAMILY.get(family, "ur10")
     hosts = [left, right] if real else [left or "127.0.0.2", right or "127.0.0.3"]
     for arm, host in zip(ARMS, hosts, strict=True):
         if host is None:
@@ -94,11 +97,13 @@ def starting_text(
                 f"the address of the {arm} arm is missing: it is on the controller's screen, under network. Give "
                 f"it as --{arm}, or write the file of an emulated cell with --kind emulated"
             )
+    mounts = [default_mount(arm, robot if robot in ROBOTS else "ur10") for arm in range(len(ARMS))]
     on_controller = {"tcp_position_m": ZERO, "tcp_rotation_rad": ZERO, "payload_kg": 0.0, "payload_cog_m": ZERO}
     arms = {
         arm: {
             "host": host,
             "family": family,
+            "model": robot,
             "base_position_m": mount.position_m,
             "base_yaw_rad": mount.yaw_rad,
             **({"base_uncertainty_m": 0.005, "base_uncertainty_rad": 0.01, **on_controller} if real else {}),
@@ -106,7 +111,7 @@ def starting_text(
             "servoj": Servoj().mapping(),
             "limits": {"speed_rad_s": FIRST_SPEED_RAD_S, "tcp_speed_m_s": FIRST_TCP_SPEED_M_S},
         }
-        for arm, host, mount in zip(ARMS, hosts, SceneSettings().mounts, strict=True)
+        for arm, host, mount in zip(ARMS, hosts, mounts, strict=True)
     }
     values: dict[str, Any] = {"kind": kind, "name": "cell"}
     values |= {} if task is None else {"task": task}
@@ -116,7 +121,7 @@ def starting_text(
         "rt_priority": 0,
         **arms,
     }
-    begin = "# A cell of two UR10s. To check it: python -m dual_ur10 cell check FILE"
+    begin = "# A cell of two arms. To check it: python -m dual_ur10 cell check FILE"
     text = f"{begin}\n\n{toml_text(values, _comment)}\n{EXAMPLES}"
     _, findings = examine_text(text, source)
     if findings:

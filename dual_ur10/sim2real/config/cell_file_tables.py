@@ -12,6 +12,7 @@ from __future__ import annotations
 import ipaddress
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
@@ -20,7 +21,8 @@ from dual_ur10.assets import obstacles
 from dual_ur10.ids import ENTRY_POINTS, ENV_IDS
 from dual_ur10.kinematics import ur10
 from dual_ur10.kinematics.frames import MAX_MOUNT_M, ArmMount
-from dual_ur10.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, DHParameters, Family
+from dual_ur10.kinematics.robots import MODEL_OF_FAMILY, ROBOTS
+from dual_ur10.kinematics.ur10 import NOMINAL_DH, Family, nominal_dh
 from dual_ur10.sim2real.control.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S, MEASURED_LOOKAHEAD_S, ServojProfile
 
 Kind = Literal["real", "emulated"]
@@ -28,6 +30,7 @@ Kind = Literal["real", "emulated"]
 ZERO: Final = (0.0, 0.0, 0.0)
 MAX_OBSTACLES: Final = 64
 MAX_LATENCY_S: Final = 0.3
+MOST_PAYLOAD_KG: Final = max(each.payload_kg for each in ROBOTS.values())
 ROBOTIQ_PORT: Final = 63352
 """TCP port of Robotiq's URCap."""
 
@@ -92,6 +95,12 @@ def _checked_id(text: str) -> str:
     return text
 
 
+def _checked_model(text: str) -> str:
+    if text not in ROBOTS:
+        raise ValueError(text)
+    return text
+
+
 def _text(allowed: str, **constraints: Any) -> Any:
     return Field(json_schema_extra={"allowed": allowed}, **constraints)
 
@@ -101,6 +110,7 @@ Serial = Annotated[str, _text("up to 32 letters, digits and hyphens, in quotes",
 Address = Annotated[str, AfterValidator(_checked_address), _text("an IPv4 address; names are not looked up")]
 Day = Annotated[str, _text("a day such as 2026-01-31, in quotes", pattern=r"^\d{4}-\d{2}-\d{2}$")]
 FileName = Annotated[str, _text("a file name of up to 200 characters, in quotes", pattern=r"^[^\x00-\x1f\x7f]{1,200}$")]
+Model = Annotated[str, AfterValidator(_checked_model), _text("one of " + ", ".join(f'"{each}"' for each in ROBOTS))]
 Task = Annotated[str, AfterValidator(_checked_id), _text("the id of an environment")]
 
 
@@ -214,13 +224,15 @@ class ArmLimits(Table):
 
 
 class Calibration(Table):
-    """Kinematics as the controller's calibration reports them; the nominal UR10 where a key is missing."""
+    """Kinematics as the controller's calibration reports them; those of the nominal model where a key is missing."""
 
-    a_m: Joints[Annotated[float, Field(ge=-2, le=2)]] = key("DH link lengths", tuple(DH_A_M.tolist()))
+    a_m: Joints[Annotated[float, Field(ge=-2, le=2)]] | None = key("DH link lengths", None, example=NOMINAL_DH.a_m)
     # Offsets of parallel joints shift freely against each other.
-    d_m: Joints[Annotated[float, Field(ge=-1000, le=1000)]] = key("DH link offsets", tuple(DH_D_M.tolist()))
-    alpha_rad: Joints[Angle] = key("DH link twists", tuple(DH_ALPHA_RAD.tolist()))
-    theta_rad: Joints[Angle] = key("DH joint offsets", (0.0,) * 6)
+    d_m: Joints[Annotated[float, Field(ge=-1000, le=1000)]] | None = key(
+        "DH link offsets", None, example=NOMINAL_DH.d_m
+    )
+    alpha_rad: Joints[Angle] | None = key("DH link twists", None, example=NOMINAL_DH.alpha_rad)
+    theta_rad: Joints[Angle] | None = key("DH joint offsets", None, example=NOMINAL_DH.theta_rad)
     checksum: Joints[Checksum] | None = key(
         "the controller's checksum of each joint; another calibration is refused", None, example=(0,) * 6
     )
@@ -231,6 +243,11 @@ class ArmEntry(Table):
 
     host: Address = key("address of the controller", example="192.168.1.10")
     family: Family = key("controller family", "cb3", if_real=True)
+    model: Model | None = key(
+        "model of the robot, as its controller reports it; a missing one is a UR10, or a UR10e of the e-Series",
+        None,
+        example="ur10",
+    )
     base_position_m: Vector[Place] | None = key(
         "position of the base in the cell frame", None, if_real=True, example=(-0.75, 0.6, 0.0)
     )
@@ -244,7 +261,7 @@ class ArmEntry(Table):
         "orientation of the tool centre point, a rotation vector", None, if_real=True, example=ZERO
     )
     payload_kg: float | None = key(
-        "payload, as set on the controller", None, low=0, high=ur10.PAYLOAD_KG, if_real=True, example=0.0
+        "payload, as set on the controller", None, low=0, high=MOST_PAYLOAD_KG, if_real=True, example=0.0
     )
     payload_cog_m: Vector[Offset] | None = key(
         "the payload's centre of gravity in the flange frame", None, if_real=True, example=ZERO
@@ -270,15 +287,20 @@ class ArmEntry(Table):
         return ServojProfile(self.family, self.servoj.lookahead_s, self.servoj.gain)
 
     @property
+    def robot(self) -> str:
+        """Name of the arm's model."""
+        return self.model or MODEL_OF_FAMILY[self.family]
+
+    @property
     def mount(self) -> ArmMount:
-        """Pose and kinematics of the arm.
+        """Pose, model and kinematics of the arm.
 
         Raises:
-            SettingsError: The calibration is not that of a UR10, or the base is under the floor.
+            SettingsError: The calibration is not that of this model, or the base is under the floor.
         """
-        dh = self.calibration
-        parameters = DHParameters(dh.a_m, dh.d_m, dh.alpha_rad, dh.theta_rad)
-        return ArmMount(self.base_position_m or ZERO, self.base_yaw_rad, parameters)
+        rows = self.calibration.model_dump(exclude={"checksum"}, exclude_none=True)
+        dh = replace(nominal_dh(self.robot), **rows)
+        return ArmMount(self.base_position_m or ZERO, self.base_yaw_rad, dh, self.robot)
 
     @property
     def tcp(self) -> tuple[float, ...] | None:

@@ -24,8 +24,9 @@ from dual_ur10.errors import SettingsError
 from dual_ur10.kernel import Struct
 from dual_ur10.kinematics import ur10
 from dual_ur10.kinematics.forward import lengths_m
-from dual_ur10.kinematics.ur10 import NOMINAL_DH
-from dual_ur10.types import Array, Vector3
+from dual_ur10.kinematics.robots import ROBOTS, robot_model
+from dual_ur10.kinematics.ur10 import nominal_dh
+from dual_ur10.types import Array, Vector3, constant
 
 Six = tuple[float, float, float, float, float, float]
 
@@ -48,18 +49,13 @@ _BRAKE_TIMES = 14.0
 _PEAK_BETWEEN_INSTANTS = 1.006
 """Factor by which a peak between two instants can be higher: its curvature is at most w², half a gap is 0.1 / w."""
 
-# Largest distance of the flange from each joint's axis, by the lengths between them; the elbow is always nearer.
-_ARM_M = abs(ur10.DH_A_M[1]) + abs(ur10.DH_A_M[2]) + ur10.DH_D_M[4] + ur10.DH_D_M[5]
-REACH_FROM_JOINT_M: Array = np.array(
-    [
-        math.hypot(_ARM_M, ur10.DH_D_M[3] + ur10.DH_D_M[5]),
-        _ARM_M,
-        _ARM_M - abs(ur10.DH_A_M[1]),
-        ur10.DH_D_M[4] + ur10.DH_D_M[5],
-        ur10.DH_D_M[5],
-        0.0,
-    ]
-)
+
+@lru_cache(maxsize=len(ROBOTS))
+def reach_from_joint_m(robot: str) -> Array:
+    """Return the largest distance, (6,), of a model's flange from each joint's axis; the elbow is always nearer."""
+    _, a2, a3, d4, d5, d6 = robot_model(robot).lengths_m
+    arm = abs(a2) + abs(a3) + d5 + d6
+    return constant([math.hypot(arm, d4 + d6), arm, arm - abs(a2), d5 + d6, d6, 0.0])
 
 
 MOST_TCP_M = 2.0
@@ -92,6 +88,12 @@ def _six(values: Any) -> Six:
     return (*array.tolist(),)
 
 
+def hard_speed_rad_s(robots: Collection[str]) -> Array:
+    """Return the hard limits of the joint speeds, (6,), that targets of all these models have to keep."""
+    speed: Array = np.min([robot_model(robot).hard_speed_rad_s for robot in robots], axis=0)
+    return speed
+
+
 # Defaults of MotionLimits.
 _SPEED_RAD_S = _six(ur10.HARD_SPEED_RAD_S)
 _LOWER_RAD = _six(-ur10.JOINT_RANGE_RAD)
@@ -111,9 +113,12 @@ class MotionLimits:
         lower_rad: Smallest joint positions; the arm must also be able to stop inside the range.
         upper_rad: Largest joint positions.
         tcp_m: Tool centre point of the left and the right arm in its flange's frame; zeros: at the flange.
+        robots: Models of the left and the right arm.
 
     Raises:
-        SettingsError: A limit is not positive and finite, or wider than the hard limits of `dual_ur10.kinematics.ur10`.
+        UnknownNameError: There is no such model.
+        SettingsError: A limit is not positive and finite, or wider than the hard limits of one of both models in
+            `dual_ur10.kinematics.robot_model`.
     """
 
     speed_rad_s: Six = _SPEED_RAD_S
@@ -123,12 +128,14 @@ class MotionLimits:
     lower_rad: Six = _LOWER_RAD
     upper_rad: Six = _UPPER_RAD
     tcp_m: tuple[Vector3, Vector3] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    robots: tuple[str, str] = ("ur10", "ur10")
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "robots", tuple(self.robots))
         for name in ("speed_rad_s", "lower_rad", "upper_rad"):
             object.__setattr__(self, name, _six(getattr(self, name)))
         for name, hard in (
-            ("speed_rad_s", ur10.HARD_SPEED_RAD_S),
+            ("speed_rad_s", hard_speed_rad_s(self.robots)),
             ("acceleration_rad_s2", ur10.HARD_ACCELERATION_RAD_S2),
             ("jerk_rad_s3", ur10.HARD_JERK_RAD_S3),
             ("tcp_speed_m_s", ur10.HARD_TCP_SPEED_M_S),
@@ -142,6 +149,11 @@ class MotionLimits:
             raise SettingsError(
                 f"joint range {self.lower_rad} to {self.upper_rad} rad must lie inside ±{ur10.JOINT_RANGE_RAD.tolist()}"
             )
+
+    def of(self, robots: tuple[str, str]) -> MotionLimits:
+        """Return these limits for two models, within their hard limits."""
+        speed = np.minimum(self.speed_rad_s, hard_speed_rad_s(robots))
+        return replace(self, speed_rad_s=_six(speed), robots=robots)
 
     def narrowed(self, margin_rad: float) -> MotionLimits:
         """Return these limits with a joint range smaller by `margin_rad` on both sides."""
@@ -217,7 +229,8 @@ class Envelope:
         """Return the coefficients as the kernel's structure."""
         limits, samples = self.limits, self._sampled_brake()
         # Largest fraction of the Cartesian speed limit that each joint uses at its own full speed.
-        reach = np.array([REACH_FROM_JOINT_M + math.hypot(*tcp_m) for tcp_m in limits.tcp_m])
+        arms = zip(limits.robots, limits.tcp_m, strict=True)
+        reach = np.array([reach_from_joint_m(robot) + math.hypot(*tcp_m) for robot, tcp_m in arms])
         lever = np.zeros((12, 2))
         for arm in range(2):
             lever[6 * arm : 6 * arm + 6, arm] = np.asarray(limits.speed_rad_s) * reach[arm] / limits.tcp_speed_m_s
@@ -246,7 +259,7 @@ class Envelope:
             stop=np.array(self._stops),
             brake=self.brake,
             coast=self.coast,
-            lengths_m=lengths_m(NOMINAL_DH),
+            lengths_m=np.array([lengths_m(nominal_dh(robot)) for robot in limits.robots]),
             tcp_m=np.array(limits.tcp_m),
         )
 

@@ -93,6 +93,10 @@ class ServojProfile:
         return whole
 
 
+DEFAULT_SERVOJ: Final = ServojProfile()
+"""Settings of `servoj` where none are given, on a CB3."""
+
+
 class ServojLaw:
     """Exact discretisation of the control law with a held target.
 

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from dual_ur10.errors import MotionError
+from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD
 from dual_ur10.sim2real.emulator.builtins_motion import SOLUTION_STEPS, joints_of
 from dual_ur10.sim2real.emulator.controller import Controller
@@ -17,7 +18,6 @@ from dual_ur10.sim2real.emulator.script.values import number
 # ruff: noqa: N803
 
 _CONTACT_N: Final = 15.0  # against a direction; UR publishes no threshold of tool_contact
-_MAX_PAYLOAD_KG: Final = 10.0
 
 
 def _numbers(values: Any, count: int, what: str) -> list[float]:
@@ -31,9 +31,10 @@ def _six(values: Any, what: str) -> list[float]:
     return _numbers(values, 6, what)
 
 
-def _mass(m: Any) -> float:
-    if not 0.0 <= number(m) <= _MAX_PAYLOAD_KG:
-        raise MotionError(f"a payload of {m!r} kg cannot be set: allowed are 0 to {_MAX_PAYLOAD_KG:g} kg")
+def _mass(m: Any, robot: str) -> float:
+    most = robot_model(robot).payload_kg
+    if not 0.0 <= number(m) <= most:
+        raise MotionError(f"a payload of {m!r} kg cannot be set: allowed are 0 to {most:g} kg")
     return float(m)
 
 
@@ -143,7 +144,7 @@ def robot_builtins(controller: Controller) -> Builtins:
         return Pose(motion.tcp)
 
     def set_payload(m: float, cog: Any = (0.0, 0.0, 0.0)) -> None:
-        mass, place = _mass(m), tuple(_numbers(cog, 3, "a centre of gravity"))
+        mass, place = _mass(m, controller.dh.robot), tuple(_numbers(cog, 3, "a centre of gravity"))
         payload.mass_kg, payload.cog_m = mass, place
 
     def set_payload_mass(m: float) -> None:

@@ -398,8 +398,8 @@ class Controller:
         )
 
     def _elbow(self) -> tuple[Any, ...]:
-        elbow = elbow_and_flange_position(self._shown.reading.q_rad)[0]
-        before = elbow_and_flange_position(self._shown.q_before)[0]
+        elbow = elbow_and_flange_position(self._shown.reading.q_rad, self.dh.robot)[0]
+        before = elbow_and_flange_position(self._shown.q_before, self.dh.robot)[0]
         return _numbers(elbow), _numbers((elbow - before) / self.profile.tick_s)
 
     @property

@@ -11,12 +11,14 @@ import sys
 import threading
 import tomllib
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from dual_ur10.assets.settings import default_mount
+from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.envs.rendering.viewer import Viewer
 from dual_ur10.errors import AddressError, DualUR10Error, SettingsError
 from dual_ur10.files import write_text
@@ -31,7 +33,7 @@ from dual_ur10.sim2real.emulator.builtins import builtins_of
 from dual_ur10.sim2real.emulator.controller import Controller
 from dual_ur10.sim2real.emulator.fault_injection import FaultInjection
 from dual_ur10.sim2real.emulator.mujoco_world import EmulatedWorld, PlantOptions
-from dual_ur10.sim2real.emulator.profile import profile_of
+from dual_ur10.sim2real.emulator.profile import profile_for, profile_of
 from dual_ur10.sim2real.emulator.robotiq import RobotiqGripper
 from dual_ur10.sim2real.emulator.sockets import Hub
 from dual_ur10.sim2real.processes.system import LOCAL, System
@@ -57,7 +59,8 @@ class EmulatorOptions:
 
     Attributes:
         left, right: Loopback addresses; None finds free ones.
-        family: Family of both controllers.
+        family: Family of both controllers; None: that of `robot`.
+        robot: Model of both arms, or of the left and the right one; None: a UR10, or a UR10e of the e-Series.
         task: Id or name of the environment whose scene is simulated.
         plant: Deviation of the plant from its nominal model; see `PlantOptions`.
         seed: Seed of the sampled plant, the start of the episode, and random faults.
@@ -74,7 +77,8 @@ class EmulatorOptions:
 
     left: str | None = None
     right: str | None = None
-    family: str = "cb3"
+    family: str | None = None
+    robot: str | Sequence[str] | None = None
     task: str = "SineTracking"
     plant: str = "mild"
     seed: int = 0
@@ -113,13 +117,13 @@ class Emulator:
 
     def __init__(self, options: EmulatorOptions, *, system: System = LOCAL) -> None:
         self._system, self._clock = system, system.clock
-        profile = profile_of(options.family)
         self.options = options
-        config = CellConfig(servoj=ServojProfile(family=profile.family))
+        config = _cell_of(options)
+        self._family = config.servoj.family
         plant = PlantOptions(plant=options.plant, seed=options.seed, dh_error_m=options.dh_error_m)
         self.world = EmulatedWorld(config, task_name(env_id_of(options.task)), plant)
-        self.tick_s = profile.tick_s
-        self._period_s = profile.tick_s * (1.0 + 1e-6 * options.drift_ppm)
+        self.tick_s = config.servoj.tick_s
+        self._period_s = self.tick_s * (1.0 + 1e-6 * options.drift_ppm)
         self._due_s = self._clock.now_s()
         self.ended = False
         self.ticks = 0
@@ -136,6 +140,7 @@ class Emulator:
         try:
             hosts = _addresses(options, system)
             for arm, name in enumerate(ARMS):
+                profile = profile_for(mounts[arm].robot)
                 serial_number = str(int(profile.serial_number) + arm)
                 controller = Controller(
                     name,
@@ -172,7 +177,8 @@ class Emulator:
         arms = {
             name: {
                 "host": server.host,
-                "family": self.options.family,
+                "family": self._family,
+                "model": mount.robot,
                 "base_position_m": list(mount.position_m),
                 "base_yaw_rad": mount.yaw_rad,
                 **({"gripper": {"kind": "robotiq"}} if server.gripper is not None else {}),
@@ -266,6 +272,21 @@ class Emulator:
         if self._viewer is not None:
             self._viewer.close()
             self._viewer = None
+
+
+def _cell_of(options: EmulatorOptions) -> CellConfig:
+    """Return the cell of the arms that options name.
+
+    Raises:
+        SettingsError: Or one of its kinds: there is no such model or family, or they do not fit each other.
+    """
+    family, robots = options.family, EnvOptions(robot=options.robot).robots  # type: ignore[arg-type]  # checks it
+    if robots is None:
+        return CellConfig(servoj=ServojProfile(profile_of(family or "cb3").family))
+    left, right = (default_mount(arm, robot) for arm, robot in enumerate(robots))
+    if family is None:
+        return CellConfig(left=left, right=right)
+    return CellConfig(left=left, right=right, servoj=ServojProfile(profile_of(family).family))
 
 
 def _gripper_width(server: ArmServer, tick_s: float, width_m: float | None) -> float | None:

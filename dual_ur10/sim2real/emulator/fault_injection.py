@@ -323,7 +323,9 @@ class FaultInjection:
         """Report a calibration that is off by this much."""
         server = self._arm(arm)
         dh = server.controller.dh
-        off = DHParameters(tuple(each + error_m * bool(each) for each in dh.a_m), dh.d_m, dh.alpha_rad, dh.theta_rad)
+        off = DHParameters(
+            tuple(each + error_m * bool(each) for each in dh.a_m), dh.d_m, dh.alpha_rad, dh.theta_rad, dh.robot
+        )
         server.pretend(server.shown, off)
 
     def do_shutdown(self) -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from dual_ur10.errors import UnknownNameError
+from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.kinematics.ur10 import TICK_S
 from dual_ur10.sim2real.protocol.primary_messages import ControllerIdentity
 
@@ -59,7 +60,7 @@ class Assumptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerProfile(ControllerIdentity):
-    """One version of a UR controller with a UR10.
+    """One version of a UR controller, and the model of its arm.
 
     Attributes:
         serial_number: Digits.
@@ -94,10 +95,24 @@ PROFILES: Final = {
         family="cb3", version=(3, 15, 8, 106339), released="Nov 30 2021", serial_number="2010300001"
     ),
     "e-series": ControllerProfile(
-        family="e-series", version=(5, 12, 5, 1101), released="Nov 20 2023", serial_number="2021500001"
+        family="e-series",
+        version=(5, 12, 5, 1101),
+        released="Nov 20 2023",
+        serial_number="2021500001",
+        model="UR10e",
     ),
 }
 """Tested profiles, by family."""
+
+
+def profile_for(robot: str) -> ControllerProfile:
+    """Return the profile of the controller of a model.
+
+    Raises:
+        UnknownNameError: There is no such model.
+    """
+    facts = robot_model(robot)
+    return replace(PROFILES[facts.family], model=facts.title, robot_type=facts.robot_type)
 
 
 def profile_of(family: str) -> ControllerProfile:

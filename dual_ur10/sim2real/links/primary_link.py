@@ -32,7 +32,7 @@ class PrimaryFacts(NamedTuple):
 
     Attributes:
         version: Major, minor, bugfix and build of the controller's software.
-        robot_type: UR's number: 1 UR5, 2 UR10 and UR10e, 3 UR3, ...
+        robot_type: UR's number of the model: see `RobotModel.robot_type`.
         checksums: (6,) checksums of the calibration, one per joint.
         theta_rad, a_m, d_m, alpha_rad: (6,) Denavit-Hartenberg parameters as calibrated.
         safety_checksum: Checksum of the safety settings: 32 bits, not the text on the pendant. None: not reported.
@@ -47,13 +47,16 @@ class PrimaryFacts(NamedTuple):
     alpha_rad: tuple[float, ...]
     safety_checksum: int | None = None
 
-    def dh(self) -> DHParameters:
+    def dh(self, robot: str = "ur10") -> DHParameters:
         """Return the parameters of this arm.
 
+        Args:
+            robot: Its model.
+
         Raises:
-            SettingsError: They are not those of a UR10.
+            SettingsError: They are not those of this model.
         """
-        return DHParameters(self.a_m, self.d_m, self.alpha_rad, self.theta_rad)
+        return DHParameters(self.a_m, self.d_m, self.alpha_rad, self.theta_rad, robot)
 
 
 def read_primary(

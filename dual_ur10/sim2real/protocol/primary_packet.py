@@ -12,7 +12,8 @@ import zlib
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from dual_ur10.kinematics.ur10 import HARD_ACCELERATION_RAD_S2, JOINT_RANGE_RAD, JOINT_SPEED_RAD_S, DHParameters
+from dual_ur10.kinematics.robots import robot_model
+from dual_ur10.kinematics.ur10 import HARD_ACCELERATION_RAD_S2, JOINT_RANGE_RAD, DHParameters
 from dual_ur10.sim2real.protocol.modes import RobotMode, RuntimeState, SafetyBits
 from dual_ur10.sim2real.protocol.primary_messages import ControllerIdentity, version_message
 
@@ -201,7 +202,8 @@ def _kinematics(kinematics: DHParameters) -> bytes:
 
 def _configuration(identity: ControllerIdentity, kinematics: DHParameters) -> bytes:
     limits = [(-limit, limit) for limit in JOINT_RANGE_RAD.tolist()]
-    motion = [(speed, HARD_ACCELERATION_RAD_S2) for speed in JOINT_SPEED_RAD_S.tolist()]
+    speeds = robot_model(kinematics.robot).joint_speed_rad_s.tolist()
+    motion = [(speed, HARD_ACCELERATION_RAD_S2) for speed in speeds]
     masterboard, box, sub_type = (6, 4, 3) if identity.family == "e-series" else (5, 2, 0)
     return struct.pack(
         ">53d4I",

@@ -19,7 +19,7 @@ from pydantic import TypeAdapter, ValidationError
 from dual_ur10.errors import RecordingError, SettingsError
 from dual_ur10.ids import __version__
 from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
+from dual_ur10.kinematics.ur10 import DHParameters, nominal_dh
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.recording.run import Header, Mount, Servoj, Source
 
@@ -81,27 +81,30 @@ def mounts_of(header: Header) -> tuple[ArmMount, ArmMount]:
     """Return the base poses and the kinematics of both arms; nominal kinematics where the header holds none.
 
     Raises:
-        RecordingError: They are not those of two UR10s.
+        RecordingError: They are not those of two arms of known models.
     """
     try:
         left, right = (_mount(each) for each in header.mounts)
     except (SettingsError, AttributeError, KeyError, TypeError, ValueError) as error:
         raise RecordingError(
-            f"the recording's mounts are not those of two UR10s: {error}. It is of another robot, or damaged"
+            f"the recording's mounts are not those of two arms: {error}. It is of another robot, or damaged"
         ) from error
     return left, right
 
 
 def _mount(values: Mount) -> ArmMount:
     x, y, z = values["position_m"]
+    robot = values.get("robot", "ur10")
     dh: dict[str, Any] = {name: tuple(each) for name, each in values.get("dh", {}).items()}
-    return ArmMount((x, y, z), values.get("yaw_rad", 0.0), DHParameters(**dh) if dh else NOMINAL_DH)
+    kinematics = DHParameters(**dh, robot=robot) if dh else nominal_dh(robot)
+    return ArmMount((x, y, z), values.get("yaw_rad", 0.0), kinematics, robot)
 
 
 def _plain_mount(mount: ArmMount) -> Mount:
     dh = mount.dh
     rows = {"a_m": dh.a_m, "d_m": dh.d_m, "alpha_rad": dh.alpha_rad, "theta_rad": dh.theta_rad}
-    return plain({"position_m": mount.position_m, "yaw_rad": mount.yaw_rad, "dh": rows})  # type: ignore[no-any-return]
+    found: Mount = plain({"position_m": mount.position_m, "yaw_rad": mount.yaw_rad, "robot": mount.robot, "dh": rows})
+    return found
 
 
 def plain(value: Any) -> Any:

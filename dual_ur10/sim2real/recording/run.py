@@ -50,6 +50,7 @@ class Mount(TypedDict, total=False):
 
     position_m: _Vector
     yaw_rad: float
+    robot: Annotated[str, Field(max_length=40)]
     dh: dict[Literal["a_m", "d_m", "alpha_rad", "theta_rad"], _Vector]
 
 

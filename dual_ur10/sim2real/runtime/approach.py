@@ -46,6 +46,7 @@ class Rates:
         acceleration_rad_s2: Joint acceleration.
         jerk_rad_s3: Joint jerk.
         tcp_m: Tool centre point of the left and the right arm in its flange's frame.
+        robots: Models of the left and the right arm.
     """
 
     speed_rad_s: float = SPEED_RAD_S
@@ -53,12 +54,14 @@ class Rates:
     acceleration_rad_s2: float = ACCELERATION_RAD_S2
     jerk_rad_s3: float = math.inf
     tcp_m: tuple[Vector3, Vector3] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    robots: tuple[str, str] = ("ur10", "ur10")
 
     def capped(self, config: CellConfig) -> Rates:
         """Return these rates capped by a cell's limits."""
-        own = {each.name: getattr(config, each.name) for each in fields(self) if each.name != "tcp_m"}
+        arms = ("tcp_m", "robots")
+        own = {each.name: getattr(config, each.name) for each in fields(self) if each.name not in arms}
         given = {name: min(value, getattr(self, name)) for name, value in own.items() if value is not None}
-        return replace(self, tcp_m=config.tcp_m, **given)
+        return replace(self, tcp_m=config.tcp_m, robots=config.robots, **given)
 
     def within(self, limits: MotionLimits, speed_factor: float) -> Rates:
         """Return these rates capped by what the safety gate releases under limits in task time."""
@@ -69,6 +72,7 @@ class Rates:
             min(self.acceleration_rad_s2, limits.acceleration_rad_s2 / 2 * speed_factor**2),
             min(self.jerk_rad_s3, limits.jerk_rad_s3 / 2 * speed_factor**3),
             limits.tcp_m,
+            limits.robots,
         )
 
 
@@ -112,7 +116,7 @@ class Approach:
             return 0.0
         fractions = np.linspace(0.0, 1.0, 2 + math.ceil(distance / _STEP_RAD))
         along = start + fractions[:, None] * (end - start)
-        points = elbow_flange_and_tcp(along.reshape(-1, 2, 6), self._rates.tcp_m)
+        points = elbow_flange_and_tcp(along.reshape(-1, 2, 6), self._rates.tcp_m, self._rates.robots)
         tip = float(np.linalg.norm(np.diff(points, axis=0), axis=-1).max()) / (fractions[1] - fractions[0])
         rates = self._rates
         by_speed: float = _PEAK_SPEED * max(distance / rates.speed_rad_s, tip / rates.tcp_speed_m_s)

@@ -41,12 +41,14 @@ class ArmConnection:
         host: Address of its controller.
         servoj: Settings of `servoj`.
         rt_priority: Real-time priority of its process; 0: none.
+        robot: Model of the arm.
     """
 
     name: str
     host: str
     servoj: ServojProfile
     rt_priority: int = 0
+    robot: str = "ur10"
 
     def __post_init__(self) -> None:
         if not 0 <= self.rt_priority <= _MOST_PRIORITY:
@@ -131,6 +133,7 @@ def main(
             supervised=supervised,
             leader=others[0] if others and name != ARMS[0] else None,
             round_trip_s=round_trip_s,
+            robot=connection.robot,
             system=system,
         ).run()
     except DualUR10Error as error:

@@ -9,7 +9,8 @@ from typing import Final, Protocol
 import numpy as np
 
 from dual_ur10.errors import ClosedError, LinkError
-from dual_ur10.kinematics.ur10 import ARMS, HARD_ACCELERATION_RAD_S2, HARD_SPEED_RAD_S, JOINT_RANGE_RAD
+from dual_ur10.kinematics.robots import robot_model
+from dual_ur10.kinematics.ur10 import ARMS, HARD_ACCELERATION_RAD_S2, JOINT_RANGE_RAD
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.links.controller_clock import ControllerClock, DriftCompensation
@@ -70,7 +71,6 @@ class Control(Protocol):
 
 
 _RANGE_RAD: Final = tuple(JOINT_RANGE_RAD.tolist())
-_SPEED_RAD_S: Final = tuple(HARD_SPEED_RAD_S.tolist())
 
 _ASKED: Final = "a stop was requested"
 _OTHER: Final = "the other arm stops"
@@ -112,6 +112,7 @@ class ArmSender:
         supervised: Require a living supervisor.
         leader: Memory of the arm to synchronise with; None: the others synchronise with this one.
         round_trip_s: Shortest round trip to the controller.
+        robot: Model of the arm.
         system: Clock and processes.
     """
 
@@ -129,8 +130,10 @@ class ArmSender:
         supervised: bool = True,
         leader: ArmMemory | None = None,
         round_trip_s: float = 0.0,
+        robot: str = "ur10",
         system: System = LOCAL,
     ) -> None:
+        self._most_rad_s = robot_model(robot).hard_speed_rad_s.tolist()
         self._system, self._now_s, self._wait = system, system.clock.now_s, system.clock.wait
         self.name, self.servoj, self.link, self.control = name, servoj, link, control
         self.memory, self.cell, self.others = memory, cell, others
@@ -271,7 +274,7 @@ class ArmSender:
         tick_s = self.servoj.tick_s
         steps = [each - last for each, last in zip(target, self._sent.tolist(), strict=True)]
         speed = tick_s * periods
-        self._demand([*map(abs, steps)], [each * speed for each in _SPEED_RAD_S], "from the one before")
+        self._demand([*map(abs, steps)], [each * speed for each in self._most_rad_s], "from the one before")
         most = _ACCELERATION * HARD_ACCELERATION_RAD_S2 * tick_s**2 * (periods + 1)
         found = [abs(step / periods - rate) for step, rate in zip(steps, self._rate.tolist(), strict=True)]
         self._demand(found, [most] * 6, "per period off its previous motion")

@@ -40,7 +40,7 @@ from tests.policies.learned.checkpoints import (
         (SINE, {"cell": dual_ur10.CellConfig(speed_rad_s=0.9)}, "joint_step_rad"),
         (SINE, {"cell": dual_ur10.CellConfig(servoj=dual_ur10.ServojProfile(lookahead_s=0.05))}, "lookahead_s"),
         (SINE, {"cell": dual_ur10.CellConfig(servoj=dual_ur10.ServojProfile(gain=1500))}, "gain"),
-        (SINE, {"cell": dual_ur10.CellConfig(servoj=dual_ur10.ServojProfile("e-series"))}, "tick_s 0.008"),
+        (SINE, {"cell": dual_ur10.CellConfig(servoj=dual_ur10.ServojProfile("e-series"))}, "robot.model 'UR10'"),
     ],
 )
 def test_a_checkpoint_of_another_environment(saved: Path, env_id: str, keywords: dict[str, Any], message: str) -> None:
@@ -85,7 +85,9 @@ def test_a_checkpoint_of_another_version(version: str, saved: Path) -> None:
         (("actions", "compensate_lag"), False),
         (("actions", "joint_step_rad", 3), 0.05),
         (("actions", "joint_step_rad"), []),
-        (("robot", "model"), "UR5"),
+        (("robot", "model"), "UR6"),
+        (("robot", "model"), "UR10 + UR10 + UR10"),
+        (("robot", "model"), "UR10e"),
         (("robot", "family"), "e-series"),
         (("robot", "lookahead_s"), 0.04),
         (("robot", "gain"), 1999.0),

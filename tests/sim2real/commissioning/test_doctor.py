@@ -10,7 +10,8 @@ from typer.testing import CliRunner
 
 from dual_ur10.cli import main as cli
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.kinematics.ur10 import DH_A_M, NOMINAL_DH, DHParameters
+from dual_ur10.kinematics.robots import MODEL_OF_FAMILY
+from dual_ur10.kinematics.ur10 import DH_A_M, NOMINAL_DH, DHParameters, nominal_dh
 from dual_ur10.sim2real.commissioning import doctor
 from dual_ur10.sim2real.commissioning.doctor import REGISTERS
 from dual_ur10.sim2real.commissioning.findings import (
@@ -45,7 +46,8 @@ BARE = {
 
 def expected(cell, arm="left", **values):
     family = cell.description[arm]["family"]
-    return ExpectedArm(**{"host": getattr(cell, arm), "family": family, **BARE, **values})
+    bare = BARE | {"dh": nominal_dh(MODEL_OF_FAMILY[family])}
+    return ExpectedArm(**{"host": getattr(cell, arm), "family": family, **bare, **values})
 
 
 def check_cell(cell, left, right, **options):
@@ -80,7 +82,7 @@ def test_a_cb3_in_order(cb3):
 
 
 def test_an_e_series_controller_in_order(e_series):
-    findings = findings_of(e_series, serial_number="2021500001", checksums=kinematics_checksums(NOMINAL_DH))
+    findings = findings_of(e_series, serial_number="2021500001", checksums=kinematics_checksums(nominal_dh("ur10e")))
     assert faults(findings) == {}
     assert findings.keys() == ALL | {"remote control", "serial number", "calibration checksums"}
 
@@ -158,7 +160,7 @@ def test_local_control(e_series):
 @pytest.mark.parametrize(
     ("reported", "names", "found"),
     [
-        ({"model": "UR5", "robot_type": 1}, {"model", "robot type"}, ("UR5", "1 (UR5)")),
+        ({"model": "UR5", "robot_type": 1}, {"model", "robot type"}, ("UR5", "1 (UR5 or UR5e or UR7e)")),
         ({"model": "UR10e"}, {"model"}, ("UR10e",)),
         ({"robot_type": 12}, {"robot type"}, ("12 (unknown)",)),
         ({"version": [5, 12, 0, 1]}, {"family", "remote control", "RTDE rate"}, ("e-series, software 5.12.0.1",)),

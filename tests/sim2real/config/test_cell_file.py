@@ -23,6 +23,7 @@ from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.envs.api.dual_arm_env import DualArmEnv
 from dual_ur10.errors import CellFileError, DualUR10Error, SettingsError
 from dual_ur10.kinematics import ur10
+from dual_ur10.kinematics.robots import ROBOTS
 from dual_ur10.sim2real.config import cell_file as module
 from dual_ur10.sim2real.config.cell import CellConfig, Perturbation
 from dual_ur10.sim2real.config.cell_file import CellFile, examine_text, keys, load_cell_file
@@ -255,7 +256,11 @@ def variant_of(draw: st.DrawFn, path: str, real: bool, **fixed: st.SearchStrateg
 def arm_tables(draw: st.DrawFn, real: bool, side: float, host: str) -> dict[str, Any]:
     near = st.floats(-0.01, 0.01)
     position = st.tuples(st.floats(-3, 3), st.floats(0.2, 3).map(lambda y: side * y), st.floats(0, 3)).map(list)
-    values = draw(table_of("ARM.", real, host=st.just(host), base_position_m=position))
+    values = draw(table_of("ARM.", real, host=st.just(host), base_position_m=position, model=st.just("ur10")))
+    family = values.get("family", "cb3")
+    values["model"] = draw(st.sampled_from([name for name, each in ROBOTS.items() if each.family == family]))
+    if "payload_kg" in values:
+        values["payload_kg"] = min(values["payload_kg"], ROBOTS[values["model"]].payload_kg)
     if draw(st.booleans()):
         values["gripper"] = draw(variant_of("ARM.gripper.", real))
     for name in ("limits", "measured"):
@@ -266,7 +271,7 @@ def arm_tables(draw: st.DrawFn, real: bool, side: float, host: str) -> dict[str,
         gain = draw(st.floats(min(2000.0, max(100.0, 1.001 * (0.6 / lookahead) ** 2)), 2000.0))
         values["servoj"] = {"lookahead_s": lookahead, "gain": gain}
     if draw(st.booleans()):
-        d = [each + draw(near) for each in ur10.DH_D_M.tolist()]
+        d = [each + draw(near) for each in ROBOTS[values["model"]].d_m]
         values["calibration"] = {
             "d_m": d,
             "checksum": draw(st.lists(st.integers(0, 2**32 - 1), min_size=6, max_size=6)),
@@ -324,7 +329,7 @@ def test_the_hash_covers_the_content_of_a_file(tmp_path: Path) -> None:
     assert len(set(zeros)) == 1
     assert cell_of(GOOD, left__payload_kg=1.3).sha256 != plain.sha256
     # Records name cell files by this hash: it may not change.
-    small = "4f78c7628465d172adc488b1456e9e6ca2d7f5eb38727c2b25e6fed3920bdb91"
+    small = "ba0e49b31f9cb380c3ec336c557855e4908a85b3c57c5f1144fd52b9c0dc6cd7"
     assert cell_of(SMALL).sha256 == small
 
 
@@ -383,7 +388,7 @@ REFUSED: list[tuple[dict[str, Any], tuple[str, ...]]] = [
     ({"left__base_yaw_rad": 90}, ("left.base_yaw_rad is 90", "-6.28319 to 6.28319")),
     ({"left__base_position_m": [-750, 600, 0]}, ("left.base_position_m[0] is -750", "-3 to 3")),
     ({"left__base_uncertainty_m": -0.001}, ("left.base_uncertainty_m is -0.001",)),
-    ({"left__payload_kg": 10.5}, ("left.payload_kg is 10.5", "0 to 10")),
+    ({"left__payload_kg": 10.5}, ("left.payload_kg is 10.5", "0 to 10", "UR10")),
     ({"left__servoj__gain": 5000}, ("left.servoj.gain is 5000", "100 to 2000")),
     ({"left__servoj__lookahead_s": 0.3}, ("left.servoj.lookahead_s is 0.3", "0.03 to 0.2")),
     ({"left__gripper": {"kind": "robotiq", "port": 65536}}, ("left.gripper.port is 65536",)),
@@ -731,6 +736,7 @@ def test_notes_name_what_a_real_cell_leaves_out() -> None:
     for word in (
         "left.calibration is",
         "right.calibration.checksum",
+        "left.model is missing: the arm counts as a UR10",
         "left.serial_number",
         "left.safety_checksum",
         "speed_factor is 0.5",
@@ -738,7 +744,12 @@ def test_notes_name_what_a_real_cell_leaves_out() -> None:
         assert word in text
     sure: dict[str, Any] = {}
     for arm in ur10.ARMS:
-        sure |= {f"{arm}__serial_number": "1", f"{arm}__safety_checksum": 1, f"{arm}__base_uncertainty_rad": 0.01}
+        sure |= {
+            f"{arm}__model": "ur10",
+            f"{arm}__serial_number": "1",
+            f"{arm}__safety_checksum": 1,
+            f"{arm}__base_uncertainty_rad": 0.01,
+        }
         sure |= {f"{arm}__calibration": {"theta_rad": [1e-4, 0, 0, 0, 0, 0], "checksum": [1] * 6}}
         sure |= {f"{arm}__limits": {"speed_rad_s": 0.5, "tcp_speed_m_s": 0.25}}
     sure |= {"commissioned": True}
@@ -826,7 +837,19 @@ def test_every_sample_is_legal() -> None:
 
 
 def test_units_are_in_the_names() -> None:
-    bare = {"kind", "name", "task", "speed_factor", "rt_priority", "host", "family", "serial_number", "port", "pid"}
+    bare = {
+        "kind",
+        "name",
+        "task",
+        "speed_factor",
+        "rt_priority",
+        "host",
+        "family",
+        "model",
+        "serial_number",
+        "port",
+        "pid",
+    }
     bare |= {
         "commissioned",
         "allow_reduced_mode",

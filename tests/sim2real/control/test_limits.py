@@ -7,8 +7,8 @@ import pytest
 
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.ur10 import HARD_SPEED_RAD_S, JOINT_RANGE_RAD
-from dual_ur10.sim2real.control.limits import HISTORY, POINTS, REACH_FROM_JOINT_M, Envelope, MotionLimits
+from dual_ur10.kinematics.ur10 import HARD_SPEED_RAD_S, JOINT_RANGE_RAD, nominal_dh
+from dual_ur10.sim2real.control.limits import HISTORY, POINTS, Envelope, MotionLimits, reach_from_joint_m
 from tests.sim2real.control.motion_checks import (
     HARD,
     NARROW,
@@ -216,14 +216,15 @@ def test_tool_centre_points_are_three_numbers_for_each_arm(tcp_m: object) -> Non
         MotionLimits(tcp_m=tcp_m)  # type: ignore[arg-type]
 
 
-def test_the_assumed_reach_from_each_axis_is_an_upper_bound() -> None:
+@pytest.mark.parametrize("robot", ["ur10", "ur3e", "ur20"])
+def test_the_assumed_reach_from_each_axis_is_an_upper_bound(robot: str) -> None:
     from dual_ur10.kinematics import jacobian
 
     q = np.random.default_rng(5).uniform(-np.pi, np.pi, (20000, 6))
     q[:5000] = np.round(q[:5000] / (np.pi / 2)) * (np.pi / 2)  # the corners of the workspace
-    lever = np.linalg.norm(jacobian(q)[:, :3], axis=1)
-    assert (lever.max(axis=0) <= REACH_FROM_JOINT_M + 1e-12).all()
-    assert (lever.max(axis=0) >= 0.7 * REACH_FROM_JOINT_M).all()
+    lever = np.linalg.norm(jacobian(q, nominal_dh(robot))[:, :3], axis=1)
+    assert (lever.max(axis=0) <= reach_from_joint_m(robot) + 1e-12).all()
+    assert (lever.max(axis=0) >= 0.7 * reach_from_joint_m(robot)).all()
 
 
 @pytest.mark.parametrize("speed", [1e-4, 1e-3, 1e-2, 0.1])

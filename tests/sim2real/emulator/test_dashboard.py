@@ -200,8 +200,8 @@ def test_versions_and_names():
     assert e_series.answer("PolyscopeVersion") == "URSoftware 5.12.5.1101 (Nov 20 2023)"
     assert e_series.answer("version") == "5.12.5.1101"
     assert cb3.answer("PolyscopeVersion").startswith("URSoftware 3.15.8.106339 (")
-    for dashboard in (e_series, cb3):
-        assert dashboard.answer("get robot model") == "UR10"
+    for dashboard, model in ((e_series, "UR10e"), (cb3, "UR10")):
+        assert dashboard.answer("get robot model") == model
         assert dashboard.answer("get serial number").isdigit()
 
 

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dual_ur10.errors import LinkError, ProtocolError, SettingsError
-from dual_ur10.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, NOMINAL_DH, DHParameters
+from dual_ur10.kinematics.robots import MODEL_OF_FAMILY
+from dual_ur10.kinematics.ur10 import DH_A_M, DH_ALPHA_RAD, DH_D_M, DHParameters, nominal_dh
 from dual_ur10.sim2real.emulator.profile import PROFILES
 from dual_ur10.sim2real.emulator.rtde_variables import zero_values
 from dual_ur10.sim2real.links.primary_link import _Reader, read_primary
@@ -42,20 +43,22 @@ def packet(kind, body=b""):
 
 
 def test_facts_of_an_emulated_controller(cell):
-    profile = PROFILES[cell.description["left"]["family"]]
+    family = cell.description["left"]["family"]
+    nominal = nominal_dh(MODEL_OF_FAMILY[family])
+    profile = PROFILES[family]
     facts = read_primary(cell.left, system=cell.system)
     assert facts.version == profile.version
     assert facts.robot_type == 2
-    assert facts.dh() == NOMINAL_DH
-    assert facts.checksums == kinematics_checksums(NOMINAL_DH)
+    assert facts.dh(nominal.robot) == nominal
+    assert facts.checksums == kinematics_checksums(nominal)
     assert facts.safety_checksum == profile.safety_checksum
     cell.ask("calibration", arm="left", error_m=0.003)
     cell.ask("pretend", arm="left", robot_type=1, safety_checksum=0xFEDCBA98)
     facts = read_primary(cell.left, system=cell.system)
     assert facts.robot_type == 1
     assert facts.safety_checksum == 0xFEDCBA98
-    assert facts.a_m == pytest.approx([each + 0.003 * bool(each) for each in NOMINAL_DH.a_m], abs=1e-12)
-    assert facts.checksums != kinematics_checksums(NOMINAL_DH)
+    assert facts.a_m == pytest.approx([each + 0.003 * bool(each) for each in nominal.a_m], abs=1e-12)
+    assert facts.checksums != kinematics_checksums(nominal)
     for fault in ({"mute": True}, {"half_open": True}):
         cell.ask("link", arm="left", port="primary", **fault)
         with pytest.raises(LinkError, match=r"left arm, primary interface at .*30001: no answer in time; "):

@@ -11,7 +11,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from dual_ur10.assets.props import BLOCK_GRIP_M, BLOCK_GRIP_QUAT, BLOCK_SIZE_M
-from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
+from dual_ur10.assets.settings import SceneSettings, home_q_rad
 from dual_ur10.envs.tasks.holding import flanges_of
 from dual_ur10.envs.tasks.task import check_numbers
 from dual_ur10.errors import UnknownNameError, WorkspaceError
@@ -167,7 +167,7 @@ def _unreached(scene: SceneSettings, giver: int, arm: int, blocks: Poses) -> lis
         flange = flanges_of(compose(blocks, offset))
         both = [np.repeat(part[:, None], 2, axis=1) for part in flange]
         position, quat = frames.position_to_base(both[0])[:, arm], frames.quat_to_base(both[1])[:, arm]
-        near = np.broadcast_to(HOME_Q_RAD[arm], (len(position), 6))
+        near = np.broadcast_to(home_q_rad(scene.mounts)[arm], (len(position), 6))
         _, reached = try_nearest(position, quat_to_matrix(quat), near, mount.dh)
         missed.update(np.flatnonzero(~reached).tolist())
     return sorted(missed)

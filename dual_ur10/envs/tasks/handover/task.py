@@ -10,7 +10,7 @@ import numpy as np
 
 from dual_ur10.assets.gripper import OPENING_M, TCP_M
 from dual_ur10.assets.props import BLOCK_SIZE_M
-from dual_ur10.assets.settings import HOME_Q_RAD, Equipment
+from dual_ur10.assets.settings import Equipment, home_q_rad
 from dual_ur10.envs.tasks.handover.settings import GRIPS, MEETING_M, HandoverSettings, check_reach, lying
 from dual_ur10.envs.tasks.handover.stages import PLACED, STAGES, STILL_M_S, TURN, WIDTH_M, Stages
 from dual_ur10.envs.tasks.holding import PICKING, Grasped, Grasps, required
@@ -30,17 +30,15 @@ from dual_ur10.envs.tasks.observation_layout import (
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, duration_ratio
 from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.ur10 import DH_D_M
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
-from dual_ur10.sim2real.control.limits import REACH_FROM_JOINT_M, MotionLimits
+from dual_ur10.sim2real.control.limits import MotionLimits, reach_from_joint_m
 from dual_ur10.types import Array, Rows
 
 SETTLED_S = 0.5
 """Time that the block must lie on its target before an episode ends with success."""
 
 _FALLEN_M = -0.03  # height of the middle of a block that is no longer on the table
-_FAR_M = float(REACH_FROM_JOINT_M[1]) + TCP_M + BLOCK_SIZE_M[0] / 2  # from a shoulder: out of reach
-_SHOULDER_M = np.array([0.0, 0.0, DH_D_M[0]])
+_BEYOND_M = TCP_M + BLOCK_SIZE_M[0] / 2  # from a shoulder farther than its flange: out of reach
 
 
 class HandoverMeasured(NamedTuple):
@@ -252,10 +250,10 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
             n=n,
             still_m=STILL_M_S * timing.period_s,
             success_error_m=settings.success_error_m,
-            far_m=_FAR_M,
+            far_m=np.array([reach_from_joint_m(mount.robot)[1] + _BEYOND_M for mount in mounts]),
             fallen_m=_FALLEN_M,
             meeting_m=MEETING_M,
-            shoulders_m=np.array([mount.position_m for mount in mounts]) + _SHOULDER_M,
+            shoulders_m=np.array([np.add(mount.position_m, (0.0, 0.0, mount.model.d_m[0])) for mount in mounts]),
             giver=self._giver,
             input=self._input,
             before_m=self._before_m,
@@ -289,7 +287,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         self._before_m[rows] = block.position_m
         self._slip_m[rows] = 0.0
         return Start(
-            np.broadcast_to(HOME_Q_RAD, (len(rows), 2, 6)).copy(),
+            np.broadcast_to(home_q_rad((self.cell.left, self.cell.right)), (len(rows), 2, 6)).copy(),
             np.full((len(rows), 2), OPENING_M),
             np.concatenate(block, axis=1),
             np.concatenate(target, axis=1),

@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
+from dual_ur10.assets.settings import SceneSettings, home_q_rad
 from dual_ur10.envs.tasks.task import check_numbers
 from dual_ur10.errors import SettingsError, UnknownNameError, WorkspaceError
 from dual_ur10.kinematics import try_nearest
@@ -246,7 +246,7 @@ def _joint_path(settings: SineSettings, scene: SceneSettings, arm: int, centers:
     mount, (position, rotation) = scene.mounts[arm], to_base(scene.mounts)
     reach = settings.amplitude_m * settings.tracking[arm]
     down = np.broadcast_to(quat_to_matrix(TOOL_DOWN_QUAT), (len(centers), 3, 3))
-    q, path = np.broadcast_to(HOME_Q_RAD[arm], (len(centers), 6)), []
+    q, path = np.broadcast_to(home_q_rad(scene.mounts)[arm], (len(centers), 6)), []
     for offset in [0.0, *np.linspace(-reach, reach, _SAMPLES)]:
         world = centers + offset * settings.direction
         q, reached = try_nearest((world - position[arm]) @ rotation[arm].T, down, q, mount.dh)

@@ -8,7 +8,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from dual_ur10.assets.settings import HOME_Q_RAD
+from dual_ur10.assets.settings import home_q_rad
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     Field,
@@ -263,10 +263,10 @@ class SineTracking(Task[SineSettings, SineMeasured]):
             self._wave[row] = settings.amplitude_m, 2 * math.pi * settings.frequency_hz, settings.phase_rad
         self._squares[rows] = 0.0
         self._count[rows] = 0
-        down = quat_to_matrix(TOOL_DOWN_QUAT)
+        mounts = self.cell.left, self.cell.right
+        home, down = home_q_rad(mounts), np.broadcast_to(quat_to_matrix(TOOL_DOWN_QUAT), (len(rows), 3, 3))
         configurations = [
-            nearest(self._center[rows, 0, arm], np.broadcast_to(down, (len(rows), 3, 3)), HOME_Q_RAD[arm], mount.dh)
-            for arm, mount in enumerate((self.cell.left, self.cell.right))
+            nearest(self._center[rows, 0, arm], down, home[arm], mount.dh) for arm, mount in enumerate(mounts)
         ]
         names = ("axis", "amplitude_m", "frequency_hz") if sampled else ()
         return Start(

@@ -10,7 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from dual_ur10.assets.props import BAR_WIDTH_M, GRIP_DISTANCE_M, GRIP_QUAT
-from dual_ur10.assets.settings import HOME_Q_RAD, SceneSettings
+from dual_ur10.assets.settings import SceneSettings, home_q_rad
 from dual_ur10.envs.tasks.holding import flanges_of
 from dual_ur10.envs.tasks.sync_carry.path import MOVES, CarryPath
 from dual_ur10.envs.tasks.task import check_numbers
@@ -99,7 +99,7 @@ def path_rate(settings: CarrySettings, scene: SceneSettings, limits: MotionLimit
     rotation = quat_to_matrix(quat)
     q = np.empty((len(starts), len(times), 2, 6))
     for arm, mount in enumerate(scene.mounts):
-        near = np.broadcast_to(HOME_Q_RAD[arm], (len(starts), 6))
+        near = np.broadcast_to(home_q_rad(scene.mounts)[arm], (len(starts), 6))
         for k in range(len(times)):
             near, reached = try_nearest(position[:, k, arm], rotation[:, k, arm], near, mount.dh)
             if not reached.all():
@@ -111,7 +111,7 @@ def path_rate(settings: CarrySettings, scene: SceneSettings, limits: MotionLimit
                 )
             q[:, k, arm] = near
     speeds = np.abs(np.diff(q, axis=1)).max(axis=(0, 1, 2)) / _STEP_S
-    points = elbow_flange_and_tcp(q, limits.tcp_m)
+    points = elbow_flange_and_tcp(q, limits.tcp_m, scene.robots)
     tip = np.sqrt((np.diff(points, axis=1) ** 2).sum(axis=-1)).max() / _STEP_S
     needed = max(float((speeds / limits.speed_rad_s).max()), float(tip) / limits.tcp_speed_m_s)
     return min(1.0, _ROOM / needed)

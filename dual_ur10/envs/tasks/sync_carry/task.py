@@ -10,7 +10,7 @@ import numpy as np
 
 from dual_ur10.assets.gripper import OPENING_M
 from dual_ur10.assets.props import BAR_MASS_KG, BAR_WIDTH_M
-from dual_ur10.assets.settings import HOME_Q_RAD, Equipment
+from dual_ur10.assets.settings import Equipment, home_q_rad
 from dual_ur10.envs.tasks.holding import (
     PICKING,
     Grasped,
@@ -292,9 +292,11 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             tool.position_m[..., 2] += APPROACH_M
         flange = flanges_of(tool)
         position, quat = self._frames.position_to_base(flange.position_m), self._frames.quat_to_base(flange.quat)
+        mounts = self.cell.left, self.cell.right
+        home = home_q_rad(mounts)
         configurations = [
-            nearest(position[:, arm], quat_to_matrix(quat[:, arm]), HOME_Q_RAD[arm], mount.dh)
-            for arm, mount in enumerate((self.cell.left, self.cell.right))
+            nearest(position[:, arm], quat_to_matrix(quat[:, arm]), home[arm], mount.dh)
+            for arm, mount in enumerate(mounts)
         ]
         for values in (self._count, self._declared, self._load, self._worst_slip, self._squares, self._carried):
             values[rows] = 0

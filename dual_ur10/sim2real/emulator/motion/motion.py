@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, JOINT_SPEED_RAD_S
+from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD
 from dual_ur10.sim2real.control.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S
 from dual_ur10.sim2real.emulator.motion.arguments import checked_frame, not_negative, number, positive, six
 from dual_ur10.sim2real.emulator.motion.cartesian import (
@@ -35,7 +35,6 @@ from dual_ur10.sim2real.emulator.motion.trajectories import (
 from dual_ur10.types import Array
 
 _LIMITS_RAD: Final = (JOINT_RANGE_RAD + 1e-9).tolist()
-_SPEEDS_RAD_S: Final = JOINT_SPEED_RAD_S.tolist()
 _MAX_TICKS: Final = 2**31
 
 
@@ -67,7 +66,7 @@ class Motion(ToolMotion):
         if self.fault is not None:
             return self._refuse()
         start = self.q if ending is None else ending.end  # type: ignore[attr-defined]
-        move = JointMove(start, target, a, v, t, r)
+        move = JointMove(start, target, a, v, t, r, joint_speed_rad_s=self.joint_speed_rad_s)
         return self._begin(move if ending is None else Superposed(move, ending, start), target, ending)
 
     def move_linear(self, pose: Iterable[Any], a: float, v: float, t: float = 0.0, r: float = 0.0) -> Handle:
@@ -200,7 +199,7 @@ class Motion(ToolMotion):
         self._end_freedrive_for_command()
         servo = self._trajectory if isinstance(self._trajectory, Servo) else Servo(self.q, self._rate)
         factor, time_s = self.assumptions.servoj_jump_factor, lookahead + max(t, self.tick_s)
-        reach = [factor * speed * time_s for speed in _SPEEDS_RAD_S]
+        reach = [factor * speed * time_s for speed in self.joint_speed_rad_s.tolist()]
         away = [abs(one - other) for one, other in zip(target, servo.q.tolist(), strict=True)]
         if any(far > near for far, near in zip(away, reach, strict=True)):
             joint = int(np.divide(away, reach).argmax())
@@ -226,7 +225,7 @@ class Motion(ToolMotion):
         if self.fault is not None:
             return self._refuse()
         self._end_freedrive_for_command()
-        speed = speed / max(1.0, float((np.abs(speed) / JOINT_SPEED_RAD_S).max()))
+        speed = speed / max(1.0, float((np.abs(speed) / self.joint_speed_rad_s).max()))
         return self._begin(SpeedJoints(self.q, self._rate, speed, a, ticks), self.q, None)
 
     def speed_linear(self, xd: Iterable[Any], a: float, t: float = 0.0, a_rot: float | None = None) -> Handle:

@@ -9,7 +9,8 @@ from typing import Final
 import numpy as np
 
 from dual_ur10.errors import MotionError, UnreachableError
-from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, JOINT_SPEED_RAD_S, NOMINAL_DH, DHParameters
+from dual_ur10.kinematics.robots import robot_model
+from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, NOMINAL_DH, DHParameters
 from dual_ur10.sim2real.emulator.motion.cartesian import PoseBlend
 from dual_ur10.sim2real.emulator.motion.compliance import SPEED_CAP, TIME_CONSTANT_S, Compliance
 from dual_ur10.sim2real.emulator.motion.servo import Servo
@@ -33,7 +34,7 @@ _SLOWEST: Final = 0.02  # ratio to its speed below which a TCP motion is stopped
 _TRIES: Final = 6
 _DAMPING: Final = 0.05  # of the damped least squares from a compliant TCP to the joints
 _YIELD_RAD_S2: Final = 8.0  # acceleration of the joints of a compliant TCP
-_YIELD_SPEED: Final = constant(0.4 * JOINT_SPEED_RAD_S)
+_YIELD_RATIO: Final = 0.4
 _LIMITS_RAD: Final = (JOINT_RANGE_RAD + 1e-9).tolist()
 ZEROS: Final = constant(np.zeros(6))
 
@@ -82,6 +83,7 @@ class Reference:
         assumptions: Behaviour that no document settles.
 
     Attributes:
+        joint_speed_rad_s: (6,) largest joint speeds of the arm's model.
         q, qd, qdd: (6,) at the end of the last tick; qd and qdd are differences over its last physics step.
         fault: Reason for a protective stop now, or None. The arm then leaves its path and stops all joints together as
             fast as possible. Commands are refused until it is set to None again.
@@ -102,6 +104,7 @@ class Reference:
         self.lookahead_scale = lookahead_scale
         self.assumptions = Assumptions() if assumptions is None else assumptions
         self.arm, self.tool = ArmKinematics(dh), Tool()
+        self.joint_speed_rad_s = robot_model(dh.robot).joint_speed_rad_s
         q = np.array(q_rad, dtype=np.float64)
         if q.shape != (6,) or not np.isfinite(q).all():
             raise MotionError(f"initial joint angles must be six finite numbers, found {q_rad!r}")
@@ -255,7 +258,7 @@ class Reference:
             moves = np.empty_like(q)
             moves[0] = q[0] - before
             np.subtract(q[1:], q[:-1], out=moves[1:])
-            used = float((np.abs(moves) / JOINT_SPEED_RAD_S).max()) / step
+            used = float((np.abs(moves) / self.joint_speed_rad_s).max()) / step
             if used <= 1.0 + 1e-6 or not trajectory.governed:
                 break
             scale *= 0.9999 / used
@@ -318,7 +321,7 @@ class Reference:
 
     def _stopping_s(self, rate: Array) -> float:
         """Return the duration of the fastest stop from given joint speeds."""
-        return self.assumptions.stopping_s * float((np.abs(rate) / JOINT_SPEED_RAD_S).max())
+        return self.assumptions.stopping_s * float((np.abs(rate) / self.joint_speed_rad_s).max())
 
     def _brake(self, acceleration: float) -> None:
         """Stop the joints together."""
@@ -351,7 +354,7 @@ class Reference:
             twist = np.clip(twist, -SPEED_CAP, SPEED_CAP)
             damped = jacobian @ jacobian.T + _DAMPING**2 * np.eye(6)
             target = jacobian.T @ np.linalg.solve(damped, twist)
-            target = target / max(1.0, float((np.abs(target) / _YIELD_SPEED).max()))
+            target = target / max(1.0, float((np.abs(target) / (_YIELD_RATIO * self.joint_speed_rad_s)).max()))
             # Stop before a joint limit, with room to spare.
             after = self.q + target * self.assumptions.stopping_s
             target = np.where((np.abs(after) > JOINT_RANGE_RAD) & (target * self.q > 0.0), 0.0, target)

@@ -8,7 +8,6 @@ from typing import Final
 
 import numpy as np
 
-from dual_ur10.kinematics.ur10 import JOINT_SPEED_RAD_S
 from dual_ur10.types import Array
 
 ACCELERATION_LIMIT_RAD_S2: Final = 40.0
@@ -149,18 +148,27 @@ class JointMove(Trajectory):
         speed: Its speed, rad/s; less where another joint would exceed its limit.
         time: Duration, s; overrides `acceleration` and `speed` if above 0.
         blend_m: Blend radius.
+        joint_speed_rad_s: (6,) largest joint speeds of the arm.
     """
 
     governed = True
 
     def __init__(
-        self, start: Array, target: Array, acceleration: float, speed: float, time: float = 0.0, blend_m: float = 0.0
+        self,
+        start: Array,
+        target: Array,
+        acceleration: float,
+        speed: float,
+        time: float = 0.0,
+        blend_m: float = 0.0,
+        *,
+        joint_speed_rad_s: Array,
     ) -> None:
         self._start, self.end, self._displacement = start, target, target - start
         self.blend_m = blend_m
         distances = np.abs(self._displacement)
         distance = float(distances.max())
-        limit = distance / float((distances / JOINT_SPEED_RAD_S).max()) if distance else 1.0
+        limit = distance / float((distances / joint_speed_rad_s).max()) if distance else 1.0
         if time > 0.0:
             self.profile = Trapezoid.timed(distance, time, limit, ACCELERATION_LIMIT_RAD_S2)
         else:

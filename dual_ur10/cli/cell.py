@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from dual_ur10.cli.calibrate import calibrate
-from dual_ur10.cli.options import ArmFamily, Left, Right, console, errors
+from dual_ur10.cli.options import ArmFamily, ArmModel, Left, Right, console, errors, family_of
 from dual_ur10.errors import CellFileError, SettingsError, UnknownNameError
 from dual_ur10.ids import env_id_of
 
@@ -30,7 +30,8 @@ def new(
     kind: Annotated[str, typer.Option("--kind", help="real or emulated.")] = "real",
     left: Left = None,
     right: Right = None,
-    family: ArmFamily = "cb3",
+    family: ArmFamily = None,
+    robot: ArmModel = None,
     task: Annotated[str | None, typer.Option("--task", help="Environment for which the cell is set up.")] = None,
 ) -> None:
     """Write a commented cell file to start from, slow enough for a first run. Files are never overwritten."""
@@ -39,7 +40,8 @@ def new(
     if kind not in ("real", "emulated"):
         raise UnknownNameError("kind of cell", kind, ("real", "emulated"))
     task_id = None if task is None else env_id_of(task)
-    write_new(file, starting_text(kind, left, right, family, task_id, str(file)))  # type: ignore[arg-type]  # checked
+    controllers = family_of(family, robot)
+    write_new(file, starting_text(kind, left, right, controllers, task_id, str(file), robot))  # type: ignore[arg-type]  # checked
     console.print(f"wrote [bold cyan]{escape(str(file))}[/]", highlight=False, soft_wrap=True)
     if kind == "real":
         console.print(

@@ -9,7 +9,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from dual_ur10.cli.options import ArmFamily, Left, Right, console, print_whole
+from dual_ur10.cli.options import ArmFamily, ArmModel, Left, Right, console, family_of, print_whole
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.ur10 import Family
 from dual_ur10.sim2real.config.cell_file import load_cell_file
@@ -23,7 +23,8 @@ def doctor(
     ] = None,
     left: Left = None,
     right: Right = None,
-    family: ArmFamily = "cb3",
+    family: ArmFamily = None,
+    robot: ArmModel = None,
 ) -> None:
     """Check two UR controllers and report problems with their remedies. Nothing moves. Exit code 1 if a check fails."""
     from dual_ur10.sim2real.commissioning.doctor import check_cell, check_file
@@ -32,7 +33,8 @@ def doctor(
     if file is not None and left is None and right is None:
         findings = check_file(load_cell_file(file))
     elif file is None and left is not None and right is not None:
-        findings = check_cell(*(ExpectedArm(host=host, family=cast(Family, family)) for host in (left, right)))
+        controllers = cast(Family, family_of(family, robot))
+        findings = check_cell(*(ExpectedArm(host=host, family=controllers, model=robot) for host in (left, right)))
     else:
         raise SettingsError("name either a cell file, or both addresses with --left and --right")
     table = Table(header_style="bold")

@@ -13,7 +13,15 @@ from dual_ur10.cli.options import ArmFamily, Left, Right, console
 def emulate(
     left: Left = None,
     right: Right = None,
-    family: ArmFamily = "cb3",
+    family: ArmFamily = None,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            "--robot",
+            help="Model of both arms, such as ur5e, or of left and right: ur5e,ur10e. Default: ur10, or ur10e of the "
+            "e-Series.",
+        ),
+    ] = None,
     task: Annotated[str, typer.Option("--task", help="Environment whose scene is simulated.")] = "SineTracking",
     cell: Annotated[
         str | None,
@@ -39,6 +47,7 @@ def emulate(
         left=left,
         right=right,
         family=family,
+        robot=None if robot is None else robot if "," not in robot else robot.split(","),
         task=task,
         plant=plant,
         seed=seed,
@@ -55,7 +64,8 @@ def emulate(
         console.print(f"fault injection {hosts[0]}:{port}" + (f"\ncell file {cell}" if cell else ""), highlight=False)
         if emulator.url:
             console.print(f"the viewer is at [bold cyan]{emulator.url}[/] for browsers on this machine", soft_wrap=True)
-        console.print("emulated UR10 controllers, not real ones. Ctrl-C ends them", style="dim")
+        models = " and ".join(dict.fromkeys(server.controller.profile.model for server in emulator.servers))
+        console.print(f"emulated {models} controllers, not real ones. Ctrl-C ends them", style="dim")
         emulator.run()
     except KeyboardInterrupt:
         console.print("ended")

@@ -17,6 +17,7 @@ from rich.table import Table
 from dual_ur10 import policies
 from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
 from dual_ur10.ids import env_id_of
+from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.policies.baselines import RandomPolicy, ZeroPolicy
 from dual_ur10.policies.registry import check_name, with_latency
 
@@ -69,7 +70,13 @@ Partial = Annotated[
 Seed = Annotated[int, typer.Option("--seed", "-s", min=0, help="Seed of the first episode; the next ones count up.")]
 Left = Annotated[str | None, typer.Option("--left", help="IPv4 address of the left controller.")]
 Right = Annotated[str | None, typer.Option("--right", help="IPv4 address of the right controller.")]
-ArmFamily = Annotated[str, typer.Option("--family", help="cb3 (UR10, 125 Hz) or e-series (UR10e, 500 Hz).")]
+ArmFamily = Annotated[
+    str | None, typer.Option("--family", help="cb3 (125 Hz) or e-series (500 Hz). Default: that of the robot, or cb3.")
+]
+ArmModel = Annotated[
+    str | None,
+    typer.Option("--robot", help="Model of both arms, such as ur5e. Default: ur10, or ur10e of the e-Series."),
+]
 
 
 def keywords_of(
@@ -164,6 +171,17 @@ def power_on(cell: Path | None) -> None:
 
     file = load_cell_file(cell)
     power.power_on(file, prompt_for(file))
+
+
+def family_of(family: str | None, robot: str | None) -> str:
+    """Return the family of controllers that is named, or that of a named robot, or that of the UR10.
+
+    Raises:
+        UnknownNameError: There is no such robot.
+    """
+    if family is not None:
+        return family
+    return robot_model(robot or "ur10").family
 
 
 def _value(text: str) -> Any:

@@ -54,7 +54,7 @@ def test_a_new_file_can_be_checked_and_shown(tmp_path: Path) -> None:
     assert ["host", "192.168.1.10", "192.168.1.11"] in rows
     assert ["base_position_m", "[-0.75, 0.6, 0.0]", "[-0.75, -0.6, 0.0]"] in rows
     assert ["speed_factor", "0.25"] in rows
-    assert ["calibration.alpha_rad", *2 * ["[1.57079633, 0.0, 0.0, 1.57079633, -1.57079633, 0.0]"]] in rows
+    assert ["model", "ur10", "ur10"] in rows
     assert cell.sha256 in text
 
 
@@ -149,7 +149,12 @@ def test_check_prints_a_line_per_finding(tmp_path: Path) -> None:
 def test_check_refuses_arms_of_two_families(tmp_path: Path) -> None:
     path = tmp_path / "lab.toml"
     run("new", str(path), *HOSTS)
-    path.write_text(path.read_text().replace('family = "cb3"', 'family = "e-series"', 1))
+    edited = path.read_text().replace('family = "cb3"', 'family = "e-series"', 1)
+    path.write_text(edited)
+    code, text = run("check", str(path))
+    assert (code, text.count("\n")) == (2, 1)
+    assert "left.model is 'ur10' and left.family is 'e-series': the controller of a UR10 is of the family 'cb3'" in text
+    path.write_text(edited.replace('model = "ur10"', 'model = "ur10e"', 1))
     code, text = run("check", str(path))
     assert code == 2
     assert text.startswith(f"error: {path}: right.family is 'cb3' and left.family is 'e-series'")

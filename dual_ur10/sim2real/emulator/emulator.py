@@ -118,7 +118,7 @@ class Emulator:
     def __init__(self, options: EmulatorOptions, *, system: System = LOCAL) -> None:
         self._system, self._clock = system, system.clock
         self.options = options
-        config = _cell_of(options)
+        config = cell_of(options)
         self._family = config.servoj.family
         plant = PlantOptions(plant=options.plant, seed=options.seed, dh_error_m=options.dh_error_m)
         self.world = EmulatedWorld(config, task_name(env_id_of(options.task)), plant)
@@ -274,7 +274,7 @@ class Emulator:
             self._viewer = None
 
 
-def _cell_of(options: EmulatorOptions) -> CellConfig:
+def cell_of(options: EmulatorOptions) -> CellConfig:
     """Return the cell of the arms that options name.
 
     Raises:

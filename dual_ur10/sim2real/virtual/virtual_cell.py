@@ -13,7 +13,7 @@ from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.emulator.cell_requests import CellRequests
-from dual_ur10.sim2real.emulator.emulator import Emulator, EmulatorOptions
+from dual_ur10.sim2real.emulator.emulator import Emulator, EmulatorOptions, cell_of
 from dual_ur10.sim2real.links.json_link import JsonLink
 from dual_ur10.sim2real.runtime.latch import Fault, Latch
 from dual_ur10.sim2real.virtual.control import ScriptControl, control_script
@@ -58,13 +58,13 @@ class VirtualCell(CellRequests):
         asked = [name for name in _NOT_VIRTUAL if {**options, **(right or {})}.get(name) not in (None, False)]
         if asked:
             raise VirtualCellError(f"a virtual cell has no {asked[0]!r}: leave it out, or use an emulated cell")
+        family = cell_of(EmulatorOptions.from_mapping(options)).servoj.family
+        control_script(family)
         self._folder = tempfile.TemporaryDirectory()
         self._closed = False
         self._env: Any = None
         self._world = World()
         program = VirtualProcess(self._world, None, "program", self._world.scheduler.program)
-        family = options.get("family", "cb3")
-        control_script(family)
         self.system = VirtualSystem(
             program, Path(self._folder.name), lambda host, system: ScriptControl(host, system, family)
         )

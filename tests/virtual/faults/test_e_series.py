@@ -31,8 +31,8 @@ def test_36_39_local_mode_and_another_family_are_refused(lab):
     lab.cell.ask("remote", arm="right", on=False)
     lab.assert_refused("right, remote control: local, expected: remote; switch right to Remote Control on its pendant")
     lab.cell.ask("remote", arm="right", on=True)
-    lab.configure(left={"family": "cb3"}, right={"family": "cb3"})
-    lab.assert_refused("left, family: e-series, software ", "expected: cb3")
+    lab.configure(left={"family": "cb3", "model": "ur10"}, right={"family": "cb3", "model": "ur10"})
+    lab.assert_refused("left, calibration: DH parameter d_m[0] is 0.1807", "expected: a UR10's kinematics")
 
 
 def test_29_an_e_series_arm_that_stops_stops_both(lab):

@@ -1,4 +1,4 @@
-"""Pages that MkDocs generates from the code: command line, cell file, errors, and the list of decisions."""
+"""Pages and tables that MkDocs generates from the code: command line, cell file, errors, robots, list of decisions."""
 
 from __future__ import annotations
 
@@ -52,6 +52,32 @@ def errors() -> str:
 
     branch(module.DualUR10Error, 0)
     return "\n".join(lines) + "\n"
+
+
+def robots() -> str:
+    """Return the table of all models of arms."""
+    from dual_ur10.kinematics.robots import ROBOTS
+
+    head = ("model", "name", "family", "reach (m)", "payload (kg)", "d1, a2, a3, d4, d5, d6 (m)", "links (kg)")
+    head += ("speed (°/s)", "torque (N·m)", "inertia tensors", "speed and torque")
+    lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
+    for name, model in ROBOTS.items():
+        tensors = "published" if model.inertia_from is None else f"estimated from {ROBOTS[model.inertia_from].title}"
+        limits = "published" if model.limits_from is None else f"those of {ROBOTS[model.limits_from].title}"
+        rows = (model.lengths_m, model.mass_kg, model.joint_speed_deg_s, model.joint_torque_nm)
+        lengths, masses, speeds, torques = (", ".join(f"{each:g}" for each in row) for row in rows)
+        cells = (model.title, f"`{name}`", model.family, f"{model.reach_m:g}", f"{model.payload_kg:g}", lengths, masses)
+        lines.append(f"| {' | '.join((*cells, speeds, torques, tensors, limits))} |")
+    return "\n".join(lines)
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Insert generated tables."""
+    return (
+        markdown.replace("<!-- table of robots -->", robots())
+        if page.file.src_uri == "reference/robots.md"
+        else markdown
+    )
 
 
 def decisions(folder: Path) -> str:

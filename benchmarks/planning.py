@@ -36,8 +36,8 @@ from dual_ur10.sim2real.runtime.approach import Approach, Rates
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.path_check import TargetLaw
+from dual_ur10.sim2real.trajectory.path_timing import refusal_of, time_path
 from dual_ur10.sim2real.trajectory.reduction import Kind, reduce_points
-from dual_ur10.sim2real.trajectory.timing import refusal_of, time_path
 
 Array = NDArray[np.float64]
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import signal
 import threading
+from collections.abc import Iterator
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,6 +23,8 @@ from dual_ur10.sim2real.trajectory.goal import GoalState
 from dual_ur10.types import Array
 
 if TYPE_CHECKING:
+    from dual_ur10.sim2real.trajectory.executor import TrajectoryExecutor
+    from dual_ur10.sim2real.trajectory.feedback_file import FeedbackFile
     from dual_ur10.sim2real.trajectory.goal import Feedback, Result, TrajectoryGoal
     from dual_ur10.sim2real.trajectory.handle import GoalHandle
     from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
@@ -28,13 +33,34 @@ NOT_REACHED = 1
 """Exit code of a goal that was not reached."""
 
 _SHOWN_S = 1.0
+_SAME_RAD = 1e-9
 
 
 def follow(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="A trajectory: .json or .yaml as in ROS's JointTrajectory, or .csv.")
-    ],
+        Path | None,
+        typer.Argument(metavar="FILE", help="A trajectory: .json or .yaml as in ROS's JointTrajectory, or .csv."),
+    ] = None,
     cell: CellFileName = None,
+    to: Annotated[
+        str | None,
+        typer.Option(
+            "--to",
+            metavar="CONFIG",
+            help="Move to a configuration, after FILE if there is one, around what is in the way: home, 12 joint "
+            "angles with commas, left: or right: and six, or the first point of another file.",
+        ),
+    ] = None,
+    retime: Annotated[
+        bool,
+        typer.Option(
+            "--retime", help="Pass the points of FILE as fast as allowed; it needs no times, and its are left."
+        ),
+    ] = False,
+    duration: Annotated[
+        float | None, typer.Option("--duration", metavar="S", help="The same, but in this time.")
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the planner's samples for --to.")] = 0,
     perturbed: Perturbed = False,
     scaling: Annotated[
         float, typer.Option("--scaling", help="Rate of the trajectory's time, at most 1: slower on the same path.")
@@ -62,62 +88,106 @@ def follow(
         typer.Option("--record", metavar="CSV", help="Write desired and measured positions to a new file."),
     ] = None,
 ) -> None:
-    """Follow a trajectory with one arm or both, in MuJoCo, on two controllers, or on a serial line.
+    """Follow a trajectory with one arm or both, or move to a configuration: in MuJoCo, on controllers or a serial line.
 
-    The arms first move to its first point: on two controllers slowly, once you confirm it. Ctrl-C stops both arms on
-    the path; a second one closes the cell.
+    The arms first move to the first point: on two controllers slowly, once you confirm it. There, --to without a file
+    is this slow motion. Ctrl-C stops both arms on the path; a second one closes the cell.
     """
     from dual_ur10.assets.settings import HOME_Q_RAD
     from dual_ur10.envs.core.follower import make_follower
     from dual_ur10.sim2real.trajectory.feedback_file import FeedbackFile
     from dual_ur10.sim2real.trajectory.files import read_trajectory
     from dual_ur10.sim2real.trajectory.goal import TrajectoryGoal
+    from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
+    from dual_ur10.sim2real.trajectory.path_timing import time_path
+    from dual_ur10.sim2real.trajectory.planning import configuration_of, plan_to
 
     keywords = keywords_of(None, perturbed, cell)
-    trajectory = read_trajectory(file)
+    if file is None and to is None:
+        raise SettingsError("there is nothing to follow: name a FILE, a configuration with --to, or both")
+    if file is None and (retime or duration is not None):
+        raise SettingsError("--retime and --duration are for the points of a FILE: name one")
+    retime = retime or duration is not None
     if serial is not None or at_start:
-        others = {"--cell": cell, "--perturbed": perturbed, "--power-on": power, "--record": record}
-        _follow_on_line(trajectory, serial, at_start, scaling, [name for name, each in others.items() if each])
+        if file is None:
+            raise SettingsError("arms on a serial line follow a FILE: name one")
+        others = {"--cell": cell, "--perturbed": perturbed, "--power-on": power, "--record": record, "--to": to}
+        names = [name for name, each in {**others, "--retime": retime}.items() if each]
+        _follow_on_line(read_trajectory(file), serial, at_start, scaling, names)
         return
     given: dict[str, Any] = {
         "path_tolerance_rad": path_tolerance,
         "goal_tolerance_rad": goal_tolerance,
         "goal_time_s": goal_time,
     }
-    goal = TrajectoryGoal(trajectory, **{name: each for name, each in given.items() if each is not None})
-    table = None if record is None else FeedbackFile(record, trajectory.arms)
-    if power:
-        power_on(cell)
+    tolerances = {name: each for name, each in given.items() if each is not None}
+
+    arms, end = (ARMS, HOME_Q_RAD) if to is None else configuration_of(to)
+    trajectory = JointTrajectory(arms, np.zeros(1), end[None])
+    if file is not None:
+        trajectory = read_trajectory(file, number_points=retime)
+        if retime:
+            trajectory = JointTrajectory(trajectory.arms, trajectory.time_s, trajectory.q_rad)
+    goal = TrajectoryGoal(trajectory, **tolerances)
     start = HOME_Q_RAD.copy()
-    start[goal.rows] = trajectory.q_rad[0]
-    only = trajectory.arms[0] if len(trajectory.arms) < len(ARMS) else None
-    with make_follower(keywords.get("cell", "mujoco"), arm=only) as executor:
-        executor.scaling = scaling
-        executor.start(start)
-        # Rich loads modules when it prints first, for which a period has no time.
-        moved = " and ".join(trajectory.arms)
-        console.print(f"{moved}: {len(trajectory)} points, {trajectory.duration_s:.2f} s", highlight=False)
-        handle = executor.execute(goal)
-        shown = _Shown()
+    if file is not None or cell is not None:
+        start[goal.rows] = trajectory.q_rad[0]
 
-        def seen(feedback: Feedback) -> None:
-            shown(feedback)
-            if table is not None:
-                table.add(feedback)
+    def goals(executor: TrajectoryExecutor) -> Iterator[TrajectoryGoal]:
+        if retime:
+            path = np.repeat(executor.desired_q_rad[None], len(trajectory), axis=0)
+            path[:, goal.rows] = trajectory.q_rad
+            timed = time_path(path, executor.gate, executor.law, arms=trajectory.arms, duration_s=duration)
+            yield replace(goal, trajectory=timed)
+        elif file is not None:
+            yield goal
+        here = executor.desired_q_rad
+        there = here.copy()
+        there[[ARMS.index(each) for each in arms]] = end
+        if to is not None and np.abs(there - here).max() > _SAME_RAD:
+            generator = np.random.default_rng(seed)
+            planned = plan_to(here, there, executor.gate, executor.law, generator, arms=trajectory.arms)
+            yield TrajectoryGoal(planned, **tolerances)
 
-        interrupted = False
-        try:
-            try:
-                result = handle.wait(seen)
-            except KeyboardInterrupt:
-                interrupted = True
-                errors.print("interrupted: both arms stop on the path", highlight=False)
-                handle.cancel()
-                result = handle.wait(seen)
-        finally:
-            if table is not None:
-                table.close()
-        _print(goal, handle, result)
+    table = None if record is None else FeedbackFile(record, trajectory.arms)
+    with nullcontext() if table is None else table:
+        if power:
+            power_on(cell)
+        only = trajectory.arms[0] if len(trajectory.arms) < len(ARMS) else None
+        with make_follower(keywords.get("cell", "mujoco"), arm=only) as executor:
+            executor.scaling = scaling
+            executor.start(start)
+            for each in goals(executor):
+                _reach(executor, each, table)
+            if file is None and cell is not None:
+                console.print("the arms are there")
+
+
+def _reach(executor: TrajectoryExecutor, goal: TrajectoryGoal, table: FeedbackFile | None) -> None:
+    """Follow a goal until both arms rest, and print the result.
+
+    Raises:
+        typer.Exit: It was not reached, or was interrupted.
+    """
+    # Rich loads modules when it prints first, for which a period has no time.
+    trajectory, moved = goal.trajectory, " and ".join(goal.trajectory.arms)
+    console.print(f"{moved}: {len(trajectory)} points, {trajectory.duration_s:.2f} s", highlight=False)
+    handle = executor.execute(goal)
+    shown, interrupted = _Shown(), False
+
+    def seen(feedback: Feedback) -> None:
+        shown(feedback)
+        if table is not None:
+            table.add(feedback)
+
+    try:
+        result = handle.wait(seen)
+    except KeyboardInterrupt:
+        interrupted = True
+        errors.print("interrupted: both arms stop on the path", highlight=False)
+        handle.cancel()
+        result = handle.wait(seen)
+    _print(goal, handle, result)
     if not result.succeeded:
         raise typer.Exit(INTERRUPTED if interrupted else NOT_REACHED)
 

@@ -1,12 +1,14 @@
 """The command `follow`, in simulation: what it prints, writes and returns."""
 
 import csv
+import re
 
 import numpy as np
 import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.cli import follow
+from dual_ur10.kinematics.ur10 import JOINTS
 from dual_ur10.sim2real.emulator.serial_firmware import SerialFirmware
 from dual_ur10.sim2real.trajectory.files import write_trajectory
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
@@ -85,6 +87,12 @@ def test_an_interrupt_stops_both_arms_on_the_path(file, monkeypatch):
         (("FILE", "--path-tolerance", "-1"), "path_tolerance_rad of left/shoulder_pan_joint is -1"),
         (("FILE", "--perturbed", "--cell", "lab.toml"), "--perturbed is for simulation"),
         (("FILE", "--cell", "lab.toml"), "there is no cell file lab.toml"),
+        ((), "there is nothing to follow: name a FILE, a configuration with --to, or both"),
+        (("--to", "home", "--retime"), "--retime and --duration are for the points of a FILE"),
+        (("--to", "somewhere"), "'somewhere' is no configuration: it must be home, 12 joint angles"),
+        (("--to", "left:0,1,2"), "'left:0,1,2' is no configuration"),
+        (("--to", "left:0,0.5,0,0,0,0"), "in the goal left/"),
+        (("FILE", "--duration", "0.2"), "duration_s is 0.2: the motion along the path takes 0."),
     ],
 )
 def test_a_bad_argument_is_one_line_and_exit_code_2(file, arguments, text):
@@ -132,3 +140,55 @@ def test_options_that_do_not_fit_a_serial_line_are_refused(file, options, words)
     code, text = run("follow", file, *options)
     assert code == 2
     assert words in text
+
+
+# Planning and timing.
+
+
+def printed_results(text):
+    return [line for line in text.splitlines() if line.startswith("succeeded")]
+
+
+def test_the_arms_move_around_to_a_configuration(tmp_path):
+    record = tmp_path / "found.csv"
+    goal = np.array(HOME_Q_RAD)
+    goal[0, 0] -= 1.9
+    text = ",".join(map(str, goal.ravel()))
+    code, found = run("follow", "--to", text, "--record", str(record))
+    assert code == 0, found
+    assert len(printed_results(found)) == 1
+    with record.open() as table:
+        rows = list(csv.DictReader(table))
+    assert float(rows[-1]["left/shoulder_pan_joint.actual_rad"]) == pytest.approx(goal[0, 0], abs=1e-4)
+
+
+def test_after_a_file_they_move_on(file, tmp_path):
+    code, text = run("follow", file, "--to", "home")
+    assert code == 0, text
+    assert len(printed_results(text)) == 2
+    other = write_trajectory(tmp_path / "one.csv", wave(1.0, arms=("right",), start=HOME_Q_RAD + 0.2))
+    code, text = run("follow", "--to", str(other))
+    assert code == 0, text
+    assert [line.split("│")[1].strip() for line in text.splitlines() if line.startswith("│")] == ["right"]
+
+
+def test_arms_that_are_there_stay():
+    code, text = run("follow", "--to", "home")
+    assert (code, printed_results(text)) == (0, [])
+
+
+@pytest.mark.parametrize("duration_s", [None, 3.0])
+def test_points_without_times_are_timed(tmp_path, duration_s):
+    path = tmp_path / "points.csv"
+    names = [f"{arm}/{joint}" for arm in ("left", "right") for joint in JOINTS]
+    rows = [HOME_Q_RAD.ravel() + away for away in (0.0, 0.1, 0.05)]
+    path.write_text("\n".join(",".join(map(str, row)) for row in [names, *rows]))
+    code, text = run("follow", str(path))
+    assert code == 2
+    assert "the first column is 'left/shoulder_pan_joint': it must be time_s" in text
+    options = ["--retime"] if duration_s is None else ["--duration", str(duration_s)]
+    code, text = run("follow", str(path), *options)
+    assert code == 0, text
+    (result,) = printed_results(text)
+    took_s = float(re.search(r"after (\S+) s", result)[1])
+    assert 0.3 < took_s < 1.2 if duration_s is None else took_s == pytest.approx(3.0, abs=0.1)

@@ -2,6 +2,8 @@
 
 A CSV file has a header and a row per point: `time_s`, then each joint's position, and optionally its speed and its
 acceleration, as in `left/elbow_joint`, `left/elbow_joint.speed` and `left/elbow_joint.acceleration`; rad and s.
+
+A path has points without times: a message with all times 0, or a CSV file without `time_s`.
 """
 
 from __future__ import annotations
@@ -35,7 +37,9 @@ MOST_POINTS: Final = 200_000
 
 Format = Literal["json", "yaml", "csv"]
 
-_SUFFIXES: Final[dict[str, Format]] = {".json": "json", ".yaml": "yaml", ".yml": "yaml", ".csv": "csv"}
+FORMATS: Final[dict[str, Format]] = {".json": "json", ".yaml": "yaml", ".yml": "yaml", ".csv": "csv"}
+"""Formats by the suffix of a file."""
+
 _NAMES: Final = tuple(f"{arm}/{joint}" for arm in ARMS for joint in JOINTS)
 _ORDERS: Final = ("", ".speed", ".acceleration")
 _FIELDS: Final = ("q_rad", "qd_rad_s", "qdd_rad_s2")
@@ -75,16 +79,20 @@ class _Message(_Strict):
     points: Annotated[list[_Point], Field(min_length=1, max_length=MOST_POINTS)]
 
 
-def read_trajectory(path: str | Path) -> JointTrajectory:
+def read_trajectory(path: str | Path, *, number_points: bool = False) -> JointTrajectory:
     """Return the trajectory of a file, whose suffix names its format: .json, .yaml, .yml or .csv.
+
+    Args:
+        path: The file.
+        number_points: Accept points without times; their numbers stand for times.
 
     Raises:
         TrajectoryError: The file cannot be read, or holds no legal trajectory.
     """
     path = Path(path)
-    kind = _SUFFIXES.get(path.suffix.lower())
+    kind = FORMATS.get(path.suffix.lower())
     if kind is None:
-        raise TrajectoryError(f"{path} has the suffix {path.suffix!r}: it must be one of {', '.join(_SUFFIXES)}")
+        raise TrajectoryError(f"{path} has the suffix {path.suffix!r}: it must be one of {', '.join(FORMATS)}")
     try:
         if not path.is_file():
             raise TrajectoryError(f"there is no file {path}: correct the name")
@@ -94,16 +102,19 @@ def read_trajectory(path: str | Path) -> JointTrajectory:
         if isinstance(error, TrajectoryError):
             raise
         raise TrajectoryError(f"cannot read {path}: {error}") from error
-    return parse_trajectory(data, kind, str(path))
+    return parse_trajectory(data, kind, str(path), number_points=number_points)
 
 
-def parse_trajectory(data: bytes, kind: Format, where: str = "the trajectory") -> JointTrajectory:
+def parse_trajectory(
+    data: bytes, kind: Format, where: str = "the trajectory", *, number_points: bool = False
+) -> JointTrajectory:
     """Return the trajectory of a file's content.
 
     Args:
         data: The content.
         kind: "json", "yaml" or "csv".
         where: Name of the file, for messages.
+        number_points: See `read_trajectory`.
 
     Raises:
         TrajectoryError: It holds no legal trajectory; with INVALID_JOINTS where joints are unknown or missing.
@@ -119,7 +130,9 @@ def parse_trajectory(data: bytes, kind: Format, where: str = "the trajectory") -
     except UnicodeDecodeError as error:
         raise TrajectoryError(f"{where} is no text in UTF-8: {error}") from None
     try:
-        return _from_csv(text) if kind == "csv" else _from_message(_loaded(text, kind))
+        if kind == "csv":
+            return _from_csv(text, number_points)
+        return _from_message(_loaded(text, kind), number_points)
     except TrajectoryError as error:
         raise TrajectoryError(f"{where}: {error}", error.code) from None
 
@@ -132,7 +145,7 @@ def write_trajectory(path: str | Path, trajectory: JointTrajectory) -> Path:
         DualUR10Error: It cannot be written.
     """
     path = check_target(path)
-    kind = _SUFFIXES.get(path.suffix.lower())
+    kind = FORMATS.get(path.suffix.lower())
     if kind not in ("json", "csv"):
         raise TrajectoryError(f"cannot write {path}: the suffix must be .json or .csv")
     text = _csv_of(trajectory) if kind == "csv" else _json_of(trajectory)
@@ -162,7 +175,7 @@ def _loaded(text: str, kind: Format) -> object:
     return found[0]
 
 
-def _from_message(value: object) -> JointTrajectory:
+def _from_message(value: object, number_points: bool) -> JointTrajectory:
     try:
         message = _Message.model_validate(value)
     except (ValidationError, RecursionError) as error:
@@ -192,6 +205,8 @@ def _from_message(value: object) -> JointTrajectory:
                 )
         values.append(np.array(rows))
     times = np.array([each.time_from_start.sec + each.time_from_start.nanosec / _NS for each in points])
+    if number_points and not times.any():
+        times = np.arange(len(points), dtype=np.float64)
     return _of_joints(message.joint_names, times, values)
 
 
@@ -259,13 +274,15 @@ def _json_of(trajectory: JointTrajectory) -> str:
 # CSV.
 
 
-def _from_csv(text: str) -> JointTrajectory:
+def _from_csv(text: str, number_points: bool) -> JointTrajectory:
     rows = csv.reader(io.StringIO(text, newline=""))
     try:
         header = [each.strip() for each in next(rows, [])]
         body = [row for row in rows if row]
     except csv.Error as error:
         raise TrajectoryError(f"this is no CSV: {error}") from None
+    if number_points and header and "time_s" not in header:
+        header, body = ["time_s", *header], [[str(k), *row] for k, row in enumerate(body)]
     if not header or header[0] != "time_s":
         raise TrajectoryError(f"the first column is {(header or [''])[0]!r:.80}: it must be time_s, in a header")
     if not 0 < len(body) <= MOST_POINTS:

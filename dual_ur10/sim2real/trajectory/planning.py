@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
+from dual_ur10.assets.settings import HOME_Q_RAD
+from dual_ur10.errors import TrajectoryError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.planner import plan_path
-from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
+from dual_ur10.sim2real.trajectory.files import FORMATS, read_trajectory
+from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
 from dual_ur10.sim2real.trajectory.path_check import TargetLaw
-from dual_ur10.sim2real.trajectory.timing import BLEND_RAD, time_path
+from dual_ur10.sim2real.trajectory.path_timing import BLEND_RAD, time_path
 from dual_ur10.types import Array
 
 
@@ -44,3 +48,33 @@ def plan_to(
     """
     path = plan_path(gate.distances, start_rad, goal_rad, gate.limits, rng, arms=arms)
     return time_path(path, gate, law, arms=arms, blend_rad=blend_rad, duration_s=duration_s)
+
+
+def configuration_of(text: str) -> tuple[tuple[str, ...], Array]:
+    """Return the arms and the joint angles, (arms, 6), that a text names.
+
+    Args:
+        text: "home"; 12 joint angles in rad, separated by commas; an arm and its six, as in "left:0,-1.5,1,0,1,0"; or
+            the name of a trajectory's file, whose first point counts.
+
+    Raises:
+        TrajectoryError: It names nothing, or the file cannot be read.
+    """
+    if text == "home":
+        return ARMS, HOME_Q_RAD.copy()
+    if Path(text).suffix.lower() in FORMATS:
+        trajectory = read_trajectory(text, number_points=True)
+        return trajectory.arms, trajectory.q_rad[0].copy()
+    arm, _, angles = text.rpartition(":")
+    arms = ARMS if not arm else (arm,)
+    try:
+        q_rad = np.array([float(each) for each in angles.split(",")])
+    except ValueError:
+        q_rad = np.empty(0)
+    if arm not in ("", *ARMS) or q_rad.size != 6 * len(arms):
+        raise TrajectoryError(
+            f"{text!r:.200} is no configuration: it must be home, 12 joint angles, left: or right: and six, or the "
+            "file of a trajectory",
+            ResultCode.INVALID_JOINTS,
+        )
+    return arms, q_rad.reshape(len(arms), 6)

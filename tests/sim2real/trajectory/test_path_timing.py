@@ -16,7 +16,7 @@ from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.trajectory.goal import GoalState
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation
 from dual_ur10.sim2real.trajectory.path_check import TargetLaw
-from dual_ur10.sim2real.trajectory.timing import BLEND_RAD, refusal_of, time_path
+from dual_ur10.sim2real.trajectory.path_timing import BLEND_RAD, refusal_of, time_path
 from tests.sim2real.control.motion_checks import HARD, NARROW, TIGHT, TOOL, AlwaysClear
 from tests.sim2real.trajectory.following import CLEARANCE, check_sent, made
 from tests.soak import scaled

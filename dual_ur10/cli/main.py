@@ -20,6 +20,7 @@ from dual_ur10.cli.fit import fit
 from dual_ur10.cli.follow import follow
 from dual_ur10.cli.list import list_environments
 from dual_ur10.cli.options import console, errors
+from dual_ur10.cli.repeatability import repeatability
 from dual_ur10.cli.replay import replay
 from dual_ur10.cli.rollout import rollout
 from dual_ur10.cli.status import status
@@ -69,7 +70,7 @@ def _options(
 
 app.command("list")(list_environments)
 _COMMANDS = (
-    *(demo, rollout, follow, view, evaluate, train, collect, convert),
+    *(demo, rollout, follow, repeatability, view, evaluate, train, collect, convert),
     *(emulate, doctor, status, replay, compare, fit),
 )
 for command in _COMMANDS:

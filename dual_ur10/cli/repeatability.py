@@ -1,0 +1,47 @@
+"""The command `repeatability`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from dual_ur10.cli.options import CellFileName, Perturbed, PowerOn, Seed, console, keywords_of, power_on
+from dual_ur10.kinematics.ur10 import ARMS
+
+
+def repeatability(
+    paths: Annotated[int, typer.Option("--paths", min=2, help="Random paths away and back.")] = 20,
+    cell: CellFileName = None,
+    seed: Seed = 0,
+    perturbed: Perturbed = False,
+    power: PowerOn = False,
+) -> None:
+    """Measure how well both arms return to the home configuration, after random collision-free paths.
+
+    Flange positions come from the joints' encoders by forward kinematics: they show no bending and no wrong kinematics.
+    On two controllers the arms first move home slowly, once you confirm it, and then at the speeds of the cell.
+    """
+    import numpy as np
+
+    from dual_ur10.assets.settings import HOME_Q_RAD
+    from dual_ur10.envs.core.follower import make_follower
+    from dual_ur10.kinematics.forward import flange_pose
+    from dual_ur10.sim2real.trajectory.repeatability import UR10_M, returns, spread_of
+
+    keywords = keywords_of(None, perturbed, cell)
+    if power:
+        power_on(cell)
+    with make_follower(keywords.get("cell", "mujoco")) as executor:
+        executor.start(HOME_Q_RAD)
+        found = list(returns(executor, paths, np.random.default_rng(seed)))
+    spread = spread_of(np.stack([flange_pose(q_rad)[0] for q_rad in found]))
+    table = Table(header_style="bold")
+    for header in ("arm", "ISO 9283\n[dim]mm[/]", "largest\n[dim]mm[/]", "UR10, data sheet\n[dim]mm[/]"):
+        table.add_column(header, justify="left" if header == "arm" else "right")
+    for row, arm in enumerate(ARMS):
+        values = (spread.iso_9283_m[row], spread.largest_m[row])
+        table.add_row(arm, *(f"{1e3 * each:.5f}" for each in values), f"±{1e3 * UR10_M:g}")
+    console.print(table)
+    console.print(f"{paths} returns, from encoders and forward kinematics", highlight=False)

@@ -1,0 +1,87 @@
+"""Repeatability of one configuration of both arms, after random collision-free paths away and back.
+
+The flange poses come from the joints' encoders by forward kinematics: what bends between encoder and flange, and how
+far the kinematics are wrong, they do not show. The figure of ISO 9283 is the mean distance from the mean position plus
+three standard deviations of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from dual_ur10.errors import PlanningError, TrajectoryError
+from dual_ur10.sim2real.control.gate import SafetyGate
+from dual_ur10.sim2real.trajectory.executor import TrajectoryExecutor
+from dual_ur10.sim2real.trajectory.planning import plan_to
+from dual_ur10.types import Array
+
+UR10_M: Final = 1e-4
+"""Repeatability of a UR10: CB3 data sheet, ±0.1 mm."""
+
+_AROUND_RAD: Final = 1.0  # largest distance of a joint from home at the end of a random path
+_TRIES: Final = 1000
+
+
+class Spread(NamedTuple):
+    """Spread of both flanges.
+
+    Attributes:
+        iso_9283_m: (2,) mean distance from the mean position plus three standard deviations.
+        largest_m: (2,) largest distance from it.
+    """
+
+    iso_9283_m: Array
+    largest_m: Array
+
+
+def spread_of(positions_m: Array) -> Spread:
+    """Return the spread of (n, 2, 3) positions of both flanges.
+
+    Raises:
+        TrajectoryError: There are fewer than two.
+    """
+    if len(positions_m) < 2:
+        raise TrajectoryError(f"a spread of {len(positions_m)} positions means nothing: measure 2 or more")
+    away = np.linalg.norm(positions_m - positions_m.mean(axis=0), axis=-1)
+    return Spread(away.mean(axis=0) + 3.0 * away.std(axis=0, ddof=1), away.max(axis=0))
+
+
+def returns(executor: TrajectoryExecutor, paths: int, rng: np.random.Generator) -> Iterator[Array]:
+    """Yield the joint angles, (2, 6), that are measured after each of some random paths away and back.
+
+    Args:
+        executor: Executor whose arms rest at the configuration.
+        paths: Number of paths.
+        rng: Generator of the paths.
+
+    Raises:
+        PlanningError: No path was found.
+        TrajectoryError: A path was not followed to its end.
+    """
+    home = executor.desired_q_rad
+    for _ in range(paths):
+        away = _random_goal(home, executor.gate, rng)
+        for start, goal in ((home, away), (away, home)):
+            trajectory = plan_to(start, goal, executor.gate, executor.law, rng)
+            result = executor.execute(trajectory).wait()
+            if not result.succeeded:
+                raise TrajectoryError(f"a random path was not followed to its end: {result.text}", result.code)
+        yield executor.measured_q_rad
+
+
+def _random_goal(home: Array, gate: SafetyGate, rng: np.random.Generator) -> Array:
+    """Return a configuration near home that the gate allows.
+
+    Raises:
+        PlanningError: None was found.
+    """
+    lower, upper = np.asarray(gate.limits.lower_rad) + 0.1, np.asarray(gate.limits.upper_rad) - 0.1
+    for _ in range(_TRIES):
+        goal = np.clip(home + rng.uniform(-_AROUND_RAD, _AROUND_RAD, (2, 6)), lower, upper)
+        _, distance_m, allowed_m = gate.distances.worst(goal.reshape(12))
+        if distance_m >= allowed_m:
+            return goal
+    raise PlanningError(f"none of {_TRIES} random configurations around the present one is free: choose another one")

@@ -68,12 +68,15 @@ def plan_path(
         iterations: Largest number of samples.
 
     Raises:
-        PlanningError: An end is outside the joint range, the goal is too close or moves an arm that has to stay, or
-            no path was found.
+        PlanningError: An end is outside the joint range, the goal moves an arm that has to stay, it is too close and
+            not on the straight way of arms that only separate, or no path was found.
     """
     start, goal = (np.array(each, dtype=np.float64).reshape(12) for each in (start_rad, goal_rad))
     space = _Space(distances, limits, arms)
     space.check(start, goal)
+    if space.proven(start, goal)[0] >= 1.0:  # also where arms that are too close separate a little
+        return np.array([start, goal])
+    space.check_distances(goal)
     for corners in _direct(start, goal):
         if space.is_clear(corners):
             return np.array(corners)
@@ -135,6 +138,13 @@ class _Space:
                 f"the {ARMS[joint // 6]} arm has to stay, but the goal differs in {JOINTS[joint % 6]}: "
                 f"{goal[joint]:.3f} rad, at the start {start[joint]:.3f}. Plan for both arms"
             )
+
+    def check_distances(self, goal: Array) -> None:
+        """Refuse a goal that is too close.
+
+        Raises:
+            PlanningError: See `plan_path`.
+        """
         pair, distance, allowed = self._distances.worst(goal)
         if not distance >= allowed:
             raise PlanningError(

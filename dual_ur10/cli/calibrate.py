@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from dual_ur10.sim2real.calibration.estimate import BaseEstimate
     from dual_ur10.sim2real.calibration.observations import Noise, Observation
     from dual_ur10.sim2real.config.cell_file import CellFile
-    from dual_ur10.sim2real.config.cell_file_tables import Calibration
+    from dual_ur10.sim2real.config.cell_file_tables import ArmEntry, Calibration
 
 _KINDS: Final = ("touch", "bar")
 _PLANNED: Final = 8  # touches that a calibration begins with
@@ -110,15 +110,15 @@ def calibrate(
 
 
 def _dh(cell: CellFile, tables: dict[str, Calibration], arm: str) -> DHParameters:
-    table = tables.get(arm, getattr(cell, arm).calibration)
-    return DHParameters(table.a_m, table.d_m, table.alpha_rad, table.theta_rad)
+    entry: ArmEntry = getattr(cell, arm)
+    return entry.kinematics_of(tables.get(arm, entry.calibration))
 
 
 def _kinematics(cell: CellFile, given: Sequence[str]) -> dict[str, Calibration]:
     """Return the tables `calibration` of the arms whose kinematics are given.
 
     Raises:
-        SettingsError: A text is not ARM=SOURCE, or names no UR10.
+        SettingsError: A text is not ARM=SOURCE, or its kinematics are those of another model.
         DualUR10Error: A source cannot be read.
     """
     from dual_ur10.sim2real.analysis.cell_update import calibration_of
@@ -132,9 +132,9 @@ def _kinematics(cell: CellFile, given: Sequence[str]) -> dict[str, Calibration]:
             raise SettingsError(f"--kinematics {text!r}: write each arm once, as left=controller or right=FILE")
         if source == "controller":
             facts = read_primary(getattr(cell, arm).host, name=arm)
-            tables[arm] = calibration_of(facts.dh(), facts.checksums)
+            tables[arm] = calibration_of(facts.dh(getattr(cell, arm).robot), facts.checksums)
         else:
-            tables[arm] = calibration_of(ur_calibration.read(source))
+            tables[arm] = calibration_of(ur_calibration.read(source, getattr(cell, arm).robot))
     return tables
 
 

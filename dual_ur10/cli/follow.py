@@ -93,8 +93,7 @@ def follow(
     The arms first move to the first point: on two controllers slowly, once you confirm it. There, --to without a file
     is this slow motion. Ctrl-C stops both arms on the path; a second one closes the cell.
     """
-    from dual_ur10.assets.settings import HOME_Q_RAD
-    from dual_ur10.envs.core.follower import make_follower
+    from dual_ur10.envs.core.follower import home_of, make_follower
     from dual_ur10.sim2real.trajectory.feedback_file import FeedbackFile
     from dual_ur10.sim2real.trajectory.files import read_trajectory
     from dual_ur10.sim2real.trajectory.goal import TrajectoryGoal
@@ -122,14 +121,15 @@ def follow(
     }
     tolerances = {name: each for name, each in given.items() if each is not None}
 
-    arms, end = (ARMS, HOME_Q_RAD) if to is None else configuration_of(to)
+    home = home_of(keywords.get("cell", "mujoco"))
+    arms, end = (ARMS, home) if to is None else configuration_of(to, home)
     trajectory = JointTrajectory(arms, np.zeros(1), end[None])
     if file is not None:
         trajectory = read_trajectory(file, number_points=retime)
         if retime:
             trajectory = JointTrajectory(trajectory.arms, trajectory.time_s, trajectory.q_rad)
     goal = TrajectoryGoal(trajectory, **tolerances)
-    start = HOME_Q_RAD.copy()
+    start = home.copy()
     if file is not None or cell is not None:
         start[goal.rows] = trajectory.q_rad[0]
 

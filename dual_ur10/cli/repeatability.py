@@ -25,18 +25,17 @@ def repeatability(
     """
     import numpy as np
 
-    from dual_ur10.assets.settings import HOME_Q_RAD
-    from dual_ur10.envs.core.follower import make_follower
-    from dual_ur10.kinematics.forward import flange_pose
+    from dual_ur10.envs.core.follower import home_of, make_follower
     from dual_ur10.sim2real.trajectory.repeatability import UR10_M, returns, spread_of
 
     keywords = keywords_of(None, perturbed, cell)
     if power:
         power_on(cell)
-    with make_follower(keywords.get("cell", "mujoco")) as executor:
-        executor.start(HOME_Q_RAD)
+    chosen = keywords.get("cell", "mujoco")
+    with make_follower(chosen) as executor:
+        executor.start(home_of(chosen))
         found = list(returns(executor, paths, np.random.default_rng(seed)))
-    spread = spread_of(np.stack([flange_pose(q_rad)[0] for q_rad in found]))
+    spread = spread_of(np.stack([executor.flanges_m(q_rad) for q_rad in found]))
     table = Table(header_style="bold")
     for header in ("arm", "ISO 9283\n[dim]mm[/]", "largest\n[dim]mm[/]", "UR10, data sheet\n[dim]mm[/]"):
         table.add_column(header, justify="left" if header == "arm" else "right")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dual_ur10.assets.settings import HOME_Q_RAD, Equipment
+from dual_ur10.assets.settings import Equipment, home_q_rad
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS
@@ -16,9 +16,16 @@ from dual_ur10.sim2real.control.proximity import ProximityScaling
 from dual_ur10.sim2real.processes.system import LOCAL
 from dual_ur10.sim2real.trajectory.executor import TrajectoryExecutor
 from dual_ur10.sim2real.trajectory.path_check import TargetLaw
+from dual_ur10.types import Array
 
 TICKS = 2
 """Targets per period: after so many ticks at most, a violated tolerance is noticed."""
+
+
+def home_of(cell: object = "mujoco") -> Array:
+    """Return the home configuration of a cell's arms, (2, 6) rad; see `make_follower`."""
+    config = resolve_cell(cell)
+    return home_q_rad((config.left, config.right))
 
 
 def make_follower(
@@ -62,7 +69,7 @@ def make_follower(
     )
     with executor.closed_on_error():
         if config.file is None:
-            executor.start(HOME_Q_RAD)
+            executor.start(home_q_rad((config.left, config.right)))
     return executor
 
 

@@ -31,7 +31,7 @@ def random_dh(rng: np.random.Generator) -> DHParameters:
     """
     a, d = (each + rng.normal(0.0, _LENGTH_ERROR_M, 6) for each in (DH_A_M, DH_D_M))
     alpha, theta = (each + rng.normal(0.0, _ANGLE_ERROR_RAD, 6) for each in (DH_ALPHA_RAD, np.zeros(6)))
-    return DHParameters(*(tuple(each.tolist()) for each in (a, d, alpha, theta)))
+    return DHParameters(tuple(a.tolist()), tuple(d.tolist()), tuple(alpha.tolist()), tuple(theta.tolist()))
 
 
 def touched(

@@ -47,8 +47,12 @@ class _Frame(BaseModel):
 _FILE: Final = TypeAdapter(dict[str, _Frame])
 
 
-def read(path: str | Path) -> DHParameters:
-    """Read the kinematics of a UR10.
+def read(path: str | Path, robot: str = "ur10") -> DHParameters:
+    """Read the kinematics of an arm.
+
+    Args:
+        path: File of UR's calibration tool.
+        robot: Model of the arm, a name in `dual_ur10.kinematics.robots.ROBOTS`.
 
     Raises:
         CalibrationError: The file cannot be read, or holds no such kinematics.
@@ -69,7 +73,7 @@ def read(path: str | Path) -> DHParameters:
         if isinstance(error, CalibrationError):
             raise
         raise CalibrationError(f"{path} is no YAML: {' '.join(str(error).split())[:200]}") from None
-    return of_frames(_frames(values, str(path)))
+    return of_frames(_frames(values, str(path)), robot)
 
 
 def _frames(values: Any, source: str) -> list[Array]:
@@ -86,15 +90,16 @@ def _frames(values: Any, source: str) -> list[Array]:
     return [frames[name].pose for name in FRAMES]
 
 
-def of_frames(frames: list[Array]) -> DHParameters:
+def of_frames(frames: list[Array], robot: str = "ur10") -> DHParameters:
     """Return the Denavit-Hartenberg parameters of a chain of link frames.
 
     Args:
         frames: Six poses (4, 4): each frame, whose z axis is a joint's, in the one before.
+        robot: Model of the arm, a name in `dual_ur10.kinematics.robots.ROBOTS`.
 
     Raises:
         CalibrationError: The first axis is not that of the base, or the conversion is not exact.
-        SettingsError: They are not those of a UR10.
+        SettingsError: They are not those of this model.
     """
     first = frames[0]
     off = np.append(first[:2, 3], first[:2, 2])
@@ -114,7 +119,9 @@ def of_frames(frames: list[Array]) -> DHParameters:
         theta[joint + 1] += after
         d[joint + 1] += e_m
     theta = np.remainder(theta + np.pi, 2 * np.pi) - np.pi
-    parameters = DHParameters(*(tuple(each.tolist()) for each in (a, d, alpha, theta)))
+    parameters = DHParameters(
+        tuple(a.tolist()), tuple(d.tolist()), tuple(alpha.tolist()), tuple(theta.tolist()), robot=robot
+    )
     _check_exact(frames, parameters)
     return parameters
 

@@ -22,7 +22,7 @@ from dual_ur10.ids import ENTRY_POINTS, ENV_IDS
 from dual_ur10.kinematics import ur10
 from dual_ur10.kinematics.frames import MAX_MOUNT_M, ArmMount
 from dual_ur10.kinematics.robots import MODEL_OF_FAMILY, ROBOTS
-from dual_ur10.kinematics.ur10 import NOMINAL_DH, Family, nominal_dh
+from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters, Family, nominal_dh
 from dual_ur10.sim2real.control.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S, MEASURED_LOOKAHEAD_S, ServojProfile
 
 Kind = Literal["real", "emulated"]
@@ -298,9 +298,17 @@ class ArmEntry(Table):
         Raises:
             SettingsError: The calibration is not that of this model, or the base is under the floor.
         """
-        rows = self.calibration.model_dump(exclude={"checksum"}, exclude_none=True)
-        dh = replace(nominal_dh(self.robot), **rows)
+        dh = self.kinematics_of(self.calibration)
         return ArmMount(self.base_position_m or ZERO, self.base_yaw_rad, dh, self.robot)
+
+    def kinematics_of(self, calibration: Calibration) -> DHParameters:
+        """Return the kinematics of this arm with a calibration.
+
+        Raises:
+            SettingsError: The calibration is not that of this model.
+        """
+        rows = calibration.model_dump(exclude={"checksum"}, exclude_none=True)
+        return replace(nominal_dh(self.robot), **rows)
 
     @property
     def tcp(self) -> tuple[float, ...] | None:

@@ -132,6 +132,10 @@ class TrajectoryExecutor(Closing):
         """(2, 6) positions measured last."""
         return self._measured.copy()
 
+    def flanges_m(self, q_rad: Array) -> Array:
+        """Return the flange positions, (2, 3), in each arm's own `base` frame at joint positions (2, 6)."""
+        return np.stack([flange_pose(q, dh)[0] for q, dh in zip(q_rad, self._dh, strict=True)])
+
     @property
     def moves(self) -> bool:
         """True until the commanded motion has ended; False after a fault."""

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import TrajectoryError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.gate import SafetyGate
@@ -50,18 +49,19 @@ def plan_to(
     return time_path(path, gate, law, arms=arms, blend_rad=blend_rad, duration_s=duration_s)
 
 
-def configuration_of(text: str) -> tuple[tuple[str, ...], Array]:
+def configuration_of(text: str, home_q_rad: Array) -> tuple[tuple[str, ...], Array]:
     """Return the arms and the joint angles, (arms, 6), that a text names.
 
     Args:
         text: "home"; 12 joint angles in rad, separated by commas; an arm and its six, as in "left:0,-1.5,1,0,1,0"; or
             the name of a trajectory's file, whose first point counts.
+        home_q_rad: (2, 6) home configuration.
 
     Raises:
         TrajectoryError: It names nothing, or the file cannot be read.
     """
     if text == "home":
-        return ARMS, HOME_Q_RAD.copy()
+        return ARMS, home_q_rad.copy()
     if Path(text).suffix.lower() in FORMATS:
         trajectory = read_trajectory(text, number_points=True)
         return trajectory.arms, trajectory.q_rad[0].copy()

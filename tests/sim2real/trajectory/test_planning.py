@@ -41,17 +41,17 @@ def test_one_arm_alone_moves():
 
 
 def test_configurations_have_names(tmp_path):
-    arms, q_rad = configuration_of("home")
+    arms, q_rad = configuration_of("home", HOME_Q_RAD)
     assert arms == ARMS
     np.testing.assert_array_equal(q_rad, HOME_Q_RAD)
-    arms, q_rad = configuration_of(",".join(map(str, range(12))))
+    arms, q_rad = configuration_of(",".join(map(str, range(12))), HOME_Q_RAD)
     assert arms == ARMS
     np.testing.assert_array_equal(q_rad.ravel(), range(12))
-    arms, q_rad = configuration_of("right:-1, 2e-1, 3, 4, 5, 6")
+    arms, q_rad = configuration_of("right:-1, 2e-1, 3, 4, 5, 6", HOME_Q_RAD)
     assert arms == ("right",)
     assert q_rad.tolist() == [[-1.0, 0.2, 3.0, 4.0, 5.0, 6.0]]
     path = write_trajectory(tmp_path / "there.json", wave(arms=("left",), start=HOME_Q_RAD + 0.3))
-    arms, q_rad = configuration_of(str(path))
+    arms, q_rad = configuration_of(str(path), HOME_Q_RAD)
     assert arms == ("left",)
     np.testing.assert_allclose(q_rad[0], HOME_Q_RAD[0] + 0.3)
 
@@ -61,7 +61,7 @@ def test_configurations_have_names(tmp_path):
 )
 def test_other_texts_are_no_configuration(text):
     with pytest.raises(TrajectoryError, match="is no configuration: it must be home, 12 joint angles, left: or right:"):
-        configuration_of(text)
+        configuration_of(text, HOME_Q_RAD)
 
 
 def test_points_without_times_are_numbered_on_request(tmp_path):

@@ -22,7 +22,7 @@ _OBEYED_RAD: Final = 1e-5
 
 _REST_RAD_S: Final = 0.05  # a joint at rest is measured below this speed
 _RATIO: Final = 1 / 3  # of the limits, for distance and speed each; the wanted motion needs the rest
-_LEAST_S: Final = 0.32  # a shorter return has more jerk than the adapter can follow while it compensates the lag
+_LEAST_S: Final = 0.48  # the adapter cannot follow the jerk of a shorter one while it compensates the lag
 _LEAST_PERIODS: Final = 5.0  # as smooth as a few commands can be
 # Peak speed and acceleration of a return in one second, over a distance of one; and from an initial speed of one.
 _PEAK_SPEED = 1.875

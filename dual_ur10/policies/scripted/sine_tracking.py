@@ -100,19 +100,18 @@ class SineTrackingPolicy(ScriptedPolicy):
         before = self._continued(now, ahead, commanded)
         points = np.stack([before, now, ahead])
         self._before, self._predicted = now, np.tensordot(self._next, points, axes=1)
-        speed_now, speed_ahead = np.tensordot(self._speeds, points, axes=1)
-        acceleration = np.tensordot(self._acceleration, points, axes=1)
         goal = ahead
         if self.learn:
             if self._model is None or self._expected is None:
-                self._model, self._expected = DeviationModel((n, 12)), commanded
+                self._model, self._expected = DeviationModel((n, 12), self.timing.period_s), commanded
             # The correction in the last command; a limit may have held back the rest.
             self._added.append(commanded - self._expected)
             measured = fields["q_rad"].reshape(n, 12)
-            settled = self._settled(commanded)
-            self._model.learn(speed_now, acceleration, measured - now - self._in_force(), settled)
+            speeds, acceleration = (np.tensordot(fit, points, axes=1) for fit in (self._speeds, self._acceleration))
+            feature_now, feature_ahead = self._model.features(speeds, acceleration)
+            self._model.learn(feature_now, measured - now - self._in_force(), self._settled(commanded))
             self._expected = ahead
-            goal = ahead - self._model.predict(speed_ahead, acceleration)
+            goal = ahead - self._model.predict(feature_ahead)
         if self._recovery is not None:
             goal = self._recovery(goal, commanded, fields["qd_rad_s"].reshape(n, 12))
         action = self._action(goal, commanded)

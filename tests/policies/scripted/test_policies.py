@@ -53,6 +53,16 @@ def test_perturbed_accuracy(axis, latency):
     assert info["is_success"]
 
 
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+@pytest.mark.parametrize("latency", [0, 5])
+def test_perturbed_accuracy_once_learned(axis, latency):
+    """Without the filter of friction's sign: 0.26 mm and 0.09 mm RMS."""
+    keywords = {"action_latency_ticks": latency, "randomize": False}
+    late = errors_mm(axis, keywords=keywords, perturbation=TYPICAL_PERTURBATION)[0][250:]
+    assert late.max() < 0.15
+    assert np.sqrt((late**2).mean(axis=0)).max() < 0.05
+
+
 @pytest.mark.parametrize("latency", [15, 16, 18, 28])
 def test_a_slow_policy_tracks_too(latency):
     settings = {"action_latency_ticks": latency}
@@ -95,7 +105,7 @@ class LateOnce(MujocoCell):
         return period._replace(state=state, stopped_q_rad=brake[:, -1])
 
 
-@pytest.mark.parametrize("late", [100, 104, 108, 112, 116, 140])
+@pytest.mark.parametrize("late", [100, 108, 112, 116, 119, 138, 142])
 def test_stopped_arms_recover_without_overshoot_or_wrong_learning(monkeypatch, late):
     """At full speed, and near a reversal, where the arms stop close to their reference."""
     monkeypatch.setattr(LateOnce, "late", late)
@@ -115,7 +125,8 @@ def test_stopped_arms_recover_at_other_rates(monkeypatch, rate, late, mode):
     trace, _ = errors_mm(keywords=keywords)
     least = trace[: late - 1].max()
     assert trace[late - 1 :].max() > 5.0, "nothing was late: this test tests nothing"
-    assert trace[late + 2 :].max() < trace[late - 1 : late + 2].max()  # the reference goes on before the arms do
+    # The reference goes on before the arms do; at 12.5 Hz they stop near a reversal, and it gains another millimetre.
+    assert trace[late + 2 :].max() < 1.1 * trace[late - 1 : late + 2].max()
     assert trace[late + int(2.0 * rate) :].max() < least + 1.0
 
 
@@ -265,26 +276,80 @@ def test_policies_are_policies():
     assert isinstance(policies.load("scripted", SINE), policies.Policy)
 
 
+PERIOD_S = 0.04
+
+
+def fitted(motion, deviation, steps, noise_rad=0.0):
+    """Return predictions and deviations, (steps, 12), of a model that learns along a motion.
+
+    Args:
+        motion: Function of the time that returns speed and acceleration, (12,) each.
+        deviation: Function of the features, (12, 4).
+        steps: Number of periods.
+        noise_rad: σ of the measured positions.
+    """
+    rng, model, rows = np.random.default_rng(0), DeviationModel((12,), PERIOD_S), []
+    for k in range(steps):
+        (now, acceleration), (ahead, _) = motion(k * PERIOD_S), motion((k + 1) * PERIOD_S)
+        feature, _ = model.features(np.stack([now, ahead]), acceleration)
+        truth = deviation(feature)
+        rows.append((model.predict(feature), truth))
+        model.learn(feature, truth + noise_rad * rng.normal(size=12))
+    return np.array(rows).swapaxes(0, 1)
+
+
+def sine_motion(time_s):
+    phase = 3.0 * time_s + np.arange(12)
+    growth = min(time_s, 1.0)
+    return 0.6 * growth * np.cos(phase), -1.8 * growth * np.sin(phase)
+
+
 def test_deviation_model_recovers_the_parameters_of_the_data():
-    rng = np.random.default_rng(0)
-    model = DeviationModel((2, 3))
-    truth = rng.normal(size=(4, 2, 3)) * 1e-3
-    time = np.arange(150) * 0.04
-    for t in time:
-        speed = 0.6 * np.cos(3.0 * t + np.arange(3)) * np.ones((2, 1))
-        acceleration = -1.8 * np.sin(3.0 * t + np.arange(3)) * np.ones((2, 1))
-        deviation = (
-            truth[0] + truth[1] * speed + truth[2] * np.tanh(speed / 0.25) + truth[3] * acceleration / 2
-        ) + rng.normal(size=(2, 3)) * 1e-6
-        if t > 3.0:
-            assert np.abs(model.predict(speed, acceleration) - deviation).max() < 3e-5
-        model.learn(speed, acceleration, deviation)
+    weights = np.random.default_rng(0).uniform(-1.0, 1.0, (12, 4)) * [1e-3, 5e-3, 5e-4, 1e-3]
+    predicted, truth = fitted(sine_motion, lambda feature: (weights * feature).sum(axis=-1), 150, 1e-6)
+    assert np.abs(predicted - truth)[75:].max() < 3e-5
+
+
+def test_deviation_model_follows_a_servo_that_yields_to_friction():
+    """Friction of 0.3 mrad behind a lag of 50 ms; the sign of the speed alone would be 0.5 mrad off at a reversal."""
+    yielded, substeps = np.zeros(12), 100
+    truths = []
+    for k in range(300):
+        truths.append(-3e-4 * yielded)
+        for part in range(substeps):
+            speed, _ = sine_motion((k + part / substeps) * PERIOD_S)
+            yielded = yielded + (PERIOD_S / substeps / 0.05) * (np.sign(speed) - yielded)
+    remaining = iter(truths)
+    predicted, truth = fitted(sine_motion, lambda feature: next(remaining), 300)
+    assert np.ptp(truth) > 5e-4
+    assert np.abs(predicted - truth)[200:].max() < 5e-5
+
+
+def test_deviation_model_bounds_its_correction():
+    """Arms at a limit fall behind in every period; that must not add up to commands that demand still more."""
+    predicted, _ = fitted(sine_motion, lambda feature: -0.1 * np.sign(feature[:, 2]), 1000)
+    assert 2e-3 < np.abs(predicted).max() < 0.03
 
 
 def test_deviation_model_stays_bounded_at_rest():
-    model = DeviationModel((12,))
+    model = DeviationModel((12,), PERIOD_S)
+    feature, _ = model.features(np.zeros((2, 12)), np.zeros(12))
     for _ in range(5000):
-        model.learn(np.zeros(12), np.zeros(12), np.full(12, 1e-3))
+        model.learn(feature, np.full(12, 1e-3))
     assert np.isfinite(model._covariance).all()
-    assert np.abs(model.predict(np.zeros(12), np.zeros(12)) - 1e-3).max() < 1e-6
+    assert np.abs(model.predict(feature) - 1e-3).max() < 1e-6
     assert np.abs(model._covariance).max() < 1e5
+
+
+def test_deviation_model_forgets_rows():
+    model = DeviationModel((2, 12), PERIOD_S)
+    for k in range(20):
+        speed, acceleration = (np.tile(each, (2, 1)) for each in sine_motion(k * PERIOD_S))
+        feature, _ = model.features(np.stack([speed, speed]), acceleration)
+        model.learn(feature, np.full((2, 12), 1e-3))
+    model.forget(np.array([True, False]))
+    feature, _ = model.features(np.zeros((2, 2, 12)), np.zeros((2, 12)))
+    assert np.array_equal(model.predict(feature)[0], np.zeros(12))
+    assert not feature[0, :, 2].any()
+    assert model.predict(feature)[1].all()
+    assert feature[1, :, 2].any()

@@ -55,9 +55,9 @@ def accuracy_of(case: Case, after_s: float = 0.0) -> dict[str, float]:
     return asdict(accuracy(result.record, after_s=after_s))
 
 
-def over_axes(case: Case) -> dict[str, float]:
+def over_axes(case: Case, after_s: float = 0.0) -> dict[str, float]:
     """Return the figures of a case, worst over the axes; distance and vector along y alone. See the module."""
-    figures = {axis: accuracy_of(case.given(axis=axis)) for axis in AXES}
+    figures = {axis: accuracy_of(case.given(axis=axis), after_s) for axis in AXES}
     worst = {name: max(figures[axis][name] for axis in AXES) for name in figures["y"]}
     return {**worst, **{name: figures["y"][name] for name in ALONG_THE_LINE}}
 
@@ -112,7 +112,7 @@ def runs(full: bool) -> dict[str, dict[str, float]]:
     rows = {"nominal": over_axes(nominal), "perturbed": over_axes(perturbed), "single_arm": accuracy_of(single)}
     if full:
         rows["single_arm_perturbed"] = accuracy_of(single.given(cell=PERTURBED_CELL))
-        rows["perturbed_settled"] = accuracy_of(perturbed, after_s=10.0)
+        rows["perturbed_settled"] = over_axes(perturbed, after_s=10.0)
         rows["perturbed_not_learning"] = over_axes(replace(perturbed, learn=False))
         for ticks in (5, 10):
             rows[f"perturbed_latency_{ticks}_ticks"] = over_axes(perturbed.given(action_latency_ticks=ticks))

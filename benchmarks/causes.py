@@ -1,9 +1,9 @@
 """Measure the scripted policy of SineTracking on "wide" plants, all together and cause by cause.
 
-`true` is the task's own error: of the true flanges, in the cell frame, at the time of the reference. A success is at most
-3 mm RMS. `measured` is the error that the arms' sensors show: of the observed flange in the arm's own `base` frame. They
-differ by what no sensor of the cell measures: where the bases really stand, and the age of an observation, which looks
-like a latency of the arm. The same bound applies to both.
+`true` is the task's own error: of the true flanges, in the cell frame, at the time of the reference. A success is at
+most 3 mm RMS. `measured` is the error that the sensors show: of the observed flange in the arm's own `base` frame.
+They differ by what no sensor of the cell measures: where the bases really stand, and the age of an observation, which
+looks like a latency of the arm. The same bound applies to both.
 
     python benchmarks/causes.py --json causes.json
 """

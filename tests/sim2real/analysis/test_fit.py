@@ -236,7 +236,7 @@ def test_a_run_of_other_robots_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"right: .*192\.168\.1\.12"):
         write_back(path, header(source="real", cell_file=other), fits())
     write_back(path, header(source="real", cell_file=path.read_text()), fits())
-    assert "# Units" in path.read_text() or "# A cell of two UR10s" in path.read_text()
+    assert path.read_text().startswith("# A cell of two arms")  # comments stay
 
 
 def test_an_illegal_cell_file_stays_as_it_is(tmp_path: Path) -> None:

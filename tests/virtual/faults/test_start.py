@@ -46,7 +46,10 @@ def test_38_a_stopped_arm_is_refused(lab, mode):
 @pytest.mark.parametrize(
     ("told", "word"),
     [
-        ({"model": "UR5", "robot_type": 1}, "left, model: UR5, expected: UR10; this program moves UR10s only"),
+        (
+            {"model": "UR5", "robot_type": 1},
+            "left, model: UR5, expected: UR10; correct the address, or the model in the cell file",
+        ),
         ({"version": [5, 12, 0, 1]}, "left, family: e-series, software 5.12.0.1, expected: cb3; correct"),
     ],
 )

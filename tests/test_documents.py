@@ -2,6 +2,7 @@
 
 import ast
 import os
+import pkgutil
 import re
 import shlex
 import shutil
@@ -133,3 +134,28 @@ def test_commands_parse(path, workplace, monkeypatch):
                 if arguments == [""]:
                     here.make_context(here.name, [], parent=context)
                     break
+
+
+EARLIER = DOCS / "explanation" / "earlier-systems.md"
+
+
+def _names_of_earlier_systems():
+    """Yield the code spans of the column that names where a feature lives."""
+    for row in re.findall(r"^\| [^|]+ \| ([^|]*`[^|]*) \|", EARLIER.read_text(), re.MULTILINE):
+        yield from re.findall(r"`([^`]+)`(?: of `([^`]+)`)?", row)
+
+
+@pytest.mark.parametrize(("name", "of"), sorted(set(_names_of_earlier_systems())))
+def test_what_replaces_earlier_systems_exists(name, of):
+    """A command, an option of one, a target of `make`, or an object of the package."""
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    if name.startswith("dual_ur10."):
+        pkgutil.resolve_name(name)
+    elif name.startswith("make "):
+        assert name.removeprefix("make ") in targets
+    else:
+        here = typer.main.get_command(app)
+        for word in (of or name).removeprefix("python -m dual_ur10").split():
+            here = here.commands[word]
+        if of:
+            assert name in {option for each in here.params for option in each.opts}

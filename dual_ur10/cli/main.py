@@ -49,7 +49,7 @@ class _Commands(typer.core.TyperGroup):
 
 app = typer.Typer(
     cls=_Commands,
-    help="Two UR10s in MuJoCo, or on two controllers: run, measure, train and watch policies.",
+    help="Two UR arms in MuJoCo, or on two controllers: run, measure, train and watch policies.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,  # any other error is a bug: show its traceback

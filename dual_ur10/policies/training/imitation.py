@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
-from dual_ur10.errors import TrainingError
+from dual_ur10.errors import SettingsError, TrainingError
 from dual_ur10.ids import task_name
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.learned.manifest import Manifest
@@ -27,7 +27,7 @@ from dual_ur10.policies.training.dataset import read_dataset
 from dual_ur10.policies.training.folder import Saved, TrainingFolder, initial_policy
 from dual_ur10.policies.training.gather import Expert, gather
 from dual_ur10.policies.training.progress import OnProgress, Progress
-from dual_ur10.policies.training.regression import Fit, reproducible
+from dual_ur10.policies.training.regression import Fit, Scatter, reproducible
 from dual_ur10.policies.training.settings import Imitation, first_seed_of
 from dual_ur10.types import Single
 
@@ -59,6 +59,7 @@ class Imitator:
         self._threads = threads
         self._view: EnvironmentView = view_of(self._asked.env_id, self._asked.keywords)
         self._blind = self._unseen()
+        self._scatter = self._scattering() if self._settings.scatter_rad else None
         self._on_progress, self._shown_s = on_progress, 0.0
         self._progress = Progress(0, self._asked.steps)
         self._rounds, self._longest = 0, 1
@@ -180,7 +181,7 @@ class Imitator:
         observation, action = (np.concatenate(each) for each in zip(*self._samples, strict=True))
         parts = self._split(observation, action)
         with reproducible(_seed_of(asked.seed, number)):
-            fits = [Fit(self._settings, *initial, unseen=self._blind) for initial in self._initial(len(parts))]
+            fits = [Fit(self._settings, *initial, unseen=self._blind, scatter=self._scatter) for initial in self._initial(len(parts))]
             for k, (fit, part) in enumerate(zip(fits, parts, strict=True)):
                 rng = np.random.default_rng([asked.seed, number, _FIT, k])
                 text = "fitting" if len(parts) == 1 else f"fitting {('left', 'right')[k]}"
@@ -214,12 +215,33 @@ class Imitator:
         Raises:
             UnknownNameError: The task has no such field.
         """
+        return self._indices(self._settings.unseen)
+
+    def _indices(self, names: Iterable[str]) -> list[int]:
+        """Return the positions of fields in a network's observation; a setting of the task may leave a field out."""
         task, settings = self._view.setup.task_type, self._view.setup.settings
         joint = self._asked.agents == "joint"
         layout = task.layout_for(settings) if joint else task.agent_layout_for(settings)
-        absent = {*task.layout.names} - {*layout.names}  # with these settings of the task
-        found = layout.indices(name for name in self._settings.unseen if name not in absent)
+        absent = {*task.layout.names} - {*layout.names}
+        found = layout.indices(name for name in names if name not in absent)
         return [arm * layout.size + index for arm in range(2 if joint else 1) for index in found]
+
+    def _scattering(self) -> Scatter:
+        """Return the displacement of samples.
+
+        Raises:
+            SettingsError: An action is no step of joints.
+        """
+        actions = self._view.signature.actions
+        if actions.mode != "joint_delta":
+            raise SettingsError(
+                f"scatter_rad is {self._settings.scatter_rad:g}, and action_mode {actions.mode!r}: only the correction "
+                "of a step of joints is known; use action_mode='joint_delta', or scatter_rad=0"
+            )
+        arms, step = (2 if self._asked.agents == "joint" else 1), actions.joint_step_rad
+        each = self._view.signature.action.shape[0] // 2
+        joints = [arm * each + joint for arm in range(arms) for joint in range(len(step))]
+        return Scatter(self._settings.scatter_rad, self._indices(["commanded_q_rad"]), joints, step * arms)
 
     @property
     def _count(self) -> int:

@@ -50,6 +50,7 @@ def make(
             gae_lambda=settings.gae_lambda,
             clip_range=settings.clip_range,
             ent_coef=settings.entropy,
+            target_kl=settings.target_kl,
             policy_kwargs={
                 "net_arch": {"pi": hidden, "vf": hidden},
                 "log_std_init": float(np.log(settings.first_std)),
@@ -76,8 +77,10 @@ def make(
 
 
 def explore(model: Any, settings: Reinforcement, share: float) -> None:
-    """Set the standard deviation of PPO's actions for this ratio of the training's steps."""
+    """Set the standard deviation of PPO's actions, and if they may change, for this ratio of the training's steps."""
     if isinstance(model, PPO):
+        for part in (model.policy.mlp_extractor.policy_net, model.policy.action_net):
+            part.requires_grad_(share >= settings.critic_first)
         ratio = settings.last_std / settings.first_std
         std: Any = model.policy.log_std
         std.requires_grad_(False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final
 
@@ -13,7 +14,7 @@ import numpy as np
 from dual_ur10.errors import MissingExtraError
 from dual_ur10.policies.learned.network import Layer, NetworkShape, Normaliser
 from dual_ur10.policies.training.settings import Imitation
-from dual_ur10.types import Single
+from dual_ur10.types import Array, Single
 
 try:
     import torch
@@ -72,6 +73,36 @@ def whitening_of(normalised: Any) -> Any:
     return (vectors * gain).T.contiguous()
 
 
+@dataclass(frozen=True)
+class Scatter:
+    """Displacement of samples from the demonstrated path, with the action that leads back to it.
+
+    A step of joints leads from the commanded positions, which are observed, to a goal. For other commanded positions
+    the action that leads to the same goal is therefore known, and a few demonstrations show how to correct
+    deviations (L. Ke et al., "CCIL: Continuity-based Data Augmentation for Corrective Imitation Learning", ICLR 2024).
+
+    Args:
+        std_rad: Largest standard deviation of a displacement. Each sample has its own, from 0 to this.
+        observed: Indices of the commanded joint positions in an observation.
+        actions: Indices of the same joints in an action.
+        step_rad: Step of each of them for an action of 1.
+    """
+
+    std_rad: float
+    observed: Sequence[int]
+    actions: Sequence[int]
+    step_rad: Sequence[float]
+
+    def __call__(self, action: Single, rng: np.random.Generator) -> tuple[Array, Single]:
+        """Return displacements, (k, joints), and the actions, (k, A), that belong to them."""
+        count = len(action)
+        off = self.std_rad * rng.random((count, 1)) * rng.standard_normal((count, len(self.observed)))
+        off[: count // 2] = 0.0
+        found = action.copy()
+        found[:, self.actions] = np.clip(found[:, self.actions] - off / np.array(self.step_rad), -1.0, 1.0)
+        return off, found
+
+
 class Fit:
     """Network that each call fits to samples, from where the last fit ended.
 
@@ -83,6 +114,7 @@ class Fit:
         layers: Initial layers; None: random ones.
         normaliser: Normaliser of the initial layers.
         unseen: Indices of the values of an observation that the network does not see.
+        scatter: Displacement of the samples of each gradient step; None: the samples as they are.
     """
 
     def __init__(
@@ -91,8 +123,9 @@ class Fit:
         layers: Sequence[Layer] | None = None,
         normaliser: Normaliser | None = None,
         unseen: Sequence[int] = (),
+        scatter: Scatter | None = None,
     ) -> None:
-        self.settings, self.normaliser, self._unseen = settings, normaliser, unseen
+        self.settings, self.normaliser, self._unseen, self._scatter = settings, normaliser, unseen, scatter
         self._initial = layers
         self._net: Any = None
 
@@ -120,19 +153,40 @@ class Fit:
             self.normaliser = normaliser_of(observation, self._unseen)
         mean, std = np.array(self.normaliser.mean), np.sqrt(np.array(self.normaliser.var) + self.normaliser.epsilon)
         normalised = torch.from_numpy(np.clip((observation - mean) / std, -_CLIP, _CLIP))
+        scatter = self._scatter
         if self._net is None:
-            self._whitening = whitening_of(normalised)
+            shown = normalised
+            if scatter is not None:  # directions in which only displacements vary count, too
+                shown = normalised.clone()
+                seen = list(scatter.observed)
+                shown[:, seen] += torch.from_numpy(scatter(action, rng)[0] / std[seen])
+            self._whitening = whitening_of(shown)
             self._build(observation.shape[1], action)
         x = (normalised @ self._whitening.T).to(torch.float32)
-        y = torch.from_numpy(((action - self._shift) / self._scale).astype(np.float32))
+        y = self._in_units(action)
         rate, size = self.settings.learning_rate, min(self.settings.batch_size, len(x))
+        if scatter is not None:
+            seen = list(scatter.observed)
+            # A gripper acts where the arm has arrived: a displaced sample does not show its action.
+            known = torch.zeros(size, action.shape[1], dtype=torch.bool)
+            known[: size // 2], known[:, list(scatter.actions)] = True, True
+            into_x = (self._whitening[:, seen].T / torch.from_numpy(std[seen, None])).to(torch.float32)
         optimizer = torch.optim.Adam(self._net.parameters(), lr=rate)
         recent = 0.0
         for step in range(steps):
             for group in optimizer.param_groups:
                 group["lr"] = rate * (0.005 + 0.995 * 0.5 * (1.0 + math.cos(math.pi * step / steps)))
-            chosen = torch.from_numpy(rng.integers(len(x), size=size))
-            loss = nn.functional.smooth_l1_loss(self._net(x[chosen]), y[chosen], beta=_FAR)
+            rows = rng.integers(len(x), size=size)
+            chosen = torch.from_numpy(rows)
+            inputs, labels = x[chosen], y[chosen]
+            if scatter is not None:
+                off, corrected = scatter(action[rows], rng)
+                inputs = inputs + torch.from_numpy(off.astype(np.float32)) @ into_x
+                labels = self._in_units(corrected)
+            found = self._net(inputs)
+            if scatter is not None:
+                found = torch.where(known, found, labels)
+            loss = nn.functional.smooth_l1_loss(found, labels, beta=_FAR)
             optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]  # torch's
             nn.utils.clip_grad_norm_(self._net.parameters(), 1.0)
@@ -140,6 +194,10 @@ class Fit:
             recent = float(loss.detach()) if step == 0 else 0.98 * recent + 0.02 * float(loss.detach())
             on_step(step + 1, recent)
         return recent
+
+    def _in_units(self, action: Single) -> Any:
+        """Return actions as a tensor in units of their spread."""
+        return torch.from_numpy(((action - self._shift) / self._scale).astype(np.float32))
 
     def _build(self, inputs: int, action: Single) -> None:
         sizes = (inputs, *self.settings.hidden, action.shape[1])

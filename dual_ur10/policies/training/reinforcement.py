@@ -111,6 +111,8 @@ class Reinforcer:
                 models.restore(model, around, f"{k}.", self._state[0])
         elif asked.init:
             models.begin_with(self._models, initial_policy(asked, view_of(asked.env_id, asked.keywords)))
+            # What it began with is the result unless it becomes better.
+            self._check()
         for k, (model, _) in enumerate(self._models):
             model.set_logger(self._folder.logger if k == 0 else _silent())
         per_step = 1 if asked.agents == "joint" or alternating is not None else 2

@@ -60,6 +60,9 @@ class Reinforcement(StrictJson):
         first_std: PPO: initial standard deviation of actions.
         last_std: PPO: standard deviation of actions in the last tenth of the training. It decays exponentially until
             then, and is not learned: exploration then is as wide as the error that is left.
+        critic_first: PPO: ratio of the training in which only the value function learns. A policy that can do
+            something already is not spoiled by the advantages of a value function that knows nothing yet.
+        target_kl: PPO: an update ends early once the policy has moved 1.5 times as far; None: it never does.
         buffer_size: SAC: capacity of the replay buffer, in transitions.
         learning_starts: SAC: transitions before the first gradient step.
         gradient_steps: SAC: gradient steps after each step of all cells.
@@ -77,6 +80,8 @@ class Reinforcement(StrictJson):
     entropy: Annotated[float, Field(ge=0.0, le=1e6)] = 0.0
     first_std: Positive = 0.3
     last_std: Positive = 0.1
+    critic_first: Ratio = 0.0
+    target_kl: Positive | None = None
     buffer_size: Count = 300_000
     learning_starts: Annotated[int, Field(ge=0, le=10**9)] = 5_000
     gradient_steps: Count = 8
@@ -96,6 +101,8 @@ class Imitation(StrictJson):
             three quarters of the steps are done. In the first round the expert drives all episodes to their end.
         noise: Largest standard deviation of the noise on the expert's actions, in their units. It shows how the expert
             recovers. Each episode samples its own.
+        scatter_rad: Largest standard deviation by which a fit displaces the commanded joints of its samples, in rad; see
+            `dual_ur10.policies.training.regression.Scatter`. It replaces what few demonstrations do not show.
         patience: DAgger: largest difference of any joint's action from the expert's, of 2, at which the network keeps
             driving. Beyond it the expert drives for a while.
         unseen: Fields of an arm's observation (`ObservationLayout`) that the network does not see. An effect of an
@@ -110,6 +117,7 @@ class Imitation(StrictJson):
     fit_steps: Count = 8000
     expert_share: Ratio = 0.5
     noise: ActionSize = 0.1
+    scatter_rad: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
     patience: ActionSize = 0.4
     unseen: tuple[str, ...] = ()
 

@@ -16,7 +16,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from dual_ur10 import policies
-from dual_ur10.errors import CheckpointError, TrainingError, UnknownNameError
+from dual_ur10.errors import CheckpointError, SettingsError, TrainingError, UnknownNameError
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.training import folder as folders
 from dual_ur10.policies.training import imitation as imitate
@@ -172,6 +172,33 @@ def test_a_network_does_not_see_the_unseen_fields(tmp_path, agents, fields, blin
 def test_unknown_unseen_fields_are_refused_before_training(tmp_path):
     with pytest.raises(UnknownNameError, match="unknown observation field 'gripper_m'"):
         train(small("bc", rounds=1, changes={"unseen": ("gripper_m",)}), tmp_path / "out")
+    assert not list((tmp_path / "out").glob("samples*"))
+
+
+@pytest.mark.parametrize(
+    ("agents", "observed", "actions"),
+    [("joint", [*range(12, 18), *range(52, 58)], list(range(12))), ("shared", list(range(12, 18)), list(range(6)))],
+)
+def test_the_commanded_joints_are_scattered(tmp_path, monkeypatch, agents, observed, actions):
+    seen = []
+    real = imitate.Scatter.__call__
+
+    def watched(self, action, rng):
+        seen.append((list(self.observed), list(self.actions), tuple(self.step_rad)))
+        return real(self, action, rng)
+
+    monkeypatch.setattr(imitate.Scatter, "__call__", watched)
+    asked = small("bc", agents, rounds=1, changes={"scatter_rad": 0.02})
+    policy = train(asked, tmp_path / "out")
+    step_rad = checkpoint.read_manifest(policy).signature.actions.joint_step_rad
+    assert seen[0] == (observed, actions, step_rad * (len(actions) // 6))
+    assert len(seen) == 31  # the whitening, then 30 gradient steps
+
+
+def test_samples_of_another_kind_of_action_are_not_scattered(tmp_path):
+    asked = small("bc", keywords={"action_mode": "joint_position"}, rounds=1, changes={"scatter_rad": 0.02})
+    with pytest.raises(SettingsError, match="action_mode 'joint_position': only .* use action_mode='joint_delta'"):
+        train(asked, tmp_path / "out")
     assert not list((tmp_path / "out").glob("samples*"))
 
 

@@ -8,7 +8,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from dual_ur10.policies.learned.network import Network  # noqa: E402
-from dual_ur10.policies.training.regression import Fit, normaliser_of, reproducible  # noqa: E402
+from dual_ur10.policies.training.regression import Fit, Scatter, normaliser_of, reproducible  # noqa: E402
 from dual_ur10.policies.training.settings import Imitation  # noqa: E402
 
 SETTINGS = Imitation(hidden=(32, 32), batch_size=256)
@@ -84,6 +84,40 @@ def test_unseen_values_have_no_effect():
     assert network(fit)(other).tobytes() == network(fit)(observation.astype(np.float64)).tobytes()
     other[:, 0] += 0.5
     assert np.abs(network(fit)(other) - network(fit)(observation.astype(np.float64))).max() > 0.1
+
+
+@pytest.mark.parametrize("std_rad", [0.0, 0.02])
+def test_scattered_samples_lead_back_to_the_demonstrated_path(std_rad):
+    """A joint moves with the place of an object, and a gripper closes where it has arrived."""
+    rng = np.random.default_rng(0)
+    place, step_rad = rng.uniform(-1.0, 1.0, 1000), 0.04
+    observation = np.stack([place, 0.1 * place], axis=1).astype(np.float32)  # object, commanded joint
+    action = np.stack([np.full(1000, 0.25), np.where(place > 0.0, -1.0, 1.0)], axis=1).astype(np.float32)
+    fit = Fit(SETTINGS, scatter=Scatter(std_rad, [1], [0], [step_rad]) if std_rad else None)
+    with reproducible(0):
+        fit(observation, action, 1500, np.random.default_rng(0))
+    places = np.array([-0.6, 0.5])
+    on, off = (np.stack([places, 0.1 * places + away], axis=1) for away in (0.0, 0.01))
+    found, displaced = network(fit)(on), network(fit)(off)
+    np.testing.assert_allclose(found, [[0.25, 1.0], [0.25, -1.0]], atol=0.05)
+    gain = (displaced[:, 0] - found[:, 0]) / (-0.01 / step_rad)
+    if std_rad:
+        np.testing.assert_allclose(gain, 1.0, atol=0.2)
+    else:
+        assert np.abs(gain).max() < 0.2
+
+
+def test_the_correction_of_a_displacement_keeps_the_bounds_of_actions():
+    action = np.tile(np.array([[0.5, -0.25, 1.0]], dtype=np.float32), (400, 1))
+    scatter = Scatter(0.1, [3, 4], [0, 1], [0.04, 0.08])
+    off, corrected = scatter(action, np.random.default_rng(0))
+    assert not off[:200].any()  # half of them show the demonstration as it is
+    np.testing.assert_array_equal(corrected[:200], action[:200])
+    np.testing.assert_array_equal(corrected[:, 2], action[:, 2])
+    wanted = np.clip(action[:, :2] - off / [0.04, 0.08], -1.0, 1.0)
+    np.testing.assert_allclose(corrected[:, :2], wanted, atol=1e-6)
+    assert np.abs(corrected).max() == 1.0
+    assert 0.03 < off[200:].std() < 0.08
 
 
 def test_the_same_seed_gives_the_same_bits():

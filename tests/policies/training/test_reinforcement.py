@@ -114,6 +114,35 @@ def test_ppo_can_begin_with_the_result_of_dagger(tmp_path):
     assert checkpoint.read_manifest(path).training["from_checkpoint"] is True
 
 
+def test_the_value_function_learns_first(tmp_path, expert, monkeypatch):
+    """With a checkpoint the policy does not move before it; the result is no worse than the checkpoint."""
+    seen = []
+    real = reinforce.Reinforcer.explore
+
+    def watched(self, model):
+        real(self, model)
+        seen.append({name: each.detach().clone() for name, each in model.policy.named_parameters()})
+        assert model.target_kl == 0.5
+
+    monkeypatch.setattr(reinforce.Reinforcer, "explore", watched)
+    changes = {"critic_first": 0.5, "target_kl": 0.5, "first_std": 0.05, "last_std": 0.05}
+    path = train(small("ppo", init=str(expert), steps=128, changes=changes), tmp_path / "out")
+    acts = [name for name in seen[0] if "policy_net" in name or "action_net" in name]
+    values = [name for name in seen[0] if "value_net" in name]
+    assert len(acts) == len(values) == 4
+    first, second, third, fourth = seen
+    for name in acts:
+        assert first[name].equal(second[name]), name
+        assert second[name].equal(third[name]), name
+        assert not third[name].equal(fourth[name]), name
+    assert not any(first[name].equal(second[name]) for name in values)
+    checks = state.load(tmp_path / "out" / "state")[1]["checks"]
+    assert [each["steps"] for each in checks] == [0, 32, 64, 96, 128]
+    for each in checks[1:3]:  # of the same policy; its normaliser hardly moves
+        assert each["mean_return"] == pytest.approx(checks[0]["mean_return"], rel=0.01)
+    assert checkpoint.read_manifest(path).evaluation["mean_return"] >= checks[0]["mean_return"]
+
+
 @pytest.mark.parametrize(
     ("algorithm", "agents", "hidden", "match"),
     [

@@ -98,6 +98,7 @@ def test_unknown_names_are_refused(wrong):
         {"changes": {"unseen": (0.5,)}},
         {"changes": {"unseen": "q_rad"}},
         {"changes": {"patience": -1.0}},
+        {"changes": {"scatter_rad": -0.01}},
         {"randomization": "mild", "keywords": {"randomization": "none"}},
         {"changes": {"expert_share": 1.5}},
         {"changes": {"learning_rate": 2.0}},
@@ -117,6 +118,8 @@ def test_impossible_values_are_refused(wrong):
         {"dataset": "a/b-v0"},
         {"changes": {"gamma": 2.0}},
         {"changes": {"gae_lambda": 1.1}},
+        {"changes": {"critic_first": 1.5}},
+        {"changes": {"target_kl": 0.0}},
         {"envs": 1, "changes": {"steps_per_update": 1}},
     ],
 )

@@ -13,6 +13,8 @@ Parts:
     from_nothing: PPO with the settings of `train`, one training after the other; only where it is named. Success and
         return are of the default environment. The return is a ratio of the scripted policy's on the same seeds; steps
         and minutes are those of the first progress check that had half and 90 % of it.
+    from_demonstrations: behaviour cloning of 20 episodes of the scripted policy under noise, evaluated in the
+        environment of the training; only where it is named. Steps are those of the demonstrations.
 """
 
 import argparse
@@ -39,7 +41,18 @@ from dual_ur10.policies.training import state
 from dual_ur10.policies.training.settings import SETTINGS, defaults
 from dual_ur10.policies.training.train import train
 
-PARTS = ("shipped", "range", "wide", "from_nothing")
+PARTS = ("shipped", "range", "wide", "from_nothing", "from_demonstrations")
+DEMONSTRATIONS: dict[str, dict[str, Any]] = {
+    "Handover": {
+        "steps": 5_600,
+        "changes": {
+            "scatter_rad": 0.02,
+            "unseen": tuple(name for name in SETTINGS["Handover"].imitation.unseen if name != "progress"),
+        },
+    },
+    "SyncCarry": {"steps": 17_000},
+}
+"""Trainings of the part from_demonstrations; with these steps 20 episodes fit."""
 
 
 def main() -> None:
@@ -75,6 +88,8 @@ def main() -> None:
                 found["wide"] = measured(env_id, name, "wide", "wide", args.episodes)
         if "from_nothing" in args.parts:
             results.setdefault(task, {})["from_nothing"] = from_nothing(env_id, args.episodes, args.seeds, args.plot)
+        if "from_demonstrations" in args.parts and task_name(env_id) in DEMONSTRATIONS:
+            results.setdefault(task, {})["from_demonstrations"] = from_demonstrations(env_id, args.episodes)
     if args.json is not None:
         args.json.write_text(json.dumps(results, indent=1) + "\n")
 
@@ -137,6 +152,23 @@ def from_nothing(env_id: str, episodes: int, seeds: int, plot: Path | None) -> d
         "steps": rows[0]["steps"],
         "seeds": rows,
     }
+
+
+def from_demonstrations(env_id: str, episodes: int) -> dict[str, Any]:
+    """Imitate 20 episodes of the scripted policy, evaluate, print the row and return it."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "training"
+        asked = defaults(env_id, "bc", envs=20, **DEMONSTRATIONS[task_name(env_id)])
+        train(asked, path)
+        found = evaluate(env_id, str(path / "policy"), episodes=episodes, num_envs=64, env_kwargs=asked.keywords)
+        values = state.load(path / "state")[1]
+    row = {
+        "success": found.success_rate,
+        "minutes": values["checks"][-1]["seconds"] / 60,
+        "steps": values["steps"],
+    }
+    print(f"{task_name(env_id)}, from 20 demonstrations: {json.dumps(row)}", flush=True)
+    return row
 
 
 def figures_of(path: Path, script: float, episodes: int) -> dict[str, Any]:

@@ -181,7 +181,10 @@ class Imitator:
         observation, action = (np.concatenate(each) for each in zip(*self._samples, strict=True))
         parts = self._split(observation, action)
         with reproducible(_seed_of(asked.seed, number)):
-            fits = [Fit(self._settings, *initial, unseen=self._blind, scatter=self._scatter) for initial in self._initial(len(parts))]
+            fits = [
+                Fit(self._settings, *initial, unseen=self._blind, scatter=self._scatter)
+                for initial in self._initial(len(parts))
+            ]
             for k, (fit, part) in enumerate(zip(fits, parts, strict=True)):
                 rng = np.random.default_rng([asked.seed, number, _FIT, k])
                 text = "fitting" if len(parts) == 1 else f"fitting {('left', 'right')[k]}"

@@ -197,7 +197,7 @@ def test_the_commanded_joints_are_scattered(tmp_path, monkeypatch, agents, obser
 
 def test_samples_of_another_kind_of_action_are_not_scattered(tmp_path):
     asked = small("bc", keywords={"action_mode": "joint_position"}, rounds=1, changes={"scatter_rad": 0.02})
-    with pytest.raises(SettingsError, match="action_mode 'joint_position': only .* use action_mode='joint_delta'"):
+    with pytest.raises(SettingsError, match=r"action_mode 'joint_position': only .* use action_mode='joint_delta'"):
         train(asked, tmp_path / "out")
     assert not list((tmp_path / "out").glob("samples*"))
 

@@ -101,8 +101,8 @@ class Imitation(StrictJson):
             three quarters of the steps are done. In the first round the expert drives all episodes to their end.
         noise: Largest standard deviation of the noise on the expert's actions, in their units. It shows how the expert
             recovers. Each episode samples its own.
-        scatter_rad: Largest standard deviation, in rad, by which a fit displaces the commanded joints of its samples; see
-            `dual_ur10.policies.training.regression.Scatter`. It replaces what few demonstrations do not show.
+        scatter_rad: Largest standard deviation, in rad, by which a fit displaces the commanded joints of its samples.
+            See `dual_ur10.policies.training.regression.Scatter`. It replaces what few demonstrations do not show.
         patience: DAgger: largest difference of any joint's action from the expert's, of 2, at which the network keeps
             driving. Beyond it the expert drives for a while.
         unseen: Fields of an arm's observation (`ObservationLayout`) that the network does not see. An effect of an

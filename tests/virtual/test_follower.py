@@ -8,6 +8,7 @@ import pytest
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.envs import make_follower
 from dual_ur10.errors import StartError
+from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.trajectory import GoalState, ResultCode, TrajectoryGoal
 from dual_ur10.testing import VirtualCell
 from tests.sim2real.trajectory.following import part, wave
@@ -85,6 +86,18 @@ def test_a_protective_stop_of_one_arm_aborts_the_goal_of_both(virtual_cell, exec
     for arm, before in zip(("left", "right"), read, strict=True):
         after = np.array(virtual_cell.ask("state", arm=arm, names=["actual_q"])["actual_q"])
         assert np.abs(after - before).max() < 0.01
+    executor.close()
+    (box,) = (virtual_cell.system.state_folder() / "black_boxes").glob("*.mcap")  # no run without one
+    run = read_run(box)
+    assert (run.header.env_id, run.header.source) == ("trajectories", "emulated")
+    assert all(len(arm.sent["target_rad"]) > 60 for arm in run.arms)
+
+
+def test_nothing_follows_a_stop_before_it_is_cleared(virtual_cell, executor):
+    handle = executor.execute(wave(2.0))
+    steps(handle, 60)
+    virtual_cell.ask("stop", arm="left", mode=3)
+    handle.wait()
     later = executor.execute(wave(2.0)).result
     assert later.code == ResultCode.INVALID_GOAL
     assert "cell clear" in later.text

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.echo_cell import EchoCell
@@ -15,6 +15,11 @@ from dual_ur10.ids import env_id_of
 from dual_ur10.sim2real.config.cell import Cell
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.recording.rows import RunRecorder
+
+if TYPE_CHECKING:
+    from dual_ur10.sim2real.recording.recorder import RecorderProcess
+    from dual_ur10.sim2real.recording.run import Header
+    from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell
 
 _NOT_RECORDED: Final = ("cell", "confirm", "record", "record_failure", "record_about")
 
@@ -76,7 +81,6 @@ def make_recorder(setup: EnvSetup, keywords: Mapping[str, Any], cell: Cell) -> R
     if cell.n > 1:
         raise SettingsError(f"{cell.n} cells are stepped together: only one alone can be recorded")
     from dual_ur10.sim2real.recording.header import describe
-    from dual_ur10.sim2real.recording.recorder import RecorderProcess
     from dual_ur10.sim2real.recording.run_folder import new_folder
     from dual_ur10.sim2real.recording.simulation import SimulationRecord
     from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell
@@ -104,13 +108,24 @@ def make_recorder(setup: EnvSetup, keywords: Mapping[str, Any], cell: Cell) -> R
     try:
         if not isinstance(cell, RtdeCell):
             return None if folder is None else SimulationRecord(folder, header)
-        boxes = cell.system.state_folder() / "black_boxes" if folder is None else folder
-        boxes.mkdir(mode=0o700, exist_ok=True)
-        recorder = RecorderProcess(cell.memory_names, folder, header, boxes, system=cell.system)
-        recorder.wait_until_ready()
+        return record_arms(cell, header, folder)
     except BaseException:
         if folder is not None:
             with contextlib.suppress(OSError):  # a folder that is not empty stays
                 folder.rmdir()
         raise
+
+
+def record_arms(cell: RtdeCell, header: Header, folder: Path | None = None) -> RecorderProcess:
+    """Start to record the arms of two controllers, in a folder or, without one, in black boxes of their stops.
+
+    Raises:
+        RecordingError: A file cannot be made.
+    """
+    from dual_ur10.sim2real.recording.recorder import RecorderProcess
+
+    boxes = cell.system.state_folder() / "black_boxes" if folder is None else folder
+    boxes.mkdir(mode=0o700, exist_ok=True)
+    recorder = RecorderProcess(cell.memory_names, folder, header, boxes, system=cell.system)
+    recorder.wait_until_ready()
     return recorder

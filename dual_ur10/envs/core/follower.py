@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from dual_ur10.assets.settings import Equipment, home_q_rad
+from dual_ur10.envs.core.cells import record_arms
+from dual_ur10.envs.sim.echo_cell import EchoCell
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS
@@ -38,8 +42,10 @@ def make_follower(
 ) -> TrajectoryExecutor:
     """Return an executor of trajectories on a cell. Simulated arms are at home; nothing else has moved.
 
+    On two controllers a stop leaves a black box, as with an environment.
+
     Args:
-        cell: "mujoco", a `CellConfig`, the path of a cell file, or a `dual_ur10.testing.VirtualCell`.
+        cell: "mujoco", "echo", a `CellConfig`, the path of a cell file, or a `dual_ur10.testing.VirtualCell`.
         limits: Motion limits, as far as the cell allows them; None: the hard ones.
         arm: "left" or "right": the only arm that moves on two controllers; None: both may.
         ticks: Controller ticks per period.
@@ -57,7 +63,7 @@ def make_follower(
     clearance = Clearance(config.measured_scene, minimum_m=config.minimum_clearance_m, uncertainty=config.uncertainty)
     law = TargetLaw.of(config.servoj, ticks, config.speed_factor, config.measured_lookahead_s)
     gate = SafetyGate(limits, law.tick_s, ticks, clearance)
-    made = _cell(cell, config, gate, clearance, arm, confirm)
+    made, close = _cell(cell, config, gate, clearance, arm, confirm)
     executor = TrajectoryExecutor(
         made,
         gate,
@@ -66,6 +72,7 @@ def make_follower(
         latency_ticks=config.latency_ticks,
         dh=[mount.dh for mount in (config.left, config.right)],
         proximity=None if config.file is None else ProximityScaling(clearance, law.period_s),
+        on_close=close,
     )
     with executor.closed_on_error():
         if config.file is None:
@@ -75,12 +82,16 @@ def make_follower(
 
 def _cell(
     cell: object, config: CellConfig, gate: SafetyGate, clearance: Clearance, arm: str | None, confirm: Confirm | None
-) -> Cell:
+) -> tuple[Cell, Callable[[], None] | None]:
+    """Return the cell, and how to end the black box that each cell of two controllers has."""
+    if config.state_is_commanded:
+        return EchoCell(config, gate.ticks), None
     if config.file is None:
-        return MujocoCell(config, gate.ticks, contacts=config.perturbation != Perturbation())
-    from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell  # a simulation does not need its imports
+        return MujocoCell(config, gate.ticks, contacts=config.perturbation != Perturbation()), None
+    from dual_ur10.sim2real.recording.header import describe  # a simulation does not need these imports
+    from dual_ur10.sim2real.runtime.rtde_cell import RtdeCell
 
-    return RtdeCell(
+    made = RtdeCell(
         config,
         gate.ticks,
         limits=gate.limits,
@@ -90,3 +101,19 @@ def _cell(
         only=arm,
         system=cell.system if isinstance(cell, HostedCell) else LOCAL,
     )
+    header = describe(
+        "trajectories",
+        {},
+        config,
+        period_ticks=gate.ticks,
+        latency_ticks=config.latency_ticks,
+        source=config.kind,
+        speed_factor=config.speed_factor,
+        cell_file=config.file.text(),
+        started=made.system.clock.utc(),
+    )
+    try:
+        return made, record_arms(made, header).close
+    except BaseException:
+        made.close()
+        raise

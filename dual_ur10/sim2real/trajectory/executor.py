@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -83,6 +83,7 @@ class TrajectoryExecutor(Closing):
         latency_ticks: Ticks from a command to its effect.
         dh: Kinematics of both arms, for the flange errors.
         proximity: Slows the cell down near things; None: nothing does.
+        on_close: Called after the cell was closed, such as to end a record of it.
     """
 
     def __init__(
@@ -95,11 +96,12 @@ class TrajectoryExecutor(Closing):
         latency_ticks: int = 0,
         dh: Sequence[DHParameters] = (NOMINAL_DH, NOMINAL_DH),
         proximity: ProximityScaling | None = None,
+        on_close: Callable[[], None] | None = None,
     ) -> None:
         self.cell, self.gate, self.law = cell, gate, law
         self._clearance, self._proximity = clearance, proximity
         self._latency_ticks, self._dh = latency_ticks, tuple(dh)
-        self._limits = gate.limits
+        self._limits, self._on_close = gate.limits, on_close
         self._scaling = 1.0
         self._closed = False
         self._why_not = _NOT_STARTED  # reason why nothing may move
@@ -232,7 +234,11 @@ class TrajectoryExecutor(Closing):
     def close(self) -> None:
         """Close the cell; moving arms stop. May be called twice."""
         self._closed = True
-        self.cell.close()
+        try:
+            self.cell.close()
+        finally:
+            if self._on_close is not None:
+                self._on_close()
 
     def _check_open(self) -> None:
         if self._closed:

@@ -6,6 +6,7 @@ import pytest
 from dual_ur10 import TYPICAL_PERTURBATION, CellConfig, ServojProfile
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.envs import make_follower
+from dual_ur10.envs.sim.echo_cell import EchoCell
 from dual_ur10.errors import CollisionAtStartError, UnknownNameError
 from dual_ur10.sim2real.trajectory import JointTrajectory, ResultCode, TrajectoryGoal
 from tests.sim2real.trajectory.following import wave
@@ -26,6 +27,14 @@ def test_simulated_arms_follow_a_goal(config, error_rad):
         result = executor.execute(wave(1.0, 5, start=executor.desired_q_rad)).wait()
         assert result.succeeded, result.text
         assert 0.0 < result.largest_error_rad.max() < error_rad
+
+
+def test_a_dry_run_is_where_it_is_commanded_to_be():
+    with make_follower("echo") as executor:
+        assert isinstance(executor.cell, EchoCell)
+        result = executor.execute(wave(1.0, 5)).wait()
+        assert result.succeeded
+        assert result.largest_error_rad.max() < 2e-5
 
 
 def test_an_arm_that_is_held_back_violates_the_path_tolerance():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Iterator
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,11 +18,14 @@ from rich.table import Table
 from dual_ur10.cli.options import CellFileName, Perturbed, PowerOn, console, errors, keywords_of, power_on
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS
+from dual_ur10.sim2real.config.cell_file import load_cell_file
 from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
+from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.trajectory.goal import GoalState
 from dual_ur10.types import Array
 
 if TYPE_CHECKING:
+    from dual_ur10.sim2real.config.cell_file import CellFile
     from dual_ur10.sim2real.trajectory.executor import TrajectoryExecutor
     from dual_ur10.sim2real.trajectory.feedback_file import FeedbackFile
     from dual_ur10.sim2real.trajectory.goal import Feedback, Result, TrajectoryGoal
@@ -83,6 +86,14 @@ def follow(
     at_start: Annotated[
         bool, typer.Option("--at-start", help="With --serial: you see that these arms stand at the first point.")
     ] = False,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            "--rate",
+            metavar="HZ",
+            help="With --cell, on a slow link: points per second, interpolated by controllers.",
+        ),
+    ] = None,
     record: Annotated[
         Path | None,
         typer.Option("--record", metavar="CSV", help="Write desired and measured positions to a new file."),
@@ -113,6 +124,19 @@ def follow(
         others = {"--cell": cell, "--perturbed": perturbed, "--power-on": power, "--record": record, "--to": to}
         names = [name for name, each in {**others, "--retime": retime}.items() if each]
         _follow_on_line(read_trajectory(file), serial, at_start, scaling, names)
+        return
+    if rate is not None:
+        scaled = scaling != 1.0
+        others = {"--perturbed": perturbed, "--record": record, "--to": to, "--retime": retime, "--scaling": scaled}
+        names = [name for name, each in others.items() if each]
+        if file is None or cell is None or names:
+            raise SettingsError(
+                f"--rate follows a FILE with the controllers of --cell{f', without {names[0]}' if names else ''}: name "
+                "both, and leave the rest out"
+            )
+        if power:
+            power_on(cell)
+        _follow_points(read_trajectory(file), load_cell_file(cell), rate)
         return
     given: dict[str, Any] = {
         "path_tolerance_rad": path_tolerance,
@@ -192,6 +216,45 @@ def _reach(executor: TrajectoryExecutor, goal: TrajectoryGoal, table: FeedbackFi
         raise typer.Exit(INTERRUPTED if interrupted else NOT_REACHED)
 
 
+def _follow_points(trajectory: JointTrajectory, cell: CellFile, rate_hz: float, system: System = LOCAL) -> None:
+    """Follow a trajectory with programs on the controllers, which interpolate a few points per second.
+
+    Raises:
+        typer.Exit: It was interrupted.
+        DualUR10Error: The path is refused, or both arms were stopped.
+    """
+    from dual_ur10.sim2real.control.link_profiles import profile_for
+    from dual_ur10.sim2real.runtime.point_stream import PointStream, Progress
+
+    next_s = 0.0
+
+    def seen(progress: Progress) -> None:
+        nonlocal next_s
+        if progress.path_s >= next_s:
+            next_s = progress.path_s + _SHOWN_S
+            console.print(f"{progress.path_s:8.2f} s", highlight=False)
+
+    with PointStream(cell, profile_for(rate_hz, cell.config().servoj), system=system) as stream:
+        points = stream.points_of(trajectory, stream.measured())
+        console.print(f"{len(points.q_rad)} points, {points.duration_s:.2f} s", highlight=False)
+        with _interrupts_noted() as interrupted:
+            if not stream.run(points, canceled=interrupted.is_set, feedback=seen):
+                errors.print("interrupted: both arms have stopped", highlight=False)
+                raise typer.Exit(INTERRUPTED)
+    console.print("[green]both arms are at the last point[/]", highlight=False)
+
+
+@contextmanager
+def _interrupts_noted() -> Iterator[threading.Event]:
+    """Yield an event that Ctrl-C sets, instead of raising, within the block."""
+    event = threading.Event()
+    before = signal.signal(signal.SIGINT, lambda *_: event.set())
+    try:
+        yield event
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def _follow_on_line(
     trajectory: JointTrajectory, port: str | None, at_start: bool, scaling: float, others: list[str]
 ) -> None:
@@ -206,7 +269,7 @@ def _follow_on_line(
         raise SettingsError("--at-start is for arms on a serial line: name their port with --serial, or leave it out")
     if others:
         raise SettingsError(f"{others[0]} is not for arms on a serial line: leave it out, or --serial")
-    canceled, next_s = threading.Event(), 0.0
+    next_s = 0.0
 
     def seen(time_s: float, q_rad: Array) -> None:
         nonlocal next_s
@@ -214,11 +277,8 @@ def _follow_on_line(
             next_s = time_s + _SHOWN_S
             console.print(f"{time_s:8.2f} s   commanded, not measured", highlight=False)
 
-    before = signal.signal(signal.SIGINT, lambda *_: canceled.set())
-    try:
+    with _interrupts_noted() as canceled:
         result = execute(scaled(trajectory, scaling), port, at_start=at_start, canceled=canceled.is_set, feedback=seen)
-    finally:
-        signal.signal(signal.SIGINT, before)
     succeeded = result.state == GoalState.SUCCEEDED
     console.print(
         f"[{'green' if succeeded else 'red'}]{result.state}[/], {result.code.name} ({result.code.value}): "

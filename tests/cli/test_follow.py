@@ -134,9 +134,11 @@ def test_arms_on_a_serial_line_follow_and_say_that_nothing_measures_them(tmp_pat
         (["--at-start"], "--serial"),
         (["--serial", "/dev/none", "--cell", "echo"], "--cell is not for arms on a serial line"),
         (["--serial", "/dev/none", "--scaling", "2"], "scaling is 2"),
+        (["--rate", "10"], "--rate follows a FILE with the controllers of --cell"),
+        (["--rate", "10", "--cell", "lab.toml", "--scaling", "0.5"], "--cell, without --scaling"),
     ],
 )
-def test_options_that_do_not_fit_a_serial_line_are_refused(file, options, words):
+def test_options_that_do_not_fit_a_link_are_refused(file, options, words):
     code, text = run("follow", file, *options)
     assert code == 2
     assert words in text

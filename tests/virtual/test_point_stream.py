@@ -7,11 +7,13 @@ import random
 import numpy as np
 import pytest
 
+from dual_ur10.cli import follow as follow_command
 from dual_ur10.errors import CellFaulted, StartError, TrajectoryError
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.link_profiles import profile_for
 from dual_ur10.sim2real.runtime.point_stream import PointStream, stop_arms
 from dual_ur10.sim2real.runtime.stream_script import REASONS, STATE, Command, State, points_script
+from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.point_path import PointPath
 from dual_ur10.testing import VirtualCell
 from tests.soak import scaled
@@ -96,6 +98,18 @@ def _check_setpoints(cell, path, tick_s):
         speed = np.abs(np.diff(sent, axis=0)).max() / tick_s
         assert speed <= 1.001 * np.abs(np.diff(checked, axis=0)).max() / 1e-4
         assert all(row[2:] == [tick_s, 0.03, 2000.0] for row in cell.setpoints(name))
+
+
+def test_the_command_follows_a_file_at_a_low_rate(cell, capsys):
+    home = joints(cell)
+    there = JointTrajectory(("right",), [1.0, 3.0], home[None, 1:] + [[[0.05]], [[0.2]]], np.zeros((2, 1, 6)))
+    follow_command._follow_points(there, cell.file, 10.0, cell.system)
+    assert "both arms are at the last point" in capsys.readouterr().out
+    np.testing.assert_allclose(joints(cell), home + np.array([[0.0], [0.2]]), atol=1e-4)
+    sent = np.array([row[1] for row in cell.setpoints("right")])[:, 0] - home[1, 0]
+    assert np.abs(np.diff(sent)).max() / TICK_S < 0.2
+    assert np.abs(sent - 0.05).min() < 1e-3  # by way of the first point
+    assert np.ptp(np.array([row[1] for row in cell.setpoints("left")]), axis=0).max() < 1e-9
 
 
 @pytest.fixture

@@ -49,6 +49,8 @@ from dual_ur10.sim2real.runtime.stream_script import (
     moves_script,
     points_script,
 )
+from dual_ur10.sim2real.trajectory.interpolation import Interpolation, Motion
+from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.point_path import PointPath, check_targets
 from dual_ur10.types import Array, Closing
 
@@ -282,6 +284,25 @@ class PointStream(Closing):
             TrajectoryError: They are no such targets.
         """
         return PointPath.of_targets(targets_rad, self._tick_s / self._file.speed_factor, self.profile.interval_s)
+
+    def points_of(self, trajectory: JointTrajectory, here_rad: Array) -> PointPath:
+        """Return the points of a trajectory, at the stream's rate and the cell's speed factor.
+
+        Args:
+            trajectory: Trajectory from rest to rest. A first point later than 0 is reached from where the arms are. An
+                arm that is not in it stays.
+            here_rad: (2, 6) measured positions.
+
+        Raises:
+            TrajectoryError: It does not begin or end at rest.
+        """
+        rows = [ARMS.index(arm) for arm in trajectory.arms]
+        motion = Interpolation(trajectory, Motion.at_rest(np.asarray(here_rad)[rows]))
+        # With a target at rest before the start and one after the end, as cubics begin and end with an acceleration.
+        ticks = np.arange(-1, 2 + math.ceil(trajectory.duration_s / self._tick_s), dtype=np.float64)
+        targets = np.tile(here_rad, (len(ticks), 1, 1))
+        targets[:, rows] = motion(self._tick_s * ticks).q_rad
+        return self.thin(targets)
 
     def check(self, path: PointPath) -> None:
         """Pass a whole path through the safety gate, as the controllers will interpolate it.

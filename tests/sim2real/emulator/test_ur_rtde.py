@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from dual_ur10.kinematics import flange_pose
+from dual_ur10.kinematics.robots import MODEL_OF_FAMILY
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
-from dual_ur10.kinematics.ur10 import TICK_S
+from dual_ur10.kinematics.ur10 import TICK_S, nominal_dh
 from dual_ur10.sim2real.control.servoj import ServojLaw
 from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.emulator.emulator import BOOT_S
@@ -158,7 +159,7 @@ def test_kinematics_and_values_of_the_controller(cell, host):
     done = clients.run(clients.queries, host)
     e_series = cell.family == "e-series"
     q, pose = done["q"], done["pose"]
-    position, _ = flange_pose(q)
+    position, _ = flange_pose(q, nominal_dh(MODEL_OF_FAMILY[cell.family]))
     assert near(pose[:3], position, 1e-9)
     assert same_pose(done["default pose"], pose, 1e-6)
     assert near(done["tcp"], [0.01, 0.02, 0.15, 0.1, 0, 0], 1e-12)

@@ -118,17 +118,25 @@ def follow(
     if file is None and (retime or duration is not None):
         raise SettingsError("--retime and --duration are for the points of a FILE: name one")
     retime = retime or duration is not None
+    # What these two ways cannot honour is refused: nobody shall rely on a bound that nothing checks.
+    unchecked = {
+        "--path-tolerance": path_tolerance is not None,
+        "--goal-tolerance": goal_tolerance is not None,
+        "--goal-time": goal_time is not None,
+        "--perturbed": perturbed,
+        "--record": record is not None,
+        "--to": to is not None,
+        "--retime": retime,
+    }
     if serial is not None or at_start:
         if file is None:
             raise SettingsError("arms on a serial line follow a FILE: name one")
-        others = {"--cell": cell, "--perturbed": perturbed, "--power-on": power, "--record": record, "--to": to}
-        names = [name for name, each in {**others, "--retime": retime}.items() if each]
+        others = {"--cell": cell is not None, "--power-on": power, "--rate": rate is not None, **unchecked}
+        names = [name for name, given in others.items() if given]
         _follow_on_line(read_trajectory(file), serial, at_start, scaling, names)
         return
     if rate is not None:
-        scaled = scaling != 1.0
-        others = {"--perturbed": perturbed, "--record": record, "--to": to, "--retime": retime, "--scaling": scaled}
-        names = [name for name, each in others.items() if each]
+        names = [name for name, given in {**unchecked, "--scaling": scaling != 1.0}.items() if given]
         if file is None or cell is None or names:
             raise SettingsError(
                 f"--rate follows a FILE with the controllers of --cell{f', without {names[0]}' if names else ''}: name "

@@ -136,6 +136,9 @@ def test_arms_on_a_serial_line_follow_and_say_that_nothing_measures_them(tmp_pat
         (["--serial", "/dev/none", "--scaling", "2"], "scaling is 2"),
         (["--rate", "10"], "--rate follows a FILE with the controllers of --cell"),
         (["--rate", "10", "--cell", "lab.toml", "--scaling", "0.5"], "--cell, without --scaling"),
+        (["--rate", "10", "--cell", "lab.toml", "--path-tolerance", "0.01"], "--cell, without --path-tolerance"),
+        (["--serial", "/dev/none", "--goal-tolerance", "0.01"], "--goal-tolerance is not for arms on a serial line"),
+        (["--serial", "/dev/none", "--rate", "10"], "--rate is not for arms on a serial line"),
     ],
 )
 def test_options_that_do_not_fit_a_link_are_refused(file, options, words):

@@ -41,7 +41,7 @@ from dual_ur10.sim2real.calibration.observations import Noise, Observation, Touc
 from dual_ur10.sim2real.calibration.simulated import bar_poses, board_views, random_dh, touched
 from dual_ur10.sim2real.calibration.suggestions import plan, touch_candidates
 from dual_ur10.sim2real.calibration.transforms import right_in_left, rotation_of, rotvec_of
-from dual_ur10.sim2real.config.cell import Perturbation
+from dual_ur10.sim2real.config.perturbation import Perturbation
 
 Array = NDArray[np.float64]
 Arms = tuple[DHParameters, DHParameters]

@@ -16,7 +16,8 @@ if not interrupts.is_child():  # the processes that move, stop or record arms st
     from dual_ur10.ids import ENV_IDS
     from dual_ur10.kinematics.frames import ArmMount
     from dual_ur10.kinematics.ur10 import DHParameters
-    from dual_ur10.sim2real.config.cell import TYPICAL_PERTURBATION, CellConfig, Perturbation
+    from dual_ur10.sim2real.config.cell import CellConfig
+    from dual_ur10.sim2real.config.perturbation import TYPICAL_PERTURBATION, Perturbation
     from dual_ur10.sim2real.control.servoj import ServojProfile
 
 __all__ = [

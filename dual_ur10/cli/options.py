@@ -97,7 +97,8 @@ def keywords_of(
     if arm is not None:
         keywords["arm"] = arm
     if perturbed:
-        from dual_ur10.sim2real.config.cell import TYPICAL_PERTURBATION, CellConfig
+        from dual_ur10.sim2real.config.cell import CellConfig
+        from dual_ur10.sim2real.config.perturbation import TYPICAL_PERTURBATION
 
         keywords["cell"] = CellConfig(perturbation=TYPICAL_PERTURBATION)
     for text in settings or ():

@@ -17,7 +17,7 @@ from dual_ur10.errors import UnknownNameError
 from dual_ur10.kinematics.robot_model import REFERENCE_TORQUE_NM, RobotModel, Six, stretched_inertia
 from dual_ur10.types import Vector3
 
-__all__ = ["MODEL_OF_FAMILY", "ROBOTS", "RobotModel", "robot_model"]
+__all__ = ["MODEL_OF_FAMILY", "MOST_PAYLOAD_KG", "ROBOTS", "RobotModel", "robot_model"]
 
 _SHARED: Final = "the mechanics of {} with a larger payload: Universal_Robots_ROS2_Description"
 
@@ -358,6 +358,9 @@ ROBOTS: Final[dict[str, RobotModel]] = {
 
 MODEL_OF_FAMILY: Final[dict[str, str]] = {"cb3": "ur10", "e-series": "ur10e"}
 """Model where only the family of a controller is given."""
+
+MOST_PAYLOAD_KG: Final = max(each.payload_kg for each in ROBOTS.values())
+"""Largest payload of any model."""
 
 
 def robot_model(name: str) -> RobotModel:

@@ -16,7 +16,7 @@ from dual_ur10.errors import DualUR10Error
 from dual_ur10.policies.evaluation.rollout import Info, Record, Trace, rollout
 from dual_ur10.policies.policy import Policy
 from dual_ur10.sim2real.analysis.page import Column, Table
-from dual_ur10.sim2real.config.cell import Perturbation
+from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array
 

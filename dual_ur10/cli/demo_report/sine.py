@@ -17,7 +17,8 @@ from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.policies.evaluation.accuracy import accuracy, along_axis, correlation, errors, lag_s, skew_s
 from dual_ur10.policies.evaluation.rollout import Info
 from dual_ur10.sim2real.analysis.plot_style import ARM_COLORS, capital, figure, legend_right
-from dual_ur10.sim2real.config.cell import TYPICAL_PERTURBATION, CellConfig
+from dual_ur10.sim2real.config.cell import CellConfig
+from dual_ur10.sim2real.config.perturbation import TYPICAL_PERTURBATION
 from dual_ur10.types import Array
 
 SINE_ID = "DualUR10/SineTracking-v0"

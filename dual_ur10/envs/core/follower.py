@@ -11,8 +11,9 @@ from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm
-from dual_ur10.sim2real.config.cell import Cell, CellConfig, HostedCell, Perturbation
+from dual_ur10.sim2real.config.cell import Cell, CellConfig, HostedCell
 from dual_ur10.sim2real.config.cell_file import resolve_cell
+from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits

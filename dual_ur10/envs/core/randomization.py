@@ -96,7 +96,7 @@ class Randomization:
 
     @property
     def varied(self) -> tuple[str, ...]:
-        """Names of the values of `dual_ur10.sim2real.config.cell.Perturbation` that differ from episode to episode."""
+        """Names of the values of `Perturbation` that differ from episode to episode."""
         by_name = {
             "mass_scale": self.mass,
             "friction_nm": self.joint_friction,
@@ -121,8 +121,8 @@ class Randomization:
     def sample(self, rngs: Sequence[np.random.Generator]) -> dict[str, Array]:
         """Sample the values of one episode for each generator, (len(rngs), ...) by name.
 
-        Values of `dual_ur10.sim2real.config.cell.Perturbation` have its names, and are factors or differences on top of
-        the cell's own. The others are for `dual_ur10.envs.core.sensing.Sensing`.
+        Values of `dual_ur10.sim2real.config.perturbation.Perturbation` have its names, and are factors or differences
+        on top of the cell's own. The others are for `dual_ur10.envs.core.sensing.Sensing`.
         """
         # The stream advances equally, whichever numbers are used.
         unit = np.array([rng.uniform(-1.0, 1.0, 40) for rng in rngs])

@@ -13,8 +13,9 @@ from dual_ur10.envs.core.randomization import Randomization, resolve_randomizati
 from dual_ur10.envs.tasks.task import SceneRequirements, Task, Timing
 from dual_ur10.errors import ResetRefusedError, SettingsError, UnknownKeywordError, UnknownNameError
 from dual_ur10.ids import ENTRY_POINTS, task_name
-from dual_ur10.sim2real.config.cell import CellConfig, HostedCell, Perturbation
+from dual_ur10.sim2real.config.cell import CellConfig, HostedCell
 from dual_ur10.sim2real.config.cell_file import resolve_cell
+from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.adapter import ServojAdapter
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.processes.system import LOCAL, System

@@ -9,7 +9,8 @@ import numpy as np
 
 from dual_ur10.envs.sim.servo_reference import Motion, ServojReference
 from dual_ur10.errors import ClosedError, SettingsError
-from dual_ur10.sim2real.config.cell import CellConfig, CellState, CellStep, Perturbation, Start, TickTrace
+from dual_ur10.sim2real.config.cell import CellConfig, CellState, CellStep, Start, TickTrace
+from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.command_queue import CommandQueue
 from dual_ur10.sim2real.runtime.mirror_model import MirrorModel

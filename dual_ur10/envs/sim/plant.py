@@ -10,7 +10,7 @@ import numpy as np
 from dual_ur10.assets.settings import SceneSettings
 from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_to_matrix
 from dual_ur10.kinematics.ur10 import ARMS, LINKS
-from dual_ur10.sim2real.config.cell import Perturbation
+from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.types import Array, Rows
 
 _MASSES = ("mass_scale", "payload_kg", "declared_payload_kg")

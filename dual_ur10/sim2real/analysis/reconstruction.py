@@ -16,8 +16,9 @@ from dual_ur10.errors import CellFileError, RecordingError, SettingsError, Unkno
 from dual_ur10.ids import ENTRY_POINTS
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import ARMS, TICK_S, DHParameters
-from dual_ur10.sim2real.config.cell import CellConfig, Perturbation
+from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file import examine_text, resolve_cell
+from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.recording.header import findings, mounts_of
 from dual_ur10.sim2real.recording.run import Episode, Header, Run

@@ -6,7 +6,6 @@ The reference page of `cell_file_reference` lists every key.
 from __future__ import annotations
 
 import hashlib
-import ipaddress
 import math
 import os
 import tomllib
@@ -19,31 +18,31 @@ from typing import Any, Final, NamedTuple, Self, cast
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from dual_ur10.assets.obstacles import Obstacle
-from dual_ur10.assets.settings import SceneSettings, default_mount
+from dual_ur10.assets.settings import default_mount
 from dual_ur10.errors import CellFileError, SettingsError, UnknownNameError
-from dual_ur10.kinematics.robots import MODEL_OF_FAMILY, ROBOTS, robot_model
+from dual_ur10.kinematics.robots import MODEL_OF_FAMILY, ROBOTS
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.config.cell import LEAST_DAMPING, CellConfig, HostedCell, Perturbation
+from dual_ur10.sim2real.config.cell import CellConfig, HostedCell
+from dual_ur10.sim2real.config.cell_file_rules import inconsistencies
 from dual_ur10.sim2real.config.cell_file_tables import (
     MAX_OBSTACLES,
     ZERO,
     ArmEntry,
     ArmLimits,
     BaseToBase,
-    EmulatedTrackerEntry,
     EmulatorEntry,
     Kind,
     Measured,
     Name,
     NoGripper,
     ObstacleEntry,
-    PlaneEntry,
     Table,
     Task,
     Tracker,
     key,
 )
 from dual_ur10.sim2real.config.cell_file_text import KeyList, missing, toml_text
+from dual_ur10.sim2real.config.perturbation import Perturbation
 
 MAX_BYTES: Final = 64 * 1024
 MAX_DOTS: Final = 100  # in one line
@@ -53,10 +52,6 @@ FIRST_SPEED_FACTOR: Final = 0.25
 FIRST_SPEED_RAD_S: Final = 0.5
 FIRST_TCP_SPEED_M_S: Final = 0.25
 _FIRST: Final = {"speed_rad_s": (FIRST_SPEED_RAD_S, "rad/s"), "tcp_speed_m_s": (FIRST_TCP_SPEED_M_S, "m/s")}
-
-_UNIT_TOLERANCE: Final = 1e-3
-_BEHIND_M: Final = 0.01
-_CALIBRATED: Final = 1e-6  # m and rad, as many digits as are written
 
 
 class _UnfitError(ValueError):
@@ -136,7 +131,7 @@ class CellFile(Table):
 
     @model_validator(mode="after")
     def _fits_together(self) -> CellFile:
-        findings = [*_missing_of_real(self.model_dump(exclude_unset=True, exclude_none=True)), *_rules(self)]
+        findings = [*_missing_of_real(self.model_dump(exclude_unset=True, exclude_none=True)), *inconsistencies(self)]
         if findings:
             raise _UnfitError(findings)
         return self
@@ -447,124 +442,3 @@ def _missing_of_real(values: Mapping[str, Any]) -> Iterator[str]:
             table = values.get(arm) if arm else values
             if isinstance(table, Mapping) and each.name not in table:
                 yield missing(each.path.replace("ARM", arm), each, "the file of a real cell has to name it")
-
-
-def _rules(cell: CellFile) -> Iterator[str]:
-    """Yield what does not fit together."""
-    emulated = cell.kind == "emulated"
-    for name, arm in zip(ARMS, cell.arms, strict=True):
-        yield from _host_fits(cell.kind, f"{name}.host", arm.host)
-    if cell.left.host == cell.right.host:
-        yield (
-            f"right.host is {cell.right.host}, as left.host is: each arm has a controller of its own. "
-            "Write both addresses as the controllers show them"
-        )
-    yield from _bases(cell)
-    yield from _calibrated(cell)
-    for name, arm in zip(ARMS, cell.arms, strict=True):
-        yield from _servoj(name, arm)
-        yield from _model(name, arm)
-    if cell.emulator is not None and not emulated:
-        yield 'emulator is in the file of a real cell: it is allowed with kind = "emulated" only. Take the table out'
-    if isinstance(cell.tracker, EmulatedTrackerEntry) and (not emulated or cell.emulator is None):
-        yield (
-            'tracker.kind is "emulated": only an emulated cell has such a camera, at the address in the table '
-            '[emulator]. Use "attached" or "given", or the file that `emulate --cell` writes'
-        )
-    yield from _obstacles(cell)
-
-
-def _host_fits(kind: Kind, path: str, host: str) -> Iterator[str]:
-    address = ipaddress.IPv4Address(host)
-    if kind == "emulated" and not address.is_loopback:
-        yield (
-            f'{path} is {host} with kind = "emulated": emulated controllers have loopback addresses, 127.0.0.0/8. '
-            'If a robot is there, write kind = "real"'
-        )
-    elif kind == "real" and address.is_loopback:
-        yield (
-            f'{path} is {host} with kind = "real": no robot is at a loopback address. Write its own address, or '
-            'kind = "emulated"'
-        )
-    elif kind == "real" and (address.is_unspecified or address.is_multicast or address.is_reserved):
-        yield f"{path} is {host}: no single machine has this address. Write the one that the controller shows"
-
-
-def _bases(cell: CellFile) -> Iterator[str]:
-    mounts = []
-    for name, arm in zip(ARMS, cell.arms, strict=True):
-        try:
-            mounts.append(arm.mount)
-        except SettingsError as error:
-            where = "calibration" if "DH" in str(error) else "base_position_m"
-            yield f"{name}.{where}: {error}. Write the figures of this arm"
-    if len(mounts) == 2:
-        try:
-            SceneSettings(left=mounts[0], right=mounts[1])
-        except SettingsError as error:
-            yield f"left.base_position_m and right.base_position_m: {error}. Write where the bases stand"
-
-
-def _calibrated(cell: CellFile) -> Iterator[str]:
-    found = cell.base_to_base
-    if found is None:
-        return
-    left, right = (each.base_position_m or ZERO for each in cell.arms)
-    yaw = cell.left.base_yaw_rad
-    x, y, z = (b - a for a, b in zip(left, right, strict=True))
-    there = (math.cos(yaw) * x + math.sin(yaw) * y, math.cos(yaw) * y - math.sin(yaw) * x, z)
-    off_m = math.dist(there, found.position_m)
-    off_rad = abs(math.remainder(cell.right.base_yaw_rad - yaw - found.yaw_rad, 2 * math.pi))
-    if off_m > _CALIBRATED or off_rad > _CALIBRATED:
-        yield (
-            f"base_to_base: the bases stand {1e3 * off_m:.3g} mm and {off_rad:.3g} rad otherwise than calibrated on "
-            f"{found.date}: calibrate again with `cell calibrate`, or take this table out"
-        )
-
-
-def _model(name: str, arm: ArmEntry) -> Iterator[str]:
-    facts = robot_model(arm.robot)
-    if facts.family != arm.family:
-        yield (
-            f"{name}.model is {arm.robot!r} and {name}.family is {arm.family!r}: the controller of a {facts.title} is "
-            f"of the family {facts.family!r}. Correct one of them"
-        )
-    if (arm.payload_kg or 0.0) > facts.payload_kg:
-        yield (
-            f"{name}.payload_kg is {arm.payload_kg:g}: a {facts.title} may carry 0 to {facts.payload_kg:g} kg. "
-            "Correct it, or the model"
-        )
-
-
-def _servoj(name: str, arm: ArmEntry) -> Iterator[str]:
-    profile = arm.profile
-    if profile.damping < LEAST_DAMPING:
-        least = (2 * LEAST_DAMPING / profile.lookahead_s) ** 2
-        yield (
-            f"{name}.servoj.gain is {profile.gain:g} with lookahead_s = {profile.lookahead_s:g}: the arm would swing "
-            f"(damping {profile.damping:.2f}, allowed is {LEAST_DAMPING} or more). Choose a gain of {math.ceil(least)} "
-            "or more, or a longer lookahead"
-        )
-
-
-def _obstacles(cell: CellFile) -> Iterator[str]:
-    seen: dict[str, int] = {}
-    for row, each in enumerate(cell.obstacle):
-        path = f"obstacle[{row}]"
-        if each.name in seen:
-            yield f"{path}.name is {each.name!r}, as that of obstacle[{seen[each.name]}]: choose another"
-        seen.setdefault(each.name, row)
-        if not isinstance(each, PlaneEntry):
-            continue
-        length = math.hypot(*each.normal)
-        if abs(length - 1) > _UNIT_TOLERANCE:
-            yield f"{path}.normal has the length {length:.6g}: allowed is 1. Divide it by its length"
-            continue
-        for name, arm in zip(ARMS, cell.arms, strict=True):
-            away = (a - b for a, b in zip(arm.base_position_m or ZERO, each.point_m, strict=True))
-            ahead_m = sum(a * b for a, b in zip(each.normal, away, strict=True))
-            if ahead_m < -_BEHIND_M:
-                yield (
-                    f"{path}.normal points away from the {name} base, which is {-ahead_m:.3g} m behind the plane: the "
-                    "arms are in front of it. Turn the normal round, or move the point"
-                )

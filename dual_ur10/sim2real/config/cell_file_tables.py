@@ -21,7 +21,7 @@ from dual_ur10.assets import obstacles
 from dual_ur10.ids import ENTRY_POINTS, ENV_IDS
 from dual_ur10.kinematics import ur10
 from dual_ur10.kinematics.frames import MAX_MOUNT_M, ArmMount
-from dual_ur10.kinematics.robots import MODEL_OF_FAMILY, ROBOTS
+from dual_ur10.kinematics.robots import MODEL_OF_FAMILY, MOST_PAYLOAD_KG, ROBOTS
 from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters, Family, nominal_dh
 from dual_ur10.sim2real.control.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S, MEASURED_LOOKAHEAD_S, ServojProfile
 
@@ -30,7 +30,6 @@ Kind = Literal["real", "emulated"]
 ZERO: Final = (0.0, 0.0, 0.0)
 MAX_OBSTACLES: Final = 64
 MAX_LATENCY_S: Final = 0.3
-MOST_PAYLOAD_KG: Final = max(each.payload_kg for each in ROBOTS.values())
 ROBOTIQ_PORT: Final = 63352
 """TCP port of Robotiq's URCap."""
 

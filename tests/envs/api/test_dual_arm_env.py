@@ -21,7 +21,8 @@ from dual_ur10.ids import task_name
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import JOINTS
-from dual_ur10.sim2real.config.cell import CellConfig, Perturbation
+from dual_ur10.sim2real.config.cell import CellConfig
+from dual_ur10.sim2real.config.perturbation import Perturbation
 from tests.soak import scaled
 
 IDS = dual_ur10.ENV_IDS

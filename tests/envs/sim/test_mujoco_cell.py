@@ -16,7 +16,8 @@ from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.dynamics import inverse_dynamics
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import ARMS, LINK_MASS_KG, LINKS
-from dual_ur10.sim2real.config.cell import CellConfig, Perturbation, Start
+from dual_ur10.sim2real.config.cell import CellConfig, Start
+from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.control.servoj import ServojLaw, ServojProfile
 

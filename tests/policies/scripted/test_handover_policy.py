@@ -11,7 +11,8 @@ from dual_ur10.policies.policy import Policy
 from dual_ur10.policies.scripted.free_motion import FreeMotion, Waypoint
 from dual_ur10.policies.scripted.handover import HandoverPolicy
 from dual_ur10.policies.scripted.handover_paths import HandoverPaths
-from dual_ur10.sim2real.config.cell import TYPICAL_PERTURBATION, CellConfig
+from dual_ur10.sim2real.config.cell import CellConfig
+from dual_ur10.sim2real.config.perturbation import TYPICAL_PERTURBATION
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from tests.soak import SOAK, scaled
 

@@ -14,7 +14,8 @@ from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import DH_A_M, DHParameters
 from dual_ur10.policies.scripted.lag_model import DeviationModel
-from dual_ur10.sim2real.config.cell import TYPICAL_PERTURBATION, CellConfig
+from dual_ur10.sim2real.config.cell import CellConfig
+from dual_ur10.sim2real.config.perturbation import TYPICAL_PERTURBATION
 from dual_ur10.sim2real.control.limits import Envelope
 from tests.soak import SOAK
 

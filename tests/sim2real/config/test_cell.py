@@ -1,4 +1,4 @@
-"""Configuration of a cell: refusals, equality, and shapes of perturbations."""
+"""Configuration of a cell: refusals and equality."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import pickle
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from dual_ur10.assets.collision_model import clearance_pairs
@@ -16,8 +15,9 @@ from dual_ur10.assets.obstacles import Box
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import CellFileError, RateError, SettingsError, UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.sim2real.config.cell import LATENCY_S, TYPICAL_PERTURBATION, CellConfig, Perturbation
+from dual_ur10.sim2real.config.cell import LATENCY_S, CellConfig
 from dual_ur10.sim2real.config.cell_file import resolve_cell
+from dual_ur10.sim2real.config.perturbation import TYPICAL_PERTURBATION
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.servoj import ServojProfile
@@ -65,72 +65,11 @@ def test_equal_configurations_are_equal_and_hash_alike(make) -> None:
     assert make() != CellConfig(left=ArmMount((-0.9, 0.6, 0.0)))
 
 
-def test_perturbations_of_lists_and_arrays_are_equal() -> None:
-    friction = np.array([5.0, 5.0, 3.0, 1.0, 1.0, 1.0])
-    made = Perturbation(friction_nm=friction)
-    same = Perturbation(friction_nm=[5, 5, 3, 1, 1, 1])  # type: ignore[arg-type]
-    assert made == same
-    assert hash(made) == hash(same)
-    assert made != Perturbation(friction_nm=friction + 1.0)
-    friction[:] = 0.0  # it keeps a copy
-    assert made == same
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("mass_scale", 0.0),
-        ("mass_scale", 11.0),
-        ("friction_nm", -1.0),
-        ("lookahead_scale", 0.05),
-        ("latency_s", 0.21),
-        ("jitter_s", -0.001),
-        ("loss", 0.95),
-        ("payload_kg", 11.0),
-        ("declared_payload_kg", -1.0),
-        ("latency_s", float("nan")),
-        ("friction_nm", np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.inf])),
-        ("loss", "often"),
-        ("loss", [[0.0], [0.0, 0.0]]),
-        ("loss", None),
-    ],
-)
-def test_a_perturbation_out_of_range_is_refused_by_name(name: str, value: object) -> None:
-    with pytest.raises(SettingsError, match=name):
-        Perturbation(**{name: value})
-
-
-def test_an_unknown_perturbation_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(UnknownNameError, match="friction_nm"):
-        Perturbation.from_mapping({"friktion": 1.0})
-    with pytest.raises(UnknownNameError, match="gravity"):
-        CellConfig().with_perturbation(gravity=1.0)
-
-
 def test_with_perturbation_changes_only_what_is_named() -> None:
     config = CellConfig(perturbation=TYPICAL_PERTURBATION, timestep_s=0.001).with_perturbation(loss=0.1)
     assert config.perturbation.loss == 0.1
     assert config.perturbation.mass_scale == 1.05
     assert config.timestep_s == 0.001
-
-
-def test_perturbations_expand_to_their_full_shape() -> None:
-    values = Perturbation(friction_nm=np.arange(6.0), latency_s=[0.0, 0.01]).expanded(3)  # type: ignore[arg-type]
-    assert values["friction_nm"].shape == (3, 2, 6)
-    np.testing.assert_array_equal(values["friction_nm"][2, 1], np.arange(6.0))
-    np.testing.assert_array_equal(values["latency_s"], [[0.0, 0.01]] * 3)
-    others = {"friction_nm", "base_shift_m", "object_mass_scale"}
-    assert all(value.shape == (3, 2) for name, value in values.items() if name not in others)
-    assert values["base_shift_m"].shape == (3, 2, 3)
-    assert values["object_mass_scale"].shape == (3,)
-    values["loss"][0] = 0.5  # each is its own array
-    assert values["loss"][1, 0] == 0.0
-
-
-@pytest.mark.parametrize(("name", "shape"), [("mass_scale", (3,)), ("friction_nm", (2,)), ("loss", (4, 2))])
-def test_a_perturbation_of_the_wrong_shape_is_refused(name: str, shape: tuple[int, ...]) -> None:
-    with pytest.raises(SettingsError, match=name):
-        Perturbation(**{name: np.full(shape, 0.5)}).expanded(3)
 
 
 def test_resolve_cell() -> None:

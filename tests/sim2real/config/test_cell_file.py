@@ -25,7 +25,7 @@ from dual_ur10.errors import CellFileError, DualUR10Error, SettingsError
 from dual_ur10.kinematics import ur10
 from dual_ur10.kinematics.robots import ROBOTS
 from dual_ur10.sim2real.config import cell_file as module
-from dual_ur10.sim2real.config.cell import CellConfig, Perturbation
+from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file import CellFile, examine_text, keys, load_cell_file
 from dual_ur10.sim2real.config.cell_file_reference import EXAMPLES, reference_page, starting_text, write_new
 from dual_ur10.sim2real.config.cell_file_tables import (
@@ -41,6 +41,7 @@ from dual_ur10.sim2real.config.cell_file_tables import (
     RobotiqSocket,
 )
 from dual_ur10.sim2real.config.cell_file_text import Key, toml_text
+from dual_ur10.sim2real.config.perturbation import Perturbation
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.emulator.emulator import Emulator, EmulatorOptions, write_cell_file

@@ -232,7 +232,8 @@ def _follow_points(trajectory: JointTrajectory, cell: CellFile, rate_hz: float, 
         DualUR10Error: The path is refused, or both arms were stopped.
     """
     from dual_ur10.sim2real.control.link_profiles import profile_for
-    from dual_ur10.sim2real.runtime.point_stream import PointStream, Progress
+    from dual_ur10.sim2real.runtime.point_stream import PointStream
+    from dual_ur10.sim2real.runtime.stream_motion import Progress
 
     next_s = 0.0
 

@@ -11,7 +11,8 @@ from dual_ur10.cli import follow as follow_command
 from dual_ur10.errors import CellFaulted, StartError, TrajectoryError
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.link_profiles import profile_for
-from dual_ur10.sim2real.runtime.point_stream import PointStream, stop_arms
+from dual_ur10.sim2real.runtime.point_stream import PointStream
+from dual_ur10.sim2real.runtime.stream_arm import stop_arms
 from dual_ur10.sim2real.runtime.stream_script import REASONS, STATE, Command, State, points_script
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.point_path import PointPath

@@ -1,0 +1,166 @@
+"""One path on its way to two controllers that interpolate its points; see `point_stream`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from dual_ur10.errors import LinkError
+from dual_ur10.sim2real.control.link_profiles import LinkProfile
+from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
+from dual_ur10.sim2real.processes.clock import Clock
+from dual_ur10.sim2real.protocol.modes import RuntimeState
+from dual_ur10.sim2real.runtime.stream_arm import PATH_RATE, StreamArm, slowed, stop_arms
+from dual_ur10.sim2real.runtime.stream_script import (
+    MOVE_PART,
+    PATH_TIME,
+    RATE_BAND,
+    REASONS,
+    STATE,
+    TOKEN,
+    Command,
+    State,
+)
+from dual_ur10.sim2real.trajectory.point_path import PointPath
+
+DWELL_S: Final = 0.6
+"""Least time for which both arms rest before they move, while their path times are brought together."""
+
+_STALE_S: Final = 0.2  # oldest state of a controller, in addition to an interval
+_GAIN_1_S: Final = 0.5  # of the correction of the rate, per second of difference
+
+
+class Progress(NamedTuple):
+    """State of one arm on its path, as its controller reported it.
+
+    Attributes:
+        arm: Index of the arm.
+        path_s: Time on the path, with the dwell.
+        late_s: Time by which that is behind the sender's, s; NaN with `movej`.
+        status: Status of the arm.
+    """
+
+    arm: int
+    path_s: float
+    late_s: float
+    status: ArmStatus
+
+
+class StreamMotion:
+    """One path on its way to both controllers."""
+
+    def __init__(
+        self,
+        arms: Sequence[StreamArm],
+        path: PointPath,
+        profile: LinkProfile,
+        clock: Clock,
+        feedback: Callable[[Progress], None] | None,
+    ) -> None:
+        self._arms, self._clock, self._feedback = arms, clock, feedback
+        self._moves = profile.mode == "movej"
+        self._interval_s = path.interval_s
+        dwell_s = math.ceil(DWELL_S / path.interval_s) * path.interval_s
+        self._time_s = np.concatenate([[0.0], dwell_s + path.interval_s * np.arange(len(path.q_rad))])
+        self._q = np.concatenate([path.q_rad[:1], path.q_rad])
+        self._qd = np.concatenate([path.qd_rad_s[:1], path.qd_rad_s])
+        self._begin_s = math.inf
+        self._count = [arm.link.count for arm in arms]
+
+    @property
+    def begun(self) -> bool:
+        """True once the arms were told to move."""
+        return self._begin_s < math.inf
+
+    def run(self, canceled: Callable[[], bool]) -> bool:
+        """Send all points; see `PointStream.run`."""
+        number = 0
+        for arm in self._arms:
+            arm.values["last"] = len(self._q)
+        if not self._moves:
+            for number in (1, 2):
+                self._put(number)
+                for arm in self._arms:
+                    arm.wait(lambda state, seen, number=number: state == State.WAITING and seen == number, "a point")  # type: ignore[misc]  # a default binds the loop's value
+        self._begin_s = self._clock.now_s()
+        for arm in self._arms:
+            arm.values["command"] = Command.RUN
+            arm.send()
+        while True:
+            if canceled():
+                stop_arms(self._arms, self._clock)
+                return False
+            if self._poll():
+                return True
+            now_s = self._clock.now_s()
+            due_s = self._due_s(number + 1)
+            if now_s >= due_s:
+                number += 1
+                self._steer()
+                self._put(number)
+                continue
+            self._clock.wait([arm.link.fileno() for arm in self._arms], min(due_s, now_s + self._interval_s))
+
+    def _due_s(self, number: int) -> float:
+        """Return the time at which a point is sent: in the middle of the interval before the one that ends with it."""
+        if number > len(self._q):
+            return math.inf
+        if self._moves:
+            return self._begin_s + self._interval_s * (number - 1)
+        before = self._time_s[number - 2] if number > 2 else 0.0
+        return float(self._begin_s + (before - self._interval_s / 2) / PATH_RATE)
+
+    def _put(self, number: int) -> None:
+        time_s = MOVE_PART * self._interval_s if self._moves else float(self._time_s[number - 1])
+        for k, arm in enumerate(self._arms):
+            arm.put(number, self._q[number - 1, k], self._qd[number - 1, k], time_s)
+
+    def _steer(self) -> None:
+        """Correct the path times of both controllers by what they were behind since the last point.
+
+        The least of several counts: delays of the network and of this machine only add to it.
+        """
+        if self._moves:
+            return
+        for arm in self._arms:
+            late, arm.late_s = arm.late_s, []
+            if not late:
+                continue
+            late_s = min(late)
+            resting = (self._clock.now_s() - self._begin_s) * PATH_RATE < self._time_s[1]
+            if resting:
+                arm.values["shift"] += late_s
+            arm.values["rate"] = PATH_RATE + min(max(_GAIN_1_S * late_s, -RATE_BAND / 2), RATE_BAND / 2)
+
+    def _poll(self) -> bool:
+        """Read the states of both arms; return True once both have finished.
+
+        Raises:
+            LinkError: An arm does not go on, or a connection was lost.
+        """
+        ended = []
+        for number, arm in enumerate(self._arms):
+            arm.poll()
+            sample, now_s = arm.link.latest, self._clock.now_s()
+            if sample is None or arm.link.age_s(now_s) > self._interval_s + _STALE_S:
+                raise LinkError(f"{arm.name}: its controller has fallen silent: check the link")
+            values: Any = sample.values
+            state = values[STATE]
+            status = ArmStatus.from_sample(sample)
+            reason = stop_reason(status, playing=state < State.FINISHED) or REASONS.get(state) or slowed(status)
+            if values[TOKEN] != arm.token:
+                reason = "another program runs on its controller"
+            if reason is not None:
+                raise LinkError(f"{arm.name}: {reason}")
+            path_s = float(values[PATH_TIME])
+            if arm.link.count > self._count[number] and state == State.MOVING and path_s < self._time_s[-1]:
+                self._count[number] = arm.link.count
+                late_s = math.nan if self._moves else (sample.arrival_s - self._begin_s) * PATH_RATE - path_s
+                arm.late_s.append(late_s)
+                if self._feedback is not None:
+                    self._feedback(Progress(number, path_s, late_s, status))
+            ended.append(state == State.FINISHED and status.runtime_state == RuntimeState.STOPPED)
+        return all(ended)

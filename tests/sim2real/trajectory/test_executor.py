@@ -8,10 +8,10 @@ import pytest
 
 from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import ClosedError, SettingsError, StartError, TrajectoryError
-from dual_ur10.sim2real.trajectory.executor import START_RAD
 from dual_ur10.sim2real.trajectory.goal import GoalState, TrajectoryGoal
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory, ResultCode
+from dual_ur10.sim2real.trajectory.tolerances import START_RAD
 from tests.sim2real.trajectory.following import DIRECTIONS, TICKS, check_sent, made, part, wave
 from tests.soak import scaled
 
@@ -166,7 +166,7 @@ def test_a_refused_target_brakes_both_arms():
     executor = made()
     handle = executor.execute(wave())
     steps(executor, 60)
-    executor.law = dataclasses.replace(executor.law, lookahead_s=0.2)
+    executor.stepper.law = dataclasses.replace(executor.law, lookahead_s=0.2)
     result = handle.wait()
     assert (result.code, result.reason) == (ResultCode.PATH_TOLERANCE_VIOLATED, "refused")
     assert "allowed at most" in result.text

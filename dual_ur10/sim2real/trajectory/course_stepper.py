@@ -173,6 +173,13 @@ class CourseStepper:
 
     # Changes of the course.
 
+    def follow(self, course: Course) -> None:
+        """Continue on another path. Until the arms show its motion, its time counts as that of its beginning."""
+        begun_s = course.path_s(self.time_s)
+        self.course = course
+        for row, each in enumerate(self._past):
+            self._past[row] = each._replace(path_s=begun_s)
+
     def joined(self, path: SmoothPath, begun_s: float, end_s: float, rate: float) -> Course | str:
         """Return the course from the current motion onto a path that began some time ago, or why there is none.
 

@@ -341,7 +341,8 @@ class TrajectoryExecutor(Closing):
             before = self._active
             self._end_preempted(before, before.reason or "replaced", before.text or "another goal has begun")
         self._pending = None
-        self._active, self.stepper.course, self._finished = handle, course, False
+        self._active, self._finished = handle, False
+        self.stepper.follow(course)
         self._stream = check if goal.stream else None
         handle.state = GoalState.ACTIVE
 

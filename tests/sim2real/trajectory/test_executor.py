@@ -48,6 +48,15 @@ def test_a_goal_is_reached_without_lag(latency_ticks, order, points, error_rad):
     assert executor.cell.finished == 1
 
 
+def test_feedback_begins_with_the_goals_own_time():
+    executor, seen = made(5), []
+    executor.execute(wave()).wait()
+    executor.execute(wave(start=executor.desired_q_rad, amplitude=-0.1)).wait(seen.append)
+    path_s = [each.path_s for each in seen]
+    assert path_s[0] == 0.0
+    assert (np.diff(path_s) >= 0.0).all()
+
+
 def test_both_arms_end_at_the_same_tick():
     executor = made()
     executor.execute(wave(points=5)).wait()

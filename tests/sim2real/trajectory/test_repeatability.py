@@ -1,5 +1,6 @@
 """Repeatability after random paths."""
 
+import itertools
 import re
 
 import numpy as np
@@ -32,6 +33,24 @@ def test_the_arms_leave_and_return_along_released_paths():
     check_sent(executor)
     executor.cell.offset_rad = np.full((2, 6), 0.2)
     with pytest.raises(TrajectoryError, match="a random path was not followed to its end"):
+        list(returns(executor, 1, np.random.default_rng(0)))
+
+
+def test_a_path_that_was_stopped_for_lateness_is_planned_again():
+    executor, periods = made(5), itertools.count()
+    advance, late = executor.cell.advance, {30, 130}
+
+    def busy(command):
+        executor.cell.pauses = int(next(periods) in late)
+        return advance(command)
+
+    executor.cell.advance = busy
+    (found,) = returns(executor, 1, np.random.default_rng(0))
+    np.testing.assert_allclose(found, HOME_Q_RAD, atol=1e-4)
+    assert next(periods) > max(late)
+    check_sent(executor)
+    late.update(range(0, 10_000, 5))
+    with pytest.raises(TrajectoryError, match="missed the deadline"):
         list(returns(executor, 1, np.random.default_rng(0)))
 
 

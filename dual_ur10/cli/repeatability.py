@@ -14,6 +14,9 @@ from dual_ur10.kinematics.ur10 import ARMS
 def repeatability(
     paths: Annotated[int, typer.Option("--paths", min=2, help="Random paths away and back.")] = 20,
     cell: CellFileName = None,
+    settle: Annotated[
+        float, typer.Option("--settle", metavar="S", min=0.0, max=60.0, help="Rest before each measurement.")
+    ] = 1.0,
     seed: Seed = 0,
     perturbed: Perturbed = False,
     power: PowerOn = False,
@@ -34,7 +37,7 @@ def repeatability(
     chosen = keywords.get("cell", "mujoco")
     with make_follower(chosen) as executor:
         executor.start(home_of(chosen))
-        found = list(returns(executor, paths, np.random.default_rng(seed)))
+        found = list(returns(executor, paths, np.random.default_rng(seed), settle))
     spread = spread_of(np.stack([executor.flanges_m(q_rad) for q_rad in found]))
     table = Table(header_style="bold")
     for header in ("arm", "ISO 9283\n[dim]mm[/]", "largest\n[dim]mm[/]", "UR10, data sheet\n[dim]mm[/]"):
@@ -43,4 +46,4 @@ def repeatability(
         values = (spread.iso_9283_m[row], spread.largest_m[row])
         table.add_row(arm, *(f"{1e3 * each:.5f}" for each in values), f"±{1e3 * UR10_M:g}")
     console.print(table)
-    console.print(f"{paths} returns, from encoders and forward kinematics", highlight=False)
+    console.print(f"{paths} returns, {settle:g} s after each, from encoders and forward kinematics", highlight=False)

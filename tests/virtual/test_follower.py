@@ -10,6 +10,7 @@ from dual_ur10.envs import make_follower
 from dual_ur10.errors import StartError
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.trajectory import GoalState, ResultCode, TrajectoryGoal
+from dual_ur10.sim2real.trajectory.repeatability import UR10_M, returns, spread_of
 from dual_ur10.testing import VirtualCell
 from tests.sim2real.trajectory.following import part, wave
 
@@ -130,6 +131,13 @@ def test_nothing_moves_without_confirmation():
         with pytest.raises(StartError, match="not confirmed"):
             executor.start(HOME_Q_RAD)
         assert executor.execute(wave()).state == GoalState.REJECTED
+
+
+def test_friction_spreads_returns_less_than_the_data_sheet_allows(executor):
+    found = list(returns(executor, 3, np.random.default_rng(0)))
+    spread = spread_of(np.stack([executor.flanges_m(q_rad) for q_rad in found]))
+    assert (spread.iso_9283_m > 1e-7).all()  # the plant has friction
+    assert (spread.iso_9283_m < UR10_M / 2).all()
 
 
 def test_one_arm_alone_moves():

@@ -2,11 +2,13 @@
 
 The flange poses come from the joints' encoders by forward kinematics: what bends between encoder and flange, and how
 far the kinematics are wrong, they do not show. The figure of ISO 9283 is the mean distance from the mean position plus
-three standard deviations of it.
+three standard deviations of it. As there, the arms are measured once they have settled: joints with friction creep for
+a while after they count as resting.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
@@ -20,6 +22,9 @@ from dual_ur10.types import Array
 
 UR10_M: Final = 1e-4
 """Repeatability of a UR10: CB3 data sheet, ±0.1 mm."""
+
+SETTLE_S: Final = 1.0
+"""Default time between arrival and measurement: friction of a mild plant then leaves an eighth of the spread."""
 
 _AROUND_RAD: Final = 1.0  # largest distance of a joint from home at the end of a random path
 _TRIES: Final = 1000
@@ -51,13 +56,16 @@ def spread_of(positions_m: Array) -> Spread:
     return Spread(away.mean(axis=0) + 3.0 * away.std(axis=0, ddof=1), away.max(axis=0))
 
 
-def returns(executor: TrajectoryExecutor, paths: int, rng: np.random.Generator) -> Iterator[Array]:
+def returns(
+    executor: TrajectoryExecutor, paths: int, rng: np.random.Generator, settle_s: float = SETTLE_S
+) -> Iterator[Array]:
     """Yield the joint angles, (2, 6), that are measured after each of some random paths away and back.
 
     Args:
         executor: Executor whose arms rest at the configuration.
         paths: Number of paths.
         rng: Generator of the paths.
+        settle_s: Time for which the arms rest before they are measured, in the trajectory's time.
 
     Raises:
         PlanningError: No path was found.
@@ -68,6 +76,8 @@ def returns(executor: TrajectoryExecutor, paths: int, rng: np.random.Generator) 
         away = _random_goal(home, executor.gate, rng)
         for goal in (away, home):
             _move(executor, goal, rng)
+        for _ in range(math.ceil(settle_s / executor.law.period_s)):
+            executor.step()
         yield executor.measured_q_rad
 
 

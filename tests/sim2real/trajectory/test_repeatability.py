@@ -1,6 +1,7 @@
 """Repeatability after random paths."""
 
 import itertools
+import math
 import re
 
 import numpy as np
@@ -25,12 +26,21 @@ def test_the_spread_is_that_of_iso_9283():
         spread_of(positions[:1])
 
 
+def moved_ticks(settle_s):
+    """Return the targets of one path away and back."""
+    executor = made()
+    next(returns(executor, 1, np.random.default_rng(0), settle_s))
+    return executor.cell.sent
+
+
 def test_the_arms_leave_and_return_along_released_paths():
     executor = made()
     found = list(returns(executor, 3, np.random.default_rng(0)))
     np.testing.assert_allclose(found, np.tile(HOME_Q_RAD, (3, 1, 1)), atol=1e-4)
     assert np.abs(np.array(executor.cell.sent) - HOME_Q_RAD).max() > 0.5
     check_sent(executor)
+    arrived, settled = (len(moved_ticks(settle_s)) for settle_s in (0.0, 0.5))
+    assert settled - arrived == 2 * math.ceil(0.5 / executor.law.period_s)
     executor.cell.offset_rad = np.full((2, 6), 0.2)
     with pytest.raises(TrajectoryError, match="a random path was not followed to its end"):
         list(returns(executor, 1, np.random.default_rng(0)))
@@ -60,6 +70,6 @@ def test_the_command_prints_both_arms():
     rows = [line.split("│")[1:-1] for line in text.splitlines() if line.startswith("│")]
     assert [row[0].strip() for row in rows] == ["left", "right"]
     assert all(0.0 < float(row[1]) < 5.0 for row in rows)
-    assert re.search("2 returns, from encoders and forward kinematics", text)
+    assert re.search("2 returns, 1 s after each, from encoders and forward kinematics", text)
     code, text = run("repeatability", "--paths", "1")
     assert code == 2

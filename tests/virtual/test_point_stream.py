@@ -12,7 +12,7 @@ from dual_ur10.errors import CellFaulted, StartError, TrajectoryError
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.link_profiles import profile_for
 from dual_ur10.sim2real.runtime.point_stream import PointStream
-from dual_ur10.sim2real.runtime.stream_arm import stop_arms
+from dual_ur10.sim2real.runtime.program_link import stop_programs
 from dual_ur10.sim2real.runtime.stream_script import REASONS, STATE, Command, State, points_script
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.point_path import PointPath
@@ -281,7 +281,7 @@ def arm(cell):
     arm.upload(points_script(7, profile_for(5.0).servoj, 1.0), 7)
     arm.values["last"] = 9
     yield arm
-    stop_arms([arm], cell.clock)
+    stop_programs([arm], cell.clock)
     points.close()
 
 

@@ -13,30 +13,25 @@ from typing import Final
 
 import numpy as np
 
-from dual_ur10.errors import CellFaulted, DualUR10Error, LinkError, StartError, TrajectoryError
+from dual_ur10.errors import StartError, TrajectoryError
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.commissioning.findings import REST_RAD_S
-from dual_ur10.sim2real.commissioning.operator_prompts import Confirm, prompt_for
+from dual_ur10.sim2real.commissioning.operator_prompts import Confirm
 from dual_ur10.sim2real.config.cell_file import CellFile
-from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.link_profiles import LinkProfile
-from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.processes.system import LOCAL, System
-from dual_ur10.sim2real.runtime.latch import CellLock, Latch
-from dual_ur10.sim2real.runtime.runner import check
-from dual_ur10.sim2real.runtime.stream_arm import CONNECT_S, PATH_RATE, READY_S, StreamArm, slowed, stop_arms
-from dual_ur10.sim2real.runtime.stream_motion import Progress, StreamMotion
-from dual_ur10.sim2real.runtime.stream_script import moves_script, points_script
+from dual_ur10.sim2real.runtime.program_link import ProgrammedArms, stop_programs
+from dual_ur10.sim2real.runtime.stream_motion import Progress, StreamMotion, slowed
+from dual_ur10.sim2real.runtime.stream_script import NOMINAL_RATE, moves_script, points_script
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation, Motion
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.point_path import PointPath, check_targets
-from dual_ur10.types import Array, Closing
+from dual_ur10.types import Array
 
 _NEAR_RAD: Final = 1e-3  # from the first point to where the arms stand
 
 
-class PointStream(Closing):
+class PointStream(ProgrammedArms):
     """Both controllers of a cell, behind a slow link. Construction connects and checks, and moves nothing.
 
     Args:
@@ -48,11 +43,10 @@ class PointStream(Closing):
         system: Clock, network and state folder.
 
     Raises:
-        CellFaulted: A latched stop was not cleared.
-        CellBusyError: Another program moves one of the arms.
-        StartError: A controller is not ready, the link is too slow for this rate, or the profile is one of direct
-            `servoj` targets.
-        LinkError: A controller cannot be reached.
+        StartError: The profile is one of direct `servoj` targets; or see `ProgrammedArms`.
+        CellFaulted: See `ProgrammedArms`.
+        CellBusyError: See `ProgrammedArms`.
+        LinkError: See `ProgrammedArms`.
     """
 
     def __init__(
@@ -69,61 +63,27 @@ class PointStream(Closing):
                 f"at {profile.rate_hz:g} Hz the runner sends targets itself: make an environment on the cell file, or "
                 "use a lower rate"
             )
-        self._file, self.profile, self._clock = file, profile, system.clock
+        self.profile = profile
         config = file.config()
-        self._tick_s, self._confirm = config.servoj.tick_s, prompt_for(file, confirm)
+        self._tick_s = config.servoj.tick_s
         # The caps of a cell file are in real time, as these limits are.
         self.limits = replace(config, speed_factor=1.0).capped(MotionLimits() if limits is None else limits)
-        self._clearance = Clearance(
-            config.measured_scene, minimum_m=config.minimum_clearance_m, uncertainty=config.uncertainty
-        )
-        self._latch = Latch(file, system)
-        self._latch.check()
-        self._arms: list[StreamArm] = []
         self._token = round(1e3 * system.clock.now_s()) % 2**30
-        self._lock = CellLock(file, system)
-        with self.closed_on_error():
-            if self._lock.left_moving:
-                self._latch.set("the program that moved the arms before ended without stopping them in order")
-            self._latch.check()
-            check(file, system, timeout_s=CONNECT_S, streams=False)
-            rate_hz = min(1.0 / self._tick_s, 5.0 * profile.rate_hz)
-            for name, entry in zip(ARMS, file.arms, strict=True):
-                self._arms.append(StreamArm(name, entry, rate_hz, profile.interval_s / 2, system))
+        rate_hz = min(1.0 / self._tick_s, 5.0 * profile.rate_hz)
+        super().__init__(file, rate_hz, profile.interval_s / 2, confirm=confirm, system=system)
 
     @property
     def rate(self) -> float:
         """Rate of the path's time on the clock of this program."""
-        return 1.0 if self.profile.mode == "movej" else PATH_RATE
+        return 1.0 if self.profile.mode == "movej" else NOMINAL_RATE
 
     def measured(self) -> Array:
         """Return the measured joint positions, (2, 6).
 
         Raises:
-            StartError: An arm is not ready, or moves.
+            StartError: An arm is not ready, moves, or its speed is scaled.
         """
-        found = []
-        for arm in self._arms:
-            status = self._next_status(arm)
-            reason = stop_reason(status, playing=False) or slowed(status)
-            if reason is None and not max(map(abs, status.qd_rad_s)) < REST_RAD_S:
-                reason = "it moves: wait until it rests"
-            if reason is not None:
-                raise StartError(f"{arm.name} cannot begin: {reason}")
-            found.append(status.q_rad)
-        return np.array(found)
-
-    def _next_status(self, arm: StreamArm) -> ArmStatus:
-        count, end_s = arm.link.count, self._clock.now_s() + READY_S
-        while arm.link.count <= count:
-            if self._clock.now_s() > end_s:
-                raise LinkError(f"{arm.name}: its controller sends no state: check the link")
-            self._clock.wait((arm.link.fileno(),), end_s)
-            arm.poll()
-        sample = arm.link.latest
-        if sample is None:
-            raise LinkError(f"{arm.name}: its controller sends no state: check the link")
-        return ArmStatus.from_sample(sample)
+        return self._measured(slowed)
 
     def thin(self, targets_rad: Array) -> PointPath:
         """Return the points of a path of targets, at the stream's rate and the cell's speed factor.
@@ -210,26 +170,13 @@ class PointStream(Closing):
                 arm.upload(self._script(self._token), self._token)
             return motion.run(canceled or (lambda: False))
         except (Exception, KeyboardInterrupt, SystemExit) as error:
-            stop_arms(self._arms, self._clock)
+            stop_programs(self._arms, self._clock)
             if isinstance(error, StartError) and not motion.begun:
                 raise
-            reason = str(error) if isinstance(error, DualUR10Error) else f"the sending program ended: {error!r}"
-            self._latch.set(reason)
-            if not isinstance(error, DualUR10Error):
-                raise
-            raise CellFaulted(
-                f"both arms were stopped: {reason}. Check both, correct the cause, then run "
-                f"`python -m dual_ur10 cell clear {self._file.source}`"
-            ) from error
+            raise self._faulted(error) from error
 
     def _script(self, token: int) -> str:
         speed = max(self.limits.speed_rad_s)
         if self.profile.mode == "movej":
             return moves_script(token, self.profile.servoj, speed, self.profile.interval_s)
         return points_script(token, self.profile.servoj, speed)
-
-    def close(self) -> None:
-        """Release both controllers. May be called twice."""
-        for arm in self._arms:
-            arm.close()
-        self._lock.release()

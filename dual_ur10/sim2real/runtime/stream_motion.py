@@ -13,9 +13,10 @@ from dual_ur10.sim2real.control.link_profiles import LinkProfile
 from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.processes.clock import Clock
 from dual_ur10.sim2real.protocol.modes import RuntimeState
-from dual_ur10.sim2real.runtime.stream_arm import PATH_RATE, StreamArm, slowed, stop_arms
+from dual_ur10.sim2real.runtime.program_link import ProgramLink, stop_programs
 from dual_ur10.sim2real.runtime.stream_script import (
     MOVE_PART,
+    NOMINAL_RATE,
     PATH_TIME,
     RATE_BAND,
     REASONS,
@@ -54,7 +55,7 @@ class StreamMotion:
 
     def __init__(
         self,
-        arms: Sequence[StreamArm],
+        arms: Sequence[ProgramLink],
         path: PointPath,
         profile: LinkProfile,
         clock: Clock,
@@ -91,7 +92,7 @@ class StreamMotion:
             arm.send()
         while True:
             if canceled():
-                stop_arms(self._arms, self._clock)
+                stop_programs(self._arms, self._clock)
                 return False
             if self._poll():
                 return True
@@ -111,7 +112,7 @@ class StreamMotion:
         if self._moves:
             return self._begin_s + self._interval_s * (number - 1)
         before = self._time_s[number - 2] if number > 2 else 0.0
-        return float(self._begin_s + (before - self._interval_s / 2) / PATH_RATE)
+        return float(self._begin_s + (before - self._interval_s / 2) / NOMINAL_RATE)
 
     def _put(self, number: int) -> None:
         time_s = MOVE_PART * self._interval_s if self._moves else float(self._time_s[number - 1])
@@ -130,10 +131,10 @@ class StreamMotion:
             if not late:
                 continue
             late_s = min(late)
-            resting = (self._clock.now_s() - self._begin_s) * PATH_RATE < self._time_s[1]
+            resting = (self._clock.now_s() - self._begin_s) * NOMINAL_RATE < self._time_s[1]
             if resting:
                 arm.values["shift"] += late_s
-            arm.values["rate"] = PATH_RATE + min(max(_GAIN_1_S * late_s, -RATE_BAND / 2), RATE_BAND / 2)
+            arm.values["rate"] = NOMINAL_RATE + min(max(_GAIN_1_S * late_s, -RATE_BAND / 2), RATE_BAND / 2)
 
     def _poll(self) -> bool:
         """Read the states of both arms; return True once both have finished.
@@ -158,9 +159,17 @@ class StreamMotion:
             path_s = float(values[PATH_TIME])
             if arm.link.count > self._count[number] and state == State.MOVING and path_s < self._time_s[-1]:
                 self._count[number] = arm.link.count
-                late_s = math.nan if self._moves else (sample.arrival_s - self._begin_s) * PATH_RATE - path_s
+                late_s = math.nan if self._moves else (sample.arrival_s - self._begin_s) * NOMINAL_RATE - path_s
                 arm.late_s.append(late_s)
                 if self._feedback is not None:
                     self._feedback(Progress(number, path_s, late_s, status))
             ended.append(state == State.FINISHED and status.runtime_state == RuntimeState.STOPPED)
         return all(ended)
+
+
+def slowed(status: ArmStatus) -> str | None:
+    """Return the reason why an arm cannot keep the path's time; None: it can."""
+    scaling = min(status.slider, status.speed_scaling)
+    if scaling < 1.0 - 1e-6:
+        return f"its speed is scaled to {100 * scaling:.0f} %: points have fixed times, so set the slider to 100 %"
+    return None

@@ -21,6 +21,9 @@ FIRST: Final = 24
 RATE_BAND: Final = 5e-4
 """Largest part by which the path time may be slower than the controller's clock. It is never faster."""
 
+NOMINAL_RATE: Final = 1.0 - RATE_BAND / 2
+"""Rate of the path time that leaves room for corrections: neither controller is faster than what was checked."""
+
 FAR_RAD: Final = 0.01
 """Largest distance of the first point from where the arm stands, as in UR's own follower for slow links."""
 

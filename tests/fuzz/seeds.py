@@ -95,6 +95,7 @@ _INJECTED: Final = [
     {"do": "state", "arm": "left", "names": ["actual_q", "timestamp"]},
     {"do": "pose", "body": "block", "noise_m": 0.001, "noise_rad": 0.01, "delay_s": 0.1},
     {"do": "place", "position_m": [0.1, 0.0, 0.2], "quat": [1.0, 0.0, 0.0, 0.0]},
+    {"do": "push", "arm": "right", "wrench": [0.0, 12.0, 0.0, 0.0, 0.0, 0.5], "seconds": 0.5},
     {"do": "setpoints", "arm": "right", "since": 0},
     {"do": "received", "arm": "left", "since": -3},
     {"do": "clients", "arm": "left"},

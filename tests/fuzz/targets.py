@@ -497,6 +497,10 @@ class _World:
     def place(self, pose: Any) -> None:
         assert np.isfinite(pose).all()
 
+    def push(self, arm: int, wrench: Any, duration_s: float) -> None:
+        assert np.abs(wrench).max() <= 200.0
+        assert 0.0 <= duration_s <= 60.0
+
 
 class _Cell:
     """Cell for fault injection, whose only controller stands for both and is made when it is needed."""
@@ -532,11 +536,11 @@ _INJECTION: Final = FaultInjection(_Cell())  # type: ignore[arg-type]
 @target(
     ProtocolError,
     words='"do" "arm" "left" "mode" "info" "state" "names" "pose" "body" "block" "noise_m" "noise_rad" "delay_s" '
-    '"place" "position_m" "quat" "setpoints" "since" "received" "clients" "stop" "reason" "release" "reduce" "on" '
-    '"press" "button" "play" "slider" "fraction" "remote" "input" "bit" "program" "name" "text" "link" "port" "rtde" '
-    '"all" "mute" "lose" "jitter_s" "heal" "drop" "reset" "writers" "refuse" "override" "actual_q" "watchdog" '
-    '"script_delay" "seconds" "pretend" "version" "model" "serial_number" "robot_type" "safety_checksum" "calibration" '
-    '"error_m" "shutdown" true null NaN 1e999 : ,',
+    '"place" "position_m" "quat" "push" "wrench" "setpoints" "since" "received" "clients" "stop" "reason" "release" '
+    '"reduce" "on" "press" "button" "play" "slider" "fraction" "remote" "input" "bit" "program" "name" "text" "link" '
+    '"port" "rtde" "all" "mute" "lose" "jitter_s" "heal" "drop" "reset" "writers" "refuse" "override" "actual_q" '
+    '"watchdog" "script_delay" "seconds" "pretend" "version" "model" "serial_number" "robot_type" "safety_checksum" '
+    '"calibration" "error_m" "shutdown" true null NaN 1e999 : ,',
 )
 def fault_injection(data: bytes) -> None:
     """Requests to an emulated cell: each is answered by one line of JSON, and the cell goes on."""

@@ -31,6 +31,7 @@ from dual_ur10.sim2real.emulator.mujoco_world import EmulatedWorld
 
 _MAX_DELAY_S: Final = 2.0
 _MAX_DISTANCE_M: Final = 10.0
+_MOST_N, _MOST_NM = 200.0, 20.0  # as much as a person pushes
 _MAX_SETPOINTS: Final = 1000  # per answer, which must not delay a control period
 
 _Delay = Annotated[float, Field(ge=0.0, le=_MAX_DELAY_S)]
@@ -41,6 +42,8 @@ _Mode = Annotated[int, Field(ge=0, le=255)]  # as far as the primary interface c
 _Since = Annotated[int, Field(le=2**53)]
 _Version = Annotated[list[int], Field(min_length=4, max_length=4)]
 _Text = InstanceOf[str]  # any text, also such as is no valid Unicode
+_Wrench = Annotated[list[float], Field(min_length=6, max_length=6)]
+_Push = Annotated[float, Field(ge=0.0, le=60.0)]
 _PRESSES: Final = (
     "play",
     "resume",
@@ -121,10 +124,13 @@ class FaultInjection:
         given = values.model_fields_set
         return self._requests[name](**{key: value for key, value in values if key in given})
 
-    def _arm(self, arm: str) -> ArmServer:
+    def _index(self, arm: str) -> int:
         if arm not in ARMS:
             raise UnknownNameError("arm", arm, ARMS)
-        return self._cell.servers[ARMS.index(arm)]
+        return ARMS.index(arm)
+
+    def _arm(self, arm: str) -> ArmServer:
+        return self._cell.servers[self._index(arm)]
 
     def after_tick(self, time_s: float) -> None:
         """Record the poses that may be requested with a delay."""
@@ -239,6 +245,13 @@ class FaultInjection:
         if max(map(abs, pose[:3])) > _MAX_DISTANCE_M:
             raise SettingsError(f"an object cannot be put at {pose[:3]}: allowed are ±{_MAX_DISTANCE_M:g} m")
         self._cell.world.place(np.array(pose, dtype=np.float64))
+
+    def do_push(self, arm: str, wrench: _Wrench, seconds: _Push) -> None:
+        """Push an arm's flange by hand: force and torque along the axes of its `base`. In freedrive it yields."""
+        for values, most, unit in ((wrench[:3], _MOST_N, "N"), (wrench[3:], _MOST_NM, "N·m")):
+            if max(map(abs, values)) > most:
+                raise SettingsError(f"a hand cannot push with {values} {unit}: allowed are ±{most:g} {unit}")
+        self._cell.world.push(self._index(arm), np.array(wrench), seconds)
 
     # Faults.
 

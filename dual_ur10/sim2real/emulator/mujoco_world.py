@@ -17,10 +17,12 @@ from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.config.cell import CellConfig, CellState
 from dual_ur10.sim2real.emulator.controller import ArmReading
-from dual_ur10.types import Array
+from dual_ur10.types import Array, constant
 
 PLANTS: Final = ("nominal", "mild", "wide")
 """Deviation of the plant from its nominal model: none, or the randomization of that name."""
+
+NO_WRENCH: Final = constant(np.zeros(6))
 
 _MAX_DH_ERROR_M: Final = 0.02
 
@@ -83,6 +85,7 @@ class EmulatedWorld:
         self.lookahead_scale: Array = values["lookahead_scale"][0]
         step_s = config.scene.timestep_s
         latency = np.rint(values["latency_s"][0] / step_s).astype(int)
+        self._hands = [_Hand(), _Hand()]
         self._delays = [_Delay(int(steps), self.start_q_rad[arm]) for arm, steps in enumerate(latency)]
         # These views are filled at the next change of positions.
         self._torque: Array = self._physics.bind("qfrc_actuator")
@@ -103,13 +106,14 @@ class EmulatedWorld:
         return bool(self._physics.failed[0])
 
     def read(self, arm: int) -> ArmReading:
-        """Measure one arm."""
+        """Measure one arm. A hand that pushes it adds to the wrench on its flange."""
         state = self._state
+        wrench = np.zeros(6) if state.wrench is None else state.wrench[0, arm]
         return ArmReading(
             state.q_rad[0, arm].copy(),
             state.qd_rad_s[0, arm].copy(),
             self._torque[0, self._dofs[arm]].copy(),
-            np.zeros(6) if state.wrench is None else state.wrench[0, arm].copy(),
+            wrench + self._hands[arm].wrench,
             None if state.gripper_m is None else float(state.gripper_m[0, arm]),
         )
 
@@ -134,6 +138,8 @@ class EmulatedWorld:
             payload = np.array([payloads_kg]) - self.gripper_kg
         self._physics.advance(motion, grippers, payload)
         self._elapsed += self.config.servoj.tick_s
+        for hand in self._hands:
+            hand.pass_tick()
         self._state = self._physics.state(self._elapsed, moved=True)
 
     def pose(self, body: str) -> tuple[Array, Array]:
@@ -156,6 +162,18 @@ class EmulatedWorld:
             SettingsError: There is none.
         """
         self._physics.place(pose)
+
+    def push(self, arm: int, wrench: Array, duration_s: float) -> None:
+        """Push the flange of an arm by hand, in place of an earlier push.
+
+        The arms follow their reference motions, whatever pushes them: only a compliant one, as in freedrive, yields.
+
+        Args:
+            arm: Index of the arm.
+            wrench: (6,) force and torque on the flange, N and N·m, along the axes of the arm's `base`.
+            duration_s: Duration, rounded to control periods.
+        """
+        self._hands[arm] = _Hand(np.array(wrench, dtype=np.float64), round(duration_s / self.config.servoj.tick_s))
 
     def draw(self) -> tuple[Any, Any]:
         """Return MuJoCo's model and data of the present state: the same objects at every call."""
@@ -181,6 +199,25 @@ class _Delay:
         queue = np.concatenate([self._waiting, plan])
         self._waiting = queue[len(plan) :]
         return queue[: len(plan)]
+
+
+class _Hand:
+    """Push by a hand.
+
+    Args:
+        wrench: (6,) wrench on the flange.
+        ticks: Control periods that it lasts.
+    """
+
+    def __init__(self, wrench: Array = NO_WRENCH, ticks: int = 0) -> None:
+        self._ticks = ticks
+        self.wrench: Array = wrench if ticks > 0 else NO_WRENCH
+
+    def pass_tick(self) -> None:
+        """Let a control period pass."""
+        self._ticks -= 1
+        if self._ticks <= 0:
+            self.wrench = NO_WRENCH
 
 
 def _with_dh_errors(config: CellConfig, most_m: float, rng: np.random.Generator) -> CellConfig:

@@ -23,8 +23,8 @@ from tests.soak import scaled
 DOCS = Path(__file__).parents[3] / "docs" / "reference" / "emulator.md"
 REQUESTS = sorted(
     ["info", "state", "pose", "place", "setpoints", "received", "clients", "stop", "release", "reduce", "press",
-     "slider", "remote", "input", "program", "link", "heal", "drop", "refuse", "override", "watchdog", "script_delay",
-     "pretend", "calibration", "shutdown"]
+     "slider", "remote", "input", "program", "push", "link", "heal", "drop", "refuse", "override", "watchdog",
+     "script_delay", "pretend", "calibration", "shutdown"]
 )  # fmt: skip
 
 
@@ -128,6 +128,10 @@ def test_state(cell):
     [
         ("stop", {"arm": "left", "mode": 300}, "request 'stop': mode is 300: allowed are 0 to 255"),
         ("stop", {"arm": "left"}, "request 'stop': mode is missing"),
+        ("push", {"arm": "left", "wrench": [0.0] * 5, "seconds": 1.0}, "wrench is .* at least 6 items"),
+        ("push", {"arm": "left", "wrench": [0.0, 0.0, -201.0, 0.0, 0.0, 0.0], "seconds": 1.0}, "allowed are ±200 N"),
+        ("push", {"arm": "left", "wrench": [0.0, 0.0, 0.0, 21.0, 0.0, 0.0], "seconds": 1.0}, "allowed are ±20 N·m"),
+        ("push", {"arm": "left", "wrench": [0.0] * 6, "seconds": 61.0}, "seconds is 61.0: allowed are 0 to 60"),
         ("stop", {"arm": "left", "modus": 3}, "'modus'.*'mode'"),
         ("reduce", {"arm": "left", "on": 1}, "on is 1: it must be a valid boolean"),
         ("link", {"arm": "left", "port": "all", "lose": -1}, "lose is -1: it must be greater than or equal to 0"),
@@ -179,6 +183,30 @@ def test_place(carry, cell):
     carry.tick(50)
     assert not carry.emulator.world.failed
     assert "no object" in cell.refused("place", position_m=[0.0, 0.0, 1.0], quat=[1.0, 0.0, 0.0, 0.0])
+
+
+def test_a_hand_pushes_an_arm_for_a_time_and_only_a_compliant_one_yields(cell):
+    def state(arm, name):
+        return np.array(cell.get("state", arm=arm, names=[name])[name])
+
+    wrench, home = [0.0, 20.0, 0.0, 0.0, 0.0, 0.0], state("left", "actual_q")
+    cell.get("push", arm="left", wrench=wrench, seconds=0.2)
+    cell.tick(10)
+    assert state("left", "actual_TCP_force")[1] == pytest.approx(20.0, abs=0.1)
+    assert state("right", "actual_TCP_force")[1] == pytest.approx(0.0, abs=0.1)
+    cell.tick(20)
+    assert state("left", "actual_TCP_force")[1] == pytest.approx(0.0, abs=0.1)
+    np.testing.assert_allclose(state("left", "actual_q"), home, atol=1e-4)
+    before = state("left", "actual_TCP_pose")
+    for arm in ARMS:
+        cell.emulator.servers[ARMS.index(arm)].controller.run_script(program("freedrive_mode()\nsleep(9)"))
+        cell.tick(2)
+    cell.get("push", arm="left", wrench=wrench, seconds=1.0)
+    cell.tick(200)
+    # (20 N - 4 N) / 100 N s/m for 1 s
+    np.testing.assert_allclose((state("left", "actual_TCP_pose") - before)[:3], [0.0, 0.16, 0.0], atol=5e-3)
+    np.testing.assert_allclose(state("right", "actual_qd"), 0.0, atol=1e-4)
+    assert np.abs(state("left", "actual_qd")).max() < 1e-3
 
 
 def test_setpoints_are_numbered(cell):
@@ -611,6 +639,7 @@ ARGUMENTS = [
     "on", "button", "fraction", "bit", "name", "text", "port", "mute", "frozen", "half_open", "jitter_s", "lose",
     "corrupt", "reset", "actual_q", "robot_mode", "timestamp", "joint_temperatures", "tool_mode", "seconds",
     "version", "model", "serial_number", "robot_type", "error_m", "self", "do",
+    "wrench",
 ]  # fmt: skip
 ARM = st.sampled_from(["left", "right"])
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,7 +13,16 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from dual_ur10.cli.options import CellFileName, Perturbed, PowerOn, console, errors, keywords_of, power_on
+from dual_ur10.cli.options import (
+    CellFileName,
+    Perturbed,
+    PowerOn,
+    console,
+    errors,
+    interrupts_noted,
+    keywords_of,
+    power_on,
+)
 from dual_ur10.errors import SettingsError
 from dual_ur10.kinematics.ur10 import ARMS, JOINTS
 from dual_ur10.sim2real.config.cell_file import load_cell_file
@@ -79,6 +86,10 @@ def follow(
         typer.Option("--goal-time", metavar="S", help="Time after the last point in which both arms must rest there."),
     ] = None,
     power: PowerOn = False,
+    partial: Annotated[
+        bool,
+        typer.Option("--allow-partial", help="Leave out the last row of a CSV file if it was cut off."),
+    ] = False,
     serial: Annotated[
         str | None,
         typer.Option("--serial", metavar="PORT", help="Servo arms without encoders on this serial port, open-loop."),
@@ -133,7 +144,7 @@ def follow(
             raise SettingsError("arms on a serial line follow a FILE: name one")
         others = {"--cell": cell is not None, "--power-on": power, "--rate": rate is not None, **unchecked}
         names = [name for name, given in others.items() if given]
-        _follow_on_line(read_trajectory(file), serial, at_start, scaling, names)
+        _follow_on_line(read_trajectory(file, allow_partial=partial), serial, at_start, scaling, names)
         return
     if rate is not None:
         names = [name for name, given in {**unchecked, "--scaling": scaling != 1.0}.items() if given]
@@ -144,7 +155,7 @@ def follow(
             )
         if power:
             power_on(cell)
-        _follow_points(read_trajectory(file), load_cell_file(cell), rate)
+        _follow_points(read_trajectory(file, allow_partial=partial), load_cell_file(cell), rate)
         return
     given: dict[str, Any] = {
         "path_tolerance_rad": path_tolerance,
@@ -157,7 +168,7 @@ def follow(
     arms, end = (ARMS, home) if to is None else configuration_of(to, home)
     trajectory = JointTrajectory(arms, np.zeros(1), end[None])
     if file is not None:
-        trajectory = read_trajectory(file, number_points=retime)
+        trajectory = read_trajectory(file, number_points=retime, allow_partial=partial)
         if retime:
             trajectory = JointTrajectory(trajectory.arms, trajectory.time_s, trajectory.q_rad)
     goal = TrajectoryGoal(trajectory, **tolerances)
@@ -246,22 +257,11 @@ def _follow_points(trajectory: JointTrajectory, cell: CellFile, rate_hz: float, 
     with PointStream(cell, profile_for(rate_hz, cell.config().servoj), system=system) as stream:
         points = stream.points_of(trajectory, stream.measured())
         console.print(f"{len(points.q_rad)} points, {points.duration_s:.2f} s", highlight=False)
-        with _interrupts_noted() as interrupted:
+        with interrupts_noted() as interrupted:
             if not stream.run(points, canceled=interrupted.is_set, feedback=seen):
                 errors.print("interrupted: both arms have stopped", highlight=False)
                 raise typer.Exit(INTERRUPTED)
     console.print("[green]both arms are at the last point[/]", highlight=False)
-
-
-@contextmanager
-def _interrupts_noted() -> Iterator[threading.Event]:
-    """Yield an event that Ctrl-C sets, instead of raising, within the block."""
-    event = threading.Event()
-    before = signal.signal(signal.SIGINT, lambda *_: event.set())
-    try:
-        yield event
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _follow_on_line(
@@ -286,7 +286,7 @@ def _follow_on_line(
             next_s = time_s + _SHOWN_S
             console.print(f"{time_s:8.2f} s   commanded, not measured", highlight=False)
 
-    with _interrupts_noted() as canceled:
+    with interrupts_noted() as canceled:
         result = execute(scaled(trajectory, scaling), port, at_start=at_start, canceled=canceled.is_set, feedback=seen)
     succeeded = result.state == GoalState.SUCCEEDED
     console.print(

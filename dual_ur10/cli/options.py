@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import ast
 import json
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -134,6 +138,17 @@ def record_in(keywords: dict[str, Any], folder: Path, about: dict[str, Any]) -> 
 def progress_of(console: Console, cell: Path | None, *columns: ProgressColumn) -> Progress:
     """Return a progress bar, which is off where arms move: it would be drawn over questions to the operator."""
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal or cell is not None)
+
+
+@contextmanager
+def interrupts_noted() -> Iterator[threading.Event]:
+    """Yield an event that Ctrl-C sets, instead of raising, within the block."""
+    event = threading.Event()
+    before = signal.signal(signal.SIGINT, lambda *_: event.set())
+    try:
+        yield event
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 STOP_COMMANDED = "both arms were commanded to stop: check them"

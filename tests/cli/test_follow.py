@@ -187,7 +187,7 @@ def test_points_without_times_are_timed(tmp_path, duration_s):
     path = tmp_path / "points.csv"
     names = [f"{arm}/{joint}" for arm in ("left", "right") for joint in JOINTS]
     rows = [HOME_Q_RAD.ravel() + away for away in (0.0, 0.1, 0.05)]
-    path.write_text("\n".join(",".join(map(str, row)) for row in [names, *rows]))
+    path.write_text("".join(f"{','.join(map(str, row))}\n" for row in [names, *rows]))
     code, text = run("follow", str(path))
     assert code == 2
     assert "the first column is 'left/shoulder_pan_joint': it must be time_s" in text
@@ -197,3 +197,18 @@ def test_points_without_times_are_timed(tmp_path, duration_s):
     (result,) = printed_results(text)
     took_s = float(re.search(r"after (\S+) s", result)[1])
     assert 0.3 < took_s < 1.2 if duration_s is None else took_s == pytest.approx(3.0, abs=0.1)
+
+
+def test_a_file_that_was_cut_off_is_followed_without_its_last_row(tmp_path):
+    q = HOME_Q_RAD + np.array([0.0, 0.05, 0.1]).reshape(3, 1, 1)
+    path = write_trajectory(tmp_path / "cut.csv", JointTrajectory(("left", "right"), [0.0, 1.0, 2.0], q))
+    path.write_text(path.read_text()[:-3])
+    code, text = run("follow", str(path), "--retime")
+    assert code == 2
+    assert "it may be cut off" in text
+    record = tmp_path / "found.csv"
+    code, text = run("follow", str(path), "--retime", "--allow-partial", "--record", str(record))
+    assert code == 0, text
+    with record.open() as table:
+        last = list(csv.DictReader(table))[-1]
+    assert float(last["right/wrist_3_joint.desired_rad"]) == pytest.approx(q[1, 1, 5])

@@ -79,12 +79,13 @@ class _Message(_Strict):
     points: Annotated[list[_Point], Field(min_length=1, max_length=MOST_POINTS)]
 
 
-def read_trajectory(path: str | Path, *, number_points: bool = False) -> JointTrajectory:
+def read_trajectory(path: str | Path, *, number_points: bool = False, allow_partial: bool = False) -> JointTrajectory:
     """Return the trajectory of a file, whose suffix names its format: .json, .yaml, .yml or .csv.
 
     Args:
         path: The file.
         number_points: Accept points without times; their numbers stand for times.
+        allow_partial: Leave out the last row of a CSV file if it has no line end: it was cut off.
 
     Raises:
         TrajectoryError: The file cannot be read, or holds no legal trajectory.
@@ -102,11 +103,16 @@ def read_trajectory(path: str | Path, *, number_points: bool = False) -> JointTr
         if isinstance(error, TrajectoryError):
             raise
         raise TrajectoryError(f"cannot read {path}: {error}") from error
-    return parse_trajectory(data, kind, str(path), number_points=number_points)
+    return parse_trajectory(data, kind, str(path), number_points=number_points, allow_partial=allow_partial)
 
 
 def parse_trajectory(
-    data: bytes, kind: Format, where: str = "the trajectory", *, number_points: bool = False
+    data: bytes,
+    kind: Format,
+    where: str = "the trajectory",
+    *,
+    number_points: bool = False,
+    allow_partial: bool = False,
 ) -> JointTrajectory:
     """Return the trajectory of a file's content.
 
@@ -115,6 +121,7 @@ def parse_trajectory(
         kind: "json", "yaml" or "csv".
         where: Name of the file, for messages.
         number_points: See `read_trajectory`.
+        allow_partial: See `read_trajectory`.
 
     Raises:
         TrajectoryError: It holds no legal trajectory; with INVALID_JOINTS where joints are unknown or missing.
@@ -131,7 +138,7 @@ def parse_trajectory(
         raise TrajectoryError(f"{where} is no text in UTF-8: {error}") from None
     try:
         if kind == "csv":
-            return _from_csv(text, number_points)
+            return _from_csv(_whole_rows(text, allow_partial), number_points)
         return _from_message(_loaded(text, kind), number_points)
     except TrajectoryError as error:
         raise TrajectoryError(f"{where}: {error}", error.code) from None
@@ -272,6 +279,23 @@ def _json_of(trajectory: JointTrajectory) -> str:
 
 
 # CSV.
+
+
+def _whole_rows(text: str, allow_partial: bool) -> str:
+    """Return the rows that have a line end.
+
+    Raises:
+        TrajectoryError: The last one has none, and is not to be left out.
+    """
+    end = max(text.rfind("\n"), text.rfind("\r")) + 1
+    if end == len(text):
+        return text
+    if not allow_partial:
+        raise TrajectoryError(
+            "the last row has no line end: it may be cut off, and its last number be another one. Add the line end if "
+            "the row is whole, or leave the row out (`follow --allow-partial`)"
+        )
+    return text[:end]
 
 
 def _from_csv(text: str, number_points: bool) -> JointTrajectory:

@@ -134,7 +134,7 @@ HEADER = "time_s," + ",".join(f"left/{each}" for each in JOINTS)
     ("content", "text"),
     [
         ("t,a\n1,2\n", "the first column is 't'"),
-        (HEADER, "there are 0 rows"),
+        (f"{HEADER}\n", "there are 0 rows"),
         (f"{HEADER}\n1,2,3\n", "point 0 has 3 values, and the header 7"),
         (f"{HEADER}\n0,1,2,3,4,5,x\n", "a value is no number"),
         (f"{HEADER}\n0,1,2,3,4,5,inf\n", "left/wrist_3_joint at point 0 is inf"),
@@ -148,6 +148,26 @@ def test_a_wrong_table_is_named(content, text):
     with pytest.raises(TrajectoryError) as found:
         parse_trajectory(content.encode(), "csv")
     assert text in str(found.value)
+
+
+ROWS = f"{HEADER}\n0,1.25,2.25,3.25,4.25,5.25,6.25\n1,1.5,2.5,3.5,4.5,5.5,6.5\n"
+
+
+@pytest.mark.parametrize("line_end", ["\n", "\r\n"])
+@given(cut=st.integers(len(HEADER) + 1 + len("0,1.25,2.25,3.25,4.25,5.25,6.25\n"), len(ROWS) - 1))
+def test_a_row_that_was_cut_off_is_refused_or_left_out(line_end, cut):
+    text = ROWS[:cut].replace("\n", line_end)
+    found = parse_trajectory(text.encode(), "csv", allow_partial=True)
+    assert found.q_rad.tolist() == [[[1.25, 2.25, 3.25, 4.25, 5.25, 6.25]]]
+    if not text.endswith(line_end):
+        with pytest.raises(TrajectoryError, match=r"it may be cut off.*--allow-partial"):
+            parse_trajectory(text.encode(), "csv")
+
+
+def test_whole_rows_are_all_read(tmp_path):
+    (tmp_path / "a.csv").write_text(ROWS)
+    for allow_partial in (False, True):
+        assert len(read_trajectory(tmp_path / "a.csv", allow_partial=allow_partial)) == 2
 
 
 def test_files_that_cannot_be_read_or_written_are_named(tmp_path, monkeypatch):

@@ -209,6 +209,13 @@ def stop_reason(status: ArmStatus, *, allow_reduced: bool = False, playing: bool
     return None
 
 
+def program_ended(status: ArmStatus) -> bool:
+    """Return True if nothing but the end of its program keeps an arm from moving."""
+    return (
+        status.runtime_state != RuntimeState.PLAYING and stop_reason(status, allow_reduced=True, playing=False) is None
+    )
+
+
 def _describe(bits: int) -> str:
     found = [text for bit, text in _STOPPING_BITS.items() if bits & bit]
     if bits & ~_KNOWN_BITS:

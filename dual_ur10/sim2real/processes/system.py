@@ -127,7 +127,7 @@ class System(Protocol):
         """
 
     def is_running(self, pid: int) -> bool:
-        """Return True if a process has this number."""
+        """Return True if a process of this number exists and has not ended."""
 
     def killer(self, pid: int) -> Callable[[], None] | None:
         """Return a function that kills a running process and no later one of the same number; None: it has ended."""
@@ -248,6 +248,12 @@ class LocalSystem:
         except ProcessLookupError:
             return False
         except PermissionError:  # of another user
+            return True
+        try:
+            os.readlink(f"/proc/{pid}/exe")  # opens no file: see `bar_connections`
+        except FileNotFoundError:  # it has ended, and its parent has not collected it yet; or there is no /proc
+            return not os.path.lexists("/proc/self/exe")
+        except OSError:  # of another user
             return True
         return True
 

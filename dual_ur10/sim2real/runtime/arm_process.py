@@ -42,6 +42,7 @@ class ArmConnection:
         servoj: Settings of `servoj`.
         rt_priority: Real-time priority of its process; 0: none.
         robot: Model of the arm.
+        emulated: The controller is emulated: it runs on this machine.
     """
 
     name: str
@@ -49,6 +50,7 @@ class ArmConnection:
     servoj: ServojProfile
     rt_priority: int = 0
     robot: str = "ur10"
+    emulated: bool = False
 
     def __post_init__(self) -> None:
         if not 0 <= self.rt_priority <= _MOST_PRIORITY:
@@ -134,6 +136,7 @@ def main(
             leader=others[0] if others and name != ARMS[0] else None,
             round_trip_s=round_trip_s,
             robot=connection.robot,
+            emulated=connection.emulated,
             system=system,
         ).run()
     except DualUR10Error as error:

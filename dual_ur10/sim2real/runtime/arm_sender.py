@@ -12,12 +12,13 @@ from dual_ur10.errors import ClosedError, LinkError
 from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.kinematics.ur10 import ARMS, HARD_ACCELERATION_RAD_S2, JOINT_RANGE_RAD
 from dual_ur10.sim2real.control.servoj import ServojProfile
-from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
+from dual_ur10.sim2real.links.arm_status import ArmStatus, program_ended, stop_reason
 from dual_ur10.sim2real.links.controller_clock import ControllerClock, DriftCompensation
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
+from dual_ur10.sim2real.runtime.machine_load import StallWatch, too_busy
 from dual_ur10.sim2real.runtime.stop_ramp import StopRamp
 from dual_ur10.sim2real.runtime.tracking import Following
 from dual_ur10.types import Array
@@ -113,6 +114,7 @@ class ArmSender:
         leader: Memory of the arm to synchronise with; None: the others synchronise with this one.
         round_trip_s: Shortest round trip to the controller.
         robot: Model of the arm.
+        emulated: The controller is emulated: it runs on this machine.
         system: Clock and processes.
     """
 
@@ -131,8 +133,10 @@ class ArmSender:
         leader: ArmMemory | None = None,
         round_trip_s: float = 0.0,
         robot: str = "ur10",
+        emulated: bool = False,
         system: System = LOCAL,
     ) -> None:
+        self._stalls = StallWatch(emulated)
         self._most_rad_s = robot_model(robot).hard_speed_rad_s.tolist()
         self._system, self._now_s, self._wait = system, system.clock.now_s, system.clock.wait
         self.name, self.servoj, self.link, self.control = name, servoj, link, control
@@ -195,7 +199,7 @@ class ArmSender:
         if self._leader is None:
             return 0.0
         if not self._leader.first_s:
-            raise StopError("the other arm does not begin: this machine is too busy")
+            raise StopError(too_busy("the other arm does not begin"))
         ahead = (self.memory.first_s - self._leader.first_s) / self.servoj.tick_s
         return round(ahead) if abs(ahead - round(ahead)) * self.servoj.tick_s < TOGETHER_S else ahead
 
@@ -205,10 +209,8 @@ class ArmSender:
         if now - self._kicked_s >= _KICK_S:
             self._kicked_s = now
             if not self.control.kickWatchdog():
-                raise StopError(
-                    "its control script no longer runs: it was stopped, or this machine is too busy to feed its "
-                    "watchdog"
-                )
+                text = "its control script no longer runs: it was stopped, or its watchdog was not fed in time"
+                raise StopError(self._stalls.explained(text, now))
 
     def _stream(self, first: int, ahead: float) -> None:
         """Send in control period `first` + k the target of period k + `ahead`."""
@@ -220,14 +222,12 @@ class ArmSender:
             self._listen(self.clock.moment(first + period, ARRIVAL_PHASE))
             late = self._now_s() - self.clock.moment(first + period, ARRIVAL_PHASE)
             if late > MOST_LATE_S:
-                raise StopError(f"targets are sent {1e3 * late:.0f} ms late: this machine is too busy")
+                raise StopError(too_busy(f"targets are sent {1e3 * late:.0f} ms late"))
             # Skip targets that would come in the next period: two targets in one period would be a jump.
             passed = int(late / self.servoj.tick_s + ARRIVAL_PHASE)
             if passed > 0:
                 if passed * float(np.abs(self._rate).max()) > START_GAP_RAD:
-                    raise StopError(
-                        f"targets are sent {1e3 * late:.0f} ms late while the arm moves: this machine is too busy"
-                    )
+                    raise StopError(too_busy(f"targets are sent {1e3 * late:.0f} ms late while the arm moves"))
                 self.memory.note_skipped(passed)
                 period += passed
             index = self.cell.time_scaling.at(period + ahead + drift(self.clock.offset_s, 1 + passed))
@@ -239,7 +239,7 @@ class ArmSender:
     def _send(self, target_rad: Array, period: int, index: float) -> None:
         self._advance = (index - self._index) / max(period - self._period, 1) if self._sent is not None else 0.0
         if not self._check_and_send(target_rad, period, index):
-            raise StopError("its control script no longer takes targets")
+            raise StopError(self._stalls.explained("its control script no longer takes targets", self._now_s()))
         tick_s = self.servoj.tick_s
         self._following.sent(target_rad.tolist(), [abs(each) / tick_s for each in self._rate.tolist()])
 
@@ -297,15 +297,19 @@ class ArmSender:
         while True:
             now = self._now_s()
             self.memory.beat(now)
+            self._stalls.beat(now)
             self._check_others(now)
             if now >= until_s:
                 return
             self._wait((self.link.fileno(),), until_s)
+            self._stalls.note(self.link.age_s(now), now)
             for sample in self.link.poll():
                 self.clock.note(sample.timestamp_s, sample.arrival_s)
                 status = ArmStatus.from_sample(sample)
                 self._measured_rad = status.q_rad
                 reason = stop_reason(status, allow_reduced=self.cell.allow_reduced, playing=playing)
+                if reason is not None and program_ended(status):
+                    reason = self._stalls.explained(reason, now)
                 reason = reason or self._following(status)
                 if reason is not None:
                     # Before the state: the program must not act on it.
@@ -315,7 +319,7 @@ class ArmSender:
                     raise StopError(reason)
             age = self.link.age_s(self._now_s())
             if age > STALE_S:
-                raise LinkError(f"the controller's clock has stalled for {1e3 * age:.0f} ms; look at its network")
+                raise LinkError(self._stalls.controller_silent(age))
 
     def _check_others(self, now: float) -> None:
         """Check the other processes.
@@ -335,13 +339,15 @@ class ArmSender:
                 raise StopError(f"{_OTHER}: {other.text}")
             limit_s = STALE_S if sends or phase == Phase.STREAMING else WAITING_S
             if phase in (Phase.READY, Phase.STREAMING) and now - other.beat_s > limit_s:
-                raise StopError(f"the process of the {self._other_name} arm no longer responds")
+                text = f"the process of the {self._other_name} arm no longer responds"
+                raise StopError(self._stalls.process_silent(text, runs=self._system.is_running(other.process)))
             if sends and phase < Phase.STREAMING and now - self.cell.begin_s > STALE_S:
-                raise StopError(f"the {self._other_name} arm does not begin: this machine is too busy")
+                raise StopError(too_busy(f"the {self._other_name} arm does not begin"))
         if self._parent is not None and self._system.is_orphan(self._parent):
             raise StopError("the program that sends targets has ended")
         if self._supervised and sends and now - self.cell.supervisor_beat_s > STALE_S:
-            raise StopError("the supervisor no longer responds")
+            runs = self._system.is_running(self.cell.supervisor)
+            raise StopError(self._stalls.process_silent("the supervisor no longer responds", runs=runs))
 
     def _stop(self, reason: str, *, on_path: bool) -> None:
         """Stop the arm and end its program.

@@ -15,7 +15,7 @@ from dual_ur10.sim2real.processes.shared_memory import Layout, SharedBlock
 _TEXT: Final = 2048
 _SCALINGS: Final = 4  # kept, so that readers find a complete one while the next is written
 _TRIES: Final = 1000
-_SEQUENCE, _FAULT, _LIVE, _CLOSING, _READY, _REDUCED = range(6)
+_SEQUENCE, _FAULT, _LIVE, _CLOSING, _READY, _REDUCED, _SUPERVISOR = range(7)
 _SUPERVISOR_S, _FRESH, _BEGIN_S, _PROXIMITY = range(4)
 _LAYOUT: Final[Layout] = {
     "ints": (np.int64, (8,)),
@@ -76,8 +76,9 @@ class CellMemory:
 
     # Written by the supervisor.
 
-    def enter_ready(self) -> None:
-        """Report that the supervisor receives the states of both arms."""
+    def enter_ready(self, pid: int = 0) -> None:
+        """Report that the supervisor receives the states of both arms, and its process id."""
+        self._ints[_SUPERVISOR] = pid
         self._ints[_READY] = 1
 
     def set_time_scaling(self, scaling: TimeScaling) -> None:
@@ -132,6 +133,11 @@ class CellMemory:
     def supervisor_beat_s(self) -> float:
         """Time of the supervisor's last sign of life; 0: none yet."""
         return self._floats[_SUPERVISOR_S]
+
+    @property
+    def supervisor(self) -> int:
+        """Process id of the supervisor; 0: unknown."""
+        return self._ints[_SUPERVISOR]
 
     @property
     def ready(self) -> bool:

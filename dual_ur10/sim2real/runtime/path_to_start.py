@@ -13,13 +13,20 @@ from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import HISTORY, MotionLimits
 from dual_ur10.sim2real.links.arm_status import ArmStatus
-from dual_ur10.sim2real.runtime.approach import retreat_clearance
+from dual_ur10.sim2real.runtime.approach import ACCELERATION_RAD_S2, retreat_clearance
+from dual_ur10.sim2real.runtime.arm_sender import MOST_LATE_S
+from dual_ur10.sim2real.runtime.machine_load import too_busy
 from dual_ur10.sim2real.runtime.runner import Runner, margin_ticks
 from dual_ur10.sim2real.runtime.target_writer import TargetWriter
 from dual_ur10.types import Array
 
-START_RAD: Final = 1e-4
-"""Largest distance of the controllers' targets from the start of a task before an episode begins."""
+SETTLED_RAD: Final = 1e-4
+"""Distance of the controllers' targets from the start of a task at which an episode begins at once."""
+
+START_RAD: Final = ACCELERATION_RAD_S2 * MOST_LATE_S**2 / 2
+"""Largest distance of the controllers' targets from the start of a task with which an episode begins at all, 2.5 mrad.
+An approach ends no farther away for a controller that is as far behind as targets may be late. The targets of an
+episode continue those that were sent, bit for bit, wherever the controllers are: a distance causes no jump."""
 
 MEASURED_RAD: Final = 0.02
 """Largest measured distance from it."""
@@ -27,9 +34,14 @@ MEASURED_RAD: Final = 0.02
 AHEAD_TICKS: Final = 300
 """Largest number of targets written ahead."""
 
+_LEAD_S: Final = MOST_LATE_S  # of the first targets: a longer stall stops the arms anyway, and nothing moves before
 _AHEAD_S: Final = 1.0  # targets written ahead, in real time: few, so that an interrupt takes effect soon
 _SETTLE_S: Final = 3.0
 _POLL_S: Final = 0.01
+
+
+class StalledError(StartError):
+    """Raised when this program stalled on a path. Both arms stopped on it, and may go on from there."""
 
 
 class PathToStart:
@@ -42,6 +54,7 @@ class PathToStart:
         ticks: Targets per window of the gate.
         speed_factor: Rate of task time in real time.
         targets: Writer of the targets.
+        emulated: Both controllers are emulated: they run on this machine.
     """
 
     def __init__(
@@ -52,9 +65,12 @@ class PathToStart:
         ticks: int,
         speed_factor: float,
         targets: TargetWriter,
+        *,
+        emulated: bool = False,
     ) -> None:
         self._limits, self._clearance, self._tick_s, self._ticks = limits, clearance, tick_s, ticks
-        self._targets = targets
+        self._targets, self._emulated = targets, emulated
+        self._lead = math.ceil(_LEAD_S / tick_s * speed_factor)
         least = 2 * (margin_ticks(tick_s) + ticks)
         self._ahead = min(max(math.ceil(_AHEAD_S / tick_s * speed_factor), least), AHEAD_TICKS)
 
@@ -62,7 +78,8 @@ class PathToStart:
         """Send targets, (k, 2, 6), from rest at `start_rad`, (2, 6), to rest, as far as a safety gate releases them.
 
         Raises:
-            StartError: The gate refused a target, or this program stalled. Both arms stopped on the path.
+            StartError: The gate refused a target. Both arms stopped on the path.
+            StalledError: This program stalled. Both arms stopped on the path.
         """
         try:
             self._follow(runner, start_rad, targets_rad)
@@ -90,13 +107,15 @@ class PathToStart:
             why = next((f"the safety gate refuses it: {each.verdicts[0]}" for each in passed if each.verdicts), "")
             block = np.concatenate([each.targets_rad[0] for each in passed])
             if first < 0:  # checking many windows takes a while
-                first = runner.next + 3
-            if not (why or self._targets.write(runner, first, block)):
-                why = "this program stalled"
-            if why:
+                first = runner.next + self._lead
+            stalled = not (why or self._targets.write(runner, first, block))
+            if why or stalled:
                 runner.cell.expect(0.0, live=False)
                 runner.wait_for(runner.end)
-                raise StartError(f"the path to the start was not finished, both arms stopped on it: reset again; {why}")
+                text = "the path to the start was not finished, both arms stopped on it: reset again"
+                if stalled:
+                    raise StalledError(f"{text}; {too_busy('this program stalled')}")
+                raise StartError(f"{text}; {why}")
             first += len(block)
             # A program that hangs here misses the deadline of the next targets, as in an episode.
             runner.cell.expect(first, live=begin + at_once < windows)
@@ -116,13 +135,24 @@ class PathToStart:
             statuses = runner.statuses()
             wanted = np.abs(np.array([each.target_q_rad for each in statuses]) - goal_rad).max(axis=1)
             found = np.abs(np.array([each.q_rad for each in statuses]) - goal_rad).max(axis=1)
-            if (wanted <= START_RAD).all() and (found <= MEASURED_RAD).all():
+            late = runner.clock.now_s() > end
+            if (wanted <= (START_RAD if late else SETTLED_RAD)).all() and (found <= MEASURED_RAD).all():
                 return statuses
-            if runner.clock.now_s() > end:
-                arm = int(np.maximum(wanted / START_RAD, found / MEASURED_RAD).argmax())
-                raise StartError(
-                    f"{ARMS[arm]} does not reach the start of the task: its controller's target is {wanted[arm]:.2g} "
-                    f"rad from there, allowed are {START_RAD:g}, and it is measured {found[arm]:.2g} rad from there, "
-                    f"allowed are {MEASURED_RAD:g}. Check what holds it, and its payload"
-                )
+            if late:
+                raise StartError(self._absent(wanted, found))
             runner.clock.sleep(_POLL_S)
+
+    def _absent(self, wanted: Array, found: Array) -> str:
+        """Return the text about arms that do not arrive, from the distances of targets and measured angles, (2,)."""
+        if (wanted > START_RAD).any():  # what holds an arm does not hold its target
+            arm = int(wanted.argmax())
+            text = (
+                f"the {ARMS[arm]} controller's target is {wanted[arm]:.2g} rad from the start of the task "
+                f"{_SETTLE_S:g} s after it was sent, allowed are {START_RAD:g}"
+            )
+            return too_busy(text) if self._emulated else f"{text}. Check its network, and what else loads it"
+        arm = int(found.argmax())
+        return (
+            f"{ARMS[arm]} does not reach the start of the task: it is measured {found[arm]:.2g} rad from there, "
+            f"allowed are {MEASURED_RAD:g}. Check what holds it, and its payload"
+        )

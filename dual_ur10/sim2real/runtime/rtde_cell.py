@@ -33,7 +33,7 @@ from dual_ur10.sim2real.peripherals.object_tracker import Flanges, ObjectTracker
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.approach import Approach, Rates, plan
 from dual_ur10.sim2real.runtime.mirror_model import MirrorModel
-from dual_ur10.sim2real.runtime.path_to_start import AHEAD_TICKS, PathToStart
+from dual_ur10.sim2real.runtime.path_to_start import AHEAD_TICKS, PathToStart, StalledError
 from dual_ur10.sim2real.runtime.runner import SHOWN_STATES, Runner, margin_ticks
 from dual_ur10.sim2real.runtime.target_writer import TargetWriter
 from dual_ur10.sim2real.runtime.tracking import TemperatureWarning
@@ -53,6 +53,7 @@ ones. Nothing is known of real arms.
 
 _COUPLED_LEVER_M: Final = 1.0
 _POLL_S: Final = 0.01
+_TRIES: Final = 3  # of an approach on which this program stalls and both arms stop
 _OPENING_S: Final = 4.0
 _OPENING_M: Final = 0.003  # largest error of an empty gripper's width
 
@@ -113,7 +114,15 @@ class RtdeCell:
         self._warned_late = False
         self._tick_s = config.servoj.tick_s
         self._targets = TargetWriter(limits, self._tick_s, max(AHEAD_TICKS, ticks))
-        self._path = PathToStart(limits, clearance, self._tick_s, ticks, self.file.speed_factor, self._targets)
+        self._path = PathToStart(
+            limits,
+            clearance,
+            self._tick_s,
+            ticks,
+            self.file.speed_factor,
+            self._targets,
+            emulated=self.file.kind == "emulated",
+        )
         self._limits, self._clearance, self._confirm = limits, clearance, confirm
         self._only = None if only is None else ARMS.index(only)
         self._mirror = MirrorModel(config.scene)
@@ -184,16 +193,15 @@ class RtdeCell:
         goal = np.array(start.q_rad, dtype=np.float64).reshape(2, 6)
         if self._only is not None:
             goal[1 - self._only] = now[1 - self._only]
-        factor = self.file.speed_factor
-        rates = Rates().capped(self.config).within(self._limits, factor)
-        arms = ARMS if self._only is None else (ARMS[self._only],)
-        approach = plan(now, goal, self._clearance, factor, rates, limits=self._limits, arms=arms)
-        self._ask(self._question(approach, start))
-        runner.check()  # the confirmation may have taken minutes
-        self._open_grippers(runner, start)
-        if not runner.begun:
-            runner.begin(now)
-        self._path.follow(runner, now, approach.targets(self._tick_s))
+        for left in reversed(range(_TRIES)):
+            try:
+                self._approach(runner, now, goal, start)
+                break
+            except StalledError as error:
+                if not left:
+                    raise
+                log.warning("%s. They continue from there", error)
+                now = runner.last()
         statuses = self._path.arrived(runner, goal)
         if self._placer is not None and start.object_pose is not None:
             pose = np.asarray(start.object_pose).reshape(7)
@@ -204,6 +212,24 @@ class RtdeCell:
         self._origin, self._elapsed, self._paused = None, 0, False
         self._garbage.prepare_episode()
         return CellStep(self._state(statuses), None if self._only is None else goal[None])
+
+    def _approach(self, runner: Runner, now: Array, goal: Array, start: Start) -> None:
+        """Move both arms from rest at `now` to `goal`, (2, 6) each, after confirmation.
+
+        Raises:
+            StalledError: This program stalled. Both arms rest on the path.
+            StartError: See `reset`.
+        """
+        factor = self.file.speed_factor
+        rates = Rates().capped(self.config).within(self._limits, factor)
+        arms = ARMS if self._only is None else (ARMS[self._only],)
+        approach = plan(now, goal, self._clearance, factor, rates, limits=self._limits, arms=arms)
+        self._ask(self._question(approach, start))
+        runner.check()  # the confirmation may have taken minutes
+        self._open_grippers(runner, start)
+        if not runner.begun:
+            runner.begin(now)
+        self._path.follow(runner, now, approach.targets(self._tick_s))
 
     def advance(self, command: Command) -> CellStep:
         """Send the targets of [now + L, now + L + period), and return the state at now + period, in real time.

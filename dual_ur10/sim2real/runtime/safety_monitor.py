@@ -12,11 +12,13 @@ from dual_ur10.kinematics.forward import flange_pose_quat
 from dual_ur10.kinematics.frames import ArmMount, Frames
 from dual_ur10.kinematics.poses import Poses, length, relative_to, rotation_angle
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
+from dual_ur10.sim2real.links.arm_status import ArmStatus, program_ended, stop_reason
+from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.protocol.modes import RuntimeState, SafetyMode
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, WAITING_S, root_cause
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
+from dual_ur10.sim2real.runtime.machine_load import StallWatch, too_busy
 from dual_ur10.sim2real.runtime.tracking import Tracking
 from dual_ur10.types import Array
 
@@ -49,11 +51,13 @@ class MonitorSettings:
         mounts: Base poses and kinematics of both arms.
         tick_s: Control period of both.
         coupled: Both arms hold one object.
+        emulated: Both controllers are emulated: they run on this machine.
     """
 
     mounts: tuple[ArmMount, ArmMount]
     tick_s: float
     coupled: bool = False
+    emulated: bool = False
 
 
 class SafetyMonitor:
@@ -63,10 +67,17 @@ class SafetyMonitor:
         settings: Mounts, control period and coupling.
         arms: Memories of both arms' processes.
         cell: Memory of the cell.
+        system: Processes.
+
+    Attributes:
+        stalls: Stalls of this machine.
     """
 
-    def __init__(self, settings: MonitorSettings, arms: Sequence[ArmMemory], cell: CellMemory) -> None:
-        self._settings, self._arms, self._cell = settings, arms, cell
+    def __init__(
+        self, settings: MonitorSettings, arms: Sequence[ArmMemory], cell: CellMemory, *, system: System = LOCAL
+    ) -> None:
+        self._settings, self._arms, self._cell, self._system = settings, arms, cell, system
+        self.stalls = StallWatch(settings.emulated)
         self._tracking = [Tracking() for _ in arms]
         self._latest: list[ArmStatus | None] = [None for _ in arms]
         self._fresh = [False for _ in arms]
@@ -95,8 +106,13 @@ class SafetyMonitor:
     def state(self, arm: int, status: ArmStatus) -> str | None:
         """Check a controller's new state; return the reason for a stop, or None."""
         self._latest[arm], self._fresh[arm] = status, True
-        playing = self._arms[arm].phase == Phase.STREAMING
+        memory = self._arms[arm]
+        playing = memory.phase == Phase.STREAMING
         reason = stop_reason(status, allow_reduced=self._cell.allow_reduced, playing=playing)
+        if reason is not None and program_ended(status):
+            if self._system.is_running(memory.process):  # its watchdog may be first to miss a process that stalls
+                self.stalls.note(status.arrival_s - memory.beat_s, status.arrival_s)
+            reason = self.stalls.explained(reason, status.arrival_s)
         reason = reason or self._tracking[arm](status)
         if reason is not None:
             return f"{ARMS[arm]}: {reason}"
@@ -104,7 +120,7 @@ class SafetyMonitor:
 
     def processes(self, now_s: float) -> str | None:
         """Check the processes of both arms and the policy's deadline; return the reason for a stop, or None."""
-        texts = []
+        texts, silent = [], []
         # With a margin: each arm begins in a control period of its own.
         begun = 0.0 < self._cell.begin_s < now_s - STALE_S
         for name, memory in zip(ARMS, self._arms, strict=True):
@@ -114,11 +130,12 @@ class SafetyMonitor:
             elif phase in (Phase.READY, Phase.STREAMING) and now_s - memory.beat_s > (
                 STALE_S if begun or phase == Phase.STREAMING else WAITING_S
             ):
-                texts.append(f"{name}: its process no longer responds")
+                runs = self._system.is_running(memory.process)
+                silent.append(f"{name}: {self.stalls.process_silent('its process no longer responds', runs=runs)}")
             elif begun and phase < Phase.STREAMING:
-                texts.append(f"{name}: it does not begin: this machine is too busy")
-        if texts:
-            return root_cause(texts)
+                texts.append(f"{name}: {too_busy('it does not begin')}")
+        if silent or texts:
+            return root_cause([*silent, *texts])  # an arm that misses the other's process stops because of it
         cell = self._cell
         if cell.live and cell.begin_s:
             scaling, tick_s = cell.time_scaling, self._settings.tick_s

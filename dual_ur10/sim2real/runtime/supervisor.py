@@ -24,6 +24,7 @@ from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, root_cause
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.latch import Latch
+from dual_ur10.sim2real.runtime.machine_load import too_busy
 from dual_ur10.sim2real.runtime.safety_monitor import MonitorSettings, SafetyMonitor
 from dual_ur10.sim2real.runtime.stop_enforcer import StopEnforcer
 
@@ -56,7 +57,7 @@ class Supervisor:
     ) -> None:
         self._system, self._clock = system, system.clock
         self._file, self._settings, self._arms, self._cell, self._parent = file, settings, arms, cell, parent
-        self._monitor = SafetyMonitor(settings, arms, cell)
+        self._monitor = SafetyMonitor(settings, arms, cell, system=system)
         self._links: list[RtdeLink] = []
         self._ready = False
         self._allowed = file.speed_factor  # time scaling that the speed sliders allow
@@ -67,11 +68,12 @@ class Supervisor:
             link = RtdeLink(arm.host, STATUS_VARIABLES, optional=OPTIONAL_VARIABLES, name=name, system=self._system)
             self._links.append(link)
         self._enforcer = StopEnforcer(self._arms, [arm.host for arm in self._file.arms], system=self._system)
-        self._cell.enter_ready()
+        self._cell.enter_ready(self._system.pid)
         reason = None
         while reason is None:
             now = self._clock.now_s()
             self._cell.note_supervisor(now)
+            self._monitor.stalls.beat(now)
             if self._cell.ending:
                 return self._end()
             self._ready = self._ready or all(each.phase in (Phase.READY, Phase.STREAMING) for each in self._arms)
@@ -94,6 +96,7 @@ class Supervisor:
         except LinkError as error:
             return f"the backup stop is lost: {error}"
         for arm, link in enumerate(self._links):
+            self._monitor.stalls.note(link.age_s(now), now)
             if links[arm] not in ready and link.age_s(now) < STALE_S:
                 continue
             try:
@@ -105,7 +108,7 @@ class Supervisor:
                 return f"{ARMS[arm]}: {error}"
             age = link.age_s(self._clock.now_s())
             if age > STALE_S:
-                return f"{ARMS[arm]}: the controller's clock has stalled for {1e3 * age:.0f} ms"
+                return f"{ARMS[arm]}: {self._monitor.stalls.controller_silent(age)}"
         return self._monitor.relative_pose() or self._scale_time()
 
     def _scale_time(self) -> str | None:
@@ -129,7 +132,7 @@ class Supervisor:
             return None
         cell.set_time_scaling(scaling.towards(goal, period, tick_s, self._file.speed_factor))
         if (self._clock.now_s() - cell.begin_s) / tick_s > period:  # an arm may have sent a target of the old scaling
-            return "the supervisor stalled while it changed the time scaling of both arms: this machine is too busy"
+            return too_busy("the supervisor stalled while it changed the time scaling of both arms")
         if allowed != self._allowed:
             self._allowed = allowed
             log.warning("both arms continue at %.0f %% of their speed", 100 * allowed)

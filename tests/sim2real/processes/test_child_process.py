@@ -14,6 +14,7 @@ import time
 import pytest
 
 from dual_ur10.sim2real.processes.child_process import LONGER_SLICE_S, LOST, NICE, SLICE_S, Child
+from dual_ur10.sim2real.processes.system import LOCAL
 
 WITHIN_S = 30.0
 PROGRAM = """
@@ -187,6 +188,15 @@ def test_a_process_whose_end_somebody_else_has_collected():
     os.waitpid(child.pid, 0)
     assert (child.wait(WITHIN_S), child.code) == (True, LOST)
     child.kill()
+
+
+def test_a_process_that_nobody_has_collected_does_not_run():
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
+        assert LOCAL.is_running(process.pid)
+        process.kill()
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+        assert not LOCAL.is_running(process.pid)
+    assert not LOCAL.is_running(process.pid)
 
 
 def test_the_wait_for_a_killed_process_is_bounded(monkeypatch, caplog):

@@ -32,7 +32,8 @@ from dual_ur10.sim2real.runtime.approach import (
     retreat_clearance,
 )
 from dual_ur10.sim2real.runtime.arm_memory import RING, ArmMemory
-from dual_ur10.sim2real.runtime.path_to_start import PathToStart
+from dual_ur10.sim2real.runtime.arm_sender import MOST_LATE_S
+from dual_ur10.sim2real.runtime.path_to_start import MEASURED_RAD, START_RAD, PathToStart
 from tests.sim2real.control.motion_checks import AlwaysClear, Measured, cartesian_speed
 
 HOME = HOME_Q_RAD.reshape(12)
@@ -394,3 +395,74 @@ def test_checking_many_windows_delays_the_first_target(monkeypatch, tick_s, tick
     assert sum(count for _, count in written) >= len(led)
     firsts = [first for first, _ in written]
     assert firsts == list(np.cumsum([firsts[0], *(count for _, count in written[:-1])]))
+
+
+# The arrival.
+
+
+class Standing:
+    """Runner of arms whose targets and measured angles are some way from the goal, and stay there."""
+
+    def __init__(self, wanted_rad, found_rad):
+        self.now_s = 0.0
+        self.clock = SimpleNamespace(now_s=lambda: self.now_s, sleep=self._sleep)
+        self._statuses = [
+            SimpleNamespace(target_q_rad=HOME_Q_RAD[arm] + wanted_rad[arm], q_rad=HOME_Q_RAD[arm] + found_rad[arm])
+            for arm in range(2)
+        ]
+
+    def _sleep(self, duration_s):
+        self.now_s += duration_s
+
+    def check(self):
+        """Find no fault."""
+
+    def statuses(self):
+        """Return the states."""
+        return self._statuses
+
+
+def arrival(wanted_rad, found_rad=(0.0, 0.0), *, emulated=True):
+    """Return how long it takes until both arms count as arrived, s."""
+    path = PathToStart(MotionLimits(), AlwaysClear(), 0.008, 5, 1.0, None, emulated=emulated)
+    runner = Standing(wanted_rad, found_rad)
+    path.arrived(runner, HOME_Q_RAD)
+    return runner.now_s
+
+
+def test_an_episode_begins_at_once_where_targets_have_settled():
+    assert arrival((0.0, 0.9e-4), (0.015, -0.015)) == 0.0
+
+
+@pytest.mark.parametrize("off_rad", [1.7e-4, 2.4e-3])
+def test_a_machine_that_lags_is_waited_for_and_then_tolerated(off_rad):
+    assert 3.0 < arrival((0.0, off_rad)) < 3.1
+    assert off_rad < START_RAD
+
+
+def test_the_tolerance_is_what_an_approach_leaves_to_a_controller_that_is_as_late_as_targets_may_be():
+    path = np.eye(12)[5] * np.linspace(0.0, 1.0, 2)[:, None] + HOME
+    targets = Approach([*path]).targets(0.008).reshape(-1, 12)
+    left = np.abs(targets - targets[-1]).max(axis=1)
+    behind = int(MOST_LATE_S / 0.008)
+    assert left[-1 - behind] < START_RAD < left[-1 - 10 * behind]
+    assert MEASURED_RAD > START_RAD
+
+
+@pytest.mark.parametrize(
+    ("wanted", "found", "emulated", "words"),
+    [
+        (2.6e-3, 0.0, True, r"^this machine is too busy .*the right controller's target is 0\.0026 rad from the start"),
+        (
+            2.6e-3,
+            0.0,
+            False,
+            r"^the right controller's target is 0\.0026 rad .*allowed are 0\.0025\. Check its network",
+        ),
+        (0.0, 0.021, True, r"^right does not reach the start of the task: it is measured 0\.021 rad .*its payload$"),
+        (0.0, 0.021, False, r"^right does not reach the start of the task: it is measured 0\.021 rad .*its payload$"),
+    ],
+)
+def test_arms_that_do_not_arrive(wanted, found, emulated, words):
+    with pytest.raises(StartError, match=words):
+        arrival((0.0, wanted), (0.0, found), emulated=emulated)

@@ -278,6 +278,36 @@ def test_a_program_that_stalls_in_an_approach_sends_nothing_more(bench, monkeypa
     assert np.abs(np.diff(sent.target_rad, n=2, axis=0)).max() < 1e-3
 
 
+@pytest.mark.parametrize("stalls", [0, 1, 3])
+def test_an_approach_continues_after_stalls_of_the_program(bench, monkeypatch, stalls):
+    asked = []
+    env = bench.make(confirm=lambda question: asked.append(question) or True)
+    env.reset(seed=0)
+    action = still(env).reshape(2, -1)
+    action[:, 5] = 0.5
+    step(env, action.reshape(-1), 40)
+    asked.clear()
+    runner, left = bench.runner, [stalls]
+    wait_for = runner.wait_for
+
+    def stall(index):
+        wait_for(index)
+        if left[0] and asked and runner.cell.live:  # on the path, with more to come
+            left[0] -= 1
+            bench.clock.sleep(0.8)  # longer than targets were written ahead
+
+    monkeypatch.setattr(runner, "wait_for", stall)
+    if stalls < 3:
+        env.reset(seed=0)
+    else:
+        with pytest.raises(StartError, match=r"too busy to move arms in real time \(this program stalled\)"):
+            env.reset(seed=0)
+    assert (len(asked), left) == (min(stalls + 1, 3), [0])  # somebody agrees to each motion
+    assert bench.cell.fault == ""
+    for arm in ARMS:
+        assert np.abs(np.diff(bench.executed(arm), n=2, axis=0)).max() < 1e-3
+
+
 def test_a_stop_while_a_person_is_asked_leaves_grippers_alone(bench, monkeypatch):
     def stop(question):
         bench.ask("stop", arm="left", mode=3)

@@ -16,6 +16,7 @@ from dual_ur10.sim2real.control.time_scaling import TimeScaling
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, WAITING_S
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
+from dual_ur10.sim2real.runtime.machine_load import too_busy
 from dual_ur10.sim2real.runtime.safety_monitor import (
     APART_M,
     APART_RAD,
@@ -373,7 +374,7 @@ def test_a_process_that_does_not_begin_stops_both(parts, arm):
         return monitor.processes(now)
 
     assert found(10.0 + 0.99 * STALE_S) is None
-    assert found(10.0 + 1.01 * STALE_S) == f"{ARM[arm]}: it does not begin: this machine is too busy"
+    assert found(10.0 + 1.01 * STALE_S) == f"{ARM[arm]}: {too_busy('it does not begin')}"
 
 
 @pytest.mark.parametrize(("told", "ended"), [(0, False), (1, True), (2, False), (4, False)])

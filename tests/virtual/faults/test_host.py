@@ -9,6 +9,7 @@ from tests.virtual.faults.lab import ARMS
 DASHBOARD_TICKS = 30  # 0.1 s until it counts as lost, then the request
 SILENT_TICKS = 17  # 0.1 s until a silent peer counts as lost, and packets in transit
 WHO = ("left", "right", "supervisor")
+BUSY = "this machine is too busy to move arms in real time"
 
 
 @pytest.mark.parametrize("periods", [1, 5])
@@ -32,7 +33,23 @@ def test_54_a_process_that_is_held_up_for_long_stops_both(lab, who, word):
     lab.begin()
     lab.note()
     lab.cell.stall(who, 0.4)
-    lab.assert_stopped(lab.step_until_faulted(), who, word, seen_ticks=SILENT_TICKS)
+    error = lab.step_until_faulted()
+    assert BUSY in str(error)
+    lab.assert_stopped(error, who, word, seen_ticks=SILENT_TICKS)
+
+
+@pytest.mark.parametrize("kind", ["emulated", "real"])
+def test_54_a_stall_of_emulated_controllers_is_one_of_this_machine(lab, kind):
+    """They run on it. Real ones that are silent do not."""
+    object.__setattr__(lab.file, "kind", kind)
+    lab.begin(confirm=lambda question: True, amplitude_m=0.05)
+    lab.note()
+    lab.cell.stall("emulated cell", 0.2)
+    error = lab.step_until_faulted()
+    assert "the controller's clock has stalled for 1" in str(error)
+    assert (BUSY in str(error), "look at its network" in str(error)) == (kind == "emulated", kind == "real")
+    lab.assert_at_rest()
+    assert lab.latch.read().text in str(error)
 
 
 @pytest.mark.parametrize("who", ARMS)
@@ -53,7 +70,9 @@ def test_11_a_process_that_is_killed_stops_both(lab, who):
     lab.begin()
     lab.note()
     lab.cell.end(who)
-    lab.assert_stopped(lab.step_until_faulted(), who, seen_ticks=SILENT_TICKS)
+    error = lab.step_until_faulted()
+    assert BUSY not in str(error)
+    lab.assert_stopped(error, who, seen_ticks=SILENT_TICKS)
 
 
 def test_56_a_machine_sends_nothing_when_it_wakes(lab, monkeypatch):

@@ -55,7 +55,7 @@ def test_18_a_controller_without_the_control_script_is_given_up(lab, monkeypatch
 
 def test_22_a_network_that_is_too_slow_is_refused(lab):
     lab.do("link", arm="left", port="rtde", delay_s=0.02)
-    with pytest.raises(StartError, match=r"left, round trip: .* expected: at most 4 ms; use a wired network"):
+    with pytest.raises(StartError, match=r"too busy .*left, round trip: .* expected: at most 4 ms"):
         lab.make()
     lab.assert_nothing_has_moved()
 

@@ -1,0 +1,74 @@
+"""Stalls of this machine: how a process notices them, and the one text about all that they cause."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+SHORT_S: Final = 0.05
+"""Shortest interruption that counts as a stall: half of what stops both arms. Every loop here wakes each control
+period, and every emulated controller sends in each."""
+
+RECENT_S: Final = 0.5
+"""Time for which a stall explains what follows: the limits of all watchdogs, and the time to end a program."""
+
+
+def too_busy(found: str) -> str:
+    """Return the text about a stall of this machine.
+
+    Args:
+        found: Observation that shows it.
+    """
+    return (
+        f"this machine is too busy to move arms in real time ({found}): end other programs on it, which `uptime` "
+        "counts, or allow `rt_priority` in the cell file"
+    )
+
+
+class StallWatch:
+    """Memory of this machine's last stall, by which a process explains its consequences on an emulated cell.
+
+    An emulated controller runs on this machine, too. If that stalls, controllers fall silent, watchdogs end programs
+    and other processes do not respond, in any order. On real controllers the same observations have other causes.
+
+    Args:
+        emulated: The controllers are emulated.
+    """
+
+    def __init__(self, emulated: bool) -> None:
+        self._emulated = emulated
+        self._beat_s = math.inf
+        self._last_s = -math.inf
+        self._longest_s = 0.0
+
+    def beat(self, now_s: float) -> None:
+        """Note that this process runs. A long time since the last call is a stall."""
+        self.note(now_s - self._beat_s, now_s)
+        self._beat_s = now_s
+
+    def note(self, silent_s: float, now_s: float) -> None:
+        """Note for how long something that runs on this machine has been silent until now."""
+        if silent_s > SHORT_S:
+            self._longest_s = silent_s if now_s - self._last_s > RECENT_S else max(silent_s, self._longest_s)
+            self._last_s = now_s
+
+    def controller_silent(self, age_s: float) -> str:
+        """Return the text about a controller whose time has not advanced for `age_s`."""
+        found = f"the controller's clock has stalled for {1e3 * age_s:.0f} ms"
+        return too_busy(found) if self._emulated else f"{found}; look at its network"
+
+    def process_silent(self, found: str, *, runs: bool) -> str:
+        """Return the text about a process that does not respond.
+
+        Args:
+            found: Observation.
+            runs: The process still exists: nothing but this machine keeps it from responding. On real controllers the
+                network may do so.
+        """
+        return too_busy(found) if self._emulated and runs else found
+
+    def explained(self, reason: str, now_s: float) -> str:
+        """Return the reason of a stop; on an emulated cell after a stall, the text about that."""
+        if self._emulated and now_s - self._last_s <= RECENT_S:
+            return too_busy(f"{reason}; it stalled for {1e3 * self._longest_s:.0f} ms")
+        return reason

@@ -1,0 +1,56 @@
+"""Stalls of this machine, and the one text about them."""
+
+import re
+
+import pytest
+
+from dual_ur10.sim2real.runtime.machine_load import RECENT_S, SHORT_S, StallWatch, too_busy
+
+BUSY = r"^this machine is too busy to move arms in real time \(.*\): end other programs on it"
+
+
+def stalled(emulated, *, ago_s=0.0, for_s=2 * SHORT_S):
+    """Return the explanation of a stop some time after a process stalled."""
+    watch, now_s = StallWatch(emulated), 100.0
+    for _ in range(50):
+        watch.beat(now_s)
+        now_s += 0.008
+    now_s += for_s
+    watch.beat(now_s)
+    return watch.explained("program state 1 (STOPPED)", now_s + ago_s)
+
+
+def test_a_stall_explains_what_follows_on_an_emulated_cell():
+    found = stalled(True)
+    assert re.match(BUSY, found)
+    assert "program state 1 (STOPPED); it stalled for 108 ms" in found
+
+
+@pytest.mark.parametrize(
+    ("emulated", "changed"), [(False, {}), (True, {"ago_s": 1.01 * RECENT_S}), (True, {"for_s": 0})]
+)
+def test_nothing_else_is_explained_by_it(emulated, changed):
+    assert stalled(emulated, **changed) == "program state 1 (STOPPED)"
+
+
+def test_the_longest_of_several_stalls_is_reported():
+    watch = StallWatch(True)
+    for silent_s, now_s in ((0.09, 1.0), (0.2, 1.1), (0.06, 1.2), (0.001, 1.3)):
+        watch.note(silent_s, now_s)
+    assert "stalled for 200 ms" in watch.explained("x", 1.3)
+    watch.note(0.07, 1.3 + 2 * RECENT_S)
+    assert "stalled for 70 ms" in watch.explained("x", 1.3 + 2 * RECENT_S)
+
+
+def test_a_silent_controller_is_a_matter_of_its_network_or_of_the_machine_it_runs_on():
+    assert (
+        StallWatch(False).controller_silent(0.106)
+        == "the controller's clock has stalled for 106 ms; look at its network"
+    )
+    assert StallWatch(True).controller_silent(0.106) == too_busy("the controller's clock has stalled for 106 ms")
+
+
+@pytest.mark.parametrize(("emulated", "runs"), [(False, True), (False, False), (True, False)])
+def test_a_process_that_has_ended_is_not_a_busy_machine(emulated, runs):
+    assert StallWatch(emulated).process_silent("it no longer responds", runs=runs) == "it no longer responds"
+    assert re.match(BUSY, StallWatch(True).process_silent("it no longer responds", runs=True))

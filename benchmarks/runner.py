@@ -296,14 +296,18 @@ def wait_for_end(pid):
 
 
 @contextlib.contextmanager
-def training():
-    """Fill all cores with the simulations of a training, from a session of its own as in another terminal."""
+def training(count=None):
+    """Fill `count` cores, or all, with the simulations of a training, from a session of its own as in another terminal.
+
+    Args:
+        count: Number of simulations; None: one for each core.
+    """
     busy = [
         subprocess.Popen([sys.executable, "-c", TRAINING, str(seed)], start_new_session=True)
-        for seed in range(os.cpu_count() or 1)
+        for seed in range((os.cpu_count() or 1) if count is None else count)
     ]
     try:
-        time.sleep(IMPORTED_S)
+        time.sleep(IMPORTED_S if busy else 0.0)
         yield
     finally:
         for each in busy:

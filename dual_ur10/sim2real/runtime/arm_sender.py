@@ -31,7 +31,7 @@ STALE_S: Final = 0.1
 command timeout."""
 
 WAITING_S: Final = 0.5
-"""The same limit for another process before anything moves."""
+"""The same limit before anything moves."""
 
 START_GAP_RAD: Final = 0.02
 """Largest distance of the first target from the measured joint angles."""
@@ -318,7 +318,7 @@ class ArmSender:
                 if reason is not None:
                     raise StopError(reason)
             age = self.link.age_s(self._now_s())
-            if age > STALE_S:
+            if age > (WAITING_S if self._sent is None else STALE_S):
                 raise LinkError(self._stalls.controller_silent(age))
 
     def _check_others(self, now: float) -> None:
@@ -420,9 +420,9 @@ class ArmSender:
         """
         tick_s = self.servoj.tick_s
         most = round(_ALONE_S / tick_s)
-        missed = self.clock.next_period(self._now_s(), ARRIVAL_PHASE)[0] - self._period
         if self._sent is None:
             return True
+        missed = self.clock.next_period(self._now_s(), ARRIVAL_PHASE)[0] - self._period
         if missed > most:
             self._alone = f"; sent nothing for {1e3 * missed * tick_s:.0f} ms, it stopped at its last target"
             return True

@@ -13,6 +13,9 @@ RECENT_S: Final = 0.5
 """Time for which a stall explains what follows: the limits of all watchdogs, and the time to end a program."""
 
 
+_BUSY: Final = "this machine is too busy to move arms in real time"
+
+
 def too_busy(found: str) -> str:
     """Return the text about a stall of this machine.
 
@@ -20,9 +23,13 @@ def too_busy(found: str) -> str:
         found: Observation that shows it.
     """
     return (
-        f"this machine is too busy to move arms in real time ({found}): end other programs on it, which `uptime` "
-        "counts, or allow `rt_priority` in the cell file"
+        f"{_BUSY} ({found}): end other programs on it, which `uptime` counts, or allow `rt_priority` in the cell file"
     )
+
+
+def is_too_busy(text: str) -> bool:
+    """Return True for a text, also of another process, about a stall of this machine."""
+    return _BUSY in text
 
 
 class StallWatch:

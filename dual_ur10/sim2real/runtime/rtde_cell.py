@@ -32,6 +32,7 @@ from dual_ur10.sim2real.peripherals.object_placer import ObjectPlacer, placer_of
 from dual_ur10.sim2real.peripherals.object_tracker import Flanges, ObjectTracker, tracker_of
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.approach import Approach, Rates, plan
+from dual_ur10.sim2real.runtime.machine_load import is_too_busy
 from dual_ur10.sim2real.runtime.mirror_model import MirrorModel
 from dual_ur10.sim2real.runtime.path_to_start import AHEAD_TICKS, PathToStart, StalledError
 from dual_ur10.sim2real.runtime.runner import SHOWN_STATES, Runner, margin_ticks
@@ -53,7 +54,7 @@ ones. Nothing is known of real arms.
 
 _COUPLED_LEVER_M: Final = 1.0
 _POLL_S: Final = 0.01
-_TRIES: Final = 3  # of an approach on which this program stalls and both arms stop
+_TRIES: Final = 3  # of a connection, and of an approach, while this machine stalls
 _OPENING_S: Final = 4.0
 _OPENING_M: Final = 0.003  # largest error of an empty gripper's width
 
@@ -136,13 +137,29 @@ class RtdeCell:
         self._garbage = system.garbage()
         self._garbage.collect()  # before any thread waits for an answer: in a large program it takes half a second
         system.hurry()  # this program owes actions in time, also while a training fills the machine
-        self._runner: Runner | None = Runner(self.file, config, coupled=coupled, system=system)
+        self._runner: Runner | None = self._connected(coupled)
         self._end = weakref.finalize(self, self._runner.close)
         try:
             self._equip()
         except BaseException:
             self.close()
             raise
+
+    def _connected(self, coupled: bool) -> Runner:
+        """Return a new runner. Where this machine delays emulated controllers, try again: nothing has moved.
+
+        Raises:
+            CellFaulted, CellBusyError, StartError, LinkError: As in the constructor.
+        """
+        left = _TRIES
+        while True:
+            try:
+                return Runner(self.file, self.config, coupled=coupled, system=self.system)
+            except (LinkError, StartError) as error:
+                left -= 1
+                if not (left and self.file.kind == "emulated" and is_too_busy(str(error))):
+                    raise
+                log.warning("%s. Nothing has moved; connecting again", error)
 
     def _equip(self) -> None:
         """Connect to grippers, object tracker and object placer."""

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from dual_ur10.errors import CellFaulted, ClosedError, StartError
+from dual_ur10.errors import CellFaulted, ClosedError, LinkError, StartError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.doctor import check_file
 from dual_ur10.sim2real.commissioning.findings import REST_RAD_S
@@ -107,13 +107,25 @@ class Runner:
                     others = (self.arms[1 - arm],)
                     self.processes.append(ArmProcess(connection, self.arms[arm], self.cell, others, system=system))
                 self.supervisor = SupervisorProcess(file, settings, self.arms, self.cell, system=system)
-            for process in self.processes:
-                process.wait_until_ready(_READY_S)
+            self._wait_until_ready()
             self.supervisor.wait_until_ready(_READY_S)
             self.check()
         except BaseException:
             self.close()
             raise
+
+    def _wait_until_ready(self) -> None:
+        """Wait until both arms' processes are ready.
+
+        Raises:
+            LinkError: One is not ready in time, or stopped.
+        """
+        for process in self.processes:
+            try:
+                process.wait_until_ready(_READY_S)
+            except LinkError as error:
+                texts = [str(error), *(memory.text for memory in self.arms if memory.phase >= Phase.STOPPING)]
+                raise LinkError(root_cause(texts)) from error
 
     # Time.
 

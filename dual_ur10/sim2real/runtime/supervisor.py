@@ -21,7 +21,7 @@ from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIA
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
 from dual_ur10.sim2real.processes.system import LOCAL, Process, System
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
-from dual_ur10.sim2real.runtime.arm_sender import STALE_S, root_cause
+from dual_ur10.sim2real.runtime.arm_sender import STALE_S, WAITING_S, root_cause
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.latch import Latch
 from dual_ur10.sim2real.runtime.machine_load import too_busy
@@ -107,7 +107,7 @@ class Supervisor:
             except LinkError as error:
                 return f"{ARMS[arm]}: {error}"
             age = link.age_s(self._clock.now_s())
-            if age > STALE_S:
+            if age > (STALE_S if self._monitor.moving else WAITING_S):
                 return f"{ARMS[arm]}: {self._monitor.stalls.controller_silent(age)}"
         return self._monitor.relative_pose() or self._scale_time()
 

@@ -8,7 +8,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from dual_ur10.errors import CellBusyError, CellFaulted, SettingsError, StartError
+from dual_ur10.errors import CellBusyError, CellFaulted, LinkError, SettingsError, StartError
+from dual_ur10.sim2real.runtime.arm_memory import Phase
+from dual_ur10.sim2real.runtime.arm_process import ArmProcess
 from tests.virtual.faults.lab import ARMS
 
 
@@ -221,3 +223,41 @@ def test_58_a_lock_that_leads_elsewhere_is_refused(lab, tmp_path):
     finally:
         path.unlink()
     assert target.read_text() == "mine"
+
+
+def test_54_before_anything_moves_a_stall_of_half_a_second_is_tolerated(lab):
+    lab.make()
+    for who in ("emulated cell", "supervisor"):
+        lab.cell.stall(who, 0.4)
+        lab.clock.sleep(0.5)
+    lab.reset(seed=0)
+    assert lab.latch.read() is None
+
+
+@pytest.mark.parametrize(("stalls", "tries"), [(1, 2), (3, 3)])
+def test_54_a_connection_that_a_stall_ends_is_made_again(lab, monkeypatch, stalls, tries):
+    """Nothing has moved, and both programs have ended."""
+    wait, waited = ArmProcess.wait_until_ready, []
+
+    def stalled(process, within_s):
+        if process.connection.name == "left":
+            waited.append(process)
+            while process.memory.phase < Phase.READY and not process.memory.status:
+                lab.clock.sleep(0.01)  # until it knows its controller
+            if len(waited) <= stalls:
+                lab.cell.stall("emulated cell", 0.8)
+        return wait(process, within_s)
+
+    monkeypatch.setattr(ArmProcess, "wait_until_ready", stalled)
+    if stalls < tries:
+        lab.make()
+        lab.reset(seed=0)
+    else:
+        with pytest.raises(LinkError, match=r"^(left|right): this machine is too busy to move arms in real time"):
+            lab.make()
+        lab.assert_nothing_executed()
+        lab.assert_at_rest()
+    assert len(waited) == tries
+    assert lab.latch.read() is None
+    for wire in lab.wires:
+        wire.uploads_before += tries - 1

@@ -46,6 +46,7 @@ _STOP_S: Final = 1.5  # until both arms have stopped
 _END_S: Final = 3.0
 _POLL_S: Final = 0.01
 _SUPERVISOR_S: Final = 1.0
+_VERDICT_S: Final = 0.1
 _STATE_S: Final = 0.05
 _EARLY_S: Final = 0.001  # by which a state may come early
 _SOON_S: Final = 5e-4
@@ -293,6 +294,9 @@ class Runner:
             self.cell.enter_fault(reason)
             self._fail()
 
+    def _is_supervised(self) -> bool:
+        return self.supervisor is not None and self.supervisor.process.is_alive
+
     def _request_end(self) -> None:
         self.cell.end()
         for memory in self.arms:
@@ -317,6 +321,9 @@ class Runner:
         for memory in self.arms:
             memory.stop()
         self._wait_for_end(_STOP_S)
+        end = self.clock.now_s() + _VERDICT_S  # an arm's process reports what it sees, the supervisor why that is so
+        while not self.cell.fault and self._is_supervised() and self.clock.now_s() < end:
+            self.clock.sleep(_POLL_S / 10)
         texts = [memory.text for memory in self.arms if memory.phase >= Phase.STOPPING]
         self._fault = self.cell.fault or root_cause(texts or ["an arm's process has ended"])
         self._note()

@@ -64,6 +64,14 @@ class StopEnforcer:
             if self._killers[arm] is None and (pid := self._arms[arm].process):
                 self._killers[arm] = self._system.killer(pid)
 
+    def is_lost(self, arm: int) -> bool:
+        """Return True if the dashboard of an arm is lost."""
+        try:
+            self._dashboards[arm].check()
+        except LinkError:
+            return True
+        return False
+
     def begin(self) -> None:
         """Start the timeouts: both arms have just been told to stop."""
         self._begun_s = self._system.clock.now_s()

@@ -31,6 +31,7 @@ from dual_ur10.sim2real.runtime.stop_enforcer import StopEnforcer
 log = logging.getLogger(__name__)
 
 _AHEAD_S: Final = 0.024  # lead time of a new time scaling
+_GONE_S: Final = 0.004  # from the end of a controller's first connection to that of its last one
 
 
 class Supervisor:
@@ -82,6 +83,8 @@ class Supervisor:
                     return None  # nothing has moved
                 reason = "the program that sends targets has ended"
             reason = reason or self._cell.fault or self._check_links(now) or self._monitor.processes(now)
+            if reason:
+                reason = self._gone() or reason
             if reason and self._cell.ending:
                 return self._end()
         return self._stop(reason)
@@ -110,6 +113,36 @@ class Supervisor:
             if age > (STALE_S if self._monitor.moving else WAITING_S):
                 return f"{ARMS[arm]}: {self._monitor.stalls.controller_silent(age)}"
         return self._monitor.relative_pose() or self._scale_time()
+
+    def _gone(self) -> str | None:
+        """Return that controllers have closed all their connections, if so: it causes all other reasons for a stop.
+
+        They end one after the other. Once one of an arm has ended, the others get a moment.
+        """
+        end_s = self._clock.now_s() + _GONE_S
+        while True:
+            lost = [(self._is_lost(link), self._enforcer.is_lost(arm)) for arm, link in enumerate(self._links)]
+            first = any(map(any, lost)) or any(memory.phase == Phase.FAULTED for memory in self._arms)
+            if not first or all(map(all, lost)) or self._clock.now_s() >= end_s:
+                break
+            self._clock.sleep(_GONE_S / 8)
+        gone = [arm for arm, each in enumerate(lost) if all(each)]
+        if not gone:
+            return None
+        where = " and ".join(f"{ARMS[arm]} at {self._file.arms[arm].host}" for arm in gone)
+        what = f"both controllers are gone: {where}" if len(gone) == len(ARMS) else f"the controller is gone: {where}"
+        emulator = self._file.emulator
+        if emulator is not None and emulator.pid is not None and not self._system.is_running(emulator.pid):
+            return f"{what}: the emulator (process {emulator.pid}) has ended; start it again"
+        return f"{what}: all connections were closed; check whether it was shut down or restarted"
+
+    @staticmethod
+    def _is_lost(link: RtdeLink) -> bool:
+        try:
+            link.poll()
+        except LinkError:
+            return True
+        return False
 
     def _scale_time(self) -> str | None:
         """Set the time scaling of both arms: the least of what sliders and distances allow.

@@ -348,6 +348,20 @@ def test_nothing_goes_to_a_start_past_the_gate(bench, spoiled):
     env.reset(seed=0, options={"move_to_start": True})  # and continues from there
 
 
+def test_the_end_of_the_emulator_is_the_root_cause_of_all_that_follows(bench):
+    env = bench.make()
+    env.reset(seed=0)
+    step(env, still(env), 3)
+    bench.cell.end("emulated cell")
+    with pytest.raises(CellFaulted, match="both controllers are gone"):
+        step(env, still(env), 50)
+    pid = bench.cell.file.emulator.pid
+    where = f"left at {bench.cell.left} and right at {bench.cell.right}"
+    assert bench.cell.fault == (
+        f"both controllers are gone: {where}: the emulator (process {pid}) has ended; start it again"
+    )
+
+
 def test_dead_processes_are_a_fault(bench):
     env = bench.make()
     env.reset(seed=0)

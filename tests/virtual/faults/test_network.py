@@ -94,8 +94,19 @@ def test_19_a_lost_connection_stops_both_and_stays_lost(lab, port, reset, arm):
     before = lab.programs()
     lab.do("drop", arm=arm, port=port, reset=reset)
     error = lab.step_until_faulted()
-    lab.assert_stopped(error, f"{arm}: " if port == "rtde" else f"{arm} arm, ", ramped=[OTHER[arm]])
+    gone = f"the controller is gone: {arm} at {getattr(lab.cell, arm)}"
+    lab.assert_stopped(error, f"{arm}: " if port == "rtde" else gone, ramped=[OTHER[arm]])
     assert lab.programs() == before + 2  # one for each arm: none was started anew
+
+
+def test_19_both_controllers_that_are_gone_are_the_root_cause(lab):
+    lab.begin()
+    lab.note()
+    for arm in ARMS:
+        lab.cell.ask("drop", arm=arm, port="all", reset=True)
+    error = lab.step_until_faulted()
+    where = f"left at {lab.cell.left} and right at {lab.cell.right}"
+    lab.assert_stopped(error, f"both controllers are gone: {where}: all connections were closed")
 
 
 @pytest.mark.parametrize("reset", [True, False])

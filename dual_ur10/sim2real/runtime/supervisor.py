@@ -83,8 +83,6 @@ class Supervisor:
                     return None  # nothing has moved
                 reason = "the program that sends targets has ended"
             reason = reason or self._cell.fault or self._check_links(now) or self._monitor.processes(now)
-            if reason:
-                reason = self._gone() or reason
             if reason and self._cell.ending:
                 return self._end()
         return self._stop(reason)
@@ -117,7 +115,8 @@ class Supervisor:
     def _gone(self) -> str | None:
         """Return that controllers have closed all their connections, if so: it causes all other reasons for a stop.
 
-        They end one after the other. Once one of an arm has ended, the others get a moment.
+        They end one after the other. Once one of an arm has ended, the others get a moment; both arms have been told to
+        stop by then.
         """
         end_s = self._clock.now_s() + _GONE_S
         while True:
@@ -183,11 +182,11 @@ class Supervisor:
         self._enforcer.close()
 
     def _stop(self, reason: str) -> None:
-        self._cell.enter_fault(reason)
-        reason = self._cell.fault  # another process may have been first
         for memory in self._arms:
             memory.stop()
         self._enforcer.begin()
+        self._cell.enter_fault(self._gone() or reason)
+        reason = self._cell.fault  # another process may have been first
         self._wait_for_stop(STALE_S)  # a slow disk must not delay the end of a process that hangs
         try:
             if self._ready or self._cell.begin_s:  # else a start failed, which its caller reports

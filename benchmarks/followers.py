@@ -1,11 +1,18 @@
 """Measure the accuracy of followers of one path: targets at 125 Hz, points at 10 and 5 Hz, and fixed-time `movej`.
 
-Both flanges swing along y of their bases by 0.1 m at 0.5 Hz, from rest to rest. 125 Hz: the runner sends each target.
-10 and 5 Hz: points with speeds, between which each controller interpolates cubics. `movej`: at 2 Hz each controller
-moves to a point and rests there. Errors are distances of each flange, by its measured joints and the controller's own
-kinematics, from the path at the sender's time; one delay, the same for both arms and the whole run, is fitted. `skew`
-is the difference of both arms' times on the path at one instant. The default is a virtual cell with the nominal plant:
-its figures are exact, and an artefact of an exact model. No real arm is in this.
+125 Hz: the runner sends each target. 10 and 5 Hz: points with speeds, between which each controller interpolates
+cubics. `movej`: at 2 Hz each controller moves to a point and rests there. Each follows four paths from rest to rest:
+`dual`, both flanges swing along y of their bases by 0.1 m at 0.5 Hz; `single`, only the left one does; `grasp`, both
+are lowered by 0.1 m to a bar, and both grippers close; `carry`, both carry it along the path of SyncCarry, 30 s. Each
+controller knows of half its 4 kg.
+
+Errors are distances and angles of each flange, by its measured joints and the controller's own kinematics, from the
+path at the sender's time; one delay, the same for both arms and the whole run, is fitted. `relative` is the same of the
+right flange in the left one's frame. `skew` is the difference of both arms' times on the path at one instant. The
+default is a virtual cell with the nominal plant: its figures are exact, and an artefact of an exact model. No real arm
+is in this.
+
+`repeatability_mm` is that of `python -m dual_ur10 repeatability`, on the same kind of cell with the mild plant.
 
     python benchmarks/followers.py --json followers.json
     python benchmarks/followers.py --cell emulated --plant mild
@@ -15,60 +22,77 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+from follower_paths import ArmsPath, Mounts, carried, flanges_in_cell, lowered, swing
 from scipy.optimize import minimize_scalar
+from scipy.spatial.transform import Rotation
 
+from dual_ur10.assets.gripper import TCP_M
+from dual_ur10.assets.props import BAR_MASS_KG
+from dual_ur10.envs import make_follower
+from dual_ur10.envs.core.follower import home_of
 from dual_ur10.kinematics.forward import flange_pose
-from dual_ur10.kinematics.inverse import nearest
+from dual_ur10.kinematics.poses import Poses
+from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.link_profiles import profile_for
+from dual_ur10.sim2real.links.link_socket import LinkSocket
 from dual_ur10.sim2real.links.rtde_link import RtdeLink
+from dual_ur10.sim2real.peripherals.grippers import Grippers
 from dual_ur10.sim2real.runtime.point_stream import PointStream
 from dual_ur10.sim2real.runtime.runner import Runner
 from dual_ur10.sim2real.trajectory.point_path import PointPath
+from dual_ur10.sim2real.trajectory.repeatability import returns, spread_of
 
-AMPLITUDE_M, FREQUENCY_HZ, DURATION_S, RAMP_S = 0.1, 0.5, 12.0, 2.0
 REST_S = 1.0  # of the observation, before and after
+GRIP_S = 1.5  # for closing
+SCRIPT_PORT = 30002
+MOVES_RAD_S = 1e-3
+RETURNS = 20
 ROWS = {"125hz": 125.0, "10hz": 10.0, "5hz": 5.0, "movej": 2.0}
-OF_OTHERS = ("calibrated_squeeze_n", "base_error_mm", "base_error_deg", "coverage_95", "repeatability_mm")
-"""Figures that other benchmarks measure: `merged` adds them."""
+PATHS = ("single", "dual", "carry", "grasp")
+OF_OTHERS = ("calibrated_squeeze_n", "base_error_mm", "base_error_deg", "coverage_95")
+"""Figures that another benchmark measures: `merged` adds them."""
+
+Figures = dict[str, float]
 
 
-class Sine:
-    """The path: joint positions, speeds and accelerations at any time.
+class Rig(NamedTuple):
+    """A cell: its file, the system on which it runs, and itself."""
 
-    Args:
-        q_rad: (2, 6) joint positions at its begin and end.
-    """
+    file: Any
+    system: Any
+    cell: Any
 
-    def __init__(self, q_rad: Any) -> None:
-        times = np.arange(round(DURATION_S / 0.004) + 1) * 0.004
-        s = np.clip(np.minimum(times, DURATION_S - times) / RAMP_S, 0.0, 1.0)
-        swing = AMPLITUDE_M * s**3 * (10 + s * (6 * s - 15)) * np.sin(2 * np.pi * FREQUENCY_HZ * times)
-        joints = []
-        for q in q_rad:
-            position, rotation = flange_pose(q)
-            wanted = position + swing[:, None] * np.array([0.0, 1.0, 0.0])
-            joints.append(nearest(wanted, np.broadcast_to(rotation, (len(times), 3, 3)), np.tile(q, (len(times), 1))))
-        self._curve = make_interp_spline(times, np.stack(joints, axis=1), k=5)
+    @property
+    def mounts(self) -> Mounts:
+        """Bases of both arms."""
+        config = self.file.config()
+        return (config.left, config.right)
 
-    def __call__(self, time_s: Any, derivative: int = 0) -> Any:
-        """Return values (n, 2, 6) at times; the path rests before and after."""
-        time_s = np.asarray(time_s)
-        inside = np.clip(time_s, 0.0, DURATION_S)
-        rests = (time_s != inside)[:, None, None]
-        return np.where(rests & (derivative > 0), 0.0, self._curve(inside, derivative))
+    def bar(self) -> Poses:
+        """Return the pose of the bar in the cell frame."""
+        found = self.cell.ask("pose", body="bar")
+        return Poses(np.array(found["position_m"]), np.array(found["quat"]))
 
-    def targets(self, servoj: Any) -> Any:
-        """Return the targets of each control period, which lead by the lag of the law."""
-        ticks = round((DURATION_S + 0.2) / servoj.tick_s)
-        times = (np.arange(-1, ticks) + 0.5) * servoj.tick_s
-        return self(times) + servoj.lookahead_s * self(times, 1) + self(times, 2) / servoj.gain
+    def grasp(self) -> None:
+        """Close both grippers, and let the controllers know of half the bar in each."""
+        with Grippers(self.file, system=self.system) as grippers:
+            grippers.activate(lambda question: True)
+            grippers.command((0.0, 0.0), self.system.clock.now_s())
+            self.system.clock.sleep(GRIP_S)
+        for name, arm in zip(ARMS, self.file.arms, strict=True):
+            kg = self.cell.ask("state", arm=name, names=["payload"])["payload"] + BAR_MASS_KG / 2
+            text = f"sec load():\n  set_payload({kg}, [0.0, 0.0, {TCP_M}])\nend\n"
+            deadline_s = self.system.clock.now_s() + GRIP_S
+            with LinkSocket(name, "script", arm.host, SCRIPT_PORT, deadline_s, system=self.system) as script:
+                script.send(text.encode("ascii"), deadline_s)
+                self.cell.wait_until(name, "payload", kg)
+        self.system.clock.sleep(REST_S)
 
 
 class Observer:
@@ -102,13 +126,14 @@ class Observer:
         return found
 
 
-def figures(seen: list[tuple[Any, Any]], path: Sine, rate: float) -> dict[str, float]:
+def figures(seen: list[tuple[Any, Any]], path: ArmsPath, rate: float, mounts: Mounts) -> Figures:
     """Return the errors of both flanges, and the skew of both arms.
 
     Args:
         seen: Times and joints of each arm.
         path: The path.
         rate: Rate of the path's time on this program's clock.
+        mounts: Bases of the arms.
     """
 
     def errors(begin_s: float) -> Any:
@@ -123,73 +148,123 @@ def figures(seen: list[tuple[Any, Any]], path: Sine, rate: float) -> dict[str, f
     coarse = min(np.arange(about_s - 1.5, about_s + 1.5, 0.02), key=lambda each: float((errors(each) ** 2).mean()))
     squares, near = (lambda each: float((1e3 * errors(each) ** 2).sum())), (coarse - 0.03, coarse + 0.03)
     begin_s = float(minimize_scalar(squares, bounds=near, method="bounded", options={"xatol": 1e-8}).x)
+    away = errors(begin_s)
+    return {
+        "flange_max_mm": 1e3 * float(away.max()),
+        "flange_rms_mm": 1e3 * float(np.sqrt((away**2).mean())),
+        "skew_p99_ms": 1e3 * skew_s(seen, path, rate, begin_s),
+        **angles(seen, path, rate, begin_s, mounts),
+    }
+
+
+def skew_s(seen: list[tuple[Any, Any]], path: ArmsPath, rate: float, begin_s: float) -> float:
+    """Return 99 % of the differences of both arms' times on the path; 0 if an arm rests."""
     late = []
-    common = np.arange(begin_s + RAMP_S / rate, begin_s + (DURATION_S - RAMP_S) / rate, 0.008)
+    common = np.arange(begin_s + path.ramp_s / rate, begin_s + (path.duration_s - path.ramp_s) / rate, 0.008)
     for arm, (time_s, q) in enumerate(seen):
         p = rate * (time_s - begin_s)
         wanted, speed = path(p)[:, arm], path(p, 1)[:, arm]
         fast = (speed**2).sum(axis=1)
         passed = ((q - wanted) * speed).sum(axis=1) / np.maximum(fast, 1e-12)
-        good = fast > 0.1 * fast.max()
+        good = fast > max(0.1 * fast.max(), MOVES_RAD_S**2)
+        if not good.any():
+            return 0.0
         late.append(np.interp(common, time_s[good], passed[good]))
-    away = errors(begin_s)
+    return float(np.quantile(np.abs(late[0] - late[1]), 0.99))
+
+
+def angles(seen: list[tuple[Any, Any]], path: ArmsPath, rate: float, begin_s: float, mounts: Mounts) -> Figures:
+    """Return the largest angle of a flange off its path, and the errors of the right flange in the left one's frame."""
+    times = seen[0][0]
+    inside = (times >= seen[1][0][0]) & (times <= seen[1][0][-1])
+    times = times[inside]
+    right = np.stack([np.interp(times, seen[1][0], each) for each in seen[1][1].T], axis=1)
+    found = flanges_in_cell(np.stack([seen[0][1][inside], right], axis=1), mounts)
+    wanted = flanges_in_cell(path(rate * (times - begin_s)), mounts)
+    relative = [_relative(*each) for each in (found, wanted)]
     return {
-        "flange_max_mm": 1e3 * float(away.max()),
-        "flange_rms_mm": 1e3 * float(np.sqrt((away**2).mean())),
-        "skew_p99_ms": 1e3 * float(np.quantile(np.abs(late[0] - late[1]), 0.99)),
+        "angle_max_deg": max(_angle_deg(wanted[1][:, arm], found[1][:, arm]) for arm in range(2)),
+        "relative_max_mm": 1e3 * float(np.linalg.norm(relative[0][0] - relative[1][0], axis=-1).max()),
+        "relative_max_deg": _angle_deg(relative[1][1], relative[0][1]),
     }
 
 
-def at_125_hz(file: Any, system: Any) -> tuple[list[tuple[Any, Any]], Sine, float]:
-    """Follow the path by targets, and return what was seen."""
-    config = file.config()
-    runner = Runner(file, config, coupled=False, system=system)
-    try:
-        home = np.array([each.q_rad for each in runner.statuses()])
-        path, observer = Sine(home), Observer(file, system)
-        targets = path.targets(config.servoj)
-        runner.begin(home)
-        system.clock.sleep(REST_S)
-        first, done, ahead = runner.next + 10, 0, 100
-        while done < len(targets):
-            runner.write(first + done, targets[done : done + ahead])
-            done += ahead
-            runner.wait_for(first + done - ahead // 2)
-        runner.wait_for(first + len(targets))
-        system.clock.sleep(REST_S)
-        return observer.end(), path, 1.0
-    finally:
-        runner.close()
+def _relative(position: Any, rotation: Any) -> tuple[Any, Any]:
+    back = np.swapaxes(rotation[:, 0], -1, -2)
+    return np.einsum("nij,nj->ni", back, position[:, 1] - position[:, 0]), back @ rotation[:, 1]
 
 
-def at_rate(file: Any, system: Any, rate_hz: float) -> tuple[list[tuple[Any, Any]], Sine, float]:
-    """Follow the path by points, or below 5 Hz by fixed-time moves, and return what was seen."""
-    profile = profile_for(rate_hz, file.config().servoj)
-    with PointStream(file, profile, system=system) as stream:
-        home = stream.measured()
-        path, observer = Sine(home), Observer(file, system)
-        if profile.mode == "movej":
-            sent = path(np.arange(round(DURATION_S / profile.interval_s) + 1) * profile.interval_s)
-            points = PointPath(profile.interval_s, sent, np.zeros_like(sent))
+def _angle_deg(first: Any, second: Any) -> float:
+    return float(np.degrees((Rotation.from_matrix(first).inv() * Rotation.from_matrix(second)).magnitude().max()))
+
+
+class Follower:
+    """Follower of paths on a rig, by targets at 125 Hz or by points.
+
+    Args:
+        rig: The cell.
+        rate_hz: Rate; below 5 Hz by fixed-time moves.
+    """
+
+    def __init__(self, rig: Rig, rate_hz: float) -> None:
+        self._rig, self._config, self._rate_hz = rig, rig.file.config(), rate_hz
+        self._made: Any = None
+
+    def __enter__(self) -> Follower:
+        file, system = self._rig.file, self._rig.system
+        if self._rate_hz == 125.0:
+            self._made = Runner(file, self._config, coupled=False, system=system)
+            self._made.begin(np.array([each.q_rad for each in self._made.statuses()]))
         else:
-            points = stream.thin(path.targets(profile.servoj))
-        stream.run(points)
-        system.clock.sleep(REST_S)
-        return observer.end(), path, stream.rate
+            self._made = PointStream(file, profile_for(self._rate_hz, self._config.servoj), system=system)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._made.close()
+
+    def joints(self) -> Any:
+        """Return joint positions, (2, 6), where a path can begin."""
+        if isinstance(self._made, Runner):
+            return np.array([each.q_rad for each in self._made.statuses()])
+        return self._made.measured()
+
+    def follow(self, path: ArmsPath) -> tuple[list[tuple[Any, Any]], ArmsPath, float]:
+        """Follow a path, and return what was seen."""
+        clock, made = self._rig.system.clock, self._made
+        observer = Observer(self._rig.file, self._rig.system)
+        clock.sleep(REST_S)
+        if isinstance(made, Runner):
+            targets, rate = path.targets(self._config.servoj), 1.0
+            first, done, ahead = made.next + 10, 0, 100
+            while done < len(targets):
+                made.write(first + done, targets[done : done + ahead])
+                done += ahead
+                made.wait_for(first + done - ahead // 2)
+            made.wait_for(first + len(targets))
+        else:
+            interval_s, rate = made.profile.interval_s, made.rate
+            if made.profile.mode == "movej":
+                sent = path(np.arange(round(path.duration_s / interval_s) + 1) * interval_s)
+                points = PointPath(interval_s, sent, np.zeros_like(sent))
+            else:
+                points = made.thin(path.targets(made.profile.servoj))
+            made.run(points)
+        clock.sleep(REST_S)
+        return observer.end(), path, rate
 
 
 @contextmanager
-def virtual(plant: str) -> Iterator[tuple[Any, Any]]:
-    """Yield the cell file and the system of a virtual cell."""
+def virtual(task: str, plant: str) -> Iterator[Rig]:
+    """Yield a virtual cell."""
     from dual_ur10.testing import VirtualCell
 
-    with VirtualCell(task="SineTracking", plant=plant) as cell:
-        yield cell.file, cell.system
+    with VirtualCell(task=task, plant=plant) as cell:
+        yield Rig(cell.file, cell.system, cell)
 
 
 @contextmanager
-def emulated(plant: str) -> Iterator[tuple[Any, Any]]:
-    """Yield the cell file and the system of an emulated cell, in real time."""
+def emulated(task: str, plant: str) -> Iterator[Rig]:
+    """Yield an emulated cell, in real time."""
     import tempfile
 
     from dual_ur10.sim2real.config.cell_file import load_cell_file
@@ -198,24 +273,59 @@ def emulated(plant: str) -> Iterator[tuple[Any, Any]]:
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "cell.toml"
-        with EmulatedCell(task="SineTracking", plant=plant, cell=str(path)):
-            yield load_cell_file(path), LOCAL
+        with EmulatedCell(task=task, plant=plant, cell=str(path)) as cell:
+            yield Rig(load_cell_file(path), LOCAL, cell)
 
 
-def run(make: Callable[[str], Any], plant: str, rows: dict[str, float] = ROWS) -> dict[str, dict[str, float]]:
-    """Measure all rows, and print each when it is done."""
+def measured(make: Callable[[str, str], Any], plant: str, rate_hz: float, names: Sequence[str]) -> dict[str, Figures]:
+    """Return the figures of some paths at one rate."""
     found = {}
-    for name, rate_hz in rows.items():
-        with make(plant) as (file, system):
-            seen = at_125_hz(file, system) if rate_hz == 125.0 else at_rate(file, system, rate_hz)
-        found[name] = figures(*seen)
-        print(f"{name:6}", "  ".join(f"{key} {value:.4f}" for key, value in found[name].items()), flush=True)
+    for name in ("single", "dual"):
+        if name in names:
+            with make("SineTracking", plant) as rig, Follower(rig, rate_hz) as follower:
+                path = swing(follower.joints(), (0,) if name == "single" else (0, 1))
+                found[name] = figures(*follower.follow(path), rig.mounts)
+    if not {"grasp", "carry"} & set(names):
+        return found
+    with make("SyncCarry", plant) as rig, Follower(rig, rate_hz) as follower:
+        seen = follower.follow(lowered(follower.joints(), rig.bar(), rig.mounts))
+        found["grasp"] = figures(*seen, rig.mounts)
+        rig.grasp()
+        if "carry" in names:
+            bar = rig.bar()
+            found["carry"] = figures(*follower.follow(carried(follower.joints(), bar, rig.mounts)), rig.mounts)
+            found["carry"]["bar_moved_mm"] = 1e3 * float(np.linalg.norm(rig.bar().position_m - bar.position_m))
     return found
 
 
-def merged(rows: dict[str, dict[str, float]], others: list[Path]) -> dict[str, Any]:
+def repeatability_mm(make: Callable[[str, str], Any], paths: int = RETURNS) -> float:
+    """Return the repeatability by ISO 9283, of the worse arm."""
+    with make("SineTracking", "mild") as rig:
+        chosen = rig.file.source if make is emulated else rig.cell
+        with make_follower(chosen) as executor:
+            executor.start(home_of(chosen))
+            found = [executor.flanges_m(q_rad) for q_rad in returns(executor, paths, np.random.default_rng(0))]
+    return 1e3 * float(spread_of(np.stack(found)).iso_9283_m.max())
+
+
+def run(
+    make: Callable[[str, str], Any], plant: str, rows: dict[str, float] = ROWS, names: Sequence[str] = PATHS
+) -> dict[str, Any]:
+    """Measure all rows, and print each when it is done; those of `dual` are on the top level, too."""
+    found: dict[str, Any] = {}
+    table: dict[str, dict[str, Figures]] = {}
+    for row, rate_hz in rows.items():
+        for name, values in measured(make, plant, rate_hz, names).items():
+            table.setdefault(name, {})[row] = {**values, "period_ms": 1e3 / rate_hz}
+            print(f"{name:7}{row:6}", "  ".join(f"{key} {value:.4f}" for key, value in values.items()), flush=True)
+        if "dual" in table:
+            found[row] = {key: table["dual"][row][key] for key in ("flange_max_mm", "flange_rms_mm", "skew_p99_ms")}
+    return found | {"paths": table}
+
+
+def merged(found: dict[str, Any], others: list[Path]) -> dict[str, Any]:
     """Return the table: these rows, and the figures of other benchmarks from their files."""
-    table: dict[str, Any] = dict(rows)
+    table = dict(found)
     for path in others:
         values = json.loads(path.read_text())
         table |= {name: values[name] for name in OF_OTHERS if name in values}
@@ -230,9 +340,12 @@ def main() -> None:
     parser.add_argument("--with", dest="others", type=Path, action="append", default=[], help="JSON with more figures")
     parser.add_argument("--json", type=Path, help="file to write")
     arguments = parser.parse_args()
-    found = merged(run(emulated if arguments.cell == "emulated" else virtual, arguments.plant), arguments.others)
+    make = emulated if arguments.cell == "emulated" else virtual
+    found = run(make, arguments.plant)
+    found["repeatability_mm"] = repeatability_mm(make)
+    print(f"repeatability {found['repeatability_mm']:.4f} mm")
     if arguments.json is not None:
-        arguments.json.write_text(json.dumps(found, indent=1) + "\n")
+        arguments.json.write_text(json.dumps(merged(found, arguments.others), indent=1) + "\n")
 
 
 if __name__ == "__main__":

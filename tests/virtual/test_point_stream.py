@@ -116,18 +116,28 @@ def test_the_command_follows_a_file_at_a_low_rate(cell, capsys):
 @pytest.fixture
 def followers(monkeypatch):
     monkeypatch.syspath_prepend(FOLDER)
-    module = importlib.import_module("followers")
-    monkeypatch.setattr(module, "DURATION_S", 6.0)
-    return module
+    paths = importlib.import_module("follower_paths")
+    monkeypatch.setattr(paths, "DURATION_S", 6.0)
+    return importlib.import_module("followers")
 
 
 def test_slow_links_reach_the_accuracy_of_125_hz(followers):
-    found = followers.run(followers.virtual, "nominal", {"125hz": 125.0, "10hz": 10.0, "5hz": 5.0})
+    found = followers.run(followers.virtual, "nominal", {"125hz": 125.0, "10hz": 10.0, "5hz": 5.0}, ("dual",))
     fast = found["125hz"]["flange_max_mm"]
     assert fast < 0.05
     assert found["10hz"]["flange_max_mm"] - fast < 0.05
     assert found["5hz"]["flange_max_mm"] - fast < 0.1
-    assert max(each["skew_p99_ms"] for each in found.values()) < 0.1
+    assert max(each["skew_p99_ms"] for each in found["paths"]["dual"].values()) < 0.1
+
+
+def test_both_arms_grasp_a_bar_at_a_low_rate(followers):
+    found = followers.run(followers.virtual, "nominal", {"10hz": 10.0}, ("grasp",))
+    assert found["paths"].keys() == {"grasp"}
+    grasp = found["paths"]["grasp"]["10hz"]
+    assert grasp["period_ms"] == 100.0
+    assert grasp["flange_max_mm"] < 0.05
+    assert grasp["relative_max_mm"] < 0.05
+    assert max(grasp["angle_max_deg"], grasp["relative_max_deg"]) < 0.01
 
 
 def test_fixed_time_moves_reach_every_point_with_both_arms_at_once(cell):

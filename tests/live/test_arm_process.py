@@ -68,3 +68,18 @@ def test_a_suspended_process_sends_nothing_when_it_wakes(pair):
     assert pair.cell.ask("setpoints", arm="left")["count"] == count
     assert pair.arms[1].process.wait(20.0)
     pair.stand()
+
+
+def test_ur_rtde_does_not_print_what_a_stop_is_reported_by(pair, capfd, caplog):
+    pair.begin()
+    pair.move(60)
+    with caplog.at_level("INFO"):
+        for arm in pair.arms:
+            pair.cell.ask("press", arm=arm.connection.name, button="stop")
+        for arm in pair.arms:
+            assert arm.process.wait(20.0)
+    assert capfd.readouterr() == ("", "")
+    told = [each.getMessage() for each in caplog.records if "ur_rtde" in each.getMessage()]
+    assert "left, ur_rtde: its control script no longer runs" in told
+    assert len(told) == len(set(told))
+    pair.stand()

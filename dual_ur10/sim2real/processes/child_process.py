@@ -18,6 +18,7 @@ import signal
 import struct
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -44,6 +45,7 @@ LONGER_SLICE_S: Final = 1e-3
 """Time slice of other processes with deadlines, which a process that sends targets interrupts when it wakes."""
 
 _POLL_S: Final = 0.002
+_DRAIN_S: Final = 0.2  # for the lines that an ended process printed
 _AUTOGROUP: Final = "/proc/self/autogroup"
 _SCHED_SETATTR: Final = {"x86_64": 314, "aarch64": 274}  # numbers of the system call, which libc does not wrap
 _RESET_ON_FORK: Final = 1
@@ -107,23 +109,40 @@ class Child:
         arguments: Its arguments; they are pickled.
         files: Numbers of open files that the process inherits under the same numbers.
         name: Text that a list of processes shows after the command.
+        output: Called in a thread with each line that the process, or a library in it, prints. What is not read in
+            time is lost, and never blocks the process. None: the process shares standard output and error.
     """
 
     def __init__(
-        self, function: Callable[..., None], *arguments: Any, files: Sequence[int] = (), name: str = ""
+        self,
+        function: Callable[..., None],
+        *arguments: Any,
+        files: Sequence[int] = (),
+        name: str = "",
+        output: Callable[[str], None] | None = None,
     ) -> None:
         work = pickle.dumps((function.__module__, function.__qualname__, os.getpid(), arguments))
         self._code: int | None = None
+        self._reader: threading.Thread | None = None
         process = None
+        reading, writing = (None, None) if output is None else os.pipe()
+        if writing is not None:
+            os.set_blocking(writing, False)
         try:
             with interrupts_deferred():  # an interrupt comes before there is a process, or once it is known here
                 self._process = process = subprocess.Popen(
                     [sys.executable, "-P", "-m", CHILD, *filter(None, [name])],
                     stdin=subprocess.PIPE,
+                    stdout=writing,
+                    stderr=writing,
                     env={**os.environ, "PYTHONPATH": os.pathsep.join(each or os.getcwd() for each in sys.path)},
                     start_new_session=True,
                     pass_fds=tuple(files),
                 )
+            if output is not None and reading is not None:
+                self._reader = threading.Thread(target=_read_lines, args=(reading, output), name="output", daemon=True)
+                self._reader.start()
+                reading = None
             if process.stdin is not None:
                 with contextlib.suppress(OSError):  # it has ended already, which `is_alive` reports
                     process.stdin.write(work)
@@ -132,6 +151,10 @@ class Child:
             if process is not None:
                 self.kill()
             raise
+        finally:
+            for each in (reading, writing):
+                if each is not None:
+                    os.close(each)
 
     @property
     def pid(self) -> int:
@@ -169,6 +192,8 @@ class Child:
             if left <= 0.0:
                 return False
             time.sleep(min(left, _POLL_S))
+        if self._reader is not None:
+            self._reader.join(_DRAIN_S)  # what it printed last
         return True
 
     def kill(self, within_s: float = KILLED_S) -> None:
@@ -178,6 +203,13 @@ class Child:
                 os.kill(self.pid, signal.SIGKILL)
         if not self.wait(within_s):
             log.error("process %d was killed and has not ended within %g s: see what it waits for", self.pid, within_s)
+
+
+def _read_lines(file: int, output: Callable[[str], None]) -> None:
+    """Pass the lines of a pipe on until its end."""
+    with os.fdopen(file, "rb") as pipe:
+        for line in pipe:
+            output(line.decode("utf-8", "replace").rstrip("\r\n"))
 
 
 def main() -> None:

@@ -115,7 +115,12 @@ class System(Protocol):
         """Return two connected ends, the second of which goes to a child process."""
 
     def spawn(
-        self, function: Callable[..., None], *arguments: Any, name: str = "", channel: Transport | None = None
+        self,
+        function: Callable[..., None],
+        *arguments: Any,
+        name: str = "",
+        channel: Transport | None = None,
+        output: Callable[[str], None] | None = None,
     ) -> Process:
         """Start a child process that calls a function of this package.
 
@@ -124,6 +129,7 @@ class System(Protocol):
             arguments: Its arguments; they are pickled.
             name: Text that a list of processes shows after the command.
             channel: End of a channel, which becomes the first argument. It is closed here.
+            output: Called in a thread with each line that the process prints; see `Child`. None: it prints them.
         """
 
     def is_running(self, pid: int) -> bool:
@@ -229,15 +235,20 @@ class LocalSystem:
         return TcpTransport.pair()
 
     def spawn(
-        self, function: Callable[..., None], *arguments: Any, name: str = "", channel: Transport | None = None
+        self,
+        function: Callable[..., None],
+        *arguments: Any,
+        name: str = "",
+        channel: Transport | None = None,
+        output: Callable[[str], None] | None = None,
     ) -> Process:
         """See `System`."""
         if channel is None:
-            return Child(function, *arguments, name=name)
+            return Child(function, *arguments, name=name, output=output)
         number = channel.fileno()
         where = function.__module__, function.__qualname__
         try:
-            return Child(_with_channel, number, *where, *arguments, files=[number], name=name)
+            return Child(_with_channel, number, *where, *arguments, files=[number], name=name, output=output)
         finally:
             channel.close()
 

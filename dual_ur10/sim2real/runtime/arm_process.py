@@ -15,6 +15,7 @@ from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.control.servoj import ServojProfile
 from dual_ur10.sim2real.links.arm_status import OPTIONAL_VARIABLES, STATUS_VARIABLES
 from dual_ur10.sim2real.links.rtde_link import PORT, RtdeClient, RtdeLink
+from dual_ur10.sim2real.links.ur_rtde_output import UrRtdeOutput
 from dual_ur10.sim2real.processes.system import LOCAL, Process, System
 from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import ArmSender
@@ -84,7 +85,10 @@ class ArmProcess:
     ) -> None:
         self.connection, self.memory, self._clock = connection, memory, system.clock
         names = (memory.name, cell.name, *(other.name for other in others))
-        self.process: Process = system.spawn(main, connection, names, system.pid, supervised, name=connection.name)
+        name = connection.name
+        self.process: Process = system.spawn(
+            main, connection, names, system.pid, supervised, name=name, output=UrRtdeOutput(name)
+        )
 
     def wait_until_ready(self, within_s: float = CONNECT_S) -> None:
         """Wait until the arm is ready for targets.

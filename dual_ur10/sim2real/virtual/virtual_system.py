@@ -157,9 +157,14 @@ class VirtualSystem:
         return first, second
 
     def spawn(
-        self, function: Callable[..., None], *arguments: Any, name: str = "", channel: Transport | None = None
+        self,
+        function: Callable[..., None],
+        *arguments: Any,
+        name: str = "",
+        channel: Transport | None = None,
+        output: Callable[[str], None] | None = None,
     ) -> VirtualProcess:
-        """See `System`."""
+        """See `System`. A virtual process prints where the program does."""
         process = VirtualProcess(self._world, self._process, name or function.__name__)
         if channel is not None:
             process.group.endpoints.append(channel)

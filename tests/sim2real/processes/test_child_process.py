@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pathlib
 import pickle
@@ -9,6 +10,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
@@ -222,6 +224,46 @@ def test_an_error_is_a_code_and_a_traceback(capfd):
     assert child.wait(WITHIN_S)
     assert child.code == 1
     assert "/nowhere/at/all" in capfd.readouterr().err
+
+
+def print_and_fail() -> None:
+    os.write(1, b"from C, ")  # as a library does that does not know Python's streams
+    os.write(2, b"both streams\nwithout an end")
+    raise SystemExit(3)
+
+
+def test_all_that_a_process_prints_can_be_read(capfd):
+    lines: list[str] = []
+    child = Child(print_and_fail, output=lines.append)
+    assert child.wait(WITHIN_S)
+    assert (child.code, lines) == (3, ["from C, both streams", "without an end"])
+    failed = Child(os.listdir, "/nowhere/at/all", output=lines.append)
+    assert failed.wait(WITHIN_S)
+    assert any("/nowhere/at/all" in line for line in lines)  # its traceback
+    assert capfd.readouterr() == ("", "")
+
+
+def print_much() -> None:
+    for _ in range(100):
+        with contextlib.suppress(BlockingIOError):
+            os.write(2, bytes(10_000))
+
+
+def test_a_process_is_not_held_up_by_somebody_who_does_not_read():
+    goes_on = threading.Event()
+    child = Child(print_much, output=lambda line: goes_on.wait())
+    assert child.wait(WITHIN_S)
+    assert child.code == 0
+    goes_on.set()
+
+
+@pytest.mark.parametrize("output", [None, print])
+def test_no_file_stays_open(output):
+    before = len(os.listdir("/proc/self/fd"))
+    child = Child(time.sleep, 60.0, output=output)
+    child.kill()
+    assert child._reader is None or not child._reader.is_alive()
+    assert len(os.listdir("/proc/self/fd")) == before
 
 
 def test_a_process_that_ends_before_it_reads_is_no_error(tmp_path, monkeypatch):

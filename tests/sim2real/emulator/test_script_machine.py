@@ -409,7 +409,7 @@ def test_a_thread_may_kill_itself() -> None:
     assert values(text) == [2]
 
 
-def test_a_critical_section_blocks_other_threads() -> None:
+def test_others_run_while_a_thread_waits_in_a_critical_section() -> None:
     text = """
 def f():
   thread a():
@@ -439,7 +439,7 @@ end
         machine.tick()
         seen.append(list(robot.said))
         robot.said.clear()
-    assert seen == [["f"], [], ["b", "a"], ["c", "a"]]
+    assert seen == [["f", "a"], ["a"], ["b", "a"], ["c", "a"]]
 
 
 @pytest.mark.parametrize("end", ["kill h", "pass"])
@@ -516,7 +516,15 @@ def test_long_statements_and_long_functions_count_for_several(before, repeated):
         ('say(1)\n fail("too far")', 2, "fail", "too far"),
         ('def f():\n def g(a):\n\n  say(a) fail("x")\n end\n g(1)\nend', 4, "fail", "x"),
         ('say(1 + "a")', 1, "+", "expected a number, found a string"),
-        ("say([1] + [2])", 1, "+", "expected a number, found a list"),
+        ("say([1] + [2, 3])", 1, "+", "lists of the same length, found 1 and 2"),
+        ('say([1] + ["a"])', 1, "+", "expected a number, found a string"),
+        ('say("a" * [1])', 1, "*", "found a string"),
+        ("say([[1]] + [[2]])", 1, "+", "in this order"),
+        ("say([1] * [[2]])", 1, "*", "in this order"),
+        ("say([[1, 2]] * [1])", 1, "*", "as many rows on the right as columns on the left: 2"),
+        ("say([[1], 2] * [1])", 1, "*", "rows have the same length"),
+        ("say([2147483647] + 1)", 1, "+", "32 bits"),
+        ("say(p[1, 2, 3, 4, 5, 6] * 2)", 1, "*", "found a pose"),
         ("say(1 / 0)", 1, "/", "division by zero"),
         ("say(1 % 0)", 1, "%", "division by zero"),
         ("a = [1]\nsay(a[1])", 2, "a", "index 1 is outside of 0 to 0"),

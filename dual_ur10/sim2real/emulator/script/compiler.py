@@ -40,7 +40,7 @@ NAMES: Final = {word: f"n_op{index}" for index, word in enumerate(OPERATIONS)}
 
 _EQUALITY: Final = {"==": ast.Eq, "!=": ast.NotEq}
 _LOGIC: Final = {"and": ast.And, "or": ast.Or}
-_SIMPLE: Final = {"halt": "n_halt", "enter_critical": "n_enter_critical", "exit_critical": "n_exit_critical"}
+_WITHOUT_EFFECT: Final = ("pass", "enter_critical", "exit_critical")  # see `Machine`
 _LOAD: Final = ast.Load()
 _STORE: Final = ast.Store()
 
@@ -145,9 +145,9 @@ class _FunctionCompiler:
 
     def _simple(self, node: syntax.Simple) -> list[ast.stmt]:
         where = _where(node.at)
-        if node.at in _SIMPLE:
-            return [_do(where, _SIMPLE[node.at])]
-        if node.at == "pass":
+        if node.at == "halt":
+            return [_do(where, "n_halt")]
+        if node.at in _WITHOUT_EFFECT:
             return [ast.Pass(**where)]
         if not self._loops:
             raise syntax.error(node.at, "it is outside of any loop")

@@ -103,9 +103,9 @@ def str_at(src: str, index: int) -> str:
     return src[index]
 
 
-def str_cat(op1: str, op2: str) -> str:
-    """Concatenate two strings."""
-    return _limited(_text(op1) + _text(op2))
+def str_cat(op1: Any, op2: Any) -> str:
+    """Concatenate two strings, or other values as `to_str` formats them."""
+    return _limited(text(op1) + text(op2))
 
 
 def str_empty(str: str) -> bool:  # noqa: A002

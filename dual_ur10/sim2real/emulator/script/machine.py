@@ -9,9 +9,10 @@ from itertools import islice
 from typing import Any, Final, NoReturn
 
 from dual_ur10.errors import DualUR10Error, ScriptRuntimeError, SettingsError
+from dual_ur10.sim2real.emulator.script.arrays import with_lists
 from dual_ur10.sim2real.emulator.script.compiled import Program
 from dual_ur10.sim2real.emulator.script.compiler import FILE, MAIN, NAMES
-from dual_ur10.sim2real.emulator.script.operations import OPERATIONS
+from dual_ur10.sim2real.emulator.script.operations import ARITHMETIC, OPERATIONS
 from dual_ur10.sim2real.emulator.script.values import Builtins, kind
 
 log = logging.getLogger(__name__)
@@ -43,23 +44,23 @@ class Thread:
         name: Name in the program's text.
         handle: Number that `run` returns; 0 is the program itself.
         alive: Whether it has not ended.
-        critical: Depth of nested critical sections.
         depth: Depth of nested recursive calls.
     """
 
-    __slots__ = ("alive", "critical", "depth", "handle", "name", "steps")
+    __slots__ = ("alive", "depth", "handle", "name", "steps")
 
     def __init__(self, name: str, handle: int, steps: Steps) -> None:
         self.name, self.handle, self.steps = name, handle, steps
-        self.alive, self.critical, self.depth = True, 0, 0
+        self.alive, self.depth = True, 0
 
 
 class Machine:
     """Running program.
 
-    In each control period every thread runs once, in order of their start, until it blocks or ends. While one has
-    blocked within `enter_critical` .. `exit_critical`, no other thread runs. The program ends with its main function,
-    together with all of its threads.
+    In each control period every thread runs once, in order of their start, until it blocks or ends. No other thread
+    interrupts it before, so `enter_critical` and `exit_critical` have no effect of their own: others run while a thread
+    waits, in a critical section too. UR's client library relies on it, whose program waits for its peers in one. The
+    program ends with its main function, together with all of its threads.
 
     Args:
         program: Program to run.
@@ -87,17 +88,15 @@ class Machine:
         self._steps_per_tick = steps_per_tick
         self._threads: list[Thread] = []
         self._handles = 0
-        self._holder: Thread | None = None
         self._names: dict[str, Any] = {"__builtins__": {}, "n_steps": steps_per_tick}
         self._names.update({f"b_{name}": builtins[name] for name in program.used})
         self._names.update({NAMES[word]: operation for word, operation in OPERATIONS.items()})
+        self._names.update({NAMES[word]: with_lists(word, OPERATIONS[word], self.spend) for word in ARITHMETIC})
         self._names.update(
             n_run=self._run,
             n_kill=self._kill_handle,
             n_join=self._join,
             n_halt=_halt,
-            n_enter_critical=self._enter_critical,
-            n_exit_critical=self._exit_critical,
             n_endless=self._endless,
             n_deeper=self._deeper,
             n_shallower=self._shallower,
@@ -112,15 +111,12 @@ class Machine:
             ScriptRuntimeError: The program failed, and has finished.
         """
         self._names["n_steps"] = self._steps_per_tick
-        holder = self._holder
-        if holder is not None and not self.finished:
-            self._resume(holder)
         ended = False
         # Threads that start meanwhile are appended, and run too.
         for thread in self._threads:
-            if self._holder is not None or self.finished:
+            if self.finished:
                 break
-            if thread is not holder and thread.alive:
+            if thread.alive:
                 self._resume(thread)
             ended = ended or not thread.alive
         if ended:
@@ -171,9 +167,6 @@ class Machine:
         if thread is running:
             return
         thread.alive = False
-        thread.critical = 0
-        if self._holder is thread:
-            self._holder = None
         self.thread = thread
         try:
             thread.steps.close()
@@ -212,18 +205,6 @@ class Machine:
             raise ValueError("a thread cannot wait for its own end")
         while thread is not None and thread.alive:
             yield
-
-    def _enter_critical(self) -> None:
-        self._holder = self.thread
-        if self._holder is not None:
-            self._holder.critical += 1
-
-    def _exit_critical(self) -> None:
-        holder = self._holder
-        if holder is not None:
-            holder.critical -= 1
-            if not holder.critical:
-                self._holder = None
 
     def _endless(self) -> NoReturn:
         raise RecursionError(

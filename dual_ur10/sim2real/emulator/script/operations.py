@@ -1,7 +1,7 @@
-"""Operators of URScript.
+"""Operators of URScript. The arithmetic ones are for numbers here; `arrays` extends them to lists.
 
-Each refuses what Python allows and URScript does not: joining lists with `+`, indices from the end, integers of more
-than 32 bits. The machine adds line and word to the errors that these functions raise.
+Each refuses what Python allows and URScript does not: indices from the end, integers of more than 32 bits. The machine
+adds line and word to the errors that these functions raise.
 """
 
 from __future__ import annotations
@@ -183,3 +183,6 @@ OPERATIONS: Final[dict[str, Callable[..., Any] | type]] = {
     "put_cell": put_cell,
 }
 """Operations by operator, or by the name that the compiler uses."""
+
+ARITHMETIC: Final = ("+", "-", "*", "/", "%")
+"""Operators that take lists, too."""

@@ -101,8 +101,12 @@ def listening(address: tuple[str, int], system: System = LOCAL, send_buffer_byte
         raise _named(address, error) from error
 
 
-def check_loopback(host: str) -> None:
+def check_loopback(host: object, who: str = "an emulated controller listens on") -> None:
     """Check that an address can only be reached from this machine.
+
+    Args:
+        host: The address.
+        who: Beginning of the rule that the error states.
 
     Raises:
         AddressError: It is not written as an address of 127.0.0.0/8.
@@ -111,9 +115,7 @@ def check_loopback(host: str) -> None:
     with contextlib.suppress(ValueError):
         loopback = isinstance(host, str) and ipaddress.IPv4Address(host).is_loopback
     if not loopback:
-        raise AddressError(
-            f"{host!r} is no loopback address: an emulated controller listens on 127.0.0.0/8 only, such as 127.0.0.1"
-        )
+        raise AddressError(f"{host!r} is no loopback address: {who} 127.0.0.0/8 only, such as 127.0.0.1")
 
 
 def _named(address: tuple[str, int], error: OSError) -> AddressError:

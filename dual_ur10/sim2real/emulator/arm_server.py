@@ -253,6 +253,7 @@ class ArmServer:
     def close(self) -> None:
         """Close all ports."""
         self._reader.shutdown(wait=False, cancel_futures=True)
+        self.controller.sockets.shut_down()
         for port in self.ports.values():
             port.close()
             self._hub.ports.remove(port)

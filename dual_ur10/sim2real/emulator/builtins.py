@@ -7,6 +7,7 @@ from typing import Any
 from dual_ur10.sim2real.emulator.builtins_io import io_builtins
 from dual_ur10.sim2real.emulator.builtins_motion import motion_builtins
 from dual_ur10.sim2real.emulator.builtins_robot import robot_builtins
+from dual_ur10.sim2real.emulator.builtins_socket import socket_builtins
 from dual_ur10.sim2real.emulator.controller import Controller
 from dual_ur10.sim2real.emulator.script import Builtins, library
 
@@ -26,7 +27,12 @@ def _costly(controller: Controller, own: Builtins) -> Builtins:
         found: str = own["to_str"](val)
         return found
 
-    return {"norm": norm, "to_str": to_str}
+    def str_cat(op1: Any, op2: Any) -> str:
+        controller.spend(_size(op1) + _size(op2))
+        found: str = own["str_cat"](op1, op2)
+        return found
+
+    return {"norm": norm, "to_str": to_str, "str_cat": str_cat}
 
 
 def _size(value: Any) -> int:
@@ -45,4 +51,5 @@ def builtins_of(controller: Controller) -> Builtins:
         **motion_builtins(controller),
         **io_builtins(controller),
         **robot_builtins(controller),
+        **socket_builtins(controller),
     }

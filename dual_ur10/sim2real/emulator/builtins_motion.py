@@ -155,6 +155,9 @@ def motion_builtins(controller: Controller) -> Builtins:
         motion.force_mode_settings(damping=damping)
 
     def force_mode_set_gain_scaling(scaling: float) -> None:
+        if not controller.profile.at_least((5, 0)):
+            # A CB3 must know the name: the program of UR's client library has a call that it never reaches there.
+            raise MotionError("force_mode_set_gain_scaling needs a robot of the e-Series")
         motion.force_mode_settings(gain_scaling=scaling)
 
     def teach_mode() -> None:
@@ -184,8 +187,7 @@ def motion_builtins(controller: Controller) -> Builtins:
     profile = controller.profile
     if profile.at_least((5, 0), (3, 5)):
         functions["force_mode_set_damping"] = force_mode_set_damping
-    if profile.at_least((5, 0)):
-        functions["force_mode_set_gain_scaling"] = force_mode_set_gain_scaling
+    functions["force_mode_set_gain_scaling"] = force_mode_set_gain_scaling
     if profile.at_least((5, 10)):
         functions["get_freedrive_status"] = get_freedrive_status
     return functions

@@ -189,9 +189,9 @@ def robot_builtins(controller: Controller) -> Builtins:
     functions["ft_rtde_input_enable"] = enable_external_ft_sensor
     functions["get_joint_positions"] = get_actual_joint_positions  # its name in older programs
     newer = {
-        ((5, 4), None): ("tool_contact", "get_steptime", "get_actual_joint_positions_history"),
+        ((5, 4), (3, 14)): ("tool_contact", "get_steptime", "get_actual_joint_positions_history"),
         ((5, 3), None): ("get_target_waypoint",),
-        ((5, 9), None): ("ft_rtde_input_enable",),
+        ((5, 9), (3, 14)): ("ft_rtde_input_enable",),
         ((5, 0), (3, 8)): ("protective_stop",),
         ((5, 0), (3, 6)): ("get_tcp_offset",),
         ((5, 10), (3, 15)): ("get_inverse_kin_has_solution", "set_target_payload", "get_target_payload_inertia"),

@@ -23,6 +23,8 @@ from dual_ur10.sim2real.emulator.registers import Registers, Watchdog
 from dual_ur10.sim2real.emulator.rtde_variables import zero_values
 from dual_ur10.sim2real.emulator.safety import Demand, Safety
 from dual_ur10.sim2real.emulator.script import Builtins, Program
+from dual_ur10.sim2real.emulator.script_sockets import ScriptSockets
+from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.protocol import primary_messages as messages
 from dual_ur10.sim2real.protocol.modes import JointMode, RobotBits, RobotMode, RuntimeState, SafetyMode
 from dual_ur10.types import Array
@@ -114,6 +116,7 @@ class Controller:
         gripper_kg: Payload mass declared by its installation.
         powered: Whether the arm is powered from the start.
         boot_s: Initial reading of its own clock.
+        system: Network of the connections that its programs open.
     """
 
     def __init__(
@@ -129,6 +132,7 @@ class Controller:
         gripper_kg: float = 0.0,
         powered: bool = True,
         boot_s: float = 100.0,
+        system: System = LOCAL,
     ) -> None:
         self.name, self.profile = name, profile
         self.dh = dh
@@ -137,6 +141,7 @@ class Controller:
         self.registers = Registers()
         self.received = Received(self.registers)
         self.io = InputsOutputs()
+        self.sockets = ScriptSockets(system, name)
         self.safety = Safety(profile.assumptions, powered=powered)
         self.motion = Motion(
             profile.tick_s, substeps, q_rad, dh=dh, lookahead_scale=lookahead_scale, assumptions=profile.assumptions
@@ -161,7 +166,7 @@ class Controller:
         self._ran = False
         self._raw_wrench: Array = np.zeros(6)
         self._wrench_zero: Array = np.zeros(6)
-        self.program = ProgramRunner(profile, self.motion, builtins(self), self._script_failed)
+        self.program = ProgramRunner(profile, self.motion, builtins(self), self._script_failed, self.sockets.close_all)
         self.reading = ArmReading(np.array(q_rad, dtype=float), np.zeros(6), np.zeros(6), np.zeros(6), None)
         self._shown = _Shown(self.reading, self.reading.q_rad, self.motion, np.zeros(6), self.wrench)
         self._constant_values()

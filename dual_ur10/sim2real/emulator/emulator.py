@@ -153,6 +153,7 @@ class Emulator:
                     gripper_kg=self.world.gripper_kg,
                     powered=options.powered,
                     boot_s=BOOT_S[arm],
+                    system=system,
                 )
                 gripper = RobotiqGripper() if self.world.gripper_kg else None
                 self.servers.append(ArmServer(self._hub, controller, hosts[arm], gripper, self._off))

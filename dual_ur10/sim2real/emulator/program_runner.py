@@ -30,6 +30,7 @@ class ProgramRunner:
         motion: The arm's reference motion, which ends with the program.
         builtins: Functions that programs may call, by name.
         failed: Callback for every program that was refused or stopped by an error.
+        ended: Callback for the end of programs.
 
     Attributes:
         state: RTDE's `runtime_state`.
@@ -41,9 +42,15 @@ class ProgramRunner:
     """
 
     def __init__(
-        self, profile: ControllerProfile, motion: Motion, builtins: Builtins, failed: Callable[[ScriptError], None]
+        self,
+        profile: ControllerProfile,
+        motion: Motion,
+        builtins: Builtins,
+        failed: Callable[[ScriptError], None],
+        ended: Callable[[], None],
     ) -> None:
-        self.profile, self.motion, self.builtins, self._failed = profile, motion, builtins, failed
+        self.profile, self.motion, self.builtins = profile, motion, builtins
+        self._failed, self._ended = failed, ended
         self.state = RuntimeState.STOPPED
         self.name = ""
         self.scaling = 1.0
@@ -141,6 +148,7 @@ class ProgramRunner:
             log.info("program %s ends: %s", self.name, reason)
             self.machine.kill()
             self.machine, self.stopped_by = None, reason
+            self._ended()
             self._brake()
             self.state = RuntimeState.STOPPING
         self._paused_by_safety = False
@@ -202,6 +210,8 @@ class ProgramRunner:
                 self._failed(error)
             if machine.finished:
                 self._secondary.remove(machine)
+                if self.machine is None:
+                    self._ended()
 
     def _end_secondary(self) -> None:
         for machine in self._secondary:

@@ -97,8 +97,14 @@ class System(Protocol):
             SettingsError: It cannot be created, or belongs to another user.
         """
 
-    def connect(self, host: str, port: int, within_s: float) -> Transport:
+    def connect(self, host: str, port: int, within_s: float, *, quick: bool = False) -> Transport:
         """Connect to a port.
+
+        Args:
+            host: Address.
+            port: Port number.
+            within_s: Longest wait.
+            quick: Acknowledge every packet at once; see `TcpTransport`.
 
         Raises:
             OSError: There is no connection in time.
@@ -222,9 +228,9 @@ class LocalSystem:
             ) from error
         return path
 
-    def connect(self, host: str, port: int, within_s: float) -> Transport:
+    def connect(self, host: str, port: int, within_s: float, *, quick: bool = False) -> Transport:
         """See `System`."""
-        return TcpTransport.connect(host, port, within_s)
+        return TcpTransport.connect(host, port, within_s, quick=quick)
 
     def listen(self, host: str, port: int, send_buffer_bytes: int = 0) -> Listener:
         """See `System`."""

@@ -83,13 +83,13 @@ class TcpTransport:
                 sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     @classmethod
-    def connect(cls, host: str, port: int, within_s: float) -> Self:
+    def connect(cls, host: str, port: int, within_s: float, *, quick: bool = False) -> Self:
         """Connect to a port.
 
         Raises:
             OSError: There is no connection in time.
         """
-        return cls(socket.create_connection((host, port), timeout=within_s))
+        return cls(socket.create_connection((host, port), timeout=within_s), quick=quick)
 
     @classmethod
     def pair(cls) -> tuple[Self, Self]:

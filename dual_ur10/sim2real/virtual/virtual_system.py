@@ -141,7 +141,7 @@ class VirtualSystem:
         """See `System`."""
         return self._folder
 
-    def connect(self, host: str, port: int, within_s: float) -> Transport:
+    def connect(self, host: str, port: int, within_s: float, *, quick: bool = False) -> Transport:
         """See `System`. A connection is made at once."""
         return self._world.network.connect(host, port, self._process.group)
 

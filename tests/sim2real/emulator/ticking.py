@@ -19,6 +19,7 @@ from dual_ur10.sim2real.emulator.pendant import Pendant
 from dual_ur10.sim2real.emulator.profile import profile_of
 from dual_ur10.sim2real.emulator.realtime_packet import RealtimePacket
 from dual_ur10.sim2real.emulator.safety import Demand
+from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.protocol.modes import RobotBits, RobotMode, RuntimeState, SafetyBits, SafetyMode
 from dual_ur10.sim2real.protocol.primary_packet import PrimaryPacket
 
@@ -43,12 +44,21 @@ class Bench:
     Every tick is checked: the reference has no jump, and no joint exceeds its speed.
     """
 
-    def __init__(self, family: str = "cb3", *, powered: bool = True, seen: Any = None, **assumptions: Any) -> None:
+    def __init__(
+        self, family: str = "cb3", *, powered: bool = True, system: System = LOCAL, **assumptions: Any
+    ) -> None:
         profile = profile_of(family)
         assumed = dataclasses.replace(profile.assumptions, **assumptions)
         self.profile = dataclasses.replace(profile, assumptions=assumed)
         self.controller = Controller(
-            "left", self.profile, np.array(HOME), SUBSTEPS, dh=NOMINAL_DH, builtins=builtins_of, powered=powered
+            "left",
+            self.profile,
+            np.array(HOME),
+            SUBSTEPS,
+            dh=NOMINAL_DH,
+            builtins=builtins_of,
+            powered=powered,
+            system=system,
         )
         self.off = 0
         self.pendant = Pendant(self.controller, self._off)

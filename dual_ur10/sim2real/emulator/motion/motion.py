@@ -216,16 +216,18 @@ class Motion(ToolMotion):
     def speed_joints(self, qd: Iterable[Any], a: float, t: float = 0.0) -> Handle:
         """`speedj`: accelerate to joint speeds (6,) and hold them. At `t` 0 it returns when they are reached.
 
-        One factor scales all speeds if a joint would exceed its limit. If the program commands nothing after the
-        return, the arm decelerates as at the end of a program.
+        One factor scales all speeds if a joint would exceed its limit. Without acceleration (`a` 0) the arm keeps its
+        speed for `t`: UR's client library commands that on the straight parts of a spline. If the program commands
+        nothing after the return, the arm decelerates as at the end of a program.
         """
         speed = np.array(six(qd, "the speed of speedj"))
-        a = min(positive(a, "a of speedj"), ACCELERATION_LIMIT_RAD_S2)
         ticks = self._ticks(t, "t of speedj")
+        keeps = bool(ticks) and not_negative(a, "a of speedj") == 0.0
+        a = ACCELERATION_LIMIT_RAD_S2 if keeps else min(positive(a, "a of speedj"), ACCELERATION_LIMIT_RAD_S2)
         if self.fault is not None:
             return self._refuse()
         self._end_freedrive_for_command()
-        speed = speed / max(1.0, float((np.abs(speed) / self.joint_speed_rad_s).max()))
+        speed = self._rate if keeps else speed / max(1.0, float((np.abs(speed) / self.joint_speed_rad_s).max()))
         return self._begin(SpeedJoints(self.q, self._rate, speed, a, ticks), self.q, None)
 
     def speed_linear(self, xd: Iterable[Any], a: float, t: float = 0.0, a_rot: float | None = None) -> Handle:

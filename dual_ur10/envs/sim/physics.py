@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from dual_ur10.envs.sim.feedforward import FeedForward
 from dual_ur10.envs.sim.handling import Handling
 from dual_ur10.envs.sim.plant import Plant
 from dual_ur10.envs.sim.servo_reference import Motion
+from dual_ur10.envs.sim.torque_control import TorqueControl, Torques
 from dual_ur10.errors import SettingsError
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.types import Array, Rows
@@ -19,7 +20,7 @@ from dual_ur10.types import Array, Rows
 # Attributes that hold MuJoCo's memory: not pickled, and built anew.
 _LIVE = (
     *("_batch", "_flags", "_warnings", "_integration", "_arms_q", "_arms_qd", "_flange"),
-    *("_handling", "_plant", "_feedforward", "_rendered"),
+    *("_handling", "_plant", "_feedforward", "_rendered", "_torque"),
 )
 
 
@@ -84,6 +85,10 @@ class Physics:
         dofs = np.concatenate([np.arange(6), joints + np.arange(6)])
         self._plant = Plant(self._batch, scene, dofs)
         self._feedforward = FeedForward(scene, n, self.steps, self.threads)
+        stride = joints - 1 if scene.equipment.grippers else joints  # a gripper has one actuator and two joints
+        self._torque = [
+            TorqueControl(self._batch, arm * stride + np.arange(6), dofs[6 * arm : 6 * arm + 6]) for arm in range(2)
+        ]
         self._rendered: tuple[Any, Any] | None = None
 
     def _forward(self, rows: Rows | None = None) -> None:
@@ -141,19 +146,28 @@ class Physics:
         self._good = self._integration.copy()
         self._forward()
 
-    def advance(self, motion: Motion, gripper_m: Array | None = None, payload_kg: Array | None = None) -> None:
+    def advance(
+        self,
+        motion: Motion,
+        gripper_m: Array | None = None,
+        payload_kg: Array | None = None,
+        torques: Sequence[Torques | None] = (None, None),
+    ) -> None:
         """Advance all cells.
 
         Args:
             motion: Wanted motion of both arms.
             gripper_m: Commanded widths, (n, ticks, 2); None: as they are.
             payload_kg: Declared mass in each gripper, (n, 2); None: as before.
+            torques: Torques of each arm, in place of its wanted motion; None: it follows the motion.
 
         Raises:
             ActionError: A width is beyond the gripper's range.
             SettingsError: The command is for grippers, and the cell has none.
         """
         control = self._control(motion, gripper_m, payload_kg)
+        for switch, wanted in zip(self._torque, torques, strict=True):
+            switch(control, wanted)
         record = self._batch.rollout(control.shape[1], control, record=("qpos", "qvel") if self.tracing else ())
         if self.tracing:
             self.trace = self._joints(record["qpos"]), self._joints(record["qvel"])

@@ -25,7 +25,7 @@ from dual_ur10.sim2real.runtime.arm_process import ArmConnection, ArmProcess
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, root_cause, was_requested
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.latch import CellLock, Latch
-from dual_ur10.sim2real.runtime.machine_load import too_busy
+from dual_ur10.sim2real.runtime.machine_load import is_too_busy, too_busy
 from dual_ur10.sim2real.runtime.safety_monitor import MonitorSettings
 from dual_ur10.sim2real.runtime.supervisor import SupervisorProcess
 from dual_ur10.types import Array
@@ -274,6 +274,7 @@ class Runner:
 
         Raises:
             CellFaulted: Both arms are stopped.
+            StartError: This machine stalled before anything moved.
             ClosedError: The cell was closed, or this process is a fork that does not own the arms.
         """
         if self._closed or self.cell.ending or os.getpid() != self._pid:
@@ -282,6 +283,8 @@ class Runner:
             self.cell.enter_fault("the supervisor no longer responds")
         if not self._fault and (self.cell.fault or any(memory.phase >= Phase.STOPPING for memory in self.arms)):
             self._fail()
+        if self._fault and self._is_unmoved:
+            raise StartError(f"{self._fault}. Nothing has moved: make the environment again")
         if self._fault:
             raise CellFaulted(
                 f"both arms were stopped: {self._fault}. Check both, correct the cause, then run "
@@ -293,6 +296,11 @@ class Runner:
         if not (self._fault or self._closed or self.cell.ending or os.getpid() != self._pid):
             self.cell.enter_fault(reason)
             self._fail()
+
+    @property
+    def _is_unmoved(self) -> bool:
+        """True after a stall of this machine before the first target: there is nothing that a person should check."""
+        return not self.begun and is_too_busy(self._fault)
 
     def _is_supervised(self) -> bool:
         return self.supervisor is not None and self.supervisor.process.is_alive
@@ -330,6 +338,8 @@ class Runner:
 
     def _note(self) -> None:
         """Latch the fault. If that fails, the lock keeps its note of moving arms."""
+        if self._is_unmoved:
+            return
         try:
             self.latch.set(self._fault)
         except OSError as error:

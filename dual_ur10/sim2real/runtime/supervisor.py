@@ -24,7 +24,7 @@ from dual_ur10.sim2real.runtime.arm_memory import ArmMemory, Phase
 from dual_ur10.sim2real.runtime.arm_sender import STALE_S, WAITING_S, root_cause
 from dual_ur10.sim2real.runtime.cell_memory import CellMemory
 from dual_ur10.sim2real.runtime.latch import Latch
-from dual_ur10.sim2real.runtime.machine_load import too_busy
+from dual_ur10.sim2real.runtime.machine_load import is_too_busy, too_busy
 from dual_ur10.sim2real.runtime.safety_monitor import MonitorSettings, SafetyMonitor
 from dual_ur10.sim2real.runtime.stop_enforcer import StopEnforcer
 
@@ -189,7 +189,8 @@ class Supervisor:
         reason = self._cell.fault  # another process may have been first
         self._wait_for_stop(STALE_S)  # a slow disk must not delay the end of a process that hangs
         try:
-            if self._ready or self._cell.begin_s:  # else a start failed, which its caller reports
+            # Else a start failed, which its caller reports.
+            if self._cell.begin_s or (self._ready and not is_too_busy(reason)):
                 Latch(self._file, self._system).set(reason)
         finally:
             self._wait_for_stop()

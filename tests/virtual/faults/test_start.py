@@ -234,6 +234,21 @@ def test_54_before_anything_moves_a_stall_of_half_a_second_is_tolerated(lab):
     assert lab.latch.read() is None
 
 
+def test_54_a_longer_stall_before_anything_moves_is_no_latched_stop(lab):
+    lab.make()
+    lab.cell.stall("emulated cell", 0.8)
+    lab.clock.sleep(1.0)
+    with pytest.raises(StartError, match=r"this machine is too busy .*Nothing has moved: make the environment again"):
+        lab.env.reset(seed=0)
+    lab.assert_nothing_executed()
+    assert lab.latch.read() is None
+    lab.close_env()
+    assert lab.latch.read() is None
+    lab.assert_at_rest()
+    lab.make()
+    lab.reset(seed=0)
+
+
 @pytest.mark.parametrize(("stalls", "tries"), [(1, 2), (3, 3)])
 def test_54_a_connection_that_a_stall_ends_is_made_again(lab, monkeypatch, stalls, tries):
     """Nothing has moved, and both programs have ended."""

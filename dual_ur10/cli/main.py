@@ -24,6 +24,7 @@ from dual_ur10.cli.repeatability import repeatability
 from dual_ur10.cli.replay import replay
 from dual_ur10.cli.rollout import rollout
 from dual_ur10.cli.status import status
+from dual_ur10.cli.teach import teach
 from dual_ur10.cli.train import train
 from dual_ur10.cli.view import view
 from dual_ur10.errors import DualUR10Error
@@ -70,7 +71,7 @@ def _options(
 
 app.command("list")(list_environments)
 _COMMANDS = (
-    *(demo, rollout, follow, repeatability, view, evaluate, train, collect, convert),
+    *(demo, rollout, follow, teach, repeatability, view, evaluate, train, collect, convert),
     *(emulate, doctor, status, replay, compare, fit),
 )
 for command in _COMMANDS:

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from dual_ur10.errors import StartError, TrajectoryError
+from dual_ur10.errors import DualUR10Error, StartError, TrajectoryError
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm
 from dual_ur10.sim2real.config.cell_file import CellFile
@@ -173,7 +173,10 @@ class PointStream(ProgrammedArms):
             stop_programs(self._arms, self._clock)
             if isinstance(error, StartError) and not motion.begun:
                 raise
-            raise self._faulted(error) from error
+            faulted = self._latched(error)
+            if not isinstance(error, DualUR10Error):
+                raise
+            raise faulted from error
 
     def _script(self, token: int) -> str:
         speed = max(self.limits.speed_rad_s)

@@ -250,12 +250,10 @@ class ProgrammedArms(Closing):
             found.append(status.q_rad)
         return np.array(found)
 
-    def _faulted(self, error: BaseException) -> BaseException:
-        """Latch a stop, and return the exception that reports it."""
+    def _latched(self, error: BaseException) -> CellFaulted:
+        """Latch the stop that an error was the reason of, and return the exception that reports it."""
         reason = str(error) if isinstance(error, DualUR10Error) else f"the sending program ended: {error!r}"
         self._latch.set(reason)
-        if not isinstance(error, DualUR10Error):
-            return error
         return CellFaulted(
             f"both arms were stopped: {reason}. Check both, correct the cause, then run "
             f"`python -m dual_ur10 cell clear {self._file.source}`"

@@ -186,7 +186,7 @@ def test_nobody_confirms(cell, tmp_path):
     asked = []
     guiding = HandGuiding(cell.file, confirm=lambda text: asked.append(text) or False, system=cell.system)
     with guiding, pytest.raises(StartError, match="not confirmed"):
-        guiding.run(lambda guided: True)
+        guiding.run(lambda guided: False)
     assert "left 0.00 kg at (0, 0, 0) mm" in asked[0]
     assert is_free(cell) == [False, False]
     assert not cell.fault

@@ -13,6 +13,7 @@ from safetensors.numpy import save
 
 from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.policies.learned.checkpoint import _tensors
+from dual_ur10.sim2real.calibration import data_file
 from dual_ur10.sim2real.config.cell_file_reference import EXAMPLES, starting_text
 from dual_ur10.sim2real.emulator.rtde_variables import zero_values
 from dual_ur10.sim2real.protocol.primary_messages import version_message
@@ -164,6 +165,20 @@ _MANIFEST: Final = json.loads(MANIFEST.text())
 _FLAT: Final = struct.pack("<d", 0.5)
 
 _TRAJECTORY: Final = JointTrajectory(("left", "right"), [0.0, 1.5], *np.zeros((3, 2, 2, 6)))
+_Q: Final = (0.1, -1.2, 1.6, -2.0, -1.6, 0.0)
+_TIP: Final = (0.0, 0.0, 0.17)
+_CALIBRATION: Final = data_file.DataFile(
+    noise=data_file.NoiseEntry(touch_m=2e-4),
+    board=data_file.BoardEntry(squares_x=7, squares_y=5, square_m=0.04, marker_m=0.03),
+    cameras={"left": data_file.CameraEntry(matrix_px=(900.0, 900.0, 640.0, 360.0), distortion=(0.1, 0.0))},
+    observations=(
+        data_file.TouchEntry(left_q_rad=_Q, right_q_rad=_Q, left_tcp_m=_TIP, right_tcp_m=_TIP, time="2026-01-31"),
+        data_file.BarEntry(left_q_rad=_Q, right_q_rad=_Q, grasp="2"),
+        data_file.ViewEntry(
+            camera_on="left", board_on="fixed", left_q_rad=_Q, position_m=(0.1, 0.0, 0.6), rotation_rad=(0.0, 3.0, 0.0)
+        ),
+    ),
+)
 
 SEEDS: Final[dict[str, list[bytes]]] = {
     "rtde_frames": [in_pieces(*_STREAM), in_pieces(b"\0\3S\0\4U", b"\1\0\3P")],
@@ -231,6 +246,7 @@ SEEDS: Final[dict[str, list[bytes]]] = {
         + b"".join(f"{key}: {json.dumps(each)}\n".encode() for key, each in json.loads(_json_of(_TRAJECTORY)).items()),
         b"\2" + _csv_of(_TRAJECTORY).encode(),
     ],
+    "calibration_data": [_CALIBRATION.model_dump_json(exclude_none=True).encode(), b"{}"],
     "checkpoint_manifest": [json.dumps(_MANIFEST).encode()],
     "checkpoint_weights": [save(_tensors(NETWORKS, MANIFEST))],
     "record_file": [_file()],

@@ -13,12 +13,14 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator
 from io import BytesIO
+from pathlib import Path
 from threading import Event
 from typing import Any, Final
 
 import numpy as np
 
 from dual_ur10.errors import (
+    CalibrationError,
     CellFileError,
     CheckpointError,
     LinkError,
@@ -34,6 +36,7 @@ from dual_ur10.kinematics.ur10 import NOMINAL_DH
 from dual_ur10.policies.learned import schema
 from dual_ur10.policies.learned.checkpoint import _layers
 from dual_ur10.policies.learned.manifest import FORMAT, _checksum, parse
+from dual_ur10.sim2real.calibration import data_file
 from dual_ur10.sim2real.config.cell_file import examine_text
 from dual_ur10.sim2real.config.cell_file_tables import EmulatedTrackerEntry
 from dual_ur10.sim2real.emulator.arm_server import ArmServer, DashboardPeer, LinePeer
@@ -596,6 +599,21 @@ def trajectory_file(data: bytes) -> None:
 
 
 FORMATS: Final[tuple[Format, ...]] = ("json", "yaml", "csv")
+
+
+@target(
+    CalibrationError,
+    words='"observations" "kind" "touch" "bar" "board" "left_q_rad" "right_q_rad" "left_tcp_m" "right_tcp_m" "grasp" '
+    '"camera_on" "board_on" "fixed" "image" "position_m" "rotation_rad" "noise" "cameras" "left" "right" "time" null '
+    "NaN 1e999",
+)
+def calibration_data(data: bytes) -> None:
+    """Data files of calibrations without images: what is accepted can be written and read again."""
+    found = data_file.parse(data)
+    assert data_file.parse(found.model_dump_json(exclude_none=True).encode()) == found
+    found.standard_deviations()
+    if not any(isinstance(each, data_file.ViewEntry) and each.image is not None for each in found.observations):
+        assert len(found.measured(Path())) == len(found.observations)
 
 
 @target(CheckpointError)

@@ -243,6 +243,7 @@ def _follow_points(trajectory: JointTrajectory, cell: CellFile, rate_hz: float, 
         DualUR10Error: The path is refused, or both arms were stopped.
     """
     from dual_ur10.sim2real.control.link_profiles import profile_for
+    from dual_ur10.sim2real.recording.program_box import ProgramBox
     from dual_ur10.sim2real.runtime.point_stream import PointStream
     from dual_ur10.sim2real.runtime.stream_motion import Progress
 
@@ -254,7 +255,8 @@ def _follow_points(trajectory: JointTrajectory, cell: CellFile, rate_hz: float, 
             next_s = progress.path_s + _SHOWN_S
             console.print(f"{progress.path_s:8.2f} s", highlight=False)
 
-    with PointStream(cell, profile_for(rate_hz, cell.config().servoj), system=system) as stream:
+    box = ProgramBox(cell, "points", system=system)
+    with PointStream(cell, profile_for(rate_hz, cell.config().servoj), observer=box, system=system) as stream:
         points = stream.points_of(trajectory, stream.measured())
         console.print(f"{len(points.q_rad)} points, {points.duration_s:.2f} s", highlight=False)
         with interrupts_noted() as interrupted:

@@ -68,6 +68,7 @@ def record(
     Raises:
         DualUR10Error: See `HandGuiding`, `PointRecorder` and `TaughtFile`.
     """
+    from dual_ur10.sim2real.recording.program_box import ProgramBox
     from dual_ur10.sim2real.runtime.hand_guiding import HandGuiding
     from dual_ur10.sim2real.runtime.teaching import PointRecorder
     from dual_ur10.sim2real.trajectory.taught_file import TaughtFile
@@ -77,7 +78,8 @@ def record(
 
     with TaughtFile(path, arms, at_rest=rate_hz is None) as file:
         recorder = PointRecorder(file, arms, keys, say, rate_hz)
-        with HandGuiding(cell, arms, system=system) as guiding:
+        box = ProgramBox(cell, "hand guiding", system=system)
+        with HandGuiding(cell, arms, observer=box, system=system) as guiding:
             say(f"guide: {' and '.join(arms)}. " + ("Enter records, q ends" if rate_hz is None else "q ends"))
             guiding.run(recorder)
             say("the arms stand")

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from dual_ur10.cli import follow as follow_command
-from dual_ur10.errors import CellFaulted, StartError, TrajectoryError
+from dual_ur10.errors import CellFaulted, RecordingError, StartError, TrajectoryError
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.link_profiles import profile_for
+from dual_ur10.sim2real.recording.black_box import BlackBox
+from dual_ur10.sim2real.recording.program_box import ProgramBox
+from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.runtime.point_stream import PointStream
 from dual_ur10.sim2real.runtime.program_link import stop_programs
 from dual_ur10.sim2real.runtime.stream_script import REASONS, STATE, Command, State, points_script
@@ -219,6 +222,45 @@ def test_a_fault_of_either_arm_stops_both_and_is_latched(cell, fault, words, mod
     assert words in cell.fault
     with pytest.raises(CellFaulted, match="cell clear"):
         stream(cell)
+
+
+def test_a_stop_leaves_a_black_box(cell):
+    home = joints(cell)
+    there = JointTrajectory(("left", "right"), [0.0, 4.0], np.stack([home, home + 0.2]), np.zeros((2, 2, 6)))
+    box = ProgramBox(cell.file, "points", system=cell.system)
+    with PointStream(cell.file, profile_for(5.0), observer=box, system=cell.system) as points:
+        path = points.points_of(there, points.measured())
+        act, done = protective(cell), []
+
+        def feedback(progress):
+            if progress.path_s > 2.0 and not done:
+                done.append(act())
+
+        with pytest.raises(CellFaulted):
+            points.run(path, feedback=feedback)
+    run = read_run(*box.boxes)
+    assert (run.header.env_id, run.header.source) == ("points", "emulated")
+    assert run.events[-1].text == cell.fault
+    for number, arm in enumerate(run.arms):
+        sent, state = arm.sent["target_rad"], arm.state
+        np.testing.assert_array_equal(sent[1:], path.q_rad[: len(sent) - 1, number])
+        assert arm.sent["index"].tolist() == list(range(1, len(sent) + 1))
+        np.testing.assert_allclose(state["q_rad"][0], home[number], atol=1e-3)
+        np.testing.assert_allclose(state["q_rad"][-1], joints(cell)[number], atol=1e-3)
+        assert (np.diff(state["arrival_s"]) >= 0.0).all()
+    assert run.arms[0].state["safety_mode"][-1] == 3
+
+
+def test_a_black_box_that_cannot_be_written_changes_no_stop(cell, monkeypatch, caplog):
+    def full(*_):
+        raise RecordingError("there is no room")
+
+    monkeypatch.setattr(BlackBox, "write", full)
+    box = ProgramBox(cell.file, "points", system=cell.system)
+    with pytest.raises(CellFaulted, match="PROTECTIVE_STOP"):
+        follow(cell, 1.2, protective(cell), observer=box)
+    assert "no black box: there is no room" in caplog.text
+    assert "PROTECTIVE_STOP" in cell.fault
 
 
 def test_arms_stop_by_themselves_when_the_sender_is_killed(cell):

@@ -8,6 +8,7 @@ from dual_ur10.envs import make_follower
 from dual_ur10.envs.core.follower import home_of
 from dual_ur10.errors import CellFaulted, StartError, TrajectoryError
 from dual_ur10.sim2real.config.cell_file import CellFile
+from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.runtime.freedrive_script import SILENCE_S, freedrive_script
 from dual_ur10.sim2real.runtime.hand_guiding import HandGuiding
 from dual_ur10.sim2real.runtime.program_link import stop_programs
@@ -241,6 +242,21 @@ def test_a_fault_of_either_arm_ends_freedrive_of_both(cell, fault, words):
     assert words in cell.fault
     with pytest.raises(CellFaulted, match="cell clear"):
         HandGuiding(cell.file, system=cell.system)
+
+
+def test_a_fault_leaves_a_black_box_and_the_points_before(cell, tmp_path):
+    path = tmp_path / "points.csv"
+    acts = (0.3, Key.RECORD, push(cell, "left", FIRM), 0.3, lambda: cell.ask("stop", arm="right", mode=3), 5.0)
+    with pytest.raises(CellFaulted):
+        teach(cell, path, *acts)
+    assert len(read_trajectory(path)) == 1
+    (box,) = (cell.system.state_folder() / "black_boxes").glob("*.mcap")
+    run = read_run(box)
+    assert run.header.env_id == "hand guiding"
+    assert run.events[-1].text == cell.fault
+    left, right = (each.state for each in run.arms)
+    assert np.abs(left["q_rad"][-1] - left["q_rad"][0]).max() > 0.01
+    assert right["safety_mode"][-1] == 3
 
 
 def test_the_other_arm_must_stand(cell):

@@ -22,7 +22,7 @@ from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.links.arm_status import ArmStatus, stop_reason
 from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.runtime.freedrive_script import FREEDRIVE_REASONS, freedrive_script
-from dual_ur10.sim2real.runtime.program_link import ProgramLink, ProgrammedArms, stop_programs
+from dual_ur10.sim2real.runtime.program_link import Observer, ProgramLink, ProgrammedArms, stop_programs
 from dual_ur10.sim2real.runtime.stream_script import STATE, TOKEN, Command, State
 from dual_ur10.types import Array
 
@@ -72,6 +72,7 @@ class HandGuiding(ProgrammedArms):
         arms: Arms to guide; the other one stands, and is watched.
         confirm: Called with a description before arms become free; None: real arms need a yes at the terminal, emulated
             ones none.
+        observer: See `ProgrammedArms`.
         system: Clock, network and state folder.
 
     Raises:
@@ -88,6 +89,7 @@ class HandGuiding(ProgrammedArms):
         arms: Sequence[str] = ARMS,
         *,
         confirm: Confirm | None = None,
+        observer: Observer | None = None,
         system: System = LOCAL,
     ) -> None:
         for arm in arms:
@@ -98,7 +100,7 @@ class HandGuiding(ProgrammedArms):
         self._lower, self._upper = np.array(limits.lower_rad), np.array(limits.upper_rad)
         self._families = {name: entry.family for name, entry in zip(ARMS, file.arms, strict=True)}
         self._beat_s = -math.inf
-        super().__init__(file, STATES_HZ, _MOST_TRIP_S, confirm=confirm, system=system)
+        super().__init__(file, STATES_HZ, _MOST_TRIP_S, confirm=confirm, observer=observer, system=system)
         self._guided = [arm for arm in self._arms if arm.name in arms]
 
     def run(self, seen: Callable[[Guided], bool]) -> None:

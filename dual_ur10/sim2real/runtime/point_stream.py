@@ -20,7 +20,7 @@ from dual_ur10.sim2real.config.cell_file import CellFile
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.link_profiles import LinkProfile
 from dual_ur10.sim2real.processes.system import LOCAL, System
-from dual_ur10.sim2real.runtime.program_link import ProgrammedArms, stop_programs
+from dual_ur10.sim2real.runtime.program_link import Observer, ProgrammedArms, stop_programs
 from dual_ur10.sim2real.runtime.stream_motion import Progress, StreamMotion, slowed
 from dual_ur10.sim2real.runtime.stream_script import NOMINAL_RATE, moves_script, points_script
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation, Motion
@@ -40,6 +40,7 @@ class PointStream(ProgrammedArms):
         limits: Limits of motion, in real time; None: the hard limits. Those of the cell file apply in any case.
         confirm: Called with a description before the arms move; None: real arms need a yes at the terminal, emulated
             ones none.
+        observer: See `ProgrammedArms`.
         system: Clock, network and state folder.
 
     Raises:
@@ -56,6 +57,7 @@ class PointStream(ProgrammedArms):
         *,
         limits: MotionLimits | None = None,
         confirm: Confirm | None = None,
+        observer: Observer | None = None,
         system: System = LOCAL,
     ) -> None:
         if profile.mode == "servoj":
@@ -70,7 +72,7 @@ class PointStream(ProgrammedArms):
         self.limits = replace(config, speed_factor=1.0).capped(MotionLimits() if limits is None else limits)
         self._token = round(1e3 * system.clock.now_s()) % 2**30
         rate_hz = min(1.0 / self._tick_s, 5.0 * profile.rate_hz)
-        super().__init__(file, rate_hz, profile.interval_s / 2, confirm=confirm, system=system)
+        super().__init__(file, rate_hz, profile.interval_s / 2, confirm=confirm, observer=observer, system=system)
 
     @property
     def rate(self) -> float:

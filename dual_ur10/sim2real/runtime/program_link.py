@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import struct
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -53,6 +53,19 @@ _POLL_S: Final = 0.01
 _ROUND_TRIPS: Final = 5
 
 
+class Observer(Protocol):
+    """Keeper of what arms did, such as a black box. Its methods do not wait while the arms move."""
+
+    def state(self, arm: int, status: ArmStatus) -> None:
+        """Take a state of an arm."""
+
+    def sent(self, arm: int, number: int, q_rad: Array) -> None:
+        """Take a point, (6,), that is sent to an arm now."""
+
+    def stopped(self, reason: str) -> None:
+        """Take the reason of a latched stop, once the arms rest or stop by themselves."""
+
+
 class ProgramLink(Closing):
     """Connections to one controller, and the program that runs on it.
 
@@ -61,6 +74,7 @@ class ProgramLink(Closing):
         entry: The arm in the cell file.
         rate_hz: Rate of its states.
         most_s: Longest round trip.
+        observer: Keeper of states and points; None: nobody keeps them.
         system: Clock and network.
 
     Attributes:
@@ -76,8 +90,11 @@ class ProgramLink(Closing):
         LinkError: It cannot be reached, or another program holds the registers.
     """
 
-    def __init__(self, name: str, entry: ArmEntry, rate_hz: float, most_s: float, system: System) -> None:
+    def __init__(
+        self, name: str, entry: ArmEntry, rate_hz: float, most_s: float, observer: Observer | None, system: System
+    ) -> None:
         self.name, self._clock, self._system, self._host = name, system.clock, system, entry.host
+        self._number, self._observer = ARMS.index(name), observer
         self.values: dict[str, float] = {
             "command": 0,
             "number": 0,
@@ -153,7 +170,9 @@ class ProgramLink(Closing):
         Raises:
             LinkError: A connection was lost.
         """
-        self.link.poll()
+        for sample in self.link.poll():
+            if self._observer is not None:
+                self._observer.state(self._number, ArmStatus.from_sample(sample))
         if self._inputs.receive_now() == b"":
             raise self._inputs.ended()
 
@@ -182,6 +201,8 @@ class ProgramLink(Closing):
 
     def put(self, number: int, q_rad: Array, qd_rad_s: Array, time_s: float) -> None:
         """Send a point."""
+        if self._observer is not None:
+            self._observer.sent(self._number, number, q_rad)
         self.values.update(number=number, time=time_s)
         self.point = np.concatenate([q_rad, qd_rad_s])
         self.send()
@@ -201,6 +222,7 @@ class ProgrammedArms(Closing):
         most_s: Longest round trip.
         confirm: Called with a description before the arms move; None: real arms need a yes at the terminal, emulated
             ones none.
+        observer: Keeper of states and points, such as `dual_ur10.sim2real.recording.program_box.ProgramBox`.
         system: Clock, network and state folder.
 
     Raises:
@@ -211,9 +233,17 @@ class ProgrammedArms(Closing):
     """
 
     def __init__(
-        self, file: CellFile, rate_hz: float, most_s: float, *, confirm: Confirm | None, system: System
+        self,
+        file: CellFile,
+        rate_hz: float,
+        most_s: float,
+        *,
+        confirm: Confirm | None,
+        observer: Observer | None,
+        system: System,
     ) -> None:
         self._file, self._clock, self._confirm = file, system.clock, prompt_for(file, confirm)
+        self._observer = observer
         config = file.config()
         self._clearance = Clearance(
             config.measured_scene, minimum_m=config.minimum_clearance_m, uncertainty=config.uncertainty
@@ -228,7 +258,7 @@ class ProgrammedArms(Closing):
             self._latch.check()
             check(file, system, timeout_s=CONNECT_S, streams=False)
             for name, entry in zip(ARMS, file.arms, strict=True):
-                self._arms.append(ProgramLink(name, entry, rate_hz, most_s, system))
+                self._arms.append(ProgramLink(name, entry, rate_hz, most_s, observer, system))
 
     def _measured(self, refusal: Callable[[ArmStatus], str | None] = lambda status: None) -> Array:
         """Return the measured joint positions, (2, 6).
@@ -254,6 +284,8 @@ class ProgrammedArms(Closing):
         """Latch the stop that an error was the reason of, and return the exception that reports it."""
         reason = str(error) if isinstance(error, DualUR10Error) else f"the sending program ended: {error!r}"
         self._latch.set(reason)
+        if self._observer is not None:
+            self._observer.stopped(reason)
         return CellFaulted(
             f"both arms were stopped: {reason}. Check both, correct the cause, then run "
             f"`python -m dual_ur10 cell clear {self._file.source}`"

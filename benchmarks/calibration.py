@@ -4,7 +4,8 @@ Each cell has arms with kinematics of their own (1 mm and 1 mrad, one standard d
 estimator knows, as from the controllers, and a right base that stands up to 5 mm and 0.5° beside where the cell
 file has it, tilted by 0.05° (one standard deviation about each axis). `touch`: the eight touches that `--suggest`
 names, 0.1 mm of noise along each axis. `nominal`: the same data, read with the kinematics of the nominal arm.
-`bar`: 40 poses of a bar that sits in each hand up to 0.05 mm and 0.1 mrad. `board`: 20 views of a board on the
+`bar`: 40 random poses of a bar that sits in each hand up to 0.05 mm and 0.1 mrad. `suggested`: 20 of them, the first
+four near each other, the others as `--suggest` names them one after the other. `board`: 20 views of a board on the
 right flange by a camera on the left one, with 0.5 mm and 1 mrad. Coverage is the fraction of all components inside
 their 95 % interval; `region` that of the poses inside the joint 95 % region. `carry`: internal force of a bar
 welded to both grippers, on bases that are 5 mm and 0.5° off, before and after a calibration from eight touches, the
@@ -37,9 +38,9 @@ from dual_ur10.cli.demo_report.carry import CARRY_ID, TASK
 from dual_ur10.cli.demo_report.case import Case
 from dual_ur10.kinematics.ur10 import NOMINAL_DH, DHParameters
 from dual_ur10.sim2real.calibration.estimate import LEVEL, BaseEstimate, estimate
-from dual_ur10.sim2real.calibration.observations import Noise, Observation, Touch
-from dual_ur10.sim2real.calibration.simulated import bar_poses, board_views, random_dh, touched
-from dual_ur10.sim2real.calibration.suggestions import plan, touch_candidates
+from dual_ur10.sim2real.calibration.observations import BarPose, Noise, Observation, Touch
+from dual_ur10.sim2real.calibration.simulated import bar_poses, board_views, held, random_dh, touched
+from dual_ur10.sim2real.calibration.suggestions import bar_candidates, best, plan, touch_candidates
 from dual_ur10.sim2real.calibration.transforms import right_in_left, rotation_of, rotvec_of
 from dual_ur10.sim2real.config.perturbation import Perturbation
 
@@ -48,7 +49,9 @@ Arms = tuple[DHParameters, DHParameters]
 
 CELLS = 1000
 CARRIES = 20
-TOUCHES, BAR_POSES, VIEWS = 8, 40, 20
+TOUCHES, BAR_POSES, SUGGESTED, VIEWS = 8, 40, 20, 20
+FIRST_POSES, FIRST_RAD = 4, 0.3
+ROWS = ("touch", "nominal", "bar", "suggested", "board", "carry")
 OFF_M, OFF_RAD = 0.005, math.radians(0.5)
 TILT_RAD = math.radians(0.05)
 TIP_M = (0.0, 0.0, 0.17)
@@ -144,8 +147,8 @@ def carry(count: int, touches: Sequence[Touch]) -> dict[str, Any]:
     return {"cells": count, "squeeze_before_n": max(before), "calibrated_squeeze_n": max(after)}
 
 
-def run(cells: int, carries: int) -> dict[str, dict[str, Any]]:
-    """Measure all rows, and print each when it is done."""
+def run(cells: int, carries: int, names: Sequence[str] = ROWS) -> dict[str, dict[str, Any]]:
+    """Measure rows, and print each when it is done."""
     near = right_in_left(CellConfig().left, CellConfig().right)
     series = plan(TOUCHES, touch_candidates(NOMINAL, near, (TIP_M, TIP_M)), NOMINAL, near)
     touches = [each.observation for each in series if isinstance(each.observation, Touch)]
@@ -157,6 +160,15 @@ def run(cells: int, carries: int) -> dict[str, dict[str, Any]]:
     def bar(arms: Arms, base: Array, rng: np.random.Generator) -> list[Observation]:
         return [*bar_poses(BAR_POSES, arms, base, noise, rng)]
 
+    def suggested(arms: Arms, base: Array, rng: np.random.Generator) -> list[Observation]:
+        poses = [*bar_poses(FIRST_POSES, arms, base, noise, rng, FIRST_RAD)]
+        while len(poses) < SUGGESTED:
+            found = estimate(poses, arms, near)
+            following = best(bar_candidates(arms, found, poses), arms, near, noise, estimate=found).observation
+            if isinstance(following, BarPose):
+                poses.append(held(following, arms, base, noise, rng))
+        return [*poses]
+
     def board(arms: Arms, base: Array, rng: np.random.Generator) -> list[Observation]:
         return [*board_views(VIEWS, arms, base, noise, rng)]
 
@@ -166,17 +178,22 @@ def run(cells: int, carries: int) -> dict[str, dict[str, Any]]:
         ("touch", lambda: study(cells, 0, touch, near)),
         ("nominal", lambda: study(some, 0, touch, near, NOMINAL)),
         ("bar", lambda: study(some, 1, bar, near)),
+        ("suggested", lambda: study(some, 1, suggested, near)),
         ("board", lambda: study(some, 2, board, near)),
     ):
+        if name not in names:
+            continue
         rows[name] = found = row()
         mm, deg = found["error_mm"], found["error_deg"]
         print(
-            f"{name:8} {found['cells']:5} cells: median {mm['median']:.3f} mm {deg['median']:.4f}°, p95 "
+            f"{name:9} {found['cells']:5} cells: median {mm['median']:.3f} mm {deg['median']:.4f}°, p95 "
             f"{mm['p95']:.3f} mm {deg['p95']:.4f}°; 95 % intervals cover {100 * found['coverage_95']:.1f} %, regions "
             f"{100 * found['coverage_95_region']:.1f} %; noise {found['noise_scale']:.2f} times the stated one, "
             f"{found['rejected']} observations rejected",
             flush=True,
         )
+    if "carry" not in names:
+        return rows
     rows["carry"] = found = carry(carries, touches)
     print(
         f"carry, welded, worst of {carries} cells: internal force {found['squeeze_before_n']:.1f} N before, "
@@ -191,17 +208,18 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the figures here")
     parser.add_argument("--cells", type=int, default=CELLS, help="cells of touches; a fifth of them for the other rows")
     parser.add_argument("--carries", type=int, default=CARRIES)
+    parser.add_argument("--rows", nargs="+", choices=ROWS, default=ROWS)
     arguments = parser.parse_args()
-    rows = run(arguments.cells, arguments.carries)
+    rows = run(arguments.cells, arguments.carries, arguments.rows)
     print(f"load {os.getloadavg()[0]:.2f}, {os.cpu_count()} processors")
     if arguments.json:
-        figures = {
-            **rows,
-            "base_error_mm": rows["touch"]["error_mm"]["median"],
-            "base_error_deg": rows["touch"]["error_deg"]["median"],
-            "coverage_95": rows["touch"]["coverage_95"],
-            "calibrated_squeeze_n": rows["carry"]["calibrated_squeeze_n"],
-        }
+        figures: dict[str, Any] = dict(rows)
+        if "touch" in rows:
+            figures["base_error_mm"] = rows["touch"]["error_mm"]["median"]
+            figures["base_error_deg"] = rows["touch"]["error_deg"]["median"]
+            figures["coverage_95"] = rows["touch"]["coverage_95"]
+        if "carry" in rows:
+            figures["calibrated_squeeze_n"] = rows["carry"]["calibrated_squeeze_n"]
         arguments.json.write_text(json.dumps(figures, indent=2) + "\n")
 
 

@@ -88,6 +88,31 @@ def bar_poses(
     ]
 
 
+def held(
+    planned: BarPose, dh: tuple[DHParameters, DHParameters], base: Array, noise: Noise, rng: np.random.Generator
+) -> BarPose:
+    """Return a pose of the bar of `bar_poses` as measured: the left hand is brought to a pose, and the right follows.
+
+    Args:
+        planned: Its left joint angles are taken, and the configuration of the right arm.
+        dh: True kinematics of both arms.
+        base: (4, 4) true pose of the right base in the left one.
+        noise: Standard deviations.
+        rng: Source of the noise.
+
+    Raises:
+        UnreachableError: An arm does not reach its end of the bar.
+    """
+    across = base[:3, 3] / np.linalg.norm(base[:3, 3])
+    left = flange(planned.left_q_rad, dh[0])
+    right = inverse_of(base) @ left @ transform(_DOWN.T @ (BAR_M * across), np.eye(3))
+    joints: list[JointAngles] = []
+    for hand, near, own in zip((left, right), (planned.left_q_rad, planned.right_q_rad), dh, strict=True):
+        seated = hand @ _seat(noise.bar_m, noise.bar_rad, rng)
+        joints.append(tuple(nearest(seated[:3, 3], seated[:3, :3], np.asarray(near), own).tolist()))
+    return BarPose(joints[0], joints[1], planned.grasp)
+
+
 def board_views(
     count: int,
     dh: tuple[DHParameters, DHParameters],

@@ -20,7 +20,7 @@ from dual_ur10.kinematics.ur10 import DH_D_M, REACH_M, DHParameters
 from dual_ur10.sim2real.calibration.directions import SCALES
 from dual_ur10.sim2real.calibration.equations import Equations
 from dual_ur10.sim2real.calibration.estimate import BaseEstimate
-from dual_ur10.sim2real.calibration.observations import BarPose, JointAngles, Noise, Observation, Touch
+from dual_ur10.sim2real.calibration.observations import BarPose, Noise, Observation, Touch
 from dual_ur10.sim2real.calibration.transforms import flange, inverse_of, rotation_of, rotvec_of, transform
 from dual_ur10.types import Array, Vector3
 
@@ -33,8 +33,10 @@ _NEAR_M: Final = 0.35  # least horizontal distance from a base
 _SHOULDER_M: Final = np.array([0.0, 0.0, DH_D_M[0]])
 _FAR_M: Final = 1.1  # flange from shoulder, of 1.18 m with a wrist across: bases may stand otherwise than thought
 _HEIGHTS_M: Final = (0.1, 1.0)  # above both bases
-_BAR_RAD: Final = 0.45
+_BAR_RAD: Final = (0.45, 0.9)  # about one axis
+_BAR_CORNER_RAD: Final = 0.6  # about each of three axes at once
 _BAR_M: Final = 0.15
+_BAR_JOINT_RAD: Final = 1.5  # from a central pose: beyond, an arm might have to change its configuration and let go
 _ELBOW_UP: Final = np.array([0.0, -1.2, 1.6, -2.0, -1.57, 0.0])
 
 
@@ -104,21 +106,21 @@ def bar_candidates(
     own = [each for each in observed if each.grasp == grasp]
     between = estimate.constants[f"grasp {grasp}"]
     poses = flange([each.left_q_rad for each in own], dh[0])
-    middle = poses[np.linalg.norm(poses[:, :3, 3] - poses[:, :3, 3].mean(0), axis=-1).argmin()]
-    axes = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
-    found = []
-    for rotation, shift in itertools.product(_BAR_RAD * axes, _BAR_M * axes):
-        left = transform(poses[:, :3, 3].mean(0) + shift, rotation_of(rotation) @ middle[:3, :3])
-        right = inverse_of(estimate.pose) @ left @ between
-        joints: list[JointAngles] = []
-        for arm, goal in enumerate((left, right)):
-            reference = (own[-1].left_q_rad, own[-1].right_q_rad)[arm]
-            q, reached = try_nearest(goal[None, :3, 3], goal[None, :3, :3], np.asarray(reference)[None], dh[arm])
-            if reached[0]:
-                joints.append(tuple(q[0].tolist()))
-        if len(joints) == 2:
-            found.append(BarPose(joints[0], joints[1], grasp))
-    return found
+    central = int(np.linalg.norm(poses[:, :3, 3] - poses[:, :3, 3].mean(0), axis=-1).argmin())
+    middle, near = poses[central], (own[central].left_q_rad, own[central].right_q_rad)
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    corners = _BAR_CORNER_RAD * np.array(list(itertools.product((1.0, -1.0), repeat=3)))
+    rotations = [np.zeros(3), *(angle * axis for angle in _BAR_RAD for axis in axes), *corners]
+    shifts = [np.zeros(3), *(_BAR_M * axes)]
+    turned = [rotation_of(each) @ middle[:3, :3] for each in rotations]
+    left = np.stack([transform(poses[:, :3, 3].mean(0) + away, each) for each in turned for away in shifts])
+    right = inverse_of(estimate.pose) @ left @ between
+    joints, good = [], np.ones(len(left), dtype=np.bool_)
+    for goals, reference, own_dh in zip((left, right), near, dh, strict=True):
+        q, reached = try_nearest(goals[:, :3, 3], goals[:, :3, :3], np.tile(reference, (len(goals), 1)), own_dh)
+        joints.append(q)
+        good &= reached & (np.abs(q - reference).max(axis=1) < _BAR_JOINT_RAD)
+    return [BarPose(tuple(joints[0][k].tolist()), tuple(joints[1][k].tolist()), grasp) for k in np.flatnonzero(good)]
 
 
 def best(

@@ -5,7 +5,7 @@ import pytest
 
 from dual_ur10.errors import CalibrationError
 from dual_ur10.sim2real.calibration.estimate import estimate
-from dual_ur10.sim2real.calibration.simulated import bar_poses
+from dual_ur10.sim2real.calibration.simulated import bar_poses, held
 from dual_ur10.sim2real.calibration.suggestions import bar_candidates, best, plan, touch_candidates
 from dual_ur10.sim2real.calibration.transforms import flange, transform
 from tests.sim2real.calibration.cells import CANDIDATES, NEAR, NOISE, NOMINAL, PLANNED, TIP_M, shifted, touches
@@ -60,6 +60,23 @@ def test_a_bar_is_suggested_where_both_hands_reach():
     assert "rotation vector" in suggested.text
     after = estimate([*observed, suggested.observation], NOMINAL, NEAR)
     assert np.linalg.inv(after.information).trace() < np.linalg.inv(found.information).trace()
+
+
+def test_suggested_poses_of_a_bar_tell_more_than_random_ones():
+    rng, base = np.random.default_rng(4), shifted()
+    poses = bar_poses(4, NOMINAL, base, NOISE, rng, angle_rad=0.3)
+    while len(poses) < 8:
+        found = estimate(poses, NOMINAL, NEAR)
+        candidates = bar_candidates(NOMINAL, found, poses)
+        joints = np.array([(*each.left_q_rad, *each.right_q_rad) for each in candidates])
+        assert np.ptp(joints, axis=0).max() < 3.0  # without letting go of the bar
+        suggested = best(candidates, NOMINAL, NEAR, NOISE, estimate=found)
+        poses.append(held(suggested.observation, NOMINAL, base, NOISE, rng))
+    found = estimate(poses, NOMINAL, NEAR)
+    assert np.linalg.norm(found.position_m - base[:3, 3]) < 3 * suggested.expected_m
+    random = estimate(bar_poses(8, NOMINAL, base, NOISE, rng), NOMINAL, NEAR)
+    traces = [np.linalg.inv(each.information).trace() for each in (found, random)]
+    assert traces[0] < 0.75 * traces[1]
 
 
 def test_bases_too_far_apart_have_no_candidates():

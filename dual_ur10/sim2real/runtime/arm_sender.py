@@ -209,8 +209,13 @@ class ArmSender:
         if now - self._kicked_s >= _KICK_S:
             self._kicked_s = now
             if not self.control.kickWatchdog():
-                text = "its control script no longer runs: it was stopped, or its watchdog was not fed in time"
-                raise StopError(self._stalls.explained(text, now))
+                raise self._script_ended("its control script no longer runs: it was stopped, or not fed in time")
+
+    def _script_ended(self, text: str) -> StopError:
+        """Return the reason of a stop after `ur_rtde` has reported that its script has ended, for which it may wait."""
+        now = self._now_s()
+        self._stalls.beat(now)
+        return StopError(self._stalls.explained(text, now))
 
     def _stream(self, first: int, ahead: float) -> None:
         """Send in control period `first` + k the target of period k + `ahead`."""
@@ -239,7 +244,7 @@ class ArmSender:
     def _send(self, target_rad: Array, period: int, index: float) -> None:
         self._advance = (index - self._index) / max(period - self._period, 1) if self._sent is not None else 0.0
         if not self._check_and_send(target_rad, period, index):
-            raise StopError(self._stalls.explained("its control script no longer takes targets", self._now_s()))
+            raise self._script_ended("its control script no longer takes targets")
         tick_s = self.servoj.tick_s
         self._following.sent(target_rad.tolist(), [abs(each) / tick_s for each in self._rate.tolist()])
 
@@ -307,6 +312,7 @@ class ArmSender:
                 self.clock.note(sample.timestamp_s, sample.arrival_s)
                 status = ArmStatus.from_sample(sample)
                 self._measured_rad = status.q_rad
+                self._stalls.packet(0, sample.timestamp_s, sample.arrival_s)
                 reason = stop_reason(status, allow_reduced=self.cell.allow_reduced, playing=playing)
                 if reason is not None and program_ended(status):
                     reason = self._stalls.explained(reason, now)

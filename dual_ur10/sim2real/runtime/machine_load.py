@@ -9,6 +9,9 @@ SHORT_S: Final = 0.05
 """Shortest interruption that counts as a stall: half of what stops both arms. Every loop here wakes each control
 period, and every emulated controller sends in each."""
 
+DRIFT: Final = 1e-3
+"""Largest relative deviation of a controller's clock. What comes later than it explains is behind."""
+
 RECENT_S: Final = 0.5
 """Time for which a stall explains what follows: the limits of all watchdogs, and the time to end a program."""
 
@@ -47,6 +50,7 @@ class StallWatch:
         self._beat_s = math.inf
         self._last_s = -math.inf
         self._longest_s = 0.0
+        self._quickest: dict[int, tuple[float, float]] = {}  # arrival and offset of each controller's clock
 
     def beat(self, now_s: float) -> None:
         """Note that this process runs. A long time since the last call is a stall."""
@@ -58,6 +62,14 @@ class StallWatch:
         if silent_s > SHORT_S:
             self._longest_s = silent_s if now_s - self._last_s > RECENT_S else max(silent_s, self._longest_s)
             self._last_s = now_s
+
+    def packet(self, arm: int, timestamp_s: float, arrival_s: float) -> None:
+        """Note the arrival of a controller's state. Emulated controllers that are behind run their periods later."""
+        offset_s = arrival_s - timestamp_s
+        before_s, least_s = self._quickest.get(arm, (arrival_s, offset_s))
+        least_s = min(offset_s, least_s + DRIFT * (arrival_s - before_s))
+        self._quickest[arm] = arrival_s, least_s
+        self.note(offset_s - least_s, arrival_s)
 
     def controller_silent(self, age_s: float) -> str:
         """Return the text about a controller whose time has not advanced for `age_s`."""

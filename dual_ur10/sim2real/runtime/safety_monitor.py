@@ -106,6 +106,7 @@ class SafetyMonitor:
     def state(self, arm: int, status: ArmStatus) -> str | None:
         """Check a controller's new state; return the reason for a stop, or None."""
         self._latest[arm], self._fresh[arm] = status, True
+        self.stalls.packet(arm, status.timestamp_s, status.arrival_s)
         memory = self._arms[arm]
         playing = memory.phase == Phase.STREAMING
         reason = stop_reason(status, allow_reduced=self._cell.allow_reduced, playing=playing)

@@ -42,6 +42,18 @@ def test_the_longest_of_several_stalls_is_reported():
     assert "stalled for 70 ms" in watch.explained("x", 1.3 + 2 * RECENT_S)
 
 
+@pytest.mark.parametrize(("behind_s", "explained"), [(0.0, False), (0.04, False), (0.06, True)])
+def test_a_controller_that_is_behind_shows_a_stall(behind_s, explained):
+    """It catches up in many small steps, none of which is long."""
+    watch, drifting = StallWatch(True), 1.0002
+    for tick in range(20_000):
+        watch.packet(0, drifting * 0.008 * tick, 50.0 + 0.008 * tick)
+    now_s = 50.0 + 0.008 * 20_000
+    for tick in range(10):
+        watch.packet(0, drifting * 0.008 * (20_000 + tick), now_s + 0.004 * tick + behind_s)
+    assert (watch.explained("x", now_s + 0.1) != "x") == explained
+
+
 def test_a_silent_controller_is_a_matter_of_its_network_or_of_the_machine_it_runs_on():
     assert (
         StallWatch(False).controller_silent(0.106)

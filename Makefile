@@ -1,11 +1,12 @@
 # Two commands do everything on a machine with Python 3.11 or 3.12: `make demo` and `make test`.
-# All that is installed goes to .venv, .venv-oldest and .venv-dist beside this file. No sudo.
+# All that is installed goes to .venv, .venv-oldest, .venv-dist and .venv-clients beside this file. No sudo.
 
 SHELL := /bin/sh
 PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v python3)
 VENV := .venv
 OLDEST := .venv-oldest
 DIST := .venv-dist
+CLIENTS := .venv-clients
 KERNEL := dual_ur10/kernel/_kernel.so
 # What is imported is compiled then: compiling all that torch and others bring takes longer than all the rest.
 PIP_FLAGS := --quiet --disable-pip-version-check --no-compile
@@ -20,7 +21,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # `make fuzz`: executions per target, or seconds (TIME_S=60); some targets only (TARGET=rtde_server); another seed.
 RUNS ?= $(if $(TIME_S),0,20000)
 
-.PHONY: help demo dist docs test test-live test-oldest test-dist test-torchrl soak simulate mutants fuzz bench install lint format clean check-python
+.PHONY: help demo dist docs test test-live test-oldest test-dist test-torchrl clients soak simulate mutants fuzz bench install lint format clean check-python
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*  ## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -71,6 +72,13 @@ $(DIST)/.dev: pyproject.toml constraints-dist.txt | check-python
 	@$(DIST)/bin/python -m pip install $(PIP_FLAGS) -c constraints-dist.txt -e '.[dist]' psutil pytest
 	@touch $@
 
+# Clients of UR controllers by others. One of them needs a NumPy that nothing else takes.
+$(CLIENTS)/.dev: constraints-clients.txt | check-python
+	@echo "Installing other client libraries into $(CLIENTS) ..."
+	@test -x $(CLIENTS)/bin/python || $(PYTHON) -m venv $(CLIENTS)
+	@$(CLIENTS)/bin/python -m pip install $(PIP_FLAGS) -r constraints-clients.txt
+	@touch $@
+
 # The compiled kernel lies in the package, one for all environments. Each installation compiles it; this does so again
 # after a change of its sources. pip brings a compiler where there is none.
 $(KERNEL): hatch_build.py $(wildcard dual_ur10/kernel/*.?pp) dual_ur10/kernel/flags.txt | $(VENV)/bin/python
@@ -117,6 +125,9 @@ test-torchrl: $(VENV)/.dev $(KERNEL)  ## TorchRL's own wrappers and checks, whic
 test-dist: $(DIST)/.dev $(KERNEL)  ## training on Ray RLlib with two workers on this machine
 	@$(DIST)/bin/python -m pytest tests/distributed
 
+clients: $(VENV)/.dev $(CLIENTS)/.dev $(KERNEL)  ## other client libraries against emulated controllers; writes the table of docs/reference/clients.md
+	@$(VENV)/bin/python benchmarks/clients.py --python $(CLIENTS)/bin/python --page docs/reference/clients.md
+
 soak: $(VENV)/.dev $(KERNEL)  ## the tests with their full counts (about twenty times as long)
 	@export DUAL_UR10_SOAK=1; $(VENV)/bin/python -m pytest -n 2 -m "not emulated" --durations=15; code=$$?; \
 	  $(MAKE) --no-print-directory test-live || code=$$?; exit $$code
@@ -158,4 +169,4 @@ format: $(VENV)/.dev  ## ruff's formatter and its safe fixes
 	@$(VENV)/bin/ruff format .
 
 clean:  ## remove what make built
-	rm -rf $(VENV) $(OLDEST) $(DIST) $(KERNEL) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(OLDEST) $(DIST) $(CLIENTS) $(KERNEL) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

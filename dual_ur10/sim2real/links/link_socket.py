@@ -12,6 +12,9 @@ from dual_ur10.sim2real.processes.system import LOCAL, System
 from dual_ur10.sim2real.processes.transport import Transport
 from dual_ur10.types import Closing
 
+NO_ANSWER: Final = "no answer in time"
+"""Finding about a peer that is silent."""
+
 _RECEIVE_BYTES: Final = 65_536
 
 
@@ -88,7 +91,7 @@ class LinkSocket(Closing):
         return left
 
     def _late(self) -> LinkError:
-        return self.error("no answer in time", "check that the controller is up and not overloaded, and the network")
+        return self.error(NO_ANSWER, "check that the controller is up and not overloaded, and the network")
 
     @property
     def _open(self) -> Transport:
@@ -205,5 +208,5 @@ class SocketClient(Closing):
 
 def _reason(error: OSError) -> str:
     if isinstance(error, TimeoutError):
-        return "no answer in time"
+        return NO_ANSWER
     return (error.strerror or str(error) or type(error).__name__).lower()

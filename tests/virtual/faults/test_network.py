@@ -44,6 +44,14 @@ def test_18_an_arm_that_never_answers_is_given_up(lab, port):
     lab.assert_nothing_has_moved((0, 1) if port == "realtime" else (0, 0))
 
 
+def test_18_emulated_controllers_that_both_never_answer_are_a_matter_of_this_machine(lab):
+    for arm in ARMS:
+        lab.do("link", arm=arm, port="rtde", half_open=True)
+    with pytest.raises(StartError, match=r"^this machine is too busy .*left.*no answer in time.*right.*no answer"):
+        lab.make()
+    lab.assert_nothing_has_moved()
+
+
 def test_18_a_controller_without_the_control_script_is_given_up(lab, monkeypatch):
     monkeypatch.setattr(runner, "_READY_S", 3.0)
     lab.do("script_delay", arm="right", seconds=10.0)

@@ -71,13 +71,61 @@ def robots() -> str:
     return "\n".join(lines)
 
 
+def urscript() -> str:
+    """Return the table of the functions of URScript that the emulated controllers have, and the list of the others."""
+    import numpy as np
+
+    from dual_ur10.kinematics.ur10 import NOMINAL_DH
+    from dual_ur10.sim2real.emulator.builtins import builtins_of
+    from dual_ur10.sim2real.emulator.controller import Controller
+    from dual_ur10.sim2real.emulator.profile import PROFILES
+    from dual_ur10.sim2real.emulator.script.manual import MANUAL
+
+    functions = {
+        f"PolyScope {profile.version[0]}.{profile.version[1]}": Controller(
+            "left", profile, np.zeros(6), 1, dh=NOMINAL_DH, builtins=builtins_of
+        ).program.builtins
+        for profile in PROFILES.values()
+    }
+    known = {name: function for each in functions.values() for name, function in each.items()}
+    lines = ["## Functions that programs can call", ""]
+    for module, names in MANUAL.items():
+        if not names & known.keys():
+            continue
+        lines += [
+            f"### Module {module}",
+            "",
+            f"| function | {' | '.join(functions)} |",
+            "|---" * (1 + len(functions)) + "|",
+        ]
+        for name in sorted(names & known.keys()):
+            call = ", ".join(each.name + _default(each) for each in inspect.signature(known[name]).parameters.values())
+            has = ("yes" if name in each else "–" for each in functions.values())
+            lines.append(f"| `{name}({call})` | {' | '.join(has)} |")
+        lines.append("")
+    lines += ["## Functions that are not emulated", ""]
+    for module, names in MANUAL.items():
+        missing = ", ".join(f"`{name}`" for name in sorted(names - known.keys()))
+        if missing:
+            lines += [f"Module {module}: {missing}.", ""]
+    return "\n".join(lines)
+
+
+def _default(parameter: inspect.Parameter) -> str:
+    return "" if parameter.default is inspect.Parameter.empty else f"={parameter.default!r}"
+
+
+TABLES = {
+    "reference/robots.md": ("<!-- table of robots -->", robots),
+    "reference/urscript.md": ("<!-- table of URScript -->", urscript),
+}
+"""Marks that generated tables replace, by page."""
+
+
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Insert generated tables."""
-    return (
-        markdown.replace("<!-- table of robots -->", robots())
-        if page.file.src_uri == "reference/robots.md"
-        else markdown
-    )
+    mark, table = TABLES.get(page.file.src_uri, ("", str))
+    return markdown.replace(mark, table()) if mark else markdown
 
 
 def decisions(folder: Path) -> str:

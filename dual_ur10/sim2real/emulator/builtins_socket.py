@@ -182,9 +182,6 @@ def socket_builtins(controller: Controller) -> Builtins:
     def socket_send_byte(value: int, socket_name: str = _NAME) -> Blocking[bool]:
         return (yield from streams.send(bytes([_byte(value)]), socket_name))
 
-    def socket_send_byte_list(values: Any, socket_name: str = _NAME) -> Blocking[bool]:
-        return (yield from streams.send(bytes(map(_byte, values)), socket_name))
-
     def socket_send_int(value: int, socket_name: str = _NAME) -> Blocking[bool]:
         return (yield from streams.send(struct.pack(">i", integer(value)), socket_name))
 

@@ -21,9 +21,9 @@ rotvec2rpy rpy2rotvec rtde_set_watchdog servoc servoj set_analog_out set_analog_
 set_configurable_digital_out set_digital_out set_gravity set_payload set_payload_cog set_payload_mass
 set_standard_analog_out set_standard_digital_out set_target_payload set_tcp set_tool_digital_out set_tool_voltage sin
 sleep socket_close socket_get_var socket_open socket_read_ascii_float socket_read_binary_integer socket_read_byte_list
-socket_read_line socket_read_string socket_send_byte socket_send_byte_list socket_send_int socket_send_line
-socket_send_string socket_set_var speedj speedl sqrt stopj stopl str_at str_cat str_empty str_find str_len str_sub
-sync tan teach_mode textmsg to_num to_str tool_contact write_output_boolean_register write_output_float_register
+socket_read_line socket_read_string socket_send_byte socket_send_int socket_send_line socket_send_string
+socket_set_var speedj speedl sqrt stopj stopl str_at str_cat str_empty str_find str_len str_sub sync tan teach_mode
+textmsg to_num to_str tool_contact write_output_boolean_register write_output_float_register
 write_output_integer_register zero_ftsensor
 """
 E_SERIES = """

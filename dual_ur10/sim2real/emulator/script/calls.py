@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 
 from dual_ur10.sim2real.emulator.script import syntax
+from dual_ur10.sim2real.emulator.script.manual import NAMES
 from dual_ur10.sim2real.emulator.script.scopes import Function, Names
 from dual_ur10.sim2real.emulator.script.values import Builtins
 
@@ -52,7 +53,8 @@ class Calls:
         """Check the call of a builtin and return whether it blocks."""
         name = str(call.at)
         if name not in self._builtins:
-            raise syntax.error(call.at, "there is no such function")
+            reason = "this function of UR's manual is not emulated" if name in NAMES else "there is no such function"
+            raise syntax.error(call.at, reason)
         if call.runs:
             raise syntax.error(call.at, "only a thread can be run")
         if name not in self.used:

@@ -135,10 +135,12 @@ class Driver:
         """Switch freedrive on or off."""
         self._reverse([1 if on else -1, 0, 0, 0, 0, 0], Mode.FREEDRIVE)
 
-    def spline(self, q: Sequence[float], qd: Sequence[float], time_s: float, qdd: Sequence[float] = ()) -> None:
+    def spline(
+        self, q: Sequence[float], qd: Sequence[float], time_s: float, qdd: Sequence[float] | None = None
+    ) -> None:
         """Send a point of a cubic spline, or of a quintic one with accelerations."""
-        numbers = [round(value * SCALE) for value in (*q, *qd, *(qdd or (0.0,) * 6))]
-        self._send("trajectory", [*numbers, round(time_s * TIME_SCALE), 2 if qdd else 1, Point.SPLINE])
+        numbers = [round(value * SCALE) for value in (*q, *qd, *((0.0,) * 6 if qdd is None else qdd))]
+        self._send("trajectory", [*numbers, round(time_s * TIME_SCALE), 1 if qdd is None else 2, Point.SPLINE])
 
     def move(self, target: Sequence[float], kind: Point, *, v: float, a: float, time_s: float = 0.0) -> None:
         """Send a `movej` or `movel` point."""

@@ -34,6 +34,10 @@ def emulate(
         float, typer.Option("--dh-error-mm", min=0.0, help="Largest error of the arms' kinematics, in mm.")
     ] = 0.0,
     seed: Annotated[int, typer.Option("--seed", help="Seed of the plant, the start, and random faults.")] = 0,
+    programs: Annotated[
+        str | None,
+        typer.Option("--programs", help="Folder of programs (NAME.script) that the dashboard's load finds."),
+    ] = None,
     powered: Annotated[
         bool, typer.Option("--powered/--powered-off", help="Start with the arms powered on, or off.")
     ] = True,
@@ -55,6 +59,7 @@ def emulate(
         powered=powered,
         view=view,
         cell=cell,
+        programs=programs,
     )
     emulator = Emulator(options)
     try:

@@ -123,6 +123,7 @@ class ArmServer:
         host: Its own loopback address.
         gripper: Server of the gripper, or None.
         off: Callback for a shutdown through the dashboard.
+        programs: Texts of its program files, by path.
 
     Attributes:
         ports: Ports by name, as in `PORTS`.
@@ -133,10 +134,16 @@ class ArmServer:
     """
 
     def __init__(
-        self, hub: Hub, controller: Controller, host: str, gripper: RobotiqGripper | None, off: Callable[[], None]
+        self,
+        hub: Hub,
+        controller: Controller,
+        host: str,
+        gripper: RobotiqGripper | None,
+        off: Callable[[], None],
+        programs: Mapping[str, str] | None = None,
     ) -> None:
         self.controller, self.host, self.gripper = controller, host, gripper
-        self.pendant = Pendant(controller, off)
+        self.pendant = Pendant(controller, off, programs)
         self.script_delay_s = 0.0
         self._primary_ticks = round(1.0 / (RATE_HZ * controller.profile.tick_s))
         self._scripts: deque[tuple[float, str, Future[Program | ScriptError]]] = deque()

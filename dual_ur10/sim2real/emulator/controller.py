@@ -151,7 +151,7 @@ class Controller:
         self._values = LiveValues(zero_values(profile), self._derived())
         self.overrides: dict[str, Any] = {}
         self._overridden: dict[str, Any] = {}
-        self.remote_control = True
+        self.remote_control: bool | None = True  # None: its settings offer none, as those of URSim do
         self.history: deque[tuple[float, ...]] = deque(maxlen=_HISTORY)
         self.setpoints: deque[Setpoint] = deque(maxlen=_SETPOINTS)
         self.setpoints_count = 0
@@ -439,7 +439,7 @@ class Controller:
     @property
     def takes_scripts(self) -> bool:
         """True unless the controller is in local mode."""
-        return self.remote_control or not self.profile.has_remote_control
+        return self.remote_control is not False or not self.profile.has_remote_control
 
     def refuse(self, request: str, reason: str) -> None:
         """Report a request on a script port that is refused."""

@@ -123,7 +123,7 @@ class Dashboard:
         return None
 
     def _is_local(self) -> bool:
-        return self._profile.has_remote_control and not self._robot.remote_control
+        return self._profile.has_remote_control and self._robot.remote_control is False
 
     def _all_commands(self) -> dict[str, _Command]:
         robot, profile = self._robot, self._profile
@@ -195,12 +195,13 @@ class Dashboard:
                 refusal="Failed to execute: restart safety",
             ),
             "is in remote control": _Command(
-                asked(lambda: str(robot.remote_control).lower()), e_series=(5, 6), cb3=None
+                asked(lambda: str(bool(robot.remote_control)).lower()), e_series=(5, 6), cb3=None
             ),
             "get serial number": _Command(asked(lambda: profile.serial_number), e_series=(5, 6), cb3=(3, 12)),
             "get robot model": _Command(asked(lambda: profile.model), e_series=(5, 6), cb3=(3, 12)),
-            "generate flight report": _Command(_not_emulated, e_series=(5, 8), cb3=(3, 13), argument=True),
-            "generate support file": _Command(_not_emulated, e_series=(5, 8), cb3=(3, 13), argument=True),
+            "generate flight report": _Command(self._flight_report, e_series=(5, 8), cb3=(3, 13), argument=True),
+            "generate support file": _Command(self._support_file, e_series=(5, 8), cb3=(3, 13), argument=True),
+            "savelog": _Command(asked(lambda: "Log saved to disk"), e_series=(5, 8), cb3=(3, 13)),
         }
 
     def _plays(self) -> bool:
@@ -259,6 +260,16 @@ class Dashboard:
         mode = self._robot.operational_mode
         return f"No longer controlling the operational mode. Current operational mode: '{mode}'."
 
+    def _flight_report(self, kind: str) -> str:
+        try:
+            return f"Flight Report generated with id:{self._robot.flight_report(kind.lower())}"
+        except UnknownNameError as error:
+            return f"Error: {' '.join(str(error).split())}"
+
+    def _support_file(self, folder: str) -> str:
+        # In the words of a success, although nothing is written: clients wait for them.
+        return f"Completed successfully: {folder.rstrip('/') or '.'}/ursupport.zip"
+
     def _close(self) -> None:
         self.closed = True
 
@@ -275,7 +286,3 @@ def _exists(command: _Command, profile: ControllerProfile) -> bool:
 def _name(kind: type[RobotMode] | type[SafetyMode], number: int) -> str:
     """Return UR's word for a mode, or the number itself if it has none."""
     return kind(number).name if number in set(kind) else str(number)
-
-
-def _not_emulated(_: str) -> str:
-    return "Error: not emulated"

@@ -34,6 +34,7 @@ from dual_ur10.sim2real.emulator.controller import Controller
 from dual_ur10.sim2real.emulator.fault_injection import FaultInjection
 from dual_ur10.sim2real.emulator.mujoco_world import EmulatedWorld, PlantOptions
 from dual_ur10.sim2real.emulator.profile import profile_for, profile_of
+from dual_ur10.sim2real.emulator.program_files import script_texts
 from dual_ur10.sim2real.emulator.robotiq import RobotiqGripper
 from dual_ur10.sim2real.emulator.sockets import Hub
 from dual_ur10.sim2real.processes.system import LOCAL, System
@@ -68,6 +69,7 @@ class EmulatorOptions:
         powered: Whether the arms have power, and their brakes released, from the start.
         view: Whether MuJoCo's web viewer shows the cell.
         cell: Path of the cell file to write, or None.
+        programs: Folder of the program files that the dashboard loads, or None.
         phase_s: Phase of the control periods relative to whole multiples of a control period on this machine's
             monotonic clock; None: any. With it, two cells with one arm each behave like two controllers with
             unsynchronised clocks.
@@ -86,6 +88,7 @@ class EmulatorOptions:
     powered: bool = True
     view: bool = False
     cell: str | None = None
+    programs: str | None = None
     phase_s: float | None = None
     drift_ppm: float = 0.0
 
@@ -139,6 +142,7 @@ class Emulator:
         mounts = (self.world.config.left, self.world.config.right)
         try:
             hosts = _addresses(options, system)
+            programs = {} if options.programs is None else script_texts(options.programs)
             for arm, name in enumerate(ARMS):
                 profile = profile_for(mounts[arm].robot)
                 serial_number = str(int(profile.serial_number) + arm)
@@ -156,7 +160,7 @@ class Emulator:
                     system=system,
                 )
                 gripper = RobotiqGripper() if self.world.gripper_kg else None
-                self.servers.append(ArmServer(self._hub, controller, hosts[arm], gripper, self._off))
+                self.servers.append(ArmServer(self._hub, controller, hosts[arm], gripper, self._off, programs))
             self._port = self._hub.add("fault injection", (hosts[0], 0), lambda: LinePeer(self._injection.answer))
             if options.view:
                 self._viewer = Viewer(web=True)

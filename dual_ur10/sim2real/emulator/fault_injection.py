@@ -225,8 +225,8 @@ class FaultInjection:
         """Move the speed slider."""
         self._arm(arm).controller.io.set_slider(fraction)
 
-    def do_remote(self, arm: str, on: bool) -> None:
-        """Switch remote control (e-Series)."""
+    def do_remote(self, arm: str, on: bool | None) -> None:
+        """Switch remote control (e-Series); null: the controller's settings offer none, as those of URSim do."""
         self._arm(arm).controller.remote_control = on
 
     def do_input(self, arm: str, bit: int, on: bool) -> None:

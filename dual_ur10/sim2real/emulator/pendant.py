@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Final
 
-from dual_ur10.errors import OperationRefusedError, UnknownNameError
+from dual_ur10.errors import OperationRefusedError, ScriptError, UnknownNameError
 from dual_ur10.sim2real.emulator.controller import Controller
+from dual_ur10.sim2real.emulator.program_files import ProgramFiles
 from dual_ur10.sim2real.emulator.script import Program, parse
 from dual_ur10.sim2real.protocol.modes import RobotMode, RuntimeState
 
 log = logging.getLogger(__name__)
 
 _MAX_PROGRAMS = 64
+
+FLIGHT_REPORTS: Final = ("", "controller", "software", "system")
+"""Kinds of flight reports (UR's article "Dashboard Server e-Series")."""
 
 
 class Pendant:
@@ -23,14 +28,19 @@ class Pendant:
     Args:
         controller: The controller.
         off: Called when the controller is shut down.
+        texts: Texts of its program files, by path.
 
     Attributes:
-        programs: The programs on the controller, by their names.
+        programs: Programs stored on the controller since its start, by their names.
+        files: Program files that it had at its start.
     """
 
-    def __init__(self, controller: Controller, off: Callable[[], None]) -> None:
+    def __init__(self, controller: Controller, off: Callable[[], None], texts: Mapping[str, str] | None = None) -> None:
         self._controller, self._off = controller, off
         self.programs: dict[str, Program] = {}
+        self.files = ProgramFiles(texts or {}, controller.program.builtins)
+        self._loaded: Program | None = None
+        self._flight_reports = 0
         self.operational_mode = "NONE"
         self.user_role = "programmer"
         self._file = ""
@@ -51,8 +61,8 @@ class Pendant:
         return int(self._controller.overrides.get("runtime_state", self._controller.program.state))
 
     @property
-    def remote_control(self) -> bool:
-        """True in remote control."""
+    def remote_control(self) -> bool | None:
+        """True in remote control, False in local control, None if the controller's settings have switched both off."""
         return self._controller.remote_control
 
     @property
@@ -63,7 +73,7 @@ class Pendant:
     @property
     def program_saved(self) -> bool:
         """True if `play` starts a file."""
-        return bool(self._file) and self._controller.program.last is self.programs.get(self._file)
+        return self._loaded is not None and self._controller.program.last is self._loaded
 
     def keep(self, name: str, text: str) -> None:
         """Store a program on the controller.
@@ -129,11 +139,15 @@ class Pendant:
 
         Raises:
             UnknownNameError: There is no such program.
+            OperationRefusedError: It is no valid program.
         """
-        if name not in self.programs:
-            raise UnknownNameError("program", name, tuple(self.programs))
-        self._controller.program.prepare(self.programs[name])
-        self._file = name
+        program = self.programs.get(name) or self.files.find(name)
+        if program is None:
+            raise UnknownNameError("program", name, (*self.programs, *self.files.names))
+        if isinstance(program, ScriptError):
+            raise OperationRefusedError(f"{name} is no valid program: {program}")
+        self._controller.program.prepare(program)
+        self._file, self._loaded = name, program
 
     def load_installation(self, name: str) -> None:
         """Load an installation.
@@ -155,6 +169,18 @@ class Pendant:
     def add_to_log(self, text: str) -> None:
         """Write to the log."""
         log.info("%s: %s", self._controller.name, text)
+
+    def flight_report(self, kind: str) -> int:
+        """Return the number of a flight report. No file is written.
+
+        Raises:
+            UnknownNameError: There is no such kind.
+        """
+        if kind not in FLIGHT_REPORTS:
+            raise UnknownNameError("flight report", kind, FLIGHT_REPORTS)
+        self._flight_reports += 1
+        log.info("%s: flight report %d is not written: it is not emulated", self._controller.name, self._flight_reports)
+        return self._flight_reports
 
     def shutdown(self) -> None:
         """Switch the controller off."""

@@ -10,6 +10,7 @@ from dual_ur10.sim2real.emulator.dashboard import GREETING, LOCAL_MODE, Dashboar
 from dual_ur10.sim2real.emulator.pendant import Pendant
 from dual_ur10.sim2real.emulator.profile import PROFILES, ControllerProfile
 from dual_ur10.sim2real.protocol.modes import RobotMode, RuntimeState, SafetyMode
+from tests.sim2real.emulator.ticking import Bench
 from tests.soak import scaled
 
 CB3, E_SERIES = PROFILES["cb3"], PROFILES["e-series"]
@@ -32,7 +33,7 @@ class Robot:
         self.robot_mode: int = RobotMode.RUNNING
         self.safety_mode: int = SafetyMode.NORMAL
         self.runtime_state: int = RuntimeState.STOPPED
-        self.remote_control = True
+        self.remote_control: bool | None = True
         self.loaded_program = ""
         self.program_saved = True
         self.operational_mode = "NONE"
@@ -69,6 +70,10 @@ class Robot:
     def set_operational_mode(self, mode: str) -> None:
         self._note(f"set_operational_mode {mode}")
         self.operational_mode = mode
+
+    def flight_report(self, kind: str) -> int:
+        self._note(f"flight_report {kind}")
+        return 1
 
     def set_user_role(self, role: str) -> None:
         self._note(f"set_user_role {role}")
@@ -242,6 +247,7 @@ SINCE = {
     "get robot model": "3.12 5.6",
     "generate flight report": "3.13 5.8",
     "generate support file": "3.13 5.8",
+    "savelog": "3.13 5.8",
 }
 
 
@@ -308,6 +314,14 @@ def test_remote_control_needs_a_new_connection():
     assert robot.calls == ["play"]
 
 
+def test_settings_without_remote_control_refuse_nothing():
+    robot = Robot()
+    robot.remote_control = None
+    dashboard = Dashboard(E_SERIES, robot)
+    assert dashboard.answer("is in remote control") == "false"
+    assert dashboard.answer("play") == "Starting program"
+
+
 def test_a_cb3_has_no_local_mode():
     robot = Robot()
     robot.remote_control = False
@@ -321,11 +335,14 @@ def test_unknown_commands(line):
     assert robot.calls == []
 
 
-def test_commands_not_emulated_are_reported():
+def test_reports_and_logs_are_answered_in_the_words_of_the_dashboard():
     for profile in (CB3, E_SERIES):
-        dashboard, _ = connect(profile)
-        assert dashboard.answer("generate flight report system") == "Error: not emulated"
-        assert dashboard.answer("generate support file /programs") == "Error: not emulated"
+        dashboard = Dashboard(profile, Bench("e-series").pendant)
+        assert dashboard.answer("generate flight report system") == "Flight Report generated with id:1"
+        assert dashboard.answer("generate flight report ") == "Flight Report generated with id:2"
+        assert dashboard.answer("generate flight report all").startswith("Error: unknown flight report 'all'")
+        assert dashboard.answer("generate support file .") == "Completed successfully: ./ursupport.zip"
+        assert dashboard.answer("saveLog") == "Log saved to disk"
     assert connect()[0].answer("addToLog") == "No log message to add"
 
 

@@ -380,6 +380,11 @@ def test_remote_control_of_an_e_series():
         controller.run_script(program("while True:\n  sync()\nend"))
         cell.tick(2)
         assert controller.values["runtime_state"] == 1
+        cell.get("remote", arm="left", on=None)
+        with Client(cell, 0, "dashboard") as client:
+            client.read()
+            assert client.answer(b"is in remote control\n") == b"false\n"
+            assert client.answer(b"power on\n") == b"Powering on\n"
         cell.get("remote", arm="left", on=True)
         controller.run_script(program("while True:\n  sync()\nend"))
         cell.tick(2)

@@ -150,6 +150,7 @@ bench: $(VENV)/.dev $(KERNEL)  ## all benchmarks, figures to out/*.json
 	@$(VENV)/bin/python benchmarks/accuracy.py --json out/accuracy.json
 	@$(VENV)/bin/python benchmarks/throughput.py --json out/throughput.json
 	@$(VENV)/bin/python benchmarks/emulator.py --seconds 60 --json out/emulator.json
+	@$(VENV)/bin/python benchmarks/external_control.py --json out/external_control.json
 	@$(VENV)/bin/python benchmarks/runner.py --json out/runner.json
 	@$(VENV)/bin/python benchmarks/virtual_cell.py --json out/virtual_cell.json
 	@$(VENV)/bin/python benchmarks/garbage.py --json out/garbage.json

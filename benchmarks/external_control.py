@@ -4,7 +4,8 @@
 
 FILE is your own copy of `resources/external_control.urscript`, the program that the Universal Robots Client Library
 uploads. Without it, the program of this project's tests runs. A driver in this process uploads it to both emulated
-controllers, streams a target of `servoj` in every control period, and then sends a spline of ten points.
+controllers, streams a target of `servoj` in every control period, receives their state by RTDE as often, and then
+sends a spline of ten points.
 """
 
 import argparse
@@ -26,11 +27,23 @@ sys.path.insert(0, str(ROOT))  # the driver is that of the tests
 from dual_ur10.kinematics.ur10 import ARMS, TICK_S
 from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
 from dual_ur10.sim2real.emulator.profile import profile_of
+from dual_ur10.sim2real.links.rtde_link import RtdeLink
 from dual_ur10.sim2real.processes.system import LOCAL
+from dual_ur10.sim2real.protocol.modes import RuntimeState
 from tests.external_control import SCALE, Driver, Mode, Result
 
 OWN = ROOT / "tests" / "sim2real" / "emulator" / "external_control.urscript"
-POINTS, SEGMENT_S, STEP_RAD = 10, 0.5, 0.05
+POINTS, SEGMENT_S, STEP_RAD = 10, 0.5, -0.02  # away from the table
+STATE = (
+    "timestamp",
+    "actual_q",
+    "actual_qd",
+    "actual_current",
+    "actual_TCP_pose",
+    "actual_TCP_speed",
+    "actual_TCP_force",
+)
+STATE += ("target_speed_fraction", "speed_scaling", "runtime_state", "robot_mode", "safety_mode", "robot_status_bits")
 PORTS = {"reverse": 50001, "trajectory": 50003, "command": 50004}
 
 
@@ -48,7 +61,7 @@ class Arm:
         self.cell, self.name = cell, name
         host = getattr(cell, name)
         self.driver = Driver(LOCAL, host, PORTS)
-        self.driver.timeout_s = 10.0  # counting takes a while
+        self.driver.timeout_s = 1.0
         self.sent: list[list[float]] = []
         with socket.create_connection((host, 30001)) as client:
             client.sendall(b"stop program\n" + self.driver.script(text, profile_of(family).version).encode())
@@ -61,6 +74,7 @@ class Arm:
                 if time.monotonic() > deadline:
                     raise SystemExit(f"{name}: the program did not connect; its log: {cell.log_tail()}")
         self.start = self.q()
+        self.state = RtdeLink(host, STATE)
 
     def q(self) -> np.ndarray:
         """Return the joint positions."""
@@ -83,13 +97,19 @@ def servo(arms: list[Arm], tick_s: float, seconds: float) -> dict[str, float]:
     processes = [psutil.Process(arms[0].cell.process.pid), psutil.Process()]
     before, begin, late = [sum(each.cpu_times()[:2]) for each in processes], time.monotonic(), 0
     for k, late in paced(tick_s, round(seconds / tick_s)):  # noqa: B007  # the last one counts
-        swing = 0.05 * (1 - math.cos(math.pi * k * tick_s))
+        swing = 0.02 * (1 - math.cos(0.5 * math.pi * k * tick_s))
         for arm in arms:
             q = arm.start + swing
-            q[5] += 1e-6 * (k % 1000)  # tells the set-points apart
+            q[5] += 1e-6 * k  # tells the set-points apart
             arm.sent.append(np.round(q * SCALE).astype(int).tolist())
             arm.driver.write(Mode.SERVOJ, q)
+            arm.state.poll()
     end = time.monotonic()
+    for arm in arms:
+        arm.driver.timeout_s = 20.0  # counting takes a while
+        arm.driver.write(Mode.IDLE)
+        if arm.cell.ask("state", arm=arm.name, names=["runtime_state"])["runtime_state"] != RuntimeState.PLAYING:
+            raise SystemExit(f"{arm.name}: the program does not play any more; log: {arm.cell.log_tail()}")
     used = [sum(each.cpu_times()[:2]) - first for each, first in zip(processes, before, strict=True)]
     counts = {"sent": 0, "executed": 0, "extrapolated": 0, "out_of_order": 0}
     for arm in arms:
@@ -112,8 +132,6 @@ def servo(arms: list[Arm], tick_s: float, seconds: float) -> dict[str, float]:
 
 def spline(arms: list[Arm], tick_s: float) -> dict[str, float | str]:
     """Run a spline on both arms."""
-    for arm in arms:
-        arm.driver.write(Mode.IDLE)
     time.sleep(0.5)
     starts = [arm.q() for arm in arms]
     results: list[Result | None] = [None] * len(arms)
@@ -127,6 +145,7 @@ def spline(arms: list[Arm], tick_s: float) -> dict[str, float | str]:
         for number, arm in enumerate(arms):
             if results[number] is None:
                 arm.driver.keep_alive()
+                arm.state.poll()
                 results[number] = arm.driver.result()
         if None not in results:
             break
@@ -160,13 +179,14 @@ def main() -> None:
         figures = {"family": args.family, **servo(arms, tick_s, args.seconds), **spline(arms, tick_s)}
         for each in arms:
             each.driver.write(Mode.STOPPED)
-            cell.wait_until(each.name, "runtime_state", 1)
             each.driver.close()
         info = cell.ask("info")
+        log = cell.log_tail()
     figures |= {f"lateness_{name}_ms": 1e3 * info[f"lateness_{name}_s"] for name in ("p50", "p99", "max")}
     figures["load"] = load
     for name, value in figures.items():
         print(f"{name:22} {value:.4g}" if isinstance(value, float) else f"{name:22} {value}")
+    print(log, end="")
     if args.json:
         args.json.parent.mkdir(parents=True, exist_ok=True)
         args.json.write_text(json.dumps(figures, indent=1))

@@ -5,14 +5,20 @@ library's program runs with `benchmarks/external_control.py`.
 """
 
 import math
+import socket
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from dual_ur10.sim2real.emulator.addresses import free_address
+from dual_ur10.sim2real.emulator.emulated_cell import EmulatedCell
+from dual_ur10.sim2real.emulator.profile import profile_of
+from dual_ur10.sim2real.processes.system import LOCAL
 from dual_ur10.sim2real.virtual.virtual_system import VirtualProcess, VirtualSystem, World
-from tests.external_control import Driver, Mode, Point, Result
+from tests.external_control import PORTS, Driver, Mode, Point, Result
 from tests.sim2real.emulator.ticking import PLAYS, Bench
+from tests.waiting import until
 
 TEMPLATE = (Path(__file__).parent / "external_control.urscript").read_text()
 
@@ -172,3 +178,30 @@ def test_a_protective_stop_pauses_and_play_goes_on(rig):
     rig.driver.write(Mode.SERVOJ, rig.bench.q)
     rig.tick(round(0.5 / rig.bench.tick_s))
     assert rig.bench.state in PLAYS
+
+
+def test_a_trajectory_over_tcp_by_a_program_file(tmp_path):
+    """The dashboard loads and plays the program. It connects to its driver by TCP, and moves the simulated arm."""
+    driver = Driver(LOCAL, free_address(), {name: PORTS[name] for name in ("reverse", "trajectory", "command")})
+    driver.timeout_s = 0.0
+    script = driver.script(TEMPLATE, profile_of("cb3").version)
+    (tmp_path / "external_control.script").write_text(script)
+    with EmulatedCell(plant="nominal", programs=str(tmp_path)) as cell:
+        with socket.create_connection((cell.left, 29999)) as client, client.makefile("rw") as lines:
+            assert lines.readline().startswith("Connected")
+            for line, answer in (("load external_control.urp", "Loading program"), ("play", "Starting program")):
+                lines.write(f"{line}\n")
+                lines.flush()
+                assert lines.readline().startswith(answer)
+        until(lambda: driver.serve() or driver.connected)
+        start = np.array(cell.ask("state", arm="left", names=["actual_q"])["actual_q"])
+        driver.start(2)
+        for k in (1, 2):
+            driver.spline(start - 0.05 * k, [-0.1 * (k < 2)] * 6, 0.5)
+        until(lambda: driver.result() is not None)
+        end = np.array(cell.ask("state", arm="left", names=["actual_q"])["actual_q"])
+        np.testing.assert_allclose(end, start - 0.1, atol=1e-3)
+        driver.write(Mode.STOPPED)
+        cell.wait_until("left", "runtime_state", 1)
+        until(driver.ended)
+    driver.close()

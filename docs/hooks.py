@@ -78,14 +78,14 @@ def urscript() -> str:
     from dual_ur10.kinematics.ur10 import NOMINAL_DH
     from dual_ur10.sim2real.emulator.builtins import builtins_of
     from dual_ur10.sim2real.emulator.controller import Controller
-    from dual_ur10.sim2real.emulator.profile import PROFILES
+    from dual_ur10.sim2real.emulator.profile import POLYSCOPES
     from dual_ur10.sim2real.emulator.script.manual import MANUAL
 
     functions = {
-        f"PolyScope {profile.version[0]}.{profile.version[1]}": Controller(
+        f"PolyScope {version}": Controller(
             "left", profile, np.zeros(6), 1, dh=NOMINAL_DH, builtins=builtins_of
         ).program.builtins
-        for profile in PROFILES.values()
+        for version, profile in POLYSCOPES.items()
     }
     known = {name: function for each in functions.values() for name, function in each.items()}
     lines = ["## Functions that programs can call", ""]

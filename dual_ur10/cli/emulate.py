@@ -22,6 +22,13 @@ def emulate(
             "e-Series.",
         ),
     ] = None,
+    polyscope: Annotated[
+        str | None,
+        typer.Option(
+            "--polyscope",
+            help="PolyScope version of the controllers, such as 5.26. Default: 3.15, or 5.12 of the e-Series.",
+        ),
+    ] = None,
     task: Annotated[str, typer.Option("--task", help="Environment whose scene is simulated.")] = "SineTracking",
     cell: Annotated[
         str | None,
@@ -52,6 +59,7 @@ def emulate(
         right=right,
         family=family,
         robot=None if robot is None else robot if "," not in robot else robot.split(","),
+        polyscope=polyscope,
         task=task,
         plant=plant,
         seed=seed,

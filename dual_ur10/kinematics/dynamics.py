@@ -67,10 +67,7 @@ def inverse_dynamics(
         SettingsError: Not six joints, or a payload that is negative or not finite.
         UnknownNameError: There is no such model.
     """
-    com = (float(payload_com_m[0]), float(payload_com_m[1]), float(payload_com_m[2]))
-    if not (np.isfinite((payload_kg, *com)).all() and payload_kg >= 0.0):
-        raise SettingsError(f"payload must be finite and not negative, found {payload_kg!r} kg at {com} m")
-    pin, model, data = _model(robot, float(payload_kg), com, bool(gravity))
+    pin, model, data = _model(robot, *_payload(payload_kg, payload_com_m), bool(gravity))
     q, qd, qdd = np.broadcast_arrays(checked_joints(q_rad), checked_joints(qd_rad_s), checked_joints(qdd_rad_s2))
     torque = np.empty(q.shape)
     flat = (array.reshape(-1, 6) for array in (q, qd, qdd))
@@ -80,6 +77,34 @@ def inverse_dynamics(
     if armature_kg_m2:
         torque += armature_kg_m2 * qdd
     return torque
+
+
+def mass_matrix(
+    q_rad: ArrayLike, payload_kg: float = 0.0, payload_com_m: Sequence[float] = (0.0, 0.0, 0.0), robot: str = "ur10"
+) -> Array:
+    """Return the mass matrix, (6, 6) in kg m², of a nominal arm at joint angles (6,), without its rotors.
+
+    Args:
+        q_rad: (6,) joint angles.
+        payload_kg: Mass of a point payload.
+        payload_com_m: Its place in the flange frame.
+        robot: Model of the arm, a name in ``dual_ur10.kinematics.robots.ROBOTS``.
+
+    Raises:
+        SettingsError: Not six joints, or a payload that is negative or not finite.
+        UnknownNameError: There is no such model.
+    """
+    pin, model, data = _model(robot, *_payload(payload_kg, payload_com_m), True)
+    upper = np.triu(pin.crba(model, data, checked_joints(q_rad)))
+    matrix: Array = upper + np.triu(upper, 1).T
+    return matrix
+
+
+def _payload(payload_kg: float, payload_com_m: Sequence[float]) -> tuple[float, Vector3]:
+    com = (float(payload_com_m[0]), float(payload_com_m[1]), float(payload_com_m[2]))
+    if not (np.isfinite((payload_kg, *com)).all() and payload_kg >= 0.0):
+        raise SettingsError(f"payload must be finite and not negative, found {payload_kg!r} kg at {com} m")
+    return float(payload_kg), com
 
 
 def stretched_inertia_kg_m2(robot: str) -> Array:

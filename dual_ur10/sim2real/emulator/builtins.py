@@ -2,16 +2,48 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
+from dual_ur10.sim2real.emulator.builtins_dynamics import dynamics_builtins, optimove_builtins, torque_builtins
 from dual_ur10.sim2real.emulator.builtins_io import io_builtins
-from dual_ur10.sim2real.emulator.builtins_motion import motion_builtins
+from dual_ur10.sim2real.emulator.builtins_motion import MotionOwner, motion_builtins
 from dual_ur10.sim2real.emulator.builtins_robot import robot_builtins
 from dual_ur10.sim2real.emulator.builtins_socket import socket_builtins
 from dual_ur10.sim2real.emulator.controller import Controller
-from dual_ur10.sim2real.emulator.script import Builtins, library
+from dual_ur10.sim2real.emulator.script import Builtins, VersionBuiltins, library
 
 _ELEMENTS_PER_STEP = 8
+
+_Version = tuple[int, ...]
+
+SINCE: Final[dict[str, tuple[_Version, _Version | None]]] = {
+    "tool_contact": ((5, 4), (3, 14)),
+    "get_steptime": ((5, 4), (3, 14)),
+    "get_actual_joint_positions_history": ((5, 4), (3, 14)),
+    "get_target_waypoint": ((5, 3), None),
+    "ft_rtde_input_enable": ((5, 9), (3, 14)),
+    "protective_stop": ((5, 0), (3, 8)),
+    "get_tcp_offset": ((5, 0), (3, 6)),
+    "get_inverse_kin_has_solution": ((5, 10), (3, 15)),
+    "set_target_payload": ((5, 10), (3, 15)),
+    "get_target_payload_inertia": ((5, 10), (3, 15)),
+    "force_mode_set_damping": ((5, 0), (3, 5)),
+    "get_freedrive_status": ((5, 10), None),
+    "optimovej": ((5, 21), None),
+    "optimovel": ((5, 21), None),
+    "direct_torque": ((5, 23), None),
+    "get_actual_joint_accelerations": ((5, 23), None),
+    "get_coriolis_and_centrifugal_torques": ((5, 23), None),
+    "get_jacobian": ((5, 23), None),
+    "get_jacobian_time_derivative": ((5, 23), None),
+    "get_mass_matrix": ((5, 23), None),
+    "get_target_joint_accelerations": ((5, 23), None),
+}
+"""First versions of PolyScope 5 and of PolyScope 3 with a function, None for never; the others are in all.
+
+`direct_torque`, its friction scales and the functions of the dynamics: UR's script manual and the release it names
+for each. `optimovej` and `optimovel`: the tests of UR's client library, which need 5.21.
+"""
 
 
 def _costly(controller: Controller, own: Builtins) -> Builtins:
@@ -44,12 +76,26 @@ def _size(value: Any) -> int:
 
 def builtins_of(controller: Controller) -> Builtins:
     """Return every builtin by name, as the controller's version has them."""
-    own = library(controller.profile.tick_s)
-    return {
+    own, owner, profile = library(controller.profile.tick_s), MotionOwner(controller), controller.profile
+    functions = {
         **own,
         **_costly(controller, own),
-        **motion_builtins(controller),
+        **motion_builtins(controller, owner),
         **io_builtins(controller),
         **robot_builtins(controller),
         **socket_builtins(controller),
+        **dynamics_builtins(controller),
+        **torque_builtins(controller, owner),
+        **optimove_builtins(controller, owner),
     }
+    absent = {}
+    for name, (e_series, cb3) in SINCE.items():
+        if not profile.at_least(e_series, cb3):
+            del functions[name]
+            absent[name] = _needs(e_series, cb3, profile.version)
+    return VersionBuiltins(functions, absent)
+
+
+def _needs(e_series: _Version, cb3: _Version | None, found: _Version) -> str:
+    first = " or ".join(".".join(map(str, each)) for each in (e_series, cb3) if each is not None)
+    return f"it needs PolyScope {first} or later, and this controller has {'.'.join(map(str, found[:3]))}"

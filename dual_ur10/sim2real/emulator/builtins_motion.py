@@ -95,9 +95,9 @@ def pose_of(controller: Controller, target: Sequence[float]) -> list[float]:
     return [float(each) for each in controller.motion.tcp_pose(joints_of(controller, target))]
 
 
-def motion_builtins(controller: Controller) -> Builtins:
+def motion_builtins(controller: Controller, owner: MotionOwner) -> Builtins:
     """Return the functions by name."""
-    motion, owner, tick_s = controller.motion, MotionOwner(controller), controller.profile.tick_s
+    motion, tick_s = controller.motion, controller.profile.tick_s
 
     def movej(q: Any, a: float = 1.4, v: float = 1.05, t: float = 0, r: float = 0) -> Blocking:
         joints = joints_of(controller, q)
@@ -184,10 +184,6 @@ def motion_builtins(controller: Controller) -> Builtins:
         each.__name__: each
         for each in (force_mode, end_force_mode, teach_mode, end_teach_mode, freedrive_mode, end_freedrive_mode)
     }
-    profile = controller.profile
-    if profile.at_least((5, 0), (3, 5)):
-        functions["force_mode_set_damping"] = force_mode_set_damping
-    functions["force_mode_set_gain_scaling"] = force_mode_set_gain_scaling
-    if profile.at_least((5, 10)):
-        functions["get_freedrive_status"] = get_freedrive_status
+    for each in (force_mode_set_damping, force_mode_set_gain_scaling, get_freedrive_status):
+        functions[each.__name__] = each
     return functions

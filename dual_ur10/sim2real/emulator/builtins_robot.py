@@ -185,21 +185,8 @@ def robot_builtins(controller: Controller) -> Builtins:
     functions: Builtins = {
         name: value for name, value in own.items() if callable(value) and not name.startswith("_") and name != "contact"
     }
-    profile = controller.profile
     functions["ft_rtde_input_enable"] = enable_external_ft_sensor
     functions["get_joint_positions"] = get_actual_joint_positions  # its name in older programs
-    newer = {
-        ((5, 4), (3, 14)): ("tool_contact", "get_steptime", "get_actual_joint_positions_history"),
-        ((5, 3), None): ("get_target_waypoint",),
-        ((5, 9), (3, 14)): ("ft_rtde_input_enable",),
-        ((5, 0), (3, 8)): ("protective_stop",),
-        ((5, 0), (3, 6)): ("get_tcp_offset",),
-        ((5, 10), (3, 15)): ("get_inverse_kin_has_solution", "set_target_payload", "get_target_payload_inertia"),
-    }
-    for (e_series, cb3), names in newer.items():
-        if not profile.at_least(e_series, cb3):
-            for name in names:
-                del functions[name]
     return functions
 
 

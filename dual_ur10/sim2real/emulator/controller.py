@@ -15,7 +15,8 @@ from dual_ur10.kinematics.forward import elbow_and_flange_position, flange_pose
 from dual_ur10.kinematics.rotations import cross
 from dual_ur10.kinematics.ur10 import DHParameters
 from dual_ur10.sim2real.emulator.inputs_outputs import InputsOutputs
-from dual_ur10.sim2real.emulator.motion import Motion
+from dual_ur10.sim2real.emulator.motion import JointTorques, Motion
+from dual_ur10.sim2real.emulator.motion.tool_kinematics import Tool
 from dual_ur10.sim2real.emulator.profile import ControllerProfile
 from dual_ur10.sim2real.emulator.program_runner import ProgramRunner
 from dual_ur10.sim2real.emulator.received import Received
@@ -168,6 +169,7 @@ class Controller:
         self._wrench_zero: Array = np.zeros(6)
         self.program = ProgramRunner(profile, self.motion, builtins(self), self._script_failed, self.sockets.close_all)
         self.reading = ArmReading(np.array(q_rad, dtype=float), np.zeros(6), np.zeros(6), np.zeros(6), None)
+        self.previous = self.reading
         self._shown = _Shown(self.reading, self.reading.q_rad, self.motion, np.zeros(6), self.wrench)
         self._constant_values()
         self._publish(np.zeros(6))
@@ -190,8 +192,9 @@ class Controller:
             (substeps, 3, 6): the motion, as `EmulatedWorld.advance` takes it.
         """
         self.ticks += 1
-        self.reading = reading
+        self.previous, self.reading = self.reading, reading
         self._measure(reading)
+        self.motion.observe(reading.q_rad, reading.qd_rad_s)
         self.safety.tick(self.profile.tick_s, at_rest=not self.motion.moving or self.program.scaling == 0.0)
         demand = self.safety.demand
         limit = REDUCED_SPEED if self.safety.reduced else 1.0
@@ -207,8 +210,19 @@ class Controller:
         before = self.motion.qd.copy()
         plan: Array = self.motion.plan(self.program.scaling, wrench=self.wrench, q_actual=reading.q_rad)
         self._check_faults(reading)
-        self._publish((self.motion.qd - before) / self.profile.tick_s)
+        # Under torque control no acceleration is commanded.
+        commanded = np.zeros(6) if self.motion.torques is not None else self.motion.qd - before
+        self._publish(commanded / self.profile.tick_s)
         return plan
+
+    @property
+    def torques(self) -> JointTorques | None:
+        """Torques of the planned control period, payload included; None in position control."""
+        torques, weight = self.motion.torques, (self.payload.mass_kg - self.gripper_kg) * GRAVITY_M_S2
+        if torques is None or not weight:
+            return torques
+        lift = self.motion.arm.jacobian(self.reading.q_rad, Tool((*self.payload.cog_m, 0.0, 0.0, 0.0)))[2]
+        return JointTorques(torques.torque_nm + weight * lift, torques.coulomb_scale)
 
     def _check_faults(self, reading: ArmReading) -> None:
         """Stop protectively after an infeasible command, or if the arm deviates from its path."""
@@ -385,6 +399,7 @@ class Controller:
             ("elbow_position", "elbow_velocity"): self._elbow,
             ("tcp_force_scalar",): lambda: (float(np.linalg.norm(self._shown.wrench[:3])),),
             ("ft_raw_wrench",): lambda: (_numbers(self._shown.reading.wrench),),
+            ("actual_current_as_torque",): lambda: (_numbers(self._shown.reading.torque_nm),),
         }
 
     def _measured(self) -> tuple[Any, ...]:

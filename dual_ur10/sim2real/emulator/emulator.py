@@ -33,7 +33,7 @@ from dual_ur10.sim2real.emulator.builtins import builtins_of
 from dual_ur10.sim2real.emulator.controller import Controller
 from dual_ur10.sim2real.emulator.fault_injection import FaultInjection
 from dual_ur10.sim2real.emulator.mujoco_world import EmulatedWorld, PlantOptions
-from dual_ur10.sim2real.emulator.profile import profile_for, profile_of
+from dual_ur10.sim2real.emulator.profile import profile_for, profile_of, profile_of_version
 from dual_ur10.sim2real.emulator.program_files import script_texts
 from dual_ur10.sim2real.emulator.robotiq import RobotiqGripper
 from dual_ur10.sim2real.emulator.sockets import Hub
@@ -62,6 +62,7 @@ class EmulatorOptions:
         left, right: Loopback addresses; None finds free ones.
         family: Family of both controllers; None: that of `robot`.
         robot: Model of both arms, or of the left and the right one; None: a UR10, or a UR10e of the e-Series.
+        polyscope: PolyScope version of both controllers, a key of `POLYSCOPES`; None: the tested one of the family.
         task: Id or name of the environment whose scene is simulated.
         plant: Deviation of the plant from its nominal model; see `PlantOptions`.
         seed: Seed of the sampled plant, the start of the episode, and random faults.
@@ -81,6 +82,7 @@ class EmulatorOptions:
     right: str | None = None
     family: str | None = None
     robot: str | Sequence[str] | None = None
+    polyscope: str | None = None
     task: str = "SineTracking"
     plant: str = "mild"
     seed: int = 0
@@ -144,7 +146,7 @@ class Emulator:
             hosts = _addresses(options, system)
             programs = {} if options.programs is None else script_texts(options.programs)
             for arm, name in enumerate(ARMS):
-                profile = profile_for(mounts[arm].robot)
+                profile = profile_for(mounts[arm].robot, options.polyscope)
                 serial_number = str(int(profile.serial_number) + arm)
                 controller = Controller(
                     name,
@@ -231,7 +233,9 @@ class Emulator:
                 server.publish()
             except Exception:  # a bug, or a bad override, must not end the other arm
                 log.exception("%s: nothing was sent to its clients in this control period", server.controller.name)
-        self.world.advance(plans, widths, [server.controller.payload.mass_kg for server in self.servers])
+        controllers = [server.controller for server in self.servers]
+        payloads, torques = [each.payload.mass_kg for each in controllers], [each.torques for each in controllers]
+        self.world.advance(plans, widths, payloads, torques)
         if self.world.failed and not self._diverged:
             self._diverged = True
             log.error("the simulation diverged: the arms hold their last valid state; start the cell again")
@@ -283,10 +287,12 @@ def cell_of(options: EmulatorOptions) -> CellConfig:
     """Return the cell of the arms that options name.
 
     Raises:
-        SettingsError: Or one of its kinds: there is no such model or family, or they do not fit each other.
+        SettingsError: Or one of its kinds: there is no such model, family or version, or they do not fit.
     """
     family, robots = options.family, EnvOptions(robot=options.robot).robots  # type: ignore[arg-type]  # checks it
     if robots is None:
+        if family is None and options.polyscope is not None:
+            family = profile_of_version(options.polyscope).family
         return CellConfig(servoj=ServojProfile(profile_of(family or "cb3").family))
     left, right = (default_mount(arm, robot) for arm, robot in enumerate(robots))
     if family is None:

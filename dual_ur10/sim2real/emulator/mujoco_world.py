@@ -13,10 +13,12 @@ from dual_ur10.envs.core.randomization import PRESETS, apply_sample
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.physics import Physics
 from dual_ur10.envs.sim.servo_reference import Motion
+from dual_ur10.envs.sim.torque_control import Torques
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.ur10 import ARMS, DHParameters
 from dual_ur10.sim2real.config.cell import CellConfig, CellState
 from dual_ur10.sim2real.emulator.controller import ArmReading
+from dual_ur10.sim2real.emulator.motion import JointTorques
 from dual_ur10.types import Array, constant
 
 PLANTS: Final = ("nominal", "mild", "wide")
@@ -117,17 +119,25 @@ class EmulatedWorld:
             None if state.gripper_m is None else float(state.gripper_m[0, arm]),
         )
 
-    def advance(self, plans: Sequence[Array], widths_m: Sequence[float | None], payloads_kg: Sequence[float]) -> None:
+    def advance(
+        self,
+        plans: Sequence[Array],
+        widths_m: Sequence[float | None],
+        payloads_kg: Sequence[float],
+        torques: Sequence[JointTorques | None] = (None, None),
+    ) -> None:
         """Advance by one control period.
 
         Args:
             plans: Per arm (substeps, 3, 6): position before, speed after and acceleration in every physics step.
             widths_m: Commanded gripper width of each arm.
             payloads_kg: Payload mass as set on each controller.
+            torques: Torques of each arm, in place of its plan; None in position control. The controllers know the
+                friction of their joints.
         """
         motion = self._motion
-        for arm, (delay, plan) in enumerate(zip(self._delays, plans, strict=True)):
-            joints, delayed = slice(6 * arm, 6 * arm + 6), delay(plan)
+        for arm, (delay, plan, torque) in enumerate(zip(self._delays, plans, torques, strict=True)):
+            joints, delayed = slice(6 * arm, 6 * arm + 6), delay(plan, free=torque is not None)
             for k, rows in enumerate((motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2)):
                 rows[0, :, joints] = delayed[:, k]
         grippers = payload = None
@@ -136,7 +146,8 @@ class EmulatedWorld:
             grippers = np.array([[[min(max(each or 0.0, 0.0), OPENING_M) for each in widths_m]]])
             # The arm model includes the gripper's mass.
             payload = np.array([payloads_kg]) - self.gripper_kg
-        self._physics.advance(motion, grippers, payload)
+        wanted = [None if each is None else Torques(each.torque_nm, 1.0 - each.coulomb_scale) for each in torques]
+        self._physics.advance(motion, grippers, payload, wanted)
         self._elapsed += self.config.servoj.tick_s
         for hand in self._hands:
             hand.pass_tick()
@@ -183,6 +194,9 @@ class EmulatedWorld:
 class _Delay:
     """Motion that arrives late by whole physics steps.
 
+    Torques act at once. A motion that follows them begins where they brought the arm, so it is not delayed either until
+    the arm stops.
+
     Args:
         steps: How late.
         q_rad: (6,) where the arm stands until then.
@@ -191,9 +205,17 @@ class _Delay:
     def __init__(self, steps: int, q_rad: Array) -> None:
         self._waiting = np.zeros((steps, 3, 6))
         self._waiting[:, 0] = q_rad
+        self._delays = True
 
-    def __call__(self, plan: Array) -> Array:
+    def __call__(self, plan: Array, *, free: bool = False) -> Array:
         steps = len(self._waiting)
+        if free or not (self._delays or not plan[:, 1].any()):
+            self._delays = False
+            return plan
+        if not self._delays:
+            self._delays = True
+            self._waiting[:] = 0.0
+            self._waiting[:, 0] = plan[0, 0]
         if not steps:
             return plan
         queue = np.concatenate([self._waiting, plan])

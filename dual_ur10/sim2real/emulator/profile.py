@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from dual_ur10.errors import UnknownNameError
+from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.kinematics.ur10 import TICK_S
 from dual_ur10.sim2real.protocol.primary_messages import ControllerIdentity
@@ -82,12 +82,11 @@ class ControllerProfile(ControllerIdentity):
         """True if the version has a remote control mode: since PolyScope 5.6, never on a CB3."""
         return self.at_least((5, 6))
 
-    def at_least(self, e_series: tuple[int, int], cb3: tuple[int, int] | None = None) -> bool:
+    def at_least(self, e_series: tuple[int, ...], cb3: tuple[int, ...] | None = None) -> bool:
         """Return True from version `e_series` (5.x) on, or on a CB3 from version `cb3` (3.x) on; None: never there."""
-        mine = self.version[:2]
-        if mine[0] < 5:
-            return cb3 is not None and mine >= cb3
-        return mine >= e_series
+        if self.version[0] < 5:
+            return cb3 is not None and self.version >= cb3
+        return self.version >= e_series
 
 
 PROFILES: Final = {
@@ -104,15 +103,49 @@ PROFILES: Final = {
 }
 """Tested profiles, by family."""
 
+POLYSCOPES: Final = {
+    "3.15": PROFILES["cb3"],
+    "5.12": PROFILES["e-series"],
+    **{
+        f"{version[0]}.{version[1]}": replace(PROFILES["e-series"], version=version, released="unknown")
+        for version in ((5, 21, 0, 0), (5, 22, 0, 0), (5, 23, 0, 0), (5, 25, 1, 0), (5, 26, 0, 0))
+    },
+}
+"""Profiles by PolyScope version. Build number and date of releases after 5.12 are unknown here, and reported so: 0 and
+"unknown". 5.21 has `optimovej`, 5.23 and 5.25.1 the first and second `direct_torque`, and from 5.26 on `ur_rtde` 1.6.5
+uses it."""
 
-def profile_for(robot: str) -> ControllerProfile:
+
+def profile_for(robot: str, polyscope: str | None = None) -> ControllerProfile:
     """Return the profile of the controller of a model.
 
+    Args:
+        robot: Name of the model.
+        polyscope: PolyScope version, a key of `POLYSCOPES`; None: that of `PROFILES`.
+
     Raises:
-        UnknownNameError: There is no such model.
+        UnknownNameError: There is no such model or version.
+        SettingsError: The version is that of another family.
     """
     facts = robot_model(robot)
-    return replace(PROFILES[facts.family], model=facts.title, robot_type=facts.robot_type)
+    profile = PROFILES[facts.family] if polyscope is None else profile_of_version(polyscope)
+    if profile.family != facts.family:
+        known = ", ".join(name for name, each in POLYSCOPES.items() if each.family == facts.family)
+        raise SettingsError(
+            f"PolyScope {polyscope} does not run on a {facts.title}, whose family is {facts.family}: use {known}"
+        )
+    return replace(profile, model=facts.title, robot_type=facts.robot_type)
+
+
+def profile_of_version(polyscope: str) -> ControllerProfile:
+    """Return the profile of a PolyScope version.
+
+    Raises:
+        UnknownNameError: There is no such version.
+    """
+    if polyscope not in POLYSCOPES:
+        raise UnknownNameError("PolyScope version", polyscope, tuple(POLYSCOPES))
+    return POLYSCOPES[polyscope]
 
 
 def profile_of(family: str) -> ControllerProfile:

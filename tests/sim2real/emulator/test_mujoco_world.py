@@ -7,7 +7,7 @@ from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.servoj import ServojProfile
-from dual_ur10.sim2real.emulator.motion import Motion
+from dual_ur10.sim2real.emulator.motion import JointTorques, Motion
 from dual_ur10.sim2real.emulator.mujoco_world import EmulatedWorld, PlantOptions
 
 TASKS = ("SineTracking", "SyncCarry", "Handover")
@@ -130,3 +130,26 @@ def test_a_diverging_simulation_is_reported():
     world.advance(plans, [None, None], [0.0, 0.0])
     assert world.failed
     assert np.isfinite(world.read(0).q_rad).all()
+
+
+@pytest.mark.parametrize("scale", [0.0, 0.9])
+def test_the_controllers_compensate_a_fraction_of_the_friction_of_the_plant(scale):
+    world = world_of(family="e-series", seed=4)
+    friction = world.sampled["friction_nm"][0, 0, 5]
+    torques = JointTorques(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.5 * friction]), np.full(6, scale))
+    for _ in range(100):
+        world.advance(standing(world), widths(world), [0.0, 0.0], [torques, None])
+    assert friction > 0.05
+    assert (world.read(0).qd_rad_s[5] > 0.01) == (scale > 0.5)
+
+
+def test_what_follows_torque_control_is_not_delayed_until_the_arm_stops():
+    world = world_of("SyncCarry", seed=1)
+    delay = max(world._delays, key=lambda each: len(each._waiting))
+    moving, standing_there = np.ones((world.substeps, 3, 6)), np.zeros((world.substeps, 3, 6))
+    standing_there[:, 0] = 2.0
+    assert not np.array_equal(delay(moving), moving)
+    assert np.array_equal(delay(moving, free=True), moving)
+    assert np.array_equal(delay(moving), moving)
+    assert np.array_equal(delay(standing_there), standing_there)
+    assert not np.array_equal(delay(moving), moving)

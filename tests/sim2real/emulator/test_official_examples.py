@@ -35,12 +35,13 @@ def examples(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module")
-def cell():
+@pytest.fixture(scope="module", params=["5.12"])
+def cell(request):
+    """Cell of one PolyScope version; a module has one at a time."""
     # 127.0.0.1 is one address for all that run at the same time.
     with (Path(tempfile.gettempdir()) / f"dual_ur10-127.0.0.1-{os.getuid()}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        with EmulatedCell(left="127.0.0.1", family="e-series", plant="nominal") as cell:
+        with EmulatedCell(left="127.0.0.1", polyscope=request.param, plant="nominal") as cell:
             yield cell
 
 
@@ -112,17 +113,40 @@ def test_outputs(cell, examples):
 
 @pytest.mark.parametrize("name", ["record_data_example.py", "realtime_control_example.py"])
 def test_endless_ones_run_until_they_are_interrupted(cell, examples, name):
-    cell.wait_until("left", "robot_mode", 7)
     first = cell.ask("setpoints", arm="left")["count"]
+
+    def works():
+        recorded = examples / "robot_data.csv"
+        rows = recorded.read_text().count("\n") if recorded.exists() else 0
+        moved = cell.ask("setpoints", arm="left")["count"] - first
+        return (rows if name.startswith("record") else moved) > 200
+
+    run_until(cell, examples, name, works)
+
+
+@pytest.mark.parametrize("cell", ["5.26"], indirect=True)
+def test_torque_control_swings_the_arm(cell, examples):
+    before = cell.ask("state", arm="left", names=["actual_q"])["actual_q"]
+    shoulder = []
+
+    def works():
+        q = cell.ask("state", arm="left", names=["actual_q"])["actual_q"]
+        shoulder.append(q[1] - before[1])
+        return max(shoulder) > 0.2
+
+    run_until(cell, examples, "joint_pd_torque_control.py", works)
+    assert cell.ask("setpoints", arm="left")["count"] == 0
+
+
+def run_until(cell, examples, name, works):
+    """Run an example until it works, and interrupt it."""
+    cell.wait_until("left", "robot_mode", 7)
     with (examples / f"{name}.log").open("w+") as log:
         process = subprocess.Popen([sys.executable, name], cwd=examples, stdout=log, stderr=log)
         try:
             end = time.monotonic() + 30.0
             while time.monotonic() < end and process.poll() is None:
-                recorded = examples / "robot_data.csv"
-                rows = recorded.read_text().count("\n") if recorded.exists() else 0
-                moved = cell.ask("setpoints", arm="left")["count"] - first
-                if (rows if name.startswith("record") else moved) > 200:
+                if works():
                     break
                 time.sleep(0.1)
             else:

@@ -60,6 +60,10 @@ def test_profiles_name_the_default_models() -> None:
         ({"robot": ["ur5", "ur5e"]}, SettingsError, "both arms need one control period"),
         ({"robot": ["ur5"]}, SettingsError, "one for each arm"),
         ({"family": "cb4"}, UnknownNameError, "controller family"),
+        ({"polyscope": "5.99"}, UnknownNameError, "PolyScope version '5.99': use one of '3.15', '5.12', '5.21'"),
+        ({"polyscope": "5.26", "robot": "ur5"}, SettingsError, "does not run on a UR5, .* is cb3: use 3.15"),
+        ({"polyscope": "5.26", "family": "cb3"}, SettingsError, "does not run on a UR10, .* is cb3: use 3.15"),
+        ({"polyscope": "3.15", "robot": "ur5e"}, SettingsError, "is e-series: use 5.12, 5.21, 5.22, 5.23, 5.25, 5.26"),
     ],
 )
 def test_models_that_do_not_exist_or_fit_are_refused(options: dict[str, object], error: type, match: str) -> None:
@@ -86,3 +90,24 @@ def test_the_doctor_compares_the_model(expected: str, reported: str, failing: se
     ]
     assert {each.name for each in findings if each.level != "ok"} == failing
     assert {each.level for each in findings if each.level != "ok"} <= {"fail"}
+
+
+@pytest.mark.parametrize(
+    ("options", "version", "model"),
+    [
+        ({}, (3, 15, 8, 106339), "UR10"),
+        ({"family": "e-series"}, (5, 12, 5, 1101), "UR10e"),
+        ({"polyscope": "5.26"}, (5, 26, 0, 0), "UR10e"),
+        ({"polyscope": "5.25", "robot": "ur5e"}, (5, 25, 1, 0), "UR5e"),
+        ({"polyscope": "3.15"}, (3, 15, 8, 106339), "UR10"),
+    ],
+)
+def test_controllers_have_the_version_that_was_asked_for(
+    options: dict[str, object], version: tuple[int, ...], model: str
+) -> None:
+    emulator = Emulator(EmulatorOptions.from_mapping({**options, "plant": "nominal"}))
+    try:
+        profiles = [server.controller.profile for server in emulator.servers]
+        assert [(each.version, each.model) for each in profiles] == [(version, model)] * 2
+    finally:
+        emulator.close()

@@ -3,15 +3,24 @@
 import importlib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dual_ur10.errors import ScriptSyntaxError
-from dual_ur10.sim2real.emulator.profile import PROFILES
+from dual_ur10.kinematics.ur10 import NOMINAL_DH
+from dual_ur10.sim2real.emulator.builtins import builtins_of
+from dual_ur10.sim2real.emulator.controller import Controller
+from dual_ur10.sim2real.emulator.profile import POLYSCOPES
 from dual_ur10.sim2real.emulator.script import parse
 from dual_ur10.sim2real.emulator.script.manual import MANUAL, NAMES
 from tests.sim2real.emulator.ticking import Bench
 
-KNOWN = {name for family in PROFILES for name in Bench(family).controller.program.builtins}
+
+def functions_of(profile):
+    return Controller("left", profile, np.zeros(6), 1, dh=NOMINAL_DH, builtins=builtins_of).program.builtins
+
+
+KNOWN = {name for profile in POLYSCOPES.values() for name in functions_of(profile)}
 
 
 def test_every_function_of_the_emulator_is_in_the_list_once():

@@ -5,7 +5,8 @@ course is known is a *trajectory*: positions as a function of its time. Blends, 
 moves, are sums of two trajectories, so that speeds have no jumps.
 """
 
+from dual_ur10.sim2real.emulator.motion.joint_torque import JointTorques
 from dual_ur10.sim2real.emulator.motion.motion import Motion
 from dual_ur10.sim2real.emulator.motion.reference import Handle, MotionFault
 
-__all__ = ["Handle", "Motion", "MotionFault"]
+__all__ = ["Handle", "JointTorques", "Motion", "MotionFault"]

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from dual_ur10.errors import MotionError
 from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD
 from dual_ur10.sim2real.control.servoj import GAIN_RANGE, LOOKAHEAD_RANGE_S
 from dual_ur10.sim2real.emulator.motion.arguments import checked_frame, not_negative, number, positive, six
@@ -19,6 +20,7 @@ from dual_ur10.sim2real.emulator.motion.cartesian import (
     PoseMove,
     SpeedPose,
 )
+from dual_ur10.sim2real.emulator.motion.joint_torque import TorqueStream, checked_torques
 from dual_ur10.sim2real.emulator.motion.paths import Line, Path, through
 from dual_ur10.sim2real.emulator.motion.reference import JOINT_LIMIT, SINGULARITY, SUDDEN_CHANGE, ZEROS, Handle
 from dual_ur10.sim2real.emulator.motion.servo import Servo
@@ -250,6 +252,25 @@ class Motion(ToolMotion):
             trajectory = SpeedPose(self.arm, self.tool, self.q, self._twist())
         trajectory.aim(twist, a, a_rot, ticks)
         return self._begin(trajectory, self.q, None)
+
+    def direct_torque(
+        self, torque: Iterable[Any], viscous_scale: Iterable[Any], coulomb_scale: Iterable[Any]
+    ) -> Handle:
+        """`direct_torque`: apply joint torques for one control period, whatever the time scaling is.
+
+        Args:
+            torque: (6,) N·m on top of those that carry arm and payload, each within the joint's largest torque.
+            viscous_scale: (6,) fraction of the viscous friction to compensate, 0 to 1. The simulated joints have none.
+            coulomb_scale: (6,) fraction of the Coulomb friction to compensate, 0 to 1.
+        """
+        torques = checked_torques(self.arm.dh.robot, torque, viscous_scale, coulomb_scale)
+        if self._compliance is not None and not self.free:
+            raise MotionError("direct_torque was called in force mode: call end_force_mode before")
+        if self.fault is not None:
+            return self._refuse()
+        self._end_freedrive_for_command()
+        stream = TorqueStream(self.q, self.qd, torques)
+        return self._begin(stream, self.q, None)
 
     # Stops.
 

@@ -13,6 +13,7 @@ from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, NOMINAL_DH, DHParameters
 from dual_ur10.sim2real.emulator.motion.cartesian import PoseBlend
 from dual_ur10.sim2real.emulator.motion.compliance import SPEED_CAP, TIME_CONSTANT_S, Compliance
+from dual_ur10.sim2real.emulator.motion.joint_torque import JointTorques, TorqueStream
 from dual_ur10.sim2real.emulator.motion.servo import Servo
 from dual_ur10.sim2real.emulator.motion.tool_kinematics import ArmKinematics, Tool
 from dual_ur10.sim2real.emulator.motion.trajectories import JointBrake, Superposed, Trajectory
@@ -128,6 +129,16 @@ class Reference:
         self._yield: Array = ZEROS
 
     @property
+    def torques(self) -> JointTorques | None:
+        """Torques of the control period that was planned last; None in position control."""
+        return self._trajectory.torques if isinstance(self._trajectory, TorqueStream) else None
+
+    def observe(self, q_rad: Array, qd_rad_s: Array) -> None:
+        """Continue from the measured positions and speeds (6,) under torque control, in which no path is known."""
+        if self.torques is not None:
+            self.q, self.qd, self._rate = q_rad.copy(), qd_rad_s.copy(), qd_rad_s.copy()
+
+    @property
     def _yields(self) -> bool:
         """True while a compliant TCP moves off its path."""
         return self._yield is not ZEROS and bool(self._yield.any())
@@ -151,6 +162,8 @@ class Reference:
     ) -> Array:
         """Advance by one control tick.
 
+        Without a new `direct_torque`, an arm under torque control returns to position control and brakes.
+
         Args:
             scaling: Ratio of trajectory time to the tick, 0 to 1.
             wrench: (6,) wrench of the environment on the TCP, in base's axes, N and N m; None: no wrench.
@@ -166,6 +179,11 @@ class Reference:
         """
         if not 0.0 <= scaling <= 1.0:
             raise MotionError(f"the time scaling is {scaling!r}: allowed are 0 to 1")
+        if isinstance(self._trajectory, TorqueStream):
+            if self._handle.done:  # not commanded again
+                self._brake(self.assumptions.program_stop_rad_s2)
+            else:
+                scaling = 1.0  # torques act whatever the time scaling is
         self._await_commands(scaling)
         self._scaling = scaling
         self._refused.abort()

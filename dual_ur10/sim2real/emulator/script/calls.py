@@ -7,7 +7,7 @@ import inspect
 from dual_ur10.sim2real.emulator.script import syntax
 from dual_ur10.sim2real.emulator.script.manual import NAMES
 from dual_ur10.sim2real.emulator.script.scopes import Function, Names
-from dual_ur10.sim2real.emulator.script.values import Builtins
+from dual_ur10.sim2real.emulator.script.values import Builtins, VersionBuiltins
 
 
 class Calls:
@@ -53,8 +53,9 @@ class Calls:
         """Check the call of a builtin and return whether it blocks."""
         name = str(call.at)
         if name not in self._builtins:
-            reason = "this function of UR's manual is not emulated" if name in NAMES else "there is no such function"
-            raise syntax.error(call.at, reason)
+            unknown = "this function of UR's manual is not emulated" if name in NAMES else "there is no such function"
+            absent = self._builtins.absent if isinstance(self._builtins, VersionBuiltins) else {}
+            raise syntax.error(call.at, absent.get(name, unknown))
         if call.runs:
             raise syntax.error(call.at, "only a thread can be run")
         if name not in self.used:

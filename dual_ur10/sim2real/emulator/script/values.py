@@ -6,11 +6,25 @@ element makes a new one. So a builtin must change neither a list that it receive
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final
 
 Builtins = dict[str, Callable[..., Any]]
 """Functions that programs may call, by name. A generator function blocks its thread until it ends."""
+
+
+class VersionBuiltins(Builtins):
+    """Functions of one version of a controller.
+
+    Args:
+        functions: Functions by name.
+        absent: Reason why the version lacks a function, by name.
+    """
+
+    def __init__(self, functions: Builtins, absent: Mapping[str, str]) -> None:
+        super().__init__(functions)
+        self.absent = absent
+
 
 INT_MAX: Final = 2**31 - 1
 """Largest integer of 32 bits."""

@@ -6,7 +6,7 @@ It is computed from the keywords of an environment. Neither physics nor controll
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal
 
@@ -204,6 +204,22 @@ class EnvironmentView:
     def agent_size(self) -> int:
         """Size of each agent's observation."""
         return self.setup.task_type.agent_layout_for(self.setup.settings).size
+
+    def indices(self, names: Iterable[str], *, joint: bool) -> list[int]:
+        """Return the positions of fields in the observation of a network.
+
+        Args:
+            names: Names of fields. One that a setting of the task leaves out has none.
+            joint: The network observes both arms; otherwise one agent.
+
+        Raises:
+            UnknownNameError: The task has no such field.
+        """
+        task, settings = self.setup.task_type, self.setup.settings
+        layout = task.layout_for(settings) if joint else task.agent_layout_for(settings)
+        absent = {*task.layout.names} - {*layout.names}
+        found = layout.indices(name for name in names if name not in absent)
+        return [arm * layout.size + index for arm in range(2 if joint else 1) for index in found]
 
     def split(self, observation: Array) -> Array:
         """Return each agent's own observation, (n, 2, agent_size), from observations of both, (n, size)."""

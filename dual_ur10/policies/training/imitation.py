@@ -58,7 +58,7 @@ class Imitator:
         self._settings: Imitation = self._asked.settings
         self._threads = threads
         self._view: EnvironmentView = view_of(self._asked.env_id, self._asked.keywords)
-        self._blind = self._unseen()
+        self._blind = self._indices(self._settings.unseen)
         self._scatter = self._scattering() if self._settings.scatter_rad else None
         self._on_progress, self._shown_s = on_progress, 0.0
         self._progress = Progress(0, self._asked.steps)
@@ -212,22 +212,8 @@ class Imitator:
             return [(own.reshape(2 * len(own), -1), arms.reshape(2 * len(arms), -1))]
         return [(np.ascontiguousarray(own[:, k]), np.ascontiguousarray(arms[:, k])) for k in (0, 1)]
 
-    def _unseen(self) -> list[int]:
-        """Return the positions of the values that a network does not see.
-
-        Raises:
-            UnknownNameError: The task has no such field.
-        """
-        return self._indices(self._settings.unseen)
-
     def _indices(self, names: Iterable[str]) -> list[int]:
-        """Return the positions of fields in a network's observation; a setting of the task may leave a field out."""
-        task, settings = self._view.setup.task_type, self._view.setup.settings
-        joint = self._asked.agents == "joint"
-        layout = task.layout_for(settings) if joint else task.agent_layout_for(settings)
-        absent = {*task.layout.names} - {*layout.names}
-        found = layout.indices(name for name in names if name not in absent)
-        return [arm * layout.size + index for arm in range(2 if joint else 1) for index in found]
+        return self._view.indices(names, joint=self._asked.agents == "joint")
 
     def _scattering(self) -> Scatter:
         """Return the displacement of samples.

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from dual_ur10.errors import MissingExtraError, TrainingError
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
+from dual_ur10.policies.training.regression import BLIND
 from dual_ur10.policies.training.settings import Reinforcement
 from dual_ur10.policies.training.state import Tensors
 
 try:
     import torch
     from stable_baselines3 import PPO, SAC
+    from stable_baselines3.common.running_mean_std import RunningMeanStd
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 except ImportError as error:
     raise MissingExtraError("stable-baselines3", "train", "training") from error
@@ -24,8 +26,32 @@ _EXPLORED: float = 0.9  # of the training, after which exploration does not chan
 _SURE: float = 1e7  # weight of a checkpoint's normaliser, in observations: it hardly changes any more
 
 
+class _Moments(RunningMeanStd):
+    """Running mean and variance of observations; unseen values keep a huge variance.
+
+    Args:
+        shape: Shape of an observation.
+        unseen: Indices of the values that the network does not see.
+    """
+
+    def __init__(self, shape: tuple[int, ...], unseen: Sequence[int]) -> None:
+        super().__init__(shape=shape)
+        self._unseen = list(unseen)
+        self.var[self._unseen] = BLIND
+
+    def update_from_moments(self, batch_mean: Any, batch_var: Any, batch_count: float) -> None:
+        """Take the moments of further observations."""
+        super().update_from_moments(batch_mean, batch_var, batch_count)
+        self.var[self._unseen] = BLIND
+
+
 def make(
-    algorithm: str, env: VecEnv, settings: Reinforcement, seed: int, share: Callable[[], float] = lambda: 0.0
+    algorithm: str,
+    env: VecEnv,
+    settings: Reinforcement,
+    seed: int,
+    share: Callable[[], float] = lambda: 0.0,
+    unseen: Sequence[int] = (),
 ) -> tuple[Any, VecNormalize]:
     """Return a model, and the normaliser around its environment.
 
@@ -35,8 +61,11 @@ def make(
         settings: Settings of the algorithm.
         seed: Seed of the model.
         share: Function that returns the ratio of the training's steps that are done.
+        unseen: Indices of the values of an observation that the network does not see.
     """
     around = VecNormalize(VecMonitor(env), gamma=settings.gamma, norm_reward=algorithm == "ppo")
+    moments: Any = _Moments(env.observation_space.shape or (), unseen)
+    around.obs_rms = moments
     hidden = list(settings.hidden)
     if algorithm == "ppo":
         model: Any = PPO(

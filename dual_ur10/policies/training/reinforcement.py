@@ -62,6 +62,8 @@ class Reinforcer:
         most = max(math.ceil(self._asked.steps / self._asked.envs), math.ceil(2 / self._asked.envs))
         per_update = min(self._asked.settings.steps_per_update, most)
         self._settings: Reinforcement = dataclasses.replace(self._asked.settings, steps_per_update=per_update)
+        view = view_of(self._asked.env_id, self._asked.keywords)
+        self._blind = view.indices(self._settings.unseen, joint=self._asked.agents == "joint")
         self._state, self._on_progress = state, on_progress
         self.steps = 0 if state is None else state[1].steps
         self._models: list[tuple[Any, Any]] = []
@@ -103,7 +105,9 @@ class Reinforcer:
             AlternatingLearners(env) if asked.agents == "independent" and isinstance(env, TwoAgentVecEnv) else None
         )
         rows = [env] if alternating is None else alternating.sides
-        self._models = [models.make(asked.algorithm, each, self._settings, seed % 2**31, self._share) for each in rows]
+        self._models = [
+            models.make(asked.algorithm, each, self._settings, seed % 2**31, self._share, self._blind) for each in rows
+        ]
         # `make` seeds the environment with the model's seed, but episodes have their own.
         env.seed(first_seed_of(asked.seed) + self.steps)
         if self._state is not None:

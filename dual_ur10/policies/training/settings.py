@@ -66,6 +66,7 @@ class Reinforcement(StrictJson):
         buffer_size: SAC: capacity of the replay buffer, in transitions.
         learning_starts: SAC: transitions before the first gradient step.
         gradient_steps: SAC: gradient steps after each step of all cells.
+        unseen: As `Imitation.unseen`. With fewer values a policy is found in fewer steps.
     """
 
     hidden: Units = (256, 256)
@@ -85,6 +86,7 @@ class Reinforcement(StrictJson):
     buffer_size: Count = 300_000
     learning_starts: Annotated[int, Field(ge=0, le=10**9)] = 5_000
     gradient_steps: Count = 8
+    unseen: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ pytest.importorskip("stable_baselines3")
 
 from dual_ur10 import policies
 from dual_ur10.envs.api.sb3_bridge import JointVecEnv
-from dual_ur10.errors import SettingsError, TrainingError
+from dual_ur10.errors import SettingsError, TrainingError, UnknownNameError
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.training import folder, models, state
 from dual_ur10.policies.training import reinforcement as reinforce
@@ -48,6 +48,29 @@ def test_the_same_seed_gives_the_same_bits(tmp_path, algorithm, agents):
         other = small(algorithm, agents, steps=64, seed=1)
         assert sha_of(train(other, tmp_path / "c")) != sha_of(first)
     assert {"state", "training.json", "curve.png", "progress.csv"} <= {each.name for each in (tmp_path / "a").iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "agents", "blind"),
+    [
+        ("ppo", "joint", [31, 32, 33, 71, 72, 73]),
+        ("sac", "joint", [31, 32, 33, 71, 72, 73]),
+        ("ppo", "shared", [31, 32, 33]),
+        ("ppo", "independent", [31, 32, 33]),
+    ],
+)
+def test_a_network_does_not_see_the_unseen_fields(tmp_path, algorithm, agents, blind):
+    """They have no effect on its actions, also after a training that was interrupted and continued."""
+    train(small(algorithm, agents, steps=64, changes={"unseen": ("rotation",)}), tmp_path / "out")
+    path = resume(tmp_path / "out", steps=128)
+    for normaliser in checkpoint.read_manifest(path).normalisers:
+        assert np.flatnonzero(np.array(normaliser.var) > 1e12).tolist() == blind
+        assert np.isfinite(normaliser.mean).all()
+
+
+def test_unknown_unseen_fields_of_reinforcement_are_refused(tmp_path):
+    with pytest.raises(UnknownNameError, match="unknown observation field 'gripper_m'"):
+        train(small("ppo", changes={"unseen": ("gripper_m",)}), tmp_path / "out")
 
 
 @pytest.mark.parametrize(("envs", "steps", "done"), [(2, 9, 10), (1, 1, 2), (2, 40, 64)])

@@ -1,8 +1,9 @@
 """PPO in one file, on SineTracking, from nothing: python examples/ppo.py [STEPS] [FOLDER] [SEED].
 
-J. Schulman et al., "Proximal Policy Optimization Algorithms", 2017. The result is a checkpoint:
-python -m dual_ur10 evaluate SineTracking --policy FOLDER. `python -m dual_ur10 train SineTracking --algo ppo` does the
-same with Stable-Baselines3.
+J. Schulman et al., "Proximal Policy Optimization Algorithms", 2017. One network acts for each arm by itself, from its
+commanded joints and the step from there to its reference, and learns from the reward of its arm alone. The result is a
+checkpoint: python -m dual_ur10 evaluate SineTracking --policy FOLDER. `python -m dual_ur10 train SineTracking --algo
+ppo` does the same with Stable-Baselines3.
 """
 
 import sys
@@ -14,26 +15,35 @@ import torch
 from torch import nn
 from torch.distributions import Normal
 
+from dual_ur10.envs.tasks.sine_tracking.task import SineTracking
 from dual_ur10.policies import evaluate
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.learned.manifest import Manifest
 from dual_ur10.policies.learned.network import NetworkShape, Normaliser
 
 ENV_ID = "DualUR10/SineTracking-v0"
-STEPS = int(sys.argv[1]) if len(sys.argv) > 1 else 5_000_000
+STEPS = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
 FOLDER = sys.argv[2] if len(sys.argv) > 2 else "sine_ppo"
 SEED = int(sys.argv[3]) if len(sys.argv) > 3 else 0
 
-CELLS, ROLLOUT, EPOCHS, BATCH = 64, 32, 5, 512
+CELLS, ROLLOUT, EPOCHS, BATCH = 64, 16, 5, 256
 RATE, GAMMA, LAMBDA, CLIP = 1e-3, 0.9, 0.9, 0.2
-FIRST_STD, LAST_STD = 0.2, 0.02  # of actions: exploration becomes as narrow as the error that is left
+FIRST_STD, LAST_STD = 0.1, 0.02  # of actions: exploration becomes as narrow as the error that is left
 EPISODE = 100  # steps: an untrained policy is back at the reference before it has drifted far
 HIDDEN = 64
+SEEN = SineTracking.layout.indices(("commanded_q_rad", "step_m", "step_rad"))  # of an arm's observation
+SIZE, ACTIONS = len(SEEN), 6
 
 torch.set_num_threads(1)  # the cells use the others
 torch.manual_seed(SEED)
-envs = gym.make_vec(ENV_ID, num_envs=CELLS, autoreset_mode="SameStep", max_episode_steps=EPISODE)
-SIZE, ACTIONS = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
+envs = gym.make_vec(ENV_ID, num_envs=CELLS, autoreset_mode="Disabled", max_episode_steps=EPISODE)
+core = envs.unwrapped.core
+ROWS = 2 * CELLS
+
+
+def seen(observation: np.ndarray) -> np.ndarray:
+    """Return what each arm sees, (2 k, size), of observations of both, (k, 80)."""
+    return observation.reshape(2 * len(observation), -1)[:, SEEN]
 
 
 def network(outputs: int, gain: float) -> nn.Sequential:
@@ -71,7 +81,7 @@ actor, critic, moments = network(ACTIONS, 0.01), network(1, 1.0), Moments()
 parameters = [*actor.parameters(), *critic.parameters()]
 optimizer = torch.optim.Adam(parameters, lr=RATE, eps=1e-5)
 
-observation, _ = envs.reset(seed=1_000_000_000 + 1_000_000 * SEED)
+observation = seen(envs.reset(seed=1_000_000_000 + 1_000_000 * SEED)[0])
 moments.add(observation)
 begun_s, updates = time.monotonic(), max(1, STEPS // (CELLS * ROLLOUT))
 for update in range(updates):
@@ -80,26 +90,27 @@ for update in range(updates):
     optimizer.param_groups[0]["lr"] = RATE * (1 - share)
 
     # Collect a rollout with the policy as it is.
-    raw, rewards, ends = np.empty((ROLLOUT, CELLS, SIZE)), np.empty((ROLLOUT, CELLS)), np.empty((ROLLOUT, CELLS))
-    inputs, actions = torch.empty(ROLLOUT, CELLS, SIZE), torch.empty(ROLLOUT, CELLS, ACTIONS)
+    raw, rewards, ends = np.empty((ROLLOUT, ROWS, SIZE)), np.empty((ROLLOUT, ROWS)), np.empty((ROLLOUT, ROWS))
+    inputs, actions = torch.empty(ROLLOUT, ROWS, SIZE), torch.empty(ROLLOUT, ROWS, ACTIONS)
     with torch.no_grad():
         for step in range(ROLLOUT):
             raw[step], inputs[step] = observation, moments(observation)
             actions[step] = Normal(actor(inputs[step]), std).sample()
-            action = actions[step].clamp(-1, 1).numpy()
-            observation, reward, terminated, truncated, info = envs.step(action)
-            rewards[step], ends[step] = reward, terminated | truncated
-            cut = np.flatnonzero(truncated & ~terminated)
+            both, _, terminated, truncated, _ = envs.step(actions[step].clamp(-1, 1).numpy().reshape(CELLS, -1))
+            over, observation = terminated | truncated, seen(both)
+            rewards[step], ends[step] = core.agents.rewards.reshape(-1), np.repeat(over, 2)
+            cut = np.flatnonzero(np.repeat(truncated & ~terminated, 2))
             if cut.size:  # time ran out, which says nothing of the state: its value counts
-                final = np.stack([info["final_obs"][row] for row in cut])
-                rewards[step, cut] += GAMMA * critic(moments(final)).numpy()[:, 0]
+                rewards[step, cut] += GAMMA * critic(moments(observation[cut])).numpy()[:, 0]
+            if over.any():
+                observation = seen(envs.reset(options={"reset_mask": over})[0])
         values = critic(inputs)[..., 0].numpy()
         following = np.concatenate([values[1:], critic(moments(observation)).numpy().T])
         before = Normal(actor(inputs), std).log_prob(actions).sum(-1).flatten()
     moments.add(raw.reshape(-1, SIZE))
 
     # Generalized advantage estimation (J. Schulman et al., 2016).
-    advantages, last = np.empty_like(rewards), np.zeros(CELLS)
+    advantages, last = np.empty_like(rewards), np.zeros(ROWS)
     for step in reversed(range(ROLLOUT)):
         goes_on = 1.0 - ends[step]
         last = rewards[step] + GAMMA * goes_on * (following[step] + LAMBDA * last) - values[step]
@@ -120,18 +131,23 @@ for update in range(updates):
             nn.utils.clip_grad_norm_(parameters, 0.5)
             optimizer.step()
 
-    if update % 100 == 99 or update == updates - 1:
+    if update % 200 == 199 or update == updates - 1:
         minutes = (time.monotonic() - begun_s) / 60
         print(f"{(update + 1) * CELLS * ROLLOUT:9} steps, {minutes:.1f} min, reward {rewards.mean():.3f} per step")
 
-# A checkpoint holds numbers and text only, is checked against its environment, and runs without torch.
+# A checkpoint holds numbers and text only, is checked against its environment, and runs without torch. Its network
+# takes the whole observation of an agent: weights of what it does not see are 0.
 layers = [each for each in actor if isinstance(each, nn.Linear)]
 weights = [(each.weight.detach().numpy(), each.bias.detach().numpy()) for each in layers]
+AGENT = SineTracking.agent_layout_for(core.setup.settings).size
+first, mean, var = np.zeros((HIDDEN, AGENT), np.float32), np.zeros(AGENT), np.ones(AGENT)
+first[:, SEEN], mean[SEEN], var[SEEN] = weights[0][0], moments.mean, moments.var
+weights[0] = first, weights[0][1]
 manifest = Manifest(
     signature=checkpoint.signature_of(ENV_ID),
-    agents="joint",
-    network=NetworkShape((SIZE, HIDDEN, HIDDEN, ACTIONS), "tanh", "clip"),
-    normalisers=(Normaliser(tuple(moments.mean.tolist()), tuple(moments.var.tolist())),),
+    agents="shared",
+    network=NetworkShape((AGENT, HIDDEN, HIDDEN, ACTIONS), "tanh", "clip"),
+    normalisers=(Normaliser(tuple(mean.tolist()), tuple(var.tolist())),),
     seed=SEED,
 )
 checkpoint.save(FOLDER, [weights], manifest)

@@ -32,12 +32,13 @@ def train(
     ] = None,
     algo: Annotated[str, typer.Option("--algo", "-a", help="ppo, sac, bc or dagger.")] = "dagger",
     agents: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--agents",
-            help="joint: one network; shared: the same one for each arm; independent: two.",
+            help="joint: one network; shared: the same one for each arm; independent: two. "
+            "Default: joint; ppo and sac of SineTracking: shared.",
         ),
-    ] = "joint",
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder to create.")] = None,
     envs: Annotated[int | None, typer.Option("--envs", min=1, help="Number of cells stepped together.")] = None,
     steps: Annotated[int | None, typer.Option("--steps", min=1, help="Total number of environment steps.")] = None,
@@ -90,7 +91,7 @@ def train(
             dataset=dataset,
             init=init,
         )
-        where = out or Path("trainings") / f"{asked.env_id.split('/')[1]}-{algo}-{agents}-{seed}"
+        where = out or Path("trainings") / f"{asked.env_id.split('/')[1]}-{algo}-{asked.agents}-{seed}"
         run = trainings.train
         arguments = {"training": asked, "out": where, **common}
     console.print(f"training in {where}", highlight=False, soft_wrap=True, markup=False)

@@ -209,7 +209,7 @@ class EnvironmentView:
         """Return the positions of fields in the observation of a network.
 
         Args:
-            names: Names of fields. One that a setting of the task leaves out has none.
+            names: Names of fields. One that a setting of the task leaves out, or that only agents have, has none.
             joint: The network observes both arms; otherwise one agent.
 
         Raises:
@@ -217,7 +217,7 @@ class EnvironmentView:
         """
         task, settings = self.setup.task_type, self.setup.settings
         layout = task.layout_for(settings) if joint else task.agent_layout_for(settings)
-        absent = {*task.layout.names} - {*layout.names}
+        absent = {*task.layout.names, *task.agent_layout_for(settings).names} - {*layout.names}
         found = layout.indices(name for name in names if name not in absent)
         return [arm * layout.size + index for arm in range(2 if joint else 1) for index in found]
 

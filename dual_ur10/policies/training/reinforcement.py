@@ -81,14 +81,12 @@ class Reinforcer:
             KeyboardInterrupt: The training was interrupted. Everything learned so far is saved.
         """
         asked = self._asked
-        kind = JointVecEnv if asked.agents == "joint" else TwoAgentVecEnv
-        env: CellsVecEnv = kind(
-            task_name(asked.env_id),
-            asked.envs,
-            max_episode_steps=self._settings.episode_steps,
-            threads=self._threads,
-            **asked.keywords,
-        )
+        task, given = task_name(asked.env_id), {"max_episode_steps": self._settings.episode_steps, **asked.keywords}
+        env: CellsVecEnv
+        if asked.agents == "joint":
+            env = JointVecEnv(task, asked.envs, threads=self._threads, **given)
+        else:
+            env = TwoAgentVecEnv(task, asked.envs, reward=self._settings.reward, threads=self._threads, **given)
         try:
             # A resumed training samples new episodes.
             seed = int(np.random.SeedSequence([asked.seed, self.steps]).generate_state(1)[0])

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import Discriminator, Field, Tag
 
+from dual_ur10.envs.api.two_agents import RewardKind
 from dual_ur10.envs.core.options import split_keywords
 from dual_ur10.errors import SettingsError, UnknownNameError
 from dual_ur10.ids import env_id_of, task_name
@@ -67,6 +68,7 @@ class Reinforcement(StrictJson):
         learning_starts: SAC: transitions before the first gradient step.
         gradient_steps: SAC: gradient steps after each step of all cells.
         unseen: As `Imitation.unseen`. With fewer values a policy is found in fewer steps.
+        reward: Reward of each arm's row, unless one network acts for both ("joint"): that of both arms, or its own.
     """
 
     hidden: Units = (256, 256)
@@ -87,6 +89,7 @@ class Reinforcement(StrictJson):
     learning_starts: Annotated[int, Field(ge=0, le=10**9)] = 5_000
     gradient_steps: Count = 8
     unseen: tuple[str, ...] = ()
+    reward: RewardKind = "shared"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,6 +138,7 @@ class TaskSettings:
         keywords: Further keywords of the environment.
         from_nothing: Keywords of PPO and SAC instead of these and the default latency. Without random plants and
             latency an untrained policy learns in a third of the steps.
+        agents: Networks of PPO and SAC from nothing, unless others are asked for; imitation: "joint".
         ppo: Settings of PPO from nothing. With a checkpoint to begin with, the general ones count.
         sac: Settings of SAC.
         imitation: Settings of bc and dagger.
@@ -148,6 +152,7 @@ class TaskSettings:
     from_nothing: dict[str, Any] = dataclasses.field(
         default_factory=lambda: {"randomization": "none", "action_latency_ticks": 0}
     )
+    agents: AgentsKind = "joint"
     ppo: Reinforcement = Reinforcement()
     sac: Reinforcement = Reinforcement()
     imitation: Imitation = Imitation()
@@ -184,18 +189,21 @@ _CARRY_UNSEEN: Final = (
 
 SETTINGS: Final[dict[str, TaskSettings]] = {
     "SineTracking": TaskSettings(
-        steps={"ppo": 5_000_000, "sac": 300_000, "bc": 96_000, "dagger": 288_000},
+        steps={"ppo": 1_000_000, "sac": 300_000, "bc": 96_000, "dagger": 288_000},
         keywords={"random_path": True},
+        agents="shared",
         ppo=Reinforcement(
             hidden=(64, 64),
             learning_rate=1e-3,
             gamma=0.9,
             episode_steps=100,
-            steps_per_update=32,
-            batch_size=512,
+            steps_per_update=16,
+            batch_size=256,
             gae_lambda=0.9,
-            first_std=0.2,
-            last_std=0.02,
+            first_std=0.1,
+            last_std=0.003,
+            unseen=(*_SINE_UNSEEN, "other_flange_base_m", "other_flange_base_quat"),
+            reward="individual",
         ),
         # It sees the commanded positions, and the step from there to the reference, which is all that the action needs.
         imitation=Imitation(unseen=_SINE_UNSEEN),
@@ -319,7 +327,7 @@ def check_simulated(keywords: Mapping[str, Any], purpose: str, remedy: str) -> N
 def defaults(
     env_id: str,
     algorithm: str = "dagger",
-    agents: str = "joint",
+    agents: str | None = None,
     *,
     envs: int | None = None,
     steps: int | None = None,
@@ -335,7 +343,7 @@ def defaults(
     Args:
         env_id: Id of the environment, or its short name.
         algorithm: See `Training`.
-        agents: See `Training`.
+        agents: See `Training`. None: `TaskSettings.agents` for PPO and SAC from nothing, "joint" otherwise.
         envs: See `Training`.
         steps: See `Training`.
         seed: See `Training`.
@@ -369,6 +377,8 @@ def defaults(
         asked["randomization"] = randomization
     usual = {**own.keywords, "randomization": own.randomization, "action_latency_ticks": LATENCY_TICKS}
     given = {**(usual if algorithm in IMITATION or init else own.from_nothing), **asked}
+    if agents is None:
+        agents = "joint" if algorithm in IMITATION or init else own.agents
     view_of(env_id, given)  # refuses keywords that make no environment before anything is made
     return Training(
         env_id=env_id,

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from dual_ur10 import policies
-from dual_ur10.envs.api.sb3_bridge import JointVecEnv
+from dual_ur10.envs.api.sb3_bridge import JointVecEnv, TwoAgentVecEnv
 from dual_ur10.errors import SettingsError, TrainingError, UnknownNameError
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.training import folder, models, state
@@ -66,6 +66,33 @@ def test_a_network_does_not_see_the_unseen_fields(tmp_path, algorithm, agents, b
     for normaliser in checkpoint.read_manifest(path).normalisers:
         assert np.flatnonzero(np.array(normaliser.var) > 1e12).tolist() == blind
         assert np.isfinite(normaliser.mean).all()
+
+
+@pytest.mark.parametrize("reward", ["shared", "individual"])
+def test_each_arm_learns_from_the_reward_that_is_asked_for(tmp_path, monkeypatch, reward):
+    """ "individual" is an arm's own; "shared" that of both, which is the mean of them."""
+    seen = []
+    real = TwoAgentVecEnv.step_wait
+
+    def watched(self):
+        found = real(self)
+        seen.append((found[1].copy(), self.cells.core.agents.rewards.copy()))
+        return found
+
+    monkeypatch.setattr(TwoAgentVecEnv, "step_wait", watched)
+    # Episodes of the training end after its last step: with the end of one, its rewards are gone.
+    keywords = {"duration_s": 4.0, "arms": "left"}
+    train(small("ppo", "shared", steps=64, keywords=keywords, changes={"reward": reward}), tmp_path / "out")
+    assert len(seen) == 32
+    for got, own in seen:
+        wanted = own if reward == "individual" else np.repeat(own.mean(axis=1, keepdims=True), 2, axis=1)
+        np.testing.assert_allclose(got.reshape(-1, 2), wanted, atol=1e-12)
+    assert any(abs(own[0, 0] - own[0, 1]) > 1e-3 for _, own in seen)
+
+
+def test_an_unknown_reward_is_refused():
+    with pytest.raises(SettingsError, match="reward"):
+        small("ppo", changes={"reward": "both"})
 
 
 def test_unknown_unseen_fields_of_reinforcement_are_refused(tmp_path):

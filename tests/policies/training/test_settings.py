@@ -31,6 +31,7 @@ def test_every_task_has_settings_for_every_algorithm(env_id, algorithm):
     assert asked.steps == own.steps[algorithm]
     shown = {"randomization": own.randomization, "action_latency_ticks": 5, **own.keywords}
     assert asked.keywords == (shown if algorithm in IMITATION else own.from_nothing)
+    assert asked.agents == ("joint" if algorithm in IMITATION else own.agents)
     assert isinstance(asked.settings, Imitation if algorithm in IMITATION else Reinforcement)
 
 
@@ -38,6 +39,7 @@ def test_every_task_has_settings_for_every_algorithm(env_id, algorithm):
 def test_ppo_can_continue_what_imitation_made(env_id):
     made, asked = defaults(env_id, "dagger"), defaults(env_id, "ppo", init="policy")
     assert asked.keywords == made.keywords
+    assert asked.agents == made.agents == "joint"
     assert asked.settings.hidden == made.settings.hidden
 
 

@@ -12,7 +12,8 @@ Parts:
     wide: every policy on "wide" plants.
     from_nothing: PPO with the settings of `train`, one training after the other; only where it is named. Success and
         return are of the default environment. The return is a ratio of the scripted policy's on the same seeds; steps
-        and minutes are those of the first progress check that had half and 90 % of it.
+        and minutes are those of the first progress check that had half and 90 % of it. Minutes grow with the load of
+        the machine; cpu_minutes are the processor time of all threads.
     from_demonstrations: behaviour cloning of 20 episodes of the scripted policy under noise, evaluated in the
         environment of the training; only where it is named. Steps are those of the demonstrations.
 """
@@ -138,9 +139,10 @@ def from_nothing(env_id: str, episodes: int, seeds: int, plot: Path | None) -> d
     rows = []
     for seed in range(seeds):
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "training"
+            path, begin_s = Path(folder) / "training", time.process_time()
             train(defaults(env_id, "ppo", seed=seed), path)
-            rows.append(figures_of(path, script, episodes))
+            cpu = {"cpu_minutes": (time.process_time() - begin_s) / 60}
+            rows.append(cpu | figures_of(path, script, episodes))
         told = {key: value for key, value in rows[-1].items() if key != "curve"}
         print(f"{task_name(env_id)}, PPO from nothing: {json.dumps(told)}", flush=True)
     if plot is not None:
@@ -149,6 +151,7 @@ def from_nothing(env_id: str, episodes: int, seeds: int, plot: Path | None) -> d
         "success": min(row["success"] for row in rows),
         "of_script": min(row["of_script"] for row in rows),
         "minutes": max(row["minutes"] for row in rows),
+        "cpu_minutes": max(row["cpu_minutes"] for row in rows),
         "steps": rows[0]["steps"],
         "seeds": rows,
     }

@@ -28,7 +28,7 @@ SEED = int(sys.argv[3]) if len(sys.argv) > 3 else 0
 
 CELLS, ROLLOUT, EPOCHS, BATCH = 64, 16, 5, 256
 RATE, GAMMA, LAMBDA, CLIP = 1e-3, 0.9, 0.9, 0.2
-FIRST_STD, LAST_STD = 0.1, 0.02  # of actions: exploration becomes as narrow as the error that is left
+FIRST_STD, LAST_STD = 0.1, 0.003  # of actions: in the end the arms must follow them without lag
 EPISODE = 100  # steps: an untrained policy is back at the reference before it has drifted far
 HIDDEN = 64
 SEEN = SineTracking.layout.indices(("commanded_q_rad", "step_m", "step_rad"))  # of an arm's observation

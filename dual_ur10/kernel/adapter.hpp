@@ -12,7 +12,7 @@ constexpr double TINY = 1e-200;
 constexpr int TRIES = 4;  // to find a fraction within the Cartesian speed limit, which is not linear
 
 // Rows of the state.
-constexpr int64_t GOALS = 3, GOAL = 6, NOW = 7, VALUES = 11;
+constexpr int64_t GOALS = 3, GOAL = 6, NOW = 7, JERK = 10, VALUES = 11;
 
 enum Mode { STEP = 0, POSITION = 1, GOAL_GIVEN = 2 };
 
@@ -22,7 +22,8 @@ enum Mode { STEP = 0, POSITION = 1, GOAL_GIVEN = 2 };
     INT(n) INT(ticks) INT(width) INT(mode) INT(size) INT(meetings) INT(between_rows) REAL(approach)                    \
     LINK(envelope, Envelope) REALS(plans, meetings * ticks * 11) REALS(ends, meetings * 44) INTS(cubic, meetings)      \
     REALS(continuations, meetings * 22) REALS(continuation_limits, 24) REALS(between, meetings * between_rows * 11)    \
-    REALS(resume, 4 * width) REALS(joint_step, 12) REALS(lower, 12) REALS(upper, 12) REALS(leash, 12)                  \
+    REAL(calm_jerk) REALS(resume, 4 * width)                                                                           \
+    REALS(joint_step, 12) REALS(lower, 12) REALS(upper, 12) REALS(leash, 12)                                           \
     REALS(state, n * 132) REALS(commanded, n * 12) REALS(action, n * 2 * size) REALS(targets, n * ticks * 12)          \
     REALS(widths_m, n * ticks * 2) REAL(most_m) REALS(goal, n * 12) REALS(lowest, 2 * size) REALS(highest, 2 * size)   \
     INTS(clipped, n)
@@ -130,6 +131,11 @@ void step(const Adapter& a, int64_t row, const double* action, double* targets) 
     if (!legal) {
         const Scratch planned(e.width * JOINTS), known(a.width * JOINTS);
         copy(planned, window, e.width * JOINTS);
+        // A path that met its commands within a period may end with hundreds of rad/s³, which would lead centimetres off.
+        double calm[VALUES * JOINTS];
+        copy(calm, state, VALUES * JOINTS);
+        for (int64_t i = JERK * JOINTS; i < VALUES * JOINTS; ++i) calm[i] = clamp(calm[i], -a.calm_jerk, a.calm_jerk);
+        multiply(a.plans + (a.meetings - 1) * ticks * VALUES, ticks, VALUES, calm, planned + HISTORY * JOINTS);
         limit(e, planned, window);
         copy(known, window, e.width * JOINTS);
         copy(known + e.width * JOINTS, now, 2 * JOINTS);  // position and speed of the path

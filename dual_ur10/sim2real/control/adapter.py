@@ -45,6 +45,8 @@ _PARTS = 8  # sub-steps of a tick for the law under time scaling
 
 _ROUNDING = 1e-6  # bounds are float32 where a policy sees them
 
+_CALM_JERK_RAD_S3 = 20.0  # that paths continue at most where none is legal; the scripted policies' largest
+
 _GOAL_MARGIN_RAD = 1e-3  # goals stay this far inside the range that the limiter enforces
 
 # Rows of the adapter's state, (n, rows, 12): the last three targets, then the values that define a path.
@@ -166,6 +168,7 @@ class ServojAdapter:
             continuations=np.stack([self._continuation(each) for each in meetings]),
             continuation_limits=np.stack([speed, np.full(12, self.limits.acceleration_rad_s2)]),
             between=np.stack(between),
+            calm_jerk=_CALM_JERK_RAD_S3,
             resume=self._resume_matrix(),
             joint_step=speed * self.period_s,
             lower=self._approach * (np.tile(self.limits.lower_rad, 2) + _GOAL_MARGIN_RAD),

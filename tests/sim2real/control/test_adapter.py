@@ -375,6 +375,18 @@ def test_discontinuous_commands_lead_no_arm_astray(profile: ServojProfile, ticks
     assert behind[-1] < 1e-4
 
 
+@pytest.mark.parametrize("memory", [0.8, 0.95])
+@pytest.mark.parametrize("noise_rad", [0.0003, 0.0006])
+def test_commands_that_tremble_keep_the_arms_near(memory: float, noise_rad: float) -> None:
+    """A learned policy that holds still trembles by this much."""
+    adapter, rng = at_home(mode="joint_position"), np.random.default_rng(0)
+    start, off, away = adapter.commanded_q_rad, np.zeros((1, 2, 6)), 0.0
+    for _ in range(800):
+        off = memory * off + np.sqrt(1 - memory**2) * noise_rad * rng.standard_normal((1, 2, 6))
+        away = max(away, float(np.abs(adapter(start + off).targets_rad - start[:, None]).max()))
+    assert away < 9e-3  # beyond 0.015, if the path's jerk is continued where every plan breaks a limit
+
+
 @pytest.mark.parametrize("compensate_lag", [True, False])
 @pytest.mark.parametrize("mode", ["joint_delta", "joint_position"])
 @pytest.mark.parametrize("direction", [-1.0, 1.0])

@@ -28,7 +28,7 @@ SEED = int(sys.argv[3]) if len(sys.argv) > 3 else 0
 
 CELLS, ROLLOUT, EPOCHS, BATCH = 64, 16, 5, 256
 RATE, GAMMA, LAMBDA, CLIP = 1e-3, 0.9, 0.9, 0.2
-FIRST_STD, LAST_STD = 0.1, 0.003  # of actions: in the end the arms must follow them without lag
+FIRST_STD, LAST_STD = 0.1, 0.006  # of actions: in the end the arms must follow them without lag
 EPISODE = 100  # steps: an untrained policy is back at the reference before it has drifted far
 HIDDEN = 64
 SEEN = SineTracking.layout.indices(("commanded_q_rad", "step_m", "step_rad"))  # of an arm's observation
@@ -119,17 +119,15 @@ for update in range(updates):
     advantage = torch.from_numpy(advantages.astype(np.float32)).flatten()
     inputs, actions = inputs.flatten(0, 1), actions.flatten(0, 1)
 
-    for _ in range(EPOCHS):
-        for rows in torch.randperm(len(inputs)).split(BATCH):
-            after = Normal(actor(inputs[rows]), std).log_prob(actions[rows]).sum(-1)
-            ratio = (after - before[rows]).exp()
-            gain = (advantage[rows] - advantage[rows].mean()) / (advantage[rows].std() + 1e-8)
-            surrogate = torch.minimum(gain * ratio, gain * ratio.clamp(1 - CLIP, 1 + CLIP))
-            loss = -surrogate.mean() + 0.25 * (critic(inputs[rows])[:, 0] - returns[rows]).square().mean()
-            optimizer.zero_grad()
-            loss.backward()
-            nn.utils.clip_grad_norm_(parameters, 0.5)
-            optimizer.step()
+    for rows in [part for _ in range(EPOCHS) for part in torch.randperm(len(inputs)).split(BATCH)]:
+        ratio = (Normal(actor(inputs[rows]), std).log_prob(actions[rows]).sum(-1) - before[rows]).exp()
+        gain = (advantage[rows] - advantage[rows].mean()) / (advantage[rows].std() + 1e-8)
+        surrogate = torch.minimum(gain * ratio, gain * ratio.clamp(1 - CLIP, 1 + CLIP))
+        loss = -surrogate.mean() + 0.25 * (critic(inputs[rows])[:, 0] - returns[rows]).square().mean()
+        optimizer.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(parameters, 0.5)
+        optimizer.step()
 
     if update % 200 == 199 or update == updates - 1:
         minutes = (time.monotonic() - begun_s) / 60

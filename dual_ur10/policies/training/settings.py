@@ -201,7 +201,7 @@ SETTINGS: Final[dict[str, TaskSettings]] = {
             batch_size=256,
             gae_lambda=0.9,
             first_std=0.1,
-            last_std=0.003,
+            last_std=0.006,
             unseen=(*_SINE_UNSEEN, "other_flange_base_m", "other_flange_base_quat"),
             reward="individual",
         ),

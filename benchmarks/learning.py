@@ -4,12 +4,14 @@ python benchmarks/learning.py [--episodes 300] [--randomization mild,none] [--ta
 python benchmarks/learning.py --parts from_nothing --tasks SineTracking --seeds 3 [--plot FILE]
 
 Seeds begin at 0; trainings use other seeds to learn and to check their progress. The intervals are
-Wilson's, of 95 %. On the emulated cell: `python -m dual_ur10 evaluate ENV --policy learned --cell FILE`.
+Wilson's, of 95 %. On controllers in real time: `python -m dual_ur10 evaluate ENV --policy learned --cell FILE`.
 
 Parts:
     shipped: every policy in the default environment, on plants of the presets.
     range: SineTracking on random paths ("mild"): any axis, amplitude, frequency and centre of its range.
     wide: every policy on "wide" plants.
+    cell: every policy on emulated controllers in virtual time, with the task's range drawn at random (`CELL_RANGES`).
+        Each episode has a cell of its own, whose plant ("mild") is drawn by its seed; only where it is named.
     from_nothing: PPO with the settings of `train`, one training after the other; only where it is named. Success and
         return are of the default environment. The return is a ratio of the scripted policy's on the same seeds; steps
         and minutes are those of the first progress check that had half and 90 % of it. Minutes grow with the load of
@@ -20,6 +22,7 @@ Parts:
 
 import argparse
 import json
+import math
 import os
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -33,6 +36,7 @@ from typing import Any
 import numpy as np
 
 import dual_ur10
+from dual_ur10.errors import CellFaulted
 from dual_ur10.ids import task_name
 from dual_ur10.policies import evaluate
 from dual_ur10.policies.evaluation.results import Evaluation
@@ -42,10 +46,11 @@ from dual_ur10.policies.training import state
 from dual_ur10.policies.training.settings import SETTINGS, defaults
 from dual_ur10.policies.training.train import train
 
-PARTS = ("shipped", "range", "wide", "from_nothing", "from_demonstrations")
+PARTS = ("shipped", "range", "wide", "cell", "from_nothing", "from_demonstrations")
 DEMONSTRATIONS: dict[str, dict[str, Any]] = {
     "Handover": {
         "steps": 5_600,
+        "randomization": "none",
         "changes": {
             "scatter_rad": 0.02,
             "unseen": tuple(name for name in SETTINGS["Handover"].imitation.unseen if name != "progress"),
@@ -54,6 +59,15 @@ DEMONSTRATIONS: dict[str, dict[str, Any]] = {
     "SyncCarry": {"steps": 17_000},
 }
 """Trainings of the part from_demonstrations; with these steps 20 episodes fit."""
+CELL_RANGES: dict[str, dict[str, Any]] = {
+    "SineTracking": {"random_path": True},
+    "Handover": {"object_range_m": 0.03, "object_turn_rad": math.pi / 4},
+    "SyncCarry": {"object_range_m": 0.03, "object_turn_rad": 0.075},
+}
+"""Keywords of the part cell: for the tasks with objects the ranges of "wide", 1.5 times the default ones."""
+
+CELL_ERRORS = {"SineTracking": "flange_rms_m", "Handover": "object_error_m", "SyncCarry": "relative_error_m"}
+"""Values of `info` at the end of an episode that the part cell reports, in mm."""
 
 
 def main() -> None:
@@ -62,6 +76,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=300)
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS[:3])
     parser.add_argument("--randomization", default="mild,none", help="presets of the part shipped, with commas")
+    parser.add_argument("--cells", type=int, default=20, help="episodes of the part cell")
     parser.add_argument("--seeds", type=int, default=3, help="trainings of the part from_nothing")
     parser.add_argument("--plot", type=Path, help="draw the curves of the part from_nothing to this PNG file")
     parser.add_argument("--tasks", default="", help="names, with commas between them; all without")
@@ -87,6 +102,8 @@ def main() -> None:
                 found["range"] = measured(env_id, name, "range", "mild", args.episodes, random_path=True)
             if "wide" in args.parts:
                 found["wide"] = measured(env_id, name, "wide", "wide", args.episodes)
+            if "cell" in args.parts:
+                found["cell"] = on_cells(env_id, name, args.cells)
         if "from_nothing" in args.parts:
             results.setdefault(task, {})["from_nothing"] = from_nothing(env_id, args.episodes, args.seeds, args.plot)
         if "from_demonstrations" in args.parts and task_name(env_id) in DEMONSTRATIONS:
@@ -108,7 +125,6 @@ def measured(
         episodes=episodes,
         num_envs=64,
         env_kwargs={
-            **{key: value for key, value in signature.kwargs.items() if key != "random_path"},
             "action_latency_ticks": signature.rate.latency_ticks,
             "randomization": randomization,
             **keywords,
@@ -128,6 +144,31 @@ def measured(
     print(
         f"{f'{task_name(env_id)} {name}':34} {title:6} {found.successes:4} of {episodes} "
         f"({100 * low:.1f} to {100 * high:.1f} %){text}, {time.monotonic() - begin:.0f} s",
+        flush=True,
+    )
+    return row
+
+
+def on_cells(env_id: str, name: str, episodes: int) -> dict[str, Any]:
+    """Evaluate a shipped policy on virtual cells, print the row and return it."""
+    from dual_ur10.testing import VirtualCell
+
+    begin, found = time.monotonic(), []
+    for seed in range(episodes):
+        with VirtualCell(task=env_id, seed=seed) as cell:
+            keywords = {"cell": cell, **CELL_RANGES[task_name(env_id)]}
+            try:
+                found += evaluate(env_id, name, episodes=1, seed=seed, num_envs=1, env_kwargs=keywords).episodes
+            except CellFaulted as error:
+                print(f"seed {seed}: {error}", flush=True)
+    successes = sum(each.success for each in found)
+    row: dict[str, Any] = {"success": successes / episodes, "episodes": episodes}
+    error = CELL_ERRORS[task_name(env_id)]
+    values = [1e3 * abs(value or 0.0) for each in found for key, value in each.last.items() if key.startswith(error)]
+    row |= {f"{error[:-1]}mm_median": float(np.median(values)), f"{error[:-1]}mm_max": max(values)} if values else {}
+    print(
+        f"{f'{task_name(env_id)} {name}':34} cell   {successes:4} of {episodes}, {json.dumps(row)}, "
+        f"{time.monotonic() - begin:.0f} s",
         flush=True,
     )
     return row

@@ -6,7 +6,7 @@ import dataclasses
 import numbers
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, Final, Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -72,6 +72,9 @@ class SceneRequirements:
 SettingsT = TypeVar("SettingsT")
 MeasuredT = TypeVar("MeasuredT")
 
+_SAMPLED: Final = {"object_range_m", "object_turn_rad", "target_range_m", "target_turn_rad"}
+"""Settings of tasks that bound a pose, which every episode samples between minus and plus."""
+
 
 class Task(ABC, Generic[SettingsT, MeasuredT]):
     """Task for n cells. Its only input is `CellState`; it keeps the state of the running episodes.
@@ -120,7 +123,8 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
     @classmethod
     def covered(cls, trained: SettingsT, settings: SettingsT) -> frozenset[str]:
         """Return the keywords whose values lie within the range that a training with other settings sampled."""
-        return frozenset()
+        names = _SAMPLED & {each.name for each in dataclasses.fields(cast(Any, settings))}
+        return frozenset(name for name in names if getattr(settings, name) <= getattr(trained, name))
 
     @classmethod
     def requirements(cls, settings: SettingsT) -> SceneRequirements:

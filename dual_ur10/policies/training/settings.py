@@ -216,7 +216,7 @@ SETTINGS: Final[dict[str, TaskSettings]] = {
     ),
     "Handover": TaskSettings(
         envs=192,
-        randomization="none",
+        randomization="wide",
         steps={"ppo": 3_000_000, "sac": 300_000, "bc": 115_200, "dagger": 460_800},
         # It sees the commanded positions, the fingers, the block, its goal and the role.
         imitation=Imitation(unseen=(*_MOTION_FIELDS, "progress")),

@@ -130,6 +130,18 @@ def test_the_networks_of_two_agents_must_fit_their_observations(tmp_path: Path) 
         checkpoint.load(tmp_path / "x")
 
 
+def test_a_narrower_range_of_objects_lies_within_the_training(caplog: pytest.LogCaptureFixture) -> None:
+    """Handover's policy learned with the ranges of "wide", which are 1.5 times the default ones."""
+    handover = "DualUR10/Handover-v0"
+    with caplog.at_level(logging.WARNING):
+        for keywords in ({}, {"object_range_m": 0.01}, {"randomization": "wide"}):
+            policies.load("learned", handover, action_latency_ticks=5, **keywords)
+        assert not caplog.records
+        policies.load("learned", handover, action_latency_ticks=5, object_range_m=0.04, success_turn_rad=0.1)
+    (record,) = caplog.records
+    assert record.message.endswith("object_range_m was 0.03 and is 0.04; success_turn_rad was 0.15 and is 0.1")
+
+
 def test_differences_without_effect_are_warnings(saved: Path, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         policies.load(saved, SINE, action_latency_ticks=5, amplitude_m=0.08, randomization="mild")

@@ -178,6 +178,7 @@ _SINE_UNSEEN: Final = (
     "ahead_base_m",
     "rotation",
 )
+_ONE_ARM_UNSEEN: Final = (*_SINE_UNSEEN, "other_flange_base_m", "other_flange_base_quat")
 _CARRY_UNSEEN: Final = (
     *_MOTION_FIELDS,
     "gripper_m",
@@ -202,7 +203,17 @@ SETTINGS: Final[dict[str, TaskSettings]] = {
             gae_lambda=0.9,
             first_std=0.1,
             last_std=0.006,
-            unseen=(*_SINE_UNSEEN, "other_flange_base_m", "other_flange_base_quat"),
+            unseen=_ONE_ARM_UNSEEN,
+            reward="individual",
+        ),
+        sac=Reinforcement(
+            hidden=(64, 64),
+            learning_rate=1e-3,
+            gamma=0.9,
+            episode_steps=100,
+            batch_size=256,
+            gradient_steps=4,
+            unseen=_ONE_ARM_UNSEEN,
             reward="individual",
         ),
         # It sees the commanded positions, and the step from there to the reference, which is all that the action needs.

@@ -22,7 +22,7 @@ enum Mode { STEP = 0, POSITION = 1, GOAL_GIVEN = 2 };
     INT(n) INT(ticks) INT(width) INT(mode) INT(size) INT(meetings) INT(between_rows) REAL(approach)                    \
     LINK(envelope, Envelope) REALS(plans, meetings * ticks * 11) REALS(ends, meetings * 44) INTS(cubic, meetings)      \
     REALS(continuations, meetings * 22) REALS(continuation_limits, 24) REALS(between, meetings * between_rows * 11)    \
-    REAL(calm_jerk) REALS(resume, 4 * width)                                                                           \
+    REAL(period_s) REAL(calm_jerk) REALS(resume, 4 * width)                                                                           \
     REALS(joint_step, 12) REALS(lower, 12) REALS(upper, 12) REALS(leash, 12)                                           \
     REALS(state, n * 132) REALS(commanded, n * 12) REALS(action, n * 2 * size) REALS(targets, n * ticks * 12)          \
     REALS(widths_m, n * ticks * 2) REAL(most_m) REALS(goal, n * 12) REALS(lowest, 2 * size) REALS(highest, 2 * size)   \
@@ -132,9 +132,16 @@ void step(const Adapter& a, int64_t row, const double* action, double* targets) 
         const Scratch planned(e.width * JOINTS), known(a.width * JOINTS);
         copy(planned, window, e.width * JOINTS);
         // A path that met its commands within a period may end with hundreds of rad/s³, which would lead centimetres off.
+        // So more than a calm jerk continues only as far as it leads to the goal.
         double calm[VALUES * JOINTS];
         copy(calm, state, VALUES * JOINTS);
-        for (int64_t i = JERK * JOINTS; i < VALUES * JOINTS; ++i) calm[i] = clamp(calm[i], -a.calm_jerk, a.calm_jerk);
+        const double t = a.period_s, reach = t * t * t / 6.0;
+        for (int64_t j = 0; j < JOINTS; ++j) {
+            const double jerk = state[JERK * JOINTS + j], little = clamp(jerk, -a.calm_jerk, a.calm_jerk);
+            const double end_at = now[j] + t * (now[JOINTS + j] + t / 2.0 * now[2 * JOINTS + j]) + reach * little;
+            const double missing = (goal[j] - end_at) / reach;
+            calm[JERK * JOINTS + j] = little + clamp(jerk - little, smaller(missing, 0.0), larger(missing, 0.0));
+        }
         multiply(a.plans + (a.meetings - 1) * ticks * VALUES, ticks, VALUES, calm, planned + HISTORY * JOINTS);
         limit(e, planned, window);
         copy(known, window, e.width * JOINTS);

@@ -56,6 +56,7 @@ NOT_TRIED = {
     "getuserrole": "its answer is not documented",
     "generate flight report": "it takes minutes",
     "generate support file": "it takes minutes",
+    "savelog": "it writes to the controller's disk",
 }
 
 

@@ -168,6 +168,7 @@ class ServojAdapter:
             continuations=np.stack([self._continuation(each) for each in meetings]),
             continuation_limits=np.stack([speed, np.full(12, self.limits.acceleration_rad_s2)]),
             between=np.stack(between),
+            period_s=self.period_s,
             calm_jerk=_CALM_JERK_RAD_S3,
             resume=self._resume_matrix(),
             joint_step=speed * self.period_s,

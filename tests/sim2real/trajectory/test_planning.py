@@ -66,7 +66,7 @@ def test_other_texts_are_no_configuration(text):
 
 def test_points_without_times_are_numbered_on_request(tmp_path):
     names = [f"left/{joint}" for joint in JOINTS]
-    table = ",".join(names) + "\n" + "\n".join(",".join(str(k + j) for j in range(6)) for k in range(3))
+    table = ",".join(names) + "\n" + "".join(",".join(str(k + j) for j in range(6)) + "\n" for k in range(3))
     message = {"joint_names": names, "points": [{"positions": [float(k + j) for j in range(6)], "time_from_start": {}}
                                                for k in range(3)]}  # fmt: skip
     path = tmp_path / "points.csv"

@@ -16,7 +16,15 @@ from dual_ur10.sim2real.recording.program_box import ProgramBox
 from dual_ur10.sim2real.recording.reader import read_run
 from dual_ur10.sim2real.runtime.point_stream import PointStream
 from dual_ur10.sim2real.runtime.program_link import stop_programs
-from dual_ur10.sim2real.runtime.stream_script import REASONS, STATE, Command, State, points_script
+from dual_ur10.sim2real.runtime.stream_script import (
+    REASONS,
+    STATE,
+    WAIT_S,
+    Command,
+    State,
+    moves_script,
+    points_script,
+)
 from dual_ur10.sim2real.trajectory.joint_trajectory import JointTrajectory
 from dual_ur10.sim2real.trajectory.point_path import PointPath
 from dual_ur10.testing import VirtualCell
@@ -357,6 +365,18 @@ def test_wrong_points_end_the_program(cell, arm, number, size_rad, state):
     assert state in REASONS
     assert rests(cell)
     assert np.abs(joints(cell)[0] - arm.home).max() < 0.3
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 2.0])
+def test_a_program_that_is_never_started_ends(cell, arm, rate_hz):
+    servoj = profile_for(rate_hz).servoj
+    script = points_script(8, servoj, 1.0) if rate_hz > 2.0 else moves_script(8, servoj, 1.0, 0.5)
+    arm.upload(script, 8)
+    cell.clock.sleep(WAIT_S - 1.0)
+    arm.wait(lambda found, seen: found == State.WAITING, "to wait")
+    cell.clock.sleep(1.5)
+    arm.wait(lambda found, seen: found == State.STARVED, "to end")
+    assert programs(cell)[0] == 1
 
 
 def test_a_first_point_elsewhere_ends_the_program(cell, arm):

@@ -9,12 +9,11 @@ from __future__ import annotations
 from typing import Final
 
 from dual_ur10.kinematics.ur10 import TICK_S, Family
-from dual_ur10.sim2real.runtime.stream_script import FIRST, STOP_RAD_S2, Command, State
+from dual_ur10.sim2real.runtime.stream_script import FIRST, STOP_RAD_S2, WAIT_S, Command, State
 
 SILENCE_S: Final = 0.5
 """Longest time without a sign of life in freedrive. A disk or a busy machine may stall for a part of it."""
 
-_WAIT_S: Final = 20.0  # without a sign of life before freedrive: the other arm's program may start slowly
 
 FREEDRIVE_REASONS: Final = {
     State.STARVED: f"no sign of life came for {SILENCE_S:g} s, so that its program ended freedrive",
@@ -72,6 +71,6 @@ def freedrive_script(token: int, family: Family) -> str:
         family: Family of the controller.
     """
     text = _FREEDRIVE.replace("@token@", str(token))
-    for name, duration_s in (("@wait@", _WAIT_S), ("@patience@", SILENCE_S)):
+    for name, duration_s in (("@wait@", WAIT_S), ("@patience@", SILENCE_S)):
         text = text.replace(name, str(round(duration_s / TICK_S[family])))
     return text

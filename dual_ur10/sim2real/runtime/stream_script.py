@@ -21,6 +21,9 @@ FIRST: Final = 24
 RATE_BAND: Final = 5e-4
 """Largest part by which the path time may be slower than the controller's clock. It is never faster."""
 
+WAIT_S: Final = 20.0
+"""Longest wait of a program for its start: the other arm's program may start slowly."""
+
 NOMINAL_RATE: Final = 1.0 - RATE_BAND / 2
 """Rate of the path time that leaves room for corrections: neither controller is faster than what was checked."""
 
@@ -79,6 +82,12 @@ REASONS: Final = {
 """Descriptions of the final states but FINISHED, of an arm."""
 
 _READ: Final = f"""
+    if state == {State.WAITING:d}:
+      waited = waited + 1
+      if waited > @wait@:
+        state = {State.STARVED:d}
+      end
+    end
     if read_input_integer_register({FIRST + 3}) == token:
       command = read_input_integer_register({FIRST})
       number = read_input_integer_register({FIRST + 1})
@@ -104,6 +113,7 @@ _WRITE: Final = f"""
 
 _BEGIN: Final = f"""
   state = {State.WAITING:d}
+  waited = 0
   command = 0
   number = 0
   last = 0
@@ -303,6 +313,7 @@ def points_script(token: int, servoj: ServojProfile, speed_rad_s: float) -> str:
         token=token,
         tick=tick_s,
         most=speed_rad_s * tick_s,
+        wait=round(WAIT_S / tick_s),
         settle=round(_SETTLE_S / tick_s),
         lookahead=servoj.lookahead_s,
         gain=servoj.gain,
@@ -318,8 +329,8 @@ def moves_script(token: int, servoj: ServojProfile, speed_rad_s: float, interval
         speed_rad_s: Largest mean speed of a joint between two points.
         interval_s: Time between two points. The program ends when it rests for twice as long without another one.
     """
-    patience = round(2.0 * interval_s / servoj.tick_s)
-    return _filled(_MOVES, token=token, speed=speed_rad_s, patience=patience)
+    wait, patience = (round(each / servoj.tick_s) for each in (WAIT_S, 2.0 * interval_s))
+    return _filled(_MOVES, token=token, speed=speed_rad_s, wait=wait, patience=patience)
 
 
 def _filled(text: str, **values: float) -> str:

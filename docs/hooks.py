@@ -58,17 +58,22 @@ def robots() -> str:
     """Return the table of all models of arms."""
     from dual_ur10.kinematics.robots import ROBOTS
 
-    head = ("model", "name", "family", "reach (m)", "payload (kg)", "d1, a2, a3, d4, d5, d6 (m)", "links (kg)")
-    head += ("speed (°/s)", "torque (N·m)", "inertia tensors", "speed and torque")
-    lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
+    shapes = [("model", "name", "family", "reach (m)", "payload (kg)", "d1, a2, a3, d4, d5, d6 (m)")]
+    loads = [("model", "links (kg)", "speed (°/s)", "torque (N·m)", "inertia tensors", "speed and torque")]
     for name, model in ROBOTS.items():
         tensors = "published" if model.inertia_from is None else f"estimated from {ROBOTS[model.inertia_from].title}"
         limits = "published" if model.limits_from is None else f"those of {ROBOTS[model.limits_from].title}"
         rows = (model.lengths_m, model.mass_kg, model.joint_speed_deg_s, model.joint_torque_nm)
         lengths, masses, speeds, torques = (", ".join(f"{each:g}" for each in row) for row in rows)
-        cells = (model.title, f"`{name}`", model.family, f"{model.reach_m:g}", f"{model.payload_kg:g}", lengths, masses)
-        lines.append(f"| {' | '.join((*cells, speeds, torques, tensors, limits))} |")
-    return "\n".join(lines)
+        shapes.append((model.title, f"`{name}`", model.family, f"{model.reach_m:g}", f"{model.payload_kg:g}", lengths))
+        loads.append((model.title, masses, speeds, torques, tensors, limits))
+    return f"{_table(shapes)}\n\n{_table(loads)}"
+
+
+def _table(rows: list[tuple[str, ...]]) -> str:
+    """Return a table in Markdown; the first row is its head."""
+    lines = [f"| {' | '.join(row)} |" for row in rows]
+    return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]])
 
 
 def urscript() -> str:
@@ -82,27 +87,23 @@ def urscript() -> str:
     from dual_ur10.sim2real.emulator.script.manual import MANUAL
 
     functions = {
-        f"PolyScope {version}": Controller(
-            "left", profile, np.zeros(6), 1, dh=NOMINAL_DH, builtins=builtins_of
-        ).program.builtins
+        version: Controller("left", profile, np.zeros(6), 1, dh=NOMINAL_DH, builtins=builtins_of).program.builtins
         for version, profile in POLYSCOPES.items()
     }
     known = {name: function for each in functions.values() for name, function in each.items()}
-    lines = ["## Functions that programs can call", ""]
+    note = "The columns name the first version of PolyScope that has a function here."
+    lines = ["## Functions that programs can call", "", note, ""]
     for module, names in MANUAL.items():
-        if not names & known.keys():
-            continue
-        lines += [
-            f"### Module {module}",
-            "",
-            f"| function | {' | '.join(functions)} |",
-            "|---" * (1 + len(functions)) + "|",
-        ]
+        rows = [("function", "CB3", "e-Series")]
         for name in sorted(names & known.keys()):
             call = ", ".join(each.name + _default(each) for each in inspect.signature(known[name]).parameters.values())
-            has = ("yes" if name in each else "–" for each in functions.values())
-            lines.append(f"| `{name}({call})` | {' | '.join(has)} |")
-        lines.append("")
+            first = (
+                next((each for each, has in functions.items() if each.startswith(family) and name in has), "–")
+                for family in ("3.", "5.")
+            )
+            rows.append((f"`{name}({call})`", *first))
+        if len(rows) > 1:
+            lines += [f"### Module {module}", "", _table(rows), ""]
     lines += ["## Functions that are not emulated", ""]
     for module, names in MANUAL.items():
         missing = ", ".join(f"`{name}`" for name in sorted(names - known.keys()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import pathlib
 import pickle
@@ -259,11 +260,12 @@ def test_a_process_is_not_held_up_by_somebody_who_does_not_read():
 
 @pytest.mark.parametrize("output", [None, print])
 def test_no_file_stays_open(output):
+    gc.collect()
     before = len(os.listdir("/proc/self/fd"))
     child = Child(time.sleep, 60.0, output=output)
     child.kill()
     assert child._reader is None or not child._reader.is_alive()
-    assert len(os.listdir("/proc/self/fd")) == before
+    assert len(os.listdir("/proc/self/fd")) <= before  # files of earlier tests may close meanwhile
 
 
 def test_a_process_that_ends_before_it_reads_is_no_error(tmp_path, monkeypatch):

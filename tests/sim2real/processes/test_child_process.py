@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import logging
 import os
 import pathlib
 import pickle
@@ -250,9 +251,15 @@ def print_much() -> None:
             os.write(2, bytes(10_000))
 
 
-def test_a_process_is_not_held_up_by_somebody_who_does_not_read():
+def log_much() -> None:
+    for _ in range(100):
+        logging.getLogger("much").warning("x" * 10_000)
+
+
+@pytest.mark.parametrize("talk", [print_much, log_much])
+def test_a_process_is_not_held_up_by_somebody_who_does_not_read(talk):
     goes_on = threading.Event()
-    child = Child(print_much, output=lambda line: goes_on.wait())
+    child = Child(talk, output=lambda line: goes_on.wait())
     assert child.wait(WITHIN_S)
     assert child.code == 0
     goes_on.set()

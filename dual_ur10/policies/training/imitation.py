@@ -33,6 +33,7 @@ from dual_ur10.types import Single
 
 _GATHER, _FIT, _INIT = range(3)  # streams of random numbers
 _SHOWN_S: Final = 0.2
+_FEWEST: Final = 4  # times the episodes of a round of DAgger are as many as the cells, at least
 
 
 class Imitator:
@@ -91,6 +92,8 @@ class Imitator:
                         threads=self._threads,
                         **{**AS_ON_CONTROLLERS, **self._asked.keywords},
                     )
+                if self._is_rest(env.task.horizon):
+                    break
                 self._round(env, begun)
         finally:
             if env is not None:
@@ -147,6 +150,14 @@ class Imitator:
         """Return the number of episodes of the next round: no more than the steps that are left allow."""
         left = self._asked.steps - self._progress.steps
         return self._asked.envs if horizon is None else min(self._asked.envs, math.ceil(left / horizon))
+
+    def _is_rest(self, horizon: int | None) -> bool:
+        """Return True if the steps that are left are not worth another fit of DAgger.
+
+        Successes end episodes early, so that ever fewer steps are left for the next round, and never none.
+        """
+        few = _FEWEST * self._rows_of_round(horizon) < self._asked.envs
+        return few and self._rounds > 0 and self._asked.algorithm == "dagger"
 
     def _add(self, samples: tuple[Single, Single], begun: float) -> None:
         path = self._path(self._rounds)

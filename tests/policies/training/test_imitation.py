@@ -20,6 +20,7 @@ from dual_ur10.errors import CheckpointError, SettingsError, TrainingError, Unkn
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.training import folder as folders
 from dual_ur10.policies.training import imitation as imitate
+from dual_ur10.policies.training import state
 from dual_ur10.policies.training.train import resume, train
 from tests.policies.training.small import STEPS, small
 
@@ -63,6 +64,13 @@ def test_a_last_round_has_only_the_episodes_that_the_steps_allow(tmp_path, steps
     policy = train(asked, tmp_path / "out", threads=2)
     training = checkpoint.read_manifest(policy).training
     assert training["steps"] == training["samples"] == episodes * STEPS
+
+
+@pytest.mark.parametrize(("left", "further"), [(1, 0), (2, 2)])
+def test_a_rest_of_few_episodes_is_no_round_of_dagger(tmp_path, left, further):
+    """A round of less than a quarter of the cells is not worth a fit."""
+    policy = train(small("dagger", envs=8, steps=(8 + left) * STEPS), tmp_path / "out", threads=2)
+    assert state.load(policy.parent / "state")[1]["steps"] == (8 + further) * STEPS
 
 
 def test_the_result_states_its_origin(whole):

@@ -8,11 +8,14 @@
 // of further ones, all in the cell frame. Output: pose of the other flange in each flange's frame, position of each grip
 // in its tool's frame, whether it is between the fingers, and whether they hold it; rotations of the first two poses; and
 // all poses in the base frames of the left and the right arm.
+#define GRASP_LIMITS(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                           \
+    REAL(width_m) REAL(width_margin_m) REALS(between_m, 3)
 #define GRASPS(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                                 \
-    INT(n) INT(poses) INT(inputs) INT(outputs) REAL(tcp_m) REAL(width_m) REAL(width_margin_m) REALS(between_m, 3)      \
-    REALS(base_m, 6) REALS(to_base, 18) REALS(quat_to_base, 32) REALS(grip_m, n * 6) REALS(input, n * inputs)          \
+    INT(n) INT(poses) INT(inputs) INT(outputs) REAL(tcp_m) LINK(limits, GraspLimits) REALS(base_m, 6)                  \
+    REALS(to_base, 18) REALS(quat_to_base, 32) REALS(grip_m, n * 6) REALS(input, n * inputs)                           \
     REALS(output, n * outputs)
 
+STRUCTURE(GraspLimits, GRASP_LIMITS)
 STRUCTURE(Grasps, GRASPS)
 
 namespace grasps {
@@ -23,6 +26,14 @@ inline Rotation from_quat(const double* q) {
     return {{ww + xx - yy - zz, 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)},
             {2.0 * (x * y - w * z), ww - xx + yy - zz, 2.0 * (y * z + w * x)},
             {2.0 * (x * z + w * y), 2.0 * (y * z - w * x), ww - xx - yy + zz}};
+}
+
+// For a grip in the frame of a tool.
+inline bool is_between(const GraspLimits& s, Vector grip) {
+    return fabs(grip.x) < s.between_m[0] && fabs(grip.y) < s.between_m[1] && fabs(grip.z) < s.between_m[2];
+}
+inline bool holds(const GraspLimits& s, Vector grip, double width_m) {
+    return is_between(s, grip) && fabs(width_m - s.width_m) < s.width_margin_m;
 }
 
 inline void put(double* to, Vector v) { to[0] = v.x, to[1] = v.y, to[2] = v.z; }
@@ -37,7 +48,7 @@ inline void between(const double* a, const double* b, double* out) {
 
 inline void measure(const Grasps& s, int64_t row) {
     const double *quat = s.input + row * s.inputs, *flange_m = quat + 8, *width_m = quat + 14, *poses = quat + 16;
-    double *other = s.output + row * s.outputs, *grip = other + 14, *inside = other + 20, *holds = other + 22;
+    double *other = s.output + row * s.outputs, *grip = other + 14, *inside = other + 20, *held = other + 22;
     double *rotations = other + 24, *bases = other + 42;
     const Rotation object = from_quat(poses + 3), second = from_quat(poses + 10);
     const Rotation both[2] = {object, second};
@@ -59,10 +70,8 @@ inline void measure(const Grasps& s, int64_t row) {
         Vector tool = rotate_back(flange, wanted - here);
         tool.z -= s.tcp_m;
         put(grip + 3 * arm, tool);
-        const bool is_inside =
-            fabs(tool.x) < s.between_m[0] && fabs(tool.y) < s.between_m[1] && fabs(tool.z) < s.between_m[2];
-        inside[arm] = is_inside;
-        holds[arm] = is_inside && fabs(width_m[arm] - s.width_m) < s.width_margin_m;
+        inside[arm] = is_between(*s.limits, tool);
+        held[arm] = holds(*s.limits, tool, width_m[arm]);
         for (int64_t k = 0; k < s.poses; ++k) {
             const double *pose = poses + 7 * k, *turn = s.quat_to_base + 16 * arm;
             double* out = bases + 7 * (arm * s.poses + k);

@@ -27,6 +27,8 @@ _SCRIPTED: Final = {
     "SyncCarry": "sync_carry:SyncCarryPolicy",
     "Handover": "handover:HandoverPolicy",
 }
+_SCRIPTED_TCP: Final = {"Handover": "goal_follower:GoalFollower"}
+"""Classes by task, of actions of joints and of flanges."""
 
 _SHIPPED: Final = {
     "learned": {"SineTracking": "sine_tracking", "SyncCarry": "sync_carry", "Handover": "handover"},
@@ -140,12 +142,11 @@ def _scripted(env_id: str, keywords: dict[str, Any]) -> Policy:
 
     task = task_name(env_id_of(env_id))
     setup = EnvSetup.resolve(task, keywords, ignore_unknown=True)
-    module, attribute = _SCRIPTED[task].split(":")
+    mode = setup.options.action_mode
+    module, attribute = ((_SCRIPTED_TCP.get(task) if mode == "tcp_delta" else None) or _SCRIPTED[task]).split(":")
     factory = getattr(importlib.import_module(f"dual_ur10.policies.scripted.{module}"), attribute)
     mounts = setup.config.left, setup.config.right
-    policy: Policy = factory(
-        setup.timing, setup.options.action_mode, mounts=mounts, limits=setup.limits, settings=setup.settings
-    )
+    policy: Policy = factory(setup.timing, mode, mounts=mounts, limits=setup.limits, settings=setup.settings)
     return policy
 
 

@@ -72,9 +72,7 @@ class Grasps:
             inputs=self._input.shape[1],
             outputs=self._output.shape[1],
             tcp_m=TCP_M,
-            width_m=width_m,
-            width_margin_m=_WIDTH_MARGIN_M,
-            between_m=_BETWEEN_M,
+            limits=grasp_limits(width_m),
             base_m=frames.base_m,
             to_base=np.ascontiguousarray(frames.rotation),
             quat_to_base=frames.quat_products,
@@ -104,6 +102,11 @@ class Grasps:
             found[:, 42:].reshape(n, 2, -1),
             found,
         )
+
+
+def grasp_limits(width_m: float) -> Struct:
+    """Return the conditions of a grasp of an object with this width at its grips, for the kernel."""
+    return Struct("GraspLimits", width_m=width_m, width_margin_m=_WIDTH_MARGIN_M, between_m=_BETWEEN_M)
 
 
 def flanges_of(tools: Poses) -> Poses:

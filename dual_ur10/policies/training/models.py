@@ -10,6 +10,7 @@ import numpy as np
 
 from dual_ur10.errors import MissingExtraError, TrainingError
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
+from dual_ur10.policies.training.differences import Differences
 from dual_ur10.policies.training.regression import BLIND
 from dual_ur10.policies.training.settings import Reinforcement
 from dual_ur10.policies.training.state import Tensors
@@ -32,17 +33,19 @@ class _Moments(RunningMeanStd):
     Args:
         shape: Shape of an observation.
         unseen: Indices of the values that the network does not see.
+        scaled: False: they stay 0 and 1.
     """
 
-    def __init__(self, shape: tuple[int, ...], unseen: Sequence[int]) -> None:
+    def __init__(self, shape: tuple[int, ...], unseen: Sequence[int], scaled: bool) -> None:
         super().__init__(shape=shape)
-        self._unseen = list(unseen)
+        self._unseen, self._scaled = list(unseen), scaled
         self.var[self._unseen] = BLIND
 
     def update_from_moments(self, batch_mean: Any, batch_var: Any, batch_count: float) -> None:
         """Take the moments of further observations."""
-        super().update_from_moments(batch_mean, batch_var, batch_count)
-        self.var[self._unseen] = BLIND
+        if self._scaled:
+            super().update_from_moments(batch_mean, batch_var, batch_count)
+            self.var[self._unseen] = BLIND
 
 
 def make(
@@ -63,8 +66,11 @@ def make(
         share: Function that returns the ratio of the training's steps that are done.
         unseen: Indices of the values of an observation that the network does not see.
     """
-    around = VecNormalize(VecMonitor(env), gamma=settings.gamma, norm_reward=algorithm == "ppo")
-    moments: Any = _Moments(env.observation_space.shape or (), unseen)
+    monitored: VecEnv = VecMonitor(env)
+    if settings.differences:
+        monitored = Differences(monitored, settings.gamma)
+    around = VecNormalize(monitored, gamma=settings.gamma, norm_reward=algorithm == "ppo")
+    moments: Any = _Moments(env.observation_space.shape or (), unseen, settings.scaled)
     around.obs_rms = moments
     hidden = list(settings.hidden)
     if algorithm == "ppo":

@@ -31,6 +31,7 @@ LATENCY_TICKS: Final = 5
 CHECK_SEED: Final = 10_000_000
 """First seed of the episodes that check a training's progress. Published figures begin at 0."""
 
+_ENVS, _CHECKS = 64, 32
 _FIRST_SEED, _SEEDS_EACH, _MOST_SEED = 1_000_000_000, 1_000_000, 2_000_000
 
 Count = Annotated[int, Field(ge=1, le=10**9)]
@@ -69,6 +70,11 @@ class Reinforcement(StrictJson):
         gradient_steps: SAC: gradient steps after each step of all cells.
         unseen: As `Imitation.unseen`. With fewer values a policy is found in fewer steps.
         reward: Reward of each arm's row, unless one network acts for both ("joint"): that of both arms, or its own.
+        differences: Learn from the change of the reward at each step instead of the reward; see
+            `dual_ur10.policies.training.differences.Differences`. The best policy is the same, and what a single action
+            has changed is not hidden under what earlier ones have earned.
+        scaled: Scale what the network observes by its running mean and deviation. Fields that are made for learners are
+            better left alone: a deviation of early training is small where the arms have hardly been.
     """
 
     hidden: Units = (256, 256)
@@ -90,6 +96,8 @@ class Reinforcement(StrictJson):
     gradient_steps: Count = 8
     unseen: tuple[str, ...] = ()
     reward: RewardKind = "shared"
+    differences: bool = False
+    scaled: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,7 +140,7 @@ class TaskSettings:
     """Settings of one task.
 
     Attributes:
-        envs: Number of cells that are stepped together.
+        envs: Number of cells that bc and dagger step together; PPO and SAC: 64.
         steps: Total number of environment steps, by algorithm.
         randomization: Variation from episode to episode.
         keywords: Further keywords of the environment.
@@ -142,10 +150,10 @@ class TaskSettings:
         ppo: Settings of PPO from nothing. With a checkpoint to begin with, the general ones count.
         sac: Settings of SAC.
         imitation: Settings of bc and dagger.
-        checks: Number of episodes of each progress check.
+        checks: Number of episodes of each progress check of bc and dagger; PPO and SAC: 32.
     """
 
-    envs: int = 64
+    envs: int = _ENVS
     steps: dict[str, int] = dataclasses.field(default_factory=dict)
     randomization: str = "mild"
     keywords: dict[str, Any] = dataclasses.field(default_factory=dict)
@@ -156,7 +164,7 @@ class TaskSettings:
     ppo: Reinforcement = Reinforcement()
     sac: Reinforcement = Reinforcement()
     imitation: Imitation = Imitation()
-    checks: int = 32
+    checks: int = _CHECKS
 
 
 _MOTION_FIELDS: Final = (
@@ -186,6 +194,19 @@ _CARRY_UNSEEN: Final = (
     "bar_base_quat",
     "reference_base_m",
     "reference_base_quat",
+)
+
+_HANDOVER_UNSEEN: Final = (
+    *_MOTION_FIELDS,
+    "commanded_q_rad",
+    "gripper_m",
+    "other_gripper_m",
+    "block_base_m",
+    "block_base_quat",
+    "target_base_m",
+    "target_base_quat",
+    "role",
+    "progress",
 )
 
 SETTINGS: Final[dict[str, TaskSettings]] = {
@@ -228,7 +249,25 @@ SETTINGS: Final[dict[str, TaskSettings]] = {
     "Handover": TaskSettings(
         envs=192,
         randomization="wide",
-        steps={"ppo": 3_000_000, "sac": 300_000, "bc": 115_200, "dagger": 460_800},
+        steps={"ppo": 1_000_000, "sac": 300_000, "bc": 115_200, "dagger": 460_800},
+        from_nothing={"action_mode": "tcp_delta", "randomization": "none", "action_latency_ticks": 0},
+        agents="shared",
+        # It sees the step to its goal, and the fingers.
+        ppo=Reinforcement(
+            hidden=(128, 128),
+            learning_rate=5e-4,
+            gamma=0.95,
+            episode_steps=400,
+            steps_per_update=32,
+            gae_lambda=0.9,
+            first_std=0.15,
+            last_std=0.03,
+            target_kl=0.02,
+            unseen=_HANDOVER_UNSEEN,
+            reward="individual",
+            differences=True,
+            scaled=False,
+        ),
         # It sees the commanded positions, the fingers, the block, its goal and the role.
         imitation=Imitation(unseen=(*_MOTION_FIELDS, "progress")),
         # Rounds differ by a few percent, which 32 episodes do not tell.
@@ -397,11 +436,11 @@ def defaults(
         env_id=env_id,
         algorithm=algorithm,
         agents=agents,
-        envs=own.envs if envs is None else envs,
+        envs=envs if envs is not None else own.envs if algorithm in IMITATION else _ENVS,
         steps=own.steps[algorithm] if steps is None else steps,
         seed=seed,
         keywords=given,
-        checks=own.checks,
+        checks=own.checks if algorithm in IMITATION else _CHECKS,
         settings=dataclasses.replace(settings, **(changes or {})),
         dataset=dataset,
         init=os.path.abspath(init) if init else "",  # a resumed training may run elsewhere

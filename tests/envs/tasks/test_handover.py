@@ -28,13 +28,13 @@ def put(core, position_m, quat=(1.0, 0.0, 0.0, 0.0)):
     core.cell._physics._handling._object[0] = [*position_m, *quat]
 
 
-def gripper(between=False, holds=False, opening=0.085, away=0.5):
-    return between, holds, opening, away
+def gripper(between=False, holds=False, opening=0.085, near=0.5, closes=False):
+    return between, holds, opening, near, closes
 
 
-def facts(giving=None, receiving=None, height=0.02, meeting=0.5, target=1.0, turn=0.3, placed=False):
+def facts(giving=None, receiving=None, height=0.02, meeting=0.5, placed=False):
     both = [value for each in zip(giving or gripper(), receiving or gripper(), strict=True) for value in each]
-    return [*both, height, meeting, target, turn, placed]
+    return [*both, height, meeting, placed]
 
 
 def at(scene, passed=0):
@@ -53,7 +53,7 @@ def terms(scene, passed):
     return stages.terms[0]
 
 
-HOLDS = gripper(True, True, WIDTH_M, 0.01)
+HOLDS = gripper(True, True, WIDTH_M, 0.99, closes=True)
 # What passes each stage, and no later one but those that it must.
 SCENES = [
     facts(gripper(True)),
@@ -62,7 +62,7 @@ SCENES = [
     facts(HOLDS, height=0.3, meeting=0.05),
     facts(HOLDS, HOLDS, height=0.3, meeting=0.05),
     facts(gripper(), HOLDS, height=0.3, meeting=0.05),
-    facts(target=0.001, turn=0.0, placed=True),
+    facts(placed=True),
 ]
 
 
@@ -101,7 +101,7 @@ def test_stages_that_hold_at_once_are_passed_at_once_and_never_lost():
         (facts(HOLDS, height=0.3, meeting=0.2), 3),  # not where it is handed over
         (facts(HOLDS, gripper(True), height=0.3), 4),  # the receiver has not closed
         (facts(gripper(), HOLDS, height=0.05), 5),  # dropped to the table
-        (facts(target=0.001, turn=0.0), 6),  # somebody still holds it, or it moves
+        (facts(), 6),  # somebody still holds it, or it moves
     ],
 )
 def test_near_misses_do_not_pass_a_stage(scene, stage):
@@ -109,14 +109,22 @@ def test_near_misses_do_not_pass_a_stage(scene, stage):
 
 
 def test_terms_rise_within_a_stage_and_are_one_after_it():
+    away, lifted = HOLDS[:3] + (0.5, True), {"height": 0.3, "meeting": 0.05}
     nearer = [
-        (0, facts(gripper(away=0.2)), facts(gripper(away=0.05))),
-        (1, facts(gripper(True, opening=0.08)), facts(gripper(True, opening=0.05))),
+        (0, facts(gripper(near=0.3)), facts(gripper(near=0.6))),
+        (0, facts(gripper(opening=0.05)), facts(gripper())),
+        (1, facts(gripper(True, near=0.8)), facts(gripper(True, near=0.9))),
+        (1, facts(gripper(True, opening=0.08, closes=True)), facts(gripper(True, opening=0.05, closes=True))),
         (2, facts(HOLDS, height=0.02), facts(HOLDS, height=0.06)),
-        (3, facts(HOLDS, meeting=0.5), facts(HOLDS, meeting=0.2)),
-        (4, facts(HOLDS, gripper(away=0.2)), facts(HOLDS, gripper(away=0.02))),
+        (3, facts(HOLDS), facts(away, **lifted)),
+        (3, facts(away, **lifted), facts(HOLDS, **lifted)),
+        (4, facts(HOLDS, gripper(near=0.2), **lifted), facts(HOLDS, gripper(near=0.9), **lifted)),
+        (4, facts(away, gripper(), **lifted), facts(HOLDS, gripper(), **lifted)),
         (5, facts(gripper(opening=0.045), HOLDS), facts(gripper(opening=0.07), HOLDS)),
-        (6, facts(receiving=HOLDS, target=0.5), facts(receiving=HOLDS, target=0.1)),
+        (6, facts(gripper(near=0.5), HOLDS), facts(gripper(near=0.9), HOLDS)),
+        (6, facts(gripper(True), HOLDS), facts(gripper(), away)),
+        (6, facts(receiving=away), facts(receiving=HOLDS)),
+        (6, facts(receiving=HOLDS), facts(placed=True)),
     ]
     for k, far, near in nearer:
         low, high = (terms(each, k).mean(axis=0) for each in (far, near))
@@ -127,13 +135,18 @@ def test_terms_rise_within_a_stage_and_are_one_after_it():
 
 
 def test_each_arm_earns_its_own_terms():
-    expected = [2, 2, 2, 1, 1, 2, 0]
+    expected = [2, 2, 2, 1, 1, 2, 0.6]
     done = terms(facts(), 7)
     assert done[0].tolist() == expected
     assert done[1].tolist() == [2 - value for value in expected]
-    approach = [terms(facts(HOLDS, gripper(away=away)), 2)[:, 3] for away in (0.6, 0.2)]
+    approach = [terms(facts(HOLDS, gripper(near=near)), 4)[:, 4] for near in (0.2, 0.9)]
     assert approach[0][1] < approach[1][1]
     assert approach[0][0] == approach[1][0]
+
+
+def test_fingers_that_close_before_they_are_there_earn_less():
+    early, right = (facts(gripper(True, opening=0.05, closes=closes)) for closes in (False, True))
+    assert terms(early, 1)[0, 1] < terms(facts(gripper(True)), 1)[0, 1] < terms(right, 1)[0, 1]
 
 
 def test_a_block_that_only_lies_on_its_target_is_no_success():

@@ -25,11 +25,8 @@ MEETING_RANGE_M: Final = 0.12
 STILL_M_S: Final = 0.02
 """Speed below which the block counts as still."""
 
-# Distance at which a term is 0.1: giver's and receiver's tool to its grip, receiver's in its approach, block to the
-# meeting, block to the target, angle of the block.
-_MARGINS: Final = np.array([0.15, 0.15, 0.5, 0.5, 0.3, 0.5])
-
-TURN, PLACED = 11, 12  # columns of `Stages.facts`
+PLACED: Final = 12
+"""Column of `Stages.facts`."""
 
 
 class Stages:
@@ -41,9 +38,9 @@ class Stages:
     Attributes:
         facts: (n, 13) quantities on which the stages depend, written by the caller. Of the giver and the receiver, two
             each: 1 if the gripper's grip of the block is between its fingers; 1 if it holds the block; its width;
-            distance of the tool from its grip. Then the height of the block's middle above the table; its distances
-            from the meeting place and the target; `TURN`, angle between its long axis and that of the target; `PLACED`,
-            1 if it lies still on its target, and no gripper holds it.
+            nearness of the tool to its goal, 1 there; 1 if the goal of the gripper is to be
+            closed. Then the height of the block's middle above the table; its
+            distance from the meeting place; `PLACED`, 1 if it lies still on its target, and no gripper holds it.
         conditions: (n, 7) 1 for stage conditions that hold, regardless of order.
         passed: (n,) number of stages passed in their order.
         terms: (n, 2, 7) reward terms of giver and receiver, 0 to 1 in their mean: 1 for a passed stage, less for
@@ -62,7 +59,6 @@ class Stages:
             meeting_m=MEETING_RANGE_M,
             width_m=WIDTH_M,
             opening_m=OPENING_M,
-            margins=_MARGINS,
             facts=self.facts,
             conditions=self.conditions,
             stage=self.passed,

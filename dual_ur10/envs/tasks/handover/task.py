@@ -11,8 +11,9 @@ import numpy as np
 from dual_ur10.assets.gripper import OPENING_M, TCP_M
 from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.settings import Equipment, home_q_rad
-from dual_ur10.envs.tasks.handover.settings import GRIPS, MEETING_M, HandoverSettings, check_reach, lying
-from dual_ur10.envs.tasks.handover.stages import PLACED, STAGES, STILL_M_S, TURN, WIDTH_M, Stages
+from dual_ur10.envs.tasks.handover.goals import GOAL_FIELDS, agent_observations, goals
+from dual_ur10.envs.tasks.handover.settings import GRIPS, HandoverSettings, check_reach, lying
+from dual_ur10.envs.tasks.handover.stages import PLACED, STAGES, STILL_M_S, WIDTH_M, Stages
 from dual_ur10.envs.tasks.holding import PICKING, Grasped, Grasps, required
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
@@ -112,6 +113,9 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     | 54 | role: 1 gives, -1 receives | -1.01 | 1.01 | - | sign |
     | 55 | elapsed fraction of the episode's time | -1.01 | 1.01 | - | ratio |
 
+    An agent of the two-agent environment observes its arm's 56 numbers, and behind them 23 of the goal of its tool, which
+    follow from the joint observation: `dual_ur10.envs.tasks.handover.goals.GOAL_FIELDS`.
+
     ## Rewards
 
     The reward is the weighted sum of one term for each stage, between 0 and 1, and one for the end; each raw term is in
@@ -119,21 +123,27 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     between. Stages with a longer motion count double. An agent earns the terms of its own actions twice, so that the
     mean of both agents is the term; both earn the terms of joint actions.
 
-    - *reach* (0.1): giver. Passed when its grip of the block is between its fingers; until then
-      0.1^((distance from tool to grip / 0.15 m)²).
-    - *grasp* (0.1): giver. Passed when it holds the block: fingers at the block's width, around the grip; until then the
-      closed fraction of the gripper.
+    Progress is mostly the nearness of a tool to its goal in the present phase (`dual_ur10.envs.tasks.handover.goals`):
+    for the distance d, in m, and the chord of the angle c = 2 sin(angle / 2), the mean of 1 - d, 1 - c / 2,
+    0.03 / (0.03 + d), 0.3 / (0.3 + d), 0.2 / (0.2 + c) and 1 / (1 + c), of which the last four count half. It is 1 at
+    the goal, and has a slope at every distance. While the goal of a gripper is to be open, it counts 0.8 to 1 times with the
+    opening.
+
+    - *reach* (0.1): giver. Passed when its grip of the block is between its fingers; until then its nearness.
+    - *grasp* (0.1): giver. Passed when it holds the block: fingers at the block's width, around the grip; until then half
+      its nearness, and half the closed fraction of the gripper once that is its goal.
     - *lift* (0.1): giver. Passed when it holds the block with its middle more than 8 cm above the table; until then
       the fraction of that height.
-    - *present* (0.2): both. Passed when the lifted block is at the transfer; until then, while it is held, 0.1^((distance /
-      0.5 m)²) of the block from there for the giver, of the tool from its grip for the receiver.
-    - *mutual_grasp* (0.2): both. Passed when both hold the lifted block; until then half for the receiver's tool at its
-      grip, half for closing its gripper.
+    - *present* (0.15): both. Passed when the lifted block is at the transfer; until then the nearness of both: the
+      giver's while it holds the lifted block, the receiver's from the first step on.
+    - *mutual_grasp* (0.15): both. Passed when both hold the lifted block; until then, while it is presented, the giver's
+      nearness, and for the receiver 0.6 times its nearness, and 0.4 times the closed fraction of its gripper once that
+      is its goal.
     - *release* (0.1): giver. Passed when the receiver alone holds the lifted block; until then the opened fraction of
       the giver's gripper while the receiver holds the block.
-    - *place* (0.2): receiver. Passed when the block lies still on its target, within `success_error_m` and
-      `success_turn_rad`, and no gripper holds it; until then its proximity to the target, held by the receiver or let
-      go.
+    - *place* (0.3): 0.6 of the giver, 1.4 of the receiver. Passed when the block lies still on its target, within
+      `success_error_m` and `success_turn_rad`, and no gripper holds it; until then 0.6 times the giver's nearness, and,
+      once the giver has left the block, 1.2 times the receiver's, while it holds the block or has placed it.
     - *finish* (1.0): both. At a step that ends an episode with success, the number of its remaining steps; otherwise 0.
       It replaces the reward of the remaining steps, so that hovering near the target earns no more than success.
 
@@ -204,10 +214,10 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         "reach": 0.1,
         "grasp": 0.1,
         "lift": 0.1,
-        "present": 0.2,
-        "mutual_grasp": 0.2,
+        "present": 0.15,
+        "mutual_grasp": 0.15,
         "release": 0.1,
-        "place": 0.2,
+        "place": 0.3,
         "finish": 1.0,
     }
     stages: ClassVar[tuple[str, ...]] = STAGES
@@ -244,7 +254,9 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         self._settled = np.zeros(n, dtype=np.int64)
         self._before_m: Array = np.zeros((n, 3))  # position of the block in the last step
         self._slip_m: Array = np.zeros((n, 2))
-        self._input, self._output = np.zeros((n, 58)), np.zeros((n, 4))
+        self._input, self._output = np.zeros((n, 72)), np.zeros((n, 4))
+        constants = goals(mounts)
+        self._agents = agent_observations(self.layout, self.agent_layout_for(settings), constants, mounts)
         struct = Struct(
             "Handover",
             n=n,
@@ -252,8 +264,8 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
             success_error_m=settings.success_error_m,
             far_m=np.array([reach_from_joint_m(mount.robot)[1] + _BEYOND_M for mount in mounts]),
             fallen_m=_FALLEN_M,
-            meeting_m=MEETING_M,
             shoulders_m=np.array([np.add(mount.position_m, (0.0, 0.0, mount.model.d_m[0])) for mount in mounts]),
+            goals=constants,
             giver=self._giver,
             input=self._input,
             before_m=self._before_m,
@@ -318,15 +330,25 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
             }
         )
 
+    @classmethod
+    def agent_layout_for(cls, settings: HandoverSettings) -> ObservationLayout:
+        """Return the fields of an arm, and those of its goal."""
+        return cls.layout.extended(*GOAL_FIELDS)
+
+    def observe_agents(self, observation: Array) -> Array:
+        """Return each agent's own observation, (n, 2, 79), from those of both, (n, 112)."""
+        return self._agents(observation)
+
     def evaluate(self, state: CellState, measured: HandoverMeasured) -> Outcome:
         """Evaluate stages, reward terms, success and end."""
-        parts = (measured.poses, measured.grasped.values[:, :42], required(state.gripper_m))
+        flanges = state.flange_m.reshape(self.n, 6), required(state.flange_quat).reshape(self.n, 8)
+        parts = (measured.poses, measured.grasped.values[:, :42], required(state.gripper_m), *flanges)
         np.concatenate(parts, axis=1, out=self._input)
         self._evaluate()
         found, stages = self._output.copy(), self._stages
         target_rad = np.arctan2(found[:, 1], found[:, 2])
         now_placed = (stages.facts[:, PLACED] > 0.0) & (target_rad < self.settings.success_turn_rad)
-        stages.facts[:, TURN], stages.facts[:, PLACED] = target_rad, now_placed
+        stages.facts[:, PLACED] = now_placed
         stages.check()
         stages.advance()
         self._count += 1

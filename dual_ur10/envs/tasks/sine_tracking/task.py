@@ -9,6 +9,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from dual_ur10.assets.settings import home_q_rad
+from dual_ur10.envs.tasks.agent_observations import AgentObservations
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     Field,
@@ -202,8 +203,14 @@ class SineTracking(Task[SineSettings, SineMeasured]):
         self._check(settings)
         frames = Frames(mounts)
         self._base_m, self._to_base = frames.base_m, frames.rotation
-        self._others: Array = frames.others_pose
-        self._agents: dict[int, tuple[Array, Array, RowLoop]] = {}  # buffers and function, by the number of rows
+        self._agents = AgentObservations(
+            "SineAgents",
+            "sine_agents",
+            self.layout.size,
+            self.layout.size + 7,
+            pose=self.layout.indices(["flange_base_m"])[0],
+            others=frames.others_pose,
+        )
         # Quaternion from flange to reference = this matrix times the flange's quaternion.
         unit = np.eye(4)
         columns = [quat_multiply(TOOL_DOWN_QUAT, quat_conjugate(unit[k])) for k in range(4)]
@@ -313,20 +320,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
 
     def observe_agents(self, observation: Array) -> Array:
         """Return each agent's own observation, (n, 2, 47), from those of both, (n, 80)."""
-        both, own, split = self._agents.get(len(observation)) or self._begin_agents(len(observation))
-        both[...] = observation
-        split()
-        return own.copy()
-
-    def _begin_agents(self, n: int) -> tuple[Array, Array, RowLoop]:
-        size, own_size = self.layout.size, self.layout.size + 7
-        both, own = np.zeros((n, 2 * size)), np.zeros((n, 2, own_size))
-        pose = self.layout.indices(["flange_base_m"])[0]
-        struct = Struct(
-            "SineAgents", n=n, size=size, own_size=own_size, pose=pose, others=self._others, both=both, own=own
-        )
-        self._agents[n] = both, own, RowLoop("sine_agents", struct, n, 1)
-        return self._agents[n]
+        return self._agents(observation)
 
     def evaluate(self, state: CellState, measured: SineMeasured) -> Outcome:
         """Evaluate reward terms, success and end."""

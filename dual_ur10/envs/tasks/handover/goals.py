@@ -1,0 +1,162 @@
+"""Goals of both tools in each phase of a handover: where the reward leads them, and what agents observe of it.
+
+The phases follow from the present alone: who holds the block, and where it is.
+
+| phase | condition | goal of the giver's tool | goal of the receiver's tool |
+|-------|-----------|--------------------------|-----------------------------|
+| pick | no gripper holds the block | its grip | home |
+| lift | the giver holds it, not lifted | up | home |
+| present | the giver holds it, lifted | its grip at the transfer | home |
+| take | it is at the transfer | the same | its grip |
+| release | both hold it | none | none |
+| place | the receiver holds it | back from the transfer | its grip on the target |
+| leave | it lies on the target | the same | back from there |
+
+A tool that goes to a grip goes to a point behind it first, along its own z: up to `BACK_M`, in proportion to how far it
+is beside the line, how far it is turned, and for the receiver how far the block is from the transfer. So the fingers
+pass the block on both sides, and a straight step to the goal never pushes the block.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from dual_ur10.assets.gripper import OPENING_M, TCP_M
+from dual_ur10.assets.settings import home_q_rad
+from dual_ur10.envs.tasks.agent_observations import AgentObservations
+from dual_ur10.envs.tasks.handover.settings import (
+    APPROACH_M,
+    GRIPS,
+    MEETING_M,
+    presented_quat,
+)
+from dual_ur10.envs.tasks.handover.stages import LIFTED_M, MEETING_RANGE_M, WIDTH_M
+from dual_ur10.envs.tasks.holding import TCP_LEVER, grasp_limits
+from dual_ur10.envs.tasks.observation_layout import Field, ObservationLayout
+from dual_ur10.kernel import Struct
+from dual_ur10.kinematics import flange_pose_quat
+from dual_ur10.kinematics.forward import links
+from dual_ur10.kinematics.frames import ArmMount, Frames
+from dual_ur10.kinematics.rotations import quat_to_matrix, rotate
+from dual_ur10.types import Array
+
+BACK_M: Final = APPROACH_M
+"""Largest distance of a goal behind a grip."""
+
+CARRIED_M: Final = LIFTED_M + 0.05
+"""Height of the block's middle to which it is lifted, before it is turned to be presented."""
+
+_LAID_M: Final = 0.1  # from the target: a block that nobody holds there is not picked up again
+_THERE_M: Final = 0.01  # of the goal: there fingers close or open
+_THERE: Final = 0.08  # the same of its rotation
+_KEEP: Final = 3.0  # times these: fingers that have begun to close go on
+_OPEN_M: Final = 0.06  # width at which fingers are off the block
+_HIGHER_M: Final = 0.007  # of the giver's grip, because a learner's fingers need more room above the table
+_ASIDE: Final = 1.5  # m behind the grip for each m beside the line
+_LEVER_M: Final = 0.1  # m behind the grip for each unit of rotation
+_SLACK_M: Final = 0.01  # of which nothing remains behind a grip
+# Distances and rotations at which a third of the steeper half of a nearness has fallen to its half.
+_SCALES_M: Final = np.array([0.03, 0.3])
+_SCALES: Final = np.array([0.2, 1.0])
+# At which saturated steps are a half.
+_NEAR_M: Final = 0.03
+_NEAR: Final = 0.1
+
+GOAL_FIELDS: Final = (
+    Field("goal_step_m", 3, -20.0, 20.0, "position (m)", "step from the commanded tool to its goal, in the cell frame"),
+    Field("goal_turn", 3, -2.01, 2.01, "2 sin(angle / 2)", "the same of its rotation, along the axis"),
+    Field("goal_step_near", 3, -1.0, 1.0, "ratio", f"x / ({_NEAR_M:g} m + |x|) of each step"),
+    Field("goal_turn_near", 3, -1.0, 1.0, "ratio", f"x / ({_NEAR:g} + |x|) of each rotation"),
+    Field("lag_near", 3, -1.0, 1.0, "ratio", "the same of the steps from the tool to the commanded tool"),
+    Field("lag_turn_near", 3, -1.0, 1.0, "ratio", "the same of its rotation"),
+    Field("between", 1, 0.0, 1.0, "0 or 1", "its grip of the block is between its fingers"),
+    Field("opening", 1, -1.2, 1.2, "ratio", "opening of the gripper, of the largest"),
+    Field("goal_opening", 1, 0.0, 1.0, "0 or 1", "goal of the gripper: 0 closed, 1 open"),
+    Field("nearness", 2, 0.0, 1.0, "ratio", "nearness of tool and goal in position and rotation"),
+)
+"""Fields that agents observe beside those of their arms."""
+
+
+def goals(mounts: tuple[ArmMount, ArmMount]) -> Struct:
+    """Return the goals' constants, for the kernel."""
+    grips, presented, home = np.zeros((2, 2, 12)), np.zeros((2, 12)), np.zeros((2, 12))
+    for giver in (0, 1):
+        position = GRIPS[giver].position_m.copy()
+        position[giver, 2] += _HIGHER_M
+        for arm in (0, 1):
+            grips[giver, arm] = _row(position[arm], GRIPS[giver].quat[arm])
+        presented[giver] = _row(MEETING_M, presented_quat(giver))
+    frames = Frames(mounts)
+    found = [flange_pose_quat(q, mount.dh) for q, mount in zip(home_q_rad(mounts), mounts, strict=True)]
+    quat = frames.quat_to_cell(np.stack([each[1] for each in found]))
+    flange_m = frames.position_to_cell(np.stack([each[0] for each in found]))
+    for arm in (0, 1):
+        home[arm] = _row(flange_m[arm] + rotate(quat[arm], TCP_LEVER), quat[arm])
+    return Struct(
+        "HandoverGoals",
+        tcp_m=TCP_M,
+        laid_m=_LAID_M,
+        open_m=_OPEN_M,
+        lifted_m=LIFTED_M,
+        carried_m=CARRIED_M,
+        meeting_m=MEETING_RANGE_M,
+        back_m=BACK_M,
+        lever_m=_LEVER_M,
+        aside=_ASIDE,
+        slack_m=_SLACK_M,
+        there_m=_THERE_M,
+        there=_THERE,
+        keep=_KEEP,
+        scales_m=_SCALES_M,
+        scales=_SCALES,
+        grip_m=np.stack([each.position_m for each in GRIPS]),
+        grips=grips,
+        presented=presented,
+        home=home,
+    )
+
+
+def agent_observations(
+    layout: ObservationLayout, own: ObservationLayout, constants: Struct, mounts: tuple[ArmMount, ArmMount]
+) -> AgentObservations:
+    """Return the function that adds `GOAL_FIELDS` to what each arm observes.
+
+    Args:
+        layout: Fields of an arm in a joint observation.
+        own: Fields of an agent's observation.
+        constants: Those of `goals`.
+        mounts: Mounts of both arms.
+    """
+    frames = Frames(mounts)
+    begins = {
+        name: layout.indices([field])[0]
+        for name, field in (
+            ("commanded", "commanded_q_rad"),
+            ("flange", "flange_base_m"),
+            ("gripper", "gripper_m"),
+            ("block", "block_base_m"),
+            ("target", "target_base_m"),
+            ("role", "role"),
+        )
+    }
+    return AgentObservations(
+        "HandoverAgents",
+        "handover_agents",
+        layout.size,
+        own.size,
+        opening_m=OPENING_M,
+        near_m=_NEAR_M,
+        near=_NEAR,
+        links=np.stack([links(mount.dh) for mount in mounts]),
+        base_m=frames.base_m,
+        to_base=np.ascontiguousarray(frames.rotation),
+        grips=grasp_limits(WIDTH_M),
+        goals=constants,
+        **begins,
+    )
+
+
+def _row(position_m: Array, quat: Array) -> Array:
+    return np.concatenate([position_m, quat_to_matrix(quat).reshape(9)])

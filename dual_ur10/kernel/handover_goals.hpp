@@ -1,0 +1,128 @@
+// Goals of both tools in each phase of a handover; see `dual_ur10.envs.tasks.handover.goals`.
+#pragma once
+
+#include "forward.hpp"
+#include "grasps.hpp"
+
+// Positions of both grips in the block's frame, by the index of the giver. Poses are three numbers of position and nine
+// of rotation, in rows: grips as goals of both tools in the block's frame, by the same index; the presented block, by that index; and the tools at home.
+#define HANDOVER_GOALS(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                         \
+    REAL(tcp_m) REAL(laid_m) REAL(open_m) REAL(lifted_m) REAL(carried_m) REAL(meeting_m) REAL(back_m) REAL(lever_m)        \
+    REAL(aside) REAL(slack_m) REAL(there_m) REAL(there) REAL(keep) REALS(scales_m, 2) REALS(scales, 2) REALS(grip_m, 12) REALS(grips, 48) REALS(presented, 24)                \
+    REALS(home, 24)
+
+STRUCTURE(HandoverGoals, HANDOVER_GOALS)
+
+namespace goals {
+
+struct Pose {
+    Vector at;
+    Rotation turn;
+};
+
+inline Pose pose(const double* from) { return {vector(from), rotation(from + 3)}; }
+inline Pose pose(const double* at, const double* quat) { return {vector(at), grasps::from_quat(quat)}; }
+inline Pose operator*(const Pose& a, const Pose& b) { return {a.at + rotate(a.turn, b.at), a.turn * b.turn}; }
+inline Pose tool_of(const HandoverGoals& s, const Pose& flange) {
+    return {flange.at + s.tcp_m * flange.turn.z, flange.turn};
+}
+inline double length(Vector a) { return sqrt(squared(a)); }
+
+// Phases, in the order in which a handover passes them. They depend on the present alone.
+enum Phase { PICK, LIFT, PRESENT, TAKE, RELEASE, PLACE, LEAVE };
+
+// Step of a tool to its goal: translation, and twice the vector part of the rotation's quaternion; `left_m` is the length
+// of the way to the end of the phase.
+struct Step {
+    Vector move, turn;
+    double left_m;
+};
+
+inline Step to(const Pose& tool, const Pose& goal) {
+    const Rotation &a = tool.turn, &b = goal.turn;
+    const Vector axis = cross(a.x, b.x) + cross(a.y, b.y) + cross(a.z, b.z);
+    const double trace = dot(a.x, b.x) + dot(a.y, b.y) + dot(a.z, b.z);
+    const Vector move = goal.at - tool.at;
+    return {move, (1.0 / sqrt(larger(1.0 + trace, 1e-12))) * axis, length(move)};
+}
+
+// As `to`, but to a point behind the goal along its own z, the farther the worse the tool is aligned with it, so that
+// fingers pass an object on both sides. `off_m` is an error of what it goes to.
+inline Step along(const HandoverGoals& s, const Pose& tool, const Pose& goal, double off_m) {
+    Step found = to(tool, goal);
+    const Vector axis = goal.turn.z;
+    const Vector beside = found.move - dot(found.move, axis) * axis;
+    const double error_m = s.aside * length(beside) + s.lever_m * length(found.turn) + off_m - s.slack_m;
+    const double back_m = clamp(error_m, 0.0, s.back_m);
+    found.move = found.move - back_m * axis;
+    found.left_m = length(found.move) + back_m;
+    return found;
+}
+
+// What the goals of a cell depend on, in the cell frame.
+struct Scene {
+    int64_t giver;
+    Pose block, target;  // the target lies as the block begins: upside down from how it is placed
+    const double *between, *holds, *width_m;  // of both arms
+};
+
+// A gripper that has begun to open still encloses the block, until it has left it: only then may the block move.
+inline Phase phase(const HandoverGoals& s, const Scene& scene) {
+    const int64_t giver = scene.giver, receiver = 1 - giver;
+    if (scene.holds[receiver] > 0.0) return scene.between[giver] > 0.0 ? RELEASE : PLACE;
+    if (!(scene.holds[giver] > 0.0)) return length(scene.block.at - scene.target.at) < s.laid_m ? LEAVE : PICK;
+    if (scene.block.at.z <= s.lifted_m) return LIFT;
+    return length(scene.block.at - vector(s.presented + 12 * giver)) < s.meeting_m ? TAKE : PRESENT;
+}
+
+inline Step step(const HandoverGoals& s, const Scene& scene, Phase phase, int64_t arm, const Pose& tool) {
+    constexpr Rotation same = {{1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}, {0.0, 0.0, 1.0}};
+    constexpr Step none = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, 0.0};
+    const Pose grip = pose(s.grips + 24 * scene.giver + 12 * arm), shown = pose(s.presented + 12 * scene.giver);
+    const bool gives = arm == scene.giver, encloses = scene.between[arm] > 0.0 && scene.width_m[arm] < s.open_m;
+    if (!gives && (phase == RELEASE || (phase == LEAVE && encloses))) return none;
+    if (gives) {
+        if (phase == PICK) return along(s, tool, scene.block * grip, 0.0);
+        if (phase == LIFT) {
+            const double up = s.carried_m - scene.block.at.z;
+            return {{0.0, 0.0, up}, none.turn, up};
+        }
+        if (phase == PRESENT || phase == TAKE) return to(tool, shown * grip);
+        const Step back = to(tool, shown * grip * Pose{{0.0, 0.0, -s.back_m}, same});
+        return phase == RELEASE && encloses ? Step{none.move, none.turn, back.left_m} : back;
+    }
+    if (phase < TAKE) return to(tool, pose(s.home + 12 * arm));
+    if (phase == TAKE) {
+        const Step there = to(scene.block, shown);
+        const double off_m = there.left_m + s.lever_m * length(there.turn);
+        return along(s, tool, (off_m < 2.0 * s.slack_m ? scene.block : shown) * grip, off_m);
+    }
+    const Pose laid = scene.target * Pose{{0.0, 0.0, 0.0}, {{1.0, 0.0, 0.0}, {0.0, -1.0, 0.0}, {0.0, 0.0, -1.0}}};
+    return along(s, tool, laid * grip, phase == LEAVE ? s.back_m + s.slack_m : 0.0);
+}
+
+inline bool is_there(const HandoverGoals& s, const Step& step, double tolerance) {
+    return step.left_m < tolerance * s.there_m && length(step.turn) < tolerance * s.there;
+}
+
+// Whether the goal of a gripper is to be closed. Fingers that have begun to close go on at a larger error.
+inline bool closes(const HandoverGoals& s, const Scene& scene, Phase phase, int64_t arm, const Step& step) {
+    const bool gives = arm == scene.giver;
+    if (phase == (gives ? PICK : TAKE))
+        return scene.between[arm] > 0.0 && is_there(s, step, scene.width_m[arm] < s.open_m ? s.keep : 1.0);
+    if (gives) return phase < RELEASE;
+    return phase == RELEASE || (phase == PLACE && !is_there(s, step, 1.0));
+}
+
+// 1 at the goal; it falls at every distance.
+inline double nearness(const HandoverGoals& s, const Step& step) {
+    const double turn = length(step.turn);
+    double move = 1.0 - smaller(step.left_m, 1.0), rotation = 1.0 - 0.5 * turn;
+    for (int k = 0; k < 2; ++k) {
+        move += 0.5 * s.scales_m[k] / (s.scales_m[k] + step.left_m);
+        rotation += 0.5 * s.scales[k] / (s.scales[k] + turn);
+    }
+    return 0.25 * (move + rotation);
+}
+
+}  // namespace goals

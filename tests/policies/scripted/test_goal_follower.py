@@ -1,0 +1,50 @@
+"""The policy that follows the goals of Handover: no stage is known to it, and the goals lead through all of them."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from dual_ur10 import policies
+from dual_ur10.envs.core.core import Core
+from dual_ur10.errors import ActionError
+from dual_ur10.policies.policy import Policy
+from tests.soak import scaled
+
+HANDOVER, MODE = "DualUR10/Handover-v0", {"action_mode": "tcp_delta"}
+
+
+@pytest.mark.parametrize(
+    "keywords",
+    [
+        {"giver": "right"},
+        {"giver": "random", "randomization": "mild", "action_latency_ticks": 5},
+        {"robot": "ur5e", "action_latency_ticks": 20},
+    ],
+)
+def test_every_block_is_placed(keywords):
+    n = scaled(8)
+    core, follower = Core("Handover", {**MODE, **keywords}, n=n), policies.load("scripted", HANDOVER, **MODE, **keywords)
+    observation, _ = core.reset([np.random.default_rng(seed) for seed in range(n)])
+    success = np.zeros(n, dtype=bool)
+    for _ in range(core.task.horizon):
+        step = core.step(follower(observation))
+        observation = step.observation
+        success |= step.info["is_success"]
+    assert success.all()
+
+
+def test_actions_have_the_shape_of_the_observations_and_no_memory():
+    env, follower = gym.make(HANDOVER, **MODE), policies.load("scripted", HANDOVER, **MODE)
+    assert isinstance(follower, Policy)
+    observation, _ = env.reset(seed=0)
+    one = follower(observation)
+    assert one.dtype == np.float32
+    assert env.action_space.contains(one)
+    both = follower(np.stack([observation, observation]))
+    assert np.array_equal(both, np.stack([one, one]))
+    follower.reset()
+    assert np.array_equal(follower(observation), one)
+    with pytest.raises(ActionError, match="Handover"):
+        follower(observation[:-1])

@@ -1,0 +1,107 @@
+"""Differences of the reward: the return of the task for a learner, times 1 - gamma."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from dual_ur10.envs.api.sb3_bridge import TwoAgentVecEnv
+from dual_ur10.policies.training.differences import Differences
+
+GAMMA, N = 0.9, 2
+
+
+def made(**keywords):
+    """Return both environments, which step the same cells, with the rewards of the task and with the differences."""
+    envs = [TwoAgentVecEnv("Handover", N, reward="individual", threads=1, **keywords) for _ in range(2)]
+    for env in envs:
+        env.seed(0)
+    plain, changed = envs[0], Differences(envs[1], GAMMA)
+    plain.reset()
+    changed.reset()
+    return plain, changed
+
+
+def put(env, cell, position_m):
+    env.cells.core.cell._physics._handling._object[cell] = [*position_m, 1.0, 0.0, 0.0, 0.0]
+
+
+def stepped(plain, changed, action):
+    found = []
+    for env in (plain, changed):
+        env.step_async(action)
+        found.append(env.step_wait())
+    assert np.array_equal(found[0][0], found[1][0])
+    assert np.array_equal(found[0][2], found[1][2])
+    return found[0][1], found[1][1], found[0][2], found[0][3]
+
+
+def test_the_discounted_return_is_that_of_the_task():
+    """Over a whole episode, up to its first step and its time limit."""
+    plain, changed = made(duration_s=1.2, max_episode_steps=25)
+    rng, states, changes = np.random.default_rng(0), [], []
+    for k in range(25):
+        state, change, over, _ = stepped(plain, changed, rng.uniform(-0.3, 0.3, (2 * N, 7)))
+        states.append(state)
+        changes.append(change)
+        assert over.all() == (k == 24)
+    discount = GAMMA ** np.arange(25)[:, None]
+    states, changes = np.array(states), np.array(changes)
+    assert np.abs(np.diff(states, axis=0)).max() > 1e-3
+    found, asked = (discount * changes).sum(axis=0), (1.0 - GAMMA) * (discount * states)[1:].sum(axis=0)
+    rest = GAMMA * discount[-1] * states[-1]  # of the state in which time has run out, which the learner bootstraps
+    assert np.allclose(found, asked + rest - GAMMA * states[0], rtol=0, atol=1e-12)
+    _, change, _, _ = stepped(plain, changed, np.zeros((2 * N, 7)))
+    assert (change == 0.0).all()  # the first step of the next episode
+
+
+def test_a_lost_block_takes_back_what_was_earned():
+    plain, changed = made()
+    for _ in range(3):
+        before, _, _, _ = stepped(plain, changed, np.zeros((2 * N, 7)))
+    for env in (plain, changed):
+        put(env, 0, (0.0, 0.0, -0.2))
+    state, change, over, infos = stepped(plain, changed, np.zeros((2 * N, 7)))
+    assert over.tolist() == [True, True, False, False]
+    assert infos[0]["end_reason"] == "block_fell"
+    assert np.allclose(change[:2], state[:2] - before[:2] - GAMMA * state[:2], rtol=0, atol=1e-12)
+    assert np.allclose(change[2:], state[2:] - before[2:], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("duration_s", "most", "refused"), [(20.0, True, False), (0.8, False, False), (0.8, False, True)])
+def test_a_finish_counts_for_the_time_that_is_left_and_at_most_for_ever(duration_s, most, refused):
+    plain, changed = made(duration_s=duration_s)
+    for env in (plain, changed):
+        core = env.cells.core
+        handling = core.cell._physics._handling
+        core.task._stages.passed[:] = 6
+        core._refused[:] = refused
+        for cell in range(N):
+            handling._object[cell] = [*handling._target[0][cell], *handling._target[1][cell]]
+    for k in range(19):
+        state, change, over, infos = stepped(plain, changed, np.zeros((2 * N, 7)))
+        if over.any():
+            break
+        before = state
+    assert over.all()
+    assert infos[0]["end_reason"] == ("solved_after_refusal" if refused else "success")
+    left = round(duration_s / 0.04) - k - 1
+    finish = (1.0 - GAMMA) * left
+    assert (finish > 1.0) == most
+    assert np.allclose(change, (state - left - before) + min(finish, 1.0), rtol=0, atol=1e-9)
+
+
+def test_a_refused_motion_costs_its_time_and_no_more():
+    plain, changed = made()
+    rng, before, refused = np.random.default_rng(0), None, 0
+    for _ in range(60):
+        reward, change, over, infos = stepped(plain, changed, rng.uniform(-1.0, 1.0, (2 * N, 7)))
+        assert not over.any()
+        refusal = np.array([info["reward/refusal"] for info in infos])
+        refused += int(refusal.sum())
+        state = reward + refusal
+        assert np.allclose(change, 0.0 if before is None else state - before, rtol=0, atol=1e-12)
+        before = state
+    assert refused > 0

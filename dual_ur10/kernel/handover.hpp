@@ -4,9 +4,10 @@
 #include "handover_goals.hpp"
 
 // Input of one row: poses of the block and of the target, the output of `grasps_measure` up to the rotations, widths of
-// both grippers, and positions and quaternions of both flanges. `before_m` is where the block was in the last step. Output: distance of the block from its target;
-// sine and cosine of the angle between their long axes; and 1 if the block is lost. `facts` are those of the stages, but
-// for the angle: a block that is near its target, still, and held by no gripper counts as placed.
+// both grippers, and positions and quaternions of both flanges. `before_m` is where the block was in the last step.
+// Output: distance of the block from its target; sine and cosine of the angle between their long axes; and 1 if the
+// block is lost. `facts` are those of the stages, but for the angle: a block that is near its target, still, and held by
+// no gripper counts as placed.
 #define HANDOVER(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                               \
     INT(n) REAL(still_m) REAL(success_error_m) REALS(far_m, 2) REAL(fallen_m) REALS(shoulders_m, 6)                    \
     LINK(goals, HandoverGoals) INTS(giver, n) REALS(input, n * 72) REALS(before_m, n * 3) REALS(slip_from_m, n * 6)    \
@@ -63,13 +64,13 @@ EXPORT void handover_evaluate(const Handover* s, int64_t first, int64_t last) {
     for (int64_t row = first; row < last; ++row) handover::evaluate(*s, row);
 }
 
-// Each agent's own observation: the `size` numbers of its arm, and behind them, from its commanded tool, the step to its
-// goal along the cell's axes, both parts again, saturated at `near_m` and `near`; 1 if the block is between its fingers;
-// and 1 for the present phase. The other numbers say where the fields of an arm begin; `links` are the two chains.
+// Each agent's own observation: the `size` numbers of its arm, and behind them the goals' fields, in their order; see
+// `GOAL_FIELDS` of `dual_ur10.envs.tasks.handover.goals`. The other numbers say where the fields of an arm begin; `links`
+// are the two chains.
 #define HANDOVER_AGENTS(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                        \
     INT(n) INT(size) INT(own_size) INT(commanded) INT(flange) INT(gripper) INT(block) INT(target) INT(role)            \
-    REAL(opening_m) REAL(near_m) REAL(near) REALS(links, 156) REALS(base_m, 6) REALS(to_base, 18) LINK(grips, GraspLimits)             \
-    LINK(goals, HandoverGoals) REALS(both, n * 2 * size) REALS(own, n * 2 * own_size)
+    REAL(opening_m) REAL(near_m) REAL(near) REALS(links, 156) REALS(base_m, 6) REALS(to_base, 18)                      \
+    LINK(grips, GraspLimits) LINK(goals, HandoverGoals) REALS(both, n * 2 * size) REALS(own, n * 2 * own_size)
 
 STRUCTURE(HandoverAgents, HANDOVER_AGENTS)
 
@@ -102,7 +103,8 @@ inline void observe(const HandoverAgents& s, int64_t row) {
     const goals::Phase phase = goals::phase(*s.goals, scene);
     for (int64_t arm = 0; arm < 2; ++arm) {
         goals::Pose flange_pose;
-        flange(s.links + 78 * arm, both + arm * s.size + s.commanded, flange_pose.at, flange_pose.turn, nullptr, nullptr);
+        const double* commanded = both + arm * s.size + s.commanded;
+        flange(s.links + 78 * arm, commanded, flange_pose.at, flange_pose.turn, nullptr, nullptr);
         const goals::Pose tool = goals::tool_of(*s.goals, in_cell(s, arm, flange_pose));
         const goals::Step step = goals::step(*s.goals, scene, phase, arm, tool);
         const goals::Step lag = goals::to(goals::tool_of(*s.goals, seen(arm, s.flange)), tool);

@@ -4,12 +4,13 @@
 #include "forward.hpp"
 #include "grasps.hpp"
 
-// Positions of both grips in the block's frame, by the index of the giver. Poses are three numbers of position and nine
-// of rotation, in rows: grips as goals of both tools in the block's frame, by the same index; the presented block, by that index; and the tools at home.
+// `grip_m` are positions of both grips in the block's frame, by the index of the giver. Poses are three numbers of
+// position and nine of rotation, in rows: `grips`, goals of both tools in the block's frame, by the same index; the
+// presented block, by that index; and the tools at home.
 #define HANDOVER_GOALS(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                         \
-    REAL(tcp_m) REAL(laid_m) REAL(open_m) REAL(lifted_m) REAL(carried_m) REAL(meeting_m) REAL(back_m) REAL(lever_m)        \
-    REAL(aside) REAL(slack_m) REAL(there_m) REAL(there) REAL(keep) REALS(scales_m, 2) REALS(scales, 2) REALS(grip_m, 12) REALS(grips, 48) REALS(presented, 24)                \
-    REALS(home, 24)
+    REAL(tcp_m) REAL(laid_m) REAL(open_m) REAL(lifted_m) REAL(carried_m) REAL(meeting_m) REAL(back_m) REAL(lever_m)    \
+    REAL(aside) REAL(slack_m) REAL(there_m) REAL(there) REAL(keep) REALS(scales_m, 2) REALS(scales, 2)                 \
+    REALS(grip_m, 12) REALS(grips, 48) REALS(presented, 24) REALS(home, 24)
 
 STRUCTURE(HandoverGoals, HANDOVER_GOALS)
 
@@ -31,8 +32,8 @@ inline double length(Vector a) { return sqrt(squared(a)); }
 // Phases, in the order in which a handover passes them. They depend on the present alone.
 enum Phase { PICK, LIFT, PRESENT, TAKE, RELEASE, PLACE, LEAVE };
 
-// Step of a tool to its goal: translation, and twice the vector part of the rotation's quaternion; `left_m` is the length
-// of the way to the end of the phase.
+// Step of a tool to its goal: translation, and twice the vector part of the rotation's quaternion; `left_m` is the
+// length of the way to the end of the phase.
 struct Step {
     Vector move, turn;
     double left_m;

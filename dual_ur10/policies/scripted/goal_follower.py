@@ -58,6 +58,8 @@ class GoalFollower:
             ActionError: Not an observation of Handover.
         """
         own = self._observe(self._layout.batch(observation, Handover.name))
-        step, opening = (own[..., self._own.indices(names)] for names in (["goal_step_m", "goal_turn"], ["goal_opening"]))
+        step, opening = (
+            own[..., self._own.indices(names)] for names in (["goal_step_m", "goal_turn"], ["goal_opening"])
+        )
         action = np.concatenate([np.clip(_RATIO * step / self._most, -1.0, 1.0), 2.0 * opening - 1.0], axis=-1)
         return action.reshape(*np.shape(observation)[:-1], -1).astype(np.float32)

@@ -26,8 +26,8 @@ class Differences(VecEnvWrapper):
     The terms of a state, added up to s, are replaced by their change since the step before. With the discount g the
     return of the changes is 1 - g times that of s, less what the first state earns: the same policy is best. A finish
     is multiplied by 1 - g, and counts for no more than a state with s = 1 that lasts for ever. An end without success
-    takes back what was earned. A refused motion costs the time in which nothing changes, and no more: its own term would
-    keep the tools away from the table long before they can grasp.
+    takes back what was earned. A refused motion costs the time in which nothing changes, and no more: its own term
+    would keep the tools away from the table long before they can grasp.
 
     Args:
         env: Vector environment of the package.

@@ -109,7 +109,7 @@ def test_near_misses_do_not_pass_a_stage(scene, stage):
 
 
 def test_terms_rise_within_a_stage_and_are_one_after_it():
-    away, lifted = HOLDS[:3] + (0.5, True), {"height": 0.3, "meeting": 0.05}
+    away, lifted = (*HOLDS[:3], 0.5, True), {"height": 0.3, "meeting": 0.05}
     nearer = [
         (0, facts(gripper(near=0.3)), facts(gripper(near=0.6))),
         (0, facts(gripper(opening=0.05)), facts(gripper())),

@@ -25,7 +25,10 @@ HANDOVER, MODE = "DualUR10/Handover-v0", {"action_mode": "tcp_delta"}
 )
 def test_every_block_is_placed(keywords):
     n = scaled(8)
-    core, follower = Core("Handover", {**MODE, **keywords}, n=n), policies.load("scripted", HANDOVER, **MODE, **keywords)
+    core, follower = (
+        Core("Handover", {**MODE, **keywords}, n=n),
+        policies.load("scripted", HANDOVER, **MODE, **keywords),
+    )
     observation, _ = core.reset([np.random.default_rng(seed) for seed in range(n)])
     success = np.zeros(n, dtype=bool)
     for _ in range(core.task.horizon):

@@ -70,7 +70,9 @@ def test_a_lost_block_takes_back_what_was_earned():
     assert np.allclose(change[2:], state[2:] - before[2:], rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize(("duration_s", "most", "refused"), [(20.0, True, False), (0.8, False, False), (0.8, False, True)])
+@pytest.mark.parametrize(
+    ("duration_s", "most", "refused"), [(20.0, True, False), (0.8, False, False), (0.8, False, True)]
+)
 def test_a_finish_counts_for_the_time_that_is_left_and_at_most_for_ever(duration_s, most, refused):
     plain, changed = made(duration_s=duration_s)
     for env in (plain, changed):
@@ -80,14 +82,13 @@ def test_a_finish_counts_for_the_time_that_is_left_and_at_most_for_ever(duration
         core._refused[:] = refused
         for cell in range(N):
             handling._object[cell] = [*handling._target[0][cell], *handling._target[1][cell]]
-    for k in range(19):
-        state, change, over, infos = stepped(plain, changed, np.zeros((2 * N, 7)))
-        if over.any():
-            break
+    left, state, over = round(duration_s / 0.04), None, np.zeros(2 * N, dtype=bool)
+    while not over.any():
         before = state
+        state, change, over, infos = stepped(plain, changed, np.zeros((2 * N, 7)))
+        left -= 1
     assert over.all()
     assert infos[0]["end_reason"] == ("solved_after_refusal" if refused else "success")
-    left = round(duration_s / 0.04) - k - 1
     finish = (1.0 - GAMMA) * left
     assert (finish > 1.0) == most
     assert np.allclose(change, (state - left - before) + min(finish, 1.0), rtol=0, atol=1e-9)

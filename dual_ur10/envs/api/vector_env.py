@@ -35,6 +35,10 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
         threads: Number of threads; None: one for each processor.
         render_mode: None or "rgb_array": one image per cell.
         **keywords: Keywords of every environment, `dual_ur10.envs.core.options.EnvOptions`, and of the task.
+
+    Attributes:
+        elapsed_steps: (n,) steps of the present episodes, which `max_episode_steps` limits. With numbers of its own, a
+            learner keeps its cells from ending their episodes together.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # as Gymnasium declares it
@@ -81,7 +85,7 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
             "autoreset_mode": self.autoreset_mode,
         }
         self._rngs: list[np.random.Generator] = []
-        self._steps = np.zeros(num_envs, dtype=np.int64)
+        self.elapsed_steps = np.zeros(num_envs, dtype=np.int64)
         self._done = np.zeros(num_envs, dtype=bool)
         self.closed = False
 
@@ -142,7 +146,7 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
         """Begin episodes in some rows. The seed is that of the first row, for the record."""
         rngs = [self._rngs[row] for row in rows.tolist()]
         state, info = self.core.reset(rngs, rows, seed=seed, move_to_start=move_to_start)
-        self._steps[rows] = 0
+        self.elapsed_steps[rows] = 0
         self._done[rows] = False
         return self._observer.begin(state, rows), info
 
@@ -163,10 +167,10 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
             if actions.shape[:1] == (self.num_envs,):
                 actions[self._done] = 0  # these rows begin new episodes and ignore their actions
         step = self.core.step(actions)
-        self._steps += 1
+        self.elapsed_steps += 1
         reward, terminated, truncated = step.reward, step.terminated, step.truncated
         if self._max_steps is not None:
-            stopped = self._steps >= self._max_steps
+            stopped = self.elapsed_steps >= self._max_steps
             if stopped.any():
                 step = step._replace(ends={**dict.fromkeys(np.flatnonzero(stopped).tolist(), TIME), **step.ends})
             truncated = truncated | stopped

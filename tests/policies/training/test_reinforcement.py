@@ -91,6 +91,34 @@ def test_each_arm_learns_from_the_reward_that_is_asked_for(tmp_path, monkeypatch
     assert any(abs(own[0, 0] - own[0, 1]) > 1e-3 for _, own in seen)
 
 
+@pytest.mark.parametrize("agents", ["joint", "independent"])
+def test_the_cells_of_a_training_do_not_end_their_episodes_together(tmp_path, monkeypatch, agents):
+    kind, ends = JointVecEnv if agents == "joint" else TwoAgentVecEnv, []
+    real = kind.step_wait
+
+    def watched(self):
+        found = real(self)
+        ends.append(found[2][:: len(found[2]) // 8])
+        return found
+
+    monkeypatch.setattr(kind, "step_wait", watched)
+    train(small("ppo", agents, envs=8, steps=256, changes={"episode_steps": 12}), tmp_path / "out")
+    assert len(ends) == 32
+    assert max(each.sum() for each in ends) < 6
+    first, *later = (np.flatnonzero(each) for each in np.array(ends).T)
+    assert len({int(each[0]) for each in (first, *later)}) > 3
+    assert all((np.diff(each) == 12).all() for each in (first, *later))
+
+
+def test_a_policy_without_hidden_layers_is_linear(tmp_path):
+    path = train(small("ppo", steps=64, changes={"hidden": (), "critic_hidden": (8,)}), tmp_path / "out")
+    assert checkpoint.read_manifest(path).network.layers == (80, 12)
+    policy, rng = policies.load(path, SINE, **small("ppo").keywords), np.random.default_rng(0)
+    zero, one, other = np.zeros(80), *0.01 * rng.standard_normal((2, 80))
+    assert np.allclose(policy(one + other) - policy(zero), policy(one) + policy(other) - 2 * policy(zero), atol=1e-6)
+    assert not np.allclose(policy(one), policy(zero), atol=1e-6)
+
+
 def test_an_unknown_reward_is_refused():
     with pytest.raises(SettingsError, match="reward"):
         small("ppo", changes={"reward": "both"})

@@ -112,11 +112,11 @@ inline void observe(const HandoverAgents& s, int64_t row) {
         copy(own, both + arm * s.size, s.size);
         write(step.move, more);
         write(step.turn, more + 3);
-        write(lag.move, more + 12);
-        write(lag.turn, more + 15);
-        const auto saturated = [&](int k, double x) { return x / ((k % 6 < 3 ? s.near_m : s.near) + fabs(x)); };
-        for (int k = 0; k < 6; ++k) more[6 + k] = saturated(k, more[k]);
-        for (int k = 12; k < 18; ++k) more[k] = saturated(k, more[k]);
+        const auto put_near = [&](Vector v, double scale, double* to) { write((1.0 / (scale + goals::length(v))) * v, to); };
+        put_near(step.move, s.near_m, more + 6);
+        put_near(step.turn, s.near, more + 9);
+        put_near(lag.move, s.near_m, more + 12);
+        put_near(lag.turn, s.near, more + 15);
         more[18] = between[arm];
         more[19] = width_m[arm] / s.opening_m;
         more[20] = !goals::closes(*s.goals, scene, phase, arm, step);

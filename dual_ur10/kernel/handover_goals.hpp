@@ -81,7 +81,7 @@ inline Step step(const HandoverGoals& s, const Scene& scene, Phase phase, int64_
     constexpr Step none = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, 0.0};
     const Pose grip = pose(s.grips + 24 * scene.giver + 12 * arm), shown = pose(s.presented + 12 * scene.giver);
     const bool gives = arm == scene.giver, encloses = scene.between[arm] > 0.0 && scene.width_m[arm] < s.open_m;
-    if (!gives && (phase == RELEASE || (phase == LEAVE && encloses))) return none;
+    if (!gives && phase == LEAVE && encloses) return none;
     if (gives) {
         if (phase == PICK) return along(s, tool, scene.block * grip, 0.0);
         if (phase == LIFT) {
@@ -89,10 +89,13 @@ inline Step step(const HandoverGoals& s, const Scene& scene, Phase phase, int64_
             return {{0.0, 0.0, up}, none.turn, up};
         }
         if (phase == PRESENT || phase == TAKE) return to(tool, shown * grip);
-        const Step back = to(tool, shown * grip * Pose{{0.0, 0.0, -s.back_m}, same});
-        return phase == RELEASE && encloses ? Step{none.move, none.turn, back.left_m} : back;
+        if (phase != RELEASE || !encloses) return to(tool, shown * grip * Pose{{0.0, 0.0, -s.back_m}, same});
+        Step still = to(tool, shown * grip);
+        still.left_m += s.back_m;
+        return still;
     }
     if (phase < TAKE) return to(tool, pose(s.home + 12 * arm));
+    if (phase == RELEASE) return to(tool, shown * grip);
     if (phase == TAKE) {
         const Step there = to(scene.block, shown);
         const double off_m = there.left_m + s.lever_m * length(there.turn);

@@ -53,11 +53,11 @@ inline void advance(const Stages& s, int64_t row) {
     const double progress[2][COUNT] = {{2.0 * near[0], fact[0] > 0.0 ? near[0] + shut[0] : 0.0,
                                         gives ? 2.0 * clamp(fact[10] / s.lifted_m, 0.0, 1.0) : 0.0,
                                         presents ? near[0] : 0.0, presents ? near[0] : 0.0,
-                                        receives ? 2.0 * (1.0 - closed(s, fact[4])) : 0.0,
+                                        receives ? 0.5 * near[0] + 1.0 - closed(s, fact[4]) : 0.0,
                                         receives || placed ? 0.6 * near[0] : 0.0},
-                                       {0.0, 0.0, 0.0, near[1], gives ? (receives ? 1.0 : taking) : 0.0, 0.0,
-                                        carries ? 1.2 * near[1] : placed ? 1.2 : 0.0}};
-    constexpr double done[2][COUNT] = {{2.0, 2.0, 2.0, 1.0, 1.0, 2.0, 0.6}, {0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 1.4}};
+                                       {0.0, 0.0, 0.0, near[1], gives ? (receives ? 1.0 : taking) : 0.0,
+                                        receives ? 0.5 * near[1] : 0.0, carries ? 1.2 * near[1] : placed ? 1.2 : 0.0}};
+    constexpr double done[2][COUNT] = {{2.0, 2.0, 2.0, 1.0, 1.0, 1.5, 0.6}, {0.0, 0.0, 0.0, 1.0, 1.0, 0.5, 1.4}};
     // Stages passed from which on a term is earned. The receiver's part of "present", to wait, begins at once.
     constexpr int begin[2][COUNT] = {{0, 1, 2, 3, 4, 5, 6}, {0, 1, 2, 0, 4, 5, 6}};
     for (int role = 0; role < 2; ++role)

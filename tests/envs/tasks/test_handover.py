@@ -121,6 +121,8 @@ def test_terms_rise_within_a_stage_and_are_one_after_it():
         (4, facts(HOLDS, gripper(near=0.2), **lifted), facts(HOLDS, gripper(near=0.9), **lifted)),
         (4, facts(away, gripper(), **lifted), facts(HOLDS, gripper(), **lifted)),
         (5, facts(gripper(opening=0.045), HOLDS), facts(gripper(opening=0.07), HOLDS)),
+        (5, facts(gripper(near=0.5), HOLDS), facts(gripper(near=0.9), HOLDS)),
+        (5, facts(gripper(), away), facts(gripper(), HOLDS)),
         (6, facts(gripper(near=0.5), HOLDS), facts(gripper(near=0.9), HOLDS)),
         (6, facts(gripper(True), HOLDS), facts(gripper(), away)),
         (6, facts(receiving=away), facts(receiving=HOLDS)),
@@ -135,7 +137,7 @@ def test_terms_rise_within_a_stage_and_are_one_after_it():
 
 
 def test_each_arm_earns_its_own_terms():
-    expected = [2, 2, 2, 1, 1, 2, 0.6]
+    expected = [2, 2, 2, 1, 1, 1.5, 0.6]
     done = terms(facts(), 7)
     assert done[0].tolist() == expected
     assert done[1].tolist() == [2 - value for value in expected]

@@ -61,8 +61,8 @@ _SLACK_M: Final = 0.01  # of which nothing remains behind a grip
 _SCALES_M: Final = np.array([0.03, 0.3])
 _SCALES: Final = np.array([0.2, 1.0])
 # At which saturated steps are a half.
-_NEAR_M: Final = 0.03
-_NEAR: Final = 0.1
+_NEAR_M: Final = 0.01
+_NEAR: Final = 0.03
 
 GOAL_FIELDS: Final = (
     Field("goal_step_m", 3, -20.0, 20.0, "position (m)", "step from the commanded tool to its goal, in the cell frame"),

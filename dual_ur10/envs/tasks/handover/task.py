@@ -216,8 +216,8 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         "lift": 0.1,
         "present": 0.15,
         "mutual_grasp": 0.15,
-        "release": 0.1,
-        "place": 0.3,
+        "release": 0.2,
+        "place": 0.2,
         "finish": 1.0,
     }
     stages: ClassVar[tuple[str, ...]] = STAGES

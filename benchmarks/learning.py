@@ -12,10 +12,11 @@ Parts:
     wide: every policy on "wide" plants.
     cell: every policy on emulated controllers in virtual time, with the task's range drawn at random (`CELL_RANGES`).
         Each episode has a cell of its own, whose plant ("mild") is drawn by its seed; only where it is named.
-    from_nothing: PPO with the settings of `train`, one training after the other; only where it is named. Success and
-        return are of the default environment. The return is a ratio of the scripted policy's on the same seeds; steps
-        and minutes are those of the first progress check that had half and 90 % of it. Minutes grow with the load of
-        the machine; cpu_minutes are the processor time of all threads.
+    from_nothing: PPO with the settings of `train`, one training after the other; only where it is named. Success,
+        return and the ratio of episodes that pass each stage are of the default environment, with the training's
+        action mode. The return is a ratio of the scripted policy's on the same seeds; steps and minutes are those of
+        the first progress check that had half and 90 % of it. Minutes grow with the load of the machine; cpu_minutes
+        are the processor time of all threads.
     from_demonstrations: behaviour cloning of 20 episodes of the scripted policy under noise, evaluated in the
         environment of the training; only where it is named. Steps are those of the demonstrations.
 """
@@ -176,14 +177,16 @@ def on_cells(env_id: str, name: str, episodes: int) -> dict[str, Any]:
 
 def from_nothing(env_id: str, episodes: int, seeds: int, plot: Path | None) -> dict[str, Any]:
     """Train by PPO, evaluate in the default environment, print each training, draw all, and return the figures."""
-    script = evaluate(env_id, "scripted", episodes=episodes, num_envs=64).mean_return
+    mode = {"action_mode": defaults(env_id, "ppo").keywords.get("action_mode", "joint_delta")}
+    script = evaluate(env_id, "scripted", episodes=episodes, num_envs=64, env_kwargs=mode).mean_return
     rows = []
     for seed in range(seeds):
         with tempfile.TemporaryDirectory() as folder:
             path, begin_s = Path(folder) / "training", time.process_time()
             train(defaults(env_id, "ppo", seed=seed), path)
             cpu = {"cpu_minutes": (time.process_time() - begin_s) / 60}
-            rows.append(cpu | figures_of(path, script, episodes))
+            found = evaluate(env_id, str(path / "policy"), episodes=episodes, num_envs=64, env_kwargs=mode)
+            rows.append(cpu | figures_of(path, found, script))
         told = {key: value for key, value in rows[-1].items() if key != "curve"}
         print(f"{task_name(env_id)}, PPO from nothing: {json.dumps(told)}", flush=True)
     if plot is not None:
@@ -215,16 +218,15 @@ def from_demonstrations(env_id: str, episodes: int) -> dict[str, Any]:
     return row
 
 
-def figures_of(path: Path, script: float, episodes: int) -> dict[str, Any]:
+def figures_of(path: Path, found: Evaluation, script: float) -> dict[str, Any]:
     """Return the figures of a finished training.
 
     Args:
         path: Folder of the training.
+        found: Evaluation of its policy.
         script: Mean return of the scripted policy.
-        episodes: Number of episodes of the evaluation.
     """
     asked = json.loads((path / "training.json").read_text())
-    found = evaluate(asked["env_id"], str(path / "policy"), episodes=episodes, num_envs=64)
     values = state.load(path / "state")[1]
     curve = [
         (each["steps"], each["seconds"] / 60, each["mean_return"] / script, each["success_rate"])
@@ -234,6 +236,7 @@ def figures_of(path: Path, script: float, episodes: int) -> dict[str, Any]:
         "seed": asked["seed"],
         "success": found.success_rate,
         "of_script": found.mean_return / script,
+        "stages": found.stage_scores,
         "minutes": values["seconds"] / 60,
         "steps": values["steps"],
     }

@@ -5,7 +5,7 @@
 #include "numbers.hpp"
 
 // Facts of one row, two of each kind, of the giver and the receiver: between, holds, widths, nearness of the tools to
-// their goals, goals of grippers, 1 for closed. Then the height of the block, its distance from the meeting, and whether
+// their goals, goals of grippers, 1 for closed. Then the height of the block, its distance from the transfer, and whether
 // it is placed. Terms: those of the giver, then of the receiver.
 #define STAGES(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                                 \
     INT(n) REAL(lifted_m) REAL(meeting_m) REAL(width_m) REAL(opening_m) REALS(facts, n * 13)                           \
@@ -42,22 +42,22 @@ inline void advance(const Stages& s, int64_t row) {
     const bool gives = fact[2] > 0.0, receives = fact[3] > 0.0, placed = fact[12] > 0.0;
     // The goal that `near` refers to is that of this stage, not of the one before.
     const bool presents = gives && fact[10] > s.lifted_m, carries = receives && !(fact[0] > 0.0);
-    double near[2], shut[2];
+    double near[2], shut[2], open[2];
     for (int role = 0; role < 2; ++role) {
         const bool closes = fact[8 + role] > 0.0;
-        const double open = clamp((fact[4 + role] - s.width_m) / (s.opening_m - s.width_m), 0.0, 1.0);
-        near[role] = fact[6 + role] * (closes ? 1.0 : 0.8 + 0.2 * open);
+        open[role] = clamp((fact[4 + role] - s.width_m) / (s.opening_m - s.width_m), 0.0, 1.0);
+        near[role] = fact[6 + role] * (closes ? 1.0 : 0.8 + 0.2 * open[role]);
         shut[role] = closes && fact[role] > 0.0 ? closed(s, fact[4 + role]) : 0.0;
     }
     const double taking = 0.6 * near[1] + 0.4 * shut[1];
     const double progress[2][COUNT] = {{2.0 * near[0], fact[0] > 0.0 ? near[0] + shut[0] : 0.0,
                                         gives ? 2.0 * clamp(fact[10] / s.lifted_m, 0.0, 1.0) : 0.0,
                                         presents ? near[0] : 0.0, presents ? near[0] : 0.0,
-                                        receives ? 0.5 * near[0] + 1.0 - closed(s, fact[4]) : 0.0,
-                                        receives || placed ? 0.6 * near[0] : 0.0},
+                                        receives ? 0.5 * near[0] + open[0] : 0.0,
+                                        receives || placed ? 0.3 * near[0] + 0.5 * open[0] : 0.0},
                                        {0.0, 0.0, 0.0, near[1], gives ? (receives ? 1.0 : taking) : 0.0,
-                                        receives ? 0.5 * near[1] : 0.0, carries ? 1.2 * near[1] : placed ? 1.2 : 0.0}};
-    constexpr double done[2][COUNT] = {{2.0, 2.0, 2.0, 1.0, 1.0, 1.5, 0.6}, {0.0, 0.0, 0.0, 1.0, 1.0, 0.5, 1.4}};
+                                        receives ? 0.5 * near[1] : 0.0, carries ? near[1] : placed ? 1.0 : 0.0}};
+    constexpr double done[2][COUNT] = {{2.0, 2.0, 2.0, 1.0, 1.0, 1.5, 0.8}, {0.0, 0.0, 0.0, 1.0, 1.0, 0.5, 1.2}};
     // Stages passed from which on a term is earned. The receiver's part of "present", to wait, begins at once.
     constexpr int begin[2][COUNT] = {{0, 1, 2, 3, 4, 5, 6}, {0, 1, 2, 0, 4, 5, 6}};
     for (int role = 0; role < 2; ++role)

@@ -42,7 +42,7 @@ def test_agents_observe_the_goals_of_the_reward(giver):
         passed.add(int(step.info["stage"][0]))
         closing.add(tuple(facts[0, 8:10]))
         near_m, near = fields["nearness"][..., 0], fields["nearness"][..., 1]
-        left_m, turn = 0.03 * (1.0 / near_m - 1.0), 0.1 * (1.0 / near - 1.0)
+        left_m, turn = 0.01 * (1.0 / near_m - 1.0), 0.03 * (1.0 / near - 1.0)
         move = 1.0 - np.minimum(left_m, 1.0) + 0.5 * (0.03 / (0.03 + left_m) + 0.3 / (0.3 + left_m))
         rotation = 1.0 - 0.5 * turn + 0.5 * (0.2 / (0.2 + turn) + 1.0 / (1.0 + turn))
         assert np.allclose(0.25 * (move + rotation)[:, roles], facts[:, 6:8], rtol=0, atol=1e-6)

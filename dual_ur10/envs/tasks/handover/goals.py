@@ -8,13 +8,17 @@ The phases follow from the present alone: who holds the block, and where it is.
 | lift | the giver holds it, not lifted | up | home |
 | present | the giver holds it, lifted | its grip at the transfer | home |
 | take | it is at the transfer | the same | its grip |
-| release | both hold it | none | none |
-| place | the receiver holds it | back from the transfer | its grip on the target |
+| release | the receiver holds it, the giver encloses it | the same, then back from there | its grip at the transfer |
+| place | the receiver alone holds it | back from the transfer | its grip on the target |
 | leave | it lies on the target | the same | back from there |
 
 A tool that goes to a grip goes to a point behind it first, along its own z: up to `BACK_M`, in proportion to how far it
-is beside the line, how far it is turned, and for the receiver how far the block is from the transfer. So the fingers
+is beside the line, how far it is turned (0.1 m for each rad), and for the receiver how far the block is from the
+transfer. So the fingers
 pass the block on both sides, and a straight step to the goal never pushes the block.
+
+Goals of the grippers: the giver's is to close in "pick" and the receiver's in "take", once tool and goal agree within
+`_THERE_M` and `_THERE`; both stay closed until the giver has to open in "release", and the receiver at the target.
 """
 
 from __future__ import annotations
@@ -32,7 +36,7 @@ from dual_ur10.envs.tasks.handover.settings import (
     MEETING_M,
     presented_quat,
 )
-from dual_ur10.envs.tasks.handover.stages import LIFTED_M, MEETING_RANGE_M, WIDTH_M
+from dual_ur10.envs.tasks.handover.stages import LIFTED_M, MEETING_LEVER_M, MEETING_RANGE_M, WIDTH_M
 from dual_ur10.envs.tasks.holding import TCP_LEVER, grasp_limits
 from dual_ur10.envs.tasks.observation_layout import Field, ObservationLayout
 from dual_ur10.kernel import Struct
@@ -55,21 +59,20 @@ _KEEP: Final = 3.0  # times these: fingers that have begun to close go on
 _OPEN_M: Final = 0.06  # width at which fingers are off the block
 _HIGHER_M: Final = 0.007  # of the giver's grip, because a learner's fingers need more room above the table
 _ASIDE: Final = 1.5  # m behind the grip for each m beside the line
-_LEVER_M: Final = 0.1  # m behind the grip for each unit of rotation
 _SLACK_M: Final = 0.01  # of which nothing remains behind a grip
 # Distances and rotations at which a third of the steeper half of a nearness has fallen to its half.
 _SCALES_M: Final = np.array([0.03, 0.3])
 _SCALES: Final = np.array([0.2, 1.0])
-# At which saturated steps are a half.
+# Lengths of steps of which half is left when they are saturated.
 _NEAR_M: Final = 0.01
 _NEAR: Final = 0.03
 
 GOAL_FIELDS: Final = (
     Field("goal_step_m", 3, -20.0, 20.0, "position (m)", "step from the commanded tool to its goal, in the cell frame"),
     Field("goal_turn", 3, -2.01, 2.01, "2 sin(angle / 2)", "the same of its rotation, along the axis"),
-    Field("goal_step_near", 3, -1.0, 1.0, "ratio", f"x / ({_NEAR_M:g} m + |x|) of each step"),
-    Field("goal_turn_near", 3, -1.0, 1.0, "ratio", f"x / ({_NEAR:g} + |x|) of each rotation"),
-    Field("lag_near", 3, -1.0, 1.0, "ratio", "the same of the steps from the tool to the commanded tool"),
+    Field("goal_step_near", 3, -1.0, 1.0, "ratio", f"x / ({_NEAR_M:g} m + |x|) of this step"),
+    Field("goal_turn_near", 3, -1.0, 1.0, "ratio", f"x / ({_NEAR:g} + |x|) of this rotation"),
+    Field("lag_near", 3, -1.0, 1.0, "ratio", "the same of the step from the tool to the commanded tool"),
     Field("lag_turn_near", 3, -1.0, 1.0, "ratio", "the same of its rotation"),
     Field("between", 1, 0.0, 1.0, "0 or 1", "its grip of the block is between its fingers"),
     Field("opening", 1, -1.2, 1.2, "ratio", "opening of the gripper, of the largest"),
@@ -103,7 +106,7 @@ def goals(mounts: tuple[ArmMount, ArmMount]) -> Struct:
         carried_m=CARRIED_M,
         meeting_m=MEETING_RANGE_M,
         back_m=BACK_M,
-        lever_m=_LEVER_M,
+        lever_m=MEETING_LEVER_M,
         aside=_ASIDE,
         slack_m=_SLACK_M,
         there_m=_THERE_M,

@@ -113,8 +113,8 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     | 54 | role: 1 gives, -1 receives | -1.01 | 1.01 | - | sign |
     | 55 | elapsed fraction of the episode's time | -1.01 | 1.01 | - | ratio |
 
-    An agent of the two-agent environment observes its arm's 56 numbers, and behind them 23 of the goal of its tool, which
-    follow from the joint observation: `dual_ur10.envs.tasks.handover.goals.GOAL_FIELDS`.
+    An agent of the two-agent environment observes its arm's 56 numbers, and behind them 23 of the goal of its tool,
+    which follow from the joint observation: `dual_ur10.envs.tasks.handover.goals.GOAL_FIELDS`.
 
     ## Rewards
 
@@ -126,24 +126,26 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     Progress is mostly the nearness of a tool to its goal in the present phase (`dual_ur10.envs.tasks.handover.goals`):
     for the distance d, in m, and the chord of the angle c = 2 sin(angle / 2), the mean of 1 - d, 1 - c / 2,
     0.03 / (0.03 + d), 0.3 / (0.3 + d), 0.2 / (0.2 + c) and 1 / (1 + c), of which the last four count half. It is 1 at
-    the goal, and has a slope at every distance. While the goal of a gripper is to be open, it counts 0.8 to 1 times with the
-    opening.
+    the goal, and has a slope at every distance. While the goal of a gripper is to be open, it counts 0.8 to 1 times,
+    with the opened fraction of the gripper.
 
     - *reach* (0.1): giver. Passed when its grip of the block is between its fingers; until then its nearness.
     - *grasp* (0.1): giver. Passed when it holds the block: fingers at the block's width, around the grip; until then half
       its nearness, and half the closed fraction of the gripper once that is its goal.
     - *lift* (0.1): giver. Passed when it holds the block with its middle more than 8 cm above the table; until then
       the fraction of that height.
-    - *present* (0.15): both. Passed when the lifted block is at the transfer; until then the nearness of both: the
+    - *present* (0.15): both. Passed when the lifted block is at the transfer, within 0.05 m, where 0.1 rad of rotation
+      count as 0.01 m; until then the nearness of both: the
       giver's while it holds the lifted block, the receiver's from the first step on.
     - *mutual_grasp* (0.15): both. Passed when both hold the lifted block; until then, while it is presented, the giver's
       nearness, and for the receiver 0.6 times its nearness, and 0.4 times the closed fraction of its gripper once that
       is its goal.
-    - *release* (0.1): giver. Passed when the receiver alone holds the lifted block; until then the opened fraction of
-      the giver's gripper while the receiver holds the block.
-    - *place* (0.3): 0.6 of the giver, 1.4 of the receiver. Passed when the block lies still on its target, within
-      `success_error_m` and `success_turn_rad`, and no gripper holds it; until then 0.6 times the giver's nearness, and,
-      once the giver has left the block, 1.2 times the receiver's, while it holds the block or has placed it.
+    - *release* (0.2): 1.5 of the giver, 0.5 of the receiver. Passed when the receiver alone holds the lifted block; until
+      then, while the receiver holds it, the opened fraction of the giver's gripper, and 0.5 times the nearness of each.
+    - *place* (0.2): 0.8 of the giver, 1.2 of the receiver. Passed when the block lies still on its target, within
+      `success_error_m` and `success_turn_rad`, and no gripper holds it. Until then 0.3 times the giver's nearness and
+      0.5 times the opened fraction of its gripper; and, once the giver has left the block, the receiver's nearness
+      while it holds the block, or 1 where the block lies still on its target.
     - *finish* (1.0): both. At a step that ends an episode with success, the number of its remaining steps; otherwise 0.
       It replaces the reward of the remaining steps, so that hovering near the target earns no more than success.
 

@@ -49,14 +49,7 @@ from dual_ur10.policies.training.train import train
 
 PARTS = ("shipped", "range", "wide", "cell", "from_nothing", "from_demonstrations")
 DEMONSTRATIONS: dict[str, dict[str, Any]] = {
-    "Handover": {
-        "steps": 5_600,
-        "randomization": "none",
-        "changes": {
-            "scatter_rad": 0.02,
-            "unseen": tuple(name for name in SETTINGS["Handover"].imitation.unseen if name != "progress"),
-        },
-    },
+    "Handover": {"steps": 12_000, "agents": "shared", "keywords": {"action_mode": "tcp_delta"}},
     "SyncCarry": {"steps": 17_000},
 }
 """Trainings of the part from_demonstrations; with these steps 20 episodes fit."""

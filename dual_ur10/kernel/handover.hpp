@@ -6,8 +6,8 @@
 // Input of one row: poses of the block and of the target, the output of `grasps_measure` up to the rotations, widths of
 // both grippers, and positions and quaternions of both flanges. `before_m` is where the block was in the last step.
 // Output: distance of the block from its target; sine and cosine of the angle between their long axes; and 1 if the
-// block is lost. `facts` are those of the stages, but for the angle: a block that is near its target, still, and held by
-// no gripper counts as placed.
+// block is lost. `facts` are those of the stages, but for the angle: a block that is near its target, still, and held
+// by no gripper counts as placed.
 #define HANDOVER(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                               \
     INT(n) REAL(still_m) REAL(success_error_m) REALS(far_m, 2) REAL(fallen_m) REALS(shoulders_m, 6)                    \
     LINK(goals, HandoverGoals) INTS(giver, n) REALS(input, n * 72) REALS(before_m, n * 3) REALS(slip_from_m, n * 6)    \
@@ -65,8 +65,8 @@ EXPORT void handover_evaluate(const Handover* s, int64_t first, int64_t last) {
 }
 
 // Each agent's own observation: the `size` numbers of its arm, and behind them the goals' fields, in their order; see
-// `GOAL_FIELDS` of `dual_ur10.envs.tasks.handover.goals`. The other numbers say where the fields of an arm begin; `links`
-// are the two chains.
+// `GOAL_FIELDS` of `dual_ur10.envs.tasks.handover.goals`. The other numbers say where the fields of an arm begin;
+// `links` are the two chains.
 #define HANDOVER_AGENTS(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                        \
     INT(n) INT(size) INT(own_size) INT(commanded) INT(flange) INT(gripper) INT(block) INT(target) INT(role)            \
     REAL(opening_m) REAL(near_m) REAL(near) REALS(links, 156) REALS(base_m, 6) REALS(to_base, 18)                      \
@@ -112,11 +112,11 @@ inline void observe(const HandoverAgents& s, int64_t row) {
         copy(own, both + arm * s.size, s.size);
         write(step.move, more);
         write(step.turn, more + 3);
-        const auto put_near = [&](Vector v, double scale, double* to) { write((1.0 / (scale + goals::length(v))) * v, to); };
-        put_near(step.move, s.near_m, more + 6);
-        put_near(step.turn, s.near, more + 9);
-        put_near(lag.move, s.near_m, more + 12);
-        put_near(lag.turn, s.near, more + 15);
+        const auto near = [](Vector v, double scale) { return (1.0 / (scale + goals::length(v))) * v; };
+        write(near(step.move, s.near_m), more + 6);
+        write(near(step.turn, s.near), more + 9);
+        write(near(lag.move, s.near_m), more + 12);
+        write(near(lag.turn, s.near), more + 15);
         more[18] = between[arm];
         more[19] = width_m[arm] / s.opening_m;
         more[20] = !goals::closes(*s.goals, scene, phase, arm, step);

@@ -114,7 +114,7 @@ inline bool is_there(const HandoverGoals& s, const Step& step, double tolerance)
     return step.left_m < tolerance * s.there_m && length(step.turn) < tolerance * s.there;
 }
 
-// Whether the goal of a gripper is to be closed. Fingers that have begun to close go on at a larger error.
+// True for a gripper that is to be closed. Fingers that have begun to close go on at a larger error.
 inline bool closes(const HandoverGoals& s, const Scene& scene, Phase phase, int64_t arm, const Step& step) {
     const bool gives = arm == scene.giver;
     if (phase == (gives ? PICK : TAKE))

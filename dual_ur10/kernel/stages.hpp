@@ -5,8 +5,8 @@
 #include "numbers.hpp"
 
 // Facts of one row, two of each kind, of the giver and the receiver: between, holds, widths, nearness of the tools to
-// their goals, goals of grippers, 1 for closed. Then the height of the block, its distance from the transfer, and whether
-// it is placed. Terms: those of the giver, then of the receiver.
+// their goals, goals of grippers, 1 for closed. Then the height of the block, its distance from the transfer, and 1 if it
+// is placed. Terms: those of the giver, then of the receiver.
 #define STAGES(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                                 \
     INT(n) REAL(lifted_m) REAL(meeting_m) REAL(width_m) REAL(opening_m) REALS(facts, n * 13)                           \
     REALS(conditions, n * 7) INTS(stage, n) REALS(terms, n * 14)

@@ -257,10 +257,12 @@ SETTINGS: Final[dict[str, TaskSettings]] = {
         # It sees the step to its goal, and the fingers.
         ppo=Reinforcement(
             hidden=(128, 128),
-            learning_rate=5e-4,
+            learning_rate=3e-4,
             gamma=0.95,
-            episode_steps=400,
+            episode_steps=500,
             steps_per_update=32,
+            batch_size=4096,
+            epochs=10,
             gae_lambda=0.9,
             first_std=0.15,
             last_std=0.03,

@@ -73,7 +73,6 @@ def make(
     moments: Any = _Moments(env.observation_space.shape or (), unseen, settings.scaled)
     around.obs_rms = moments
     hidden = list(settings.hidden)
-    critic = hidden if settings.critic_hidden is None else list(settings.critic_hidden)
     if algorithm == "ppo":
         model: Any = PPO(
             "MlpPolicy",
@@ -88,7 +87,7 @@ def make(
             ent_coef=settings.entropy,
             target_kl=settings.target_kl,
             policy_kwargs={
-                "net_arch": {"pi": hidden, "vf": critic},
+                "net_arch": {"pi": hidden, "vf": hidden},
                 "log_std_init": float(np.log(settings.first_std)),
             },
             seed=seed,
@@ -105,7 +104,7 @@ def make(
             learning_starts=settings.learning_starts,
             train_freq=1,
             gradient_steps=settings.gradient_steps,
-            policy_kwargs={"net_arch": {"pi": hidden, "qf": critic}},
+            policy_kwargs={"net_arch": {"pi": hidden, "qf": hidden}},
             seed=seed,
             device="cpu",
         )

@@ -40,7 +40,7 @@ Ratio = Annotated[float, Field(ge=0.0, le=1.0)]
 ActionSize = Annotated[float, Field(ge=0.0, le=2.0)]
 LearningRate = Annotated[float, Field(ge=1e-12, le=1.0)]
 Positive = Annotated[float, Field(ge=1e-12, le=10.0)]
-Units = Annotated[tuple[Annotated[int, Field(ge=1, le=4096)], ...], Field(max_length=7)]
+Units = Annotated[tuple[Annotated[int, Field(ge=1, le=4096)], ...], Field(min_length=1, max_length=7)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,12 +48,12 @@ class Reinforcement(StrictJson):
     """Settings of PPO and SAC; names are those of Stable-Baselines3 unless stated.
 
     Attributes:
-        hidden: Units of each hidden layer of the policy; without any it is linear.
-        critic_hidden: The same of the value function; None: those of the policy.
+        hidden: Units of each hidden layer.
         learning_rate: Learning rate of Adam at the beginning. PPO: it decays linearly to 0.
         gamma: Discount of rewards per step.
         episode_steps: Steps after which an episode of the training is truncated; None: only the task ends it. Short
-            episodes return an untrained policy to the reference before it has drifted far. Checks use whole episodes.
+            episodes return an untrained policy to the reference before it has drifted far. The first ones end at
+            random times, so that cells do not keep step. Checks use whole episodes.
         steps_per_update: PPO: steps of each cell between two updates.
         batch_size: Samples of a gradient step.
         epochs: PPO: passes over the samples of an update.
@@ -79,7 +79,6 @@ class Reinforcement(StrictJson):
     """
 
     hidden: Units = (256, 256)
-    critic_hidden: Units | None = None
     learning_rate: LearningRate = 3e-4
     gamma: Ratio = 0.99
     episode_steps: Count | None = None

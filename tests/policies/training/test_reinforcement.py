@@ -110,15 +110,6 @@ def test_the_cells_of_a_training_do_not_end_their_episodes_together(tmp_path, mo
     assert all((np.diff(each) == 12).all() for each in (first, *later))
 
 
-def test_a_policy_without_hidden_layers_is_linear(tmp_path):
-    path = train(small("ppo", steps=64, changes={"hidden": (), "critic_hidden": (8,)}), tmp_path / "out")
-    assert checkpoint.read_manifest(path).network.layers == (80, 12)
-    policy, rng = policies.load(path, SINE, **small("ppo").keywords), np.random.default_rng(0)
-    zero, one, other = np.zeros(80), *0.01 * rng.standard_normal((2, 80))
-    assert np.allclose(policy(one + other) - policy(zero), policy(one) + policy(other) - 2 * policy(zero), atol=1e-6)
-    assert not np.allclose(policy(one), policy(zero), atol=1e-6)
-
-
 def test_an_unknown_reward_is_refused():
     with pytest.raises(SettingsError, match="reward"):
         small("ppo", changes={"reward": "both"})

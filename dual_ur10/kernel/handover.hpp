@@ -51,7 +51,7 @@ inline void evaluate(const Handover& s, int64_t row) {
     const bool far = distance(block, s.shoulders_m) > s.far_m[0] && distance(block, s.shoulders_m + 3) > s.far_m[1];
     output[3] = far || block.z < s.fallen_m;
     facts[10] = block.z;
-    facts[11] = distance(block, s.goals->presented + 12 * s.giver[row]);
+    facts[11] = goals::off_m(*s.goals, scene.giver, scene.block);
     const bool held = holds[0] > 0.0 || holds[1] > 0.0;
     facts[12] = distance(block, before) < s.still_m && output[0] < s.success_error_m && !held;
     copy(before, input, 3);

@@ -67,13 +67,19 @@ struct Scene {
     const double *between, *holds, *width_m;  // of both arms
 };
 
+// Distance of the block from the transfer, for the rotation with a lever.
+inline double off_m(const HandoverGoals& s, int64_t giver, const Pose& block) {
+    const Step there = to(block, pose(s.presented + 12 * giver));
+    return there.left_m + s.lever_m * length(there.turn);
+}
+
 // A gripper that has begun to open still encloses the block, until it has left it: only then may the block move.
 inline Phase phase(const HandoverGoals& s, const Scene& scene) {
     const int64_t giver = scene.giver, receiver = 1 - giver;
     if (scene.holds[receiver] > 0.0) return scene.between[giver] > 0.0 ? RELEASE : PLACE;
     if (!(scene.holds[giver] > 0.0)) return length(scene.block.at - scene.target.at) < s.laid_m ? LEAVE : PICK;
     if (scene.block.at.z <= s.lifted_m) return LIFT;
-    return length(scene.block.at - vector(s.presented + 12 * giver)) < s.meeting_m ? TAKE : PRESENT;
+    return off_m(s, giver, scene.block) < s.meeting_m ? TAKE : PRESENT;
 }
 
 inline Step step(const HandoverGoals& s, const Scene& scene, Phase phase, int64_t arm, const Pose& tool) {
@@ -97,9 +103,8 @@ inline Step step(const HandoverGoals& s, const Scene& scene, Phase phase, int64_
     if (phase < TAKE) return to(tool, pose(s.home + 12 * arm));
     if (phase == RELEASE) return to(tool, shown * grip);
     if (phase == TAKE) {
-        const Step there = to(scene.block, shown);
-        const double off_m = there.left_m + s.lever_m * length(there.turn);
-        return along(s, tool, (off_m < 2.0 * s.slack_m ? scene.block : shown) * grip, off_m);
+        const double off = off_m(s, scene.giver, scene.block);
+        return along(s, tool, (off < 2.0 * s.slack_m ? scene.block : shown) * grip, off);
     }
     const Pose laid = scene.target * Pose{{0.0, 0.0, 0.0}, {{1.0, 0.0, 0.0}, {0.0, -1.0, 0.0}, {0.0, 0.0, -1.0}}};
     return along(s, tool, laid * grip, phase == LEAVE ? s.back_m + s.slack_m : 0.0);

@@ -59,9 +59,9 @@ SCENES = [
     facts(gripper(True)),
     facts(HOLDS),
     facts(HOLDS, height=0.1),
-    facts(HOLDS, height=0.3, meeting=0.1),
-    facts(HOLDS, HOLDS, height=0.3, meeting=0.1),
-    facts(gripper(), HOLDS, height=0.3, meeting=0.1),
+    facts(HOLDS, height=0.3, meeting=0.03),
+    facts(HOLDS, HOLDS, height=0.3, meeting=0.03),
+    facts(gripper(), HOLDS, height=0.3, meeting=0.03),
     facts(placed=True),
 ]
 
@@ -98,7 +98,7 @@ def test_stages_that_hold_at_once_are_passed_at_once_and_never_lost():
     ("scene", "stage"),
     [
         (facts(gripper(holds=True), height=0.07), 2),  # too low to be lifted
-        (facts(HOLDS, height=0.3, meeting=0.13), 3),  # not where it is handed over
+        (facts(HOLDS, height=0.3, meeting=0.06), 3),  # not where it is handed over
         (facts(HOLDS, gripper(True), height=0.3), 4),  # the receiver has not closed
         (facts(gripper(), HOLDS, height=0.05), 5),  # dropped to the table
         (facts(), 6),  # somebody still holds it, or it moves
@@ -109,7 +109,7 @@ def test_near_misses_do_not_pass_a_stage(scene, stage):
 
 
 def test_terms_rise_within_a_stage_and_are_one_after_it():
-    away, lifted = (*HOLDS[:3], 0.5, True), {"height": 0.3, "meeting": 0.1}
+    away, lifted = (*HOLDS[:3], 0.5, True), {"height": 0.3, "meeting": 0.03}
     nearer = [
         (0, facts(gripper(near=0.3)), facts(gripper(near=0.6))),
         (0, facts(gripper(opening=0.05)), facts(gripper())),

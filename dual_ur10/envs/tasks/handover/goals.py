@@ -36,7 +36,7 @@ from dual_ur10.envs.tasks.handover.settings import (
     MEETING_M,
     presented_quat,
 )
-from dual_ur10.envs.tasks.handover.stages import LIFTED_M, MEETING_RANGE_M, WIDTH_M
+from dual_ur10.envs.tasks.handover.stages import LIFTED_M, MEETING_LEVER_M, MEETING_RANGE_M, WIDTH_M
 from dual_ur10.envs.tasks.holding import TCP_LEVER, grasp_limits
 from dual_ur10.envs.tasks.observation_layout import Field, ObservationLayout
 from dual_ur10.kernel import Struct
@@ -59,7 +59,6 @@ _KEEP: Final = 3.0  # times these: fingers that have begun to close go on
 _OPEN_M: Final = 0.047  # width at which fingers are off the block
 _HIGHER_M: Final = 0.007  # of the giver's grip, because a learner's fingers need more room above the table
 _ASIDE: Final = 1.5  # m behind the grip for each m beside the line
-_LEVER_M: Final = 0.1  # m behind the grip for each unit of rotation
 _SLACK_M: Final = 0.01  # of which nothing remains behind a grip
 # Distances and rotations at which a third of the steeper half of a nearness has fallen to its half.
 _SCALES_M: Final = np.array([0.03, 0.3])
@@ -107,7 +106,7 @@ def goals(mounts: tuple[ArmMount, ArmMount]) -> Struct:
         carried_m=CARRIED_M,
         meeting_m=MEETING_RANGE_M,
         back_m=BACK_M,
-        lever_m=_LEVER_M,
+        lever_m=MEETING_LEVER_M,
         aside=_ASIDE,
         slack_m=_SLACK_M,
         there_m=_THERE_M,

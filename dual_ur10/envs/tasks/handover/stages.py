@@ -19,8 +19,11 @@ WIDTH_M: Final = BLOCK_SIZE_M[1]
 LIFTED_M: Final = 0.08
 """Height of the block's middle above the table at which it counts as lifted."""
 
-MEETING_RANGE_M: Final = 0.12
+MEETING_RANGE_M: Final = 0.05
 """Distance from the transfer within which the block counts as presented."""
+
+MEETING_LEVER_M: Final = 0.1
+"""Lever with which that distance includes the rotation: 0.1 rad count as 0.01 m."""
 
 STILL_M_S: Final = 0.02
 """Speed below which the block counts as still."""
@@ -39,8 +42,8 @@ class Stages:
         facts: (n, 13) quantities on which the stages depend, written by the caller. Of the giver and the receiver, two
             each: 1 if the gripper's grip of the block is between its fingers; 1 if it holds the block; its width;
             nearness of the tool to its goal, 1 there; 1 if the goal of the gripper is to be closed. Then the height of
-            the block's middle above the table; its distance from the transfer; `PLACED`, 1 if it lies still on its
-            target, and no gripper holds it.
+            the block's middle above the table; its distance from the transfer, with its rotation; `PLACED`, 1 if it
+            lies still on its target, and no gripper holds it.
         conditions: (n, 7) 1 for stage conditions that hold, regardless of order.
         passed: (n,) number of stages passed in their order.
         terms: (n, 2, 7) reward terms of giver and receiver, 0 to 1 in their mean: 1 for a passed stage, less for

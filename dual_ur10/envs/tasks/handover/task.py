@@ -134,7 +134,8 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
       its nearness, and half the closed fraction of the gripper once that is its goal.
     - *lift* (0.1): giver. Passed when it holds the block with its middle more than 8 cm above the table; until then
       the fraction of that height.
-    - *present* (0.15): both. Passed when the lifted block is within 0.12 m of the transfer; until then the nearness of both: the
+    - *present* (0.15): both. Passed when the lifted block is at the transfer, within 0.05 m, where 0.1 rad of rotation
+      count as 0.01 m; until then the nearness of both: the
       giver's while it holds the lifted block, the receiver's from the first step on.
     - *mutual_grasp* (0.15): both. Passed when both hold the lifted block; until then, while it is presented, the giver's
       nearness, and for the receiver 0.6 times its nearness, and 0.4 times the closed fraction of its gripper once that

@@ -37,6 +37,7 @@ from typing import Any
 import numpy as np
 
 import dual_ur10
+from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.errors import CellFaulted
 from dual_ur10.ids import task_name
 from dual_ur10.policies import evaluate
@@ -49,7 +50,7 @@ from dual_ur10.policies.training.train import train
 
 PARTS = ("shipped", "range", "wide", "cell", "from_nothing", "from_demonstrations")
 DEMONSTRATIONS: dict[str, dict[str, Any]] = {
-    "Handover": {"steps": 12_000, "agents": "shared", "keywords": {"action_mode": "tcp_delta"}},
+    "Handover": {"steps": 5_600, "agents": "shared", "keywords": {"action_mode": "tcp_delta"}},
     "SyncCarry": {"steps": 17_000},
 }
 """Trainings of the part from_demonstrations; with these steps 20 episodes fit."""
@@ -170,7 +171,7 @@ def on_cells(env_id: str, name: str, episodes: int) -> dict[str, Any]:
 
 def from_nothing(env_id: str, episodes: int, seeds: int, plot: Path | None) -> dict[str, Any]:
     """Train by PPO, evaluate in the default environment, print each training, draw all, and return the figures."""
-    mode = {"action_mode": defaults(env_id, "ppo").keywords.get("action_mode", "joint_delta")}
+    mode = {"action_mode": defaults(env_id, "ppo").keywords.get("action_mode", EnvOptions.action_mode)}
     script = evaluate(env_id, "scripted", episodes=episodes, num_envs=64, env_kwargs=mode).mean_return
     rows = []
     for seed in range(seeds):

@@ -39,7 +39,7 @@ inline void advance(const Stages& s, int64_t row) {
     const double* fact = s.facts + 13 * row;
     int64_t& stage = s.stage[row];
     while (stage < COUNT && s.conditions[COUNT * row + stage] > 0.0) ++stage;
-    const bool gives = fact[2] > 0.0, receives = fact[3] > 0.0, placed = fact[12] > 0.0;
+    const bool gives = fact[2] > 0.0, receives = fact[3] > 0.0;
     // The goal that `near` refers to is that of this stage, not of the one before.
     const bool presents = gives && fact[10] > s.lifted_m, carries = receives && !(fact[0] > 0.0);
     double near[2], shut[2], open[2];
@@ -54,9 +54,9 @@ inline void advance(const Stages& s, int64_t row) {
                                         gives ? 2.0 * clamp(fact[10] / s.lifted_m, 0.0, 1.0) : 0.0,
                                         presents ? near[0] : 0.0, presents ? near[0] : 0.0,
                                         receives ? 0.5 * near[0] + open[0] : 0.0,
-                                        receives || placed ? 0.3 * near[0] + 0.5 * open[0] : 0.0},
+                                        receives ? 0.3 * near[0] + 0.5 * open[0] : 0.0},
                                        {0.0, 0.0, 0.0, near[1], gives ? (receives ? 1.0 : taking) : 0.0,
-                                        receives ? 0.5 * near[1] : 0.0, carries ? near[1] : placed ? 1.0 : 0.0}};
+                                        receives ? 0.5 * near[1] : 0.0, carries ? near[1] : 0.0}};
     constexpr double done[2][COUNT] = {{2.0, 2.0, 2.0, 1.0, 1.0, 1.5, 0.8}, {0.0, 0.0, 0.0, 1.0, 1.0, 0.5, 1.2}};
     // Stages passed from which on a term is earned. The receiver's part of "present", to wait, begins at once.
     constexpr int begin[2][COUNT] = {{0, 1, 2, 3, 4, 5, 6}, {0, 1, 2, 0, 4, 5, 6}};

@@ -12,6 +12,7 @@ from dual_ur10.envs.tasks.handover.goals import agent_observations, goals
 from dual_ur10.envs.tasks.handover.settings import HandoverSettings
 from dual_ur10.envs.tasks.handover.task import Handover
 from dual_ur10.envs.tasks.task import Timing
+from dual_ur10.errors import UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.sim2real.control.adapter import TCP_ROTATION_RAD_S, TCP_STEP_M_S
 from dual_ur10.sim2real.control.limits import MotionLimits
@@ -32,6 +33,9 @@ class GoalFollower:
         mounts: Poses of the bases and kinematics of the arms; None: those of the default cell.
         limits: Not used.
         settings: Settings of the task; None: the default ones.
+
+    Raises:
+        UnknownNameError: Another action mode.
     """
 
     def __init__(
@@ -42,6 +46,8 @@ class GoalFollower:
         limits: MotionLimits | None = None,
         settings: HandoverSettings | None = None,
     ) -> None:
+        if action_mode != "tcp_delta":
+            raise UnknownNameError("action mode of the goal follower", action_mode, ["tcp_delta"])
         both = SceneSettings().mounts if mounts is None else (mounts[0], mounts[1])
         settings = settings or HandoverSettings()
         self._layout, self._own = Handover.layout_for(settings), Handover.agent_layout_for(settings)

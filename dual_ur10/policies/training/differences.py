@@ -24,10 +24,10 @@ class Differences(VecEnvWrapper):
     """Rewards for what a step has changed.
 
     The terms of a state, added up to s, are replaced by their change since the step before. With the discount g the
-    return of the changes is 1 - g times that of s, less what the first state earns: the same policy is best. A finish
-    is multiplied by 1 - g, and counts for no more than a state with s = 1 that lasts for ever. An end without success
-    takes back what was earned. A refused motion costs the time in which nothing changes, and no more: its own term
-    would keep the tools away from the table long before they can grasp.
+    return of the changes is 1 - g times that of s, less what the first state earns. The same policy is best, but for
+    two exceptions. A finish, multiplied by 1 - g, counts for no more than a state with s = 1 that lasts for ever. A
+    refused motion costs the time in which nothing changes, and no more: its own term would keep the tools away from the
+    table long before they can grasp. An end without success takes back what was earned.
 
     Args:
         env: Vector environment of the package.

@@ -308,12 +308,17 @@ def network_shape(training: Training, view: EnvironmentView) -> NetworkShape:
     """Return the shape of the networks to train.
 
     Raises:
-        TrainingError: They are too large.
+        TrainingError: They are too large, or see nothing.
     """
     inputs, outputs = view.signature.observation.shape[0], view.signature.action.shape[0]
     if training.agents != "joint":
         inputs, outputs = view.agent_size, outputs // 2
     settings = training.settings
+    if len(view.indices(settings.unseen, joint=training.agents == "joint")) == inputs:
+        raise TrainingError(
+            f"agents is {training.agents!r}, whose observation has no field but those of unseen: choose other agents, "
+            "or hide fewer fields"
+        )
     activation = settings.activation if isinstance(settings, Imitation) else "tanh"
     try:
         return NetworkShape((inputs, *settings.hidden, outputs), activation, "clip")

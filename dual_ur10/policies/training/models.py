@@ -33,7 +33,7 @@ class _Moments(RunningMeanStd):
     Args:
         shape: Shape of an observation.
         unseen: Indices of the values that the network does not see.
-        scaled: False: they stay 0 and 1.
+        scaled: False: mean and variance of the others stay 0 and 1.
     """
 
     def __init__(self, shape: tuple[int, ...], unseen: Sequence[int], scaled: bool) -> None:

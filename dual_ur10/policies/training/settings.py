@@ -72,8 +72,8 @@ class Reinforcement(StrictJson):
         unseen: As `Imitation.unseen`. With fewer values a policy is found in fewer steps.
         reward: Reward of each arm's row, unless one network acts for both ("joint"): that of both arms, or its own.
         differences: Learn from the change of the reward at each step instead of the reward; see
-            `dual_ur10.policies.training.differences.Differences`. The best policy is the same, and what a single action
-            has changed is not hidden under what earlier ones have earned.
+            `dual_ur10.policies.training.differences.Differences`. What a single action has changed is then not hidden
+            under what earlier ones have earned.
         scaled: Scale what the network observes by its running mean and deviation. Fields that are made for learners are
             better left alone: a deviation of early training is small where the arms have hardly been.
     """

@@ -126,7 +126,6 @@ def test_terms_rise_within_a_stage_and_are_one_after_it():
         (6, facts(gripper(near=0.5), HOLDS), facts(gripper(near=0.9), HOLDS)),
         (6, facts(gripper(True), HOLDS), facts(gripper(), away)),
         (6, facts(receiving=away), facts(receiving=HOLDS)),
-        (6, facts(receiving=HOLDS), facts(placed=True)),
     ]
     for k, far, near in nearer:
         low, high = (terms(each, k).mean(axis=0) for each in (far, near))

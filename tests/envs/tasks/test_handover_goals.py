@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from dual_ur10 import policies
+from dual_ur10.assets.gripper import TCP_M
 from dual_ur10.envs.core.core import Core
 from dual_ur10.envs.tasks.handover.goals import BACK_M
+from dual_ur10.envs.tasks.handover.settings import MEETING_M, presented_quat
 from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.rotations import quat_to_matrix
+from dual_ur10.kinematics.rotations import quat_multiply, quat_to_matrix
 
 
 def begun(seeds=(0,), **keywords):
@@ -56,7 +58,7 @@ def test_goals_at_the_start_are_above_the_grip_and_at_home():
     core, observation = begun(range(8), giver="random")
     fields, state = own_fields(core, observation), core._state
     rows, giver = np.arange(8), core.task._giver
-    tool = state.flange_m + quat_to_matrix(state.flange_quat)[..., 2] * 0.174
+    tool = state.flange_m + quat_to_matrix(state.flange_quat)[..., 2] * TCP_M
     frames = Frames((core.task.cell.left, core.task.cell.right))
     assert np.allclose(frames.position_to_cell(fields["flange_base_m"]), state.flange_m, atol=1e-6)
     assert np.abs(fields["goal_step_m"][rows, 1 - giver]).max() < 2e-3
@@ -67,3 +69,14 @@ def test_goals_at_the_start_are_above_the_grip_and_at_home():
     assert (away[:, 2] > 0.02).all()
     assert (away[:, 2] < BACK_M + 0.05).all()
     assert (fields["goal_opening"] == 1.0).all()
+
+
+@pytest.mark.parametrize("giver", [0, 1])
+@pytest.mark.parametrize(("turned_rad", "found_m"), [(0.0, 0.0), (0.6, 0.1 * 2.0 * np.sin(0.3))])
+def test_a_rotated_block_is_not_presented(giver, turned_rad, found_m):
+    core, _ = begun(giver=["left", "right"][giver])
+    core.step(np.zeros((1, 14), dtype=np.float32))
+    turn = np.array([np.cos(turned_rad / 2), 0.0, 0.0, np.sin(turned_rad / 2)])
+    core.cell._physics._handling._object[0] = [*MEETING_M, *quat_multiply(turn, presented_quat(giver))]
+    core.step(np.zeros((1, 14), dtype=np.float32))
+    assert core.task._stages.facts[0, 11] == pytest.approx(found_m, abs=0.015)  # it falls for a moment

@@ -8,8 +8,9 @@ import pytest
 
 from dual_ur10 import policies
 from dual_ur10.envs.core.core import Core
-from dual_ur10.errors import ActionError
+from dual_ur10.errors import ActionError, UnknownNameError
 from dual_ur10.policies.policy import Policy
+from dual_ur10.policies.scripted.goal_follower import GoalFollower
 from tests.soak import scaled
 
 HANDOVER, MODE = "DualUR10/Handover-v0", {"action_mode": "tcp_delta"}
@@ -40,6 +41,7 @@ def test_every_block_is_placed(keywords):
 
 def test_actions_have_the_shape_of_the_observations_and_no_memory():
     env, follower = gym.make(HANDOVER, **MODE), policies.load("scripted", HANDOVER, **MODE)
+    assert isinstance(follower, GoalFollower)
     assert isinstance(follower, Policy)
     observation, _ = env.reset(seed=0)
     one = follower(observation)
@@ -51,3 +53,8 @@ def test_actions_have_the_shape_of_the_observations_and_no_memory():
     assert np.array_equal(follower(observation), one)
     with pytest.raises(ActionError, match="Handover"):
         follower(observation[:-1])
+
+
+def test_another_action_mode_is_refused():
+    with pytest.raises(UnknownNameError, match="joint_delta"):
+        GoalFollower(Core("Handover", MODE).timing, "joint_delta")

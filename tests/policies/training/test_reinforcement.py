@@ -16,6 +16,7 @@ from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.training import folder, models, state
 from dual_ur10.policies.training import reinforcement as reinforce
 from dual_ur10.policies.training.regression import BLIND
+from dual_ur10.policies.training.settings import defaults
 from dual_ur10.policies.training.train import resume, train
 from tests.policies.training.small import small
 
@@ -108,6 +109,29 @@ def test_the_cells_of_a_training_do_not_end_their_episodes_together(tmp_path, mo
     first, *later = (np.flatnonzero(each) for each in np.array(ends).T)
     assert len({int(each[0]) for each in (first, *later)}) > 3
     assert all((np.diff(each) == 12).all() for each in (first, *later))
+
+
+def test_a_network_that_sees_nothing_is_refused_before_anything_is_made(tmp_path):
+    """All that learners of Handover see are the agents' own fields."""
+    with pytest.raises(TrainingError, match="agents is 'joint'"):
+        train(defaults("Handover", "ppo", "joint"), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("scaled", [False, True])
+def test_a_network_may_see_unscaled_values_and_logs_keep_the_reward_of_the_task(scaled):
+    settings = defaults("Handover", "ppo", changes={"scaled": scaled}).settings
+    env = TwoAgentVecEnv("Handover", 2, reward="individual", threads=1, max_episode_steps=8)
+    _, around = models.make("ppo", env, settings, 0, unseen=[1])
+    around.reset()
+    for _ in range(8):
+        _, _, over, infos = around.step(np.zeros((4, 7)))
+    assert over.all()
+    assert around.obs_rms.var[1] == BLIND
+    others = np.delete(around.obs_rms.mean, 1)
+    assert np.any(others != 0.0) == scaled
+    assert all(info["episode"]["r"] > 0.5 for info in infos)  # its changes are 0.1 in sum
+    env.close()
 
 
 def test_an_unknown_reward_is_refused():

@@ -33,6 +33,7 @@ def test_every_task_has_settings_for_every_algorithm(env_id, algorithm):
     assert asked.keywords == (shown if algorithm in IMITATION else own.from_nothing)
     assert asked.agents == ("joint" if algorithm in IMITATION else own.agents)
     assert isinstance(asked.settings, Imitation if algorithm in IMITATION else Reinforcement)
+    assert (asked.envs, asked.checks) == ((own.envs, own.checks) if algorithm in IMITATION else (64, 32))
 
 
 @pytest.mark.parametrize("env_id", ENV_IDS)

@@ -65,7 +65,8 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     the receiver lowers the block onto its target and opens.
 
     The left gripper must hold the half at -x of the block's own x, the right gripper that at +x, each within 6 cm of
-    the middle of its half. The block counts as presented within 0.12 m of (-0.1, -0.1, 0.35) m, in any orientation.
+    the middle of its half. The block counts as presented within 0.05 m of its pose at the transfer, at
+    (-0.1, -0.1, 0.35) m, where 0.1 rad of rotation count as 0.01 m.
 
     ## Action Space
 
@@ -119,33 +120,26 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     ## Rewards
 
     The reward is the weighted sum of one term for each stage, between 0 and 1, and one for the end; each raw term is in
-    `info` as `reward/<term>`. A term is 1 once its stage is passed, 0 before the stage begins, and measures progress in
-    between. Stages with a longer motion count double. An agent earns the terms of its own actions twice, so that the
-    mean of both agents is the term; both earn the terms of joint actions.
+    `info` as `reward/<term>`. A term is the mean of the parts of giver and receiver below, which are what their agents
+    earn. A part has its largest value once its stage is passed, and measures progress until then. It is 0 before its
+    stage begins, but for the receiver's part of *present*.
 
-    Progress is mostly the nearness of a tool to its goal in the present phase (`dual_ur10.envs.tasks.handover.goals`):
-    for the distance d, in m, and the chord of the angle c = 2 sin(angle / 2), the mean of 1 - d, 1 - c / 2,
-    0.03 / (0.03 + d), 0.3 / (0.3 + d), 0.2 / (0.2 + c) and 1 / (1 + c), of which the last four count half. It is 1 at
-    the goal, and has a slope at every distance. While the goal of a gripper is to be open, it counts 0.8 to 1 times,
-    with the opened fraction of the gripper.
+    Progress is mostly the nearness of a tool to its goal in the present phase (`dual_ur10.envs.tasks.handover.goals`).
+    With the length d of the path to the goal, in m, and the chord c = 2 sin(angle / 2) of the rotation, nearness is a
+    quarter of 2 - d - c / 2 + s, and s is half of the sum of 0.03 / (0.03 + d), 0.3 / (0.3 + d), 0.2 / (0.2 + c) and
+    1 / (1 + c). It is 1 at the goal, and has a slope at every distance below 1 m. While the goal of a gripper is to be
+    open, it counts 0.8 to 1 times, with the opened fraction of the gripper.
 
-    - *reach* (0.1): giver. Passed when its grip of the block is between its fingers; until then its nearness.
-    - *grasp* (0.1): giver. Passed when it holds the block: fingers at the block's width, around the grip; until then half
-      its nearness, and half the closed fraction of the gripper once that is its goal.
-    - *lift* (0.1): giver. Passed when it holds the block with its middle more than 8 cm above the table; until then
-      the fraction of that height.
-    - *present* (0.15): both. Passed when the lifted block is at the transfer, within 0.05 m, where 0.1 rad of rotation
-      count as 0.01 m; until then the nearness of both: the
-      giver's while it holds the lifted block, the receiver's from the first step on.
-    - *mutual_grasp* (0.15): both. Passed when both hold the lifted block; until then, while it is presented, the giver's
-      nearness, and for the receiver 0.6 times its nearness, and 0.4 times the closed fraction of its gripper once that
-      is its goal.
-    - *release* (0.2): 1.5 of the giver, 0.5 of the receiver. Passed when the receiver alone holds the lifted block; until
-      then, while the receiver holds it, the opened fraction of the giver's gripper, and 0.5 times the nearness of each.
-    - *place* (0.2): 0.8 of the giver, 1.2 of the receiver. Passed when the block lies still on its target, within
-      `success_error_m` and `success_turn_rad`, and no gripper holds it. Until then 0.3 times the giver's nearness and
-      0.5 times the opened fraction of its gripper; and, once the giver has left the block, the receiver's nearness
-      while it holds the block, or 1 where the block lies still on its target.
+    | term | weight | passed when | giver's part | receiver's part |
+    |------|--------|-------------|--------------|-----------------|
+    | *reach* | 0.1 | the giver's grip of the block is between its fingers | 2: twice its nearness | 0 |
+    | *grasp* | 0.1 | the giver holds the block | 2: while the grip is between its fingers, nearness, and closed fraction once that is the goal | 0 |
+    | *lift* | 0.1 | it holds the block with its middle more than 8 cm above the table | 2: while it holds it, twice the fraction of that height | 0 |
+    | *present* | 0.15 | the lifted block is presented | 1: nearness while it holds the lifted block | 1: nearness, from the first step on |
+    | *mutual_grasp* | 0.15 | both hold the lifted block | 1: as before | 1: while the giver holds the block, 0.6 of nearness, 0.4 of closed fraction |
+    | *release* | 0.2 | the receiver alone holds the lifted block | 1.5: while the receiver holds it, opened fraction, 0.5 of nearness | 0.5: then, 0.5 of nearness |
+    | *place* | 0.2 | the block lies still on its target, within `success_error_m` and `success_turn_rad`, and no gripper holds it | 0.8: while the receiver holds it, 0.5 of opened fraction, 0.3 of nearness | 1.2: nearness while it holds the block that the giver has left |
+
     - *finish* (1.0): both. At a step that ends an episode with success, the number of its remaining steps; otherwise 0.
       It replaces the reward of the remaining steps, so that hovering near the target earns no more than success.
 

@@ -88,14 +88,16 @@ def test_observations_are_normalised_as_in_training() -> None:
 
 
 def test_two_models_convert_for_independent_agents() -> None:
-    models = [model_of("sac", 56, 7, seed) for seed in range(2)]
+    models = [model_of("sac", 79, 7, seed) for seed in range(2)]
     networks, manifest = converted(models, HANDOVER, agents="independent", **KEYWORDS)
-    loaded = checkpoint.LearnedPolicy(manifest, networks, checkpoint.view_of(HANDOVER, KEYWORDS))
+    view = checkpoint.view_of(HANDOVER, KEYWORDS)
+    loaded = checkpoint.LearnedPolicy(manifest, networks, view)
     observation = np.random.default_rng(0).normal(size=112)
-    for half, model, own in zip(np.split(loaded(observation), 2), models, np.split(observation, 2), strict=True):
+    agents = view.split(observation[None])[0]
+    for half, model, own in zip(np.split(loaded(observation), 2), models, agents, strict=True):
         np.testing.assert_allclose(half, model.predict(own, deterministic=True)[0], atol=1e-5)
     with pytest.raises(CheckpointError, match="look different"):
-        converted([models[0], model_of("sac", 56, 7, net_arch=[8])], HANDOVER, agents="independent", **KEYWORDS)
+        converted([models[0], model_of("sac", 79, 7, net_arch=[8])], HANDOVER, agents="independent", **KEYWORDS)
     with pytest.raises(CheckpointError, match="models"):
         converted(models[:1], HANDOVER, agents="independent", **KEYWORDS)
 

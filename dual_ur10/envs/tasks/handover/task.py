@@ -130,16 +130,20 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     1 / (1 + c). It is 1 at the goal, and has a slope at every distance below 1 m. While the goal of a gripper is to be
     open, it counts 0.8 to 1 times, with the opened fraction of the gripper.
 
-    | term | weight | passed when | giver's part | receiver's part |
-    |------|--------|-------------|--------------|-----------------|
-    | *reach* | 0.1 | the giver's grip of the block is between its fingers | 2: twice its nearness | 0 |
-    | *grasp* | 0.1 | the giver holds the block | 2: while the grip is between its fingers, nearness, and closed fraction once that is the goal | 0 |
-    | *lift* | 0.1 | it holds the block with its middle more than 8 cm above the table | 2: while it holds it, twice the fraction of that height | 0 |
-    | *present* | 0.15 | the lifted block is presented | 1: nearness while it holds the lifted block | 1: nearness, from the first step on |
-    | *mutual_grasp* | 0.15 | both hold the lifted block | 1: as before | 1: while the giver holds the block, 0.6 of nearness, 0.4 of closed fraction |
-    | *release* | 0.2 | the receiver alone holds the lifted block | 1.5: while the receiver holds it, opened fraction, 0.5 of nearness | 0.5: then, 0.5 of nearness |
-    | *place* | 0.2 | the block lies still on its target, within `success_error_m` and `success_turn_rad`, and no gripper holds it | 0.8: while the receiver holds it, 0.5 of opened fraction, 0.3 of nearness | 1.2: nearness while it holds the block that the giver has left |
-
+    - *reach* (0.1): passed when the giver's grip of the block is between its fingers. Giver, 2: twice its nearness.
+    - *grasp* (0.1): passed when the giver holds the block. Giver, 2: while the grip is between its fingers, its
+      nearness, and the closed fraction of its gripper once that is its goal.
+    - *lift* (0.1): passed when the giver holds the block with its middle more than 8 cm above the table. Giver, 2: while
+      it holds the block, twice the fraction of that height.
+    - *present* (0.15): passed when the lifted block is presented. Giver, 1: its nearness while it holds the lifted
+      block. Receiver, 1: its nearness, from the first step on.
+    - *mutual_grasp* (0.15): passed when both hold the lifted block. Giver, 1: as before. Receiver, 1: while the giver
+      holds the block, 0.6 of its nearness, and 0.4 of the closed fraction of its gripper once that is its goal.
+    - *release* (0.15): passed when the receiver alone holds the lifted block. While the receiver holds it: giver, 1.5:
+      the opened fraction of its gripper, and 0.5 of its nearness; receiver, 0.5: 0.5 of its nearness.
+    - *place* (0.25): passed when the block lies still on its target, within `success_error_m` and `success_turn_rad`, and
+      no gripper holds it. While the receiver holds it: giver, 0.8: 0.5 of the opened fraction of its gripper, and 0.3 of
+      its nearness; receiver, 1.2: its nearness, once the giver has left the block.
     - *finish* (1.0): both. At a step that ends an episode with success, the number of its remaining steps; otherwise 0.
       It replaces the reward of the remaining steps, so that hovering near the target earns no more than success.
 
@@ -212,8 +216,8 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         "lift": 0.1,
         "present": 0.15,
         "mutual_grasp": 0.15,
-        "release": 0.2,
-        "place": 0.2,
+        "release": 0.15,
+        "place": 0.25,
         "finish": 1.0,
     }
     stages: ClassVar[tuple[str, ...]] = STAGES

@@ -27,8 +27,13 @@ _SCRIPTED: Final = {
     "SyncCarry": "sync_carry:SyncCarryPolicy",
     "Handover": "handover:HandoverPolicy",
 }
+"""Classes by task, for any action mode."""
+
 _SCRIPTED_TCP: Final = {"Handover": "goal_follower:GoalFollower"}
-"""Classes by task, of actions of joints and of flanges."""
+"""Classes by task, for `action_mode="tcp_delta"` in place of those."""
+
+_OF_INTERFACES: Final = ("max_episode_steps", "render_mode", "threads")
+"""Keywords of `gym.make` and `gym.make_vec` on which no policy depends."""
 
 _SHIPPED: Final = {
     "learned": {"SineTracking": "sine_tracking", "SyncCarry": "sync_carry", "Handover": "handover"},
@@ -108,6 +113,7 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
         return _own(str(name))
     if name in _SHIPPED and env_id is not None:
         name = shipped_folder(str(name), env_id)
+    keywords = {key: value for key, value in keywords.items() if key not in _OF_INTERFACES}
     if is_path(name):
         from dual_ur10.policies.learned import checkpoint
 

@@ -590,7 +590,7 @@ def test_csv_has_a_row_per_episode(tmp_path: Path) -> None:
 def test_a_learned_policy_gets_the_latency_that_it_was_made_for(kind: str, caplog: pytest.LogCaptureFixture) -> None:
     folder = shipped_folder("learned", SINE)
     policy: Any = {"name": "learned", "folder": str(folder), "policy": load(folder)}[kind]
-    short = {"duration_s": 0.4}
+    short = {"duration_s": 0.4, "threads": 1, "max_episode_steps": 50}
     found = evaluate(SINE, policy, episodes=1, env_kwargs=short)
     assert found.kwargs == {**short, "action_latency_ticks": 5}
     assert found.successes == 1

@@ -180,7 +180,7 @@ def from_nothing(env_id: str, episodes: int, seeds: int, plot: Path | None) -> d
             train(defaults(env_id, "ppo", seed=seed), path)
             cpu = {"cpu_minutes": (time.process_time() - begin_s) / 60}
             found = evaluate(env_id, str(path / "policy"), episodes=episodes, num_envs=64, env_kwargs=mode)
-            rows.append(cpu | figures_of(path, found, script))
+            rows.append({"seed": seed} | cpu | figures_of(path, found, script))
         told = {key: value for key, value in rows[-1].items() if key != "curve"}
         print(f"{task_name(env_id)}, PPO from nothing: {json.dumps(told)}", flush=True)
     if plot is not None:
@@ -220,14 +220,12 @@ def figures_of(path: Path, found: Evaluation, script: float) -> dict[str, Any]:
         found: Evaluation of its policy.
         script: Mean return of the scripted policy.
     """
-    asked = json.loads((path / "training.json").read_text())
     values = state.load(path / "state")[1]
     curve = [
         (each["steps"], each["seconds"] / 60, each["mean_return"] / script, each["success_rate"])
         for each in values["checks"]
     ]
     row: dict[str, Any] = {
-        "seed": asked["seed"],
         "success": found.success_rate,
         "of_script": found.mean_return / script,
         "stages": found.stage_scores,

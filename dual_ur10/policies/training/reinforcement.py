@@ -149,7 +149,10 @@ class Reinforcer:
         """Let the first episodes end at any time, so that each update learns from all parts of the task."""
         most, seed = self._settings.episode_steps, [self._asked.seed, self.steps]
         if most is not None:
-            cells.elapsed_steps[:] = np.random.default_rng(seed).integers(most, size=cells.num_envs)
+            horizon = cells.core.task.horizon
+            most_left = most if horizon is None else min(most, horizon)
+            done = np.random.default_rng(seed).integers(most_left, size=cells.num_envs)
+            cells.elapsed_steps[:] = most - most_left + done
 
     def explore(self, model: Any) -> None:
         """Set the width of a model's exploration; called before each rollout."""

@@ -141,7 +141,7 @@ class TaskSettings:
     """Settings of one task.
 
     Attributes:
-        envs: Number of cells that bc and dagger step together; PPO and SAC: 64.
+        envs: Number of cells that bc and dagger step together. PPO and SAC step as many as the default.
         steps: Total number of environment steps, by algorithm.
         randomization: Variation from episode to episode.
         keywords: Further keywords of the environment.
@@ -151,7 +151,7 @@ class TaskSettings:
         ppo: Settings of PPO from nothing. With a checkpoint to begin with, the general ones count.
         sac: Settings of SAC.
         imitation: Settings of bc and dagger.
-        checks: Number of episodes of each progress check of bc and dagger; PPO and SAC: 32.
+        checks: Number of episodes of each progress check of bc and dagger. For PPO and SAC it is the default.
     """
 
     envs: int = _ENVS
@@ -339,6 +339,8 @@ class Training(StrictJson):
         if isinstance(self.settings, Imitation) and self.settings.activation not in get_args(Activation):
             raise UnknownNameError("activation", str(self.settings.activation), get_args(Activation))
         schema.check(self.settings, f"settings of {self.algorithm}", SettingsError)
+        if isinstance(self.settings, Reinforcement) and self.settings.differences and self.settings.gamma == 1.0:
+            raise SettingsError("gamma is 1, at which differences of the reward leave nothing to learn: use less")
         if isinstance(self.settings, Reinforcement) and self.algorithm == "ppo":
             rows = self.envs * self.settings.steps_per_update
             if rows < 2:

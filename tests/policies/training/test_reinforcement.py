@@ -93,8 +93,11 @@ def test_each_arm_learns_from_the_reward_that_is_asked_for(tmp_path, monkeypatch
     assert any(abs(own[0, 0] - own[0, 1]) > 1e-3 for _, own in seen)
 
 
-@pytest.mark.parametrize("agents", ["joint", "independent"])
-def test_the_cells_of_a_training_do_not_end_their_episodes_together(tmp_path, monkeypatch, agents):
+@pytest.mark.parametrize(
+    ("agents", "duration_s", "steps"), [("joint", 1.0, 12), ("independent", 1.0, 12), ("joint", 0.32, 8)]
+)
+def test_the_cells_of_a_training_do_not_end_their_episodes_together(tmp_path, monkeypatch, agents, duration_s, steps):
+    """Neither where the training ends them, nor where the task does before."""
     kind, ends = JointVecEnv if agents == "joint" else TwoAgentVecEnv, []
     real = kind.step_wait
 
@@ -104,12 +107,13 @@ def test_the_cells_of_a_training_do_not_end_their_episodes_together(tmp_path, mo
         return found
 
     monkeypatch.setattr(kind, "step_wait", watched)
-    train(small("ppo", agents, envs=8, steps=256, changes={"episode_steps": 12}), tmp_path / "out")
+    keywords, changes = {"duration_s": duration_s}, {"episode_steps": 12}
+    train(small("ppo", agents, envs=8, steps=256, keywords=keywords, changes=changes), tmp_path / "out")
     assert len(ends) == 32
     assert max(each.sum() for each in ends) < 6
     first, *later = (np.flatnonzero(each) for each in np.array(ends).T)
     assert len({int(each[0]) for each in (first, *later)}) > 3
-    assert all((np.diff(each) == 12).all() for each in (first, *later))
+    assert all((np.diff(each) == steps).all() for each in (first, *later))
 
 
 def test_a_network_that_sees_nothing_is_refused_before_anything_is_made(tmp_path):

@@ -123,6 +123,7 @@ def test_impossible_values_are_refused(wrong):
         {"changes": {"gae_lambda": 1.1}},
         {"changes": {"critic_first": 1.5}},
         {"changes": {"target_kl": 0.0}},
+        {"changes": {"gamma": 1.0, "differences": True}},
         {"envs": 1, "changes": {"steps_per_update": 1}},
     ],
 )

@@ -29,12 +29,6 @@ void write(const Rotation& r, double* rows) {
     copy(rows, values, 9);
 }
 
-void write(Vector a, double* to) {
-    to[0] = a.x;
-    to[1] = a.y;
-    to[2] = a.z;
-}
-
 }  // namespace
 
 // Flange poses of a chain (6, 13). A row of `block` (n, 18) gives joint angles and takes position and rotation.

@@ -36,7 +36,12 @@ inline bool holds(const GraspLimits& s, Vector grip, double width_m) {
     return is_between(s, grip) && fabs(width_m - s.width_m) < s.width_margin_m;
 }
 
-inline void put(double* to, Vector v) { to[0] = v.x, to[1] = v.y, to[2] = v.z; }
+// Grip in the frame of a tool, from that of its flange.
+inline Vector in_tool(const Rotation& flange, Vector flange_m, double tcp_m, Vector grip_m) {
+    Vector found = rotate_back(flange, grip_m - flange_m);
+    found.z -= tcp_m;
+    return found;
+}
 
 // Conjugate of the first quaternion, times the second.
 inline void between(const double* a, const double* b, double* out) {
@@ -64,19 +69,18 @@ inline void measure(const Grasps& s, int64_t row) {
         const int there = 1 - arm;
         const Rotation flange = from_quat(quat + 4 * arm);
         const Vector here = vector(flange_m + 3 * arm);
-        put(other + 7 * arm, rotate_back(flange, vector(flange_m + 3 * there) - here));
+        write(rotate_back(flange, vector(flange_m + 3 * there) - here), other + 7 * arm);
         between(quat + 4 * arm, quat + 4 * there, other + 7 * arm + 3);
         const Vector wanted = vector(poses) + rotate(object, vector(s.grip_m + 6 * row + 3 * arm));
-        Vector tool = rotate_back(flange, wanted - here);
-        tool.z -= s.tcp_m;
-        put(grip + 3 * arm, tool);
+        const Vector tool = in_tool(flange, here, s.tcp_m, wanted);
+        write(tool, grip + 3 * arm);
         inside[arm] = is_between(*s.limits, tool);
         held[arm] = holds(*s.limits, tool, width_m[arm]);
         for (int64_t k = 0; k < s.poses; ++k) {
             const double *pose = poses + 7 * k, *turn = s.quat_to_base + 16 * arm;
             double* out = bases + 7 * (arm * s.poses + k);
             const Vector away = vector(pose) - vector(s.base_m + 3 * arm);
-            put(out, rotate(rotation(s.to_base + 9 * arm), away));
+            write(rotate(rotation(s.to_base + 9 * arm), away), out);
             for (int j = 0; j < 4; ++j)
                 out[3 + j] = pose[3] * turn[j] + pose[4] * turn[4 + j] + pose[5] * turn[8 + j] + pose[6] * turn[12 + j];
         }

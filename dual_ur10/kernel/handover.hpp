@@ -93,9 +93,9 @@ inline void observe(const HandoverAgents& s, int64_t row) {
     double between[2], holds[2], width_m[2];
     goals::Scene scene = {giver, seen(giver, s.block), seen(giver, s.target), between, holds, width_m};
     for (int64_t arm = 0; arm < 2; ++arm) {
-        const goals::Pose tool = goals::tool_of(*s.goals, seen(arm, s.flange));
+        const goals::Pose flange = seen(arm, s.flange);
         const Vector grip = scene.block.at + rotate(scene.block.turn, vector(s.goals->grip_m + 6 * giver + 3 * arm));
-        const Vector away = rotate_back(tool.turn, grip - tool.at);
+        const Vector away = grasps::in_tool(flange.turn, flange.at, s.goals->tcp_m, grip);
         between[arm] = grasps::is_between(*s.grips, away);
         width_m[arm] = both[arm * s.size + s.gripper];
         holds[arm] = grasps::holds(*s.grips, away, width_m[arm]);

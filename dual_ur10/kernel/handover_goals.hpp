@@ -6,11 +6,11 @@
 
 // `grip_m` are positions of both grips in the block's frame, by the index of the giver. Poses are three numbers of
 // position and nine of rotation, in rows: `grips`, goals of both tools in the block's frame, by the same index; the
-// presented block, by that index; and the tools at home.
+// presented block, and the receiver's tool in the target's frame, by that index; and the tools at home.
 #define HANDOVER_GOALS(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                         \
-    REAL(tcp_m) REAL(laid_m) REAL(open_m) REAL(lifted_m) REAL(carried_m) REAL(meeting_m) REAL(back_m) REAL(lever_m)    \
-    REAL(aside) REAL(slack_m) REAL(there_m) REAL(there) REAL(keep) REALS(scales_m, 2) REALS(scales, 2)                 \
-    REALS(grip_m, 12) REALS(grips, 48) REALS(presented, 24) REALS(home, 24)
+    REAL(tcp_m) REAL(leave_m) REAL(clear_m) REAL(lifted_m) REAL(carried_m) REAL(meeting_m) REAL(back_m) REAL(lever_m)    \
+    REAL(aside) REAL(slack_m) REAL(arrived_m) REAL(there_m) REAL(there) REAL(keep) REALS(scales_m, 2) REALS(scales, 2)                 \
+    REALS(grip_m, 12) REALS(grips, 48) REALS(presented, 24) REALS(laid, 24) REALS(home, 24)
 
 STRUCTURE(HandoverGoals, HANDOVER_GOALS)
 
@@ -40,11 +40,8 @@ struct Step {
 };
 
 inline Step to(const Pose& tool, const Pose& goal) {
-    const Rotation &a = tool.turn, &b = goal.turn;
-    const Vector axis = cross(a.x, b.x) + cross(a.y, b.y) + cross(a.z, b.z);
-    const double trace = dot(a.x, b.x) + dot(a.y, b.y) + dot(a.z, b.z);
     const Vector move = goal.at - tool.at;
-    return {move, (1.0 / sqrt(larger(1.0 + trace, 1e-12))) * axis, length(move)};
+    return {move, rotation_from(tool.turn, goal.turn), length(move)};
 }
 
 // As `to`, but to a point behind the goal along its own z, the farther the worse the tool is aligned with it, so that
@@ -63,7 +60,7 @@ inline Step along(const HandoverGoals& s, const Pose& tool, const Pose& goal, do
 // What the goals of a cell depend on, in the cell frame.
 struct Scene {
     int64_t giver;
-    Pose block, target;  // the target lies as the block begins: upside down from how it is placed
+    Pose block, target;
     const double *between, *holds, *width_m;  // of both arms
 };
 
@@ -77,7 +74,7 @@ inline double off_m(const HandoverGoals& s, int64_t giver, const Pose& block) {
 inline Phase phase(const HandoverGoals& s, const Scene& scene) {
     const int64_t giver = scene.giver, receiver = 1 - giver;
     if (scene.holds[receiver] > 0.0) return scene.between[giver] > 0.0 ? RELEASE : PLACE;
-    if (!(scene.holds[giver] > 0.0)) return length(scene.block.at - scene.target.at) < s.laid_m ? LEAVE : PICK;
+    if (!(scene.holds[giver] > 0.0)) return length(scene.block.at - scene.target.at) < s.leave_m ? LEAVE : PICK;
     if (scene.block.at.z <= s.lifted_m) return LIFT;
     return off_m(s, giver, scene.block) < s.meeting_m ? TAKE : PRESENT;
 }
@@ -86,7 +83,8 @@ inline Step step(const HandoverGoals& s, const Scene& scene, Phase phase, int64_
     constexpr Rotation same = {{1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}, {0.0, 0.0, 1.0}};
     constexpr Step none = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, 0.0};
     const Pose grip = pose(s.grips + 24 * scene.giver + 12 * arm), shown = pose(s.presented + 12 * scene.giver);
-    const bool gives = arm == scene.giver, encloses = scene.between[arm] > 0.0 && scene.width_m[arm] < s.open_m;
+    const Pose behind = {{0.0, 0.0, -s.back_m}, same};
+    const bool gives = arm == scene.giver, encloses = scene.between[arm] > 0.0 && scene.width_m[arm] < s.clear_m;
     if (!gives && phase == LEAVE && encloses) return none;
     if (gives) {
         if (phase == PICK) return along(s, tool, scene.block * grip, 0.0);
@@ -95,7 +93,7 @@ inline Step step(const HandoverGoals& s, const Scene& scene, Phase phase, int64_
             return {{0.0, 0.0, up}, none.turn, up};
         }
         if (phase == PRESENT || phase == TAKE) return to(tool, shown * grip);
-        if (phase != RELEASE || !encloses) return to(tool, shown * grip * Pose{{0.0, 0.0, -s.back_m}, same});
+        if (phase != RELEASE || !encloses) return to(tool, shown * grip * behind);
         Step still = to(tool, shown * grip);
         still.left_m += s.back_m;
         return still;
@@ -104,10 +102,10 @@ inline Step step(const HandoverGoals& s, const Scene& scene, Phase phase, int64_
     if (phase == RELEASE) return to(tool, shown * grip);
     if (phase == TAKE) {
         const double off = off_m(s, scene.giver, scene.block);
-        return along(s, tool, (off < 2.0 * s.slack_m ? scene.block : shown) * grip, off);
+        return along(s, tool, (off < s.arrived_m ? scene.block : shown) * grip, off);
     }
-    const Pose laid = scene.target * Pose{{0.0, 0.0, 0.0}, {{1.0, 0.0, 0.0}, {0.0, -1.0, 0.0}, {0.0, 0.0, -1.0}}};
-    return along(s, tool, laid * grip, phase == LEAVE ? s.back_m + s.slack_m : 0.0);
+    const Pose laid = scene.target * pose(s.laid + 12 * scene.giver);
+    return phase == LEAVE ? to(tool, laid * behind) : along(s, tool, laid, 0.0);
 }
 
 inline bool is_there(const HandoverGoals& s, const Step& step, double tolerance) {
@@ -118,7 +116,7 @@ inline bool is_there(const HandoverGoals& s, const Step& step, double tolerance)
 inline bool closes(const HandoverGoals& s, const Scene& scene, Phase phase, int64_t arm, const Step& step) {
     const bool gives = arm == scene.giver;
     if (phase == (gives ? PICK : TAKE))
-        return scene.between[arm] > 0.0 && is_there(s, step, scene.width_m[arm] < s.open_m ? s.keep : 1.0);
+        return scene.between[arm] > 0.0 && is_there(s, step, scene.width_m[arm] < s.clear_m ? s.keep : 1.0);
     if (gives) return phase < RELEASE;
     return phase == RELEASE || (phase == PLACE && !is_there(s, step, 1.0));
 }

@@ -117,6 +117,11 @@ static inline Vector cross(Vector a, Vector b) {
     return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 static inline Vector vector(const double* from) { return {from[0], from[1], from[2]}; }
+static inline void write(Vector a, double* to) {
+    to[0] = a.x;
+    to[1] = a.y;
+    to[2] = a.z;
+}
 
 // A rotation by its columns: the axes of a frame.
 struct Rotation {
@@ -133,6 +138,14 @@ static inline Vector rotate(const Rotation& r, Vector a) {
 static inline Vector rotate_back(const Rotation& r, Vector a) { return {dot(r.x, a), dot(r.y, a), dot(r.z, a)}; }
 static inline Rotation operator*(const Rotation& r, const Rotation& s) {
     return {rotate(r, s.x), rotate(r, s.y), rotate(r, s.z)};
+}
+
+// Of the rotation from one frame to another: twice the vector part of its quaternion. Rounding hides the axis of a half
+// turn; about any other one, a step leads out of it.
+static inline Vector rotation_from(const Rotation& a, const Rotation& b) {
+    const double trace = dot(a.x, b.x) + dot(a.y, b.y) + dot(a.z, b.z);
+    if (1.0 + trace < 1e-12) return 2.0 * a.x;
+    return (1.0 / sqrt(1.0 + trace)) * (cross(a.x, b.x) + cross(a.y, b.y) + cross(a.z, b.z));
 }
 
 // Rotation about a unit axis (Rodrigues).

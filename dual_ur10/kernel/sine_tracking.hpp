@@ -76,11 +76,7 @@ EXPORT void sine_steps(const SineSteps* s, int64_t first, int64_t last) {
         Rotation frame;
         flange(s->links + 78 * (side & 1), s->commanded + 6 * side, at, frame, nullptr, nullptr);
         write(vector(s->ahead + 3 * side) - at, s->steps + 6 * side);
-        // Of the rotation from flange to reference: twice the vector part of its quaternion, as in `measure`.
-        const Rotation& r = rotation(s->down);
-        const Vector axis = cross(frame.x, r.x) + cross(frame.y, r.y) + cross(frame.z, r.z);
-        const double trace = dot(frame.x, r.x) + dot(frame.y, r.y) + dot(frame.z, r.z);
-        write((1.0 / sqrt(larger(1.0 + trace, 1e-12))) * axis, s->steps + 6 * side + 3);
+        write(rotation_from(frame, rotation(s->down)), s->steps + 6 * side + 3);
     }
 }
 

@@ -65,7 +65,7 @@ class GoalFollower:
         """
         own = self._observe(self._layout.batch(observation, Handover.name))
         step, opening = (
-            own[..., self._own.indices(names)] for names in (["goal_step_m", "goal_turn"], ["goal_opening"])
+            own[..., self._own.indices(names)] for names in (["goal_step_m", "goal_rotation"], ["goal_opening"])
         )
         action = np.concatenate([np.clip(_RATIO * step / self._most, -1.0, 1.0), 2.0 * opening - 1.0], axis=-1)
         return action.reshape(*np.shape(observation)[:-1], -1).astype(np.float32)

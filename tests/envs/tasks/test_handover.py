@@ -101,7 +101,7 @@ def test_stages_that_hold_at_once_are_passed_at_once_and_never_lost():
         (facts(HOLDS, height=0.3, meeting=0.06), 3),  # not where it is handed over
         (facts(HOLDS, gripper(True), height=0.3), 4),  # the receiver has not closed
         (facts(gripper(), HOLDS, height=0.05), 5),  # dropped to the table
-        (facts(), 6),  # somebody still holds it, or it moves
+        (facts(placed=False), 6),
     ],
 )
 def test_near_misses_do_not_pass_a_stage(scene, stage):

@@ -8,10 +8,11 @@ import pytest
 from dual_ur10 import policies
 from dual_ur10.assets.gripper import TCP_M
 from dual_ur10.envs.core.core import Core
-from dual_ur10.envs.tasks.handover.goals import BACK_M
-from dual_ur10.envs.tasks.handover.settings import MEETING_M, presented_quat
+from dual_ur10.envs.tasks.handover.settings import APPROACH_M, GRIPS, MEETING_M, laid_quat, presented_quat
+from dual_ur10.envs.tasks.holding import flanges_of
 from dual_ur10.kinematics.frames import Frames
-from dual_ur10.kinematics.rotations import quat_multiply, quat_to_matrix
+from dual_ur10.kinematics.poses import Poses, compose, length
+from dual_ur10.kinematics.rotations import quat_conjugate, quat_multiply, quat_to_matrix
 
 
 def begun(seeds=(0,), **keywords):
@@ -43,7 +44,7 @@ def test_agents_observe_the_goals_of_the_reward(giver):
         fields, facts = own_fields(core, observation), core.task._stages.facts
         passed.add(int(step.info["stage"][0]))
         closing.add(tuple(facts[0, 8:10]))
-        near_m, near = fields["nearness"][..., 0], fields["nearness"][..., 1]
+        near_m, near = fields["goal_closeness"][..., 0], fields["goal_closeness"][..., 1]
         left_m, turn = 0.01 * (1.0 / near_m - 1.0), 0.03 * (1.0 / near - 1.0)
         move = 1.0 - np.minimum(left_m, 1.0) + 0.5 * (0.03 / (0.03 + left_m) + 0.3 / (0.3 + left_m))
         rotation = 1.0 - 0.5 * turn + 0.5 * (0.2 / (0.2 + turn) + 1.0 / (1.0 + turn))
@@ -62,12 +63,12 @@ def test_goals_at_the_start_are_above_the_grip_and_at_home():
     frames = Frames((core.task.cell.left, core.task.cell.right))
     assert np.allclose(frames.position_to_cell(fields["flange_base_m"]), state.flange_m, atol=1e-6)
     assert np.abs(fields["goal_step_m"][rows, 1 - giver]).max() < 2e-3
-    assert np.abs(fields["goal_turn"][rows, 1 - giver]).max() < 0.02
+    assert np.abs(fields["goal_rotation"][rows, 1 - giver]).max() < 0.02
     goal = (tool + fields["goal_step_m"])[rows, giver]
     away = goal - state.object_m
     assert np.linalg.norm(away[:, :2], axis=1).max() < 0.07  # half of the block
     assert (away[:, 2] > 0.02).all()
-    assert (away[:, 2] < BACK_M + 0.05).all()
+    assert (away[:, 2] < APPROACH_M + 0.05).all()
     assert (fields["goal_opening"] == 1.0).all()
 
 
@@ -80,3 +81,89 @@ def test_a_rotated_block_is_not_presented(giver, turned_rad, found_m):
     core.cell._physics._handling._object[0] = [*MEETING_M, *quat_multiply(turn, presented_quat(giver))]
     core.step(np.zeros((1, 14), dtype=np.float32))
     assert core.task._stages.facts[0, 11] == pytest.approx(found_m, abs=0.015)  # it falls for a moment
+
+
+LYING = Poses(np.array([0.02, 0.5, 0.02]), np.array([1.0, 0.0, 0.0, 0.0]))
+TARGET = Poses(np.array([0.0, -0.5, 0.02]), np.array([np.cos(0.1), 0.0, 0.0, np.sin(0.1)]))
+SHOWN = Poses(MEETING_M, presented_quat(0))
+CARRIED = Poses(np.add(MEETING_M, (0.0, 0.0, 0.1)), presented_quat(0))
+LAID = compose(TARGET, Poses(np.zeros(3), laid_quat(np.array(0.0))))
+BEHIND = Poses(np.array([0.0, 0.0, -APPROACH_M]), np.array([1.0, 0.0, 0.0, 0.0]))
+STAYS, UP = None, "up"
+GIVER = Poses(np.add(GRIPS[0].position_m[0], (0.0, 0.0, 0.007)), GRIPS[0].quat[0])  # with room above the table
+RECEIVER = Poses(GRIPS[0].position_m[1], GRIPS[0].quat[1])
+WIDE, SHUT, BARELY = 0.085, 0.04, 0.046
+
+
+def behind(grip):
+    return compose(grip, BEHIND)
+
+
+def goals_of(core, observation, block, holders, widths):
+    """Return poses of the goals in the cell frame, goals of the grippers, and commanded tools.
+
+    Args:
+        block: Pose of the block. `holders` are the arms whose tools are at their grips of it, with fingers as in
+            `widths`; commanded joints, and other arms, are those of `observation`.
+    """
+    both, frames = observation.copy(), Frames((core.task.cell.left, core.task.cell.right))
+    arms = core.task.layout.split(both[0])
+    at_home = Poses(
+        frames.position_to_cell(arms["flange_base_m"].copy()), frames.quat_to_cell(arms["flange_base_quat"].copy())
+    )
+    flanges = flanges_of(compose(Poses(*(np.stack([each, each]) for each in block)), GRIPS[0]))
+    arms["gripper_m"][:, 0] = widths
+    for arm in holders:
+        arms["flange_base_m"][arm] = frames.position_to_base(flanges.position_m)[arm]
+        arms["flange_base_quat"][arm] = frames.quat_to_base(flanges.quat)[arm]
+    for name, pose in (("block", block), ("target", TARGET)):
+        arms[f"{name}_base_m"][...] = frames.position_to_base(np.stack([pose.position_m] * 2))
+        arms[f"{name}_base_quat"][...] = frames.quat_to_base(np.stack([pose.quat] * 2))
+    layout = core.task.agent_layout_for(core.task.settings)
+    own = {name: core.task.observe_agents(both)[0][:, layout.indices([name])] for name in layout.names}
+    tools = compose(at_home, Poses(np.array([0.0, 0.0, TCP_M]), np.array([1.0, 0.0, 0.0, 0.0])))
+    half = own["goal_rotation"] / 2
+    turn = np.concatenate([np.sqrt(1.0 - (half**2).sum(axis=1, keepdims=True)), half], axis=1)
+    goals = Poses(tools.position_m + own["goal_step_m"], quat_multiply(turn, tools.quat))
+    return goals, own["goal_opening"][:, 0], tools
+
+
+@pytest.mark.parametrize(
+    ("block", "holders", "widths", "expected", "opening"),
+    [
+        (LYING, (), (WIDE, WIDE), (compose(LYING, behind(GIVER)), STAYS), (1, 1)),  # pick
+        (LYING, (0,), (SHUT, WIDE), (UP, STAYS), (0, 1)),  # lift
+        (CARRIED, (0,), (SHUT, WIDE), (compose(SHOWN, GIVER), STAYS), (0, 1)),  # present
+        (SHOWN, (0,), (SHUT, WIDE), (compose(SHOWN, GIVER), compose(SHOWN, behind(RECEIVER))), (0, 1)),  # take
+        (SHOWN, (0, 1), (SHUT, SHUT), (compose(SHOWN, GIVER), compose(SHOWN, RECEIVER)), (1, 0)),  # release
+        (SHOWN, (0, 1), (BARELY, SHUT), (compose(SHOWN, GIVER), compose(SHOWN, RECEIVER)), (1, 0)),
+        (SHOWN, (0, 1), (WIDE, SHUT), (compose(SHOWN, behind(GIVER)), compose(SHOWN, RECEIVER)), (1, 0)),
+        (SHOWN, (1,), (WIDE, SHUT), (compose(SHOWN, behind(GIVER)), compose(LAID, behind(RECEIVER))), (1, 0)),  # place
+        (LAID, (), (WIDE, WIDE), (compose(SHOWN, behind(GIVER)), compose(LAID, behind(RECEIVER))), (1, 1)),  # leave
+        (LAID, (1,), (WIDE, BARELY), (compose(SHOWN, behind(GIVER)), STAYS), (1, 1)),  # it opens first
+    ],
+)
+def test_each_phase_has_its_goals(block, holders, widths, expected, opening):
+    core, observation = begun(object_range_m=0.0)
+    found, opens, tools = goals_of(core, observation, block, holders, widths)
+    for arm, goal in enumerate(expected):
+        if goal is STAYS:
+            goal = Poses(tools.position_m[arm], tools.quat[arm])
+        elif goal is UP:
+            goal = Poses(tools.position_m[arm] + [0.0, 0.0, 0.11], tools.quat[arm])
+        assert length(found.position_m[arm] - goal.position_m) < 2e-3, arm  # arms sag at home
+        assert np.abs((found.quat[arm] * goal.quat).sum()) > 1 - 1e-5, arm
+    assert tuple(opens) == opening
+
+
+def test_a_goal_half_a_turn_away_is_not_taken_for_reached():
+    core, observation = begun()
+    both, frames = observation.copy(), Frames((core.task.cell.left, core.task.cell.right))
+    arms = core.task.layout.split(both[0])
+    arms["commanded_q_rad"][...] = arms["q_rad"]
+    tool = frames.quat_to_cell(arms["flange_base_quat"])[0]
+    half_turned = quat_multiply(tool, np.array([0.0, 0.0, 0.0, 1.0]))
+    block = quat_multiply(half_turned, quat_conjugate(GRIPS[0].quat[0]))
+    arms["block_base_quat"][...] = frames.quat_to_base(np.stack([block] * 2))
+    index = core.task.agent_layout_for(core.task.settings).indices(["goal_rotation"])
+    assert np.linalg.norm(core.task.observe_agents(both)[0, 0, index]) == pytest.approx(2.0, abs=1e-6)

@@ -16,14 +16,17 @@ STAGES: Final = ("reach", "grasp", "lift", "present", "mutual_grasp", "release",
 WIDTH_M: Final = BLOCK_SIZE_M[1]
 """Width of the block between the fingers."""
 
+CLEAR_M: Final = WIDTH_M + 0.007
+"""Width at which fingers are clear of the block."""
+
 LIFTED_M: Final = 0.08
 """Height of the block's middle above the table at which it counts as lifted."""
 
 MEETING_RANGE_M: Final = 0.05
 """Distance from the transfer within which the block counts as presented."""
 
-MEETING_LEVER_M: Final = 0.1
-"""Lever with which that distance includes the rotation: 0.1 rad count as 0.01 m."""
+LEVER_M: Final = 0.1
+"""Lever with which distances include a rotation: 0.1 rad counts as 0.01 m."""
 
 STILL_M_S: Final = 0.02
 """Speed below which the block counts as still."""

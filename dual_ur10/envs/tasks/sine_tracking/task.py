@@ -207,7 +207,7 @@ class SineTracking(Task[SineSettings, SineMeasured]):
             "SineAgents",
             "sine_agents",
             self.layout.size,
-            self.layout.size + 7,
+            self.agent_layout_for(settings).size,
             pose=self.layout.indices(["flange_base_m"])[0],
             others=frames.others_pose,
         )

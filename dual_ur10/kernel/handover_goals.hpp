@@ -8,9 +8,9 @@
 // position and nine of rotation, in rows: `grips`, goals of both tools in the block's frame, by the same index; the
 // presented block, and the receiver's tool in the target's frame, by that index; and the tools at home.
 #define HANDOVER_GOALS(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                         \
-    REAL(tcp_m) REAL(leave_m) REAL(clear_m) REAL(lifted_m) REAL(carried_m) REAL(meeting_m) REAL(back_m) REAL(lever_m)    \
-    REAL(aside) REAL(slack_m) REAL(arrived_m) REAL(there_m) REAL(there) REAL(keep) REALS(scales_m, 2) REALS(scales, 2)                 \
-    REALS(grip_m, 12) REALS(grips, 48) REALS(presented, 24) REALS(laid, 24) REALS(home, 24)
+    REAL(tcp_m) REAL(leave_m) REAL(clear_m) REAL(lifted_m) REAL(carried_m) REAL(meeting_m) REAL(back_m)                \
+    REAL(lever_m) REAL(aside) REAL(slack_m) REAL(arrived_m) REAL(there_m) REAL(there) REAL(keep) REALS(scales_m, 2)    \
+    REALS(scales, 2) REALS(grip_m, 12) REALS(grips, 48) REALS(presented, 24) REALS(laid, 24) REALS(home, 24)
 
 STRUCTURE(HandoverGoals, HANDOVER_GOALS)
 

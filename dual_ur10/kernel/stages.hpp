@@ -8,7 +8,7 @@
 // their goals, goals of grippers, 1 for closed. Then the height of the block, its distance from the transfer, and 1 if it
 // is placed. Terms: those of the giver, then of the receiver.
 #define STAGES(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                                 \
-    INT(n) REAL(lifted_m) REAL(meeting_m) REAL(width_m) REAL(opening_m) REALS(facts, n * 13)                           \
+    INT(n) REAL(lifted_m) REAL(meeting_m) REAL(width_m) REAL(clear_m) REAL(opening_m) REALS(facts, n * 13)                           \
     REALS(conditions, n * 7) INTS(stage, n) REALS(terms, n * 14)
 
 STRUCTURE(Stages, STAGES)
@@ -25,7 +25,7 @@ inline void check(const Stages& s, int64_t row) {
                                     gives && lifted,
                                     gives && lifted && fact[11] < s.meeting_m,
                                     gives && receives && lifted,
-                                    !gives && receives && lifted,
+                                    !(fact[0] > 0.0) && receives && lifted,
                                     fact[12] > 0.0};
     for (int k = 0; k < COUNT; ++k) s.conditions[COUNT * row + k] = conditions[k];
 }
@@ -41,23 +41,25 @@ inline void advance(const Stages& s, int64_t row) {
     while (stage < COUNT && s.conditions[COUNT * row + stage] > 0.0) ++stage;
     const bool gives = fact[2] > 0.0, receives = fact[3] > 0.0;
     // The goal that `near` refers to is that of this stage, not of the one before.
-    const bool presents = gives && fact[10] > s.lifted_m, carries = receives && !(fact[0] > 0.0);
-    double near[2], shut[2], open[2];
+    const bool presents = gives && fact[10] > s.lifted_m, presented = presents && fact[11] < s.meeting_m;
+    const bool carries = receives && !(fact[0] > 0.0);
+    double near[2], shut[2], open[2], clear[2];
     for (int role = 0; role < 2; ++role) {
         const bool closes = fact[8 + role] > 0.0;
         open[role] = clamp((fact[4 + role] - s.width_m) / (s.opening_m - s.width_m), 0.0, 1.0);
+        clear[role] = clamp((fact[4 + role] - s.width_m) / (s.clear_m - s.width_m), 0.0, 1.0);
         near[role] = fact[6 + role] * (closes ? 1.0 : 0.8 + 0.2 * open[role]);
         shut[role] = closes && fact[role] > 0.0 ? closed(s, fact[4 + role]) : 0.0;
     }
     const double taking = 0.6 * near[1] + 0.4 * shut[1];
     const double progress[2][COUNT] = {{2.0 * near[0], fact[0] > 0.0 ? near[0] + shut[0] : 0.0,
                                         gives ? 2.0 * clamp(fact[10] / s.lifted_m, 0.0, 1.0) : 0.0,
-                                        presents ? near[0] : 0.0, presents ? near[0] : 0.0,
-                                        receives ? 0.5 * near[0] + open[0] : 0.0,
-                                        receives ? 0.3 * near[0] + 0.5 * open[0] : 0.0},
-                                       {0.0, 0.0, 0.0, near[1], gives ? (receives ? 1.0 : taking) : 0.0,
-                                        receives ? 0.5 * near[1] : 0.0, carries ? near[1] : 0.0}};
-    constexpr double done[2][COUNT] = {{2.0, 2.0, 2.0, 1.0, 1.0, 1.5, 0.8}, {0.0, 0.0, 0.0, 1.0, 1.0, 0.5, 1.2}};
+                                        presents ? near[0] : 0.0, presented ? near[0] : 0.0,
+                                        receives ? 0.5 * near[0] + clear[0] : 0.0,
+                                        receives ? 0.2 * near[0] + 0.2 * clear[0] : 0.0},
+                                       {0.0, 0.0, 0.0, near[1], gives && receives ? 1.0 : presented ? taking : 0.0,
+                                        receives ? 0.5 * near[1] : 0.0, carries ? 1.3 * near[1] : 0.0}};
+    constexpr double done[2][COUNT] = {{2.0, 2.0, 2.0, 1.0, 1.0, 1.5, 0.4}, {0.0, 0.0, 0.0, 1.0, 1.0, 0.5, 1.6}};
     // Stages passed from which on a term is earned. The receiver's part of "present", to wait, begins at once.
     constexpr int begin[2][COUNT] = {{0, 1, 2, 3, 4, 5, 6}, {0, 1, 2, 0, 4, 5, 6}};
     for (int role = 0; role < 2; ++role)

@@ -111,8 +111,15 @@ def make(
     return model, around
 
 
-def explore(model: Any, settings: Reinforcement, share: float) -> None:
-    """Set the standard deviation of PPO's actions, and if they may change, for this ratio of the training's steps."""
+def explore(model: Any, settings: Reinforcement, share: float, grippers: bool) -> None:
+    """Set the standard deviation of PPO's actions, and if they may change, for this ratio of the training's steps.
+
+    Args:
+        model: Model of Stable-Baselines3.
+        settings: Settings of the algorithm.
+        share: Ratio of the training's steps that are done.
+        grippers: Each arm's seven actions end with that of its gripper.
+    """
     if isinstance(model, PPO):
         for part in (model.policy.mlp_extractor.policy_net, model.policy.action_net):
             part.requires_grad_(share >= settings.critic_first)
@@ -120,6 +127,8 @@ def explore(model: Any, settings: Reinforcement, share: float) -> None:
         std: Any = model.policy.log_std
         std.requires_grad_(False)
         std.fill_(math.log(settings.first_std * ratio ** min(1.0, share / _EXPLORED)))
+        if grippers:
+            std[6::7] += math.log(settings.gripper_std)
 
 
 def begin_with(models: list[tuple[Any, VecNormalize]], policy: LearnedPolicy) -> None:

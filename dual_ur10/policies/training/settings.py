@@ -63,6 +63,8 @@ class Reinforcement(StrictJson):
         first_std: PPO: initial standard deviation of actions.
         last_std: PPO: standard deviation of actions in the last tenth of the training. It decays exponentially until
             then, and is not learned: exploration then is as wide as the error that is left.
+        gripper_std: PPO: ratio of the standard deviation of a gripper's action to those of the others. Tools must be
+            right within millimetres, and fingers move by centimetres before anything changes.
         critic_first: PPO: ratio of the training in which only the value function learns. A policy that can do
             something already is not spoiled by the advantages of a value function that knows nothing yet.
         target_kl: PPO: an update ends early once the policy has moved 1.5 times as far; None: it never does.
@@ -90,6 +92,7 @@ class Reinforcement(StrictJson):
     entropy: Annotated[float, Field(ge=0.0, le=1e6)] = 0.0
     first_std: Positive = 0.3
     last_std: Positive = 0.1
+    gripper_std: Positive = 1.0
     critic_first: Ratio = 0.0
     target_kl: Positive | None = None
     buffer_size: Count = 300_000
@@ -265,6 +268,7 @@ SETTINGS: Final[dict[str, TaskSettings]] = {
             gae_lambda=0.9,
             first_std=0.15,
             last_std=0.03,
+            gripper_std=4.0,
             target_kl=0.02,
             unseen=_HANDOVER_UNSEEN,
             reward="individual",

@@ -100,7 +100,8 @@ def test_stages_that_hold_at_once_are_passed_at_once_and_never_lost():
         (facts(gripper(holds=True), height=0.07), 2),  # too low to be lifted
         (facts(HOLDS, height=0.3, meeting=0.06), 3),  # not where it is handed over
         (facts(HOLDS, gripper(True), height=0.3), 4),  # the receiver has not closed
-        (facts(gripper(), HOLDS, height=0.05), 5),  # dropped to the table
+        (facts(gripper(), HOLDS, height=0.05), 5),  # on the table
+        (facts(gripper(True), HOLDS, height=0.3), 5),  # the giver has not left
         (facts(placed=False), 6),
     ],
 )
@@ -136,13 +137,19 @@ def test_terms_rise_within_a_stage_and_are_one_after_it():
 
 
 def test_each_arm_earns_its_own_terms():
-    expected = [2, 2, 2, 1, 1, 1.5, 0.8]
+    expected = [2, 2, 2, 1, 1, 1.5, 0.4]
     done = terms(facts(), 7)
     assert done[0].tolist() == expected
     assert done[1].tolist() == [2 - value for value in expected]
-    approach = [terms(facts(HOLDS, gripper(near=near)), 4)[:, 4] for near in (0.2, 0.9)]
+    approach = [terms(facts(HOLDS, gripper(near=near), 0.3, 0.03), 4)[:, 4] for near in (0.2, 0.9)]
     assert approach[0][1] < approach[1][1]
     assert approach[0][0] == approach[1][0]
+
+
+@pytest.mark.parametrize("scene", [facts(HOLDS, height=0.3, meeting=0.06), facts(HOLDS, height=0.07, meeting=0.03)])
+def test_the_receivers_approach_counts_while_the_block_is_presented(scene):
+    assert terms(scene, 4)[1, 4] == 0.0
+    assert terms(facts(HOLDS, HOLDS, *scene[10:12]), 4)[1, 4] == 1.0  # once it holds the block, anywhere
 
 
 def test_fingers_that_close_before_they_are_there_earn_less():

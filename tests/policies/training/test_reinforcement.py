@@ -351,3 +351,15 @@ def test_exploration_and_learning_rate_decay_over_the_whole_training(tmp_path, m
     assert widths[0] == pytest.approx(0.4 * 0.25 ** (0.5 / 0.9), rel=1e-3)
     assert widths[-1] == pytest.approx(0.1, rel=0.05)
     assert np.all(np.diff(widths) <= 0)
+
+
+@pytest.mark.parametrize("kind", [JointVecEnv, TwoAgentVecEnv])
+def test_grippers_explore_as_wide_as_is_asked_for(kind):
+    asked = defaults("Handover", "ppo", "shared", changes={"first_std": 0.2, "last_std": 0.1, "gripper_std": 3.0})
+    env = kind("Handover", 1, threads=1)
+    model, _ = models.make("ppo", env, asked.settings, 0)
+    for share, std in ((0.0, 0.2), (1.0, 0.1), (0.0, 0.2)):
+        models.explore(model, asked.settings, share, grippers=True)
+        found = model.policy.log_std.exp().numpy().reshape(-1, 7)
+        assert found == pytest.approx(np.tile([std] * 6 + [3.0 * std], (len(found), 1)))
+    env.close()

@@ -64,6 +64,7 @@ class Stages:
             lifted_m=LIFTED_M,
             meeting_m=MEETING_RANGE_M,
             width_m=WIDTH_M,
+            clear_m=CLEAR_M,
             opening_m=OPENING_M,
             facts=self.facts,
             conditions=self.conditions,

@@ -135,15 +135,17 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
       nearness, and the closed fraction of its gripper once that is its goal.
     - *lift* (0.1): passed when the giver holds the block with its middle more than 8 cm above the table. Giver, 2: while
       it holds the block, twice the fraction of that height.
-    - *present* (0.15): passed when the lifted block is presented. Giver, 1: its nearness while it holds the lifted
+    - *present* (0.1): passed when the lifted block is presented. Giver, 1: its nearness while it holds the lifted
       block. Receiver, 1: its nearness, from the first step on.
-    - *mutual_grasp* (0.15): passed when both hold the lifted block. Giver, 1: as before. Receiver, 1: while the giver
-      holds the block, 0.6 of its nearness, and 0.4 of the closed fraction of its gripper once that is its goal.
-    - *release* (0.15): passed when the receiver alone holds the lifted block. While the receiver holds it: giver, 1.5:
-      the opened fraction of its gripper, and 0.5 of its nearness; receiver, 0.5: 0.5 of its nearness.
-    - *place* (0.25): passed when the block lies still on its target, within `success_error_m` and `success_turn_rad`, and
-      no gripper holds it. While the receiver holds it: giver, 0.8: 0.5 of the opened fraction of its gripper, and 0.3 of
-      its nearness; receiver, 1.2: its nearness, once the giver has left the block.
+    - *mutual_grasp* (0.15): passed when both hold the lifted block. Giver, 1: its nearness while the block is presented.
+      Receiver, 1: while the block is presented, 0.6 of its nearness, and 0.4 of the closed fraction of its gripper once
+      that is its goal.
+    - *release* (0.15): passed when the receiver holds the lifted block, and the giver has left it: its grip is no longer
+      between the fingers. While the receiver holds the block: giver, 1.5: how far its fingers have opened, 1 once they
+      are 7 mm wider than the block, and 0.5 of its nearness; receiver, 0.5: 0.5 of its nearness.
+    - *place* (0.3): passed when the block lies still on its target, within `success_error_m` and `success_turn_rad`, and
+      no gripper holds it. While the receiver holds it: giver, 0.4: 0.2 of how far its fingers have opened, and 0.2 of
+      its nearness; receiver, 1.6: 1.3 times its nearness, once the giver has left the block.
     - *finish* (1.0): both. At a step that ends an episode with success, the number of its remaining steps; otherwise 0.
       It replaces the reward of the remaining steps, so that hovering near the target earns no more than success.
 
@@ -214,10 +216,10 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         "reach": 0.1,
         "grasp": 0.1,
         "lift": 0.1,
-        "present": 0.15,
+        "present": 0.1,
         "mutual_grasp": 0.15,
         "release": 0.15,
-        "place": 0.25,
+        "place": 0.3,
         "finish": 1.0,
     }
     stages: ClassVar[tuple[str, ...]] = STAGES

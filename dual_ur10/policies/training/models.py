@@ -11,7 +11,6 @@ import numpy as np
 from dual_ur10.errors import MissingExtraError, TrainingError
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.training.differences import Differences
-from dual_ur10.policies.training.regression import BLIND
 from dual_ur10.policies.training.settings import Reinforcement
 from dual_ur10.policies.training.state import Tensors
 
@@ -28,24 +27,21 @@ _SURE: float = 1e7  # weight of a checkpoint's normaliser, in observations: it h
 
 
 class _Moments(RunningMeanStd):
-    """Running mean and variance of observations; unseen values keep a huge variance.
+    """Running mean and variance of observations.
 
     Args:
         shape: Shape of an observation.
-        unseen: Indices of the values that the network does not see.
-        scaled: False: mean and variance of the others stay 0 and 1.
+        unscaled: Indices of the values whose mean and variance stay 0 and 1.
     """
 
-    def __init__(self, shape: tuple[int, ...], unseen: Sequence[int], scaled: bool) -> None:
+    def __init__(self, shape: tuple[int, ...], unscaled: Sequence[int]) -> None:
         super().__init__(shape=shape)
-        self._unseen, self._scaled = list(unseen), scaled
-        self.var[self._unseen] = BLIND
+        self._unscaled = list(unscaled)
 
     def update_from_moments(self, batch_mean: Any, batch_var: Any, batch_count: float) -> None:
         """Take the moments of further observations."""
-        if self._scaled:
-            super().update_from_moments(batch_mean, batch_var, batch_count)
-            self.var[self._unseen] = BLIND
+        super().update_from_moments(batch_mean, batch_var, batch_count)
+        self.mean[self._unscaled], self.var[self._unscaled] = 0.0, 1.0
 
 
 def make(
@@ -64,13 +60,14 @@ def make(
         settings: Settings of the algorithm.
         seed: Seed of the model.
         share: Function that returns the ratio of the training's steps that are done.
-        unseen: Indices of the values of an observation that the network does not see.
+        unseen: Indices of the values of an observation that the policy does not see.
     """
     monitored: VecEnv = VecMonitor(env)
     if settings.differences:
         monitored = Differences(monitored, settings.gamma)
     around = VecNormalize(monitored, gamma=settings.gamma, norm_reward=algorithm == "ppo")
-    moments: Any = _Moments(env.observation_space.shape or (), unseen, settings.scaled)
+    size = env.observation_space.shape or (0,)
+    moments: Any = _Moments(size, () if settings.scaled else sorted(set(range(size[0])) - set(unseen)))
     around.obs_rms = moments
     hidden = list(settings.hidden)
     if algorithm == "ppo":
@@ -93,6 +90,7 @@ def make(
             seed=seed,
             device="cpu",
         )
+        first = model.policy.mlp_extractor.policy_net[0]
     else:
         model = SAC(
             "MlpPolicy",
@@ -108,7 +106,18 @@ def make(
             seed=seed,
             device="cpu",
         )
+        first = model.policy.actor.latent_pi[0]
+    _hide(first, unseen)
     return model, around
+
+
+def _hide(layer: Any, unseen: Sequence[int]) -> None:
+    """Make the weights of these inputs of a layer zero, and keep them so."""
+    mask = torch.ones_like(layer.weight)
+    mask[:, list(unseen)] = 0.0
+    with torch.no_grad():
+        layer.weight.mul_(mask)
+    layer.weight.register_hook(lambda gradient: gradient * mask)
 
 
 def explore(model: Any, settings: Reinforcement, share: float, grippers: bool) -> None:

@@ -26,9 +26,7 @@ THREADS: Final = 1
 """Threads of torch on every machine: the last bits of sums depend on their number. Small networks gain little from more
 threads, and lose much on a busy machine."""
 
-BLIND: Final = 1e24
-"""Variance, in a normaliser, of a value that the network does not see."""
-
+_BLIND: Final = 1e24  # variance of a value that the network does not see
 _LEAST_STD: Final = 2e-3  # of an observation, so that noise on a nearly constant value is not amplified (2 mm, 2 mrad)
 _LEAST_ACTION_STD: Final = 1e-2
 _LEAST_SPREAD: Final = 1e-3  # of a direction of normalised observations, above which it counts
@@ -57,7 +55,7 @@ def normaliser_of(observation: Single, unseen: Sequence[int] = ()) -> Normaliser
     """Return mean and variance of observations, (k, size); unseen values get a huge variance."""
     mean, std = observation.mean(axis=0, dtype=np.float64), observation.std(axis=0, dtype=np.float64)
     var = np.maximum(std, _LEAST_STD) ** 2
-    var[list(unseen)] = BLIND
+    var[list(unseen)] = _BLIND
     return Normaliser(tuple(mean.tolist()), tuple(var.tolist()), _CLIP)
 
 

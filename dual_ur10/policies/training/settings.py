@@ -71,13 +71,16 @@ class Reinforcement(StrictJson):
         buffer_size: SAC: capacity of the replay buffer, in transitions.
         learning_starts: SAC: transitions before the first gradient step.
         gradient_steps: SAC: gradient steps after each step of all cells.
-        unseen: As `Imitation.unseen`. With fewer values a policy is found in fewer steps.
+        unseen: As `Imitation.unseen`. With fewer values a policy is found in fewer steps. Value functions see them
+            nevertheless (L. Pinto et al., "Asymmetric Actor Critic for Image-Based Robot Learning", RSS 2018): to act,
+            an arm needs the way to its goal alone, but what it will earn depends on the phase of the task.
         reward: Reward of each arm's row, unless one network acts for both ("joint"): that of both arms, or its own.
         differences: Learn from the change of the reward at each step instead of the reward; see
             `dual_ur10.policies.training.differences.Differences`. What a single action has changed is then not hidden
             under what earlier ones have earned.
-        scaled: Scale what the network observes by its running mean and deviation. Fields that are made for learners are
-            better left alone: a deviation of early training is small where the arms have hardly been.
+        scaled: Scale what a policy observes by its running mean and deviation. Fields that are made for learners are
+            better left alone: a deviation of early training is small where the arms have hardly been. What only value
+            functions see is always scaled.
     """
 
     hidden: Units = (256, 256)

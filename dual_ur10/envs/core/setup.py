@@ -7,6 +7,7 @@ import importlib
 from collections.abc import Mapping
 from typing import Any
 
+from dual_ur10.assets.gripper import TCP_M
 from dual_ur10.assets.settings import Equipment, default_mount
 from dual_ur10.envs.core.options import MOVE_TO_START, OPTION_NAMES, EnvOptions
 from dual_ur10.envs.core.randomization import Randomization, resolve_randomization
@@ -145,6 +146,7 @@ class EnvSetup:
             gripper=equipment.grippers and not equipment.welded,
             compensate_lag=options.compensate_lag,
             dh=[mount.dh for mount in mounts],
+            tcp_m=TCP_M if equipment.grippers else 0.0,
             yaw_rad=[mount.yaw_rad for mount in mounts],
             speed_factor=config.speed_factor,
             lookahead_s=config.measured_lookahead_s,

@@ -1,4 +1,4 @@
-"""Scripted policy for Handover with actions of flanges: straight steps to the goals that agents observe."""
+"""Scripted policy for Handover with steps of the tools: straight steps to the goals that agents observe."""
 
 from __future__ import annotations
 

@@ -33,10 +33,10 @@ GRIPPER_WIDTH_M = 0.085
 """Full gripper width, Robotiq 2F-85 data sheet."""
 
 TCP_STEP_M_S = 0.25
-"""Speed of the flange at action 1 of `tcp_delta`: the reduced speed of ISO 10218-1."""
+"""Speed of the tool centre point at action 1 of `tcp_delta`: the reduced speed of ISO 10218-1."""
 
 TCP_ROTATION_RAD_S = 0.5
-"""Angular speed of the flange at action 1 of `tcp_delta`: the first speed that is safe to try on a real arm."""
+"""Angular speed at action 1 of `tcp_delta`: the first speed that is safe to try on a real arm."""
 
 _MANY_TICKS = 5  # targets per period from which on they sample the path densely enough
 
@@ -84,12 +84,13 @@ class ServojAdapter:
         n: Number of cells.
         mode: Meaning of an action's six numbers per arm. "joint_delta": steps of the six joints from the last
             command, as fractions of the speed limit times the period, -1 to 1. "joint_position": six positions, rad.
-            "tcp_delta": translation and rotation vector of the flange from its last command, along the axes of the
-            cell frame, as fractions of 0.25 m/s and 0.5 rad/s; a step out of reach leaves that arm where it is, and
-            steps towards a singularity shrink to zero (`cartesian_step`).
+            "tcp_delta": translation of the tool centre point from its last command, and rotation vector about it,
+            along the axes of the cell frame, as fractions of 0.25 m/s and 0.5 rad/s; a step out of reach leaves that
+            arm where it is, and steps towards a singularity shrink to zero (`cartesian_step`).
         gripper: An action has a seventh number per arm, the gripper's width: -1 closed, 1 open.
         compensate_lag: Send targets ahead by the law's inverse, so that the arms do not lag.
         dh: The arms' kinematics, for "tcp_delta".
+        tcp_m: Distance of the tool centre points before the flanges, for "tcp_delta".
         yaw_rad: Rotation of each base about the vertical, for "tcp_delta".
         speed_factor: Rate of task time in real time. At 0.25 a second of the task takes four, in which the controllers'
             law does four times as much.
@@ -108,6 +109,7 @@ class ServojAdapter:
         gripper: bool = False,
         compensate_lag: bool = True,
         dh: Sequence[DHParameters] = (NOMINAL_DH, NOMINAL_DH),
+        tcp_m: float = 0.0,
         yaw_rad: Sequence[float] = (0.0, 0.0),
         speed_factor: float = 1.0,
         lookahead_s: float | None = None,
@@ -117,6 +119,7 @@ class ServojAdapter:
             raise UnknownNameError("action mode", str(mode), get_args(ActionMode))
         self.profile, self.limits, self.ticks, self.n = profile, limits.narrowed(JOINT_MARGIN_RAD), ticks, n
         self.mode, self.gripper, self.compensate_lag, self.dh = mode, gripper, compensate_lag, tuple(dh)
+        self._tcp_m = tcp_m
         self.period_s, self.speed_factor = ticks * profile.tick_s, speed_factor
         # The law in task time.
         lookahead_s = profile.lookahead_s if lookahead_s is None else lookahead_s
@@ -322,7 +325,7 @@ class ServojAdapter:
             vectors = asked[:, arm].reshape(-1, 2, 3) @ self._to_base[arm].T
             step = vectors[:, 0] * (TCP_STEP_M_S * self.period_s)
             rotation = vectors[:, 1] * (TCP_ROTATION_RAD_S * self.period_s)
-            goal[:, arm] = goal_of_step(now[:, arm], step, rotation, self._steps_to_rest, dh)
+            goal[:, arm] = goal_of_step(now[:, arm], step, rotation, self._steps_to_rest, dh, self._tcp_m)
         return goal
 
 

@@ -1,4 +1,4 @@
-"""Cartesian steps of a flange as joint goals, which shrink near singularities and end before them."""
+"""Cartesian steps of a tool as joint goals, which shrink near singularities and end before them."""
 
 from __future__ import annotations
 
@@ -50,29 +50,34 @@ def fraction_of_step(q_rad: Array, step_rad: Array, ahead: float, dh: DHParamete
     return fraction
 
 
-def goal_of_step(q_rad: Array, step_m: Array, rotation_rad: Array, ahead: float, dh: DHParameters) -> Array:
+def goal_of_step(
+    q_rad: Array, step_m: Array, rotation_rad: Array, ahead: float, dh: DHParameters, tcp_m: float = 0.0
+) -> Array:
     """Return joint goals, (n, 6), of Cartesian steps; `q_rad` where a step is out of reach.
 
     Args:
         q_rad: (n, 6) joint angles.
-        step_m: (n, 3) translation of the flange in the arm's `base` frame.
-        rotation_rad: (n, 3) rotation vector of the flange in that frame.
+        step_m: (n, 3) translation of the tool centre point in the arm's `base` frame.
+        rotation_rad: (n, 3) rotation vector about it, in that frame.
         ahead: Stopping path in steps, see `fraction_of_step`.
         dh: Kinematics of the arm.
+        tcp_m: Distance of the tool centre point before the flange.
     """
     position, rotation = flange_pose(q_rad, dh)
-    goal = _moved(position, rotation, step_m, rotation_rad, q_rad, dh)
+    goal = _moved(position, rotation, step_m, rotation_rad, q_rad, dh, tcp_m)
     fraction = fraction_of_step(q_rad, goal - q_rad, ahead, dh)[:, None]
     slow = np.flatnonzero(fraction < 1.0)
     if slow.size:
         part = fraction[slow]
         goal[slow] = _moved(
-            position[slow], rotation[slow], part * step_m[slow], part * rotation_rad[slow], q_rad[slow], dh
+            position[slow], rotation[slow], part * step_m[slow], part * rotation_rad[slow], q_rad[slow], dh, tcp_m
         )
     return goal
 
 
-def _moved(position: Array, rotation: Array, step: Array, rotvec: Array, here: Array, dh: DHParameters) -> Array:
+def _moved(
+    position: Array, rotation: Array, step: Array, rotvec: Array, here: Array, dh: DHParameters, tcp_m: float
+) -> Array:
     wanted = quat_to_matrix(quat_from_rotvec(rotvec[:, None]))[:, 0] @ rotation
-    q, reached = try_nearest(position + step, wanted, here, dh)
+    q, reached = try_nearest(position + step + tcp_m * (rotation - wanted)[..., 2], wanted, here, dh)
     return np.where(reached[:, None], q, here)

@@ -15,6 +15,7 @@ from gymnasium.wrappers import FrameStackObservation, RecordVideo, RescaleAction
 
 import dual_ur10
 from dual_ur10 import errors, policies
+from dual_ur10.assets.gripper import TCP_M
 from dual_ur10.envs import dm_env, parallel_env
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.ids import task_name
@@ -552,6 +553,21 @@ def test_other_action_modes(mode):
     assert np.abs(moved[:, :2]).max() < 0.01
     assert 0.03 < moved[0, 2] < 0.06
     assert -0.06 < moved[1, 2] < -0.03
+
+
+@pytest.mark.parametrize(("env_id", "tcp_m"), [(SINE, 0.0), ("DualUR10/Handover-v0", TCP_M)])
+def test_tcp_delta_rotates_about_the_tool_centre_point_of_the_task(env_id, tcp_m):
+    env = gym.make(env_id, action_mode="tcp_delta")
+    _, info = env.reset(seed=0)
+    before, start = flange_pose(info["q_rad"])
+    action = np.zeros(env.action_space.shape, dtype=np.float32).reshape(2, -1)
+    action[:, 3:6] = [[0.5, 0.2, -0.5], [-0.5, 0.4, 0.3]]
+    for k in range(30):
+        info = env.step((action if k < 20 else 0.0 * action).reshape(-1))[4]
+    after, end = flange_pose(info["q_rad"])
+    assert np.linalg.norm(end - start, axis=(1, 2)).min() > 0.2
+    assert np.abs(after + tcp_m * end[..., 2] - before - tcp_m * start[..., 2]).max() < 5e-4
+    env.close()
 
 
 @pytest.mark.parametrize("rate", [125, 62.5, 25, 5])

@@ -313,6 +313,20 @@ def test_tcp_delta_rotates_about_the_axes_of_the_cell(axis: int) -> None:
     assert in_cell[axis] == pytest.approx(0.5 * TCP_ROTATION_RAD_S, abs=0.05)
 
 
+@pytest.mark.parametrize("tcp_m", [0.0, 0.15])
+def test_tcp_delta_rotates_about_the_tool_centre_point(tcp_m: float) -> None:
+    adapter = at_home(mode="tcp_delta", tcp_m=tcp_m)
+    action = np.zeros((1, 2, 6))
+    action[0, :, 3:] = [[0.5, 0.0, 0.2], [-0.3, 0.4, 0.0]]
+    start, turned = flange_pose(adapter.commanded_q_rad[0])
+    for _ in range(25):
+        adapter(action)
+    end, turned_after = flange_pose(adapter.commanded_q_rad[0])
+    before, after = start + tcp_m * turned[..., 2], end + tcp_m * turned_after[..., 2]
+    assert np.abs(after - before).max() < 1e-3
+    assert np.linalg.norm(end - start, axis=1).min() >= 0.1 * tcp_m
+
+
 def test_tcp_delta_out_of_reach_stops_that_arm_only() -> None:
     adapter = at_home(mode="tcp_delta")
     action = np.zeros((1, 2, 6))

@@ -31,3 +31,15 @@ def test_a_worker_runs_blocks_of_the_checkout_that_was_named(monkeypatch, tmp_pa
     assert all(block["env_steps"] == 2 * worker.steps and block["cpu_s"] > 0.0 for block in blocks)
     with pytest.raises(SystemExit, match=r"imports dual_ur10 from|ended with code"):
         interleaved.Worker(python, "dual_ur10_worker.py", case, tmp_path)
+
+
+def test_demonstrations_are_imitated_and_evaluated(monkeypatch):
+    pytest.importorskip("torch")
+    monkeypatch.syspath_prepend(FOLDER)
+    learning = importlib.import_module("learning")
+    asked = {"steps": 500, "keywords": {"duration_s": 1.0}, "changes": {"fit_steps": 20, "hidden": (8,)}}
+    monkeypatch.setitem(learning.DEMONSTRATIONS, "SineTracking", asked)
+    found = learning.from_demonstrations("DualUR10/SineTracking-v0", 2)
+    assert found["steps"] == 500
+    assert found["minutes"] > 0.0
+    assert 0.0 <= found["success"] <= 1.0

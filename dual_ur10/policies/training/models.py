@@ -66,8 +66,8 @@ def make(
     if settings.differences:
         monitored = Differences(monitored, settings.gamma)
     around = VecNormalize(monitored, gamma=settings.gamma, norm_reward=algorithm == "ppo")
-    size = env.observation_space.shape or (0,)
-    moments: Any = _Moments(size, () if settings.scaled else sorted(set(range(size[0])) - set(unseen)))
+    shape = env.observation_space.shape or (0,)
+    moments: Any = _Moments(shape, () if settings.scaled else np.setdiff1d(np.arange(shape[0]), unseen).tolist())
     around.obs_rms = moments
     hidden = list(settings.hidden)
     if algorithm == "ppo":

@@ -256,7 +256,7 @@ SETTINGS: Final[dict[str, TaskSettings]] = {
     "Handover": TaskSettings(
         envs=192,
         randomization="wide",
-        steps={"ppo": 1_000_000, "sac": 300_000, "bc": 115_200, "dagger": 460_800},
+        steps={"ppo": 1_500_000, "sac": 300_000, "bc": 115_200, "dagger": 460_800},
         from_nothing={"action_mode": "tcp_delta", "randomization": "none", "action_latency_ticks": 0},
         agents="shared",
         # It sees the step to its goal, and the fingers.
@@ -269,9 +269,9 @@ SETTINGS: Final[dict[str, TaskSettings]] = {
             batch_size=4096,
             epochs=10,
             gae_lambda=0.9,
-            first_std=0.15,
-            last_std=0.03,
-            gripper_std=4.0,
+            first_std=0.2,
+            last_std=0.05,
+            gripper_std=2.0,
             target_kl=0.02,
             unseen=_HANDOVER_UNSEEN,
             reward="individual",

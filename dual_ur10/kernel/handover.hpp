@@ -38,9 +38,9 @@ inline void evaluate(const Handover& s, int64_t row) {
         facts[role] = between[arm];
         facts[2 + role] = holds[arm];
         facts[4 + role] = width[arm];
-        const goals::Pose tool = goals::tool_of(*s.goals, goals::pose(at + 3 * arm, at + 6 + 4 * arm));
+        const goals::Pose tool = goals::tool_of(*s.goals->approach, goals::pose(at + 3 * arm, at + 6 + 4 * arm));
         const goals::Step step = goals::step(*s.goals, scene, phase, arm, tool);
-        facts[6 + role] = goals::nearness(*s.goals, step);
+        facts[6 + role] = goals::nearness(*s.goals->approach, step);
         facts[8 + role] = goals::closes(*s.goals, scene, phase, arm, step);
     }
     output[0] = distance(block, target);
@@ -64,64 +64,36 @@ EXPORT void handover_evaluate(const Handover* s, int64_t first, int64_t last) {
     for (int64_t row = first; row < last; ++row) handover::evaluate(*s, row);
 }
 
-// Each agent's own observation: the `size` numbers of its arm, and behind them the goals' fields, in their order; see
-// `GOAL_FIELDS` of `dual_ur10.envs.tasks.handover.goals`. The other numbers say where the fields of an arm begin;
-// `links` are the two chains.
+// Each agent's own observation; the numbers say where further fields of an arm begin.
 #define HANDOVER_AGENTS(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                        \
-    INT(n) INT(size) INT(own_size) INT(commanded) INT(flange) INT(gripper) INT(block) INT(target) INT(role)            \
-    REAL(opening_m) REAL(near_m) REAL(near) REALS(links, 156) REALS(base_m, 6) REALS(to_base, 18)                      \
-    LINK(grips, GraspLimits) LINK(goals, HandoverGoals) REALS(both, n * 2 * size) REALS(own, n * 2 * own_size)
+    INT(n) INT(size) INT(own_size) LINK(tool, ToolFields) INT(block) INT(target) INT(role)                           \
+    LINK(goals, HandoverGoals) REALS(both, n * 2 * size) REALS(own, n * 2 * own_size)
 
 STRUCTURE(HandoverAgents, HANDOVER_AGENTS)
 
 namespace handover {
 
-inline goals::Pose in_cell(const HandoverAgents& s, int64_t arm, const goals::Pose& pose) {
-    const Rotation to_base = rotation(s.to_base + 9 * arm);
-    const Rotation& r = pose.turn;
-    return {vector(s.base_m + 3 * arm) + rotate_back(to_base, pose.at),
-            {rotate_back(to_base, r.x), rotate_back(to_base, r.y), rotate_back(to_base, r.z)}};
-}
-
 inline void observe(const HandoverAgents& s, int64_t row) {
-    const double* both = s.both + 2 * row * s.size;
-    const int64_t giver = both[s.role] > 0.0 ? 0 : 1;
-    const auto seen = [&](int64_t arm, int64_t field) {
-        const double* numbers = both + arm * s.size + field;
-        return in_cell(s, arm, goals::pose(numbers, numbers + 3));
-    };
+    const goals::Seen seen = {*s.tool, s.both + 2 * row * s.size};
+    const Approach& approach = *s.goals->approach;
+    const int64_t giver = seen.number(0, s.role) > 0.0 ? 0 : 1;
     double between[2], holds[2], width_m[2];
-    goals::Scene scene = {giver, seen(giver, s.block), seen(giver, s.target), between, holds, width_m};
+    goals::Scene scene = {giver, seen.at(giver, s.block), seen.at(giver, s.target), between, holds, width_m};
+    goals::Grip grips[2];
     for (int64_t arm = 0; arm < 2; ++arm) {
-        const goals::Pose flange = seen(arm, s.flange);
-        const Vector grip = scene.block.at + rotate(scene.block.turn, vector(s.goals->grip_m + 6 * giver + 3 * arm));
-        const Vector away = grasps::in_tool(flange.turn, flange.at, s.goals->tcp_m, grip);
-        between[arm] = grasps::is_between(*s.grips, away);
-        width_m[arm] = both[arm * s.size + s.gripper];
-        holds[arm] = grasps::holds(*s.grips, away, width_m[arm]);
+        const Vector there = vector(s.goals->grip_m + 6 * giver + 3 * arm);
+        grips[arm] = goals::grip(approach, seen, arm, scene.block.at + rotate(scene.block.turn, there));
+        between[arm] = grips[arm].between;
+        holds[arm] = grips[arm].holds;
+        width_m[arm] = grips[arm].width_m;
     }
     const goals::Phase phase = goals::phase(*s.goals, scene);
     for (int64_t arm = 0; arm < 2; ++arm) {
-        goals::Pose flange_pose;
-        const double* commanded = both + arm * s.size + s.commanded;
-        flange(s.links + 78 * arm, commanded, flange_pose.at, flange_pose.turn, nullptr, nullptr);
-        const goals::Pose tool = goals::tool_of(*s.goals, in_cell(s, arm, flange_pose));
+        const goals::Pose tool = goals::tool_of(approach, seen.commanded(arm));
         const goals::Step step = goals::step(*s.goals, scene, phase, arm, tool);
-        const goals::Step lag = goals::to(goals::tool_of(*s.goals, seen(arm, s.flange)), tool);
-        double *own = s.own + (2 * row + arm) * s.own_size, *more = own + s.size;
-        copy(own, both + arm * s.size, s.size);
-        write(step.move, more);
-        write(step.turn, more + 3);
-        const auto near = [](Vector v, double scale) { return (1.0 / (scale + goals::length(v))) * v; };
-        write(near(step.move, s.near_m), more + 6);
-        write(near(step.turn, s.near), more + 9);
-        write(near(lag.move, s.near_m), more + 12);
-        write(near(lag.turn, s.near), more + 15);
-        more[18] = between[arm];
-        more[19] = width_m[arm] / s.opening_m;
-        more[20] = !goals::closes(*s.goals, scene, phase, arm, step);
-        more[21] = s.near_m / (s.near_m + step.left_m);
-        more[22] = s.near / (s.near + goals::length(step.turn));
+        const bool closes = goals::closes(*s.goals, scene, phase, arm, step);
+        double* own = s.own + (2 * row + arm) * s.own_size;
+        goals::write_fields(approach, seen, arm, tool, step, grips[arm], closes, own);
     }
 }
 

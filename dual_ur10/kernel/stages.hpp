@@ -1,15 +1,14 @@
 // Stages of a handover; see `dual_ur10.envs.tasks.handover.stages`.
 #pragma once
 
-#include "fields.hpp"
-#include "numbers.hpp"
+#include "tool_goals.hpp"
 
 // Facts of one row, two of each kind, of the giver and the receiver: between, holds, widths, nearness of the tools to
 // their goals, goals of grippers, 1 for closed. Then the height of the block, its distance from the transfer, and 1 if it
 // is placed. Terms: those of the giver, then of the receiver.
 #define STAGES(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                                 \
-    INT(n) REAL(lifted_m) REAL(meeting_m) REAL(width_m) REAL(clear_m) REAL(opening_m) REALS(facts, n * 13)                           \
-    REALS(conditions, n * 7) INTS(stage, n) REALS(terms, n * 14)
+    INT(n) REAL(lifted_m) REAL(meeting_m) LINK(approach, Approach) REALS(facts, n * 13) REALS(conditions, n * 7)       \
+    INTS(stage, n) REALS(terms, n * 14)
 
 STRUCTURE(Stages, STAGES)
 
@@ -30,11 +29,6 @@ inline void check(const Stages& s, int64_t row) {
     for (int k = 0; k < COUNT; ++k) s.conditions[COUNT * row + k] = conditions[k];
 }
 
-// 1 for a gripper at the block's width, 0 fully open or closed beyond it.
-inline double closed(const Stages& s, double opening_m) {
-    return larger(1.0 - fabs(opening_m - s.width_m) / (s.opening_m - s.width_m), 0.0);
-}
-
 inline void advance(const Stages& s, int64_t row) {
     const double* fact = s.facts + 13 * row;
     int64_t& stage = s.stage[row];
@@ -43,13 +37,14 @@ inline void advance(const Stages& s, int64_t row) {
     // The goal that `near` refers to is that of this stage, not of the one before.
     const bool presents = gives && fact[10] > s.lifted_m, presented = presents && fact[11] < s.meeting_m;
     const bool carries = receives && !(fact[0] > 0.0);
-    double near[2], shut[2], open[2], clear[2];
+    const Approach& approach = *s.approach;
+    double near[2], shut[2], clear[2];
     for (int role = 0; role < 2; ++role) {
         const bool closes = fact[8 + role] > 0.0;
-        open[role] = clamp((fact[4 + role] - s.width_m) / (s.opening_m - s.width_m), 0.0, 1.0);
-        clear[role] = clamp((fact[4 + role] - s.width_m) / (s.clear_m - s.width_m), 0.0, 1.0);
-        near[role] = fact[6 + role] * (closes ? 1.0 : 0.8 + 0.2 * open[role]);
-        shut[role] = closes && fact[role] > 0.0 ? closed(s, fact[4 + role]) : 0.0;
+        const double width_m = fact[4 + role];
+        clear[role] = clamp((width_m - approach.width_m) / (approach.clear_m - approach.width_m), 0.0, 1.0);
+        near[role] = fact[6 + role] * (closes ? 1.0 : goals::opened(approach, width_m));
+        shut[role] = closes && fact[role] > 0.0 ? goals::closed(approach, width_m) : 0.0;
     }
     const double taking = 0.6 * near[1] + 0.4 * shut[1];
     const double progress[2][COUNT] = {{2.0 * near[0], fact[0] > 0.0 ? near[0] + shut[0] : 0.0,

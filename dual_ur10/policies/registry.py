@@ -29,7 +29,10 @@ _SCRIPTED: Final = {
 }
 """Classes by task, for any action mode."""
 
-_SCRIPTED_TCP: Final = {"Handover": "goal_follower:GoalFollower"}
+_SCRIPTED_TCP: Final = {
+    "SyncCarry": "goal_follower:SyncCarryFollower",
+    "Handover": "goal_follower:HandoverFollower",
+}
 """Classes by task, for `action_mode="tcp_delta"` in place of those."""
 
 _OF_INTERFACES: Final = ("max_episode_steps", "render_mode", "threads")

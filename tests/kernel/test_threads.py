@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from dual_ur10.envs.tasks.tool_goals import approach
 from dual_ur10.kernel import RowLoop, Struct
 
 N, CALLS = 400, 300
@@ -32,7 +33,7 @@ class Stages:
         self.stage = np.zeros(N, dtype=np.int64)
         facts, terms = np.zeros((N, 13)), np.zeros((N, 14))
         self.conditions = np.zeros((N, 7))
-        sizes = {"lifted_m": 0.08, "meeting_m": 0.1, "width_m": 0.04, "clear_m": 0.047, "opening_m": 0.085}
+        sizes = {"lifted_m": 0.08, "meeting_m": 0.1, "approach": approach(0.04)}
         arrays = {"facts": facts, "conditions": self.conditions, "stage": self.stage, "terms": terms}
         self._advance = RowLoop("stages_advance", Struct("Stages", n=N, **sizes, **arrays), N, threads)
 

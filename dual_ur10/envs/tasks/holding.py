@@ -17,6 +17,9 @@ from dual_ur10.types import Array, Mask
 
 TCP_LEVER: Final[Array] = np.array([0.0, 0.0, TCP_M])
 
+APPROACH_M: Final = 0.1
+"""Length of the straight approach of a tool to its grip."""
+
 _TABLE_M: Final = 5e-4
 """Smallest legal distance of fingers from the table while they grasp."""
 

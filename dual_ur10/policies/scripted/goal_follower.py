@@ -1,16 +1,15 @@
-"""Scripted policy for Handover with steps of the tools: straight steps to the goals that agents observe."""
+"""Scripted policies with steps of the tools: straight steps to the goals that agents observe."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
 from dual_ur10.assets.settings import SceneSettings
-from dual_ur10.envs.tasks.handover.goals import agent_observations, goals
-from dual_ur10.envs.tasks.handover.settings import HandoverSettings
 from dual_ur10.envs.tasks.handover.task import Handover
+from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.envs.tasks.task import Timing
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.kinematics.frames import ArmMount
@@ -22,7 +21,7 @@ _RATIO: Final = 0.3  # of the step that is left, in each period
 
 
 class GoalFollower:
-    """Steps of both tools, and of the grippers, to their goals of the present phase.
+    """Steps of both tools, and of the grippers, to their present goals.
 
     It knows no stage, remembers nothing, and plans nothing. So its actions show a learner that observes the same goals
     all that there is to learn.
@@ -38,20 +37,22 @@ class GoalFollower:
         UnknownNameError: Another action mode.
     """
 
+    task: ClassVar[type[Handover | SyncCarry]]
+
     def __init__(
         self,
         timing: Timing,
         action_mode: str = "tcp_delta",
         mounts: Sequence[ArmMount] | None = None,
         limits: MotionLimits | None = None,
-        settings: HandoverSettings | None = None,
+        settings: Any = None,
     ) -> None:
         if action_mode != "tcp_delta":
             raise UnknownNameError("action mode of the goal follower", action_mode, ["tcp_delta"])
         both = SceneSettings().mounts if mounts is None else (mounts[0], mounts[1])
-        settings = settings or HandoverSettings()
-        self._layout, self._own = Handover.layout_for(settings), Handover.agent_layout_for(settings)
-        self._observe = agent_observations(self._layout, self._own, goals(both), both)
+        settings = settings or self.task.settings_type()
+        self._layout, self._own = self.task.layout_for(settings), self.task.agent_layout_for(settings)
+        self._observe = self.task.agents_for(settings, both)
         self._most = np.repeat([TCP_STEP_M_S, TCP_ROTATION_RAD_S], 3) * timing.period_s
 
     def reset(self) -> None:
@@ -61,11 +62,24 @@ class GoalFollower:
         """Return the float32 action for an observation, or one for each row of a batch of observations.
 
         Raises:
-            ActionError: Not an observation of Handover.
+            ActionError: Not an observation of the task.
         """
-        own = self._observe(self._layout.batch(observation, Handover.name))
-        step, opening = (
-            own[..., self._own.indices(names)] for names in (["goal_step_m", "goal_rotation"], ["goal_opening"])
-        )
-        action = np.concatenate([np.clip(_RATIO * step / self._most, -1.0, 1.0), 2.0 * opening - 1.0], axis=-1)
+        own = self._observe(self._layout.batch(observation, self.task.name))
+        step = own[..., self._own.indices(["goal_step_m", "goal_rotation"])]
+        action = np.clip(_RATIO * step / self._most, -1.0, 1.0)
+        if "goal_opening" in self._own.names:
+            opening = own[..., self._own.indices(["goal_opening"])]
+            action = np.concatenate([action, 2.0 * opening - 1.0], axis=-1)
         return action.reshape(*np.shape(observation)[:-1], -1).astype(np.float32)
+
+
+class HandoverFollower(GoalFollower):
+    """Follower of the goals of Handover."""
+
+    task = Handover
+
+
+class SyncCarryFollower(GoalFollower):
+    """Follower of the goals of SyncCarry."""
+
+    task = SyncCarry

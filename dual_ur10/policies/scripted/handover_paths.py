@@ -9,8 +9,8 @@ import numpy as np
 
 from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.settings import home_q_rad
-from dual_ur10.envs.tasks.handover.settings import APPROACH_M, GRIPS, MEETING_M, laid_quat, presented_quat
-from dual_ur10.envs.tasks.holding import flanges_of
+from dual_ur10.envs.tasks.handover.settings import GRIPS, MEETING_M, laid_quat, presented_quat
+from dual_ur10.envs.tasks.holding import APPROACH_M, flanges_of
 from dual_ur10.kinematics import nearest
 from dual_ur10.kinematics.frames import ArmMount, Frames
 from dual_ur10.kinematics.poses import Poses, compose, relative_to

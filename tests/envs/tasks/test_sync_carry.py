@@ -243,8 +243,6 @@ def test_the_policy_refuses_other_observations():
     policy = policies.load("scripted", CARRY)
     with pytest.raises(errors.ActionError, match="124"):
         policy(np.zeros(122))
-    with pytest.raises(errors.SettingsError, match="tcp_delta"):
-        policies.load("scripted", CARRY, action_mode="tcp_delta")
 
 
 def test_joint_position_and_latency_work_too():
@@ -293,7 +291,7 @@ def test_the_bar_must_be_rotated_and_put_down(cheat):
 
 
 def test_fingers_beside_the_bar_do_not_hold_it():
-    """Without a grasp there is no reward, and no payload is declared."""
+    """Both only close, which earns less than one that holds; no payload is declared."""
 
     def nearly(step, action):
         action = action.copy()
@@ -302,10 +300,11 @@ def test_fingers_beside_the_bar_do_not_hold_it():
         return action
 
     infos, task = run(nearly, steps=140)
-    assert max(info["reward/grasp"] for info in infos) == 0.0
+    assert max(info["reward/grasp"] for info in infos) < 0.5
+    assert max(info["reward/synchrony"] for info in infos) == 0.0
     assert not task._declared.any()
     one, task = run(let_go(1, 0), steps=140)
-    assert one[-1]["reward/grasp"] == 0.5
+    assert one[-1]["reward/grasp"] == pytest.approx(0.5, abs=1e-6)
     assert not task._declared.any()
 
 

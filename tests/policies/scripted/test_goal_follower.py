@@ -1,4 +1,4 @@
-"""The policy that follows the goals of Handover: no stage is known to it, and the goals lead through all of them."""
+"""Policies that follow the goals of tools: no stage is known to them, and the goals lead through all of them."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from dual_ur10 import policies
 from dual_ur10.envs.core.core import Core
 from dual_ur10.errors import ActionError, UnknownNameError
 from dual_ur10.policies.policy import Policy
-from dual_ur10.policies.scripted.goal_follower import GoalFollower
+from dual_ur10.policies.scripted.goal_follower import GoalFollower, HandoverFollower
 from tests.soak import scaled
 
-HANDOVER, MODE = "DualUR10/Handover-v0", {"action_mode": "tcp_delta"}
+CARRY, HANDOVER, MODE = "DualUR10/SyncCarry-v0", "DualUR10/Handover-v0", {"action_mode": "tcp_delta"}
 
 
 @pytest.mark.parametrize(
@@ -39,6 +39,18 @@ def test_every_block_is_placed(keywords):
     assert success.all()
 
 
+@pytest.mark.parametrize("keywords", [{"randomization": "mild", "action_latency_ticks": 5}, {"grasp": "rigid"}])
+def test_every_bar_is_carried(keywords):
+    keywords = {**MODE, **keywords}
+    core, follower = Core("SyncCarry", keywords, n=2), policies.load("scripted", CARRY, **keywords)
+    observation, _ = core.reset([np.random.default_rng(seed) for seed in range(2)])
+    for _ in range(core.task.horizon):
+        step = core.step(follower(observation))
+        observation = step.observation
+    assert step.info["is_success"].all()
+    assert step.info["relative_error_m"].max() < 2e-3
+
+
 def test_actions_have_the_shape_of_the_observations_and_no_memory():
     env, follower = gym.make(HANDOVER, **MODE), policies.load("scripted", HANDOVER, **MODE)
     assert isinstance(follower, GoalFollower)
@@ -57,4 +69,4 @@ def test_actions_have_the_shape_of_the_observations_and_no_memory():
 
 def test_another_action_mode_is_refused():
     with pytest.raises(UnknownNameError, match="joint_delta"):
-        GoalFollower(Core("Handover", MODE).timing, "joint_delta")
+        HandoverFollower(Core("Handover", MODE).timing, "joint_delta")

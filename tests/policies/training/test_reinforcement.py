@@ -366,12 +366,15 @@ def test_exploration_and_learning_rate_decay_over_the_whole_training(tmp_path, m
 
 
 @pytest.mark.parametrize("kind", [JointVecEnv, TwoAgentVecEnv])
-def test_grippers_explore_as_wide_as_is_asked_for(kind):
-    asked = defaults("Handover", "ppo", "shared", changes={"first_std": 0.2, "last_std": 0.1, "gripper_std": 3.0})
-    env = kind("Handover", 1, threads=1)
+@pytest.mark.parametrize(("task", "ratios"), [("Handover", [1.0] * 6 + [3.0]), ("SineTracking", [1.0] * 6)])
+def test_grippers_explore_as_wide_as_is_asked_for(tmp_path, kind, task, ratios):
+    asked = defaults(task, "ppo", "shared", changes={"first_std": 0.2, "last_std": 0.1, "gripper_std": 3.0})
+    learner = reinforce.Reinforcer(folder.TrainingFolder.create(tmp_path / "out", asked))
+    env = kind(task, 1, threads=1)
     model, _ = models.make("ppo", env, asked.settings, 0)
-    for share, std in ((0.0, 0.2), (1.0, 0.1), (0.0, 0.2)):
-        models.explore(model, asked.settings, share, grippers=True)
-        found = model.policy.log_std.exp().numpy().reshape(-1, 7)
-        assert found == pytest.approx(np.tile([std] * 6 + [3.0 * std], (len(found), 1)))
+    for steps, std in ((0, 0.2), (asked.steps, 0.1), (0, 0.2)):
+        learner.steps = steps
+        learner.explore(model)
+        found = model.policy.log_std.exp().numpy().reshape(-1, len(ratios))
+        assert found == pytest.approx(np.tile(std * np.array(ratios), (len(found), 1)))
     env.close()

@@ -12,7 +12,7 @@ import numpy as np
 
 from dual_ur10.assets.props import BLOCK_GRIP_M, BLOCK_GRIP_QUAT, BLOCK_SIZE_M
 from dual_ur10.assets.settings import SceneSettings, home_q_rad
-from dual_ur10.envs.tasks.holding import flanges_of
+from dual_ur10.envs.tasks.holding import APPROACH_M, flanges_of
 from dual_ur10.envs.tasks.task import check_numbers
 from dual_ur10.errors import UnknownNameError, WorkspaceError
 from dual_ur10.kinematics import try_nearest
@@ -36,9 +36,6 @@ gripper would have to fold back onto its own forearm. So the grippers meet on a 
 
 GRIP_HEIGHT_M: Final = 0.006
 """Distance of the fingers' middle before the block's middle, so that the fingertips stay off the table."""
-
-APPROACH_M: Final = 0.1
-"""Length of the straight approach of a tool to its grip."""
 
 _HALF: Final = math.sqrt(0.5)
 # Tools in the block's frame: the giver comes from above, along the block's -z, the receiver from the other side.

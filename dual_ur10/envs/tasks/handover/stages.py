@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from dual_ur10.assets.gripper import OPENING_M
 from dual_ur10.assets.props import BLOCK_SIZE_M
+from dual_ur10.envs.tasks.tool_goals import approach
 from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.types import Array
 
@@ -16,17 +16,11 @@ STAGES: Final = ("reach", "grasp", "lift", "present", "mutual_grasp", "release",
 WIDTH_M: Final = BLOCK_SIZE_M[1]
 """Width of the block between the fingers."""
 
-CLEAR_M: Final = WIDTH_M + 0.007
-"""Width at which fingers are clear of the block."""
-
 LIFTED_M: Final = 0.08
 """Height of the block's middle above the table at which it counts as lifted."""
 
 MEETING_RANGE_M: Final = 0.05
 """Distance from the transfer within which the block counts as presented."""
-
-LEVER_M: Final = 0.1
-"""Lever with which distances include a rotation: 0.1 rad counts as 0.01 m."""
 
 STILL_M_S: Final = 0.02
 """Speed below which the block counts as still."""
@@ -63,9 +57,7 @@ class Stages:
             n=n,
             lifted_m=LIFTED_M,
             meeting_m=MEETING_RANGE_M,
-            width_m=WIDTH_M,
-            clear_m=CLEAR_M,
-            opening_m=OPENING_M,
+            approach=approach(WIDTH_M),
             facts=self.facts,
             conditions=self.conditions,
             stage=self.passed,

@@ -11,7 +11,8 @@ import numpy as np
 from dual_ur10.assets.gripper import OPENING_M, TCP_M
 from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.assets.settings import Equipment, home_q_rad
-from dual_ur10.envs.tasks.handover.goals import GOAL_FIELDS, agent_observations, goals
+from dual_ur10.envs.tasks.agent_observations import AgentObservations
+from dual_ur10.envs.tasks.handover.goals import agent_observations, goals
 from dual_ur10.envs.tasks.handover.settings import GRIPS, HandoverSettings, check_reach, lying
 from dual_ur10.envs.tasks.handover.stages import PLACED, STAGES, STILL_M_S, WIDTH_M, Stages
 from dual_ur10.envs.tasks.holding import PICKING, Grasped, Grasps, required
@@ -29,8 +30,9 @@ from dual_ur10.envs.tasks.observation_layout import (
     wrench_values,
 )
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, duration_ratio
+from dual_ur10.envs.tasks.tool_goals import GOAL_FIELDS
 from dual_ur10.kernel import RowLoop, Struct
-from dual_ur10.kinematics.frames import Frames
+from dual_ur10.kinematics.frames import ArmMount, Frames
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits, reach_from_joint_m
 from dual_ur10.types import Array, Rows
@@ -115,7 +117,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     | 55 | elapsed fraction of the episode's time | -1.01 | 1.01 | - | ratio |
 
     An agent of the two-agent environment observes its arm's 56 numbers, and behind them 23 of the goal of its tool,
-    which follow from the joint observation: `dual_ur10.envs.tasks.handover.goals.GOAL_FIELDS`.
+    which follow from the joint observation: `dual_ur10.envs.tasks.tool_goals.GOAL_FIELDS`.
 
     ## Rewards
 
@@ -124,11 +126,8 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     earn. A part has its largest value once its stage is passed, and measures progress until then. It is 0 before its
     stage begins, but for the receiver's part of *present*.
 
-    Progress is mostly the nearness of a tool to its goal in the present phase (`dual_ur10.envs.tasks.handover.goals`).
-    With the length d of the path to the goal, in m, and the chord c = 2 sin(angle / 2) of the rotation, nearness is a
-    quarter of 2 - d - c / 2 + s, and s is half of the sum of 0.03 / (0.03 + d), 0.3 / (0.3 + d), 0.2 / (0.2 + c) and
-    1 / (1 + c). It is 1 at the goal, and has a slope at every distance below 1 m. While the goal of a gripper is to be
-    open, it counts 0.8 to 1 times, with the opened fraction of the gripper.
+    Progress is mostly the nearness (`dual_ur10.envs.tasks.tool_goals`) of a tool to its goal in the present phase
+    (`dual_ur10.envs.tasks.handover.goals`).
 
     - *reach* (0.1): passed when the giver's grip of the block is between its fingers. Giver, 2: twice its nearness.
     - *grasp* (0.1): passed when the giver holds the block. Giver, 2: while the grip is between its fingers, its
@@ -257,8 +256,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
         self._before_m: Array = np.zeros((n, 3))  # position of the block in the last step
         self._slip_m: Array = np.zeros((n, 2))
         self._input, self._output = np.zeros((n, 72)), np.zeros((n, 4))
-        constants = goals(mounts)
-        self._agents = agent_observations(self.layout, self.agent_layout_for(settings), constants, mounts)
+        self._agents = self.agents_for(settings, mounts)
         struct = Struct(
             "Handover",
             n=n,
@@ -267,7 +265,7 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
             far_m=np.array([reach_from_joint_m(mount.robot)[1] + _BEYOND_M for mount in mounts]),
             fallen_m=_FALLEN_M,
             shoulders_m=np.array([np.add(mount.position_m, (0.0, 0.0, mount.model.d_m[0])) for mount in mounts]),
-            goals=constants,
+            goals=goals(mounts),
             giver=self._giver,
             input=self._input,
             before_m=self._before_m,
@@ -336,6 +334,11 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     def agent_layout_for(cls, settings: HandoverSettings) -> ObservationLayout:
         """Return the fields of an arm, and those of its goal."""
         return cls.layout.extended(*GOAL_FIELDS)
+
+    @classmethod
+    def agents_for(cls, settings: HandoverSettings, mounts: tuple[ArmMount, ArmMount]) -> AgentObservations:
+        """Return the function that assembles the agents' observations from joint ones."""
+        return agent_observations(cls.layout, cls.agent_layout_for(settings), mounts)
 
     def observe_agents(self, observation: Array) -> Array:
         """Return each agent's own observation, (n, 2, 79), from those of both, (n, 112)."""

@@ -11,7 +11,9 @@ import numpy as np
 from dual_ur10.assets.gripper import OPENING_M
 from dual_ur10.assets.props import BAR_MASS_KG, BAR_WIDTH_M
 from dual_ur10.assets.settings import Equipment, home_q_rad
+from dual_ur10.envs.tasks.agent_observations import AgentObservations
 from dual_ur10.envs.tasks.holding import (
+    APPROACH_M,
     PICKING,
     Grasped,
     Grasps,
@@ -31,20 +33,18 @@ from dual_ur10.envs.tasks.observation_layout import (
     wrench_fields,
     wrench_values,
 )
+from dual_ur10.envs.tasks.sync_carry.goals import agent_observations, goal_fields, goals
 from dual_ur10.envs.tasks.sync_carry.path import CarryPath
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings, bar_pose, ideal_relative, path_rate
 from dual_ur10.envs.tasks.task import Outcome, SceneRequirements, Task, Timing, gaussian
 from dual_ur10.kernel import RowLoop, Struct
 from dual_ur10.kinematics import nearest
-from dual_ur10.kinematics.frames import Frames
+from dual_ur10.kinematics.frames import ArmMount, Frames
 from dual_ur10.kinematics.poses import Poses, compose
 from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.sim2real.config.cell import CellConfig, CellState, Start
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array, Mask, Rows
-
-APPROACH_M = 0.10
-"""Height of the open grippers above the bar's nominal position at the start of an episode."""
 
 _GRASP_S = {True: 1.5, False: 5.0}  # time before the path begins: rigid, friction
 _SETTLE_S = 1.0  # time after it
@@ -52,9 +52,8 @@ _LOAD_S = 1.0  # in which the declared load ramps up before the lift, and down a
 _LOST_M = 0.15  # distance of a bar from its reference at which it is lost
 _LOAD_RATIO = 0.25  # of the load, that each arm must carry
 
-# Distance at which a term is 0.1: left and right tool to its grip, bar to its reference, its angle, relative position,
-# internal force.
-_MARGINS = np.array([0.15, 0.15, 0.03, 0.1, 0.005, 30.0])
+# Distance at which a term is 0.1: bar to its reference, its angle, relative position, internal force.
+_MARGINS = np.array([0.03, 0.1, 0.005, 30.0])
 
 
 class CarryMeasured(NamedTuple):
@@ -137,16 +136,20 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     | 60 | time until the path begins, negative | -10 | 10 | - | time (s) |
     | 61 | completed fraction of the path | -1.01 | 1.01 | - | ratio |
 
+    An agent of the two-agent environment observes its arm's 62 numbers, and behind them 23 of the goal of its tool (61 and
+    20 with `grasp="rigid"`), which follow from the joint observation: `dual_ur10.envs.tasks.tool_goals.GOAL_FIELDS`.
+
     ## Rewards
 
     The reward is the weighted sum of terms between 0 and 1, each the mean over the arms; each raw term is in `info` as
     `reward/<term>`. The terms from *position* on count only while both grippers hold the bar.
 
-    - *reach* (0.1): 0.1^((distance from tool to grip / 0.15 m)²), or 1 once the gripper holds the bar.
-    - *grasp* (0.2): 1 if the gripper holds the bar.
-    - *position* (0.3): 0.1^((distance of the bar to its reference / 30 mm)²).
+    - *reach* (0.3): nearness of the tool to its goal (`dual_ur10.envs.tasks.tool_goals`), which is its grip on the bar's
+      reference now, from behind until the gripper holds the bar.
+    - *grasp* (0.2): 1 if the gripper holds the bar; until then half of its closed fraction, once to close is its goal.
+    - *position* (0.2): 0.1^((distance of the bar to its reference / 30 mm)²).
     - *orientation* (0.1): 0.1^((angle of the bar from its reference / 0.1 rad)²).
-    - *synchrony* (0.2): 0.1^((error of the position of one flange in the frame of the other / 5 mm)²).
+    - *synchrony* (0.1): 0.1^((error of the position of one flange in the frame of the other / 5 mm)²).
     - *squeeze* (0.1): 0.1^((internal force along the bar / 30 N)²).
 
     `info` also holds these values without noise:
@@ -211,11 +214,11 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         speed_rad_s=(1.0,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.0
     )
     weights: ClassVar[dict[str, float]] = {
-        "reach": 0.1,
+        "reach": 0.3,
         "grasp": 0.2,
-        "position": 0.3,
+        "position": 0.2,
         "orientation": 0.1,
-        "synchrony": 0.2,
+        "synchrony": 0.1,
         "squeeze": 0.1,
     }
     settings_type: ClassVar[type[CarrySettings]] = CarrySettings
@@ -250,7 +253,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         self._worst_slip: Array = np.zeros(n)
         self._squares: Array = np.zeros((n, 2))
         self._carried: Array = np.zeros((n, 2))
-        self._input, self._output = np.zeros((n, 63)), np.zeros((n, 15))
+        self._input, self._output = np.zeros((n, 79)), np.zeros((n, 17))
         struct = Struct(
             "Carry",
             n=n,
@@ -259,6 +262,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             ramp_s=_LOAD_S,
             half_kg=BAR_MASS_KG / 2,
             ideal_m=ideal_relative(self._grip).position_m,
+            goals=goals(settings),
             input=self._input,
             slip_from_m=np.zeros((n, 6)),
             worst_slip_m=self._worst_slip,
@@ -267,6 +271,7 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             output=self._output,
         )
         self._evaluate = RowLoop("carry_evaluate", struct, n, 1)
+        self._agents = self.agents_for(settings, (cell.left, cell.right))
 
     @classmethod
     def layout_for(cls, settings: CarrySettings) -> ObservationLayout:
@@ -333,14 +338,31 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             values["gripper_m"] = required(state.gripper_m)[..., None]
         return self.layout.join(values)
 
+    @classmethod
+    def agent_layout_for(cls, settings: CarrySettings) -> ObservationLayout:
+        """Return the fields of an arm, and those of its goal."""
+        return cls.layout_for(settings).extended(*goal_fields(settings))
+
+    @classmethod
+    def agents_for(cls, settings: CarrySettings, mounts: tuple[ArmMount, ArmMount]) -> AgentObservations:
+        """Return the function that assembles the agents' observations from joint ones."""
+        return agent_observations(settings, cls.layout_for(settings), cls.agent_layout_for(settings), mounts)
+
+    def observe_agents(self, observation: Array) -> Array:
+        """Return each agent's own observation, (n, 2, 85), or (n, 2, 81) with a rigid grasp, from those of both."""
+        return self._agents(observation)
+
     def evaluate(self, state: CellState, measured: CarryMeasured) -> Outcome:
         """Evaluate reward terms, success and end."""
         clock, grasped, poses, holding = measured.clock_s, measured.grasped, measured.poses, measured.holding
-        parts = (clock[:, None], poses[:, :14], measured.force_n.reshape(self.n, 6), grasped.values[:, :42])
+        force, width = measured.force_n.reshape(self.n, 6), state.gripper_m
+        flanges = state.flange_m.reshape(self.n, 6), required(state.flange_quat).reshape(self.n, 8)
+        widths = np.zeros((self.n, 2)) if width is None else width  # nothing that is welded has a width
+        parts = clock[:, None], poses[:, :14], force, grasped.values[:, :42], widths, *flanges
         np.concatenate(parts, axis=1, out=self._input)
         self._evaluate()
         found = self._output.copy()
-        angles = 2 * np.arctan2(found[:, 11:13], found[:, 13:])
+        angles = 2 * np.arctan2(found[:, 11:13], found[:, 13:15])
         found[:, 3] = angles[:, 0]
         bar_m, bar_rad, errors = found[:, 2], found[:, 3], found[:, 2:4]
         begun = clock > 0.0
@@ -365,11 +387,9 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
             "object_m": poses[:, :3],
             "clock_s": clock,
         }
-        near = gaussian(found[:, :6], _MARGINS)
         terms = np.empty((self.n, 2, 6))
-        np.maximum(near[:, :2], holding, out=terms[..., 0])
-        terms[..., 1] = holding
-        np.multiply(near[:, None, 2:], both[:, None, None], out=terms[..., 2:])
+        terms[..., 0], terms[..., 1] = found[:, :2], found[:, 15:]
+        np.multiply(gaussian(found[:, None, 2:6], _MARGINS), both[:, None, None], out=terms[..., 2:])
         return Outcome(terms, success, over & ~lost, info, lost)
 
     def failure(self, row: int, outcome: Outcome) -> str:

@@ -1,0 +1,51 @@
+"""Goals of both tools of a carry: what agents observe of them.
+
+A tool goes to its grip on the bar's reference at the end of the next motion. Before the path begins that is where the
+bar lies, and as long as its gripper does not hold the bar it comes from behind (`dual_ur10.envs.tasks.tool_goals`).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dual_ur10.assets.props import BAR_WIDTH_M
+from dual_ur10.envs.tasks.agent_observations import AgentObservations
+from dual_ur10.envs.tasks.observation_layout import Field, ObservationLayout
+from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
+from dual_ur10.envs.tasks.tool_goals import GOAL_FIELDS, GRIPPER_FIELDS, approach, goal_observations, rows
+from dual_ur10.kernel import Struct
+from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.poses import Poses
+
+_ROOM_M: Final = 0.013  # that a learner's fingers need above the table, beside that below the task's grip
+
+
+def goal_fields(settings: CarrySettings) -> tuple[Field, ...]:
+    """Return the fields of goals; with a rigid grasp there are no grippers."""
+    return tuple(field for field in GOAL_FIELDS if not settings.rigid or field.name not in GRIPPER_FIELDS)
+
+
+def goals(settings: CarrySettings) -> Struct:
+    """Return the goals' constants, for the kernel."""
+    grip = settings.grip
+    position = grip.position_m.copy()
+    if not settings.rigid:
+        position[:, 2] += _ROOM_M
+    return Struct("CarryGoals", approach=approach(BAR_WIDTH_M), grips=rows(Poses(position, grip.quat)))
+
+
+def agent_observations(
+    settings: CarrySettings, layout: ObservationLayout, own: ObservationLayout, mounts: tuple[ArmMount, ArmMount]
+) -> AgentObservations:
+    """Return the function that adds the goals' fields to what each arm observes; see `goal_observations`."""
+    return goal_observations(
+        "CarryAgents",
+        "carry_agents",
+        layout,
+        own,
+        mounts,
+        BAR_WIDTH_M,
+        {"bar": "bar_base_m", "ahead": "ahead_base_m"},
+        goals=goals(settings),
+        grip_m=settings.grip.position_m,
+    )

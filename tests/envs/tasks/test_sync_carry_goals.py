@@ -1,0 +1,177 @@
+"""Goals of both tools of a carry: what agents observe of them follows from the poses in the joint observation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dual_ur10 import policies
+from dual_ur10.assets.gripper import TCP_M
+from dual_ur10.envs.core.core import Core
+from dual_ur10.envs.tasks.holding import APPROACH_M, flanges_of
+from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
+from dual_ur10.kinematics import nearest
+from dual_ur10.kinematics.frames import Frames
+from dual_ur10.kinematics.poses import Poses, compose, length
+from dual_ur10.kinematics.rotations import quat_from_rotvec, quat_multiply, quat_to_matrix
+
+CARRY = "DualUR10/SyncCarry-v0"
+SAME = np.array([1.0, 0.0, 0.0, 0.0])
+BAR = Poses(np.array([0.01, -0.02, 0.02]), quat_from_rotvec(np.array([0.0, 0.0, 0.04])))
+AHEAD = Poses(np.array([0.05, 0.1, 0.2]), quat_from_rotvec(np.array([0.1, -0.2, 0.3])))
+WIDE, SHUT, BARELY = 0.085, 0.04, 0.046
+ROOM_M = 0.013
+
+
+def grips(rigid=False):
+    """Return the goals of both tools in the bar's frame."""
+    found = CarrySettings(grasp="rigid" if rigid else "friction").grip
+    return Poses(found.position_m + np.array([0.0, 0.0, 0.0 if rigid else ROOM_M]), found.quat)
+
+
+def away(pose, move_m=(0.0, 0.0, 0.0), turn_rad=(0.0, 0.0, 0.0)):
+    """Return both tools that grip a bar, moved and rotated in their own frames."""
+    return compose(compose(Poses(*(np.stack([each] * 2) for each in pose)), grips()), _step(move_m, turn_rad))
+
+
+def _step(move_m, turn_rad):
+    return Poses(np.array(move_m), quat_from_rotvec(np.array(turn_rad)))
+
+
+def observed(tools, width_m, ahead, bar=BAR, **keywords):
+    """Return the fields of both agents, (2, ...), for tools that are where they were commanded to be."""
+    core = Core("SyncCarry", keywords, n=1)
+    observation, _ = core.reset([np.random.default_rng(0)])
+    mounts = core.task.cell.left, core.task.cell.right
+    frames, arms = Frames(mounts), core.task.layout.split(observation[0])
+    flanges = flanges_of(tools)
+    position, quat = frames.position_to_base(flanges.position_m), frames.quat_to_base(flanges.quat)
+    arms["flange_base_m"][...], arms["flange_base_quat"][...] = position, quat
+    for arm, mount in enumerate(mounts):
+        arms["commanded_q_rad"][arm] = nearest(position[arm], quat_to_matrix(quat[arm]), arms["q_rad"][arm], mount.dh)
+    if "gripper_m" in arms:
+        arms["gripper_m"][...] = width_m
+    for name, pose in (("bar", bar), ("ahead", ahead)):
+        arms[f"{name}_base_m"][...] = frames.position_to_base(np.stack([pose.position_m] * 2))
+        arms[f"{name}_base_quat"][...] = frames.quat_to_base(np.stack([pose.quat] * 2))
+    layout, own = core.task.agent_layout_for(core.task.settings), core.task.observe_agents(observation)[0]
+    return {name: own[:, layout.indices([name])] for name in layout.names}
+
+
+def goals_of(tools, fields):
+    half = fields["goal_rotation"] / 2
+    turn = np.concatenate([np.sqrt(1.0 - (half**2).sum(axis=1, keepdims=True)), half], axis=1)
+    return Poses(tools.position_m + fields["goal_step_m"], quat_multiply(turn, tools.quat))
+
+
+def assert_same(found, expected):
+    assert length(found.position_m - expected.position_m).max() < 1e-6
+    assert np.abs((found.quat * expected.quat).sum(axis=1)).min() > 1.0 - 1e-9
+
+
+@pytest.mark.parametrize(
+    ("move_m", "turn_rad", "back_m"),
+    [
+        ((0.0, 0.0, -0.05), (0.0, 0.0, 0.0), 0.0),  # on the line: straight to the grip
+        ((0.02, 0.0, -0.05), (0.0, 0.0, 0.0), 0.02),  # 1.5 times what it is beside the line, less 10 mm
+        ((0.0, 0.0, -0.05), (0.0, 0.0, 0.3), 0.1 * 2.0 * np.sin(0.15) - 0.01),
+        ((0.2, 0.0, -0.05), (0.0, 0.0, 0.0), APPROACH_M),  # at most
+    ],
+)
+def test_an_open_gripper_comes_from_behind_its_grip(move_m, turn_rad, back_m):
+    tools = away(BAR, move_m, turn_rad)
+    fields = observed(tools, WIDE, BAR)
+    assert_same(goals_of(tools, fields), away(BAR, (0.0, 0.0, -back_m)))
+    assert (fields["goal_opening"] == 1.0).all()
+    left_m = 0.01 * (1.0 / fields["goal_closeness"][:, 0] - 1.0)
+    assert left_m == pytest.approx(length(fields["goal_step_m"]) + back_m, abs=1e-6)
+
+
+def test_a_gripper_that_holds_the_bar_follows_its_reference():
+    tools = away(BAR, (0.003, 0.0, 0.002))
+    fields = observed(tools, SHUT, AHEAD)
+    assert_same(goals_of(tools, fields), away(AHEAD))
+    assert (fields["goal_opening"] == 0.0).all()
+    assert (fields["between"] == 1.0).all()
+
+
+@pytest.mark.parametrize(
+    ("above_m", "width_m", "opens"),
+    [
+        (0.009, WIDE, False),
+        (0.011, WIDE, True),
+        (0.011, BARELY, False),  # fingers that have begun to close go on
+        (0.031, BARELY, True),
+    ],
+)
+def test_fingers_close_where_they_have_arrived(above_m, width_m, opens):
+    fields = observed(away(BAR, (0.0, 0.0, -above_m)), width_m, BAR)
+    assert (fields["goal_opening"] == opens).all()
+    assert fields["opening"] == pytest.approx(np.full((2, 1), width_m / WIDE))
+
+
+def test_welded_grippers_follow_the_reference_without_fields_of_fingers():
+    at = Poses(*(np.stack([each] * 2) for each in BAR))
+    tools = compose(compose(at, grips(rigid=True)), Poses(np.array([0.02, 0.0, 0.0]), SAME))
+    fields = observed(tools, None, AHEAD, grasp="rigid")
+    ahead = Poses(*(np.stack([each] * 2) for each in AHEAD))
+    assert_same(goals_of(tools, fields), compose(ahead, grips(rigid=True)))
+    assert not {"between", "opening", "goal_opening"} & set(fields)
+    left_m = 0.01 * (1.0 / fields["goal_closeness"][:, 0] - 1.0)
+    assert left_m == pytest.approx(length(fields["goal_step_m"]), abs=1e-6)
+
+
+@pytest.mark.parametrize("grasp", ["friction", "rigid"])
+def test_the_reward_leads_to_the_goals_that_agents_observe(grasp):
+    """Term "reach", computed from the fields of tools where they are and of the reference now."""
+    core = Core("SyncCarry", {"grasp": grasp}, n=2)
+    observation, _ = core.reset([np.random.default_rng(seed) for seed in (0, 1)])
+    script, layout = policies.load("scripted", CARRY, grasp=grasp), core.task.agent_layout_for(core.task.settings)
+    reached, opened, closing = [], set(), set()
+    for _ in range(180):
+        step = core.step(script(observation))
+        observation = step.observation
+        both = observation.copy()
+        arms = core.task.layout.split(both)
+        arms["commanded_q_rad"][...] = arms["q_rad"]
+        for part in ("m", "quat"):
+            arms[f"ahead_base_{part}"][...] = arms[f"reference_base_{part}"]
+        own = core.task.observe_agents(both)
+        near_m, near = np.moveaxis(own[..., layout.indices(["goal_closeness"])], -1, 0)
+        left_m, turn = 0.01 * (1.0 / near_m - 1.0), 0.03 * (1.0 / near - 1.0)
+        move = 1.0 - left_m + 0.5 * (0.03 / (0.03 + left_m) + 0.3 / (0.3 + left_m))
+        nearness = 0.25 * (move + 1.0 - 0.5 * turn + 0.5 * (0.2 / (0.2 + turn) + 1.0 / (1.0 + turn)))
+        grasped = np.ones((2, 2))
+        if grasp == "friction":
+            wide = own[..., layout.indices(["opening"])[0]] * WIDE
+            opens = own[..., layout.indices(["goal_opening"])[0]] == 1.0
+            nearness[opens] *= (0.8 + 0.2 * np.clip((wide - 0.04) / 0.045, 0.0, 1.0))[opens]
+            holds = np.abs(wide - 0.04) < 0.001
+            grasped = np.where(holds, 1.0, np.where(opens, 0.0, 0.5 * (1.0 - np.abs(wide - 0.04) / 0.045)))
+            opened.add(bool(opens.all()))
+            closing.update(((grasped > 0.0) & (grasped < 1.0)).ravel().tolist())
+        assert step.info["reward/reach"] == pytest.approx(nearness.mean(axis=1), abs=1e-6)
+        assert step.info["reward/grasp"] == pytest.approx(grasped.mean(axis=1), abs=1e-6)
+        reached.append(nearness.mean())
+    assert step.info["clock_s"].min() > 2.0 - (grasp == "rigid") * 1.0
+    if grasp == "friction":
+        assert reached[0] < 0.9 < reached[-1]
+        assert opened == closing == {True, False}
+
+
+def test_the_saturated_step_and_lag_are_those_of_the_commanded_tool():
+    core = Core("SyncCarry", {"action_mode": "tcp_delta"}, n=1)
+    observation, _ = core.reset([np.random.default_rng(0)])
+    for _ in range(3):
+        observation = core.step(np.full((1, 14), 0.5, dtype=np.float32)).observation
+    layout, own = core.task.agent_layout_for(core.task.settings), core.task.observe_agents(observation)[0]
+    fields, state = {name: own[:, layout.indices([name])] for name in layout.names}, core._state
+    step = fields["goal_step_m"]
+    assert fields["goal_step_saturated"] == pytest.approx(step / (0.01 + np.linalg.norm(step, axis=1, keepdims=True)))
+    lag = fields["lag_saturated"]
+    lag_m = 0.01 * lag / (1.0 - np.linalg.norm(lag, axis=1, keepdims=True))
+    assert np.abs(lag_m).max() > 1e-3
+    measured = state.flange_m[0] + quat_to_matrix(state.flange_quat[0])[..., 2] * TCP_M
+    goal = measured + lag_m + step  # of a tool beside the bar: above its grip
+    assert (goal[:, 2] > 0.02).all()
+    assert goal[:, 1] == pytest.approx([0.5, -0.5], abs=0.03)

@@ -202,6 +202,14 @@ _CARRY_UNSEEN: Final = (
     "reference_base_m",
     "reference_base_quat",
 )
+_CARRY_ARM: Final = (
+    *_CARRY_UNSEEN,
+    "commanded_q_rad",
+    "ahead_base_m",
+    "ahead_base_quat",
+    "time_to_path_s",
+    "progress",
+)
 
 _HANDOVER_UNSEEN: Final = (
     *_MOTION_FIELDS,
@@ -248,10 +256,30 @@ SETTINGS: Final[dict[str, TaskSettings]] = {
         imitation=Imitation(unseen=_SINE_UNSEEN),
     ),
     "SyncCarry": TaskSettings(
-        steps={"ppo": 1_000_000, "sac": 200_000, "bc": 57_600, "dagger": 230_400},
+        steps={"ppo": 600_000, "sac": 200_000, "bc": 57_600, "dagger": 230_400},
         # It sees the commanded positions, the goal of the bar and the time. The fingers close by time alone: a network
         # that saw them kept closing after an accidental early start.
         imitation=Imitation(noise=0.05, unseen=_CARRY_UNSEEN),
+        from_nothing={"action_mode": "tcp_delta", "randomization": "none", "action_latency_ticks": 0},
+        agents="shared",
+        # It sees the step to its goal, and the fingers.
+        ppo=Reinforcement(
+            hidden=(128, 128),
+            learning_rate=1e-3,
+            gamma=0.9,
+            episode_steps=900,
+            steps_per_update=32,
+            batch_size=1024,
+            gae_lambda=0.9,
+            first_std=0.2,
+            last_std=0.02,
+            gripper_std=2.0,
+            target_kl=0.02,
+            unseen=_CARRY_ARM,
+            reward="individual",
+            differences=True,
+            scaled=False,
+        ),
     ),
     "Handover": TaskSettings(
         envs=192,

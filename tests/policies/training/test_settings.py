@@ -8,7 +8,9 @@ import math
 import pytest
 
 from dual_ur10 import ENV_IDS
+from dual_ur10.envs.tasks.tool_goals import GOAL_FIELDS
 from dual_ur10.errors import SettingsError, UnknownNameError
+from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.training.settings import (
     CHECK_SEED,
     IMITATION,
@@ -42,6 +44,17 @@ def test_ppo_can_continue_what_imitation_made(env_id):
     assert asked.keywords == made.keywords
     assert asked.agents == made.agents == "joint"
     assert asked.settings.hidden == made.settings.hidden
+
+
+@pytest.mark.parametrize(("task", "keywords"), [("Handover", {}), ("SyncCarry", {}), ("SyncCarry", {"grasp": "rigid"})])
+def test_ppo_from_nothing_sees_the_goals_alone(task, keywords):
+    asked = defaults(task, "ppo", keywords=keywords)
+    view = view_of(asked.env_id, asked.keywords)
+    layout = view.setup.task_type.agent_layout_for(view.setup.settings)
+    seen = set(range(layout.size)) - set(view.indices(asked.settings.unseen, joint=False))
+    goals = [field.name for field in GOAL_FIELDS if field.name in layout.names]
+    assert len(goals) == len(GOAL_FIELDS) - 3 * ("grasp" in keywords)
+    assert seen == set(layout.indices(goals))
 
 
 def test_arguments_override_the_defaults():

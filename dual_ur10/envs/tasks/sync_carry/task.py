@@ -144,13 +144,13 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     The reward is the weighted sum of terms between 0 and 1, each the mean over the arms; each raw term is in `info` as
     `reward/<term>`. The terms from *position* on count only while both grippers hold the bar.
 
-    - *reach* (0.3): nearness of the tool to its goal (`dual_ur10.envs.tasks.tool_goals`), which is its grip on the bar's
+    - *reach* (0.6): nearness of the tool to its goal (`dual_ur10.envs.tasks.tool_goals`), which is its grip on the bar's
       reference now, from behind until the gripper holds the bar.
     - *grasp* (0.2): 1 if the gripper holds the bar; until then half of its closed fraction, once to close is its goal.
-    - *position* (0.2): 0.1^((distance of the bar to its reference / 30 mm)²).
-    - *orientation* (0.1): 0.1^((angle of the bar from its reference / 0.1 rad)²).
-    - *synchrony* (0.1): 0.1^((error of the position of one flange in the frame of the other / 5 mm)²).
-    - *squeeze* (0.1): 0.1^((internal force along the bar / 30 N)²).
+    - *position* (0.05): 0.1^((distance of the bar to its reference / 30 mm)²).
+    - *orientation* (0.05): 0.1^((angle of the bar from its reference / 0.1 rad)²).
+    - *synchrony* (0.05): 0.1^((error of the position of one flange in the frame of the other / 5 mm)²).
+    - *squeeze* (0.05): 0.1^((internal force along the bar / 30 N)²).
 
     `info` also holds these values without noise:
 
@@ -214,12 +214,12 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
         speed_rad_s=(1.0,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.0
     )
     weights: ClassVar[dict[str, float]] = {
-        "reach": 0.3,
+        "reach": 0.6,
         "grasp": 0.2,
-        "position": 0.2,
-        "orientation": 0.1,
-        "synchrony": 0.1,
-        "squeeze": 0.1,
+        "position": 0.05,
+        "orientation": 0.05,
+        "synchrony": 0.05,
+        "squeeze": 0.05,
     }
     settings_type: ClassVar[type[CarrySettings]] = CarrySettings
     layout: ObservationLayout = ObservationLayout(

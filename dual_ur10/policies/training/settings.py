@@ -224,6 +224,20 @@ _HANDOVER_UNSEEN: Final = (
     "progress",
 )
 
+# One network for each arm, which sees the step of its tool to its goal, and the fingers.
+_TO_GOALS: Final = Reinforcement(
+    hidden=(128, 128),
+    gamma=0.95,
+    steps_per_update=32,
+    gae_lambda=0.9,
+    first_std=0.2,
+    gripper_std=2.0,
+    target_kl=0.02,
+    reward="individual",
+    differences=True,
+    scaled=False,
+)
+
 SETTINGS: Final[dict[str, TaskSettings]] = {
     "SineTracking": TaskSettings(
         steps={"ppo": 1_000_000, "sac": 300_000, "bc": 96_000, "dagger": 288_000},
@@ -262,23 +276,14 @@ SETTINGS: Final[dict[str, TaskSettings]] = {
         imitation=Imitation(noise=0.05, unseen=_CARRY_UNSEEN),
         from_nothing={"action_mode": "tcp_delta", "randomization": "none", "action_latency_ticks": 0},
         agents="shared",
-        # It sees the step to its goal, and the fingers.
-        ppo=Reinforcement(
-            hidden=(128, 128),
+        ppo=dataclasses.replace(
+            _TO_GOALS,
             learning_rate=1e-3,
             gamma=0.9,
             episode_steps=900,
-            steps_per_update=32,
             batch_size=1024,
-            gae_lambda=0.9,
-            first_std=0.2,
             last_std=0.02,
-            gripper_std=2.0,
-            target_kl=0.02,
             unseen=_CARRY_ARM,
-            reward="individual",
-            differences=True,
-            scaled=False,
         ),
     ),
     "Handover": TaskSettings(
@@ -287,24 +292,8 @@ SETTINGS: Final[dict[str, TaskSettings]] = {
         steps={"ppo": 1_500_000, "sac": 300_000, "bc": 115_200, "dagger": 460_800},
         from_nothing={"action_mode": "tcp_delta", "randomization": "none", "action_latency_ticks": 0},
         agents="shared",
-        # It sees the step to its goal, and the fingers.
-        ppo=Reinforcement(
-            hidden=(128, 128),
-            learning_rate=3e-4,
-            gamma=0.95,
-            episode_steps=500,
-            steps_per_update=32,
-            batch_size=4096,
-            epochs=10,
-            gae_lambda=0.9,
-            first_std=0.2,
-            last_std=0.05,
-            gripper_std=2.0,
-            target_kl=0.02,
-            unseen=_HANDOVER_UNSEEN,
-            reward="individual",
-            differences=True,
-            scaled=False,
+        ppo=dataclasses.replace(
+            _TO_GOALS, episode_steps=500, batch_size=4096, epochs=10, last_std=0.05, unseen=_HANDOVER_UNSEEN
         ),
         # It sees the commanded positions, the fingers, the block, its goal and the role.
         imitation=Imitation(unseen=(*_MOTION_FIELDS, "progress")),

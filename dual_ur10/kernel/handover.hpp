@@ -66,7 +66,7 @@ EXPORT void handover_evaluate(const Handover* s, int64_t first, int64_t last) {
 
 // Each agent's own observation; the numbers say where further fields of an arm begin.
 #define HANDOVER_AGENTS(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                        \
-    INT(n) INT(size) INT(own_size) LINK(tool, ToolFields) INT(block) INT(target) INT(role)                           \
+    INT(n) INT(size) INT(own_size) LINK(tool, ToolFields) INT(block) INT(target) INT(role)                             \
     LINK(goals, HandoverGoals) REALS(both, n * 2 * size) REALS(own, n * 2 * own_size)
 
 STRUCTURE(HandoverAgents, HANDOVER_AGENTS)

@@ -8,8 +8,7 @@
 // presented block, and the receiver's tool in the target's frame, by that index; and the tools at home.
 #define HANDOVER_GOALS(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                         \
     LINK(approach, Approach) REAL(leave_m) REAL(lifted_m) REAL(carried_m) REAL(meeting_m) REAL(arrived_m)              \
-    REALS(grip_m, 12) REALS(grips, 48) REALS(presented, 24) REALS(laid, 24)        \
-    REALS(home, 24)
+    REALS(grip_m, 12) REALS(grips, 48) REALS(presented, 24) REALS(laid, 24) REALS(home, 24)
 
 STRUCTURE(HandoverGoals, HANDOVER_GOALS)
 
@@ -45,7 +44,8 @@ inline Step step(const HandoverGoals& s, const Scene& scene, Phase phase, int64_
     constexpr Step none = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, 0.0};
     const Pose grip = pose(s.grips + 24 * scene.giver + 12 * arm), shown = pose(s.presented + 12 * scene.giver);
     const Pose behind = {{0.0, 0.0, -s.approach->back_m}, same};
-    const bool gives = arm == scene.giver, encloses = scene.between[arm] > 0.0 && scene.width_m[arm] < s.approach->clear_m;
+    const bool gives = arm == scene.giver;
+    const bool encloses = scene.between[arm] > 0.0 && scene.width_m[arm] < s.approach->clear_m;
     if (!gives && phase == LEAVE && encloses) return none;
     if (gives) {
         if (phase == PICK) return along(*s.approach, tool, scene.block * grip, 0.0);

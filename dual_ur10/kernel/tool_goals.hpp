@@ -13,8 +13,8 @@
 // Where the fields of an arm begin among the `size` numbers of its observation (`gripper`: -1 without grippers), both
 // chains and bases, and the scales of what agents observe.
 #define TOOL_FIELDS(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                            \
-    INT(size) INT(commanded) INT(flange) INT(gripper) REAL(near_m) REAL(near)            \
-    REALS(links, 156) REALS(base_m, 6) REALS(to_base, 18) LINK(grips, GraspLimits)
+    INT(size) INT(commanded) INT(flange) INT(gripper) REAL(near_m) REAL(near) REALS(links, 156)                        \
+    REALS(base_m, 6) REALS(to_base, 18) LINK(grips, GraspLimits)
 
 STRUCTURE(Approach, APPROACH)
 STRUCTURE(ToolFields, TOOL_FIELDS)
@@ -119,9 +119,9 @@ struct Grip {
 };
 
 inline Grip grip(const Approach& s, const Seen& seen, int64_t arm, Vector grip_m) {
+    if (seen.s.gripper < 0) return {true, true, 0.0};  // welded
     const Pose flange = seen.at(arm, seen.s.flange);
     const Vector away = grasps::in_tool(flange.turn, flange.at, s.tcp_m, grip_m);
-    if (seen.s.gripper < 0) return {true, true, 0.0};
     const double width_m = seen.number(arm, seen.s.gripper);
     return {grasps::is_between(*seen.s.grips, away), grasps::holds(*seen.s.grips, away, width_m), width_m};
 }

@@ -27,12 +27,7 @@ import numpy as np
 
 from dual_ur10.assets.settings import home_q_rad
 from dual_ur10.envs.tasks.agent_observations import AgentObservations
-from dual_ur10.envs.tasks.handover.settings import (
-    GRIPS,
-    MEETING_M,
-    laid_quat,
-    presented_quat,
-)
+from dual_ur10.envs.tasks.handover.settings import GRIPS, MEETING_M, laid_quat, presented_quat
 from dual_ur10.envs.tasks.handover.stages import LIFTED_M, MEETING_RANGE_M, WIDTH_M
 from dual_ur10.envs.tasks.holding import TCP_LEVER
 from dual_ur10.envs.tasks.observation_layout import ObservationLayout

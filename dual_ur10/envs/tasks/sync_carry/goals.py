@@ -1,7 +1,9 @@
-"""Goals of both tools of a carry: what agents observe of them.
+"""Goals of both tools of a carry: where the reward leads them, and what agents observe of them.
 
 A tool goes to its grip on the bar's reference at the end of the next motion. Before the path begins that is where the
 bar lies, and as long as its gripper does not hold the bar it comes from behind (`dual_ur10.envs.tasks.tool_goals`).
+The grip is 13 mm above the task's, because a learner's fingers need the room above the table; welded, it is the task's.
+The reward takes the reference now instead.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from dual_ur10.kernel import Struct
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.poses import Poses
 
-_ROOM_M: Final = 0.013  # that a learner's fingers need above the table, beside that below the task's grip
+_ROOM_M: Final = 0.013  # as `EXPERT_HIGHER_M` of the scripted policies
 
 
 def goal_fields(settings: CarrySettings) -> tuple[Field, ...]:

@@ -12,14 +12,7 @@ from dual_ur10.assets.gripper import OPENING_M
 from dual_ur10.assets.props import BAR_MASS_KG, BAR_WIDTH_M
 from dual_ur10.assets.settings import Equipment, home_q_rad
 from dual_ur10.envs.tasks.agent_observations import AgentObservations
-from dual_ur10.envs.tasks.holding import (
-    APPROACH_M,
-    PICKING,
-    Grasped,
-    Grasps,
-    flanges_of,
-    required,
-)
+from dual_ur10.envs.tasks.holding import APPROACH_M, PICKING, Grasped, Grasps, flanges_of, required
 from dual_ur10.envs.tasks.observation_layout import (
     ARM_FIELDS,
     OTHER_FLANGE_FIELDS,

@@ -248,7 +248,7 @@ def draw(path: Path, env_id: str, rows: list[dict[str, Any]]) -> None:
             each.plot(steps / 1e6, 100 * values, "o-", markersize=3, label=f"seed {row['seed']}")
     axes[0].set(ylabel="success, %", ylim=(-3, 103), title=f"{env_id}, PPO from nothing")
     axes[1].set(ylabel="return, % of the script's", xlabel="million steps of the environment", ylim=(-3, 103))
-    axes[0].legend(loc="lower right", fontsize="small")
+    axes[0].legend(loc="best", fontsize="small")
     for each in axes:
         each.grid(alpha=0.3)
     figure.savefig(path, dpi=110)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -26,16 +27,18 @@ class Differences(VecEnvWrapper):
     The terms of a state, added up to s, are replaced by their change since the step before. With the discount g the
     return of the changes is 1 - g times that of s, less what the first state earns. The same policy is best, but for
     two exceptions. A finish, multiplied by 1 - g, counts for no more than a state with s = 1 that lasts for ever. A
-    refused motion costs the time in which nothing changes, and no more: its own term would keep the tools away from the
-    table long before they can grasp. An end without success takes back what was earned.
+    refused motion costs the time in which nothing changes, and 1 - g times a part of its own term: all of it would keep
+    the tools away from the table long before they can grasp. An end without success takes back what was earned.
 
     Args:
         env: Vector environment of the package.
         gamma: Discount of the learner, below 1.
+        refusals: Function that returns the ratio of a refused motion's term that counts now.
     """
 
-    def __init__(self, env: VecEnv, gamma: float) -> None:
+    def __init__(self, env: VecEnv, gamma: float, refusals: Callable[[], float] = lambda: 0.0) -> None:
         super().__init__(env)
+        self._refusals = refusals
         weights = env.get_attr("core")[0].weights
         self._finish, self._refusal = weights.get(_FINISH, 0.0), weights.get(_REFUSAL, 0.0)
         self._gamma, self._before = gamma, np.full(env.num_envs, np.nan)
@@ -51,8 +54,10 @@ class Differences(VecEnvWrapper):
         named = f"reward/{_FINISH}", f"reward/{_REFUSAL}"
         finish, refusal = np.array([[info.get(name, 0.0) for name in named] for info in infos]).T
         finish *= self._finish
-        state = reward - finish - self._refusal * refusal
+        refusal *= self._refusal
+        state = reward - finish - refusal
         lost = [bool(each) and early_end(info) != "" for each, info in zip(over, infos, strict=True)]
         change = np.where(np.isnan(self._before), 0.0, state - self._before) - np.where(lost, self._gamma * state, 0.0)
         self._before = np.where(over, np.nan, state)
-        return observation, change + np.minimum((1.0 - self._gamma) * finish, 1.0), over, infos
+        once = np.minimum((1.0 - self._gamma) * finish, 1.0) + (1.0 - self._gamma) * self._refusals() * refusal
+        return observation, change + once, over, infos

@@ -23,6 +23,9 @@ except ImportError as error:
     raise MissingExtraError("stable-baselines3", "train", "training") from error
 
 _EXPLORED: float = 0.9  # of the training, after which exploration does not change
+_NORMAL_ENTROPY: float = 0.5 * math.log(2.0 * math.pi * math.e)  # of a standard deviation of 1
+_FIRST_ENTROPY_WEIGHT: float = 0.01  # of SAC, which learns it: with 1 noise would be worth more than reward
+_NEAR_ZERO: float = 0.01  # times the weights of an untrained head, as Stable-Baselines3 has it for PPO
 _SURE: float = 1e7  # weight of a checkpoint's normaliser, in observations: it hardly changes any more
 
 
@@ -64,7 +67,7 @@ def make(
     """
     monitored: VecEnv = VecMonitor(env)
     if settings.differences:
-        monitored = Differences(monitored, settings.gamma)
+        monitored = Differences(monitored, settings.gamma, lambda: settings.refusals * share())
     around = VecNormalize(monitored, gamma=settings.gamma, norm_reward=algorithm == "ppo")
     shape = env.observation_space.shape or (0,)
     moments: Any = _Moments(shape, () if settings.scaled else np.setdiff1d(np.arange(shape[0]), unseen).tolist())
@@ -102,10 +105,16 @@ def make(
             learning_starts=settings.learning_starts,
             train_freq=1,
             gradient_steps=settings.gradient_steps,
+            ent_coef=f"auto_{_FIRST_ENTROPY_WEIGHT}",
             policy_kwargs={"net_arch": {"pi": hidden, "qf": hidden}},
             seed=seed,
             device="cpu",
         )
+        # It begins as PPO does: near zero, and as wide. Untrained heads would act at random, in all of the range.
+        with torch.no_grad():
+            for head, bias in ((model.actor.mu, 0.0), (model.actor.log_std, math.log(settings.first_std))):
+                head.weight.mul_(_NEAR_ZERO)
+                head.bias.fill_(bias)
         first = model.policy.actor.latent_pi[0]
     _hide(first, unseen)
     return model, around
@@ -121,23 +130,28 @@ def _hide(layer: Any, unseen: Sequence[int]) -> None:
 
 
 def explore(model: Any, settings: Reinforcement, share: float, grippers: bool) -> None:
-    """Set the standard deviation of PPO's actions, and if they may change, for this ratio of the training's steps.
+    """Set the width of exploration, and if PPO's actions may change, for this ratio of the training's steps.
 
     Args:
-        model: Model of Stable-Baselines3.
+        model: Model of Stable-Baselines3. PPO acts with the standard deviation of `Reinforcement`, SAC aims at the
+            entropy of a normal distribution with it.
         settings: Settings of the algorithm.
         share: Ratio of the training's steps that are done.
         grippers: Each arm's seven actions end with that of its gripper.
     """
+    ratio = settings.last_std / settings.first_std
+    width = math.log(settings.first_std * ratio ** min(1.0, share / _EXPLORED))
+    log_std = torch.full(model.action_space.shape, width)
+    if grippers:
+        log_std[6::7] += math.log(settings.gripper_std)
     if isinstance(model, PPO):
         for part in (model.policy.mlp_extractor.policy_net, model.policy.action_net):
             part.requires_grad_(share >= settings.critic_first)
-        ratio = settings.last_std / settings.first_std
         std: Any = model.policy.log_std
         std.requires_grad_(False)
-        std.fill_(math.log(settings.first_std * ratio ** min(1.0, share / _EXPLORED)))
-        if grippers:
-            std[6::7] += math.log(settings.gripper_std)
+        std.copy_(log_std)
+    else:
+        model.target_entropy = float(log_std.sum()) + _NORMAL_ENTROPY * len(log_std)
 
 
 def begin_with(models: list[tuple[Any, VecNormalize]], policy: LearnedPolicy) -> None:

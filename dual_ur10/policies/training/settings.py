@@ -60,10 +60,10 @@ class Reinforcement(StrictJson):
         gae_lambda: PPO: parameter of the advantage estimate.
         clip_range: PPO: clipping range of the probability ratio.
         entropy: PPO: weight of the entropy.
-        first_std: PPO: initial standard deviation of actions.
-        last_std: PPO: standard deviation of actions in the last tenth of the training. It decays exponentially until
-            then, and is not learned: exploration then is as wide as the error that is left.
-        gripper_std: PPO: ratio of the standard deviation of a gripper's action to those of the others. Tools must be
+        first_std: Initial standard deviation of actions.
+        last_std: Standard deviation of actions in the last tenth of the training. It decays exponentially until then:
+            exploration then is as wide as the error that is left. PPO does not learn it; SAC aims at its entropy.
+        gripper_std: Ratio of the standard deviation of a gripper's action to those of the others. Tools must be
             right within millimetres, and fingers move by centimetres before anything changes.
         critic_first: PPO: ratio of the training in which only the value function learns. A policy that can do
             something already is not spoiled by the advantages of a value function that knows nothing yet.
@@ -78,6 +78,8 @@ class Reinforcement(StrictJson):
         differences: Learn from the change of the reward at each step instead of the reward; see
             `dual_ur10.policies.training.differences.Differences`. What a single action has changed is then not hidden
             under what earlier ones have earned.
+        refusals: With differences: ratio of the reward's term of refused motions that counts at the end of the
+            training. It grows linearly from 0; with 1, the reward at the end is the task's.
         scaled: Scale what a policy observes by its running mean and deviation. Fields that are made for learners are
             better left alone: a deviation of early training is small where the arms have hardly been. What only value
             functions see is always scaled.
@@ -104,6 +106,7 @@ class Reinforcement(StrictJson):
     unseen: tuple[str, ...] = ()
     reward: RewardKind = "shared"
     differences: bool = False
+    refusals: Ratio = 0.0
     scaled: bool = True
 
 
@@ -262,7 +265,9 @@ SETTINGS: Final[dict[str, TaskSettings]] = {
             gamma=0.9,
             episode_steps=100,
             batch_size=256,
-            gradient_steps=4,
+            first_std=0.1,
+            last_std=0.006,
+            gradient_steps=16,
             unseen=_ONE_ARM_UNSEEN,
             reward="individual",
         ),
@@ -283,6 +288,7 @@ SETTINGS: Final[dict[str, TaskSettings]] = {
             episode_steps=900,
             batch_size=1024,
             last_std=0.02,
+            refusals=1.0,
             unseen=_CARRY_ARM,
         ),
     ),

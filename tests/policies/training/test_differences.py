@@ -13,12 +13,12 @@ from dual_ur10.policies.training.differences import Differences
 GAMMA, N = 0.9, 2
 
 
-def made(**keywords):
+def made(refusals=0.0, **keywords):
     """Return both environments, which step the same cells, with the rewards of the task and with the differences."""
     envs = [TwoAgentVecEnv("Handover", N, reward="individual", threads=1, **keywords) for _ in range(2)]
     for env in envs:
         env.seed(0)
-    plain, changed = envs[0], Differences(envs[1], GAMMA)
+    plain, changed = envs[0], Differences(envs[1], GAMMA, lambda: refusals)
     plain.reset()
     changed.reset()
     return plain, changed
@@ -94,8 +94,9 @@ def test_a_finish_counts_for_the_time_that_is_left_and_at_most_for_ever(duration
     assert np.allclose(change, (state - left - before) + min(finish, 1.0), rtol=0, atol=1e-9)
 
 
-def test_a_refused_motion_costs_its_time_and_no_more():
-    plain, changed = made()
+@pytest.mark.parametrize("refusals", [0.0, 0.5, 1.0])
+def test_a_refused_motion_costs_its_time_and_a_part_of_its_term(refusals):
+    plain, changed = made(refusals)
     rng, before, refused = np.random.default_rng(0), None, 0
     for _ in range(60):
         reward, change, over, infos = stepped(plain, changed, rng.uniform(-1.0, 1.0, (2 * N, 7)))
@@ -103,6 +104,7 @@ def test_a_refused_motion_costs_its_time_and_no_more():
         refusal = np.array([info["reward/refusal"] for info in infos])
         refused += int(refusal.sum())
         state = reward + refusal
-        assert np.allclose(change, 0.0 if before is None else state - before, rtol=0, atol=1e-12)
+        asked = (0.0 if before is None else state - before) - (1.0 - GAMMA) * refusals * refusal
+        assert np.allclose(change, asked, rtol=0, atol=1e-12)
         before = state
     assert refused > 0

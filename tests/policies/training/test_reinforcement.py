@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 pytest.importorskip("stable_baselines3")
 
@@ -15,6 +16,7 @@ from dual_ur10.errors import SettingsError, TrainingError, UnknownNameError
 from dual_ur10.policies.learned import checkpoint
 from dual_ur10.policies.training import folder, models, state
 from dual_ur10.policies.training import reinforcement as reinforce
+from dual_ur10.policies.training.differences import Differences
 from dual_ur10.policies.training.settings import defaults
 from dual_ur10.policies.training.train import resume, train
 from tests.policies.training.small import small
@@ -365,16 +367,46 @@ def test_exploration_and_learning_rate_decay_over_the_whole_training(tmp_path, m
     assert np.all(np.diff(widths) <= 0)
 
 
+def test_the_cost_of_refusals_grows_over_the_whole_training(tmp_path, monkeypatch):
+    ratios = []
+    real = Differences.step_wait
+
+    def watched(self):
+        ratios.append(self._refusals())
+        return real(self)
+
+    monkeypatch.setattr(Differences, "step_wait", watched)
+    changes = {"differences": True, "refusals": 0.5}
+    train(small("ppo", steps=320, changes=changes), tmp_path / "out")
+    assert ratios[0] == 0.0
+    assert np.all(np.diff(ratios) >= 0)
+    assert 0.4 < ratios[-1] < 0.5
+
+
 @pytest.mark.parametrize("kind", [JointVecEnv, TwoAgentVecEnv])
 @pytest.mark.parametrize(("task", "ratios"), [("Handover", [1.0] * 6 + [3.0]), ("SineTracking", [1.0] * 6)])
-def test_grippers_explore_as_wide_as_is_asked_for(tmp_path, kind, task, ratios):
-    asked = defaults(task, "ppo", "shared", changes={"first_std": 0.2, "last_std": 0.1, "gripper_std": 3.0})
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_grippers_explore_as_wide_as_is_asked_for(tmp_path, algorithm, kind, task, ratios):
+    asked = defaults(task, algorithm, "shared", changes={"first_std": 0.2, "last_std": 0.1, "gripper_std": 3.0})
     learner = reinforce.Reinforcer(folder.TrainingFolder.create(tmp_path / "out", asked))
     env = kind(task, 1, threads=1)
-    model, _ = models.make("ppo", env, asked.settings, 0)
+    model, _ = models.make(algorithm, env, asked.settings, 0)
     for steps, std in ((0, 0.2), (asked.steps, 0.1), (0, 0.2)):
         learner.steps = steps
         learner.explore(model)
-        found = model.policy.log_std.exp().numpy().reshape(-1, len(ratios))
-        assert found == pytest.approx(np.tile(std * np.array(ratios), (len(found), 1)))
+        widths = std * np.tile(ratios, env.action_space.shape[0] // len(ratios))
+        if algorithm == "ppo":
+            assert model.policy.log_std.exp().numpy() == pytest.approx(widths)
+        else:
+            assert model.target_entropy == pytest.approx(norm.entropy(scale=widths).sum(), abs=1e-4)
     env.close()
+
+
+def test_sac_begins_near_zero_and_as_wide_as_is_asked_for():
+    env = TwoAgentVecEnv("SineTracking", 32, threads=1)
+    model, around = models.make("sac", env, small("sac", changes={"first_std": 0.05}).settings, 0)
+    observation = around.reset()
+    sampled = np.array([model.predict(observation)[0] for _ in range(50)])
+    env.close()
+    assert np.abs(sampled.mean(axis=(0, 1))).max() < 0.02
+    assert sampled.std(axis=(0, 1)) == pytest.approx(0.05, rel=0.1)

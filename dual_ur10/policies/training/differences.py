@@ -27,8 +27,9 @@ class Differences(VecEnvWrapper):
     The terms of a state, added up to s, are replaced by their change since the step before. With the discount g the
     return of the changes is 1 - g times that of s, less what the first state earns. The same policy is best, but for
     two exceptions. A finish, multiplied by 1 - g, counts for no more than a state with s = 1 that lasts for ever. A
-    refused motion costs the time in which nothing changes, and 1 - g times a part of its own term: all of it would keep
-    the tools away from the table long before they can grasp. An end without success takes back what was earned.
+    refused motion costs the time in which nothing changes, and 1 - g times a part of its own term: all of it from the
+    beginning would keep the tools away from the table long before they can grasp. An end without success takes back
+    what was earned.
 
     Args:
         env: Vector environment of the package.

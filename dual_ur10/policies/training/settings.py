@@ -79,7 +79,7 @@ class Reinforcement(StrictJson):
             `dual_ur10.policies.training.differences.Differences`. What a single action has changed is then not hidden
             under what earlier ones have earned.
         refusals: With differences: ratio of the reward's term of refused motions that counts at the end of the
-            training. It grows linearly from 0; with 1, the reward at the end is the task's.
+            training. It grows linearly from 0; with 1, they count as in the task at the end.
         scaled: Scale what a policy observes by its running mean and deviation. Fields that are made for learners are
             better left alone: a deviation of early training is small where the arms have hardly been. What only value
             functions see is always scaled.

@@ -20,6 +20,9 @@ TCP_LEVER: Final[Array] = np.array([0.0, 0.0, TCP_M])
 APPROACH_M: Final = 0.1
 """Length of the straight approach of a tool to its grip."""
 
+LEARNERS_ROOM_M: Final = 0.013
+"""Height of learners' grips above the task's: fingers pass the table at 4 and 7 mm, less than learners err."""
+
 _TABLE_M: Final = 5e-4
 """Smallest legal distance of fingers from the table while they grasp."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -16,9 +16,6 @@ from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import quat_to_matrix
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.types import Array
-
-EXPERT_HIGHER_M: Final = 0.013
-"""Extra height of an expert's grips above the task's: fingers pass the table at 4 and 7 mm, less than learners err."""
 
 
 class ScriptedPolicy:

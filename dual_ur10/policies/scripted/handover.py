@@ -12,14 +12,14 @@ from dual_ur10.assets.props import BLOCK_SIZE_M
 from dual_ur10.envs.tasks.handover.settings import HandoverSettings
 from dual_ur10.envs.tasks.handover.stages import WIDTH_M
 from dual_ur10.envs.tasks.handover.task import Handover
-from dual_ur10.envs.tasks.holding import TCP_LEVER
+from dual_ur10.envs.tasks.holding import LEARNERS_ROOM_M, TCP_LEVER
 from dual_ur10.envs.tasks.observation_layout import pose_of
 from dual_ur10.envs.tasks.task import Timing, duration_ratio
 from dual_ur10.errors import LostError
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.poses import Poses
 from dual_ur10.kinematics.rotations import rotate
-from dual_ur10.policies.scripted.base import EXPERT_HIGHER_M, ScriptedPolicy, on_table
+from dual_ur10.policies.scripted.base import ScriptedPolicy, on_table
 from dual_ur10.policies.scripted.free_motion import FreeMotion
 from dual_ur10.policies.scripted.handover_paths import HandoverPaths
 from dual_ur10.sim2real.control.limits import MotionLimits
@@ -102,7 +102,7 @@ class HandoverPolicy(ScriptedPolicy):
 
         A learner does not know the time in a motion either. An expert answers how to go on from where the arms are.
         """
-        self._paths = HandoverPaths(self.mounts, self._speed, self.timing.period_s, EXPERT_HIGHER_M)
+        self._paths = HandoverPaths(self.mounts, self._speed, self.timing.period_s, LEARNERS_ROOM_M)
         self._is_expert = True
 
     def reset(self) -> None:

@@ -8,14 +8,14 @@ from typing import ClassVar, Final
 import numpy as np
 
 from dual_ur10.assets.props import BAR_WIDTH_M
-from dual_ur10.envs.tasks.holding import flanges_of
+from dual_ur10.envs.tasks.holding import LEARNERS_ROOM_M, flanges_of
 from dual_ur10.envs.tasks.observation_layout import pose_of
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
 from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.envs.tasks.task import Timing, duration_ratio
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.poses import Poses, compose, relative_to
-from dual_ur10.policies.scripted.base import EXPERT_HIGHER_M, ScriptedPolicy, on_table
+from dual_ur10.policies.scripted.base import ScriptedPolicy, on_table
 from dual_ur10.policies.scripted.free_motion import FreeMotion, Waypoint
 from dual_ur10.policies.scripted.recovery import Recovery
 from dual_ur10.sim2real.control.limits import MotionLimits
@@ -63,7 +63,7 @@ class SyncCarryPolicy(ScriptedPolicy):
         An expert does not remember where it measured the bar before the lift. It grips the bar where its path begins,
         which is where it lies, apart from the error of the measurement.
         """
-        self._higher_m, self._is_expert = EXPERT_HIGHER_M, True
+        self._higher_m, self._is_expert = LEARNERS_ROOM_M, True
 
     def reset(self) -> None:
         """Forget everything: an episode begins."""

@@ -8,11 +8,11 @@ import pytest
 
 from dual_ur10 import policies
 from dual_ur10.envs.tasks.handover.task import Handover
+from dual_ur10.envs.tasks.holding import LEARNERS_ROOM_M
 from dual_ur10.envs.tasks.observation_layout import pose_of
 from dual_ur10.envs.tasks.sync_carry.task import SyncCarry
 from dual_ur10.errors import LostError
 from dual_ur10.policies.scripted import handover
-from dual_ur10.policies.scripted.base import EXPERT_HIGHER_M
 
 CARRY, HANDOVER = "DualUR10/SyncCarry-v0", "DualUR10/Handover-v0"
 KEYWORDS = {"action_latency_ticks": 5}
@@ -40,7 +40,7 @@ def test_an_expert_grips_higher_and_succeeds(env_id):
         assert info["is_success"]
         lowest.append(height)
     env.close()
-    assert lowest[1] - lowest[0] == pytest.approx(EXPERT_HIGHER_M, abs=0.001)
+    assert lowest[1] - lowest[0] == pytest.approx(LEARNERS_ROOM_M, abs=0.001)
 
 
 def test_an_expert_answers_from_where_the_learner_is():

@@ -2,24 +2,21 @@
 
 A tool goes to its grip on the bar's reference at the end of the next motion. Before the path begins that is where the
 bar lies, and as long as its gripper does not hold the bar it comes from behind (`dual_ur10.envs.tasks.tool_goals`).
-The grip is 13 mm above the task's, because a learner's fingers need the room above the table; welded, it is the task's.
+The grip is `LEARNERS_ROOM_M` above the task's; welded, it is the task's.
 The reward takes the reference now instead.
 """
 
 from __future__ import annotations
 
-from typing import Final
-
 from dual_ur10.assets.props import BAR_WIDTH_M
 from dual_ur10.envs.tasks.agent_observations import AgentObservations
+from dual_ur10.envs.tasks.holding import LEARNERS_ROOM_M
 from dual_ur10.envs.tasks.observation_layout import Field, ObservationLayout
 from dual_ur10.envs.tasks.sync_carry.settings import CarrySettings
 from dual_ur10.envs.tasks.tool_goals import GOAL_FIELDS, GRIPPER_FIELDS, approach, goal_observations, rows
 from dual_ur10.kernel import Struct
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.poses import Poses
-
-_ROOM_M: Final = 0.013  # as `EXPERT_HIGHER_M` of the scripted policies
 
 
 def goal_fields(settings: CarrySettings) -> tuple[Field, ...]:
@@ -32,7 +29,7 @@ def goals(settings: CarrySettings) -> Struct:
     grip = settings.grip
     position = grip.position_m.copy()
     if not settings.rigid:
-        position[:, 2] += _ROOM_M
+        position[:, 2] += LEARNERS_ROOM_M
     return Struct("CarryGoals", approach=approach(BAR_WIDTH_M), grips=rows(Poses(position, grip.quat)))
 
 

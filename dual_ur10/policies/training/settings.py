@@ -275,7 +275,7 @@ SETTINGS: Final[dict[str, TaskSettings]] = {
         imitation=Imitation(unseen=_SINE_UNSEEN),
     ),
     "SyncCarry": TaskSettings(
-        steps={"ppo": 600_000, "sac": 200_000, "bc": 57_600, "dagger": 230_400},
+        steps={"ppo": 1_000_000, "sac": 200_000, "bc": 57_600, "dagger": 230_400},
         # It sees the commanded positions, the goal of the bar and the time. The fingers close by time alone: a network
         # that saw them kept closing after an accidental early start.
         imitation=Imitation(noise=0.05, unseen=_CARRY_UNSEEN),

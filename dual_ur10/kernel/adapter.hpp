@@ -7,42 +7,36 @@ namespace {
 
 constexpr double FULL = 1.0 - 1e-6;         // usable fraction of a limit: rounding stays away from the safety gate
 constexpr double CARTESIAN_FULL = 0.993;    // the brake is sampled: the gate, with other samples, must not find more
-constexpr double CONTINUATION = 1.0 + 1e-6;
 constexpr double TINY = 1e-200;
 constexpr int TRIES = 4;  // to find a fraction within the Cartesian speed limit, which is not linear
 
-// Rows of the state.
-constexpr int64_t GOALS = 3, GOAL = 6, NOW = 7, JERK = 10, VALUES = 11;
+// Commands are smooth where their third difference is at most this fraction of the sum of the three first ones. A
+// speed that begins at once has 1, then 1/2; a sine of 0.5 Hz at 25 Hz has 0.005. Where the third difference is below
+// these sizes, it does no harm.
+constexpr double SMOOTH = 0.15, ROUGH = 0.4, SMALL_RAD = 1e-5, LARGE_RAD = 4e-5;
+
+// Rows of the state, and of the values that a plan is made of.
+constexpr int64_t GOALS = 3, GOAL = 6, NOW = 7, ROWS = 11;
+constexpr int64_t MEETING = 7, VALUES = 11;
 
 enum Mode { STEP = 0, POSITION = 1, GOAL_GIVEN = 2 };
 
 }  // namespace
 
 #define ADAPTER(INT, REAL, INTS, REALS, LINK, FUNCTION)                                                                \
-    INT(n) INT(ticks) INT(width) INT(mode) INT(size) INT(meetings) INT(between_rows) REAL(approach)                    \
-    LINK(envelope, Envelope) REALS(plans, meetings * ticks * 11) REALS(ends, meetings * 44) INTS(cubic, meetings)      \
-    REALS(continuations, meetings * 22) REALS(continuation_limits, 24) REALS(between, meetings * between_rows * 11)    \
-    REAL(period_s) REAL(calm_jerk) REALS(resume, 4 * width)                                                                           \
-    REALS(joint_step, 12) REALS(lower, 12) REALS(upper, 12) REALS(leash, 12)                                           \
-    REALS(state, n * 132) REALS(commanded, n * 12) REALS(action, n * 2 * size) REALS(targets, n * ticks * 12)          \
+    INT(n) INT(ticks) INT(width) INT(mode) INT(size) INT(latest) INT(between_rows) INT(later_rows) REAL(approach)      \
+    LINK(envelope, Envelope) REALS(plans, latest * ticks * 11) REALS(ends, latest * 44) REALS(lines, latest * 16)      \
+    REALS(cubics, latest * 16) REALS(between, latest * between_rows * 11) INTS(later_ends, latest)                     \
+    INTS(later_kinds, later_rows) REALS(later, later_rows * 11) REALS(limits, 36) INT(meetings)                        \
+    INTS(periods, meetings) INTS(curved, meetings) REALS(pursuit, ticks * 11) REAL(pursuit_rate)                       \
+    REALS(resume, 4 * width) REALS(joint_step, 12) REALS(lower, 12) REALS(upper, 12) REALS(leash, 12)                  \
+    REALS(state, n * 132) INTS(rest, n) REALS(commanded, n * 12) REALS(action, n * 2 * size) REALS(targets, n * ticks * 12)          \
     REALS(widths_m, n * ticks * 2) REAL(most_m) REALS(goal, n * 12) REALS(lowest, 2 * size) REALS(highest, 2 * size)   \
     INTS(clipped, n)
 
 STRUCTURE(Adapter, ADAPTER)
 
 namespace {
-
-// Each of the rows of `matrix`, times the state, is within `limit` (rows, 12), or within 1 without one.
-bool products_within(const double* matrix, int64_t rows, const double* state, const double* limit, double full) {
-    double product[JOINTS];
-    for (int64_t row = 0; row < rows; ++row) {
-        weighted(matrix + row * VALUES, 0, VALUES, state, product);
-        if (limit != nullptr)
-            for (int64_t j = 0; j < JOINTS; ++j) product[j] /= limit[row * JOINTS + j];
-        if (!all_within(product, full)) return false;
-    }
-    return true;
-}
 
 // The legal window nearest to a planned one that breaks a limit.
 //
@@ -101,10 +95,111 @@ void limit(const Envelope& e, const double* planned, double* window) {
     take();
 }
 
+// Of twelve joints, 1 where the commands, (4, 12), are smooth, 0 where they are not. Returns true if any is above 0.
+bool smoothness(const double* goals, double* weight) {
+    double any = 0.0;
+    for (int64_t j = 0; j < JOINTS; ++j) {
+        const double a = goals[JOINTS + j] - goals[j], b = goals[2 * JOINTS + j] - goals[JOINTS + j];
+        const double c = goals[3 * JOINTS + j] - goals[2 * JOINTS + j];
+        const double third = fabs((c - b) - (b - a)), ratio = third / larger(fabs(a) + fabs(b) + fabs(c), TINY);
+        const double relative = (ROUGH - ratio) / (ROUGH - SMOOTH);
+        weight[j] = clamp(larger(relative, (LARGE_RAD - third) / (LARGE_RAD - SMALL_RAD)), 0.0, 1.0);
+        any = larger(any, weight[j]);
+    }
+    return any > 0.0;
+}
+
+// Plan of a period, with a meeting some periods from now.
+struct Plan {
+    const Adapter& a;
+    const double *goals, *last;  // (4, 12), (12,)
+    double weight[JOINTS], values[VALUES * JOINTS];
+    bool smooth;
+
+    Plan(const Adapter& adapter, const double* state) : a(adapter), goals(state + GOALS * JOINTS), last(state + 2 * JOINTS) {
+        smooth = smoothness(goals, weight);
+        // Relative to the last target: the terms of differences are small then, and so is their rounding.
+        for (int64_t k = 0; k < MEETING; ++k) {
+            const int64_t from = k < HISTORY ? k : k - HISTORY + NOW;
+            const bool position = k <= HISTORY;
+            for (int64_t j = 0; j < JOINTS; ++j)
+                values[k * JOINTS + j] = state[from * JOINTS + j] - (position ? last[j] : 0.0);
+        }
+    }
+
+    void meet(int64_t periods, bool curved) {
+        double relative[4 * JOINTS], line[4 * JOINTS], cubic[4 * JOINTS];
+        for (int64_t i = 0; i < 4 * JOINTS; ++i) relative[i] = goals[i] - last[i % JOINTS];
+        multiply(a.lines + 16 * (periods - 1), 4, 4, relative, line);
+        multiply(a.cubics + 16 * (periods - 1), 4, 4, relative, cubic);
+        for (int64_t j = 0; j < JOINTS; ++j) {
+            // A cubic that no arm could follow does not predict the commands.
+            const bool possible = periods == 1 || (fabs(cubic[JOINTS + j]) <= a.limits[j] &&
+                                                   fabs(cubic[2 * JOINTS + j]) <= a.limits[JOINTS + j]);
+            const double share = curved && possible ? weight[j] : 0.0;
+            for (int64_t order = 0; order < 4; ++order) {
+                const int64_t i = order * JOINTS + j;
+                values[MEETING * JOINTS + i] = line[i] + share * (cubic[i] - line[i]);
+            }
+        }
+    }
+
+    // Targets of arms that are too far from their commands, or too fast, for any meeting: towards the commands' speed,
+    // and faster in proportion to the distance, so that half the acceleration suffices to arrive.
+    void pursue(double* out) {
+        meet(1, false);
+        for (int64_t j = 0; j < JOINTS; ++j) {
+            const double distance = goals[2 * JOINTS + j] - last[j] - values[HISTORY * JOINTS + j];
+            values[(MEETING + 1) * JOINTS + j] += a.pursuit_rate * distance;
+        }
+        targets(a.pursuit, out);
+    }
+
+    void targets(const double* matrix, double* out) const {
+        multiply(matrix, a.ticks, VALUES, values, out);
+        for (int64_t i = 0; i < a.ticks * JOINTS; ++i) out[i] += last[i % JOINTS];
+    }
+
+    // With few targets per period, legal targets can lie on an illegal path.
+    bool legal_between(int64_t periods) const {
+        double value[JOINTS];
+        for (int64_t row = (periods - 1) * a.between_rows; row < periods * a.between_rows; ++row) {
+            weighted(a.between + row * VALUES, 0, VALUES, values, value);
+            if (!all_within(value, a.limits[JOINTS])) return false;
+        }
+        return true;
+    }
+
+    // True if the later periods, too, are legal until the arms are on the commands' continuation.
+    bool legal_later(int64_t periods) const {
+        double value[JOINTS];
+        for (int64_t row = periods == 1 ? 0 : a.later_ends[periods - 2]; row < a.later_ends[periods - 1]; ++row) {
+            weighted(a.later + row * VALUES, 0, VALUES, values, value);
+            const double* limit = a.limits + a.later_kinds[row] * JOINTS;
+            for (int64_t j = 0; j < JOINTS; ++j)
+                if (!(fabs(value[j]) <= FULL * limit[j])) return false;
+        }
+        return true;
+    }
+
+    // Write the targets to the window, and the path's position, speed, acceleration and jerk after the period to `end`,
+    // (4, 12), if all is legal with this meeting.
+    bool legal(int64_t periods, bool curved, double* window, double* scratch, double* end) {
+        if (curved && periods > 1 && !smooth) return false;  // the line's
+        meet(periods, curved);
+        if (!legal_later(periods) || !legal_between(periods)) return false;
+        targets(a.plans + (periods - 1) * a.ticks * VALUES, window + HISTORY * JOINTS);
+        if (!is_legal(*a.envelope, window, scratch, FULL, CARTESIAN_FULL)) return false;
+        multiply(a.ends + (periods - 1) * 4 * VALUES, 4, VALUES, values, end);
+        for (int64_t j = 0; j < JOINTS; ++j) end[j] += last[j];
+        return true;
+    }
+};
+
 void step(const Adapter& a, int64_t row, const double* action, double* targets) {
     const Envelope& e = *a.envelope;
     const int64_t ticks = a.ticks;
-    double *state = a.state + row * VALUES * JOINTS, *commanded = a.commanded + row * JOINTS;
+    double *state = a.state + row * ROWS * JOINTS, *commanded = a.commanded + row * JOINTS;
     double *goal = state + GOAL * JOINTS, *now = state + NOW * JOINTS;
     bool clipped = false;
     for (int64_t k = 0; k < 2 * a.size; ++k) clipped |= action[k] < a.lowest[k] || action[k] > a.highest[k];
@@ -112,41 +207,35 @@ void step(const Adapter& a, int64_t row, const double* action, double* targets) 
     for (int64_t j = 0; j < JOINTS; ++j) {
         const double value = a.mode == GOAL_GIVEN ? a.goal[row * JOINTS + j] : action[(j / 6) * a.size + j % 6];
         const double aim = a.mode == STEP ? commanded[j] + clamp(value, -1.0, 1.0) * a.joint_step[j] : value;
-        const double here = (1.0 - a.approach) * now[j];
+        const double here = (1.0 - a.approach) * goal[j - JOINTS];  // the last goal
         goal[j] = clamp(aim, here + a.lower[j], here + a.upper[j]);
     }
     const Scratch window(e.width * JOINTS), scratch(e.width * JOINTS);
     double end[4 * JOINTS];
     copy(window, state, HISTORY * JOINTS);
-    bool legal = false;
-    for (int64_t k = 0; k < a.meetings && !legal; ++k) {
-        multiply(a.plans + k * ticks * VALUES, ticks, VALUES, state, window + HISTORY * JOINTS);
-        if (k > 0 && a.cubic[k] &&
-            !products_within(a.continuations + k * 2 * VALUES, 2, state, a.continuation_limits, CONTINUATION))
-            continue;
-        if (!products_within(a.between + k * a.between_rows * VALUES, a.between_rows, state, nullptr, 1.0)) continue;
-        legal = is_legal(e, window, scratch, FULL, CARTESIAN_FULL);
-        if (legal) multiply(a.ends + k * 4 * VALUES, 4, VALUES, state, end);
+    Plan plan(a, state);
+    // The soonest legal meeting. The rest of the last path is among them: without it, arms would catch up later and
+    // later, until they are too fast to do so.
+    int64_t rest = a.rest[row], periods = 0;
+    for (int64_t k = 0; k < a.meetings && !periods; ++k) {
+        if (!a.curved[k] && 0 < rest && rest < a.periods[k]) {
+            if (plan.legal(rest, false, window, scratch, end)) periods = rest;
+            rest = 0;
+        }
+        if (!periods && plan.legal(a.periods[k], a.curved[k], window, scratch, end)) periods = a.periods[k];
     }
-    if (!legal) {
+    a.rest[row] = periods > 0 ? periods - 1 : 0;
+    if (!periods) {
         const Scratch planned(e.width * JOINTS), known(a.width * JOINTS);
         copy(planned, window, e.width * JOINTS);
-        // A path that met its commands within a period may end with hundreds of rad/s³, which would lead centimetres off.
-        // So more than a calm jerk continues only as far as it leads to the goal.
-        double calm[VALUES * JOINTS];
-        copy(calm, state, VALUES * JOINTS);
-        const double t = a.period_s, reach = t * t * t / 6.0;
-        for (int64_t j = 0; j < JOINTS; ++j) {
-            const double jerk = state[JERK * JOINTS + j], little = clamp(jerk, -a.calm_jerk, a.calm_jerk);
-            const double end_at = now[j] + t * (now[JOINTS + j] + t / 2.0 * now[2 * JOINTS + j]) + reach * little;
-            const double missing = (goal[j] - end_at) / reach;
-            calm[JERK * JOINTS + j] = little + clamp(jerk - little, smaller(missing, 0.0), larger(missing, 0.0));
-        }
-        multiply(a.plans + (a.meetings - 1) * ticks * VALUES, ticks, VALUES, calm, planned + HISTORY * JOINTS);
+        plan.pursue(planned + HISTORY * JOINTS);
         limit(e, planned, window);
         copy(known, window, e.width * JOINTS);
         copy(known + e.width * JOINTS, now, 2 * JOINTS);  // position and speed of the path
+        // Relative to the last target: joints that rest do so to the last bit.
+        for (int64_t i = 0; i < (e.width + 1) * JOINTS; ++i) known[i] -= plan.last[i % JOINTS];
         multiply(a.resume, 4, a.width, known, end);
+        for (int64_t j = 0; j < JOINTS; ++j) end[j] += plan.last[j];
     }
     memmove(state + GOALS * JOINTS, state + (GOALS + 1) * JOINTS, sizeof(double) * (GOAL - GOALS) * JOINTS);
     copy(now, end, 4 * JOINTS);

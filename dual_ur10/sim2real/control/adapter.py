@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.kernel import RowLoop, Struct
@@ -41,17 +42,21 @@ TCP_ROTATION_RAD_S = 0.5
 _MANY_TICKS = 5  # targets per period from which on they sample the path densely enough
 
 _STIFF = 2.5  # gain times a tick squared above which targets show the arm's acceleration better than the law does
-_PARTS = 8  # sub-steps of a tick for the law under time scaling
+_PARTS = 8  # sub-steps of a tick for the law under time scaling, and of a period between few targets
 
 _ROUNDING = 1e-6  # bounds are float32 where a policy sees them
 
-_CALM_JERK_RAD_S3 = 20.0  # that paths continue at most where none is legal; the scripted policies' largest
+_PURSUIT_S = 0.2  # until arms that are far from their commands have the speed to approach them
+
+_CHECK_S, _CHECK_BRAKES_S = 0.008, 0.04  # between two instants of later periods at which limits are checked
 
 _GOAL_MARGIN_RAD = 1e-3  # goals stay this far inside the range that the limiter enforces
 
-# Rows of the adapter's state, (n, rows, 12): the last three targets, then the values that define a path.
-_GOAL, _NOW, _SPEED = (HISTORY + row for row in (path.GOAL, path.POSITION, path.SPEED))
-_VALUES = HISTORY + path.VALUES
+# Rows of the adapter's state, (n, rows, 12): the last three targets, the last commanded positions, and the path's
+# current position, speed and acceleration.
+_GOAL = HISTORY + path.POINTS - 1
+_NOW, _SPEED, _STATE = _GOAL + 1, _GOAL + 2, _GOAL + 5
+_VALUES = HISTORY + path.VALUES  # that a plan is made of: the last three targets, and the values that define a path
 
 
 class Command(NamedTuple):
@@ -135,7 +140,8 @@ class ServojAdapter:
         # Rotates vectors of the cell frame into each arm's `base`, which is rotated by π from base_link.
         rotations = np.array([[0.0, 0.0, -np.pi - yaw] for yaw in yaw_rad])
         self._to_base = quat_to_matrix(quat_from_rotvec(rotations))
-        self._state: Array = np.zeros((n, _VALUES, 12))
+        self._state: Array = np.zeros((n, _STATE, 12))
+        self._rest = np.zeros(n, dtype=np.int64)  # periods until the last path's meeting; 0: there is none
         self._commanded: Array = np.zeros((n, 2, 6))
         self._action: Array = np.zeros((n, 2, self.action_size))
         self._cartesian_goal: Array = np.zeros((n, 12))
@@ -147,10 +153,10 @@ class ServojAdapter:
     def _struct(self) -> Struct:
         """Return the coefficients and the state as the kernel's structure."""
         meetings = path.meetings(self.period_s)
-        plans = [self._plan(meeting) for meeting in meetings]
-        # With few targets per period, legal targets can lie on an illegal path.
-        few = self.ticks < _MANY_TICKS
-        between = [self._acceleration(meeting) for meeting in meetings] if few else [np.zeros((0, _VALUES))]
+        horizons = range(1, meetings[-1].periods + 1)
+        plans = [self._plan(periods) for periods in horizons]
+        between = [self._between(periods, 0, 1) for periods in horizons]
+        later = [self._later(periods) for periods in horizons]
         speed = np.tile(self.limits.speed_rad_s, 2)
         low, high = self.action_bounds
         return Struct(
@@ -160,25 +166,34 @@ class ServojAdapter:
             width=HISTORY + self.ticks + 2,
             mode=get_args(ActionMode).index(self.mode),
             size=self._action.shape[2],
-            meetings=len(meetings),
+            latest=len(horizons),
             between_rows=len(between[0]),
+            later_rows=sum(len(rows) for rows, _ in later),
             approach=self._approach,
             envelope=self.envelope.kernel,
             plans=np.stack([targets for targets, _ in plans]),
             ends=np.stack([end for _, end in plans]),
-            # A cubic that no arm could follow does not predict the commands: after a jump it may lead far off.
-            cubic=np.array([int(each.points > 2) for each in meetings]),
-            continuations=np.stack([self._continuation(each) for each in meetings]),
-            continuation_limits=np.stack([speed, np.full(12, self.limits.acceleration_rad_s2)]),
+            lines=np.stack([path.continuation(self.period_s, periods, 2) for periods in horizons]),
+            cubics=np.stack([path.continuation(self.period_s, periods, path.POINTS) for periods in horizons]),
             between=np.stack(between),
-            period_s=self.period_s,
-            calm_jerk=_CALM_JERK_RAD_S3,
+            later=np.concatenate([rows for rows, _ in later]),
+            later_kinds=np.concatenate([kinds for _, kinds in later]),
+            later_ends=np.cumsum([len(rows) for rows, _ in later]),
+            limits=np.stack(
+                [speed, np.full(12, self.limits.acceleration_rad_s2), np.full(12, self.limits.jerk_rad_s3)]
+            ),
+            meetings=len(meetings),
+            periods=np.array([each.periods for each in meetings]),
+            curved=np.array([int(each.curved) for each in meetings]),
+            pursuit=self._targets_of(max(1, round(_PURSUIT_S / self.period_s)), self.ticks, free=True),
+            pursuit_rate=self.limits.acceleration_rad_s2 / (2 * max(self.limits.speed_rad_s)),
             resume=self._resume_matrix(),
             joint_step=speed * self.period_s,
             lower=self._approach * (np.tile(self.limits.lower_rad, 2) + _GOAL_MARGIN_RAD),
             upper=self._approach * (np.tile(self.limits.upper_rad, 2) - _GOAL_MARGIN_RAD),
             leash=self._leash,
             state=self._state,
+            rest=self._rest,
             commanded=self._commanded,
             action=self._action,
             targets=self._targets,
@@ -190,33 +205,62 @@ class ServojAdapter:
             clipped=self._clipped,
         )
 
-    def _plan(self, meeting: path.Meeting) -> tuple[Array, Array]:
-        """Return a period as matrices on the state: targets, (ticks, ...), and final state of the path, (4, ...)."""
-        ticks, tick_s = self.ticks, self.profile.tick_s
+    def _plan(self, periods: int) -> tuple[Array, Array]:
+        """Return a period as matrices on a plan's values: targets, (ticks, ...), and the path's end, (4, ...)."""
+        end = np.zeros((4, _VALUES))
+        end[:, HISTORY:] = path.path(self.period_s, np.zeros(1), periods).end
+        return self._targets_of(periods, self.ticks), end
+
+    def _targets_of(self, periods: int, count: int, free: bool = False) -> Array:
+        """Return the first targets, (count, ...), of a path to a meeting and beyond, as a matrix on a plan's values."""
         # Held for a tick, a target acts half a tick late on average: it is taken half a tick ahead.
-        times_s = np.arange(ticks, dtype=np.float64) * tick_s + self._lead_s
-        rows = path.path(self.period_s, times_s, meeting)
-        targets, end = np.zeros((ticks, _VALUES)), np.zeros((4, _VALUES))
-        targets[:, HISTORY:], end[:, HISTORY:] = rows.position, rows.end
+        times_s = np.arange(count, dtype=np.float64) * self.profile.tick_s + self._lead_s
+        rows = path.path(self.period_s, times_s, periods, free)
+        targets = np.zeros((count, _VALUES))
+        targets[:, HISTORY:] = rows.position
         if self.compensate_lag:
             targets[:, HISTORY:] += self._law.lookahead_s * rows.speed + rows.acceleration / self._law.gain
-        return targets, end
+        return targets
 
-    def _continuation(self, meeting: path.Meeting) -> Array:
-        """Return the commands' speed and acceleration, (2, state), where the path meets them again."""
-        rows = np.zeros((2, _VALUES))
-        rows[:, HISTORY:] = path.continuation(self.period_s, meeting)[1:]
-        return rows
+    def _later(self, periods: int) -> tuple[Array, NDArray[np.int64]]:
+        """Return what is limited after this period, as a matrix on a plan's values, and the kind of each row.
 
-    def _acceleration(self, meeting: path.Meeting) -> Array:
-        """Return the fraction of the acceleration limit used between targets, as a matrix on the state."""
+        That is speed (0), acceleration (1) and jerk (2), at instants until the meeting, at the ticks that pass it, and
+        along the brakes from some of the periods.
+        """
+        ticks, tick_s = self.ticks, self.profile.tick_s
+        count = ticks * periods + HISTORY
+        targets = np.vstack([np.eye(HISTORY, _VALUES), self._targets_of(periods, count)])
+        every = max(1, round(_CHECK_S / tick_s))
+        instants = np.unique([*range(ticks, count - HISTORY, every), *range(count - HISTORY, count)])
+        rows, kinds = [], []
+        derivative = targets
+        for kind in range(3):
+            derivative = np.diff(derivative, axis=0) / tick_s
+            rows.append(derivative[instants + HISTORY - 1 - kind])
+            kinds.append(np.full(len(instants), kind))
+        between = self._between(periods, 1, periods)
+        rows.append(between)
+        kinds.append(np.full(len(between), 1))
+        brakes, of_brakes = self.envelope.of_brakes()
+        for last in range(2, periods + 1, max(1, round(_CHECK_BRAKES_S / self.period_s))):
+            rows.append(brakes @ targets[ticks * last : ticks * last + HISTORY])
+            kinds.append(of_brakes)
+        return np.concatenate(rows), np.concatenate(kinds)
+
+    def _between(self, periods: int, first: int, last: int) -> Array:
+        """Return the acceleration between the targets of some periods, as a matrix on a plan's values.
+
+        With few targets per period, legal targets can lie on an illegal path. With many there are no rows.
+        """
+        if self.ticks >= _MANY_TICKS:
+            return np.zeros((0, _VALUES))
         lookahead_s = self._law.lookahead_s if self.compensate_lag else 0.0
-        step_s = self.period_s / 8
-        times: Array = np.arange(9.0) * step_s
-        rows = path.path(self.period_s, times, meeting)
-        acceleration = rows.acceleration[:-1] + lookahead_s * np.diff(rows.acceleration, axis=0) / step_s
-        result = np.zeros((len(acceleration), _VALUES))
-        result[:, HISTORY:] = acceleration / self.limits.acceleration_rad_s2
+        step_s = self.period_s / _PARTS
+        times = self.period_s * first + step_s * np.arange(_PARTS * (last - first) + 1.0)
+        rows = path.path(self.period_s, times, periods)
+        result = np.zeros((len(times) - 1, _VALUES))
+        result[:, HISTORY:] = rows.acceleration[:-1] + lookahead_s * np.diff(rows.acceleration, axis=0) / step_s
         return result
 
     def _resume_matrix(self) -> Array:
@@ -301,6 +345,7 @@ class ServojAdapter:
         index = slice(None) if rows is None else rows
         self._state[index] = np.asarray(q_rad).reshape(-1, 1, 12)
         self._state[index, _SPEED:] = 0.0
+        self._rest[index] = 0
         self._commanded[index] = self._state[index, _GOAL].reshape(-1, 2, 6)
 
     def __call__(self, action: Array) -> Command:

@@ -274,6 +274,13 @@ class Envelope:
         """Return rows (k, 3) that continue three past targets with the brake until it is at rest."""
         return self._brake(math.ceil(_BRAKE_TIMES / (self.brake_rate * self.tick_s)))
 
+    def of_brakes(self) -> tuple[Array, NDArray[np.int64]]:
+        """Return peaks along the brake as rows (m, 3) on targets, each of speed (0), acceleration (1) or jerk (2)."""
+        identity = np.eye(HISTORY)
+        speeds = np.diff(identity, axis=0)[::-1] / self.tick_s
+        rows = list(_brake_derivatives(self.limits, self.tick_s).values())
+        return np.concatenate(rows) @ speeds, np.repeat(np.arange(len(rows)), [len(each) for each in rows])
+
     def _coast(self, ticks: int) -> Array:
         """Return rows (ticks, 3) that continue three past targets at their speed, while the acceleration decays."""
         rows = list(np.eye(HISTORY))

@@ -1,10 +1,10 @@
-"""Smooth path towards commanded joint positions, as a matrix.
+"""Smooth path towards commanded joint positions, as matrices.
 
-A policy commands positions at its own rate. Between them the path is a quintic polynomial, twice continuously
-differentiable at the joins: it starts with the current position, speed and acceleration, and meets the commanded
-positions again, with the speed and acceleration of a polynomial through the last of them, at the end of the period.
-When that exceeds the limits, because a command jumped or a limit kept the arm from its path, it meets their
-continuation some periods later. Everything is linear in these values, so one matrix product gives the path of all
+A policy commands positions at its own rate. The path between them is a polynomial of degree 7, three times
+continuously differentiable at the joins: it starts with the current position, speed, acceleration and jerk, and meets
+the commands' continuation some periods later. A meeting at the end of this period follows a smooth motion within
+micrometres. When that exceeds a limit, because a command jumped or a limit kept the arm from its path, a later one
+takes the jump at less acceleration. Everything is linear in a few values, so one matrix product gives the path of all
 cells, arms and joints.
 """
 
@@ -17,13 +17,18 @@ from numpy.polynomial import polynomial
 
 from dual_ur10.types import Array
 
-# Order of the values that define a path: the last three commanded positions, the one commanded now, and the path's
-# current position, speed, acceleration and jerk.
-GOALS = slice(0, 4)
-GOAL = 3
-POSITION, SPEED, ACCELERATION, JERK = 4, 5, 6, 7
-STATE = slice(4, 8)
+# Values that define a path: its current position, speed, acceleration and jerk, then those of the commands'
+# continuation at the meeting.
+POSITION, MEETING = 0, 4
 VALUES = 8
+_ORDERS = range(4)
+
+POINTS = 4
+"""Last commanded positions that a continuation is made of."""
+
+_LATEST_S = 0.52  # within the hard limits, time to catch up with any command; later ones follow more slowly
+_CURVED_S = 0.12  # beyond it, cubics through noise lead off further than lines through curves
+_RATIO = 1.27  # of the time to one meeting and to the one before
 
 
 class Meeting(NamedTuple):
@@ -31,25 +36,25 @@ class Meeting(NamedTuple):
 
     Attributes:
         periods: Number of periods until then.
-        points: Number of last commanded positions that their continuation passes through.
+        curved: The commands' continuation is a cubic where they are smooth; otherwise it is a line.
     """
 
     periods: int
-    points: int
+    curved: bool
 
 
 def meetings(period_s: float) -> tuple[Meeting, ...]:
     """Return the meetings in the order in which they are tried.
 
-    The first follows a smooth motion within micrometres; the later ones take larger jumps at the same acceleration.
-    At 25 Hz they are 5 and 10 periods; other rates keep the same time. Disturbances decay under each of them (0.91,
-    0.85 and 0.96 per period at 25 Hz when every command is the path's own position; 0.61, 0.61 and 0.79 when it is a
-    fixed one), and the following error that the last one leaves is small enough for the second, and likewise for the
-    first. The second continues the commands by a cubic, which follows a smooth motion but may lead far off after
-    discontinuous commands: the third is for those.
+    A path that is legal as far as its meeting remains so while the commands go on as predicted: the next period finds
+    the rest of the same path. The soonest such meeting therefore leads onto the commands and not past them. Soon after
+    a deviation a cubic is needed, too: with lines alone, an arm that lags behind on a curve never reaches it.
     """
-    soon, late = max(5, round(0.2 / period_s)), max(10, round(0.4 / period_s))
-    return (Meeting(1, 4), Meeting(soon, 4), Meeting(soon, 2), Meeting(late, 2))
+    periods = [1]
+    while periods[-1] * period_s < _LATEST_S - 1e-9 or len(periods) < 3:
+        periods.append(max(periods[-1] + 1, round(periods[-1] * _RATIO)))
+    soon = [each for each in periods if each == 1 or each * period_s < _CURVED_S + 1e-9]
+    return (*(Meeting(each, True) for each in soon), *(Meeting(each, False) for each in periods[1:]))
 
 
 class PathRows(NamedTuple):
@@ -68,39 +73,46 @@ class PathRows(NamedTuple):
     end: Array
 
 
-def path(period_s: float, times_s: Array, meeting: Meeting) -> PathRows:
-    """Return the path with a given meeting.
+def path(period_s: float, times_s: Array, periods: int, free: bool = False) -> PathRows:
+    """Return the path to a meeting, and beyond it the commands' continuation.
 
     Args:
         period_s: Time until the position commanded now is due.
-        times_s: (k,) instants from now, 0 to `period_s`.
-        meeting: Instant of meeting the commands.
+        times_s: (k,) instants from now.
+        periods: Number of periods until the meeting.
+        free: The path meets the continuation's derivatives only, wherever that is.
     """
-    horizon = meeting.periods * period_s
-    unit = np.eye(VALUES)
-    conditions = [(0.0, 0, unit[POSITION]), (0.0, 1, unit[SPEED]), (0.0, 2, unit[ACCELERATION])]
-    conditions += [(1.0, order, row) for order, row in enumerate(continuation(period_s, meeting))]
-    if meeting.periods > 1:
-        # The jerk is continuous, too. With a path that ends with the period that would ring for ever: the initial jerk
-        # returns at the end with the other sign.
-        conditions.append((0.0, 3, unit[JERK]))
-    powers = np.eye(len(conditions))
-    equations = np.array([_derivative(powers, x, order) for x, order, _ in conditions])
-    values = np.array([row * horizon**order for _, order, row in conditions])
-    coefficients = np.linalg.solve(equations, values)
-    x = np.append(times_s, period_s) / horizon
-    rows = [_derivative(coefficients, x, order).T / horizon**order for order in range(4)]
-    position, speed, acceleration, _ = rows
-    return PathRows(position[:-1], speed[:-1], acceleration[:-1], np.stack([row[-1] for row in rows]))
+    horizon = periods * period_s
+    meets = _ORDERS[1:] if free else _ORDERS
+    powers = np.eye(len(_ORDERS) + len(meets))
+    conditions = [(0.0, order) for order in _ORDERS] + [(1.0, order) for order in meets]
+    equations = np.array([_derivative(powers, x, order) for x, order in conditions])
+    coefficients = np.zeros((len(powers), VALUES))
+    known = [order + (MEETING if x else POSITION) for x, order in conditions]
+    coefficients[:, known] = np.linalg.solve(equations, np.diag([horizon**order for _, order in conditions]))
+    times = np.append(times_s, period_s)
+    x, after = np.minimum(times / horizon, 1.0), np.maximum(times - horizon, 0.0)[:, None]
+    position, speed, acceleration, jerk = (_derivative(coefficients, x, order).T / horizon**order for order in _ORDERS)
+    position = position + after * (speed + after / 2 * (acceleration + after / 3 * jerk))
+    speed = speed + after * (acceleration + after / 2 * jerk)
+    acceleration = acceleration + after * jerk
+    end = np.stack([rows[-1] for rows in (position, speed, acceleration, jerk)])
+    return PathRows(position[:-1], speed[:-1], acceleration[:-1], end)
 
 
-def continuation(period_s: float, meeting: Meeting) -> Array:
-    """Return position, speed and acceleration, (3, 8), of the commands' continuation at the meeting."""
-    times = -period_s * np.arange(meeting.points)[::-1]
+def continuation(period_s: float, periods: int, points: int) -> Array:
+    """Return position, speed, acceleration and jerk, (4, 4), of the commands' continuation at a meeting.
+
+    Args:
+        period_s: Time between two commanded positions.
+        periods: Number of periods until the meeting.
+        points: Number of last commanded positions that the continuation passes through: 4 for a cubic, 2 for a line.
+    """
+    times = -period_s * np.arange(points)[::-1]
     fit = np.linalg.inv(np.vander(times, increasing=True))
-    ahead = (meeting.periods - 1) * period_s
-    rows = np.zeros((3, VALUES))
-    rows[:, GOAL + 1 - meeting.points : GOAL + 1] = [_derivative(fit, ahead, order) for order in (0, 1, 2)]
+    ahead = (periods - 1) * period_s
+    rows = np.zeros((4, POINTS))
+    rows[:, POINTS - points :] = [_derivative(fit, ahead, order) for order in _ORDERS]
     return rows
 
 

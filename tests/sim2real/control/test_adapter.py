@@ -12,7 +12,7 @@ from dual_ur10.assets.settings import HOME_Q_RAD
 from dual_ur10.errors import UnknownNameError
 from dual_ur10.kernel import call
 from dual_ur10.kinematics import flange_pose
-from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD
+from dual_ur10.kinematics.ur10 import JOINT_RANGE_RAD, nominal_dh
 from dual_ur10.sim2real.control.adapter import (
     _NOW,
     GRIPPER_WIDTH_M,
@@ -38,6 +38,7 @@ from tests.sim2real.control.motion_checks import (
 
 MODES = ("joint_delta", "joint_position", "tcp_delta")
 CB3, E_SERIES = ServojProfile(), ServojProfile(family="e-series")
+SLOW = MotionLimits(tcp_speed_m_s=0.25)
 
 
 def at_home(n: int = 1, profile: ServojProfile = CB3, ticks: int = 5, limits: MotionLimits = HARD, **more):
@@ -107,6 +108,137 @@ def test_a_measured_lag_equal_to_the_nominal_changes_no_bit(mode: str) -> None:
     actions = actions_of_all_kinds(5, 40)
     plain, measured = (at_home(5, mode=mode, **more) for more in ({}, {"lookahead_s": CB3.lookahead_s}))
     np.testing.assert_array_equal(played(measured, actions), played(plain, actions))
+
+
+# ------------------------------------------------------------------------------------------------ never past a command
+
+
+def commanded_arms(adapter: ServojAdapter, commands: np.ndarray, joints=((0, 5),)) -> np.ndarray:
+    """Return the way of nominal arms, (n, k, ticks), where `joints` are commanded (n, 1 + k) rad beside HOME_Q_RAD."""
+    start = np.tile(HOME_Q_RAD, (len(commands), 1, 1))
+    adapter.reset(start)
+    arm, joint = joints[0]
+    transition = ServojLaw(adapter.profile.lookahead_s, adapter.profile.gain).transition(adapter.profile.tick_s)
+    state, way = np.zeros((2, len(commands))), []
+    for command in commands[:, 1:].T:
+        action = start.copy()
+        for each in joints:
+            action[:, each[0], each[1]] += command
+        sent = adapter(action).targets_rad[:, :, arm, joint] - start[:, arm, joint, None]
+        for target in sent.T:
+            offset = np.stack([target, np.zeros_like(target)])
+            state = offset + transition @ (state - offset)
+            way.append(state[0])
+    return np.stack(way, axis=1).reshape(len(commands), -1, adapter.ticks)
+
+
+def passed(
+    profile: ServojProfile, limits: MotionLimits, rate_hz: float, speed: np.ndarray, joints=((0, 5),)
+) -> np.ndarray:
+    """Return how far arms that begin to move at a constant speed run past their commands, (n,) rad."""
+    adapter = at_home(len(speed), profile, profile.ticks_per_action(rate_hz), limits, mode="joint_position")
+    commands = -speed[:, None] * np.arange(1 + round(1.6 * rate_hz)) / rate_hz
+    return (commands[:, 1:, None] - commanded_arms(adapter, commands, joints)).max(axis=(1, 2))
+
+
+RATES_HZ = (5, 12.5, 25, 62.5, 125)
+
+
+@pytest.mark.parametrize("rate_hz", RATES_HZ)
+@pytest.mark.parametrize("profile", [CB3, E_SERIES, ServojProfile("cb3", 0.1, 400.0)])
+@pytest.mark.parametrize("limits", [HARD, TIGHT])
+def test_an_arm_that_begins_to_move_never_passes_its_command(
+    rate_hz: float, profile: ServojProfile, limits: MotionLimits
+) -> None:
+    speed = np.concatenate([np.linspace(0, 0.05, 80)[1:], np.linspace(0.05, min(limits.speed_rad_s), 80)])
+    assert passed(profile, limits, rate_hz, speed).max() < 2e-4
+
+
+@pytest.mark.parametrize("rate_hz", [12.5, 25, 62.5])
+@pytest.mark.parametrize("profile", [CB3, E_SERIES])
+@pytest.mark.parametrize("limits", [HARD, TIGHT, SLOW])
+def test_with_a_cartesian_limit_no_arm_passes_its_command(
+    rate_hz: float, profile: ServojProfile, limits: MotionLimits
+) -> None:
+    fast = min(*limits.speed_rad_s, limits.tcp_speed_m_s / 1.2)
+    speed = np.concatenate([np.linspace(0, 0.05, 40)[1:], np.linspace(0.05, fast, 40)])
+    assert passed(profile, limits, rate_hz, speed, ((0, 0), (1, 1), (1, 3))).max() < 2e-4
+
+
+@pytest.mark.parametrize("rate_hz", RATES_HZ)
+@pytest.mark.parametrize(("profile", "limits"), [(CB3, HARD), (CB3, TIGHT), (E_SERIES, HARD)])
+def test_smooth_commands_within_the_limits_are_followed(
+    rate_hz: float, profile: ServojProfile, limits: MotionLimits
+) -> None:
+    """Ramps, sines and random sums of sines, from rest, up to 15 % of the limit of acceleration and 75 % of speed."""
+    slow = min(1.0, rate_hz / 25)  # a motion needs as many commands at any rate
+    rng, time = np.random.default_rng(0), np.arange(round(3 * rate_hz / slow)) / (rate_hz / slow)
+    frequency = np.linspace(0.1, 0.5, 40)[:, None]
+    ease = np.clip(time / 2, 0, 1)
+    ease = ease**4 * (35 - 84 * ease + 70 * ease**2 - 20 * ease**3)
+    sine = np.sin(2 * np.pi * frequency * time) * ease
+    ramp = np.cumsum(np.cumsum(np.tile(np.hanning(len(time)), (40, 1)), axis=1), axis=1)
+    phases = rng.uniform(0, 2 * np.pi, (40, 3, 1))
+    random = np.sin(2 * np.pi * rng.uniform(0.05, 0.4, (40, 3, 1)) * time + phases).sum(axis=1)
+    random = random * ease
+    shapes = np.concatenate([sine, ramp, random])
+    shapes -= shapes[:, :1]
+    derived = [np.abs(np.diff(shapes, order) * rate_hz**order).max(axis=1) for order in (1, 2)]
+    most = np.minimum(0.75 * min(limits.speed_rad_s) / derived[0], 0.15 * limits.acceleration_rad_s2 / derived[1])
+    most = np.minimum(most, 3.0 / np.abs(shapes).max(axis=1))  # joints have a range
+    commands = -shapes * (most * np.tile(np.linspace(0.02, 1, 40), 3))[:, None]
+    adapter = at_home(len(commands), profile, profile.ticks_per_action(rate_hz), limits, mode="joint_position")
+    way = commanded_arms(adapter, commands)
+    low, high = (op(commands[:, 1:], commands[:, :-1])[..., None] for op in (np.minimum, np.maximum))
+    # Between two commands of a curve lies its sagitta.
+    curve = np.abs(np.diff(commands, 2, prepend=0.0)).max(axis=1, keepdims=True)[..., None] / 8
+    beside = np.maximum(low - way, way - high) - curve
+    assert beside.max() < 2e-4, np.unravel_index(beside.argmax(), beside.shape)
+
+
+@pytest.mark.parametrize("rate_hz", [12.5, 25, 125])
+@pytest.mark.parametrize("profile", [CB3, E_SERIES])
+@pytest.mark.parametrize("limits", [HARD, TIGHT])
+@pytest.mark.parametrize("jumps", [False, True])
+def test_arms_that_had_to_pass_their_command_return_once(
+    rate_hz: float, profile: ServojProfile, limits: MotionLimits, jumps: bool
+) -> None:
+    """After commands that stop at once, or that jump: no arm swings."""
+    adapter = at_home(40, profile, profile.ticks_per_action(rate_hz), limits, mode="joint_position")
+    half = round(1.6 * rate_hz)
+    number = np.arange(2 * half + 1)
+    if jumps:
+        commands = np.where(number > 4, np.geomspace(1e-4, 0.4, 40)[:, None], 0.0)
+    else:
+        commands = np.geomspace(1e-3, min(limits.speed_rad_s), 40)[:, None] * np.minimum(number, half) / rate_hz
+    way = commanded_arms(adapter, -commands).reshape(40, -1)
+    beyond = -commands[:, -1:] - way
+    assert beyond[:, -20:].max() < 1e-4
+    for row in beyond:
+        after = row[row.argmax() :]
+        assert after.min() > -2e-4
+        assert np.diff(after).max() < 2e-4
+
+
+@pytest.mark.parametrize("mode", ["joint_delta", "tcp_delta"])
+@pytest.mark.parametrize("robots", [("ur10", "ur10"), ("ur3e", "ur20")])
+@pytest.mark.parametrize("profile", [CB3, E_SERIES])
+def test_steady_steps_of_every_mode_pass_no_command(mode: str, robots, profile: ServojProfile) -> None:
+    size = np.linspace(0.002, 0.1, 60)
+    limits, ticks = HARD.of(robots), profile.ticks_per_action(25)
+    adapter = at_home(len(size), profile, ticks, limits, mode=mode, dh=[nominal_dh(robot) for robot in robots])
+    direction = np.random.default_rng(3).uniform(-1, 1, (2, 6))
+    action, before = size[:, None, None] * direction, adapter.commanded_q_rad
+    transition = ServojLaw(profile.lookahead_s, profile.gain).transition(profile.tick_s)
+    state = np.stack([before, np.zeros_like(before)])
+    for _ in range(35):
+        sent, now = adapter(action).targets_rad, adapter.commanded_q_rad
+        for k in range(ticks):
+            offset = np.stack([sent[:, k], np.zeros_like(now)])
+            state = offset + np.einsum("ij,j...->i...", transition, state - offset)
+            ahead = (state[0] - now) * np.sign(now - before)
+            assert ahead.max() < 2e-4
+        before = now
 
 
 # ------------------------------------------------------------------------------------------------ slowed down

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -123,10 +124,19 @@ TABLES = {
 """Marks that generated tables replace, by page."""
 
 
+KEY_LENGTH = 24
+"""Largest number of characters of a code that a table keeps in one line: a third of the text's width on a laptop."""
+
+
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Insert generated tables."""
     mark, table = TABLES.get(page.file.src_uri, ("", str))
     return markdown.replace(mark, table()) if mark else markdown
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """Mark the short keys of tables, which the style sheet keeps in one line."""
+    return re.sub(rf"(?<=<td>)<code>(?=[^<]{{1,{KEY_LENGTH}}}</code>)", '<code class="key">', html)
 
 
 def decisions(folder: Path) -> str:
@@ -138,14 +148,18 @@ def decisions(folder: Path) -> str:
     return "# Decisions\n\nShort records of design choices: context, decision, evidence.\n\n" + "\n".join(rows) + "\n"
 
 
+def pages(folder: Path) -> dict[str, Callable[[], str]]:
+    """Return the functions that generate the pages of this folder, by page."""
+    return {
+        "reference/cli.md": command_line,
+        "reference/cell-file.md": cell_file,
+        "reference/errors.md": errors,
+        "decisions/index.md": lambda: decisions(folder / "decisions"),
+    }
+
+
 def on_files(files: Files, config: Any) -> Files:
     """Add the generated pages."""
-    pages = {
-        "reference/cli.md": command_line(),
-        "reference/cell-file.md": cell_file(),
-        "reference/errors.md": errors(),
-        "decisions/index.md": decisions(Path(config["docs_dir"]) / "decisions"),
-    }
-    for name, text in pages.items():
-        files.append(File.generated(config, name, content=text))
+    for name, page in pages(Path(config["docs_dir"])).items():
+        files.append(File.generated(config, name, content=page()))
     return files

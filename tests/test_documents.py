@@ -1,6 +1,7 @@
 """Documentation: links, code blocks that run, commands that parse, and the table of faults."""
 
 import ast
+import importlib.util
 import os
 import pkgutil
 import re
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import pytest
 import typer
+import yaml
 
 from dual_ur10.cli.main import app
 
@@ -75,6 +77,55 @@ def test_every_page_is_in_the_navigation():
     pages = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
     assert {each for each in pages - named if not each.startswith("decisions/")} == set()
     assert named - pages <= GENERATED
+
+
+def hooks():
+    """Return the hooks of MkDocs, which generate pages and mark up tables."""
+    specification = importlib.util.spec_from_file_location("hooks", DOCS / "hooks.py")
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def broken_lists(text):
+    """Return the lines of a page's HTML that begin as an item of a list or a row of a table would in Markdown.
+
+    A numbered list that comes apart would begin again at 1: it is returned, too.
+    """
+    markdown = pytest.importorskip("markdown")
+    pytest.importorskip("pymdownx")
+    configured = yaml.safe_load((ROOT / "mkdocs.yml").read_text())["markdown_extensions"]
+    settings = {name: each for entry in configured if isinstance(entry, dict) for name, each in entry.items()}
+    names = [entry if isinstance(entry, str) else next(iter(entry)) for entry in configured]
+    html = markdown.markdown(text, extensions=names, extension_configs=settings)
+    html = re.sub(r"<pre\b.*?</pre>", "", html, flags=re.DOTALL)
+    written = re.findall(r"^ *(\d+)\. ", re.sub(r"^ *```.*?^ *```", "", text, flags=re.M | re.S), re.MULTILINE)
+    apart = [] if html.count("<ol>") == written.count("1") else [f"{html.count('<ol>')} numbered lists"]
+    return re.findall(r"^\s*(?:<p>|<li>)*(?:(?:\d+\.|[-*+]) |\||```).*", html, re.MULTILINE) + apart
+
+
+@pytest.mark.parametrize("path", PAGES, ids=page_id)
+def test_lists_and_tables_do_not_run_into_a_paragraph(path):
+    """MkDocs wants what belongs to an item indented by four spaces, and an empty line before a list."""
+    assert broken_lists(path.read_text()) == []
+
+
+@pytest.mark.parametrize("name", sorted(GENERATED))
+def test_generated_lists_and_tables_do_not_run_into_a_paragraph(name):
+    pytest.importorskip("mkdocs")
+    assert broken_lists(hooks().pages(DOCS)[name]()) == []
+
+
+def test_only_short_keys_of_tables_stay_in_one_line():
+    """A long code that did not wrap would take the width of the other columns."""
+    pytest.importorskip("mkdocs")
+    module = hooks()
+    short, long = "k" * module.KEY_LENGTH, "k" * (module.KEY_LENGTH + 1)
+    row = "<tr><td><code>{}</code></td></tr>"
+    marked = module.on_page_content(row.format(short) + row.format(long))
+    assert marked == row.format(short).replace("<code>", '<code class="key">') + row.format(long)
+    rules = re.findall(r"^([^{]*){[^}]*nowrap", (DOCS / "assets" / "extra.css").read_text(), re.MULTILINE)
+    assert [each.split()[-1] for each in rules] == ["code.key"]
 
 
 @pytest.fixture(scope="module")

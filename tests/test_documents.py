@@ -16,6 +16,7 @@ import typer
 import yaml
 
 from dual_ur10.cli.main import app
+from tests import documented_facts
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -126,6 +127,22 @@ def test_only_short_keys_of_tables_stay_in_one_line():
     assert marked == row.format(short).replace("<code>", '<code class="key">') + row.format(long)
     rules = re.findall(r"^([^{]*){[^}]*nowrap", (DOCS / "assets" / "extra.css").read_text(), re.MULTILINE)
     assert [each.split()[-1] for each in rules] == ["code.key"]
+
+
+def test_pages_state_the_facts_of_their_sources():
+    """Figures are those of the benchmarks and of the policies' cards, constants and sizes those of the code."""
+    facts = documented_facts.measured() | documented_facts.constants()
+    pages = {page: " ".join((ROOT / page).read_text().split()) for page, _ in documented_facts.STATEMENTS}
+    stated = [(page, sentence.format_map(facts).strip()) for page, sentence in documented_facts.STATEMENTS]
+    missing = [f"{page} should state: {sentence}" for page, sentence in stated if sentence not in pages[page]]
+    assert not missing, "\n".join(missing)
+
+
+def test_sizes_of_observations_are_those_of_the_spaces():
+    kinds = ("_both", "_arm", "_agent", "_adds")
+    sizes = {value for name, value in documented_facts.constants().items() if name.endswith(kinds)}
+    for path in [*PAGES, ROOT / "CHANGELOG.md"]:
+        assert set(re.findall(r"\b(\d+) numbers\b", path.read_text())) <= sizes, path
 
 
 @pytest.fixture(scope="module")

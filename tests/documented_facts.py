@@ -1,0 +1,291 @@
+"""Facts that pages state, each with its one source: a table of measurements, a card of a policy, or the code.
+
+`SOURCES` finds measurements by a pattern whose groups name them, `constants` reads the code, and `STATEMENTS` are the
+sentences of other pages, with the facts' names in braces. After a new measurement edit the source; the test then
+names each sentence that is left behind, with the values that it must state.
+"""
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+CARDS = "dual_ur10/policies/learned/learned_policies"
+README = "README.md"
+BENCHMARKS = "docs/reference/benchmarks.md"
+CALIBRATE = "docs/how-to/calibrate-the-bases.md"
+TRAIN = "docs/tutorials/train.md"
+TWO_ARMS = "docs/how-to/two-arms.md"
+CONTROL = "docs/explanation/control.md"
+ARCHITECTURE = "docs/explanation/architecture.md"
+
+SOURCES = [
+    (BENCHMARKS, r"^\| nominal \| \S+ mm \| (?P<nominal_rms>\S+) mm"),
+    (BENCHMARKS, r"^\| perturbed \| \S+ mm \| (?P<perturbed_rms>\S+) mm \| (?P<perturbed_angle>\S+)°"),
+    (BENCHMARKS, r"^\*Random plants\*[^*]*\*\*(?P<carried>\d+ of \d+)\*\* episodes succeed"),
+    (BENCHMARKS, r"^\| noisy \| (?P<handed>\d+ of \d+) \|[^|]*\| (?P<handed_s>\S+) /"),
+    (BENCHMARKS, r"^\| wide \| (?P<wide_script>\d+ of \d+) \|"),
+    (BENCHMARKS, r"^\| wide, bases and age as in mild \| \*\*(?P<wide_known>\d+ of \d+)\*\*"),
+    (BENCHMARKS, r'^SineTracking, "wide", default path: (?P<wide_learned>\d+) of 300 each'),
+    (
+        BENCHMARKS,
+        r"^PPO from scratch, SineTracking \([^)]*\): success in (?P<ppo_sine>\d+ of \d+) episodes with each, "
+        r"(?P<ppo_return>\d+ %) of the return, (?P<ppo_minutes>\S+ to \S+) minutes",
+    ),
+    (
+        BENCHMARKS,
+        r"^PPO from scratch, Handover \([^)]*\): lifted in (?P<lifted0>\d+), (?P<lifted1>\d+) and (?P<lifted2>\d+) %, "
+        r"handed over in (?P<handed0>\d+), (?P<handed1>\d+) and (?P<handed2>\d+) %, "
+        r"placed in (?P<placed0>\d+), (?P<placed1>\d+) and (?P<placed2>\d+) %, "
+        r"[\s\S]*? success in (?P<ppo_handover>\d+, \d+ and \d+ of \d+)\. "
+        r"(?P<ppo_handover_minutes>\d+, \d+ and \d+) minutes",
+    ),
+    (
+        BENCHMARKS,
+        r"^PPO from scratch, SyncCarry \([^:]*\): success in (?P<ppo_carry>\d+ of \d+) with each [^;]*; "
+        r"(?P<carry0>\d+), (?P<carry1>\d+) and (?P<carry2>\d+) minutes",
+    ),
+    (BENCHMARKS, r"^Twenty demonstrations, .*: (?P<twenty>\d+ of \d+) .* in (?P<twenty_minutes>\S+) minutes"),
+    (
+        BENCHMARKS,
+        r"^\| a stop of one arm .* \| (?P<stop>\d+) cycles in all 200; .* \| p99 \d, (?P<stop_busy>at most \d);",
+    ),
+    (BENCHMARKS, r"^\| program killed .* \| at most (?P<killed>\d+) and .* \| at most (?P<killed_busy>\d+) ms;"),
+    (BENCHMARKS, r"^\| sine, flange .* \| RMS (?P<streamed>\S+) mm, .* \| \*\*RMS (?P<streamed_busy>\S+) mm\*\*"),
+    (BENCHMARKS, r"^\| bare \| (?P<planned>\S+ %) \| (?P<planned_ms>\S+) ms"),
+    (BENCHMARKS, r"^\| SineTracking, `gym.make`, scripted actions \| (?P<efficiency>\S+) \|"),
+    (BENCHMARKS, r"^\| SineTracking, 64 envs, 2 threads, scripted \| (?P<efficiency64>\S+) \| (?P<steps_s>\S+) \|"),
+    (BENCHMARKS, r"^\| ±2π, elbow ±π \|.*\| (?P<inverse_batch>\S+) µs \| (?P<inverse_single>\S+) µs \|$"),
+    (
+        CALIBRATE,
+        r"^\| 8 touches \| 0.1 mm \| 1,000 \| (?P<base_mm>\S+) / .*, (?P<base_deg>\S+) / .* \| (?P<covered>\S+) %",
+    ),
+]
+
+
+_ROW = r"^\| (?:default \| )?{}[^|]*\| (?P<{}>\d+) of 300 \| (?P<{}_ci>[^|]+?) \|"
+
+
+def _of_card(folder: str, name: str) -> list[tuple[str, str]]:
+    """Return the sources in the card of a policy; `name` begins the names of its facts."""
+    patterns = [
+        rf"^\| made with \|.* (?P<{name}_min>\d+) minutes",
+        _ROW.format(r'random \("mild"\)', *[f"{name}_mild"] * 2),
+        _ROW.format("nominal", *[f"{name}_nominal"] * 2),
+    ]
+    if name in ("sine", "agents"):
+        patterns += [
+            rf'^\| random \| random \("mild"\) \| (?P<{name}_paths>\d+) of 300',
+            rf'^\| default \| random \("mild"\) \|.*\| (?P<{name}_mild_mm>\S+) mm',
+            rf"^\| default \| nominal \|.*\| (?P<{name}_nominal_mm>\S+) mm",
+        ]
+    else:
+        patterns += [_ROW.format(r'random \("wide"\)', *[f"{name}_wide"] * 2)]
+    if name != "handover":
+        patterns += [rf"^\| made with \|.* (?P<{name}_memory>\S+ GiB)"]
+    else:  # its command gives another policy now
+        again = r"(?P<again_wide>\d+) \(wide\), (?P<again_mild>\d+) \(mild\) and (?P<again_nominal>\d+) \(nominal\)"
+        patterns += [rf"^\| seed \|.* The command now gives .* {again}"]
+    return [(f"{CARDS}/{folder}/card.md", each) for each in patterns]
+
+
+SOURCES += _of_card("sine_tracking", "sine") + _of_card("sine_tracking_two_agents", "agents")
+SOURCES += _of_card("sync_carry", "carry") + _of_card("handover", "handover")
+
+
+def measured() -> dict[str, str]:
+    """Return the facts of `SOURCES`.
+
+    Raises:
+        LookupError: Sources do not match their patterns.
+    """
+    facts: dict[str, str] = {}
+    for source, pattern in SOURCES:
+        found = re.search(pattern.replace(" ", r"\s"), (ROOT / source).read_text(), re.MULTILINE)
+        if found is None:
+            raise LookupError(f"{source} states nothing of this form; adapt it, or remove its sentences: {pattern}")
+        facts |= {name: " ".join(each.split()) for name, each in found.groupdict().items()}
+    minutes = sorted(int(facts[f"{name}_min"]) for name in ("sine", "agents", "carry", "handover"))
+    return facts | {"least_min": str(minutes[0]), "most_min": str(minutes[-1])}
+
+
+def constants() -> dict[str, str]:
+    """Return the facts of the code."""
+    from dual_ur10.assets.collision_model import clearance_pairs
+    from dual_ur10.assets.settings import Equipment, SceneSettings
+    from dual_ur10.envs.core.setup import load_task
+    from dual_ur10.ids import ENV_IDS, task_name
+    from dual_ur10.kinematics import ur10
+    from dual_ur10.kinematics.robots import ROBOTS
+    from dual_ur10.sim2real.config import cell
+    from dual_ur10.sim2real.control import cartesian_step, clearance, gate, proximity
+    from dual_ur10.sim2real.control.servoj import TICK_S
+    from dual_ur10.sim2real.runtime import (
+        approach,
+        arm_process,
+        arm_sender,
+        path_to_start,
+        runner,
+        safety_monitor,
+        tracking,
+    )
+
+    facts = {"models": f"{len(ROBOTS)}"}
+    for env_id in ENV_IDS:
+        task = load_task(task_name(env_id))
+        settings = task.settings_type()
+        arm, agent = task.layout_for(settings).size, task.agent_layout_for(settings).size
+        sizes = {"arm": arm, "both": 2 * arm, "agent": agent, "adds": agent - arm}
+        facts |= {f"{task.name}_{name}": f"{each}" for name, each in sizes.items()}
+        facts[f"{task.name}_rad_s"] = f"{max(task.limits.speed_rad_s):.1f}"
+    for family, tick_s in TICK_S.items():
+        name = family.replace("-", "_")
+        facts[f"{name}_least_ticks"] = f"{runner.margin_ticks(tick_s) + runner.SHOWN_STATES}"
+        facts[f"{name}_margin_ticks"] = f"{runner.margin_ticks(tick_s)}"
+        facts[f"{name}_ticks"] = f"{round(cell.LATENCY_S / tick_s)}"
+    for name, equipment in (
+        ("bare", Equipment()),
+        ("gripper", Equipment(grippers=True)),
+        ("payload", Equipment(grippers=True, prop="bar")),
+    ):
+        facts[f"{name}_pairs"] = f"{len(clearance_pairs(SceneSettings(equipment=equipment)))}"
+    facts["payload_adds"] = f"{int(facts['payload_pairs']) - int(facts['gripper_pairs'])}"
+    shapes = re.search(r"enum Shape {(.*)}", (ROOT / "dual_ur10" / "kernel" / "distances.hpp").read_text())
+    for number, shape in enumerate(re.findall(r"\w+(?= =)", shapes[1] if shapes else "")):
+        facts[f"shape{number}"] = shape.lower()
+    return facts | {
+        "latency_ms": f"{1e3 * cell.LATENCY_S:g}",
+        "margin_ms": f"{1e3 * runner.MARGIN_S:g}",
+        "policy_ms": f"{1e3 * safety_monitor.POLICY_S:g}",
+        "apart_mm": f"{1e3 * safety_monitor.APART_M:g}",
+        "apart_deg": f"{safety_monitor.APART_RAD * 180 / 3.141592653589793:g}",
+        "reduced": {0.5: "half"}[safety_monitor.REDUCED_SCALING],
+        "stale_ms": f"{1e3 * arm_sender.STALE_S:g}",
+        "gap_rad": f"{arm_sender.START_GAP_RAD:g}",
+        "watchdog_hz": f"{arm_process.WATCHDOG_HZ:g}",
+        "approach_rad_s": f"{approach.SPEED_RAD_S:g}",
+        "approach_m_s": f"{approach.TCP_SPEED_M_S:g}",
+        "settle_s": f"{path_to_start._SETTLE_S:g}",
+        "settled_rad": f"{path_to_start.SETTLED_RAD:.0e}".replace("e-0", "e-"),
+        "start_mrad": f"{1e3 * path_to_start.START_RAD:g}",
+        "measured_rad": f"{path_to_start.MEASURED_RAD:g}",
+        "hot_c": f"{tracking.HOT_C:g}",
+        "deviation_rad": f"{tracking.DEVIATION_RAD:g}",
+        "deviation_states": {3: "three"}[tracking._ROWS],
+        "near_mm": f"{1e3 * proximity.NEAR_M:g}",
+        "least_scaling": {1 / 8: "an eighth"}[proximity.LEAST_SCALING],
+        "clear_mm": f"{1e3 * clearance.MINIMUM_M:g}",
+        "above_mm": f"{1e3 * (proximity.NEAR_M - clearance.MINIMUM_M):g}",
+        "sweep_mm": f"{1e3 * gate.SWEEP_TOLERANCE_M:g}",
+        "slow_condition": f"{cartesian_step.SLOW_CONDITION:g}",
+        "halt_condition": f"{cartesian_step.HALT_CONDITION:g}",
+        "hard_rad_s2": f"{ur10.HARD_ACCELERATION_RAD_S2:g}",
+        "hard_rad_s3": f"{ur10.HARD_JERK_RAD_S3:,g}",
+        "hard_m_s": f"{ur10.HARD_TCP_SPEED_M_S:g}",
+    }
+
+
+STATEMENTS = [
+    # Sizes of observations, and what agents add to their arm's half.
+    (README, "follow the same sine, synchronously | {SineTracking_both} numbers |"),
+    (README, "carry it along a path and put it down | {SyncCarry_both} numbers |"),
+    (README, "hands it to the other, which places it | {Handover_both} numbers |"),
+    (README, "any two of [{models} models]"),
+    ("docs/index.md", "any two of [{models} models]"),
+    (
+        "docs/tutorials/first-environment.md",
+        "holds {SineTracking_arm} numbers of the left arm, then {SineTracking_arm} of the right one",
+    ),
+    (
+        ARCHITECTURE,
+        "SineTracking {SineTracking_adds} numbers, the pose of the other flange; SyncCarry and Handover "
+        "{SyncCarry_adds} each",
+    ),
+    (ARCHITECTURE, "SyncCarry and Handover {Handover_adds} each"),
+    ("CHANGELOG.md", "({Handover_agent} and {SyncCarry_agent} numbers)"),
+    ("CHANGELOG.md", "({SineTracking_both} numbers)"),
+    # Constants of the code.
+    (TWO_ARMS, "{latency_ms} ms ({cb3_ticks} ticks of a CB3, {e_series_ticks} of an e-Series)"),
+    (TWO_ARMS, "the minimum is {cb3_least_ticks} ticks of a CB3 and {e_series_least_ticks} of an e-Series"),
+    (TWO_ARMS, "{margin_ms} ms ahead (two ticks of a CB3, six of an e-Series)"),
+    (TWO_ARMS, "| more than {policy_ms} ms after its deadline |"),
+    (TWO_ARMS, "the policy is late by more than {policy_ms} ms"),
+    (TWO_ARMS, "a joint is more than {deviation_rad} rad from its target for {deviation_states} states"),
+    (TWO_ARMS, "a joint is above {hot_c} °C"),
+    (TWO_ARMS, "no new RTDE timestamp for {stale_ms} ms"),
+    (TWO_ARMS, "the arm was moved by more than {gap_rad} rad between `make` and the first target"),
+    (TWO_ARMS, "the relative pose of the arms is off by more than {apart_mm} mm or {apart_deg}°"),
+    (TWO_ARMS, "arms a watchdog there ({watchdog_hz} Hz)"),
+    (TWO_ARMS, "with at most {approach_rad_s} rad/s, and {approach_m_s} m/s at flange, elbow and TCP"),
+    (TWO_ARMS, "within {settle_s} s its target settles to {settled_rad} rad"),
+    (TWO_ARMS, "is tolerated up to {start_mrad} mrad, and it is measured within {measured_rad} rad"),
+    (TWO_ARMS, "approach each other within {near_mm} mm, to {least_scaling} at least"),
+    (TWO_ARMS, "the task's clock runs at {reduced} its rate"),
+    (CONTROL, "closed forms of {shape0}s, {shape1}es and {shape2}s"),
+    (CONTROL, "{bare_pairs} pairs cover every contact"),
+    (CONTROL, "{gripper_pairs} with grippers, {payload_pairs} with payload geometry. At least {clear_mm} mm"),
+    (CONTROL, "It adds {payload_adds} pairs"),
+    (CONTROL, "at most {sweep_mm} mm remain uncovered"),
+    (CONTROL, "within its last {above_mm} mm"),
+    (CONTROL, "its bounds, {slow_condition} and {halt_condition},"),
+    (CONTROL, "joint speeds, {hard_rad_s2} rad/s², {hard_rad_s3} rad/s³ and {hard_m_s} m/s"),
+    (CONTROL, "SineTracking {SineTracking_rad_s} rad/s, SyncCarry {SyncCarry_rad_s} rad/s"),
+    # Measurements.
+    (README, "RMS {perturbed_rms} mm, {perturbed_angle}° (nominal: RMS {nominal_rms} mm,"),
+    (README, '| carry by friction, random plants ("mild") | {carried} episodes succeed |'),
+    (README, "| {handed} episodes succeed, median {handed_s} s |"),
+    (README, "success in {sine_paths} of 300 (sine, on any path), {carry_mild} of 300 (carry),"),
+    (README, "{handover_mild} of 300 (handover);"),
+    (README, "{least_min} to {most_min} min of training"),
+    (README, "success in {ppo_sine} episodes with each, {ppo_return} of the script's return; {ppo_minutes} min each"),
+    (README, "block placed in {placed0}, {placed1} and {placed2} %;"),
+    (README, "success, which allows no refused motion, in {ppo_handover};"),
+    (README, "{ppo_handover_minutes} min on one core"),
+    (README, "success in {ppo_carry} episodes with each; {carry0}, {carry1} and {carry2} min"),
+    (README, "| RMS {streamed} mm; {streamed_busy} mm when the machine is busy |"),
+    (README, "| {stop} control periods in all 200 trials; {stop_busy} when the machine is busy |"),
+    (README, "| at most {killed} ms in 100 trials; {killed_busy} ms when the machine is busy |"),
+    (README, "| median {base_mm} mm, {base_deg}°; the 95 % intervals cover {covered} % |"),
+    (README, "| {planned} found within 1 s, median {planned_ms} ms |"),
+    (README, "scripted | {steps_s} steps/s |"),
+    (README, "succeeds in {wide_script} episodes (scripted) and {wide_learned} of 300 (learned)"),
+    (README, 'as in "mild": {wide_known} (scripted)'),
+    (README, "only {efficiency} of the time of a single environment's step (SineTracking) | 64 environments"),
+    (README, "64 environments on 2 threads: {efficiency64} |"),
+    ("docs/decisions/own-inverse-kinematics.md", "ours takes {inverse_single} µs and {inverse_batch} µs since the"),
+    # Trainings, and the policies of the package.
+    (TRAIN, "the policies of the package took {least_min} to {most_min} minutes"),
+    (TRAIN, 'On "wide" plants they succeed in {wide_learned} of 300 episodes'),
+    *((TRAIN, f"| {{lifted{seed}}} % | {{handed{seed}}} % | {{placed{seed}}} % |") for seed in range(3)),
+    *((TRAIN, f"| {{carry{seed}}} min |") for seed in range(3)),
+    (TRAIN, "| {twenty} | {twenty_minutes} |"),
+    (TRAIN, "succeeds in {again_mild} (mild), {again_nominal} (nominal) and {again_wide} (wide) of 300 episodes"),
+    (BENCHMARKS, "gives {again_mild} (mild), {again_nominal} (nominal) and {again_wide} (wide)"),
+    ("docs/explanation/learning.md", "{handover_wide} of 300, and in {handover_mild} of 300 under"),
+]
+for row, label, name in (
+    ("| `learned` | SineTracking |", "SineTracking, `learned`", "sine"),
+    ("| `learned-two-agents` | SineTracking, one network per arm |", "SineTracking, `learned-two-agents`", "agents"),
+):
+    STATEMENTS += [
+        (
+            TRAIN,
+            f"{row} {{{name}_mild}} / {{{name}_nominal}} | {{{name}_mild_mm}} / {{{name}_nominal_mm}} mm | "
+            f"{{{name}_min}} min, {{{name}_memory}} |",
+        ),
+        (
+            BENCHMARKS,
+            f"| {label} | mild | {{{name}_mild}} of 300 | {{{name}_mild_ci}} | {{{name}_mild_mm}} mm | "
+            f"{{{name}_min}} min, {{{name}_memory}} | | | mild, random path | {{{name}_paths}} of 300 |",
+        ),
+    ]
+STATEMENTS += [
+    (TRAIN, '| SyncCarry; on "wide" plants {carry_wide}, too | {carry_mild} / {carry_nominal} |'),
+    (TRAIN, "| {carry_mild} / {carry_nominal} | | {carry_min} min, {carry_memory} |"),
+    (TRAIN, '| Handover, trained on "wide" plants; there {handover_wide} | {handover_mild} / {handover_nominal} |'),
+    (TRAIN, "| {handover_mild} / {handover_nominal} | | {handover_min} min |"),
+    (BENCHMARKS, "| SyncCarry, `learned` | mild | {carry_mild} of 300 | {carry_mild_ci} | | {carry_min} min, "),
+    (BENCHMARKS, "| Handover, `learned` | mild | {handover_mild} of 300 | {handover_mild_ci} | | {handover_min} min |"),
+    (BENCHMARKS, "| | nominal, pose known | {handover_nominal} of 300 | {handover_nominal_ci} | | |"),
+    (BENCHMARKS, "| | wide | {carry_wide} of 300 | {carry_wide_ci} | | | | Handover"),
+    (BENCHMARKS, "| | wide | {handover_wide} of 300 | {handover_wide_ci} | | | SineTracking"),
+]

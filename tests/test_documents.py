@@ -145,6 +145,11 @@ def test_sizes_of_observations_are_those_of_the_spaces():
         assert set(re.findall(r"\b(\d+) numbers\b", path.read_text())) <= sizes, path
 
 
+def test_the_page_of_own_tasks_shows_the_example():
+    """Its first block is the class of the example, to the letter."""
+    assert next(blocks(DOCS / "how-to" / "own-task.md", "python")) in (ROOT / "examples" / "own_task.py").read_text()
+
+
 @pytest.fixture(scope="module")
 def workplace(tmp_path_factory):
     """Return a folder with the cell file and the recorded run that the pages name."""

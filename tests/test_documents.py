@@ -9,6 +9,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -148,6 +149,31 @@ def test_sizes_of_observations_are_those_of_the_spaces():
 def test_the_page_of_own_tasks_shows_the_example():
     """Its first block is the class of the example, to the letter."""
     assert next(blocks(DOCS / "how-to" / "own-task.md", "python")) in (ROOT / "examples" / "own_task.py").read_text()
+
+
+def test_every_extra_of_users_is_in_the_table_of_extras():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    listed = re.findall(r"^\| `dual-ur10\[(\w+)\]`", (DOCS / "how-to" / "install.md").read_text(), re.MULTILINE)
+    assert sorted(listed) == sorted(extras.keys() - {"test", "fuzz", "docs", "dev"})
+
+
+UNRELEASED = "unreleased" in (ROOT / "CHANGELOG.md").read_text()
+
+
+@pytest.mark.parametrize("path", PAGES, ids=page_id)
+def test_installations_work_before_the_first_release(path):
+    """Blocks install a checkout, and a comment names the command for later; in a workflow the comment stands behind."""
+    for block in blocks(path, "(?:sh|yaml)"):
+        lines = block.splitlines()
+        for before, line in zip(["", *lines], lines, strict=False):
+            if "pip install" not in line or line.lstrip().startswith("#"):
+                continue
+            if "-e" in line.split():
+                extras = re.search(r"\[.*\]", line)
+                package = f'"dual-ur10{extras[0]}"' if extras else "dual-ur10"
+                assert before.endswith(f"After the first release: pip install {package}") == UNRELEASED, line
+            elif "dual-ur10" in line:
+                assert line.endswith("# after the first release") == UNRELEASED, line
 
 
 @pytest.fixture(scope="module")

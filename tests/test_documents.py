@@ -11,12 +11,15 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import get_args
 
 import pytest
 import typer
 import yaml
 
 from dual_ur10.cli.main import app
+from dual_ur10.ids import ENV_IDS
+from dual_ur10.policies.training import settings
 from tests import documented_facts
 
 ROOT = Path(__file__).parents[1]
@@ -176,6 +179,19 @@ def test_installations_work_before_the_first_release(path):
                 assert line.endswith("# after the first release") == UNRELEASED, line
 
 
+@pytest.mark.parametrize("path", PAGES, ids=page_id)
+def test_no_two_headings_of_a_page_are_the_same(path):
+    titles = re.findall(r"^#+ (.*)$", re.sub(r"^ *```.*?^ *```", "", path.read_text(), flags=re.M | re.S), re.MULTILINE)
+    assert sorted(set(titles)) == sorted(titles)
+
+
+def test_the_fixtures_for_tests_of_users_are_named():
+    fixtures = re.findall(r"@pytest.fixture\s+def (\w+)", (ROOT / "dual_ur10" / "testing.py").read_text())
+    assert len(fixtures) == 2
+    for page in ("explanation/architecture.md", "how-to/policy-in-ci.md"):
+        assert " and ".join(f"`{each}`" for each in sorted(fixtures, reverse=True)) in (DOCS / page).read_text(), page
+
+
 @pytest.fixture(scope="module")
 def workplace(tmp_path_factory):
     """Return a folder with the cell file and the recorded run that the pages name."""
@@ -233,6 +249,60 @@ def test_commands_parse(path, workplace, monkeypatch):
                 if arguments == [""]:
                     here.make_context(here.name, [], parent=context)
                     break
+
+
+def _code():
+    """Return the package's code, with its texts in one piece each."""
+    code = "\n".join(path.read_text() for path in (ROOT / "dual_ur10").rglob("*.py"))
+    return re.sub(r'"\s*f?"', "", code)
+
+
+VALUES = r"\.\.\.|\b[A-Z]+\b|\d[\dx.]*\b(?! [a-z])|[():]|\brad\b|\bleft\b|\bur_rtde\b"
+"""Parts of a quoted text that code inserts: "...", names, and examples of values at an end. A number amid words is
+no example, for another case would have another one."""
+
+
+@pytest.mark.parametrize("name", ["troubleshooting", "two-arms"])
+def test_quoted_texts_are_those_of_the_code(name):
+    """Each piece of two words or more between inserted values is part of a text in the package."""
+    texts = _code()
+    page = (DOCS / "how-to" / f"{name}.md").read_text()
+    if name == "two-arms":
+        page = page.partition("## What each stop means")[2].partition("## Recovery by hand")[0]
+    cells = re.findall(r"^\| ([^|]*`[^|]*) \|", page, re.MULTILINE)
+    quoted = [text for cell in cells for text in re.findall(r"`([^`]+)`", cell)]
+    pieces = {piece.strip(" ,;.") for text in quoted for piece in re.split(VALUES, text)}
+    assert len(pieces) > 20
+    assert {piece for piece in pieces if " " in piece and piece not in texts} == set()
+
+
+def options():
+    """Yield the commands of the command line with their options by name."""
+    pending = [typer.main.get_command(app)]
+    while pending:
+        command = pending.pop()
+        pending += getattr(command, "commands", {}).values()
+        yield command.name, {name: each for each in command.params for name in each.opts}
+
+
+def test_only_commands_with_an_environment_speak_of_episodes():
+    for command, its in options():
+        if "--seed" in its and "episode" in its["--seed"].help:
+            assert "env" in its, command
+
+
+def test_the_default_networks_are_those_of_the_settings():
+    by_algorithm = {
+        algorithm: {settings.defaults(env_id, algorithm).agents for env_id in ENV_IDS}
+        for algorithm in get_args(settings.Algorithm)
+    }
+    ((joint,), (shared,)) = by_algorithm["dagger"], by_algorithm["ppo"]
+    assert by_algorithm == {"ppo": {shared}, "sac": {shared}, "bc": {joint}, "dagger": {joint}}
+    told = dict(options())["train"]["--agents"].help
+    assert f"Default: {joint}; of ppo and sac without --init: {shared}." in told
+    table = (DOCS / "tutorials" / "train.md").read_text()
+    assert f"| `{joint}` (default of `dagger`, `bc` and `--init`) |" in table
+    assert f"| `{shared}` (default of `ppo` and `sac`) |" in table
 
 
 EARLIER = DOCS / "explanation" / "earlier-systems.md"

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from dual_ur10.cli.options import CellFileName, Perturbed, PowerOn, Seed, console, keywords_of, power_on
+from dual_ur10.cli.options import CellFileName, Perturbed, PowerOn, console, keywords_of, power_on
 from dual_ur10.kinematics.ur10 import ARMS
 
 
@@ -17,7 +17,7 @@ def repeatability(
     settle: Annotated[
         float, typer.Option("--settle", metavar="S", min=0.0, max=60.0, help="Rest before each measurement.")
     ] = 1.0,
-    seed: Seed = 0,
+    seed: Annotated[int, typer.Option("--seed", "-s", min=0, help="Seed of the random paths.")] = 0,
     perturbed: Perturbed = False,
     power: PowerOn = False,
 ) -> None:

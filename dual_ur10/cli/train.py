@@ -36,7 +36,7 @@ def train(
         typer.Option(
             "--agents",
             help="joint: one network; shared: the same one for each arm; independent: two. "
-            "Default: joint; ppo and sac of SineTracking: shared.",
+            "Default: joint; of ppo and sac without --init: shared.",
         ),
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder to create.")] = None,

@@ -1,4 +1,4 @@
-"""PPO in one file, on SineTracking, from nothing: python examples/ppo.py [STEPS] [FOLDER] [SEED].
+"""PPO in one file, on SineTracking, from scratch: python examples/ppo.py [STEPS] [FOLDER] [SEED].
 
 J. Schulman et al., "Proximal Policy Optimization Algorithms", 2017. One network acts for each arm by itself, from its
 commanded joints and the step from there to its reference, and learns from the reward of its arm alone. The result is a

@@ -179,6 +179,14 @@ def test_installations_work_before_the_first_release(path):
                 assert line.endswith("# after the first release") == UNRELEASED, line
 
 
+def test_a_first_release_describes_itself():
+    """Before the first release there is nothing that could have changed."""
+    text = (ROOT / "CHANGELOG.md").read_text()
+    if text.count("\n## ") == 1:
+        comparing = r".*\b(?:changed|no longer|any more|now|previously|earlier|made again)\b.*|.* before\).*"
+        assert re.findall(comparing, text) == []
+
+
 @pytest.mark.parametrize("path", PAGES, ids=page_id)
 def test_no_two_headings_of_a_page_are_the_same(path):
     titles = re.findall(r"^#+ (.*)$", re.sub(r"^ *```.*?^ *```", "", path.read_text(), flags=re.M | re.S), re.MULTILINE)

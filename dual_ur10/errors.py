@@ -7,7 +7,9 @@ what to do.
 
 from __future__ import annotations
 
+import difflib
 import re
+from collections.abc import Sequence
 
 
 class DualUR10Error(Exception):
@@ -18,6 +20,16 @@ class SettingsError(DualUR10Error, ValueError):
     """Raised when a setting (keyword, cell, profile, limit or option) is not legal, or does not fit another one."""
 
 
+_MOST_COMPARED = 100  # characters; the time of a comparison grows with their square
+
+
+def nearest_name(found: str, allowed: Sequence[str]) -> str:
+    """Return the name that a misspelled one most resembles, with or without its namespace; "" if none does."""
+    forms = {form: name for name in allowed for form in (name, name.rsplit("/", 1)[-1])}
+    near = difflib.get_close_matches(found, forms, n=1, cutoff=0.7) if len(found) <= _MOST_COMPARED else []
+    return forms[near[0]] if near else ""
+
+
 class UnknownNameError(DualUR10Error, ValueError):
     """Raised when a name (keyword, id, policy, camera, ...) does not exist.
 
@@ -25,14 +37,19 @@ class UnknownNameError(DualUR10Error, ValueError):
         kind: Kind of name, such as "camera".
         found: The unknown name.
         allowed: Names that exist.
+        other: Description of what else is allowed, such as "the path of a file"; "" for nothing.
     """
 
-    def __init__(self, kind: str, found: str, allowed: tuple[str, ...] | list[str]) -> None:
-        super().__init__(f"unknown {kind} {found!r}: use one of {', '.join(map(repr, allowed))}")
-        self.kind, self.found, self.allowed = kind, found, tuple(allowed)
+    def __init__(self, kind: str, found: str, allowed: Sequence[str], other: str = "") -> None:
+        near = nearest_name(found, allowed)
+        hint = f" (did you mean {near!r}?)" if near else ""
+        ways = [*([f"one of {', '.join(map(repr, allowed))}"] if allowed else []), *([other] if other else [])]
+        use = f"use {', or '.join(ways)}" if ways else "there is none"
+        super().__init__(f"unknown {kind} {found!r}{hint}: {use}")
+        self.kind, self.found, self.allowed, self.other = kind, found, tuple(allowed), other
 
-    def __reduce__(self) -> tuple[type, tuple[str, str, tuple[str, ...]]]:
-        return type(self), (self.kind, self.found, self.allowed)
+    def __reduce__(self) -> tuple[type, tuple[str, str, tuple[str, ...], str]]:
+        return type(self), (self.kind, self.found, self.allowed, self.other)
 
 
 class UnknownKeywordError(UnknownNameError, TypeError):
@@ -48,12 +65,17 @@ class UnknownKeywordError(UnknownNameError, TypeError):
     def __init__(self, text: str) -> None:
         Exception.__init__(self, text.split(" was raised from the environment creator", 1)[0])
         names = re.findall(r"'([^']*)'", str(self))
-        self.kind, self.found, self.allowed = "keyword", names[0] if names else "", tuple(names[1:])
+        self.kind, self.found, self.other = "keyword", names[0] if names else "", ""
+        self.allowed = tuple(names[1:])
 
     @classmethod
     def of(cls, task: str, found: str, allowed: list[str]) -> UnknownKeywordError:
         """Return the error of a keyword that a task does not have."""
-        return cls(f"{task} got an unexpected keyword argument {found!r}: use one of {', '.join(map(repr, allowed))}")
+        near = nearest_name(found, allowed)
+        hint = f" (did you mean {near}?)" if near else ""  # without quotes: the constructor collects the quoted names
+        return cls(
+            f"{task} got an unexpected keyword argument {found!r}{hint}: use one of {', '.join(map(repr, allowed))}"
+        )
 
     def __reduce__(self) -> tuple[type, tuple[str]]:  # type: ignore[override]  # made of its text
         return type(self), (str(self),)

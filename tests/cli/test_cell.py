@@ -85,7 +85,7 @@ def test_show_prints_all_kinds_of_values(tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (("--left", "192.168.1.10"), "the address of the right arm is missing"),
-        (("--kind", "reel"), "unknown kind of cell 'reel': use one of 'real', 'emulated'"),
+        (("--kind", "reel"), "unknown kind of cell 'reel' (did you mean 'real'?): use one of 'real', 'emulated'"),
         ((*HOSTS, "--family", "cb4"), 'left.family is "cb4": allowed is "cb3" or "e-series"'),
         ((*HOSTS, "--task", "Juggling"), "unknown environment 'Juggling'"),
         ((*HOSTS, "--kind", "emulated"), "left.host is 192.168.1.10 with kind"),

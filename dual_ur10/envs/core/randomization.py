@@ -218,5 +218,5 @@ def resolve_randomization(value: object) -> Randomization:
                 raise UnknownNameError("randomization", str(name), ["preset", *known])
         return dataclasses.replace(preset, **values)
     if not isinstance(value, str) or value not in PRESETS:
-        raise UnknownNameError("randomization", str(value), [*PRESETS, "a mapping of values"])
+        raise UnknownNameError("randomization", str(value), list(PRESETS), "a mapping of values")
     return PRESETS[value]

@@ -133,7 +133,9 @@ def _obstacle(values: Mapping[str, Any]) -> Any:
     for kind in (Box, Capsule, Plane):
         if values.keys() <= {each.name for each in fields(kind)}:
             return _built(kind, values)
-    raise UnknownNameError("obstacle with the values", ", ".join(map(str, values)), ["those of Box, Capsule, Plane"])
+    raise UnknownNameError(
+        "obstacle with the values", ", ".join(map(str, values)), [], "those of Box, Capsule or Plane"
+    )
 
 
 class _BitGenerator(BaseModel):

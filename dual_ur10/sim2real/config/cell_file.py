@@ -359,7 +359,7 @@ def resolve_cell(cell: object) -> CellConfig:
         return CellConfig(kind="echo")
     if isinstance(cell, os.PathLike) or (isinstance(cell, str) and ("/" in cell or cell.endswith(".toml"))):
         return load_cell_file(os.fspath(cell)).config()
-    raise UnknownNameError("cell", str(cell), ("mujoco", "echo", "a path such as lab.toml", "a dual_ur10.CellConfig"))
+    raise UnknownNameError("cell", str(cell), ("mujoco", "echo"), "the path of a cell file or a dual_ur10.CellConfig")
 
 
 def _text_of(path: str | Path) -> str:

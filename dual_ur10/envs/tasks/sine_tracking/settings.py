@@ -63,7 +63,7 @@ class SineSettings:
 
     def __post_init__(self) -> None:
         if isinstance(self.axis, str) and self.axis not in get_args(Axis):
-            raise UnknownNameError("axis", self.axis, [*get_args(Axis), "(x, y, z)"])
+            raise UnknownNameError("axis", self.axis, get_args(Axis), "a direction (x, y, z)")
         if self.arms not in get_args(Arms):
             raise UnknownNameError("arms", str(self.arms), get_args(Arms))
         check_numbers(

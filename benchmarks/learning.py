@@ -39,7 +39,6 @@ import numpy as np
 import dual_ur10
 from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.errors import CellFaulted
-from dual_ur10.ids import task_name
 from dual_ur10.policies import evaluate
 from dual_ur10.policies.evaluation.results import Evaluation
 from dual_ur10.policies.learned.checkpoint import read_manifest
@@ -50,18 +49,22 @@ from dual_ur10.policies.training.train import train
 
 PARTS = ("shipped", "range", "wide", "cell", "from_nothing", "from_demonstrations")
 DEMONSTRATIONS: dict[str, dict[str, Any]] = {
-    "Handover": {"steps": 5_600, "agents": "shared", "keywords": {"action_mode": "tcp_delta"}},
-    "SyncCarry": {"steps": 17_000},
+    "DualUR10/Handover-v0": {"steps": 5_600, "agents": "shared", "keywords": {"action_mode": "tcp_delta"}},
+    "DualUR10/SyncCarry-v0": {"steps": 17_000},
 }
 """Trainings of the part from_demonstrations; with these steps 20 episodes fit."""
 CELL_RANGES: dict[str, dict[str, Any]] = {
-    "SineTracking": {"random_path": True},
-    "Handover": {"object_range_m": 0.03, "object_turn_rad": math.pi / 4},
-    "SyncCarry": {"object_range_m": 0.03, "object_turn_rad": 0.075},
+    "DualUR10/SineTracking-v0": {"random_path": True},
+    "DualUR10/Handover-v0": {"object_range_m": 0.03, "object_turn_rad": math.pi / 4},
+    "DualUR10/SyncCarry-v0": {"object_range_m": 0.03, "object_turn_rad": 0.075},
 }
 """Keywords of the part cell: for the tasks with objects the ranges of "wide", 1.5 times the default ones."""
 
-CELL_ERRORS = {"SineTracking": "flange_rms_m", "Handover": "object_error_m", "SyncCarry": "relative_error_m"}
+CELL_ERRORS = {
+    "DualUR10/SineTracking-v0": "flange_rms_m",
+    "DualUR10/Handover-v0": "object_error_m",
+    "DualUR10/SyncCarry-v0": "relative_error_m",
+}
 """Values of `info` at the end of an episode that the part cell reports, in mm."""
 
 
@@ -93,7 +96,7 @@ def main() -> None:
                         found.update(row)
                     else:
                         results[f"{key}/{preset}"] = row
-            if "range" in args.parts and "random_path" in SETTINGS[task_name(env_id)].keywords:
+            if "range" in args.parts and "random_path" in SETTINGS[env_id].keywords:
                 found["range"] = measured(env_id, name, "range", "mild", args.episodes, random_path=True)
             if "wide" in args.parts:
                 found["wide"] = measured(env_id, name, "wide", "wide", args.episodes)
@@ -101,7 +104,7 @@ def main() -> None:
                 found["cell"] = on_cells(env_id, name, args.cells)
         if "from_nothing" in args.parts:
             results.setdefault(task, {})["from_nothing"] = from_nothing(env_id, args.episodes, args.seeds, args.plot)
-        if "from_demonstrations" in args.parts and task_name(env_id) in DEMONSTRATIONS:
+        if "from_demonstrations" in args.parts and env_id in DEMONSTRATIONS:
             results.setdefault(task, {})["from_demonstrations"] = from_demonstrations(env_id, args.episodes)
     if args.json is not None:
         args.json.write_text(json.dumps(results, indent=1) + "\n")
@@ -137,7 +140,7 @@ def measured(
         row["rms_mm"] = rms_mm(found)
     text = f", flange RMS {row['rms_mm']:.2f} mm" if "rms_mm" in row else ""
     print(
-        f"{f'{task_name(env_id)} {name}':34} {title:6} {found.successes:4} of {episodes} "
+        f"{f'{env_id} {name}':44} {title:6} {found.successes:4} of {episodes} "
         f"({100 * low:.1f} to {100 * high:.1f} %){text}, {time.monotonic() - begin:.0f} s",
         flush=True,
     )
@@ -151,18 +154,18 @@ def on_cells(env_id: str, name: str, episodes: int) -> dict[str, Any]:
     begin, found = time.monotonic(), []
     for seed in range(episodes):
         with VirtualCell(task=env_id, seed=seed) as cell:
-            keywords = {"cell": cell, **CELL_RANGES[task_name(env_id)]}
+            keywords = {"cell": cell, **CELL_RANGES[env_id]}
             try:
                 found += evaluate(env_id, name, episodes=1, seed=seed, num_envs=1, env_kwargs=keywords).episodes
             except CellFaulted as error:
                 print(f"seed {seed}: {error}", flush=True)
     successes = sum(each.success for each in found)
     row: dict[str, Any] = {"success": successes / episodes, "episodes": episodes}
-    error = CELL_ERRORS[task_name(env_id)]
+    error = CELL_ERRORS[env_id]
     values = [1e3 * abs(value or 0.0) for each in found for key, value in each.last.items() if key.startswith(error)]
     row |= {f"{error[:-1]}mm_median": float(np.median(values)), f"{error[:-1]}mm_max": max(values)} if values else {}
     print(
-        f"{f'{task_name(env_id)} {name}':34} cell   {successes:4} of {episodes}, {json.dumps(row)}, "
+        f"{f'{env_id} {name}':44} cell   {successes:4} of {episodes}, {json.dumps(row)}, "
         f"{time.monotonic() - begin:.0f} s",
         flush=True,
     )
@@ -182,7 +185,7 @@ def from_nothing(env_id: str, episodes: int, seeds: int, plot: Path | None) -> d
             found = evaluate(env_id, str(path / "policy"), episodes=episodes, num_envs=64, env_kwargs=mode)
             rows.append({"seed": seed} | cpu | figures_of(path, found, script))
         told = {key: value for key, value in rows[-1].items() if key != "curve"}
-        print(f"{task_name(env_id)}, PPO from nothing: {json.dumps(told)}", flush=True)
+        print(f"{env_id}, PPO from nothing: {json.dumps(told)}", flush=True)
     if plot is not None:
         draw(plot, env_id, rows)
     return {
@@ -199,14 +202,14 @@ def from_demonstrations(env_id: str, episodes: int) -> dict[str, Any]:
     """Imitate 20 episodes of the scripted policy, evaluate, print the row and return it."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "training"
-        asked = defaults(env_id, "bc", envs=20, **DEMONSTRATIONS[task_name(env_id)])
+        asked = defaults(env_id, "bc", envs=20, **DEMONSTRATIONS[env_id])
         begin_s = time.monotonic()
         train(asked, path)
         minutes = (time.monotonic() - begin_s) / 60
         found = evaluate(env_id, str(path / "policy"), episodes=episodes, num_envs=64, env_kwargs=asked.keywords)
         steps = state.load(path / "state")[1]["steps"]
     row = {"success": found.success_rate, "minutes": minutes, "steps": steps}
-    print(f"{task_name(env_id)}, from 20 demonstrations: {json.dumps(row)}", flush=True)
+    print(f"{env_id}, from 20 demonstrations: {json.dumps(row)}", flush=True)
     return row
 
 

@@ -20,19 +20,24 @@ ENV_IDS: Final = tuple(ENTRY_POINTS)
 
 
 def env_id_of(name: str) -> str:
-    """Return the id of an environment: "Handover", "Handover-v0" and "DualUR10/Handover-v0" are the same.
+    """Return the full id of an environment, under which everything that belongs to it is kept.
 
-    A name without a version means the newest.
+    The namespace, the version or both may be left out: "Handover", "Handover-v0" and "DualUR10/Handover-v0" are the
+    same. A name without a namespace means the task of this package, if it has one. A name without a version means the
+    newest.
 
     Raises:
-        UnknownNameError: There is no such environment.
+        UnknownNameError: There is no such environment, or several namespaces other than that of this package have it.
     """
-    known = {short: env_id for env_id in ENTRY_POINTS for short in (env_id, env_id.split("/")[1], task_name(env_id))}
-    if name not in known:
-        raise UnknownNameError("environment", str(name), list(ENTRY_POINTS))
-    return known[name]
+    if name in ENTRY_POINTS:
+        return name
+    fitting = [env_id for env_id in ENTRY_POINTS if name in _short_forms(env_id)]
+    fitting = [env_id for env_id in fitting if env_id in ENV_IDS] or fitting
+    if len({env_id.split("/")[0] for env_id in fitting}) != 1:
+        raise UnknownNameError("environment", str(name), fitting or list(ENTRY_POINTS))
+    return max(fitting, key=lambda env_id: int(env_id.rsplit("-v", 1)[1]))
 
 
-def task_name(name: str) -> str:
-    """Return the task's name from an id or a part of one, whether or not such a task exists."""
-    return name.split("/")[-1].rsplit("-v", 1)[0]
+def _short_forms(env_id: str) -> tuple[str, str, str]:
+    versioned, unversioned = env_id.split("/")[1], env_id.rsplit("-v", 1)[0]
+    return versioned, unversioned, unversioned.split("/")[1]

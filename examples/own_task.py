@@ -39,7 +39,6 @@ class Reach(Task[ReachSettings, Array]):
     The observation of an arm: its fields of every task, then its goal in its own `base` frame.
     """
 
-    name: ClassVar[str] = "Reach"
     limits: MotionLimits = MotionLimits(
         speed_rad_s=(1.0,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.0
     )

@@ -8,7 +8,7 @@ from rich.table import Table
 from dual_ur10.cli.options import console
 from dual_ur10.ids import ENTRY_POINTS
 from dual_ur10.policies.baselines import BASELINES
-from dual_ur10.policies.registry import shipped_names
+from dual_ur10.policies.registry import names_for
 
 
 def list_environments() -> None:
@@ -24,7 +24,7 @@ def list_environments() -> None:
         try:
             core = env.unwrapped.core  # type: ignore[attr-defined]  # Gymnasium knows only Env
             sizes = [" × ".join(map(str, space.shape or ())) for space in (env.action_space, env.observation_space)]
-            names = ", ".join(("scripted", *shipped_names(env_id), *BASELINES))
+            names = ", ".join((*names_for(env_id), *BASELINES))
             table.add_row(f"[cyan]{env_id}[/]", f"{1 / core.timing.period_s:g} Hz", *sizes, names)
         finally:
             env.close()

@@ -17,38 +17,42 @@ from pathlib import Path
 from typing import Any, Final
 
 from dual_ur10.errors import PolicyError, SettingsError, UnknownNameError
-from dual_ur10.ids import ENTRY_POINTS, env_id_of, task_name
+from dual_ur10.ids import ENTRY_POINTS, env_id_of
 from dual_ur10.policies.baselines import BASELINES
 from dual_ur10.policies.policy import Policy
 from dual_ur10.sim2real.config.cell import CellConfig
 
 _SCRIPTED: Final = {
-    "SineTracking": "sine_tracking:SineTrackingPolicy",
-    "SyncCarry": "sync_carry:SyncCarryPolicy",
-    "Handover": "handover:HandoverPolicy",
+    "DualUR10/SineTracking-v0": "sine_tracking:SineTrackingPolicy",
+    "DualUR10/SyncCarry-v0": "sync_carry:SyncCarryPolicy",
+    "DualUR10/Handover-v0": "handover:HandoverPolicy",
 }
-"""Classes by task, for any action mode."""
+"""Classes by id, for any action mode."""
 
 _SCRIPTED_TCP: Final = {
-    "SyncCarry": "goal_follower:SyncCarryFollower",
-    "Handover": "goal_follower:HandoverFollower",
+    "DualUR10/SyncCarry-v0": "goal_follower:SyncCarryFollower",
+    "DualUR10/Handover-v0": "goal_follower:HandoverFollower",
 }
-"""Classes by task, for `action_mode="tcp_delta"` in place of those."""
+"""Classes by id, for `action_mode="tcp_delta"` in place of those."""
 
 _OF_INTERFACES: Final = ("max_episode_steps", "render_mode", "threads")
 """Keywords of `gym.make` and `gym.make_vec` on which no policy depends."""
 
 _SHIPPED: Final = {
-    "learned": {"SineTracking": "sine_tracking", "SyncCarry": "sync_carry", "Handover": "handover"},
-    "learned-two-agents": {"SineTracking": "sine_tracking_two_agents"},
+    "learned": {
+        "DualUR10/SineTracking-v0": "sine_tracking",
+        "DualUR10/SyncCarry-v0": "sync_carry",
+        "DualUR10/Handover-v0": "handover",
+    },
+    "learned-two-agents": {"DualUR10/SineTracking-v0": "sine_tracking_two_agents"},
 }
-"""Folders by name and task. "learned": one network for both arms; "learned-two-agents": one network for each arm."""
+"""Folders by name and id. "learned": one network for both arms; "learned-two-agents": one network for each arm."""
 
 NAMES: Final = ("scripted", *_SHIPPED)
-"""Names that `load` accepts. Not every task has a policy of every name."""
+"""Names that `load` accepts. Not every environment has a policy of every name."""
 
 
-OTHERS: Final = ("the path of a checkpoint", "module:Class")
+OTHERS: Final = "the path of a checkpoint or module:Class"
 """Further forms that `load` accepts, for messages."""
 
 
@@ -71,7 +75,7 @@ def check_name(name: str) -> None:
         UnknownNameError: It has not.
     """
     if name not in (*NAMES, *BASELINES) and not is_path(name) and not is_class(name):
-        raise UnknownNameError("policy", name, (*NAMES, *BASELINES, *OTHERS))
+        raise UnknownNameError("policy", name, (*NAMES, *BASELINES), OTHERS)
 
 
 def shipped_folder(name: str, env_id: str) -> Path:
@@ -80,17 +84,26 @@ def shipped_folder(name: str, env_id: str) -> Path:
     Raises:
         UnknownNameError: No learned policy has this name for this environment.
     """
-    task = task_name(env_id_of(env_id))
-    folder = _SHIPPED.get(name, {}).get(task)
+    env_id = env_id_of(env_id)
+    folder = _SHIPPED.get(name, {}).get(env_id)
     if folder is None:
-        raise UnknownNameError(f"learned policy for {task}", name, shipped_names(env_id))
+        raise _missing(name, env_id)
     return Path(str(files("dual_ur10.policies.learned") / "learned_policies" / folder))
 
 
 def shipped_names(env_id: str) -> list[str]:
     """Return the names of the learned policies that come with the package for an environment."""
-    task = task_name(env_id_of(env_id))
-    return [name for name, folders in _SHIPPED.items() if task in folders]
+    env_id = env_id_of(env_id)
+    return [name for name, folders in _SHIPPED.items() if env_id in folders]
+
+
+def names_for(env_id: str) -> list[str]:
+    """Return those of `NAMES` that `load` accepts for an environment."""
+    return [*(["scripted"] if env_id_of(env_id) in _SCRIPTED else []), *shipped_names(env_id)]
+
+
+def _missing(name: str, env_id: str) -> UnknownNameError:
+    return UnknownNameError(f"policy of {env_id}", name, names_for(env_id), OTHERS)
 
 
 def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: Any) -> Policy:
@@ -122,7 +135,7 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
 
         return checkpoint.load(name, env_id, **keywords)
     if name not in NAMES:
-        raise UnknownNameError("policy", str(name), [*NAMES, *OTHERS])
+        raise UnknownNameError("policy", str(name), NAMES, OTHERS)
     if env_id is None:
         raise SettingsError(
             f"policy {str(name)!r} needs an environment: name one of {', '.join(ENTRY_POINTS)}; only the path of a "
@@ -149,10 +162,11 @@ def _own(name: str) -> Policy:
 def _scripted(env_id: str, keywords: dict[str, Any]) -> Policy:
     from dual_ur10.envs.core.setup import EnvSetup
 
-    task = task_name(env_id_of(env_id))
-    setup = EnvSetup.resolve(task, keywords, ignore_unknown=True)
-    mode = setup.options.action_mode
-    module, attribute = ((_SCRIPTED_TCP.get(task) if mode == "tcp_delta" else None) or _SCRIPTED[task]).split(":")
+    setup = EnvSetup.resolve(env_id, keywords, ignore_unknown=True)
+    env_id, mode = setup.env_id, setup.options.action_mode
+    if env_id not in _SCRIPTED:
+        raise _missing("scripted", env_id)
+    module, attribute = ((_SCRIPTED_TCP.get(env_id) if mode == "tcp_delta" else None) or _SCRIPTED[env_id]).split(":")
     factory = getattr(importlib.import_module(f"dual_ur10.policies.scripted.{module}"), attribute)
     mounts = setup.config.left, setup.config.right
     policy: Policy = factory(setup.timing, mode, mounts=mounts, limits=setup.limits, settings=setup.settings)

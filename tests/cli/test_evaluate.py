@@ -64,7 +64,10 @@ def test_too_few_successes_are_exit_code_1(policy: str, wanted: str, expected: i
             ("SineTracking", "-p", "psychic"),
             "unknown policy 'psychic': use one of 'scripted', 'learned', 'learned-two-agents', 'random', 'zero'",
         ),
-        (("SineTracking", "--set", "amplitud=0.1"), "SineTracking got an unexpected keyword argument 'amplitud'"),
+        (
+            ("SineTracking", "--set", "amplitud=0.1"),
+            "SineTracking-v0 got an unexpected keyword argument 'amplitud'",
+        ),
         (("SineTracking", "--set", "amplitude_m"), "write it as KEY=VALUE"),
         (("SineTracking", "--set", "num_envs=3"), "keyword num_envs"),
         (("SineTracking", "--episodes", "0"), "episodes is 0: it must be a whole number, 1 or more"),

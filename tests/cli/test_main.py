@@ -111,7 +111,7 @@ def test_random_actions_depend_on_the_seed_alone() -> None:
     [
         (
             ("rollout", "SineTracking", "--set", "amplitud=0.1"),
-            "unexpected keyword argument 'amplitud': use one of",
+            "unexpected keyword argument 'amplitud' (did you mean amplitude_m?): use one of",
         ),
         (("rollout", "SineTracking", "--set", "axis=w"), "unknown axis 'w'"),
         (("rollout", "SineTracking", "--set", "amplitude_m=much"), "amplitude_m is 'much': it must be a number"),

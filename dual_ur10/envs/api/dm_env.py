@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.errors import ResetNeededError
-from dual_ur10.ids import env_id_of, task_name
 
 
 class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has no types
@@ -34,7 +33,7 @@ class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has
         info: `info` of its last step or reset.
 
     Args:
-        task: Name of the task, or id.
+        task: Id of the environment, or a shorter name.
         seed: Seed of all episodes; None: from entropy of the machine.
         **keywords: Keywords of `DualArmEnv`.
 
@@ -46,7 +45,7 @@ class DualArmDmEnv(Environment):  # type: ignore[misc]  # the package dm_env has
     def __init__(self, task: str, *, seed: int | None = None, **keywords: Any) -> None:
         from dual_ur10.envs.api.dual_arm_env import DualArmEnv  # loads MuJoCo
 
-        self.env = DualArmEnv(task_name(env_id_of(task)), **keywords)
+        self.env = DualArmEnv(task, **keywords)
         self.info: dict[str, Any] = {}
         self._seed, self._over = seed, True
 
@@ -107,7 +106,7 @@ def dm_env(task: str, **keywords: Any) -> DualArmDmEnv:
     """Return an environment behind dm_env's interface.
 
     Args:
-        task: Name of the task, or an id: "Handover", "Handover-v0" or "DualUR10/Handover-v0".
+        task: Id of the environment, or a shorter name: "Handover", "Handover-v0" or "DualUR10/Handover-v0".
         **keywords: Keywords of `DualArmDmEnv`.
 
     Raises:

@@ -27,7 +27,7 @@ class DualArmEnv(gym.Env[Any, Array]):
     Each task documents its spaces, rewards and episodes: `dual_ur10.envs.tasks.sine_tracking.task.SineTracking`.
 
     Args:
-        task: Name of the task; set by the id.
+        task: Id of the environment, or a shorter name; `gym.make` sets it.
         render_mode: None, "rgb_array" or "human". Without it, and with `observation="state"`, no OpenGL is needed.
         **keywords: Keywords of every environment, `dual_ur10.envs.core.options.EnvOptions`, and of the task.
 

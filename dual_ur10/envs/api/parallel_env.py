@@ -17,7 +17,6 @@ from dual_ur10.envs.api.two_agents import AgentSplitter, agent_spaces, check_opt
 from dual_ur10.envs.core.ends import TIME
 from dual_ur10.envs.core.options import MOVE_TO_START, check_count, take_consent
 from dual_ur10.errors import ActionError, ResetNeededError
-from dual_ur10.ids import env_id_of, task_name
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.types import Array
 
@@ -40,7 +39,7 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
     `safety` and `randomization`, is in the attribute `info`.
 
     Args:
-        task: Name of the task, or id.
+        task: Id of the environment, or a shorter name.
         render_mode: None, "rgb_array" or "human".
         reward: "shared": the reward of both together; "individual": each agent's own, whose mean that is.
         max_cycles: Steps after which episodes are truncated; None: only the task ends them.
@@ -70,13 +69,12 @@ class DualArmParallelEnv(ParallelEnv[str, Array, NDArray[Any]]):  # type: ignore
     ) -> None:
         from dual_ur10.envs.api.dual_arm_env import DualArmEnv, info_of, numbers_of  # loads MuJoCo
 
-        env_id = env_id_of(task)
         check_options(reward, keywords)
         check_count("max_cycles", max_cycles, optional=True)
-        self._env = DualArmEnv(task_name(env_id), render_mode=render_mode, **keywords)
+        self._env = DualArmEnv(task, render_mode=render_mode, **keywords)
         self._info_of, self._numbers_of = info_of, numbers_of
         self.render_mode, self.max_cycles = render_mode, max_cycles
-        self.metadata = {**type(self).metadata, **self._env.metadata, "name": env_id}
+        self.metadata = {**type(self).metadata, **self._env.metadata, "name": self._env.core.setup.env_id}
         self.possible_agents = list(ARMS)
         self.agents: list[str] = []
         core = self._env.core
@@ -273,7 +271,7 @@ def parallel_env(task: str, **keywords: Any) -> DualArmParallelEnv:
     """Return a PettingZoo environment in which both agents act at the same time.
 
     Args:
-        task: Name of the task, or an id: "Handover", "Handover-v0" or "DualUR10/Handover-v0".
+        task: Id of the environment, or a shorter name: "Handover", "Handover-v0" or "DualUR10/Handover-v0".
         **keywords: Keywords of `DualArmParallelEnv`.
 
     Raises:

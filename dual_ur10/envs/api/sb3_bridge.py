@@ -14,7 +14,6 @@ from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.envs.core.options import EnvOptions, check_count
 from dual_ur10.envs.core.setup import check_for_controllers
 from dual_ur10.errors import ActionError, MissingExtraError, SettingsError
-from dual_ur10.ids import env_id_of, task_name
 from dual_ur10.sim2real.config.cell_file import resolve_cell
 from dual_ur10.types import Array
 
@@ -33,7 +32,7 @@ class CellsVecEnv(VecEnv):
     `TimeLimit.truncated`, and at the end of an episode `terminal_observation`.
 
     Args:
-        task: Name of the task, or id.
+        task: Id of the environment, or a shorter name.
         num_cells: Number of cells, n.
         rows: Number of rows of each cell.
         max_episode_steps: Steps after which episodes are truncated; None: only the task ends them.
@@ -65,7 +64,7 @@ class CellsVecEnv(VecEnv):
         check_for_controllers(config, num_cells, autoreset=True, randomized=False)
         self.cells = DualArmVectorEnv(
             num_cells,
-            task_name(env_id_of(task)),
+            task,
             autoreset_mode="Disabled",
             max_episode_steps=max_episode_steps,
             threads=threads,
@@ -226,7 +225,7 @@ class JointVecEnv(CellsVecEnv):
     Row k with seed s equals, in every bit, the single environment with seed s + k.
 
     Args:
-        task: Name of the task, or id.
+        task: Id of the environment, or a shorter name.
         num_cells: Number of cells, n.
         **keywords: Keywords of `CellsVecEnv`.
 
@@ -258,7 +257,7 @@ class TwoAgentVecEnv(CellsVecEnv):
     the seed of the cell. Infos are the agents', with `end_reason`, `safety` and `physics_error` as of `DualArmEnv`.
 
     Args:
-        task: Name of the task, or id.
+        task: Id of the environment, or a shorter name.
         num_cells: Number of cells, n.
         reward: "shared" or "individual", as for `DualArmParallelEnv`.
         **keywords: Keywords of `CellsVecEnv`.

@@ -29,7 +29,7 @@ class DualArmVectorEnv(VectorEnv[Any, Array, Array]):
 
     Args:
         num_envs: Number of cells.
-        task: Name of the task; set by the id.
+        task: Id of the environment, or a shorter name; `gym.make` sets it.
         autoreset_mode: `gymnasium.vector.AutoresetMode` or its value: "NextStep" (default), "SameStep", "Disabled".
         max_episode_steps: Steps after which episodes are truncated; None: only the task ends them.
         threads: Number of threads; None: one for each processor.

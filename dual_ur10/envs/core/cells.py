@@ -11,7 +11,6 @@ from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.echo_cell import EchoCell
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
 from dual_ur10.errors import SettingsError
-from dual_ur10.ids import env_id_of
 from dual_ur10.sim2real.config.cell import Cell
 from dual_ur10.sim2real.control.clearance import Clearance
 from dual_ur10.sim2real.recording.rows import RunRecorder
@@ -87,7 +86,7 @@ def make_recorder(setup: EnvSetup, keywords: Mapping[str, Any], cell: Cell) -> R
 
     file, about = config.file, dict(options.record_about or {})
     header = describe(
-        env_id_of(setup.task_type.name),
+        setup.env_id,
         {
             **({"cell": keywords["cell"]} if "cell" in keywords and file is None else {}),
             **{name: value for name, value in keywords.items() if name not in _NOT_RECORDED},

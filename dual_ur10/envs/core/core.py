@@ -122,7 +122,7 @@ class Core:
     """Stepping loop of n cells: task, pipeline and cell.
 
     Args:
-        task: Name of the task.
+        task: Id of the environment, or a shorter name.
         keywords: Those of every environment, `dual_ur10.envs.core.options.EnvOptions`, and the task's own.
         n: Number of cells.
         threads: Threads to step on; None: one per processor, at most n.

@@ -12,8 +12,8 @@ from dual_ur10.assets.settings import Equipment, default_mount
 from dual_ur10.envs.core.options import MOVE_TO_START, OPTION_NAMES, EnvOptions
 from dual_ur10.envs.core.randomization import Randomization, resolve_randomization
 from dual_ur10.envs.tasks.task import SceneRequirements, Task, Timing
-from dual_ur10.errors import ResetRefusedError, SettingsError, UnknownKeywordError, UnknownNameError
-from dual_ur10.ids import ENTRY_POINTS, task_name
+from dual_ur10.errors import ResetRefusedError, SettingsError, UnknownKeywordError
+from dual_ur10.ids import ENTRY_POINTS, env_id_of
 from dual_ur10.sim2real.config.cell import CellConfig, HostedCell
 from dual_ur10.sim2real.config.cell_file import resolve_cell
 from dual_ur10.sim2real.config.perturbation import Perturbation
@@ -23,15 +23,12 @@ from dual_ur10.sim2real.processes.system import LOCAL, System
 
 
 def load_task(name: str) -> type[Task[Any, Any]]:
-    """Return the class of a task by the task's name.
+    """Return the class of a task by its id or a shorter name.
 
     Raises:
-        UnknownNameError: No task has this name.
+        UnknownNameError: There is no such environment.
     """
-    known = {task_name(env_id): entry_point for env_id, entry_point in ENTRY_POINTS.items()}
-    if name not in known:
-        raise UnknownNameError("task", str(name), list(known))
-    module, attribute = known[name].split(":")
+    module, attribute = ENTRY_POINTS[env_id_of(name)].split(":")
     task: type[Task[Any, Any]] = getattr(importlib.import_module(module), attribute)
     return task
 
@@ -41,6 +38,7 @@ class EnvSetup:
     """Specification of an environment: a pure function of its task and keywords.
 
     Attributes:
+        env_id: Full id of the environment.
         options: Keywords of every environment.
         task_type: Class of the task.
         settings: Settings of the task.
@@ -54,6 +52,7 @@ class EnvSetup:
         timing: Rate and latency of actions in seconds.
     """
 
+    env_id: str
     system: System
     options: EnvOptions
     task_type: type[Task[Any, Any]]
@@ -71,22 +70,23 @@ class EnvSetup:
         """Derive the setup from the keywords of an environment. A path in them is read here.
 
         Args:
-            task: Name of the task.
+            task: Id of the environment, or a shorter name.
             keywords: Those of `EnvOptions`, and settings of the task.
             ignore_unknown: Accept further keywords, which have no effect.
 
         Raises:
-            UnknownNameError: There is no such task.
+            UnknownNameError: There is no such environment.
             UnknownKeywordError: There is no such keyword.
             SettingsError: Or one of its kinds: a value is not legal.
         """
-        task_type = load_task(task)
+        env_id = env_id_of(task)
+        task_type = load_task(env_id)
         options = EnvOptions(**{name: keywords[name] for name in OPTION_NAMES if name in keywords})
         known = [each.name for each in dataclasses.fields(task_type.settings_type)]
         own = {name: value for name, value in keywords.items() if name not in OPTION_NAMES}
         unknown = [name for name in own if name not in known]
         if unknown and not ignore_unknown:
-            raise UnknownKeywordError.of(task, str(unknown[0]), [*known, *OPTION_NAMES])
+            raise UnknownKeywordError.of(env_id, str(unknown[0]), [*known, *OPTION_NAMES])
         own = {name: value for name, value in own.items() if name in known}
         randomization = resolve_randomization(options.randomization)
         settings = randomization.spread(task_type.settings_type(**own), own)
@@ -96,6 +96,7 @@ class EnvSetup:
         ticks = config.servoj.ticks_per_action(options.policy_rate_hz)
         period_s = ticks * tick_s
         return cls(
+            env_id=env_id,
             system=options.cell.system if isinstance(options.cell, HostedCell) else LOCAL,
             options=options,
             task_type=task_type,

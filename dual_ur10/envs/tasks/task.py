@@ -80,7 +80,6 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
     """Task for n cells. Its only input is `CellState`; it keeps the state of the running episodes.
 
     Attributes:
-        name: Name in the id.
         limits: Motion limits of the task, in simulation and on real arms; those of an instance respect its cell.
         weights: Weight of each reward term, by its name.
         coupled: True if both arms hold one object between them.
@@ -96,7 +95,6 @@ class Task(ABC, Generic[SettingsT, MeasuredT]):
         n: Number of cells.
     """
 
-    name: ClassVar[str]
     limits: MotionLimits
     weights: ClassVar[Mapping[str, float]]
     stages: ClassVar[tuple[str, ...]] = ()

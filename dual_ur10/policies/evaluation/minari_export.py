@@ -108,14 +108,14 @@ def to_minari(
 def _core(header: Header) -> Core:
     """Make a simulation of the same task, for its spaces and observations of each agent."""
     from dual_ur10.envs.core.core import Core
-    from dual_ur10.ids import ENTRY_POINTS, task_name
+    from dual_ur10.ids import ENTRY_POINTS
 
     if header.env_id not in ENTRY_POINTS:
         raise RecordingError(f"it was recorded in {header.env_id!r:.80}: allowed are {', '.join(ENTRY_POINTS)}")
     left, right = mounts_of(header)
     profile = ServojProfile(family=header.family, **header.servoj[0])
     keywords = {name: value for name, value in header.kwargs.items() if name not in _NOT_OF_TASK}
-    return Core(task_name(header.env_id), keywords | {"cell": CellConfig(left=left, right=right, servoj=profile)})
+    return Core(header.env_id, keywords | {"cell": CellConfig(left=left, right=right, servoj=profile)})
 
 
 _NOT_OF_TASK: Final = ("cell", "arm", "confirm", "observation", "cameras", "pixels_rate_hz", "render_mode", "task")

@@ -18,7 +18,7 @@ from dual_ur10.envs.core.randomization import Randomization, resolve_randomizati
 from dual_ur10.envs.core.setup import EnvSetup, load_task
 from dual_ur10.envs.tasks.task import Task
 from dual_ur10.errors import CheckpointError
-from dual_ur10.ids import ENTRY_POINTS, env_id_of, task_name
+from dual_ur10.ids import ENTRY_POINTS
 from dual_ur10.kinematics.robots import ROBOTS
 from dual_ur10.kinematics.ur10 import ARMS, Family
 from dual_ur10.policies.learned.schema import JsonList, Numbers, Object, StrictJson, Text, Whole
@@ -185,7 +185,7 @@ class EnvironmentView:
         step_rad = tuple((np.asarray(task.limits.speed_rad_s) * adapter.period_s).tolist()) if steps else ()
         mounts = (config.left, config.right)
         self.signature = EnvironmentSignature(
-            env_id=env_id_of(task.name),
+            env_id=setup.env_id,
             kwargs=_kwargs(setup),
             observation=Space((2 * layout.size,), "float64", tuple(layout.low.tolist()), tuple(layout.high.tolist())),
             action=Space((len(low),), "float32", tuple(low.tolist()), tuple(high.tolist())),
@@ -233,7 +233,7 @@ def view_of(env_id: str, keywords: Mapping[str, Any]) -> EnvironmentView:
         UnknownNameError: No such environment, or keyword.
         SettingsError: A value is not legal; or a subclass.
     """
-    setup = EnvSetup.resolve(task_name(env_id_of(env_id)), keywords)
+    setup = EnvSetup.resolve(env_id, keywords)
     return EnvironmentView(setup, setup.make_task(), setup.make_adapter())
 
 
@@ -256,7 +256,7 @@ def view_of_signature(signature: EnvironmentSignature) -> EnvironmentView:
     Raises:
         CheckpointError: Its keywords make no environment.
     """
-    kind = load_task(task_name(signature.env_id))
+    kind = load_task(signature.env_id)
     known = [*OPTIONS, *(each.name for each in dataclasses.fields(kind.settings_type))]
     for name in signature.kwargs:
         if name not in known:

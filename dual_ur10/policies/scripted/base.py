@@ -48,7 +48,7 @@ class ScriptedPolicy:
         self.mounts = SceneSettings().mounts if mounts is None else tuple(mounts)
         self.limits = limits or self.task.limits
         self.settings = self.task.settings_type() if settings is None else settings
-        self._layout, self._name = self.task.layout_for(self.settings), self.task.name  # the name in messages
+        self._layout, self._name = self.task.layout_for(self.settings), self.task.__name__  # the name in messages
         self._step_rad = np.tile(self.limits.speed_rad_s, 2) * timing.period_s
 
     def _batch(self, observation: Array, count: int | None) -> Array:

@@ -64,7 +64,7 @@ class GoalFollower:
         Raises:
             ActionError: Not an observation of the task.
         """
-        own = self._observe(self._layout.batch(observation, self.task.name))
+        own = self._observe(self._layout.batch(observation, self.task.__name__))
         step = own[..., self._own.indices(["goal_step_m", "goal_rotation"])]
         action = np.clip(_RATIO * step / self._most, -1.0, 1.0)
         if "goal_opening" in self._own.names:

@@ -11,7 +11,7 @@ from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.envs.core.ends import details_of, early_end
 from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
 from dual_ur10.errors import DatasetError, DualUR10Error, MissingExtraError
-from dual_ur10.ids import env_id_of, task_name
+from dual_ur10.ids import env_id_of
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.evaluation.evaluate import actor_of
 from dual_ur10.policies.evaluation.minari_export import to_minari
@@ -79,7 +79,7 @@ def collect(
     keywords = with_latency(policy, env_id, keywords)
     env = DualArmVectorEnv(
         min(envs, episodes),
-        task_name(env_id),
+        env_id,
         autoreset_mode="Disabled",
         threads=threads,
         **{**AS_ON_CONTROLLERS, **keywords},

@@ -18,7 +18,6 @@ import numpy as np
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
 from dual_ur10.errors import SettingsError, TrainingError
-from dual_ur10.ids import task_name
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.learned.manifest import Manifest
 from dual_ur10.policies.learned.signature import EnvironmentView, view_of
@@ -87,7 +86,7 @@ class Imitator:
                 if env is None:
                     env = DualArmVectorEnv(
                         self._asked.envs,
-                        task_name(self._asked.env_id),
+                        self._asked.env_id,
                         autoreset_mode="Disabled",
                         threads=self._threads,
                         **{**AS_ON_CONTROLLERS, **self._asked.keywords},

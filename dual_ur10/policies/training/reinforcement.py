@@ -14,7 +14,6 @@ import numpy as np
 from dual_ur10.envs.api.sb3_bridge import CellsVecEnv, JointVecEnv, TwoAgentVecEnv
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
 from dual_ur10.errors import MissingExtraError, TrainingError
-from dual_ur10.ids import task_name
 from dual_ur10.policies.learned.from_sb3 import converted
 from dual_ur10.policies.learned.manifest import Manifest
 from dual_ur10.policies.learned.signature import view_of
@@ -83,7 +82,7 @@ class Reinforcer:
             KeyboardInterrupt: The training was interrupted. Everything learned so far is saved.
         """
         asked = self._asked
-        task, given = task_name(asked.env_id), {"max_episode_steps": self._settings.episode_steps, **asked.keywords}
+        task, given = asked.env_id, {"max_episode_steps": self._settings.episode_steps, **asked.keywords}
         env: CellsVecEnv
         if asked.agents == "joint":
             env = JointVecEnv(task, asked.envs, threads=self._threads, **given)

@@ -13,7 +13,7 @@ from pydantic import Discriminator, Field, Tag
 from dual_ur10.envs.api.two_agents import RewardKind
 from dual_ur10.envs.core.options import split_keywords
 from dual_ur10.errors import SettingsError, UnknownNameError
-from dual_ur10.ids import env_id_of, task_name
+from dual_ur10.ids import env_id_of
 from dual_ur10.policies.learned import schema
 from dual_ur10.policies.learned.manifest import AgentsKind
 from dual_ur10.policies.learned.network import Activation
@@ -242,7 +242,7 @@ _TO_GOALS: Final = Reinforcement(
 )
 
 SETTINGS: Final[dict[str, TaskSettings]] = {
-    "SineTracking": TaskSettings(
+    "DualUR10/SineTracking-v0": TaskSettings(
         steps={"ppo": 1_000_000, "sac": 300_000, "bc": 96_000, "dagger": 288_000},
         keywords={"random_path": True},
         agents="shared",
@@ -274,7 +274,7 @@ SETTINGS: Final[dict[str, TaskSettings]] = {
         # It sees the commanded positions, and the step from there to the reference, which is all that the action needs.
         imitation=Imitation(unseen=_SINE_UNSEEN),
     ),
-    "SyncCarry": TaskSettings(
+    "DualUR10/SyncCarry-v0": TaskSettings(
         steps={"ppo": 1_000_000, "sac": 200_000, "bc": 57_600, "dagger": 230_400},
         # It sees the commanded positions, the goal of the bar and the time. The fingers close by time alone: a network
         # that saw them kept closing after an accidental early start.
@@ -292,7 +292,7 @@ SETTINGS: Final[dict[str, TaskSettings]] = {
             unseen=_CARRY_ARM,
         ),
     ),
-    "Handover": TaskSettings(
+    "DualUR10/Handover-v0": TaskSettings(
         envs=192,
         randomization="wide",
         steps={"ppo": 1_500_000, "sac": 300_000, "bc": 115_200, "dagger": 460_800},
@@ -442,11 +442,16 @@ def defaults(
         init: See `Training`.
 
     Raises:
-        SettingsError: A value is not possible.
+        SettingsError: A value is not possible, or the environment has no settings of a training.
         UnknownNameError: No such environment, algorithm, kind of agents, setting or keyword.
     """
     env_id = env_id_of(env_id)
-    own = SETTINGS[task_name(env_id)]
+    own = SETTINGS.get(env_id)
+    if own is None:
+        raise SettingsError(
+            f"there are no settings of a training for {env_id}, but for {', '.join(SETTINGS)}: train it with a library "
+            "of your own, and convert the result to a checkpoint"
+        )
     if algorithm not in get_args(Algorithm):
         raise UnknownNameError("algorithm", str(algorithm), get_args(Algorithm))
     settings: Reinforcement | Imitation = own.imitation

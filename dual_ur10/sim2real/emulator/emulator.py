@@ -22,7 +22,7 @@ from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.envs.rendering.viewer import Viewer
 from dual_ur10.errors import AddressError, DualUR10Error, SettingsError
 from dual_ur10.files import write_text
-from dual_ur10.ids import env_id_of, task_name
+from dual_ur10.ids import env_id_of
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.config.cell_file_text import toml_text
@@ -126,7 +126,7 @@ class Emulator:
         config = cell_of(options)
         self._family = config.servoj.family
         plant = PlantOptions(plant=options.plant, seed=options.seed, dh_error_m=options.dh_error_m)
-        self.world = EmulatedWorld(config, task_name(env_id_of(options.task)), plant)
+        self.world = EmulatedWorld(config, options.task, plant)
         self.tick_s = config.servoj.tick_s
         self._period_s = self.tick_s * (1.0 + 1e-6 * options.drift_ppm)
         self._due_s = self._clock.now_s()

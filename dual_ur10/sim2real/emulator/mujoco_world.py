@@ -58,7 +58,7 @@ class EmulatedWorld:
 
     Args:
         config: Nominal cell.
-        task: Name of the task, which defines the scene and the start of its episode.
+        task: Id of the environment, or a shorter name, which defines the scene and the start of its episode.
         options: Deviation of the plant from the nominal model.
 
     Attributes:

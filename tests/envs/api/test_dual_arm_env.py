@@ -18,7 +18,6 @@ from dual_ur10 import errors, policies
 from dual_ur10.assets.gripper import TCP_M
 from dual_ur10.envs import dm_env, parallel_env
 from dual_ur10.envs.core.setup import load_task
-from dual_ur10.ids import task_name
 from dual_ur10.kinematics import flange_pose
 from dual_ur10.kinematics.frames import ArmMount
 from dual_ur10.kinematics.ur10 import JOINTS
@@ -242,9 +241,9 @@ def table_rows(task, heading):
     ]
 
 
-@pytest.mark.parametrize("name", [task_name(each) for each in IDS])
+@pytest.mark.parametrize("name", IDS)
 def test_docstring_tables_match_the_spaces(name):
-    env, task = gym.make(f"DualUR10/{name}-v0").unwrapped, load_task(name)
+    env, task = gym.make(name).unwrapped, load_task(name)
     model, _ = env.core.cell_data(0)
     kinds = ((model.njnt, model.joint), (model.nsite, model.site), (model.nbody, model.body))
     names = {kind(i).name for count, kind in kinds for i in range(count)}
@@ -396,7 +395,7 @@ def test_diverged_physics_ends_the_episode_and_returns_no_nan():
 def test_the_spec_has_the_horizon_at_which_the_task_ends_an_episode(env_id):
     assert gym.spec(env_id).max_episode_steps is None
     default = gym.make(env_id)
-    assert default.spec.max_episode_steps == {"Sine": 750, "Sync": 900, "Hand": 500}[task_name(env_id)[:4]]
+    assert default.spec.max_episode_steps == {"Sine": 750, "Sync": 900, "Hand": 500}[env_id.split("/")[1][:4]]
     fast = gym.make(env_id, **({"duration_s": 60.0} if "Sync" in env_id else {"duration_s": 45.0}), policy_rate_hz=12.5)
     assert fast.spec.max_episode_steps > 500
     assert not isinstance(fast, TimeLimit)

@@ -87,7 +87,7 @@ def test_a_wider_spread_applies_only_to_ranges_that_are_not_given():
 
 
 def test_unknown_keywords_are_refused_unless_they_are_ignored():
-    with pytest.raises(UnknownNameError, match="Handover got an unexpected keyword argument 'render_mode'"):
+    with pytest.raises(UnknownNameError, match="DualUR10/Handover-v0 got an unexpected keyword argument 'render_mode'"):
         EnvSetup.resolve("Handover", {"render_mode": "human"})
     ignored = EnvSetup.resolve("Handover", {"render_mode": "human"}, ignore_unknown=True)
     assert ignored == EnvSetup.resolve("Handover", {})

@@ -17,11 +17,11 @@ from dual_ur10.assets.visuals import CAMERAS, cameras
 from dual_ur10.envs.api.dual_arm_env import DualArmEnv
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.rendering.images import Canvas
-from dual_ur10.ids import ENV_IDS, task_name
+from dual_ur10.ids import ENV_IDS
 from tests.envs.equality import equal
 
 SINE = "DualUR10/SineTracking-v0"
-WITH_GRIPPERS = [name for name in map(task_name, ENV_IDS) if EnvSetup.resolve(name, {}).config.equipment.grippers]
+WITH_GRIPPERS = [name for name in ENV_IDS if EnvSetup.resolve(name, {}).config.equipment.grippers]
 SMALL = {"width": 48, "height": 40, "cameras": ("front", "overhead")}
 KINDS = ("pixels", "both")
 

@@ -4,7 +4,7 @@ import pytest
 from dual_ur10.envs.core.setup import load_task
 from dual_ur10.envs.tasks.observation_layout import Field, ObservationLayout
 from dual_ur10.errors import ActionError, UnknownNameError
-from dual_ur10.ids import ENV_IDS, task_name
+from dual_ur10.ids import ENV_IDS
 
 LAYOUT = ObservationLayout(
     Field("q_rad", 2, -3.0, 4.0, "angle (rad)", "joint positions", "{arm}/a ... {other}/b"),
@@ -50,7 +50,7 @@ def test_batches_have_the_shape_of_observations():
             LAYOUT.batch(np.zeros(shape), "Task")
 
 
-@pytest.mark.parametrize("name", [task_name(each) for each in ENV_IDS])
+@pytest.mark.parametrize("name", ENV_IDS)
 def test_agents_observe_the_fields_of_their_arm_first(name):
     task = load_task(name)
     settings = task.settings_type()

@@ -8,7 +8,6 @@ import numpy as np
 
 from dual_ur10 import policies
 from dual_ur10.envs.api.vector_env import DualArmVectorEnv
-from dual_ur10.ids import task_name
 
 HANDOVER, CARRY = "DualUR10/Handover-v0", "DualUR10/SyncCarry-v0"
 
@@ -43,7 +42,7 @@ class Row:
 
 def returns(env_id, rows, seed=3):
     """Return the return of an episode of each row."""
-    env = DualArmVectorEnv(len(rows), task_name(env_id), autoreset_mode="Disabled")
+    env = DualArmVectorEnv(len(rows), env_id, autoreset_mode="Disabled")
     observation, info = env.reset(seed=[seed] * len(rows))
     seen = dict.fromkeys(("stage", "clock_s"), np.full(len(rows), -np.inf))
     while not all(row.over for row in rows):

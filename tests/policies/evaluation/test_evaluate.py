@@ -218,7 +218,7 @@ def test_an_evaluation_names_its_subject() -> None:
         ({"env_kwargs": {"num_envs": 3}}, "keyword num_envs"),
         ({"env_kwargs": {"autoreset_mode": "NextStep"}}, "keyword autoreset_mode"),
         ({"env_kwargs": {"task": "Juggling"}}, "keyword task"),
-        ({"env_kwargs": {"amplitud": 1}}, "SineTracking got an unexpected keyword argument 'amplitud'"),
+        ({"env_kwargs": {"amplitud": 1}}, "DualUR10/SineTracking-v0 got an unexpected keyword argument 'amplitud'"),
         (
             {"policy": "magic"},
             "unknown policy 'magic': use one of 'scripted', 'learned', 'learned-two-agents', 'random', 'zero'",

@@ -67,5 +67,5 @@ def test_unknown_names_are_refused():
         policies.load("learnt", dual_ur10.ENV_IDS[0])
     without = [env_id for env_id in dual_ur10.ENV_IDS if "learned-two-agents" not in shipped_names(env_id)]
     for env_id in without:
-        with pytest.raises(UnknownNameError, match="unknown learned policy for"):
+        with pytest.raises(UnknownNameError, match="unknown policy of"):
             policies.load("learned-two-agents", env_id, **KEYWORDS)

@@ -29,7 +29,7 @@ from tests.policies.training.small import small
 def test_every_task_has_settings_for_every_algorithm(env_id, algorithm):
     asked = defaults(env_id, algorithm)
     assert asked.env_id == env_id
-    own = SETTINGS[env_id.split("/")[1].rsplit("-v", 1)[0]]
+    own = SETTINGS[env_id]
     assert asked.steps == own.steps[algorithm]
     shown = {"randomization": own.randomization, "action_latency_ticks": 5, **own.keywords}
     assert asked.keywords == (shown if algorithm in IMITATION else own.from_nothing)
@@ -71,7 +71,7 @@ def test_arguments_override_the_defaults():
     )
     assert (asked.agents, asked.envs, asked.steps, asked.seed) == ("shared", 3, 4, 5)
     assert asked.keywords == {"action_latency_ticks": 0, "grasp": "rigid", "randomization": "wide"}
-    assert asked.settings == dataclasses.replace(SETTINGS["SyncCarry"].imitation, hidden=(7,))
+    assert asked.settings == dataclasses.replace(SETTINGS["DualUR10/SyncCarry-v0"].imitation, hidden=(7,))
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,11 @@ import pytest
 from dual_ur10 import ENV_IDS
 from dual_ur10.envs.core.setup import EnvSetup
 from dual_ur10.envs.sim.mujoco_cell import MujocoCell
-from dual_ur10.ids import task_name
 from dual_ur10.sim2real.config.cell import CellConfig
 from dual_ur10.sim2real.control.adapter import Command
 from dual_ur10.sim2real.runtime.mirror_model import MirrorModel
 
-TASKS = [task_name(each) for each in ENV_IDS]
+TASKS = ENV_IDS
 TICKS = 5
 
 

@@ -207,7 +207,6 @@ class Handover(Task[HandoverSettings, HandoverMeasured]):
     - v0: first version.
     """
 
-    name: ClassVar[str] = "Handover"
     limits: MotionLimits = MotionLimits(
         speed_rad_s=(1.2,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.5
     )

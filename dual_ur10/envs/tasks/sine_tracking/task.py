@@ -167,7 +167,6 @@ class SineTracking(Task[SineSettings, SineMeasured]):
     - v0: first version.
     """
 
-    name: ClassVar[str] = "SineTracking"
     limits: MotionLimits = MotionLimits(
         speed_rad_s=(1.2,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.5
     )

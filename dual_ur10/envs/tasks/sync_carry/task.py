@@ -201,7 +201,6 @@ class SyncCarry(Task[CarrySettings, CarryMeasured]):
     - v0: first version.
     """
 
-    name: ClassVar[str] = "SyncCarry"
     coupled: ClassVar[bool] = True
     limits: MotionLimits = MotionLimits(
         speed_rad_s=(1.0,) * 6, acceleration_rad_s2=10.0, jerk_rad_s3=2000.0, tcp_speed_m_s=1.0

@@ -361,10 +361,13 @@ class Core:
         """End the episode for a reason that the task does not know; moving arms stop."""
         self._open().finish()
 
-    def stop(self, reason: str) -> None:
-        """Latch a stop of both arms, for a reason on the side of the policy. A simulation has nothing to stop."""
-        if self.cell is not None:
-            self.cell.stop(reason)
+    def stop(self, reason: str) -> str:
+        """Latch a stop of both arms, for a reason on the side of the policy.
+
+        Returns:
+            What the operator has to do now; "" in a simulation, which has nothing to stop.
+        """
+        return "" if self.cell is None else self.cell.stop(reason)
 
     def _measurements(self, state: CellState) -> dict[str, NDArray[Any]]:
         found: dict[str, NDArray[Any]] = {"q_rad": state.q_rad.copy(), "flange_m": state.flange_m.copy()}

@@ -94,8 +94,9 @@ class EchoCell:
     def finish(self) -> None:
         """Do nothing: nothing moves."""
 
-    def stop(self, reason: str) -> None:
-        """Do nothing: nothing moves."""
+    def stop(self, reason: str) -> str:
+        """Return "": nothing moves."""
+        return ""
 
     def record(self) -> None:
         """Return a trace with every step from now on: what was sent, and what that commands."""

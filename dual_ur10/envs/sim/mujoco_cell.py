@@ -150,8 +150,9 @@ class MujocoCell:
     def finish(self) -> None:
         """Do nothing: a simulation moves only in `advance`."""
 
-    def stop(self, reason: str) -> None:
-        """Do nothing: a simulation moves only in `advance`."""
+    def stop(self, reason: str) -> str:
+        """Return "": a simulation moves only in `advance`."""
+        return ""
 
     def model_and_data(self, row: int) -> tuple[Any, Any]:
         """Return MuJoCo's model and data of one cell for rendering: the same objects at every call, updated."""

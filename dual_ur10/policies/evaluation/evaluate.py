@@ -21,6 +21,7 @@ from dual_ur10.ids import ENTRY_POINTS, __version__
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.policies.baselines import RandomPolicy, ZeroPolicy
 from dual_ur10.policies.evaluation.results import Episode, Evaluation
+from dual_ur10.policies.evaluation.rollout import act
 from dual_ur10.policies.learned.checkpoint import warn_outside
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
 from dual_ur10.policies.policy import EpisodeAware, Policy
@@ -138,12 +139,7 @@ def _run(
             if isinstance(actor, EpisodeAware):
                 rows = np.flatnonzero(fresh)
                 actor.begin(rows, [seeds[current[row]] for row in rows.tolist()])
-        try:
-            action = np.asarray(actor(observation), dtype=kind)
-        except Exception as error:
-            # Real arms must not keep moving without a policy.
-            env.unwrapped.core.stop(f"the policy failed: {type(error).__name__}: {error}")
-            raise
+        action = act(actor, observation, env, kind)
         observation, reward, terminated, truncated, info = env.step(action)
         tally.add(reward, info)
         fresh = terminated | truncated

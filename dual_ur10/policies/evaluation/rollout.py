@@ -75,6 +75,29 @@ class Trace:
         return np.array([row[name] for row in self._rows], dtype=np.float64)
 
 
+def act(policy: Policy, observation: Any, env: Any, dtype: Any) -> Array:
+    """Return the action of a policy. If it fails, moving arms stop.
+
+    Args:
+        policy: The policy.
+        observation: For the policy.
+        env: Environment in which it acts.
+        dtype: Type of the action's numbers.
+
+    Raises:
+        Exception: As raised by the policy. Arms that are not simulated then have a latched stop, and a note, which ends
+            the traceback, names the cause and what to do.
+    """
+    try:
+        return np.asarray(policy(observation), dtype=dtype)
+    except Exception as error:
+        # Real arms must not keep moving without a policy.
+        text = env.unwrapped.core.stop(f"the policy failed: {type(error).__name__}: {error}")
+        if text:
+            error.add_note(text)
+        raise
+
+
 def rollout(
     env: Any, policy: Policy, *, seed: int | None = None, on_step: Callable[[Info], None] | None = None
 ) -> Record:
@@ -88,7 +111,7 @@ def rollout(
 
     Raises:
         DualUR10Error: The environment failed.
-        Exception: As raised by the policy. Arms that are not simulated then have a latched stop.
+        Exception: As raised by the policy, see `act`.
     """
     observation, _ = env.reset(seed=seed, options={MOVE_TO_START: True})
     policy.reset()
@@ -97,12 +120,7 @@ def rollout(
     kept: dict[str, list[Any]] = {name: [] for name in _KEPT}
     over, info = False, {}
     while not over:
-        try:
-            action = np.asarray(policy(observation), dtype=kind)
-        except Exception as error:
-            # Real arms must not keep moving without a policy.
-            env.unwrapped.core.stop(f"the policy failed: {type(error).__name__}: {error}")
-            raise
+        action = act(policy, observation, env, kind)
         observation, reward, terminated, truncated, info = env.step(action)
         rewards.append(float(reward))
         for name, rows in kept.items():

@@ -205,8 +205,12 @@ class Cell(Protocol):
     def finish(self) -> None:
         """End the episode: no more targets follow, and arms that still move stop."""
 
-    def stop(self, reason: str) -> None:
-        """Make a latched stop of both arms, because of a fault of the commanding program."""
+    def stop(self, reason: str) -> str:
+        """Make a latched stop of both arms, because of a fault of the commanding program.
+
+        Returns:
+            What the operator has to do now; "" if nothing moves without this program.
+        """
 
     def model_and_data(self, row: int) -> tuple[Any, Any]:
         """Return MuJoCo's model and data of one cell, for a viewer: the same objects at every call, updated."""

@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from dual_ur10.errors import ClosedError, LinkError, SettingsError, StartError
+from dual_ur10.errors import ClosedError, DualUR10Error, LinkError, SettingsError, StartError
 from dual_ur10.kinematics.rotations import quat_conjugate, quat_from_rotvec, quat_multiply, rotate
 from dual_ur10.kinematics.ur10 import ARMS
 from dual_ur10.sim2real.commissioning.operator_prompts import Confirm, prompt_for
@@ -311,10 +311,16 @@ class RtdeCell:
             self._paused = True
             self._runner.cell.expect(0.0, live=False)
 
-    def stop(self, reason: str) -> None:
-        """Make a latched stop of both arms because of a fault of the program."""
-        if self._runner is not None:
-            self._runner.stop(reason)
+    def stop(self, reason: str) -> str:
+        """Make a latched stop of both arms because of a fault of the program; return what the operator has to do."""
+        if self._runner is None:
+            return ""
+        self._runner.stop(reason)
+        try:
+            self._runner.check()
+        except DualUR10Error as error:
+            return str(error)
+        return ""
 
     def model_and_data(self, row: int) -> tuple[Any, Any]:
         """Return the MuJoCo model and data of the mirror model for rendering."""

@@ -161,7 +161,13 @@ def test_12_a_policy_that_raises_stops_both(lab):
     with pytest.raises(ZeroDivisionError, match="of this policy") as found:
         rollout(lab.env, Failing(), seed=0)
     assert found.traceback[-1].name == "__call__"
+    with pytest.raises(CellFaulted) as again:
+        lab.env.step(lab.policy())
     lab.assert_stopped(found.value, "the policy failed: ZeroDivisionError: of this policy")
+    # The traceback of a policy may fill the screen: its last line names the cause and how to go on, as the cell does.
+    (last,) = found.value.__notes__
+    assert last.startswith("both arms were stopped: the policy failed: ZeroDivisionError: of this policy. Check both")
+    assert last == str(again.value)
 
 
 @pytest.mark.parametrize("wrong", ["missing", "extra"])

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from safetensors.numpy import save as _serialised
 
 from dual_ur10.assets.settings import Equipment
+from dual_ur10.envs.core.options import EnvOptions
 from dual_ur10.envs.core.randomization import PRESETS, resolve_randomization
 from dual_ur10.errors import CheckpointError
 from dual_ur10.ids import __version__, env_id_of
@@ -323,15 +324,23 @@ _REMEDIES: Final = {
     "env_id": "load a checkpoint of that task",
     "robot.model": "use these arms, or train with those of the environment",
     "rate.tick_s": "use controllers of that family, or train with it",
-    "rate.period_ticks": "set policy_rate_hz as it was in training",
-    "rate.latency_ticks": "set action_latency_ticks to what it was in training, or train with what it will be",
-    "actions.mode": "set action_mode as it was in training",
-    "actions.compensate_lag": "set compensate_lag as it was in training",
+    "rate.period_ticks": "",
+    "rate.latency_ticks": "",
+    "actions.mode": "",
+    "actions.compensate_lag": "",
     "actions.joint_step_rad": "train with the speed caps of this cell: they protect it",
     "robot.family": "use controllers of that family, or train with it",
     "robot.lookahead_s": "set servoj's lookahead_s as it was in training",
     "robot.gain": "set servoj's gain as it was in training",
 }
+
+_KEYWORD_OF: Final = {
+    "rate.period_ticks": "policy_rate_hz",
+    "rate.latency_ticks": "action_latency_ticks",
+    "actions.mode": "action_mode",
+    "actions.compensate_lag": "compensate_lag",
+}
+"""Keywords of the environment that set these alone."""
 
 
 def _check(path: Path, manifest: Manifest, view: EnvironmentView) -> None:
@@ -346,12 +355,21 @@ def _check(path: Path, manifest: Manifest, view: EnvironmentView) -> None:
         raise CheckpointError(
             f"{path}: the network has {manifest.network.layers[0]} inputs, each agent observes {view.agent_size}"
         )
-    for name, then, now in _misfits(made, here):
-        raise CheckpointError(
-            f"{path} was made for {name} {_shown(then)}, the environment has {_shown(now)}: "
-            f"{_REMEDIES.get(name, 'make the environment with the keywords of the training')}"
-        )
+    misfits = list(_misfits(made, here))
+    for name, then, now in misfits:
+        remedy = _REMEDIES.get(name, "make the environment with the keywords of the training")
+        if name in _KEYWORD_OF:
+            remedy = _same_keywords(made, [each for each, *_ in misfits if each in _KEYWORD_OF])
+        raise CheckpointError(f"{path} was made for {name} {_shown(then)}, the environment has {_shown(now)}: {remedy}")
     _warn(str(path), made, view)
+
+
+def _same_keywords(made: EnvironmentSignature, names: Sequence[str]) -> str:
+    """Return the call of `gym.make` and of `load` that agree with a checkpoint in these entries."""
+    default = EnvOptions()
+    values = {name: made.kwargs.get(name, getattr(default, name, None)) for name in map(_KEYWORD_OF.__getitem__, names)}
+    call = ", ".join([repr(made.env_id), *(f"{name}={value!r}" for name, value in values.items())])
+    return f"pass what it was trained with to both, gym.make({call}) and load(..., {call})"
 
 
 def warn_outside(policy: LearnedPolicy, env: Any) -> None:

@@ -183,6 +183,33 @@ def test_environments_of_every_interface_are_accepted(tmp_path: Path) -> None:
 # Atomic saving.
 
 
+@pytest.mark.parametrize(
+    ("trained", "keywords"),
+    [
+        ({"action_latency_ticks": 5}, "action_latency_ticks=5"),
+        (
+            {"action_latency_ticks": 3, "policy_rate_hz": 12.5, "compensate_lag": False},
+            "policy_rate_hz=12.5, action_latency_ticks=3, compensate_lag=False",
+        ),
+        ({"action_mode": "tcp_delta"}, "action_mode='tcp_delta'"),
+    ],
+)
+def test_keywords_of_the_training_are_named_as_to_type_them(
+    trained: dict[str, Any], keywords: str, tmp_path: Path
+) -> None:
+    checkpoint.save(tmp_path / "x", *parts(SINE, **trained))
+    with pytest.raises(CheckpointError) as caught:
+        policies.load(tmp_path / "x", SINE)
+    call = f"'{SINE}', {keywords}"
+    assert str(caught.value).endswith(f"pass what it was trained with to both, gym.make({call}) and load(..., {call})")
+    # What it says works.
+    arguments = dict(eval(f"dict({keywords})"))
+    env = gym.make(SINE, **arguments)
+    policy = policies.load(tmp_path / "x", SINE, **arguments)
+    assert policy(env.reset(seed=0)[0]).shape == env.action_space.shape
+    env.close()
+
+
 def test_nothing_is_overwritten(saved: Path, tmp_path: Path) -> None:
     before = {path.name: path.read_bytes() for path in saved.iterdir()}
     (tmp_path / "file").write_text("mine")

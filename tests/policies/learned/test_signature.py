@@ -33,8 +33,8 @@ from tests.policies.learned.checkpoints import (
     ("env_id", "keywords", "message"),
     [
         (CARRY, {}, "is of DualUR10/SineTracking-v0"),
-        (SINE, {"policy_rate_hz": 12.5}, "period_ticks 5, the environment has 10: set policy_rate_hz"),
-        (SINE, {"action_latency_ticks": 0}, "latency_ticks 5, the environment has 0: set action_latency_ticks"),
+        (SINE, {"policy_rate_hz": 12.5}, "period_ticks 5, the environment has 10: pass .* policy_rate_hz=25.0"),
+        (SINE, {"action_latency_ticks": 0}, "latency_ticks 5, the environment has 0: pass .* action_latency_ticks=5"),
         (SINE, {"action_mode": "joint_position"}, "actions.mode 'joint_delta', the environment has 'joint_position'"),
         (SINE, {"compensate_lag": False}, "compensate_lag True, the environment has False"),
         (SINE, {"cell": dual_ur10.CellConfig(speed_rad_s=0.9)}, "joint_step_rad"),

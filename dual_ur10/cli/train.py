@@ -94,16 +94,18 @@ def train(
         where = out or Path("trainings") / f"{asked.env_id.split('/')[1]}-{algo}-{asked.agents}-{seed}"
         run = trainings.train
         arguments = {"training": asked, "out": where, **common}
-    console.print(f"training in {where}", highlight=False, soft_wrap=True, markup=False)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     try:
         with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as shown:
             bar = shown.add_task("beginning", total=None)
 
-            reported_s = time.monotonic()
+            reported_s, begun = time.monotonic(), False
 
             def show(progress: reporting.Progress) -> None:
-                nonlocal reported_s
+                nonlocal reported_s, begun
+                if not begun:  # all that was asked for has been checked
+                    begun = True
+                    console.print(f"training in {where}", highlight=False, soft_wrap=True, markup=False)
                 shown.update(bar, description=_text(progress), completed=progress.steps, total=progress.total)
                 if not console.is_terminal and time.monotonic() - reported_s > _REPORT_S:
                     reported_s = time.monotonic()

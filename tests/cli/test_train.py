@@ -35,6 +35,7 @@ def run(*arguments):
         (("--resume", "x", "--seed", 5, "--steps", 9, "--set", "a=1"), "leave out --seed, --set. Only --steps and"),
         (("--resume", "no_such_folder"), "is no folder of a training"),
         (("SineTracking", "--algo", "ppo", "--dataset", "a/b-v0"), "learns from no dataset"),
+        (("SineTracking", "--init", "no_such_folder"), "no_such_folder cannot be read as a checkpoint"),
     ],
 )
 def test_a_bad_argument_is_one_line(arguments, message, tmp_path, monkeypatch):
@@ -43,6 +44,7 @@ def test_a_bad_argument_is_one_line(arguments, message, tmp_path, monkeypatch):
     assert result.exit_code == 2
     assert message in result.stderr
     assert result.stderr.startswith("error:")
+    assert result.stdout == ""
     assert not list(tmp_path.iterdir())
 
 
@@ -58,6 +60,7 @@ def test_a_bad_setting_is_refused_before_a_folder_is_made(arguments, message, tm
     monkeypatch.chdir(tmp_path)
     result = run("train", "SineTracking", *arguments)
     assert result.exit_code == 2
+    assert result.stdout == ""
     assert message in result.stderr
     assert not list(tmp_path.iterdir())
 

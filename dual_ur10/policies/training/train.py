@@ -11,7 +11,7 @@ from dual_ur10.errors import DualUR10Error, TrainingError
 from dual_ur10.policies.learned.signature import view_of
 from dual_ur10.policies.training.dataset import read_dataset
 from dual_ur10.policies.training.folder import Saved, TrainingFolder, initial_policy, network_shape
-from dual_ur10.policies.training.progress import OnProgress
+from dual_ur10.policies.training.progress import OnProgress, Progress
 from dual_ur10.policies.training.settings import IMITATION, Training
 from dual_ur10.policies.training.state import Tensors
 
@@ -32,7 +32,7 @@ def train(
     Args:
         training: Specification; see `dual_ur10.policies.training.settings.defaults`.
         out: New or empty folder for all results; see `dual_ur10.policies.training.folder`.
-        on_progress: Callback with the progress.
+        on_progress: Callback with the progress. The first call follows the check of all inputs.
         threads: Threads that step the cells; None: one per processor. The result does not depend on it.
 
     Returns:
@@ -92,6 +92,7 @@ def _check_installed(training: Training) -> None:
 def _run(
     folder: TrainingFolder, state: tuple[Tensors, Saved] | None, on_progress: OnProgress, threads: int | None
 ) -> Path:
+    on_progress(Progress(0 if state is None else state[1].steps, folder.training.steps, doing="beginning"))
     try:
         # Imported on use: they load torch and Stable-Baselines3.
         if folder.training.algorithm in IMITATION:

@@ -18,12 +18,11 @@ from rich.measure import Measurement
 from rich.progress import Progress, ProgressColumn
 from rich.table import Table
 
-from dual_ur10 import policies
-from dual_ur10.errors import DualUR10Error, SettingsError, UnknownNameError
+from dual_ur10.errors import SettingsError
 from dual_ur10.ids import env_id_of
 from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.policies.baselines import RandomPolicy, ZeroPolicy
-from dual_ur10.policies.registry import check_name, with_latency
+from dual_ur10.policies.registry import check_name, load_named, with_latency, wrong_types_named
 
 console = Console()
 errors = Console(stderr=True)
@@ -223,20 +222,9 @@ def make(env: str, policy: str, keywords: dict[str, Any], seed: int) -> tuple[An
     env_id = env_id_of(env)
     check_name(policy)
     keywords = with_latency(policy, env_id, keywords)
-    try:
+    actor = load_named(policy, env_id, keywords)  # before anything is connected or a folder of the run is made
+    with wrong_types_named(env_id):
         made = gym.make(env_id, **keywords)
-    except UnknownNameError:
-        raise
-    except TypeError as error:
-        # Gymnasium appends where it was raised and all keywords.
-        reason = str(error).split(" was raised from the environment creator")[0]
-        raise SettingsError(f"a value of --set has the wrong type: {reason}") from error
-    try:
-        if policy == "random":
-            return made, RandomPolicy(made.action_space, seed=seed)
-        if policy == "zero":
-            return made, ZeroPolicy(made.action_space)
-        return made, policies.load(policy, env_id, **keywords)
-    except DualUR10Error:
-        made.close()
-        raise
+    if policy == "random":
+        return made, RandomPolicy(made.action_space, seed=seed)
+    return made, ZeroPolicy(made.action_space) if actor is None else actor

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
+import functools
+import inspect
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, cast, runtime_checkable
 
+from dual_ur10.errors import PolicyError
 from dual_ur10.types import Array, Rows
 
 
@@ -21,6 +24,50 @@ class Policy(Protocol):
 
     def __call__(self, observation: Array) -> Array:
         """Return the action for an observation, or one for each row of a batch of observations."""
+
+
+class FunctionPolicy:
+    """A plain function from observations to actions as a policy. It has no state, so that nothing needs a reset.
+
+    Args:
+        function: As `Policy.__call__`.
+    """
+
+    def __init__(self, function: Callable[[Any], Any]) -> None:
+        self._function = function
+        self.__name__ = str(getattr(function, "__name__", type(function).__name__))  # in results and records
+
+    def reset(self) -> None:
+        """Do nothing: there is no state."""
+
+    def __call__(self, observation: Any) -> Any:
+        """Return the function's action."""
+        return self._function(observation)
+
+
+def as_policy(policy: object) -> Policy:
+    """Return a policy unchanged, and a plain function as a `FunctionPolicy`.
+
+    Raises:
+        PolicyError: It is neither.
+    """
+    if inspect.isroutine(policy) or isinstance(policy, functools.partial):
+        return FunctionPolicy(policy)
+    lacking = [each for each in ("reset", "__call__") if not callable(getattr(policy, each, None))]
+    if lacking or isinstance(policy, type):
+        what = "a class, not an object of it" if isinstance(policy, type) else f"no {' and no '.join(lacking)}"
+        raise PolicyError(
+            f"{policy_name(policy)} is no policy: found {what}; a policy has reset() and takes an observation, or is a "
+            "plain function of one"
+        )
+    return cast(Policy, policy)
+
+
+def policy_name(policy: object) -> str:
+    """Return the name of a policy for results and messages: that of a named one, a function or a class."""
+    if isinstance(policy, str):
+        return policy
+    return str(getattr(policy, "__name__", type(policy).__name__))
 
 
 @runtime_checkable

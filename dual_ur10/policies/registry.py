@@ -11,7 +11,8 @@ from __future__ import annotations
 import importlib
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
@@ -19,7 +20,7 @@ from typing import Any, Final
 from dual_ur10.errors import PolicyError, SettingsError, UnknownNameError
 from dual_ur10.ids import ENTRY_POINTS, env_id_of
 from dual_ur10.policies.baselines import BASELINES
-from dual_ur10.policies.policy import Policy
+from dual_ur10.policies.policy import Policy, policy_name
 from dual_ur10.sim2real.config.cell import CellConfig
 
 _SCRIPTED: Final = {
@@ -144,6 +145,42 @@ def load(name: str | os.PathLike[str], env_id: str | None = None, **keywords: An
     return _scripted(env_id, keywords)
 
 
+@contextmanager
+def wrong_types_named(env_id: str) -> Iterator[None]:
+    """Name the environment in a `TypeError` of the block, which a value of a keyword causes.
+
+    Raises:
+        SettingsError: There was one.
+    """
+    try:
+        yield
+    except UnknownNameError:
+        raise
+    except TypeError as error:
+        # Gymnasium appends its location and all keywords.
+        reason = str(error).split(" was raised from the environment creator")[0]
+        raise SettingsError(f"a keyword of {env_id} has the wrong type: {reason}") from error
+
+
+def load_named(policy: Policy | str, env_id: str, keywords: Mapping[str, Any]) -> Policy | None:
+    """Load a policy that is given by its name or folder. Return None for an object, and for a baseline.
+
+    Args:
+        policy: As for `evaluate`.
+        env_id: Id of the environment.
+        keywords: Keywords of the environment.
+
+    Raises:
+        UnknownNameError: No such policy.
+        SettingsError: A class of one's own cannot be imported or made.
+        CheckpointError: The checkpoint cannot be read, or was made for another environment.
+    """
+    if not isinstance(policy, str) or policy in BASELINES:
+        return None
+    with wrong_types_named(env_id):
+        return load(policy, env_id, **keywords)
+
+
 def _own(name: str) -> Policy:
     """Return an object of a class "package.module:Class"."""
     module, attribute = name.split(":")
@@ -220,7 +257,7 @@ def provenance(policy: Policy | str, env_id: str) -> dict[str, Any]:
         CheckpointError: The checkpoint cannot be read, or has changed since it was saved.
     """
     if not isinstance(policy, str):
-        return {"policy": type(policy).__name__}
+        return {"policy": policy_name(policy)}
     folder = str(shipped_folder(policy, env_id)) if policy in _SHIPPED else policy
     if not is_path(folder):
         return {"policy": policy}

@@ -13,6 +13,7 @@ from rich.console import Console
 
 from dual_ur10 import policies
 from dual_ur10.cli import evaluate as cli_evaluate
+from dual_ur10.policies import registry
 from dual_ur10.policies.evaluation import evaluate as module
 from tests.cli import command
 
@@ -127,7 +128,7 @@ def test_ctrl_c_prints_the_episodes_so_far(monkeypatch: pytest.MonkeyPatch, tmp_
 
         return Interrupted()
 
-    monkeypatch.setattr(module, "load", interrupted)
+    monkeypatch.setattr(registry, "load", interrupted)
     code, text = run("SineTracking", "-n", "50", "--envs", "2", "--set", "duration_s=0.4", "--json", str(path))
     assert code == 130
     assert "4 of 4, 100.0 %" in text

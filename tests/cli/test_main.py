@@ -94,6 +94,13 @@ def test_baseline_policies_run_and_fail(policy: str) -> None:
     assert "success 0 of 1" in text
 
 
+@pytest.mark.parametrize("command", ["rollout", "evaluate"])
+def test_a_policy_that_cannot_be_loaded_leaves_no_folder_of_a_run(command: str, tmp_path: Any) -> None:
+    code, text = run(command, "SineTracking", "--policy", "no_such_module:Policy", "--record", "here")
+    assert (code, "No module named 'no_such_module'" in text) == (2, True)
+    assert not (tmp_path / "here").exists()
+
+
 def test_random_actions_differ_between_episodes() -> None:
     _, text = run("rollout", "SineTracking", "-p", "random", "-n", "2", "--set", "randomize=False", *SHORT)
     errors = [line.split("│")[7] for line in text.splitlines() if line.startswith("│")]

@@ -9,7 +9,7 @@ import dataclasses
 import logging
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import gymnasium as gym
@@ -19,7 +19,7 @@ from dual_ur10.envs.core.options import AS_ON_CONTROLLERS
 from dual_ur10.errors import PolicyError, SettingsError
 from dual_ur10.ids import env_id_of
 from dual_ur10.kinematics.ur10 import ARMS
-from dual_ur10.policies.policy import Policy
+from dual_ur10.policies.policy import Policy, as_policy
 from dual_ur10.sim2real.config.cell import LATENCY_S, CellConfig, HostedCell
 from dual_ur10.types import Array
 
@@ -78,7 +78,7 @@ class PolicyReport:
 
 
 def check_policy(
-    policy: Policy,
+    policy: Policy | Callable[[Any], Any],
     env_id: str,
     *,
     cell: str | os.PathLike[str] | HostedCell | None = None,
@@ -88,10 +88,10 @@ def check_policy(
 ) -> PolicyReport:
     """Check a policy over one episode in simulation, and over one on two controllers if there is a cell file.
 
-    The policy must have `reset` and act on single observations. Its actions must be finite numbers of the action
-    space's shape and within its bounds. It must not change observations. After `reset` the same observations must give
-    the same actions. If it takes a batch of observations, each row must give the same action as alone. The safety gate
-    must not refuse any of its targets.
+    The policy must have `reset`, or be a plain function, and act on single observations. Its actions must be finite
+    numbers of the action space's shape and within its bounds. It must not change observations. After `reset` the same
+    observations must give the same actions. If it takes a batch of observations, each row must give the same action as
+    alone. The safety gate must not refuse any of its targets.
 
     Args:
         policy: Policy to check.
@@ -119,10 +119,7 @@ def check_policy(
             f"cell is {type(cell).__name__}: it must be the path of a cell file, a VirtualCell, or None"
         )
     most = MOST_STEPS if steps is None else int(steps)
-    lacking = [each for each in ("reset", "__call__") if not callable(getattr(policy, each, None))]
-    if lacking or isinstance(policy, type):
-        what = "a class, not an object of it" if isinstance(policy, type) else f"no {' and no '.join(lacking)}"
-        raise PolicyError(f"{_kind(policy)} is no policy: found {what}; a policy has reset() and takes an observation")
+    policy = as_policy(policy)
     simulated = {**AS_ON_CONTROLLERS, **env_kwargs}
     for controllers_only in ("confirm", "arm") if cell is not None else ():
         simulated.pop(controllers_only, None)
@@ -349,7 +346,3 @@ def _stacked(observations: list[Any]) -> Any:
     if isinstance(observations[0], Mapping):
         return {name: _stacked([each[name] for each in observations]) for name in observations[0]}
     return np.stack(observations)
-
-
-def _kind(policy: object) -> str:
-    return policy.__name__ if isinstance(policy, type) else type(policy).__name__

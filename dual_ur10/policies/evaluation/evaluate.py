@@ -24,8 +24,8 @@ from dual_ur10.policies.evaluation.results import Episode, Evaluation
 from dual_ur10.policies.evaluation.rollout import act
 from dual_ur10.policies.learned.checkpoint import warn_outside
 from dual_ur10.policies.learned.learned_policy import LearnedPolicy
-from dual_ur10.policies.policy import EpisodeAware, Policy
-from dual_ur10.policies.registry import check_name, load, provenance, with_latency
+from dual_ur10.policies.policy import EpisodeAware, Policy, as_policy, policy_name
+from dual_ur10.policies.registry import check_name, load_named, provenance, with_latency, wrong_types_named
 from dual_ur10.types import Array, Mask
 
 UNITS = ("_m", "_rad", "_n", "_s")
@@ -39,7 +39,7 @@ _PACKAGES = ("mujoco", "gymnasium", "numpy")
 
 def evaluate(
     env_id: str,
-    policy: Policy | str,
+    policy: Policy | Callable[[Any], Any] | str,
     *,
     episodes: int = 300,
     seed: int = 0,
@@ -57,8 +57,9 @@ def evaluate(
 
     Args:
         env_id: Id of the environment.
-        policy: A policy that takes batches; or a name, one of `dual_ur10.policies.NAMES`, "random" or "zero"; or the
-            folder of a checkpoint, made for this environment; or "module:Class", as for `load`.
+        policy: A policy that takes batches, or a plain function that does; or a name, one of
+            `dual_ur10.policies.NAMES`, "random" or "zero"; or the folder of a checkpoint, made for this environment; or
+            "module:Class", as for `load`.
         episodes: Number of episodes, 1 or more.
         seed: Seed of the first episode, 0 or more.
         num_envs: Number of parallel episodes.
@@ -73,6 +74,7 @@ def evaluate(
     Raises:
         SettingsError: A number is out of its range, or the evaluation itself sets a keyword.
         UnknownNameError: No such environment, policy or keyword.
+        PolicyError: The policy is none.
         DualUR10Error: An episode did not end within `max_steps`, or the policy or the environment failed.
     """
     for name, value, least in (("episodes", episodes, 1), ("seed", seed, 0), ("num_envs", num_envs, 1)):
@@ -82,21 +84,24 @@ def evaluate(
     keywords = dict(env_kwargs or {})
     if isinstance(policy, str):
         check_name(policy)
+    else:
+        policy = as_policy(policy)
     given = keywords
     if keywords.get("record") is not None and env_id in gym.registry:
         given = {"record_about": provenance(policy, env_id), **keywords}
     given = with_latency(policy, env_id, given) if env_id in gym.registry else given
     keywords = {name: value for name, value in given.items() if name not in _RECORD}
+    actor = load_named(policy, env_id, keywords)  # before anything is connected or a folder of the run is made
     env = _make(env_id, min(num_envs, episodes), given)
     try:
-        actor = actor_of(policy, env_id, keywords, env)
+        actor = actor_of(policy, env) if actor is None else actor
         core = env.unwrapped.core
         bound = _bound(core, max_steps)
 
         def result(found: Sequence[Episode]) -> Evaluation:
             return Evaluation(
                 env_id=env_id,
-                policy=policy if isinstance(policy, str) else type(policy).__name__,
+                policy=policy_name(policy),
                 kwargs=keywords,
                 seed=int(seed),
                 stages=tuple(getattr(core.task, "stages", ())),
@@ -259,7 +264,7 @@ def _make(env_id: str, num_envs: int, keywords: Mapping[str, Any]) -> Any:
     for name in _OWN:
         if name in keywords:
             raise SettingsError(f"the keyword {name} is set by the evaluation: leave it out")
-    try:
+    with wrong_types_named(env_id):
         return gym.make_vec(
             env_id,
             num_envs=num_envs,
@@ -267,33 +272,20 @@ def _make(env_id: str, num_envs: int, keywords: Mapping[str, Any]) -> Any:
             autoreset_mode="Disabled",
             **({**AS_ON_CONTROLLERS, **keywords} if env_id in ENTRY_POINTS else keywords),
         )
-    except UnknownNameError:
-        raise
-    except TypeError as error:
-        # Gymnasium appends its location and all keywords.
-        reason = str(error).split(" was raised from the environment creator")[0]
-        raise SettingsError(f"a keyword of {env_id} has the wrong type: {reason}") from error
 
 
-def actor_of(policy: Policy | str, env_id: str, keywords: Mapping[str, Any], env: Any) -> Policy:
-    """Return the policy that acts in a vector environment.
+def actor_of(policy: Policy | str, env: Any) -> Policy:
+    """Return the policy that acts in a vector environment: a baseline by its name, or the policy itself.
 
     Args:
-        policy: A policy, or a name or folder as for `evaluate`.
-        env_id: Id of the environment.
-        keywords: Keywords of the environment.
+        policy: A policy, or the name of a baseline.
         env: The vector environment.
 
     Raises:
-        UnknownNameError: No such policy.
-        CheckpointError: The checkpoint cannot be read, or was made for another environment.
+        PolicyError: It is no policy.
     """
     if isinstance(policy, LearnedPolicy):
         warn_outside(policy, env)
-    if not isinstance(policy, str):
-        return policy
     if policy == "random":
         return RandomPolicy(env.single_action_space, env.num_envs)
-    if policy == "zero":
-        return ZeroPolicy(env.action_space)
-    return load(policy, env_id, **keywords)
+    return ZeroPolicy(env.action_space) if policy == "zero" else as_policy(policy)

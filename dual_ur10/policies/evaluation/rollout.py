@@ -11,7 +11,7 @@ import numpy as np
 from dual_ur10.envs.core.ends import early_end
 from dual_ur10.envs.core.options import MOVE_TO_START
 from dual_ur10.kinematics.frames import ArmMount
-from dual_ur10.policies.policy import Policy
+from dual_ur10.policies.policy import Policy, as_policy
 from dual_ur10.types import Array
 
 Info = Mapping[str, Any]
@@ -99,20 +99,26 @@ def act(policy: Policy, observation: Any, env: Any, dtype: Any) -> Array:
 
 
 def rollout(
-    env: Any, policy: Policy, *, seed: int | None = None, on_step: Callable[[Info], None] | None = None
+    env: Any,
+    policy: Policy | Callable[[Any], Any],
+    *,
+    seed: int | None = None,
+    on_step: Callable[[Info], None] | None = None,
 ) -> Record:
     """Run one episode. On a cell of two controllers this moves both arms to where it begins.
 
     Args:
         env: Environment made by `gym.make`.
-        policy: Policy, which is reset first.
+        policy: Policy, which is reset first; or a plain function of the observation.
         seed: Seed of the environment's reset.
         on_step: Callback with `info` after every step.
 
     Raises:
+        PolicyError: The policy is neither.
         DualUR10Error: The environment failed.
         Exception: As raised by the policy, see `act`.
     """
+    policy = as_policy(policy)
     observation, _ = env.reset(seed=seed, options={MOVE_TO_START: True})
     policy.reset()
     kind = env.action_space.dtype

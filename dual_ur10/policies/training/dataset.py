@@ -17,7 +17,7 @@ from dual_ur10.policies.evaluation.evaluate import actor_of
 from dual_ur10.policies.evaluation.minari_export import to_minari
 from dual_ur10.policies.learned.signature import EnvironmentView, view_of
 from dual_ur10.policies.policy import EpisodeAware
-from dual_ur10.policies.registry import with_latency
+from dual_ur10.policies.registry import load_named, with_latency
 from dual_ur10.policies.training.settings import check_simulated
 from dual_ur10.sim2real.recording.header import describe
 from dual_ur10.sim2real.recording.run import ArmLog, Episode, Run
@@ -77,6 +77,7 @@ def collect(
         raise DatasetError(f"{dataset_id!r:.80} is no name of a dataset: {error}") from None
     check_simulated(keywords, "collecting", "record a rollout with --cell, and make it a dataset with `to_minari`")
     keywords = with_latency(policy, env_id, keywords)
+    loaded = load_named(policy, env_id, keywords)
     env = DualArmVectorEnv(
         min(envs, episodes),
         env_id,
@@ -85,7 +86,7 @@ def collect(
         **{**AS_ON_CONTROLLERS, **keywords},
     )
     try:
-        actor, core = actor_of(policy, env_id, keywords, env), env.core
+        actor, core = actor_of(policy, env) if loaded is None else loaded, env.core
         header = describe(
             env_id,
             keywords,

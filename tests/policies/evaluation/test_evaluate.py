@@ -481,6 +481,36 @@ def test_the_environment_is_closed_when_the_policy_fails() -> None:
     assert Stub.made.closed
 
 
+def test_a_plain_function_is_a_policy() -> None:
+    def still(observation: Any) -> Any:
+        return np.zeros((len(observation), 12), dtype=np.float32)
+
+    found = evaluate(SINE, still, episodes=2, env_kwargs={"duration_s": 0.4})
+    zero = evaluate(SINE, "zero", episodes=2, env_kwargs={"duration_s": 0.4})
+    assert (found.policy, found.episodes) == ("still", zero.episodes)
+    env = gym.make(SINE, duration_s=0.4)
+    assert rollout(env, lambda _: np.zeros(12), seed=0).reward.sum() == pytest.approx(zero.episodes[0].total_reward)
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("policy", "text"),
+    [
+        (3, "int is no policy: found no reset and no __call__"),
+        (Watching, "Watching is no policy: found a class, not an object of it"),
+        (type("Late", (), {"__call__": lambda *_: 0.0})(), "Late is no policy: found no reset; .* a plain function"),
+    ],
+)
+def test_what_is_no_policy_is_refused_before_an_environment_is_made(
+    policy: Any, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gym, "make_vec", None)
+    with pytest.raises(errors.PolicyError, match=text):
+        evaluate(SINE, policy, episodes=1)
+    with pytest.raises(errors.PolicyError, match=text):
+        rollout(None, policy)
+
+
 # What the episodes say together
 
 

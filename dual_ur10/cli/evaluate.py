@@ -13,6 +13,7 @@ from dual_ur10.cli.options import (
     STOP_COMMANDED,
     CellFileName,
     EnvName,
+    MinSuccess,
     NoRecord,
     OneArm,
     Perturbed,
@@ -21,8 +22,9 @@ from dual_ur10.cli.options import (
     Randomization,
     Seed,
     Settings,
+    check_min_success,
+    conclude,
     console,
-    errors,
     keywords_of,
     late_text,
     power_on,
@@ -37,9 +39,6 @@ from dual_ur10.sim2real.processes.interrupts import INTERRUPTED
 if TYPE_CHECKING:
     from dual_ur10.policies.evaluation.results import Evaluation
 
-BELOW = 1
-"""Exit code when too few episodes succeed."""
-
 
 def evaluate(
     env: EnvName,
@@ -47,10 +46,7 @@ def evaluate(
     episodes: Annotated[int, typer.Option("--episodes", "-n", help="Number of episodes.")] = 300,
     seed: Seed = 0,
     envs: Annotated[int, typer.Option("--envs", help="Episodes that run at a time; no result depends on it.")] = 8,
-    min_success: Annotated[
-        float | None,
-        typer.Option("--min-success", metavar="RATE", help="Exit with code 1 below this success rate."),
-    ] = None,
+    min_success: MinSuccess = None,
     json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write all results to this file.")] = None,
     csv: Annotated[
         Path | None, typer.Option("--csv", metavar="FILE", help="Write a row per episode to this file.")
@@ -82,8 +78,7 @@ def evaluate(
     if not no_record and (record is not None or cell is not None):
         keywords.setdefault("record", str(record or RUNS))
     envs = envs if cell is None and "record" not in keywords else 1
-    if min_success is not None and not 0.0 <= min_success <= 1.0:
-        raise SettingsError(f"--min-success is {min_success:g}: it must be a rate from 0 to 1, such as 0.95")
+    check_min_success(min_success)
     targets = [path for path in (json, csv) if path is not None]
     if len({check_target(path) for path in targets}) < len(targets):
         raise SettingsError(f"--json and --csv both name {json}")
@@ -127,11 +122,4 @@ def evaluate(
     if csv is not None:
         found.to_csv(csv)
         console.print(f"csv   {csv}", soft_wrap=True, highlight=False, markup=False)
-    if min_success is not None and found.success_rate < min_success:
-        errors.print(
-            f"[bold red]too few successes:[/] [red]{found.successes} of {episodes} are a rate of "
-            f"{found.success_rate:.4g}, required {min_success:g} or more[/]",
-            soft_wrap=True,
-            highlight=False,
-        )
-        raise typer.Exit(BELOW)
+    conclude(found.successes, episodes, found.late_actions, min_success)

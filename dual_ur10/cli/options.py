@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import gymnasium as gym
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.measure import Measurement
 from rich.progress import Progress, ProgressColumn
 from rich.table import Table
@@ -23,6 +24,7 @@ from dual_ur10.ids import env_id_of
 from dual_ur10.kinematics.robots import robot_model
 from dual_ur10.policies.baselines import RandomPolicy, ZeroPolicy
 from dual_ur10.policies.registry import check_name, load_named, with_latency, wrong_types_named
+from dual_ur10.sim2real.runtime.machine_load import too_busy
 
 console = Console()
 errors = Console(stderr=True)
@@ -71,6 +73,15 @@ Partial = Annotated[
     bool, typer.Option("--allow-partial", help="Read the intact part of a run that was cut off, for example by a kill.")
 ]
 Seed = Annotated[int, typer.Option("--seed", "-s", min=0, help="Seed of the first episode; the next ones count up.")]
+MinSuccess = Annotated[
+    float | None,
+    typer.Option(
+        "--min-success",
+        metavar="RATE",
+        help="Exit with code 1 below this success rate, such as 1: all succeed. Without it the code is 0 even if none "
+        "does.",
+    ),
+]
 Left = Annotated[str | None, typer.Option("--left", help="IPv4 address of the left controller.")]
 Right = Annotated[str | None, typer.Option("--right", help="IPv4 address of the right controller.")]
 ArmFamily = Annotated[
@@ -168,6 +179,46 @@ def late_text(count: int) -> str:
     if not count:
         return ""
     return f", {count} late action{'' if count == 1 else 's'}"
+
+
+BELOW = 1
+"""Exit code when too few episodes succeed."""
+
+
+def check_min_success(rate: float | None) -> None:
+    """Check the value of --min-success.
+
+    Raises:
+        SettingsError: It is no rate.
+    """
+    if rate is not None and not 0.0 <= rate <= 1.0:
+        raise SettingsError(f"--min-success is {rate:g}: it must be a rate from 0 to 1, such as 0.95")
+
+
+def conclude(successes: int, episodes: int, late: int, min_success: float | None) -> None:
+    """Print a last line if no episode succeeded or too few did; exit with code `BELOW` below the required rate.
+
+    Args:
+        successes: Number of successful episodes.
+        episodes: Number of episodes.
+        late: Number of actions that missed their deadline.
+        min_success: Required rate; None: none.
+    """
+    rate = successes / episodes
+    below = min_success is not None and rate < min_success
+    if successes and not below:
+        return
+    text = f"{'too few successes' if successes else 'nothing succeeded'}: {successes} of {episodes}"
+    if below:
+        text += f" are a rate of {rate:.4g}, required {min_success:g} or more"
+    if late:
+        text += (
+            f"; {late} late action{'' if late == 1 else 's'} stopped both arms, which is no decision of the policy: "
+            f"{too_busy('or the policy computes too long')}"
+        )
+    errors.print(f"[bold red]{escape(text)}[/]", soft_wrap=True, highlight=False)
+    if below:
+        raise typer.Exit(BELOW)
 
 
 def power_on(cell: Path | None) -> None:

@@ -14,6 +14,7 @@ from dual_ur10.cli.options import (
     RUNS,
     CellFileName,
     EnvName,
+    MinSuccess,
     NoRecord,
     OneArm,
     Perturbed,
@@ -22,6 +23,8 @@ from dual_ur10.cli.options import (
     Record,
     Seed,
     Settings,
+    check_min_success,
+    conclude,
     console,
     errors,
     keywords_of,
@@ -40,6 +43,7 @@ def rollout(
     policy: PolicyName = "scripted",
     episodes: Annotated[int, typer.Option("--episodes", "-n", min=1, help="Number of episodes.")] = 5,
     seed: Seed = 0,
+    min_success: MinSuccess = None,
     settings: Settings = None,
     perturbed: Perturbed = False,
     cell: CellFileName = None,
@@ -51,6 +55,7 @@ def rollout(
     """Run episodes of a policy, in MuJoCo or on two controllers, and print a row for each."""
     from dual_ur10.policies.evaluation.rollout import rollout as run_episode
 
+    check_min_success(min_success)
     keywords = keywords_of(settings, perturbed, cell, arm)
     if power:
         power_on(cell)
@@ -100,3 +105,4 @@ def rollout(
         f"success {successes} of {episodes}, return {np.mean(returns):.2f}{spread} ({plant}){late_text(late)}",
         highlight=False,
     )
+    conclude(successes, episodes, late, min_success)

@@ -53,7 +53,7 @@ def test_too_few_successes_are_exit_code_1(policy: str, wanted: str, expected: i
         "SineTracking", "-n", "3", "--set", "duration_s=2", "-p", policy, "--min-success", wanted, "--json", str(path)
     )
     assert code == expected
-    assert ("too few successes: 0 of 3 are a rate of 0, required 0.5 or more" in text) == bool(expected)
+    assert ("nothing succeeded: 0 of 3 are a rate of 0, required 0.5 or more" in text) == bool(expected)
     assert path.exists()
 
 

@@ -11,6 +11,7 @@ import urllib.request
 from typing import Any
 
 import pytest
+import typer
 
 from dual_ur10 import ENV_IDS, __version__
 from dual_ur10.cli import options as cli_options
@@ -92,6 +93,36 @@ def test_baseline_policies_run_and_fail(policy: str) -> None:
     code, text = run("rollout", "SineTracking", "-p", policy, "-n", "1", "--set", "duration_s=2")
     assert code == 0
     assert "success 0 of 1" in text
+
+
+@pytest.mark.parametrize("command", ["rollout", "evaluate"])
+@pytest.mark.parametrize(
+    ("policy", "wanted", "expected", "last"),
+    [
+        ("zero", (), 0, "nothing succeeded: 0 of 2"),
+        ("zero", ("--min-success", "0"), 0, "nothing succeeded: 0 of 2"),
+        ("zero", ("--min-success", "0.5"), 1, "nothing succeeded: 0 of 2 are a rate of 0, required 0.5 or more"),
+        ("scripted", ("--min-success", "1"), 0, None),
+    ],
+)
+def test_the_last_line_and_the_exit_code_tell_that_nothing_succeeded(
+    command: str, policy: str, wanted: tuple[str, ...], expected: int, last: str | None
+) -> None:
+    code, text = run(command, "SineTracking", "-p", policy, "-n", "2", "--set", "duration_s=2", *wanted)
+    assert code == expected
+    assert ("nothing succeeded" in text) == (last is not None)
+    assert last is None or text.splitlines()[-1] == last
+
+
+def test_too_few_successes_and_late_actions_are_told_apart(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(typer.Exit) as caught:
+        cli_options.conclude(1, 4, 1, 0.5)
+    assert caught.value.exit_code == 1
+    text = capsys.readouterr().err
+    assert text.startswith("too few successes: 1 of 4 are a rate of 0.25, required 0.5 or more; 1 late action stopped")
+    assert "no decision of the policy: this machine is too busy" in text
+    cli_options.conclude(1, 4, 3, None)  # its own line tells of them
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("command", ["rollout", "evaluate"])

@@ -43,6 +43,7 @@ _GRID_RAD: Final = 0.02
 _SAME_RAD: Final = 1e-9  # distance of points that are one
 _LEAST_STEPS: Final = 6  # of the grid in each straight part and each blend
 _SAMPLES: Final = 4  # in the shorter average
+_AT_REST: Final = 2  # samples at the end in which the jerk decays: the targets follow a jump of it at once
 
 
 class _Rates(NamedTuple):
@@ -268,8 +269,8 @@ def _timed(
     along = passed * (speed[piece] + passed * np.diff(squared)[piece] / path.step[piece] / 4)
     along = np.clip(along, 0.0, path.step[piece])[:, None]
     q = path.q_rad[piece] + along * (path.direction[piece] + along * path.bend[piece] / 2)
-    rest = np.ones((len(kernel) - 1, 1))
-    q = np.concatenate([rest * corners[0], q, rest * corners[-1]])
+    before, after = np.ones((len(kernel) - 1, 1)), np.ones((len(kernel) - 1 + _AT_REST, 1))
+    q = np.concatenate([before * corners[0], q, after * corners[-1]])
     q = np.stack([np.convolve(joint, kernel, "valid") for joint in q.T], axis=1)
     q[0], q[-1] = corners[0], corners[-1]
     at_rest = [(1, np.zeros(12)), (2, np.zeros(12))]

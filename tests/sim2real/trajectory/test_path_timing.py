@@ -13,6 +13,7 @@ from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.planner import plan_path
 from dual_ur10.sim2real.control.servoj import ServojProfile
+from dual_ur10.sim2real.trajectory import path_timing
 from dual_ur10.sim2real.trajectory.goal import GoalState
 from dual_ur10.sim2real.trajectory.interpolation import Interpolation
 from dual_ur10.sim2real.trajectory.path_check import TargetLaw
@@ -64,6 +65,15 @@ def test_the_gate_releases_every_motion(limits, profile):
         assert not trajectory.qd_rad_s[[0, -1]].any()
         assert not trajectory.qdd_rad_s2[[0, -1]].any()
         assert trajectory.time_s[0] == 0.0
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("limits", [HARD, TIGHT])
+def test_the_first_try_is_released(limits, profile, monkeypatch):
+    monkeypatch.setattr(path_timing, "_CARE", (1.0,))
+    rng, (gate, law) = np.random.default_rng(1), gate_and_law(limits, profile)
+    for _ in range(scaled(160)):
+        time_path(random_corners(rng, limits), gate, law)
 
 
 @pytest.mark.parametrize("blend_rad", [BLEND_RAD, 0.003, 0.1])

@@ -223,7 +223,7 @@ def _squared_speeds(path: _Rounded, rates: _Rates, limits: MotionLimits) -> Arra
     """
     step, unit = path.step, path.direction
     most = (rates.speed_rad_s / np.maximum(np.abs(unit), 1e-12)).min(axis=1)
-    points = elbow_flange_and_tcp(path.q_rad.reshape(-1, 2, 6), limits.tcp_m)
+    points = elbow_flange_and_tcp(path.q_rad.reshape(-1, 2, 6), limits.tcp_m, limits.robots)
     travel = np.linalg.norm(np.diff(points, axis=0), axis=-1).max(axis=(1, 2)) / step
     cartesian = rates.tcp_speed_m_s / np.maximum(travel, 1e-12)
     most = np.minimum(most, np.minimum(np.append(cartesian, np.inf), np.append(np.inf, cartesian))) ** 2

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import numpy as np
 import pytest
 
-from dual_ur10.assets.settings import HOME_Q_RAD
+from dual_ur10.assets.settings import HOME_Q_RAD, home_q_rad
 from dual_ur10.errors import TrajectoryError
+from dual_ur10.kinematics.frames import ArmMount
+from dual_ur10.kinematics.robots import robot_model
+from dual_ur10.kinematics.ur10 import nominal_dh
 from dual_ur10.sim2real.control.gate import SafetyGate
 from dual_ur10.sim2real.control.limits import MotionLimits
 from dual_ur10.sim2real.control.planner import plan_path
@@ -19,6 +23,7 @@ from dual_ur10.sim2real.trajectory.interpolation import Interpolation
 from dual_ur10.sim2real.trajectory.path_check import TargetLaw
 from dual_ur10.sim2real.trajectory.path_timing import BLEND_RAD, refusal_of, time_path
 from tests.sim2real.control.motion_checks import HARD, NARROW, TIGHT, TOOL, AlwaysClear
+from tests.sim2real.control.reference_cell import dh_product
 from tests.sim2real.trajectory.following import CLEARANCE, check_sent, made
 from tests.soak import scaled
 
@@ -107,6 +112,29 @@ def test_a_flange_is_as_fast_as_it_may_be():
     trajectory = time_path(np.array([HOME, goal]), gate, law)
     reach_m = 0.75  # of the flange at home, from the first joint's axis
     assert np.abs(trajectory.qd_rad_s).max() * reach_m == pytest.approx(0.8 * 0.25, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("robots", "calibrated"),
+    [(("ur3", "ur3"), False), (("ur20", "ur20"), False), (("ur5e", "ur5e"), True), (("ur3e", "ur20"), False)],
+    ids=["small", "large", "calibrated", "mixed"],
+)
+def test_each_model_uses_its_own_cartesian_speed_at_the_first_try(robots, calibrated, monkeypatch):
+    monkeypatch.setattr(path_timing, "_CARE", (1.0,))
+    limits = MotionLimits(tcp_speed_m_s=0.25).of(robots)
+    gate, law = gate_and_law(limits, ServojProfile(robot_model(robots[0]).family))
+    home = home_q_rad([ArmMount((0.0, 0.0, 0.0), robot=robot) for robot in robots])
+    goal = home + 1.2 * np.eye(6)[0]
+    trajectory = time_path(np.array([home, goal]), gate, law)
+    time = np.arange(0.0, trajectory.duration_s, 0.002)
+    q, fastest = Interpolation(trajectory)(time).q_rad, []
+    for arm, robot in enumerate(robots):
+        a = np.array(nominal_dh(robot).a_m) - calibrated * np.array([0.0, 0.001, -0.0015, 0.0, 0.0, 0.0])
+        dh = dataclasses.replace(nominal_dh(robot), a_m=tuple(a))
+        places = np.array([dh_product(each, dh)[:3, 3] for each in q[:, arm]])
+        fastest.append(np.linalg.norm(np.diff(places, axis=0), axis=1).max() / 0.002)
+    # A calibrated arm may differ from the nominal one by its deviation in length.
+    assert 0.97 * 0.8 * 0.25 <= max(fastest) <= (1.001 + 0.005 * calibrated) * 0.8 * 0.25
 
 
 def test_a_duration_is_kept_or_refused_with_the_shortest():
